@@ -163,6 +163,19 @@ for name, (fitted, unseen) in data.items():
 
 
 # %%
+class Air(rb.forces.Element):
+    """A torque -c |w| w on each body, with its angular velocity w in the world."""
+
+    drag: jax.Array  # (nb,) N m s^2/rad^2
+
+    def loads(self, now):
+        def turn(body, drag):
+            w = body.angular_velocity
+            return body.push(jnp.zeros(3), w * (-drag * w.norm(1e-6)))
+
+        return rb.forces.on_each(now, range(now.model.nb), turn, self.drag)
+
+
 def design(name, terms):
     model = published(name)
     n = model.nv
@@ -172,7 +185,7 @@ def design(name, terms):
         model, model.joint_names, coulomb=1e-4 if "coulomb" in terms else 0.0, smoothing=0.05
     )
     drag = jnp.full(n, 1e-5 if "air" in terms else 0.0)
-    setup = Setup.of(model.with_forces(dry, rb.forces.RotationalDrag(drag, model.body_names)))
+    setup = Setup.of(model.with_forces(dry, Air(drag)))
     unknowns = {"centre": Unknown("bodies.com", (np.arange(n), 2), scale=0.1)}
     if n > 1:
         inertia, length = (np.arange(n - 1), 1, 1), (np.arange(1, n), 2)

@@ -59,7 +59,7 @@ slope.shape
 # it also prints registers, local memory, the rate, and the shares of the device's limits.
 
 # %%
-print(rb.threads.explain(effort, states.q[0], states.v[0], tau[0]))
+print(rb.compiler.explain(effort, states.q[0], states.v[0], tau[0]))
 
 # %% [markdown]
 # Instruction fetches limit long programs: beyond about 8,000 statements a GPU runs each of them
@@ -86,7 +86,7 @@ state = quadruped.random_state(jax.random.key(1))
 counts = {}
 for driver in ("unrolled", "limbs", "rolled"):
     robot = quadruped.replace(driver=driver)
-    found = rb.threads.explain(
+    found = rb.compiler.explain(
         lambda q, v, robot=robot: rb.forward_dynamics(robot, q, v, 0 * v), state.q, state.v
     )
     counts[driver] = (found.statements, found.operations, found.array_bytes)

@@ -33,7 +33,7 @@ import rbjax
 from rbjax import wheeled
 from rbjax.plotting import STYLE
 from rbjax.sysid import Channel, Recording, select
-from rbjax.wheeled.kinds import omnidirectional
+from rbjax.wheeled.robot.catalogue import omnidirectional
 
 jax.config.update("jax_enable_x64", True)
 plt.rcParams.update(STYLE)

@@ -149,7 +149,7 @@ print("added by wheels    ", np.diag(added), "of", 1.5 * J / r**2, 3 * J * L**2 
 # kinematical approach has no multipliers to solve for.
 
 # %%
-from rbjax.threads import explain
+from rbjax.compiler import explain
 
 for name, robot in (("differential drive", drive), ("omnidirectional", omni)):
     for fidelity in ("kinematical", "dynamical"):

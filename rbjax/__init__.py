@@ -13,6 +13,7 @@ import jax
 from rbjax import dynamics, joints, rotations, spatial
 from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
+from rbjax.compiler import compile, threads
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
     Poses,
@@ -41,20 +42,21 @@ from rbjax.dynamics import (
     potential_energy,
     site_pose,
 )
-from rbjax.dynamics.operations import operation_count
+from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.model import Model, State
-from rbjax.threads import compile, threads
 
 if TYPE_CHECKING:
     from rbjax import (
         body,
         constraints,
         control,
+        estimation,
         forces,
         kinematics,
         planning,
         plotting,
+        sensors,
         solvers,
         stability,
         sysid,
@@ -64,9 +66,7 @@ if TYPE_CHECKING:
     from rbjax import loading as loading
     from rbjax import motion as motion
     from rbjax.forces import applied_forces
-    from rbjax.loading.load import load, scenes
-    from rbjax.loading.write_back import write_back
-    from rbjax.loading.write_mjcf import write_mjcf
+    from rbjax.loading import load, scenes, write_back, write_mjcf
     from rbjax.motion.linearise import Linear, linearise, step
     from rbjax.motion.rollout import rollout
     from rbjax.motion.simulate import simulate
@@ -77,21 +77,21 @@ __version__ = "0.1.0"
 #: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
 #: several times as long as the rest
 _PACKAGES = (
-    "body", "constraints", "control", "forces", "kinematics", "loading", "motion", "planning",
-    "plotting", "solvers", "stability", "sysid", "validation", "wheeled",
+    "body", "constraints", "control", "estimation", "forces", "kinematics", "loading", "motion",
+    "planning", "plotting", "sensors", "solvers", "stability", "sysid", "validation", "wheeled",
 )  # fmt: skip
 _MODULES = {
     "Linear": "motion.linearise",
     "Trajectory": "motion.trajectory",
     "applied_forces": "forces",
     "linearise": "motion.linearise",
-    "load": "loading.load",
+    "load": "loading",
     "rollout": "motion.rollout",
-    "scenes": "loading.load",
+    "scenes": "loading",
     "simulate": "motion.simulate",
     "step": "motion.linearise",
-    "write_back": "loading.write_back",
-    "write_mjcf": "loading.write_mjcf",
+    "write_back": "loading",
+    "write_mjcf": "loading",
 }
 
 
@@ -151,6 +151,7 @@ __all__ = [
     "coriolis_matrix",
     "difference",
     "dynamics",
+    "estimation",
     "forces",
     "forward_dynamics",
     "forward_dynamics_derivatives",
@@ -179,6 +180,7 @@ __all__ = [
     "rollout",
     "rotations",
     "scenes",
+    "sensors",
     "simulate",
     "site_pose",
     "solvers",

@@ -1,8 +1,8 @@
 """Modules that share their name with a function of their package.
 
-`rbjax.wheeled.kinds` is a module, which creates robots, and also a function of `rbjax.wheeled`. A
-package attribute has one value. If that is the function, `import rbjax.wheeled.kinds as k` gives
-the function. So the value is the module, and a call of the module calls the function.
+`rbjax.control.lqr` is a module, and also a function of `rbjax.control`. A package attribute has one
+value. If that is the function, `import rbjax.control.lqr as k` gives the function. So the value is
+the module, and a call of the module calls the function.
 """
 
 from __future__ import annotations

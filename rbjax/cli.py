@@ -26,7 +26,7 @@ from rich.table import Table
 from rich.tree import Tree
 
 import rbjax as rb
-from rbjax.dynamics.operations import OperationCount, operation_count
+from rbjax.dynamics.tracing.operations import OperationCount, operation_count
 from rbjax.errors import InputError, RbjaxError
 from rbjax.model import Model
 
@@ -269,8 +269,8 @@ def identify(
     folder: Annotated[Path | None, typer.Option("--out", help="Folder of the results.")] = None,
 ) -> None:
     """Fit a robot's parameters to recordings. Writes a report and the robot's file with them."""
-    from rbjax.sysid.job import Job
-    from rbjax.sysid.job_example import write_example
+    from rbjax.sysid.jobs.example import write_example
+    from rbjax.sysid.jobs.job import Job
 
     with _session():
         if example:

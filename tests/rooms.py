@@ -11,8 +11,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax import planning, solvers, stability, wheeled
-from rbjax.motion import kalman
+from rbjax import estimation, planning, solvers, stability, wheeled
 
 Room = dict[str, tuple[Callable, dict[str, Any]]]
 
@@ -218,22 +217,22 @@ SOLVERS: Room = {
     ),
 }  # fmt: skip
 
-WALK = kalman.StateSpace.of(lambda x, u, w: x + w, lambda x: x)
-ESTIMATE = kalman.Estimate(jnp.zeros(1), jnp.ones((1, 1)))
-MOTION: Room = {
-    "kalman_filter": (kalman.kalman_filter, {
+WALK = estimation.StateSpace.of(lambda x, u, w: x + w, lambda x: x)
+ESTIMATE = estimation.Estimate(jnp.zeros(1), jnp.ones((1, 1)))
+ESTIMATION: Room = {
+    "kalman_filter": (estimation.kalman_filter, {
         "space": WALK, "start": [0.0], "covariance": [1.0], "inputs": np.zeros(2),
         "readings": [[1.0], [2.0], [3.0]], "process": [1.0], "noise": [1.0],
     }),
-    "kalman_update": (kalman.kalman_update, {
+    "kalman_update": (estimation.kalman_update, {
         "space": WALK, "estimate": ESTIMATE, "reading": [1.0], "noise": [1.0],
     }),
-    "kalman_predict": (kalman.kalman_predict, {
+    "kalman_predict": (estimation.kalman_predict, {
         "space": WALK, "estimate": ESTIMATE, "process": [1.0], "given": 0.0,
     }),
 }  # fmt: skip
 
 ROOMS = {
     "planning": PLANNING, "wheeled": WHEELED, "constraints": CONSTRAINTS, "stability": STABILITY,
-    "solvers": SOLVERS, "motion": MOTION,
+    "solvers": SOLVERS, "estimation": ESTIMATION,
 }  # fmt: skip

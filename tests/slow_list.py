@@ -24,8 +24,8 @@ PATH = Path(__file__).parent / "slow.txt"
 LIMIT, TOTAL = 0.4, 2.0
 #: files whose tests are always quick: the compiler's core, every public function, wrong arguments
 KEPT = (
-    "tests/test_registry.py", "tests/threads/test_primitives.py",
-    "tests/threads/test_quick_programs.py", "tests/public/",
+    "tests/test_registry.py", "tests/compiler/test_primitives.py",
+    "tests/compiler/test_quick_programs.py", "tests/public/",
     "tests/control/test_bad_arguments.py", "tests/sysid/test_bad_arguments.py",
 )  # fmt: skip
 #: the environment variable that names the file of measured times

@@ -34,15 +34,11 @@ def test_import_as_gives_the_module(package: str) -> None:
 
 
 def test_the_module_is_called_as_the_function() -> None:
-    import rbjax.wheeled.kinds as k
+    import rbjax.control.linear.regulators as k
 
-    assert rb.wheeled.kinds is k and "car" in rb.wheeled.kinds()
-    assert k.car(wheelbase=2.0).arrangement.mobility == 1
-    assert rb.threads.explain is sys.modules["rbjax.threads.explain"]  # type: ignore[attr-defined]
-    assert callable(rb.threads)
+    assert rb.control.lqr is k
     assert pickle.loads(pickle.dumps(k)) is k
-    due = ["robot", "t", "angles"]
-    assert list(inspect.signature(rb.wheeled.odometry).parameters)[:3] == due
+    assert list(inspect.signature(rb.control.lqr).parameters)[:2] == ["A", "B"]
 
 
 def test_the_module_is_transformed_as_the_function() -> None:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.compiler import wanted
 from rbjax.compiling import xla_accepts
-from rbjax.dynamics.unrolled import Unrolled
-from rbjax.threads import wanted
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from tests.tolerances import F64_ROUNDING
 
 

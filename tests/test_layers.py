@@ -21,22 +21,27 @@ FLOORS = {
     "compiling": "progress style html_page above arguments _jax_compat",
     "meshes": "compiling",
     "lanes": "meshes",
-    "threads": "lanes",
+    "compiler": "lanes",
     "rotations": "lanes",
     "spatial": "rotations",
     "body": "spatial",
     "joints": "spatial",
     "model": "joints",
-    "dynamics": "body model threads",
+    "dynamics": "body model compiler",
     # above dynamics, which never adds a force of its own: a wrench at a site needs its Jacobian
     "forces": "dynamics",
     "constraints": "forces",
     "loading": "constraints",
     "solvers": "rotations",
     "motion": "solvers loading",
+    "estimation": "motion",
+    "sensors": "motion",
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
-FLOORS |= dict.fromkeys("wheeled planning sysid kinematics stability flexible".split(), "motion")  # noqa: SIM905
+FLOORS |= dict.fromkeys(
+    "wheeled planning sysid kinematics stability flexible".split(),  # noqa: SIM905
+    "estimation sensors",
+)
 FLOORS |= {"control": "kinematics"}
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}
 FLOORS |= {"recommend": "stability wheeled control"}  # runs motions to choose how
@@ -46,7 +51,7 @@ TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" i
 GUESTS = {  # packages that only some files may import
     "mujoco": ("loading/", "validation/", "plotting", "cli"),
     "optax": ("sysid", "control", "demo"),
-    "jax.config": ("threads/disk_cache",),  # the caller's; read to keep kernels beside JAX's cache
+    "jax.config": ("compiler/disk_cache",),  # the caller's; read to keep kernels beside JAX's cache
 }
 
 

@@ -13,8 +13,8 @@ from jax.sharding import PartitionSpec as P
 from jax.tree_util import Partial
 
 import rbjax as rb
-from rbjax.dynamics import batching
-from rbjax.threads.function import threaded
+from rbjax.compiler.jax.function import threaded
+from rbjax.dynamics.tracing import batching
 from tests.eight_devices import check, on_eight_devices
 from tests.test_registry import MODEL, REGISTRY, samples
 from tests.tolerances import F64_TRANSFORM, relative_error
@@ -167,7 +167,7 @@ def test_algorithms():
     on_eight_devices(child_algorithms)
 
 
-@pytest.mark.slow  # tests/threads/test_sharding.py has a rollout
+@pytest.mark.slow  # tests/compiler/test_sharding.py has a rollout
 def test_motions():
     on_eight_devices(child_motions_on_lanes)
 

@@ -27,7 +27,7 @@ def test_two_processes_find_what_one_does(tmp_path):
 def test_own_devices_are_asked_not_those_of_all(monkeypatch):
     """The first of `jax.devices()` may be of another process, which cannot be asked."""
     import rbjax as rb
-    from rbjax.dynamics import devices
+    from rbjax.dynamics.tracing import devices
 
     monkeypatch.setattr(jax, "devices", None)
     assert devices.memory_share() > 0

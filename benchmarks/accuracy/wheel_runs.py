@@ -22,7 +22,7 @@ from mujoco import mjx
 
 import rbjax as rb
 from rbjax import wheeled
-from rbjax.wheeled.states import with_twist
+from rbjax.wheeled.models.states import with_twist
 
 SECONDS, SAVED = 4.0, 40
 STEERED = 0.12  # rad, to each side, of steerings that turn from one to the other

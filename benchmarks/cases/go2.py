@@ -18,8 +18,8 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Recording, Setup, Shared, Unknown
-from rbjax.sysid.runs import run_of
-from rbjax.sysid.simulation import motion
+from rbjax.sysid.simulation.runs import run_of
+from rbjax.sysid.simulation.setup import motion
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "go2_in_air"
 LEGS = ("FL", "FR", "RL", "RR")

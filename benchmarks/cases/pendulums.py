@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.io import loadmat
@@ -26,7 +27,7 @@ from rbjax.sysid import (
     free_run,
     identify,
 )
-from rbjax.sysid.traces import Trace
+from rbjax.sysid.simulation.traces import Trace
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "multiarm_pendulum"
 NAMES = ("single", "double", "triple")
@@ -107,6 +108,19 @@ def split(name: str) -> tuple[list[Recording], list[Recording]]:
     return [run for run, yes in pairs if yes], [run for run, yes in pairs if not yes]
 
 
+class Air(rb.forces.Element):
+    """A torque -c |w| w on each body, with its angular velocity w in the world."""
+
+    drag: jax.Array  # (nb,) N m s^2/rad^2
+
+    def loads(self, now: rb.forces.Instant) -> rb.forces.Loads:
+        def turn(body: rb.forces.Frame, drag: Any) -> rb.forces.Loads:
+            w = body.angular_velocity
+            return body.push(jnp.zeros(3), w * (-drag * w.norm(1e-6)))
+
+        return rb.forces.on_each(now, range(now.model.nb), turn, self.drag)
+
+
 def design(name: str, terms: Sequence[str]) -> tuple[Setup, dict[str, Any]]:
     """A set-up and its unknowns, with some of viscous, coulomb, air, bias. A free swing shows only
     ratios of inertias, so all masses and the last arm's inertia are held."""
@@ -117,7 +131,7 @@ def design(name: str, terms: Sequence[str]) -> tuple[Setup, dict[str, Any]]:
         model, model.joint_names, coulomb=1e-4 if "coulomb" in terms else 0.0, smoothing=0.05
     )
     drag = jnp.full(n, 1e-5 if "air" in terms else 0.0)
-    air = rb.forces.RotationalDrag(drag, model.body_names)
+    air = Air(drag)
     unknowns: dict[str, Any] = {"centre": Unknown("bodies.com", (np.arange(n), 2), scale=0.1)}
     if n > 1:
         inertia, length = (np.arange(n - 1), 1, 1), (np.arange(1, n), 2)

@@ -24,8 +24,8 @@ from rbjax.sysid import (
     pseudo_inertia_of,
     to_log_cholesky,
 )
-from rbjax.sysid.simulation import motion
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation.setup import motion
 
 ORACLES = Path(__file__).parents[2] / "tests" / "oracles"
 GO2 = Path(__file__).parents[3] / "shared" / "data" / "go2_in_air"

@@ -15,7 +15,7 @@ import numpy as np
 from rbjax import wheeled
 from rbjax.sysid import Channel, Comparison, Recording, select
 from rbjax.wheeled import HeadingSlip, Robot
-from rbjax.wheeled.kinds import omnidirectional
+from rbjax.wheeled.robot.catalogue import omnidirectional
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "robotino_omni_slip"
 FLOORS = ("table", "brown", "gray", "green")

@@ -13,7 +13,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import PD, Channel, Grid, Recording, Setup, Unknown
-from rbjax.sysid.simulation import motion
+from rbjax.sysid.simulation.setup import motion
 
 T = 0.005
 NOISE = 5e-4

@@ -23,7 +23,8 @@ import numpy as np
 import rbjax as rb
 from benchmarks.shared.robots import ALL, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
-from rbjax.threads import host_call, llvm_jit, primitive
+from rbjax.compiler.jax import host_call, primitive
+from rbjax.compiler.llvm import jit as llvm_jit
 
 COLUMNS = ("what", "robot", "seconds", "asked_s", "trace_s", "program_s", "llvm_s", "lower_rest_s",
            "xla_s", "statements", "run_us")  # fmt: skip

@@ -3,8 +3,9 @@
 `python -m benchmarks.cpu.gradient_modes [--small] [--gpu]` writes
 results/<cpu or gpu>-gradient-modes-<device>.json. A recording is that of a 7-joint arm; the unknown
 numbers are the first n of its armatures, friction, and inertias. ratio is the time of forward mode
-over that of reverse mode; chosen, the mode that `rbjax.sysid.squares` takes by the shape. f64 on a
-CPU, f32 on a GPU. memory is what the compiled program holds besides its arguments and results.
+over that of reverse mode; chosen, the mode that
+`rbjax.sysid.simulation.objective` takes by the shape. f64 on a CPU, f32 on a GPU. memory is what
+the compiled program holds besides its arguments and results.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 import rbjax as rb
 from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.sysid import Channel, Grid, Inertia, Recording, Unknown, squares
-from rbjax.sysid.squares import faster
+from rbjax.sysid.simulation.objective import faster
 
 COLUMNS = ("recordings", "unknowns", "mode", "compile_s", "run_s", "memory MB", "ratio", "chosen")
 T = 0.002

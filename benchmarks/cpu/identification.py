@@ -45,9 +45,9 @@ from benchmarks.cases.problems import ORACLES, Problem, arm, quadruped  # noqa: 
 from benchmarks.shared.cma_es import cma_es  # noqa: E402
 from benchmarks.shared.timing import markdown_table, others, save  # noqa: E402
 from rbjax.sysid import identify  # noqa: E402
-from rbjax.sysid.runs import batch_of  # noqa: E402
-from rbjax.sysid.simulation_error import SimulationError  # noqa: E402
-from rbjax.sysid.unknowns import Unknowns  # noqa: E402
+from rbjax.sysid.parameters.unknowns import Unknowns  # noqa: E402
+from rbjax.sysid.simulation.runs import batch_of  # noqa: E402
+from rbjax.sysid.simulation.simulation_error import SimulationError  # noqa: E402
 
 COLUMNS = (
     "problem", "engine", "unknowns", "found", "evaluations", "rollouts", "first_s", "first_cpu_s",

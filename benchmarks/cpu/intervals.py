@@ -33,7 +33,7 @@ from rbjax.sysid import (  # noqa: E402
     identify,
     monte_carlo,
 )
-from rbjax.sysid.simulation import motion  # noqa: E402
+from rbjax.sysid.simulation.setup import motion  # noqa: E402
 
 COLUMNS = (
     "robot", "unknowns", "starts", "experiments", "coverage", "lowest", "highest", "ratio",

@@ -26,9 +26,9 @@ from benchmarks.cases import go2  # noqa: E402
 from benchmarks.shared.cma_es import cma_es  # noqa: E402
 from benchmarks.shared.timing import markdown_table, others, save  # noqa: E402
 from rbjax.sysid import Setup, identify  # noqa: E402
-from rbjax.sysid.runs import run_of  # noqa: E402
-from rbjax.sysid.simulation import motion  # noqa: E402
-from rbjax.sysid.unknowns import Unknowns  # noqa: E402
+from rbjax.sysid.parameters.unknowns import Unknowns  # noqa: E402
+from rbjax.sysid.simulation.runs import run_of  # noqa: E402
+from rbjax.sysid.simulation.setup import motion  # noqa: E402
 
 COLUMNS = (
     "part", "model", "unknowns", "rollouts", "evaluations", "seconds", "fitted", "unseen", "ok"

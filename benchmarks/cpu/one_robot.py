@@ -23,7 +23,7 @@ import numpy as np
 import rbjax as rb
 from benchmarks.shared.robots import NAMES, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
-from rbjax.threads import backend
+from rbjax.compiler.jax import backend
 
 STEPS, BATCH = 200, 1024
 COLUMNS = ("what", "robot", "llvm_us", "xla_us", "speedup", "mujoco_us", "over_mujoco",

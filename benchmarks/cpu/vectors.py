@@ -15,8 +15,8 @@ import rbjax as rb
 from benchmarks.shared.robots import NAMES, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
 from benchmarks.shared.under_xla import under_xla
-from rbjax.threads.frame import batch_first, batch_last, write_program
-from rbjax.threads.llvm_batch import parts
+from rbjax.compiler.lower.frame import batch_first, batch_last, write_program
+from rbjax.compiler.llvm.batch import parts
 from benchmarks.shared.part_function import part_function
 
 BATCH = 1024

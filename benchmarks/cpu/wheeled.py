@@ -2,7 +2,7 @@
 
 `python -m benchmarks.cpu.wheeled [SCENE ...]` pins itself to one core. "known" is a robot that the
 jitted function closes over, "argument" one that is passed to it. A step has so many operations
-(`rb.threads.explain`: each addition, product, root, quotient and sine is one). The limit is the
+(`rb.compiler.explain`: each addition, product, root, quotient and sine is one). The limit is the
 rate of products and sums of polynomials that XLA compiles from the same lanes, in the same process:
 `of limit` is the share of it that a rollout reaches. Roots, quotients and sines take several times
 as long as a product, which the count does not know.

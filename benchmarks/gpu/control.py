@@ -24,12 +24,12 @@ import rbjax as rb
 from benchmarks.cases.optimal_control import given, reach, target_of
 from benchmarks.shared.gpu_timing import CALLS, alone, timed
 from benchmarks.shared.timing import markdown_table, measure, save
+from rbjax.compiler import threads
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.shooting import ddp, sqp
 from rbjax.control.optimal.shooting import knots as knots_of
 from rbjax.control.optimal.shooting.verdict import Limits
-from rbjax.threads import threads
 
 COLUMNS = (
     "robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median",

@@ -40,9 +40,9 @@ from benchmarks.shared.timing import markdown_table, others, save
 from benchmarks.work.scenes import bare
 from rbjax.model import State
 from rbjax.sysid import Derived, Grid, Setup
-from rbjax.sysid.runs import Run
-from rbjax.sysid.simulation_error import SimulationError
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation.runs import Run
+from rbjax.sysid.simulation.simulation_error import SimulationError
 
 COLUMNS = (
     "engine", "recordings", "chunk", "lower_s", "compile_s", "run_s", "slopes_s", "motion_s",

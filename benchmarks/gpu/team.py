@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import importlib
 import json
 import time
 from typing import Any
@@ -22,13 +21,14 @@ import numpy as np
 
 from benchmarks.shared.gpu_timing import timed
 from benchmarks.shared.timing import markdown_table, save
+from rbjax.compiler import threads
+from rbjax.compiler.cuda import device, team
+from rbjax.compiler.cuda.nvrtc import ptx
+from rbjax.compiler.jax import primitive
+from rbjax.compiler.jax.launch import capability, ordinal
 from rbjax.control.optimal.shooting.backward_pass import Bounds, backward_pass
 from rbjax.control.optimal.shooting.expansion import Quadratic
-from rbjax.threads import device, team, threads
-from rbjax.threads.launch import capability, ordinal
-from rbjax.threads.nvrtc import ptx
 
-primitive = importlib.import_module("rbjax.threads.primitive")
 COLUMNS = (
     "what", "size", "horizon", "batch", "lower_s", "compile_s", "run_s", "of V", "of K", "note",
 )  # fmt: skip

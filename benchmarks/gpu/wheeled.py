@@ -1,7 +1,7 @@
 """Rollouts of wheeled robots on a GPU, one robot a thread, f32, and the device's limit.
 
 `python -m benchmarks.gpu.wheeled [SCENE ...]`. The limit is one operation an instruction
-(`rb.threads.explain`) on all lanes at the largest clock: `of limit` is the share of it.
+(`rb.compiler.explain`) on all lanes at the largest clock: `of limit` is the share of it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import argparse
 from benchmarks.shared.gpu_timing import timed
 from benchmarks.shared.timing import markdown_table, others, save
 from benchmarks.shared.wheeled_rollouts import SCENES, STEPS, cases
-from rbjax.threads import device
+from rbjax.compiler.cuda import device
 
 BATCHES = (65_536, 1_048_576)
 COLUMNS = ("what", "method", "robot is", "batch", "operations", "compile_s", "M/s", "of limit")

@@ -12,8 +12,8 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Identified, Recording, Setup, Unknown, identify
-from rbjax.sysid.precision import cast
-from rbjax.sysid.simulation import motion
+from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.statistics.precision import cast
 
 STEP, COUNT, NOISE = 0.01, 200, 2e-3  # s, samples, rad and m
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads import llvm_jit
-from rbjax.threads.llvm_batch import Parts
-from rbjax.threads.llvm_ir import Module
+from rbjax.compiler.llvm import jit as llvm_jit
+from rbjax.compiler.llvm.batch import Parts
+from rbjax.compiler.llvm.module import Module
 
 #: a part as the function that `llvm_jit` looks for
 RUN = """

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from unittest import mock
 
-from rbjax.threads import backend
+from rbjax.compiler.jax import backend
 
 
 @contextlib.contextmanager

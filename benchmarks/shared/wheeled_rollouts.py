@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax import wheeled
-from rbjax.threads.explain import explain
+from rbjax.compiler.jax.explain import explain
 
 STEPS, DT = 100, 0.005
 #: robot, fidelity, and the law of its tyres

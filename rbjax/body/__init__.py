@@ -7,6 +7,16 @@ takes ideal constraints, `relative_motion` takes moving frames.
 from rbjax.body import lagrange, particles, relative_motion, virtual_work
 from rbjax.body.added_mass import ellipsoid_added_mass
 from rbjax.body.attitude_lagrange import Lagrange, QuasiLagrange, hamel_acceleration
+from rbjax.body.body import (
+    Body,
+    Situation,
+    inertia_matrix,
+    kinetic_energy,
+    potential_energy,
+    rigid_body,
+    total_wrench,
+)
+from rbjax.body.equations import Formulation, State
 from rbjax.body.forces import (
     Buoyancy,
     CentralGravity,
@@ -16,21 +26,10 @@ from rbjax.body.forces import (
     Spring,
     UniformGravity,
 )
-from rbjax.body.formulation import Formulation, State
-from rbjax.body.formulations import formulation, formulations
 from rbjax.body.kirchhoff import Kirchhoff
 from rbjax.body.newton_euler import NewtonEuler
-from rbjax.body.rigid_body import (
-    Body,
-    Situation,
-    inertia_matrix,
-    kinetic_energy,
-    potential_energy,
-    rigid_body,
-    total_wrench,
-)
+from rbjax.body.registry import formulation, formulations
 from rbjax.body.spatial_equations import Momentum, Spatial
-from rbjax.callable_modules import make_modules_callable
 
 __all__ = [
     "Body",
@@ -64,5 +63,3 @@ __all__ = [
     "total_wrench",
     "virtual_work",
 ]
-
-make_modules_callable(__name__)

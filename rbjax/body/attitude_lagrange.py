@@ -24,8 +24,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.body import lagrange
-from rbjax.body.formulation import Formulation, State
-from rbjax.body.rigid_body import (
+from rbjax.body.body import (
     Body,
     Situation,
     kinetic_energy,
@@ -33,6 +32,7 @@ from rbjax.body.rigid_body import (
     split,
     total_wrench,
 )
+from rbjax.body.equations import Formulation, State
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.rotations import se3

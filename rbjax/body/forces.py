@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from rbjax import spatial
 from rbjax.body.arguments import Force, field
-from rbjax.body.rigid_body import Body
+from rbjax.body.body import Body
 from rbjax.lanes import matvec
 from rbjax.rotations.coefficients import length
 

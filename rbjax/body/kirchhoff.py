@@ -15,7 +15,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.body.formulation import (
+from rbjax.body.body import Body, Situation, kinetic_energy, total_wrench
+from rbjax.body.equations import (
     Spinning,
     State,
     attitude_matrix,
@@ -23,7 +24,6 @@ from rbjax.body.formulation import (
     pose_of,
     quaternion_rate,
 )
-from rbjax.body.rigid_body import Body, Situation, kinetic_energy, total_wrench
 from rbjax.lanes import matvec
 
 

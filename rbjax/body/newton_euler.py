@@ -18,7 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import spatial
-from rbjax.body.formulation import (
+from rbjax.body.body import Body, Situation, total_wrench
+from rbjax.body.equations import (
     Spinning,
     State,
     attitude_matrix,
@@ -26,7 +27,6 @@ from rbjax.body.formulation import (
     pose_of,
     quaternion_rate,
 )
-from rbjax.body.rigid_body import Body, Situation, total_wrench
 from rbjax.lanes import matvec
 from rbjax.rotations import se3, so3
 

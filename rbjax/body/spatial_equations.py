@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import spatial
-from rbjax.body.formulation import (
+from rbjax.body.body import Body, Situation, inertia_matrix, total_wrench
+from rbjax.body.equations import (
     Spinning,
     State,
     accelerate,
@@ -22,7 +23,6 @@ from rbjax.body.formulation import (
     pose_of,
     quaternion_rate,
 )
-from rbjax.body.rigid_body import Body, Situation, inertia_matrix, total_wrench
 from rbjax.lanes import matvec
 from rbjax.rotations import se3
 

@@ -3,20 +3,41 @@
 from typing import Any
 
 from rbjax.above import names_from_above
-from rbjax.constraints.assembly import Assembly, assemble
-from rbjax.constraints.compliant import Compliant
-from rbjax.constraints.constraint import Constraint
-from rbjax.constraints.couplings import Gear, JointPolynomial, Prescribed, Rack
-from rbjax.constraints.curve import PointOnCurve, PointOnSurface
-from rbjax.constraints.differential_algebraic import (
+from rbjax.constraints.analysis.assembly import Assembly, assemble
+from rbjax.constraints.analysis.rank import Mobility, mobility
+from rbjax.constraints.analysis.reactions import (
+    ConstrainedMotion,
+    constrained_dynamics,
+    joint_wrenches,
+    multipliers,
+)
+from rbjax.constraints.equations.residuals import jacobian, residual
+from rbjax.constraints.lagrange import LagrangeSystem
+from rbjax.constraints.methods.compliant import Compliant
+from rbjax.constraints.methods.differential_algebraic import (
     GGL,
     DifferentialAlgebraic,
     Index2,
     Index3,
 )
-from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
-from rbjax.constraints.functions import Holonomic, Pfaffian
-from rbjax.constraints.geometry import (
+from rbjax.constraints.methods.formulation import Baumgarte, Formulation, Multipliers, Projected
+from rbjax.constraints.methods.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
+from rbjax.constraints.methods.recursive import Recursive
+from rbjax.constraints.methods.redundant import KKT
+from rbjax.constraints.methods.soft import QuaternionWeld, Soft
+from rbjax.constraints.methods.tangent import TangentSpace
+from rbjax.constraints.methods.unconstrained import (
+    AugmentedLagrangian,
+    ForceProjection,
+    Penalty,
+    UdwadiaKalaba,
+)
+from rbjax.constraints.registry import formulations, kinds
+from rbjax.constraints.rows.constraint import Constraint
+from rbjax.constraints.rows.couplings import Gear, JointPolynomial, Prescribed, Rack
+from rbjax.constraints.rows.curve import PointOnCurve, PointOnSurface
+from rbjax.constraints.rows.functions import Holonomic, Pfaffian
+from rbjax.constraints.rows.geometry import (
     along,
     coordinate,
     cosine,
@@ -25,9 +46,7 @@ from rbjax.constraints.geometry import (
     time,
     turn,
 )
-from rbjax.constraints.lagrange import LagrangeSystem
-from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
-from rbjax.constraints.pairs import (
+from rbjax.constraints.rows.pairs import (
     Cylindrical,
     Distance,
     Inline,
@@ -43,28 +62,9 @@ from rbjax.constraints.pairs import (
     Universal,
     Weld,
 )
-from rbjax.constraints.place import Place, places
-from rbjax.constraints.rank import Mobility, mobility
-from rbjax.constraints.reactions import (
-    ConstrainedMotion,
-    constrained_dynamics,
-    joint_wrenches,
-    multipliers,
-)
-from rbjax.constraints.recursive import Recursive
-from rbjax.constraints.redundant import KKT
-from rbjax.constraints.registry import formulations, kinds
-from rbjax.constraints.residuals import jacobian, residual
-from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
-from rbjax.constraints.row import Row
-from rbjax.constraints.soft import QuaternionWeld, Soft
-from rbjax.constraints.tangent import TangentSpace
-from rbjax.constraints.unconstrained import (
-    AugmentedLagrangian,
-    ForceProjection,
-    Penalty,
-    UdwadiaKalaba,
-)
+from rbjax.constraints.rows.place import Place, places
+from rbjax.constraints.rows.rolling import KnifeEdge, RollingDisc, RollingSphere
+from rbjax.constraints.rows.row import Row
 
 #: names offered here whose module imports this package; `rbjax` fills this table
 FROM_ABOVE = names_from_above("rbjax.constraints")

@@ -20,11 +20,11 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.dense import Dense
-from rbjax.constraints.reactions import ConstrainedMotion
-from rbjax.constraints.redundant import KKT
-from rbjax.constraints.residuals import Residual
-from rbjax.constraints.user_function import check_function, evaluate
+from rbjax.constraints.analysis.reactions import ConstrainedMotion
+from rbjax.constraints.equations.residuals import Residual
+from rbjax.constraints.methods.dense import Dense
+from rbjax.constraints.methods.redundant import KKT
+from rbjax.constraints.rows.user_function import check_function, evaluate
 from rbjax.errors import InputError
 from rbjax.lanes.products import matvec
 

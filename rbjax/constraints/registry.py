@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
-from rbjax.constraints import couplings, curve, functions, pairs, rolling
-from rbjax.constraints.compliant import Compliant
-from rbjax.constraints.constraint import Constraint
-from rbjax.constraints.differential_algebraic import GGL, Index2, Index3
-from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
-from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
-from rbjax.constraints.recursive import Recursive
-from rbjax.constraints.redundant import KKT
-from rbjax.constraints.soft import QuaternionWeld, Soft, is_soft
-from rbjax.constraints.tangent import TangentSpace
-from rbjax.constraints.unconstrained import (
+from rbjax.constraints.methods.compliant import Compliant
+from rbjax.constraints.methods.differential_algebraic import GGL, Index2, Index3
+from rbjax.constraints.methods.formulation import Baumgarte, Formulation, Multipliers, Projected
+from rbjax.constraints.methods.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
+from rbjax.constraints.methods.recursive import Recursive
+from rbjax.constraints.methods.redundant import KKT
+from rbjax.constraints.methods.soft import QuaternionWeld, Soft, is_soft
+from rbjax.constraints.methods.tangent import TangentSpace
+from rbjax.constraints.methods.unconstrained import (
     AugmentedLagrangian,
     ForceProjection,
     Penalty,
     UdwadiaKalaba,
 )
+from rbjax.constraints.rows import couplings, curve, functions, pairs, rolling
+from rbjax.constraints.rows.constraint import Constraint
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 

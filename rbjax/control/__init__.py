@@ -141,3 +141,4 @@ __all__ = [
     "linear",
     "optimal",
 ]
+

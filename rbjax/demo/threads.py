@@ -7,11 +7,11 @@ from pathlib import Path
 
 import jax
 
+from rbjax.compiler import Explanation, explain
 from rbjax.demo.report import Section
 from rbjax.dynamics import forward_dynamics
 from rbjax.loading import load
 from rbjax.model import Model
-from rbjax.threads import Explanation, explain
 
 _CODE = """\
 cost = rb.threads(lambda q, v, tau: (rb.forward_dynamics(model, q, v, tau) ** 2).sum())

@@ -1,25 +1,26 @@
 """Kinematics and dynamics of trees: one file for each algorithm, and the drivers."""
 
-from rbjax.dynamics.bodywise import coriolis_matrix, inertial_parameters, inertial_regressor
-from rbjax.dynamics.crba import mass_matrix
-from rbjax.dynamics.derivatives import (
+from rbjax.dynamics.algorithms.coriolis import coriolis_matrix
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.derivatives import (
     ForwardDynamicsDerivatives,
     InverseDynamicsDerivatives,
     forward_dynamics_derivatives,
     inverse_dynamics_derivatives,
 )
-from rbjax.dynamics.energy import (
+from rbjax.dynamics.algorithms.energy import (
     center_of_mass,
     centroidal_momentum,
     kinetic_energy,
     potential_energy,
 )
-from rbjax.dynamics.forward import forward_dynamics, inverse_mass_matrix
-from rbjax.dynamics.frames import frame_bias_acceleration, frame_velocity, site_pose
-from rbjax.dynamics.jacobians import generalized_forces, jacobian, jacobian_rate
-from rbjax.dynamics.kinematics import Poses, body_velocities, forward_kinematics
-from rbjax.dynamics.manifold import difference, integrate
-from rbjax.dynamics.rnea import bias_forces, gravity_forces, inverse_dynamics
+from rbjax.dynamics.algorithms.forward import forward_dynamics, inverse_mass_matrix
+from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_velocity, site_pose
+from rbjax.dynamics.algorithms.jacobians import generalized_forces, jacobian, jacobian_rate
+from rbjax.dynamics.algorithms.kinematics import Poses, body_velocities, forward_kinematics
+from rbjax.dynamics.algorithms.manifold import difference, integrate
+from rbjax.dynamics.algorithms.regressor import inertial_parameters, inertial_regressor
+from rbjax.dynamics.algorithms.rnea import bias_forces, gravity_forces, inverse_dynamics
 
 __all__ = [
     "ForwardDynamicsDerivatives",

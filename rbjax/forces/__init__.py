@@ -1,21 +1,20 @@
 """What acts on a robot: its springs, dampers and actuators, and force elements of any kind."""
 
 from rbjax.forces.acting import applied_forces, elastic_energy
+from rbjax.forces.actuators.gear_loss import GearLoss
 from rbjax.forces.anchor import Anchor
 from rbjax.forces.bushing import Bushing
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.fluid_box import InertiaBoxFluid
-from rbjax.forces.fluid_ellipsoid import EllipsoidFluid
-from rbjax.forces.gear_loss import GearLoss
+from rbjax.forces.fluid.ellipsoid import EllipsoidFluid
+from rbjax.forces.fluid.inertia_box import InertiaBoxFluid
 from rbjax.forces.gravity_compensation import GravityCompensation
 from rbjax.forces.instant import Frame, Instant, Joint
-from rbjax.forces.joint_curves import JointCurves
-from rbjax.forces.joint_friction import JointFriction
-from rbjax.forces.joint_limits import JointLimits
-from rbjax.forces.joint_polynomials import JointPolynomials
+from rbjax.forces.joints.curves import JointCurves
+from rbjax.forces.joints.friction import JointFriction
+from rbjax.forces.joints.limits import JointLimits
+from rbjax.forces.joints.polynomials import JointPolynomials
 from rbjax.forces.many import on_each
 from rbjax.forces.point_spring import PointSpring
-from rbjax.forces.rotational_drag import RotationalDrag
 
 __all__ = [
     "Anchor",
@@ -34,7 +33,6 @@ __all__ = [
     "JointPolynomials",
     "Loads",
     "PointSpring",
-    "RotationalDrag",
     "applied_forces",
     "elastic_energy",
     "on_each",

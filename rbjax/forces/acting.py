@@ -14,15 +14,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.link_forces import LinkForces, added, on_links
-from rbjax.dynamics.packing import pack
+from rbjax.dynamics.algorithms.link_forces import LinkForces, added, on_links
+from rbjax.dynamics.drivers.packing import pack
+from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
-from rbjax.forces.actuators import Actuators, clip
+from rbjax.forces.actuators.affine import from_columns
+from rbjax.forces.actuators.limits import clip
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
 from rbjax.forces.instant import Instant
-from rbjax.forces.joint_springs import JointSprings
+from rbjax.forces.joints.polynomials import linear_springs
 from rbjax.lanes import Lane, add, is_zero, total
 from rbjax.model import Model, State
 from rbjax.model.leaves import table
@@ -30,7 +31,7 @@ from rbjax.model.leaves import table
 
 def elements(model: Model) -> tuple[Element, ...]:
     """All force elements of a model, in the order in which their states stand in x."""
-    return (JointSprings(), Actuators(), *model.forces)
+    return (linear_springs(model), *from_columns(model), *model.forces)
 
 
 def sighted(model: Model, now: Instant) -> list[tuple[Element, Instant]]:

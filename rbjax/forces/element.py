@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.link_forces import LinkForces, added
+from rbjax.dynamics.algorithms.link_forces import LinkForces, added
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul
 from rbjax.model import Model

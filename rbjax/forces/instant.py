@@ -15,9 +15,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from rbjax.dynamics.drivers import Driver, driver
-from rbjax.dynamics.link_forces import LinkForces, generalized
-from rbjax.dynamics.link_motion import LinkMotion
+from rbjax.dynamics.algorithms.link_forces import LinkForces, generalized
+from rbjax.dynamics.algorithms.link_motion import LinkMotion
+from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Mat3, Vec3, add

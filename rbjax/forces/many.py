@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.unrolled import Unrolled
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.forces.element import Loads
 from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Vec3, as_arrays, is_literal

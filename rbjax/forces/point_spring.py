@@ -27,7 +27,7 @@ from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.forces.anchor import Anchor, check_anchors
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.instant import Instant
-from rbjax.forces.joint_polynomials import polynomial
+from rbjax.forces.joints.polynomials import polynomial
 from rbjax.lanes import Lane, Vec3, add, is_literal, is_zero, mul, sub
 from rbjax.model import Model
 from rbjax.model.leaves import table

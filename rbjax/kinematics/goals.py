@@ -19,11 +19,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.dynamics.algorithms.frames import carried_point
+from rbjax.dynamics.algorithms.link_motion import LinkMotion
 from rbjax.dynamics.arguments import check_array
-from rbjax.dynamics.frames import carried_point
-from rbjax.dynamics.joints import own_axes
-from rbjax.dynamics.link_motion import LinkMotion
-from rbjax.dynamics.unrolled import Unrolled
+from rbjax.dynamics.drivers.joint_lanes import own_axes
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least, check_rotation
 from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul

@@ -23,7 +23,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag
+from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
+from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.arguments import (
     check_array,
     check_model,
@@ -31,8 +33,7 @@ from rbjax.dynamics.arguments import (
     check_quaternions,
     shape_of,
 )
-from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
 from rbjax.kinematics.goals import Goal, body_of, errors
@@ -42,8 +43,7 @@ from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic
 from rbjax.model import Model
 from rbjax.model.record import Record
-from rbjax.solvers.arguments import check_whole
-from rbjax.threads import threaded, wanted
+from rbjax.solvers.common.arguments import check_whole
 
 WHERE = "inverse_kinematics"
 #: a row of J is redundant if the square of what no other row has is below this share of its own,

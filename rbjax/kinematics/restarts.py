@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
+from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.kinematics.damped_least_squares import half_square, step, weighted
 from rbjax.kinematics.goals import Goal, Miss, written_out
 from rbjax.kinematics.joint_ranges import Ranges

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import (
     check_array,
@@ -27,7 +28,7 @@ from rbjax.dynamics.arguments import (
     check_quaternions,
     check_step,
 )
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least, check_bound, check_several
 from rbjax.kinematics.goals import Goal, errors
@@ -37,7 +38,6 @@ from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic
 from rbjax.model import Model
 from rbjax.model.record import Record
-from rbjax.threads import threaded, wanted
 
 WHERE = "differential_inverse_kinematics"
 #: steps a coordinate, each of which holds or frees one: it takes two or three

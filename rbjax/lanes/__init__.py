@@ -13,7 +13,6 @@
 This package knows no frames and no physics.
 """
 
-from rbjax.callable_modules import make_modules_callable
 from rbjax.lanes.algebra import (
     Lane,
     Lanes,
@@ -32,12 +31,12 @@ from rbjax.lanes.algebra import (
     sub,
     total,
 )
+from rbjax.lanes.barriers import fusion_barrier
 from rbjax.lanes.batch_axis import batch_first, batch_last
-from rbjax.lanes.fusion_barrier import fusion_barrier
-from rbjax.lanes.inverse import inverse
-from rbjax.lanes.ldlt import LDLT, elimination_order, ldlt
+from rbjax.lanes.factorization import LDLT, elimination_order, ldlt
+from rbjax.lanes.inversion import inverse
 from rbjax.lanes.products import matmat, matrix_transpose, matvec, outer
-from rbjax.lanes.sincos import horner, polynomial_sincos, sincos
+from rbjax.lanes.trigonometry import horner, polynomial_sincos, sincos
 
 __all__ = [
     "LDLT",
@@ -71,5 +70,3 @@ __all__ = [
     "sub",
     "total",
 ]
-
-make_modules_callable(__name__)

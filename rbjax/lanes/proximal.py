@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes.algebra import Lane, add, is_zero, mul, total
-from rbjax.lanes.fusion_barrier import fusion_barrier
-from rbjax.lanes.ldlt import ldlt
+from rbjax.lanes.barriers import fusion_barrier
+from rbjax.lanes.factorization import ldlt
 
 #: eps, relative to the diagonal, and how often its effect is taken back, by bytes of a number:
 #: components of A above 1e-3 of the diagonal come out to rounding

@@ -1,17 +1,22 @@
-"""Motors for robots whose file names none, as URDFs do."""
+"""Motors for robots whose file has no actuators, as URDFs do."""
 
 from __future__ import annotations
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints import JointPolynomial
-from rbjax.forces.actuator import Actuator
+from rbjax.forces.acting import elements
+from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias
+from rbjax.forces.actuators.affine import from_columns, to_columns
+from rbjax.forces.actuators.transmissions import JointAxis, SiteWrench
 from rbjax.forces.instant import Instant
-from rbjax.forces.transmissions import SiteWrench
 from rbjax.model import Model
+
+_UNLIMITED = np.array([-np.inf, np.inf])
 
 
 def with_motors(model: Model) -> Model:
@@ -21,57 +26,42 @@ def with_motors(model: Model) -> Model:
     A motor has its joint's name, followed by "_motor" if an actuator has that name. Its control is
     a torque in N m or a force in N. The joint's force range (a URDF's effort) limits it.
     """
-    top, old = model.topology, model.actuators
+    top, keys = model.topology, model.keyframes
     taken = _driven(model) | _followers(model)
-    free = [
-        j
-        for j, kind in enumerate(top.joint_kinds)
-        if kind in ("hinge", "slide") and j not in taken
-    ]
-    n = len(free)
-
-    def more(x, rows):
-        return jnp.concatenate([x, jnp.asarray(rows, x.dtype).reshape(n, *x.shape[1:])])
-
-    unit, endless = np.eye(6)[[0] * n], np.tile([-np.inf, np.inf], (n, 1))
-    actuators = dataclasses.replace(
-        old,
-        gear=more(old.gear, unit),
-        gain=more(old.gain, unit[:, :3]),
-        bias=more(old.bias, np.zeros((n, 3))),
-        ctrlrange=more(old.ctrlrange, endless),
-        forcerange=more(old.forcerange, endless),
-        joints=(*old.joints, *free),
-        sites=(*old.sites, *[-1] * n),
-    )
+    kinds = enumerate(top.joint_kinds)
+    free = [j for j, kind in kinds if kind in ("hinge", "slide") and j not in taken]
     names = top.actuator_names
     for j in free:
         name = top.joint_names[j]
         while name in names:
             name += "_motor"
         names = (*names, name)
-    keys = model.keyframes
-    ctrl = jnp.concatenate([keys.ctrl, jnp.zeros((len(keys.ctrl), n), keys.ctrl.dtype)], 1)
+    motors = [_motor(j, control) for control, j in enumerate(free, model.nu)]
+    columns = to_columns((*from_columns(model), *motors), len(names))
+    ctrl = jnp.pad(keys.ctrl, ((0, 0), (0, len(free))))
     return dataclasses.replace(
         model,
-        actuators=actuators,
+        actuators=jax.tree.map(lambda x: jnp.asarray(x, model.gravity.dtype), columns),
         topology=dataclasses.replace(top, actuator_names=names),
         keyframes=dataclasses.replace(keys, ctrl=ctrl),
     )
 
 
+def _motor(joint: int, control: int) -> Actuator:
+    law = GainBias(Affine(np.ones(1)), None, None)
+    unit = np.eye(6)[0]
+    return Actuator(JointAxis(unit, joint), law, _UNLIMITED[None], _UNLIMITED, (control,))
+
+
 def _driven(model: Model) -> set[int]:
     """The joints that an actuator drives by a joint or tendon transmission. A wrench at a site does
     not count as a motor of the joints that carry the site."""
-    top = model.topology
-    driven = set(model.actuators.joints)
-    elements = [e for e in model.forces if isinstance(e, Actuator)]
-    transmissions = [e.transmission for e in elements if not isinstance(e.transmission, SiteWrench)]
-    if transmissions:
-        now = Instant.of(model, 0.0, model.default_state(), None)
-        dofs = {i for one in transmissions for i in one.reach(now).arms}
-        driven |= {top.links[i].joint for i in dofs}
-    return driven
+    transmissions = [x.transmission for x in elements(model) if isinstance(x, Actuator)]
+    now = Instant.of(model, 0.0, model.default_state(), None)
+    dofs = {
+        i for x in transmissions if not isinstance(x, SiteWrench) for i in x.reach(now).arms
+    }  # fmt: skip
+    return {model.topology.links[i].joint for i in dofs}
 
 
 def _followers(model: Model) -> set[int]:

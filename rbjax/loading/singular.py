@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError
-from rbjax.loading.actuator_kinds import reflected
+from rbjax.loading.mjcf.actuator_kinds import reflected
 
 #: part of the largest below which an eigenvalue of M is rounding, for each velocity
 _SINGULAR = 1e-15

@@ -10,7 +10,7 @@ import equinox as eqx
 from rbjax.errors import UnknownName
 from rbjax.model.record import Record
 
-#: how the recursions can run; `rbjax.dynamics.drivers` chooses where it is "auto"
+#: how the recursions can run; `rbjax.dynamics.drivers.choice` chooses where it is "auto"
 DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
 
 

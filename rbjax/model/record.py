@@ -123,3 +123,13 @@ def check_fields(record: Record) -> None:
         named = str(f.type).startswith("tuple[") and not isinstance(value, tuple)
         if named and (value is not None or "None" not in str(f.type)):
             raise InputError(f"{where}: got {type(value).__name__}, expected a tuple")
+
+
+def cast_floats(tree: Any, dtype: Any) -> Any:
+    """Convert the floating-point leaves of a pytree to a dtype."""
+
+    def cast(x: Any) -> Any:
+        floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
+        return jnp.asarray(x, dtype) if floating else x
+
+    return jax.tree.map(cast, tree)

@@ -16,13 +16,13 @@ from typing import Any, Protocol, TypeGuard
 
 import jax
 
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.constraints.registry import formulation_of
+from rbjax.dynamics.algorithms.forward import acceleration
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.manifold import increment_rate, moved
+from rbjax.dynamics.algorithms.rnea import forces_of
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
-from rbjax.dynamics.forward import acceleration
-from rbjax.dynamics.link_forces import LinkForces
-from rbjax.dynamics.manifold import increment_rate, moved
-from rbjax.dynamics.rnea import forces_of
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied, chord, within
 from rbjax.forces.inputs import Inputs

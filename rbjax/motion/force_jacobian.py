@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.drivers import CPU_UNROLLED_UP_TO
+from rbjax.dynamics.drivers.choice import CPU_UNROLLED_UP_TO
 from rbjax.lanes.products import matmat
 from rbjax.model import Model
 

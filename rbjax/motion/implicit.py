@@ -3,7 +3,7 @@
 The unknowns of a step are those of its stages: u', v', x' and multipliers, with increments u of the
 configuration, q = q0 (+) u, so that attitudes turn. `rollout` takes `ByStages`, which keeps nothing
 from step to step; `simulate` takes the diffrax solver `StagesSolver`.
-(`rbjax.constraints.differential_algebraic` has the equations, `rbjax.solvers` the methods.)
+(`rbjax.constraints.methods.differential_algebraic` has the equations, `rbjax.solvers` the methods.)
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.constraints.differential_algebraic import DifferentialAlgebraic, Forces
-from rbjax.constraints.law import constrained_motion
+from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.methods.differential_algebraic import DifferentialAlgebraic, Forces
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, evaluated
 from rbjax.model import Model, State
 from rbjax.motion.field import Field, of_samples
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
-from rbjax.solvers.differential_algebraic import Equations, Point, damped, solve
-from rbjax.solvers.groups import unwrapped
-from rbjax.solvers.implicit_rk import ImplicitRungeKutta
-from rbjax.solvers.newton import refused, verdict
-from rbjax.solvers.spectrum import weights
-from rbjax.solvers.steps import AbstractGroupSolver, mixed
-from rbjax.solvers.tableau import Tableau
+from rbjax.solvers.common.groups import unwrapped
+from rbjax.solvers.common.newton import refused, verdict
+from rbjax.solvers.common.steps import AbstractGroupSolver, mixed
+from rbjax.solvers.common.tableau import Tableau
+from rbjax.solvers.constrained.differential_algebraic import Equations, Point, damped, solve
+from rbjax.solvers.constrained.spectrum import weights
+from rbjax.solvers.implicit.runge_kutta import ImplicitRungeKutta
 
 #: of rbjax.solvers.all(), by name
 FITTING = (

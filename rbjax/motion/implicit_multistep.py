@@ -16,16 +16,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.differential_algebraic import DifferentialAlgebraic
+from rbjax.constraints.methods.differential_algebraic import DifferentialAlgebraic
 from rbjax.model import State
 from rbjax.motion.implicit import begun, error_of, increment, seen, stages
 from rbjax.solvers import radau_iia
-from rbjax.solvers.differential_algebraic import solve
-from rbjax.solvers.groups import unwrapped
-from rbjax.solvers.lagrange import basis, slopes_at_one
-from rbjax.solvers.newton import refused, verdict
-from rbjax.solvers.spectrum import weight
-from rbjax.solvers.steps import AbstractGroupSolver, mixed
+from rbjax.solvers.common.groups import unwrapped
+from rbjax.solvers.common.newton import refused, verdict
+from rbjax.solvers.common.steps import AbstractGroupSolver, mixed
+from rbjax.solvers.constrained.differential_algebraic import solve
+from rbjax.solvers.constrained.spectrum import weight
+from rbjax.solvers.multistep.interpolation import basis, slopes_at_one
 
 
 class History(NamedTuple):

@@ -18,7 +18,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.differential_algebraic import stepped
+from rbjax.constraints.methods.differential_algebraic import stepped
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
@@ -26,9 +26,9 @@ from rbjax.model import State
 from rbjax.motion.field import Field, Law, free_motion
 from rbjax.motion.implicit import ByStages, stepped_by
 from rbjax.motion.variational import variational_midpoint
-from rbjax.solvers.dop853 import DOP853
-from rbjax.solvers.steps import combine, explicit_stages, scaled
-from rbjax.solvers.tableau import KUTTA4, Tableau, of_diffrax
+from rbjax.solvers.common.steps import combine, explicit_stages, scaled
+from rbjax.solvers.common.tableau import KUTTA4, Tableau, of_diffrax
+from rbjax.solvers.explicit.dop853 import DOP853
 
 #: stages times velocity coordinates up to which the stages of a step are written out
 WRITTEN_UP_TO = 13

@@ -15,10 +15,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.formulation import Formulation
-from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.derivatives import accelerated_derivatives
-from rbjax.dynamics.manifold import difference, integrate
+from rbjax.constraints.methods.formulation import Formulation
+from rbjax.dynamics.algorithms.derivatives import accelerated_derivatives
+from rbjax.dynamics.algorithms.manifold import difference, integrate
+from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.instant import Instant

@@ -17,9 +17,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiler.jax.programs import Moving, Program, traced
 from rbjax.motion.pullback import Pullback
-from rbjax.threads.primitive import run
-from rbjax.threads.programs import Moving, Program, traced
 
 Arrays = tuple[jax.Array, ...]
 

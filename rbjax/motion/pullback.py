@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Literal, Var, jaxpr_as_fun
 
-from rbjax.dynamics.forward import LEFT
-from rbjax.threads.primitive import run
-from rbjax.threads.programs import Program, traced
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiler.jax.programs import Program, traced
+from rbjax.dynamics.algorithms.forward import LEFT
 
 
 class Pullback:

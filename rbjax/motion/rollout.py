@@ -2,7 +2,7 @@
 
 All steps of a sample are one program (`march`): a thread on a GPU, a lane of machine code on a CPU.
 Under XLA the batch is the last axis of everything inside, so that a lane is contiguous, and on the
-CPU time runs inside a chunk of the batch (`dynamics.batching`).
+CPU time runs inside a chunk of the batch (`dynamics.tracing.batching`).
 
 Memory of the reverse gradient under XLA: the scan over saved states keeps one state
 each; between two saved states only the first is kept and the steps are run again. So a sample keeps
@@ -20,25 +20,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import wanted
 from rbjax.compiling import compiled, inside_jit
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
-from rbjax.dynamics.batching import chunks
-from rbjax.dynamics.devices import memory_share
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.tracing.batching import chunks
+from rbjax.dynamics.tracing.custom_rules import split_tracers
+from rbjax.dynamics.tracing.devices import memory_share
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
-from rbjax.motion.captured import Captured, with_captured
+from rbjax.motion.closures.captured import Captured, with_captured
 from rbjax.motion.field import Field, Law, batch_last, free_motion, law_of
 from rbjax.motion.integrators import Integrator, advanced, integrator_of
 from rbjax.motion.not_finite import warn_if_not_finite
 from rbjax.motion.sources import Sources, check_sources
 from rbjax.motion.threaded import Steps, on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.arguments import check_whole
-from rbjax.threads import wanted
+from rbjax.solvers.common.arguments import check_whole
 
 
 def rollout(

@@ -10,16 +10,16 @@ import diffrax
 import equinox as eqx
 import jax
 
-from rbjax.constraints.differential_algebraic import stepped
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.differential_algebraic import stepped
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.model import Model, State
 from rbjax.motion.field import Law, moves_stages
 from rbjax.motion.implicit import StagesSolver, stepped_by
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import VectorField
 from rbjax.solvers import BDF
-from rbjax.solvers.arguments import check_solver
-from rbjax.solvers.wrapped import Wrapped
+from rbjax.solvers.common.arguments import check_solver
+from rbjax.solvers.common.wrapped import Wrapped
 
 
 class Settling(Wrapped):

@@ -13,8 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.dynamics.arguments import (
     check_array,
     check_arrays,
@@ -23,19 +24,18 @@ from rbjax.dynamics.arguments import (
     check_takes,
     shape_of,
 )
-from rbjax.dynamics.drivers import on_threads
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.drivers.choice import on_threads
+from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, made_ahead
-from rbjax.motion.captured import with_captured
+from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.settling import settling, solver_of
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.arguments import check_whole
-from rbjax.threads import threaded, wanted
+from rbjax.solvers.common.arguments import check_whole
 
 
 @automatic

@@ -17,8 +17,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
-from rbjax.dynamics.rnea import momentum
+from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
+from rbjax.dynamics.algorithms.rnea import momentum
 from rbjax.errors import InputError
 from rbjax.forces.inputs import NO_INPUTS, Inputs, evaluated
 from rbjax.lanes import fusion_barrier

@@ -10,21 +10,21 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics import drivers
-from rbjax.dynamics.ahead import made_by_threads
-from rbjax.dynamics.devices import on_each_device
-from rbjax.dynamics.operations import operation_count
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.compiler.jax.function import trace
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiler.jax.programs import Moving, Program
+from rbjax.compiler.jax.uniform import divided
+from rbjax.dynamics.drivers import choice
+from rbjax.dynamics.tracing.ahead import made_by_threads
+from rbjax.dynamics.tracing.custom_rules import split_tracers
+from rbjax.dynamics.tracing.devices import on_each_device
+from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import joined, shapes
 from rbjax.model import Model, State, known_zeros
 from rbjax.motion.field import Field, Law
 from rbjax.motion.integrators import Integrator, advanced
 from rbjax.motion.march import March, keep_every
 from rbjax.motion.sources import Sources
-from rbjax.threads.function import trace
-from rbjax.threads.primitive import run
-from rbjax.threads.programs import Moving, Program
-from rbjax.threads.uniform import divided
 
 #: operations of a step from which on it is faster to keep what it leaves than to compute it again
 LEAVING_ABOVE = 4_000
@@ -53,7 +53,7 @@ def on_threads(
     between the steps, by XLA's matrix products.
     """
     dtype = state.q.dtype
-    model = drivers.on_threads(model, dtype)
+    model = choice.on_threads(model, dtype)
     made = made_by_threads(known_zeros(model), dtype)  # structural zeros only for the constants
     model = model.replace(prepared=made.execution.prepared)
     batched, steps, save_every = how.batched, how.count, how.save_every

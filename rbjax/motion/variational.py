@@ -29,7 +29,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.momenta import momentum_and_rate, momentum_of, nearby_velocity, velocity_of
+from rbjax.dynamics.algorithms.momenta import (
+    momentum_and_rate,
+    momentum_of,
+    nearby_velocity,
+    velocity_of,
+)
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import Lane, Vec3, fusion_barrier

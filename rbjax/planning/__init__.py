@@ -11,21 +11,20 @@
 Poses are (x, y, heading) in m and rad; leading axes are a batch.
 """
 
-from rbjax.callable_modules import make_modules_callable
-from rbjax.planning.controls import Controls
-from rbjax.planning.curves import Curve, dubins, reeds_shepp
-from rbjax.planning.footprint import Footprint, clear, clearance
-from rbjax.planning.front_door import drives, methods, plan
-from rbjax.planning.grid_a_star import grid_a_star
-from rbjax.planning.grid_dijkstra import grid_dijkstra
-from rbjax.planning.hybrid_a_star import hybrid_a_star
-from rbjax.planning.limits import Limits, Timed
-from rbjax.planning.many_searches import grid_dijkstra_many
-from rbjax.planning.occupancy import DistanceField, OccupancyGrid
-from rbjax.planning.paths import Path, Plan, clear_along
-from rbjax.planning.refinement import Refined, Residuals, refine
-from rbjax.planning.smoothing import Smoothed, smooth
-from rbjax.planning.time_scaling import TimeScaled, time_scaling
+from rbjax.planning.maps.footprint import Footprint, clear, clearance
+from rbjax.planning.maps.occupancy import DistanceField, OccupancyGrid
+from rbjax.planning.paths.curves import Curve, dubins, reeds_shepp
+from rbjax.planning.paths.path import Path, Plan, clear_along
+from rbjax.planning.paths.smoothing import Smoothed, smooth
+from rbjax.planning.planner import drives, methods, plan
+from rbjax.planning.search.controls import Controls
+from rbjax.planning.search.grid_a_star import grid_a_star
+from rbjax.planning.search.grid_dijkstra import grid_dijkstra
+from rbjax.planning.search.hybrid_a_star import hybrid_a_star
+from rbjax.planning.search.many_searches import grid_dijkstra_many
+from rbjax.planning.timing.limits import Limits, Timed
+from rbjax.planning.timing.refinement import Refined, Residuals, refine
+from rbjax.planning.timing.time_scaling import TimeScaled, time_scaling
 
 __all__ = [
     # from map to path
@@ -64,5 +63,3 @@ __all__ = [
     "refine",
     "time_scaling",
 ]
-
-make_modules_callable(__name__)

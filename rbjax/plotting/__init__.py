@@ -5,16 +5,15 @@ page. Each draws a model from its numbers (rods and ellipsoids of inertia) or fr
 `top_view` and `animate_top_view` show wheeled robots from above.
 """
 
-from rbjax.callable_modules import make_modules_callable
 from rbjax.plotting.animation import animate
 from rbjax.plotting.camera import Camera
 from rbjax.plotting.charts import time_plot
 from rbjax.plotting.drawing import bare, draw, draw_solids
 from rbjax.plotting.film import poses
-from rbjax.plotting.skeleton import skeleton
-from rbjax.plotting.solids import Solid, solids
-from rbjax.plotting.strobe import strobe
-from rbjax.plotting.top_view import animate_top_view, top_view
+from rbjax.plotting.solid_shapes import Solid, solids
+from rbjax.plotting.stick_figure import skeleton
+from rbjax.plotting.stroboscope import strobe
+from rbjax.plotting.top_views import animate_top_view, top_view
 from rbjax.style import (
     BLUE,
     GREEN,
@@ -55,5 +54,3 @@ __all__ = [
     "time_plot",
     "top_view",
 ]
-
-make_modules_callable(__name__)

@@ -24,8 +24,8 @@ from rbjax.model import Model
 from rbjax.plotting.arguments import check_axis, check_solids
 from rbjax.plotting.camera import Camera
 from rbjax.plotting.film import Film, film
-from rbjax.plotting.skeleton import skeleton
-from rbjax.plotting.solids import Solid, solids
+from rbjax.plotting.solid_shapes import Solid, solids
+from rbjax.plotting.stick_figure import skeleton
 from rbjax.style import BLUE, GRID
 
 Array = np.ndarray

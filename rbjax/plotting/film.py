@@ -17,7 +17,7 @@ from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.arguments import configurations
 from rbjax.plotting.camera import Camera, facing
 from rbjax.plotting.moving import schedule
-from rbjax.plotting.solids import Solid
+from rbjax.plotting.solid_shapes import Solid
 
 Array = np.ndarray
 #: frames whose every point is looked at to find the view

@@ -14,10 +14,10 @@ from matplotlib.quiver import Quiver
 from rbjax.compiling import compiled
 from rbjax.model import State
 from rbjax.style import BLUE, GRID, INK, RED
-from rbjax.wheeled.contacts import contacts
-from rbjax.wheeled.fidelity import Fidelity
-from rbjax.wheeled.numbers import stacked
-from rbjax.wheeled.planar import turned
+from rbjax.wheeled.kinematics.numbers import stacked
+from rbjax.wheeled.kinematics.planar import turned
+from rbjax.wheeled.models.contact_forces import contacts
+from rbjax.wheeled.models.fidelity import Fidelity
 
 SQUARE = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
 THICK = 0.3  # of a wheel, over its radius

@@ -15,7 +15,7 @@ from rbjax.control.status import CONVERGED, SENTENCES
 from rbjax.errors import InputError, UnknownName
 from rbjax.progress import progress_line
 from rbjax.recommend.request import fastest
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 SAME = 1e-6  # relative: costs that count as equal
 

@@ -27,9 +27,9 @@ from rbjax.progress import Say, progress_line
 from rbjax.recommend.manoeuvre import MOST_STEPS, Demand, Manoeuvre, apart, demand, first_lift
 from rbjax.recommend.request import check_request, double
 from rbjax.wheeled import Fidelity, Robot, at, fidelities
-from rbjax.wheeled.rolling import Rolling
-from rbjax.wheeled.slipping import Slipping
-from rbjax.wheeled.states import with_twist
+from rbjax.wheeled.models.rolling import Rolling
+from rbjax.wheeled.models.slipping import Slipping
+from rbjax.wheeled.models.states import with_twist
 
 AGREE = 1 / 8  # of the accuracy: two runs whose poses differ by less have converged
 #: compiles for a minute and costs ten times what its equals do

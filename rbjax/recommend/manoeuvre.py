@@ -16,13 +16,13 @@ from rbjax.lanes import Lane, add, mul
 from rbjax.model import State
 from rbjax.recommend.request import fastest
 from rbjax.stability.runs.largest_step import stable_step
-from rbjax.wheeled.fidelity import Fidelity, as_state
-from rbjax.wheeled.loads import wheel_loads
-from rbjax.wheeled.motion import Lists, advanced
-from rbjax.wheeled.numbers import Numbers, stacked
-from rbjax.wheeled.rolling import Rolling
-from rbjax.wheeled.slipping import Slipping
-from rbjax.wheeled.states import with_twist
+from rbjax.wheeled.kinematics.numbers import Numbers, stacked
+from rbjax.wheeled.models.fidelity import Fidelity, as_state
+from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.models.rolling import Rolling
+from rbjax.wheeled.models.slipping import Slipping
+from rbjax.wheeled.models.states import with_twist
+from rbjax.wheeled.motion.rollout import Lists, advanced
 
 MOST_LOOKS = 64  # times at which poses are compared and contacts looked at
 MOST_STEPS = 1_000_000

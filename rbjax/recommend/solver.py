@@ -27,8 +27,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import solvers
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_arrays
-from rbjax.dynamics.manifold import difference
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
 from rbjax.model import Model, State, made_ahead

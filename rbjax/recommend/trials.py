@@ -13,8 +13,8 @@ import numpy as np
 
 from rbjax.compiling import compiler_options
 from rbjax.constraints import formulations, jacobian, residual
-from rbjax.dynamics.crba import mass_matrix
-from rbjax.dynamics.manifold import difference
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.model import Model, State
 from rbjax.motion.linearise import step
 from rbjax.recommend.request import fastest

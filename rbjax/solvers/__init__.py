@@ -18,27 +18,15 @@ The last three rows take terms `OnGroup`. The first of these three also takes an
 from typing import Any
 
 from rbjax.above import names_from_above
-from rbjax.callable_modules import make_modules_callable
+from rbjax.solvers.common.groups import SE3, SO3, AbstractGroup, OnGroup, Product, Vector
+from rbjax.solvers.common.newton import Settled, chord, newton, very_chord
+from rbjax.solvers.common.steps import AbstractGroupSolver
+from rbjax.solvers.common.tableau import Tableau
 from rbjax.solvers.compensated import Compensated
-from rbjax.solvers.explicit_rk import RK4
-from rbjax.solvers.groups import SE3, SO3, AbstractGroup, OnGroup, Product, Vector
-from rbjax.solvers.implicit_rk import (
-    ImplicitRungeKutta,
-    gauss_legendre,
-    implicit_midpoint,
-    lobatto_iiia,
-    lobatto_iiic,
-    radau_iia,
-    trapezoid,
-)
-from rbjax.solvers.lie import CommutatorFree4, CrouchGrossman3, MuntheKaas, rkmk
-from rbjax.solvers.multistep import BDF, Adams, adams_bashforth, adams_moulton, bdf, pece
-from rbjax.solvers.newton import Settled, chord, newton, very_chord
-from rbjax.solvers.registry import KINDS, Entry, all
-from rbjax.solvers.rigid_body import RigidBody, RigidBodySplitting
-from rbjax.solvers.rosenbrock import RosenbrockTableau, RosenbrockW, ros2, ros34pw2
-from rbjax.solvers.sdirk import SDIRK2
-from rbjax.solvers.second_order import (
+from rbjax.solvers.explicit.runge_kutta import RK4
+from rbjax.solvers.geometric.lie import CommutatorFree4, CrouchGrossman3, MuntheKaas, rkmk
+from rbjax.solvers.geometric.rigid_body import RigidBody, RigidBodySplitting
+from rbjax.solvers.geometric.second_order import (
     CentralDifferences,
     GeneralizedAlpha,
     SemiImplicitEuler,
@@ -47,15 +35,33 @@ from rbjax.solvers.second_order import (
     hht_alpha,
     newmark,
 )
-from rbjax.solvers.splitting import (
+from rbjax.solvers.geometric.splitting import (
     Splitting,
     stoermer_verlet,
     symplectic_euler,
     yoshida4,
     yoshida6,
 )
-from rbjax.solvers.steps import AbstractGroupSolver
-from rbjax.solvers.tableau import Tableau
+from rbjax.solvers.implicit.rosenbrock import RosenbrockTableau, RosenbrockW, ros2, ros34pw2
+from rbjax.solvers.implicit.runge_kutta import (
+    ImplicitRungeKutta,
+    gauss_legendre,
+    implicit_midpoint,
+    lobatto_iiia,
+    lobatto_iiic,
+    radau_iia,
+    trapezoid,
+)
+from rbjax.solvers.implicit.sdirk import SDIRK2
+from rbjax.solvers.multistep.linear_multistep import (
+    BDF,
+    Adams,
+    adams_bashforth,
+    adams_moulton,
+    bdf,
+    pece,
+)
+from rbjax.solvers.registry import KINDS, Entry, all
 
 #: names offered here whose module imports this package; `rbjax` fills this table
 FROM_ABOVE = names_from_above("rbjax.solvers")
@@ -129,5 +135,3 @@ __all__ = [
     "chord",
     "very_chord",
 ]
-
-make_modules_callable(__name__)

@@ -19,11 +19,11 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.solvers.groups import OnGroup, unwrapped
-from rbjax.solvers.implicit_rk import ImplicitRungeKutta
-from rbjax.solvers.multistep import Adams
-from rbjax.solvers.rosenbrock import RosenbrockW
-from rbjax.solvers.wrapped import Wrapped
+from rbjax.solvers.common.groups import OnGroup, unwrapped
+from rbjax.solvers.common.wrapped import Wrapped
+from rbjax.solvers.implicit.rosenbrock import RosenbrockW
+from rbjax.solvers.implicit.runge_kutta import ImplicitRungeKutta
+from rbjax.solvers.multistep.linear_multistep import Adams
 
 #: solvers that use the state only to evaluate rates of the vector field
 BY_RATES = (diffrax.AbstractRungeKutta, diffrax.Euler, ImplicitRungeKutta, RosenbrockW, Adams)

@@ -8,18 +8,12 @@ from functools import partial
 
 import diffrax
 
-from rbjax.solvers import (
-    explicit_rk,
-    implicit_rk,
-    lie,
-    multistep,
-    rigid_body,
-    rosenbrock,
-    sdirk,
-    second_order,
-    splitting,
-)
-from rbjax.solvers.newton import MAX_STEPS, very_chord
+from rbjax.solvers.common.newton import MAX_STEPS, very_chord
+from rbjax.solvers.explicit import runge_kutta as explicit_rk
+from rbjax.solvers.geometric import lie, rigid_body, second_order, splitting
+from rbjax.solvers.implicit import rosenbrock, sdirk
+from rbjax.solvers.implicit import runge_kutta as implicit_rk
+from rbjax.solvers.multistep import linear_multistep as multistep
 
 KINDS = ("ode", "second-order", "split", "lie")
 

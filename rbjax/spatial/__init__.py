@@ -4,16 +4,7 @@ Twists, wrenches and inertias are arrays, angular part first, with leading axes 
 have mass properties. The algorithms use the same on lanes: Motion, Force, Transform, RigidInertia.
 """
 
-from rbjax.callable_modules import make_modules_callable
 from rbjax.spatial import operators, shapes
-from rbjax.spatial.consistency import (
-    Consistency,
-    check_mass_properties,
-    consistency,
-    ellipsoid_margin,
-    from_pseudo_inertia,
-    pseudo_inertia,
-)
 from rbjax.spatial.inertia import ArticulatedInertia, RigidInertia
 from rbjax.spatial.mass import (
     MassProperties,
@@ -27,6 +18,14 @@ from rbjax.spatial.mass import (
     rotate_inertia,
     spatial_inertia,
     transform_inertia,
+)
+from rbjax.spatial.physical_consistency import (
+    Consistency,
+    check_mass_properties,
+    consistency,
+    ellipsoid_margin,
+    from_pseudo_inertia,
+    pseudo_inertia,
 )
 from rbjax.spatial.plucker import (
     extended_cross,
@@ -95,5 +94,3 @@ __all__ = [
     "twist_at",
     "wrench_at",
 ]
-
-make_modules_callable(__name__)

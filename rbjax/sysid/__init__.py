@@ -15,59 +15,8 @@ and `consistent`, by torques that are linear in the parameters (`regressor`, `to
 """
 
 from rbjax.callable_modules import make_modules_callable
-from rbjax.motion.kalman import (
-    KalmanFiltered,
-    Smoothed,
-    StateSpace,
-    kalman_filter,
-    kalman_smoother,
-)
-from rbjax.sysid.balances import (
-    energy_balance,
-    energy_regressor,
-    momentum_balance,
-    momentum_regressor,
-)
-from rbjax.sysid.base_parameters import base_parameters, random_motions
-from rbjax.sysid.channel_noise import ChannelNoise, noise_by_channel
-from rbjax.sysid.columns import Columns
-from rbjax.sysid.comparison import Comparison, HeldOut, Scored, compare, held_out
-from rbjax.sysid.consistent import Consistent, consistent
-from rbjax.sysid.diagnosis import Cause, Diagnosis, diagnose
-from rbjax.sysid.encoder_zeros import WithZeros, regress_with_zeros, zeros_of
-from rbjax.sysid.equations import Equations, equations
-from rbjax.sysid.excitation import Fourier, Motion, Spline
-from rbjax.sysid.experiments import Experiment, MotionLimits, design
-from rbjax.sysid.filtering import Filtered, differentiate, low_pass
-from rbjax.sysid.findings import Finding, findings
-from rbjax.sysid.fit import Fit, fit
-from rbjax.sysid.free_run import free_run
-from rbjax.sysid.identified import Identified
-from rbjax.sysid.identify import identify
-from rbjax.sysid.inertia_metric import (
-    affine_invariant_distance,
-    log_determinant_divergence,
-    prior_residual,
-    pullback_distance,
-    pullback_metric,
-)
-from rbjax.sysid.log_cholesky import (
-    from_log_cholesky,
-    inertial_parameters_of,
-    log_cholesky_parameters,
-    log_cholesky_volume,
-    model_log_cholesky,
-    nearest_pseudo_inertia,
-    pseudo_inertia_of,
-    to_log_cholesky,
-    with_inertial_parameters,
-)
-from rbjax.sysid.many_starts import Basin, ManyStarts, many_starts
-from rbjax.sysid.monte_carlo import MonteCarlo, monte_carlo
-from rbjax.sysid.prediction_error import Predicted, prediction_error
-from rbjax.sysid.rank import Combinations, combinations
-from rbjax.sysid.readers import Column, read_csv, read_npz
-from rbjax.sysid.readings import (
+from rbjax.sensors.columns import Columns
+from rbjax.sensors.readings import (
     Accelerations,
     Accelerometer,
     Currents,
@@ -81,26 +30,70 @@ from rbjax.sysid.readings import (
     Torques,
     Velocities,
 )
-from rbjax.sysid.recording import Channel, Recording
-from rbjax.sysid.regression import METHODS, Regression, regress
-from rbjax.sysid.regressor import (
+from rbjax.sysid.data.filtering import Filtered, differentiate, low_pass
+from rbjax.sysid.data.readers import Column, read_csv, read_npz
+from rbjax.sysid.data.recording import Channel, Recording
+from rbjax.sysid.data.recording_checks import Finding, findings
+from rbjax.sysid.data.splits import Split, split
+from rbjax.sysid.data.units import in_si
+from rbjax.sysid.design.excitation import Fourier, Motion, Spline
+from rbjax.sysid.design.experiments import Experiment, MotionLimits, design
+from rbjax.sysid.estimators.free_running import free_run
+from rbjax.sysid.estimators.identification import identify
+from rbjax.sysid.estimators.identified import Identified
+from rbjax.sysid.estimators.multi_start import Basin, ManyStarts, many_starts
+from rbjax.sysid.estimators.prediction import Predicted, prediction_error
+from rbjax.sysid.estimators.trajectory_fit import Fit, fit
+from rbjax.sysid.judgement.diagnosis import Cause, Diagnosis, diagnose
+from rbjax.sysid.judgement.repeated_fits import MonteCarlo, monte_carlo
+from rbjax.sysid.judgement.report_page import report
+from rbjax.sysid.parameters.inertia_metric import (
+    affine_invariant_distance,
+    log_determinant_divergence,
+    prior_residual,
+    pullback_distance,
+    pullback_metric,
+)
+from rbjax.sysid.parameters.log_cholesky import (
+    from_log_cholesky,
+    inertial_parameters_of,
+    log_cholesky_parameters,
+    log_cholesky_volume,
+    model_log_cholesky,
+    nearest_pseudo_inertia,
+    pseudo_inertia_of,
+    to_log_cholesky,
+    with_inertial_parameters,
+)
+from rbjax.sysid.parameters.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
+from rbjax.sysid.simulation.objective import Squares, squares
+from rbjax.sysid.simulation.setup import PD, Grid, Sensor, Setup
+from rbjax.sysid.simulation.traces import Trace
+from rbjax.sysid.statistics.channel_noise import ChannelNoise, noise_by_channel
+from rbjax.sysid.statistics.comparisons import Comparison, HeldOut, Scored, compare, held_out
+from rbjax.sysid.statistics.intervals import Estimates, Interval, crlb, estimates, information
+from rbjax.sysid.statistics.rank import Combinations, combinations
+from rbjax.sysid.statistics.whiteness_tests import Whiteness, sandwich, whiteness
+from rbjax.sysid.torque.balances import (
+    energy_balance,
+    energy_regressor,
+    momentum_balance,
+    momentum_regressor,
+)
+from rbjax.sysid.torque.base_combinations import base_parameters, random_motions
+from rbjax.sysid.torque.consistency import Consistent, consistent
+from rbjax.sysid.torque.encoder_zeros import WithZeros, regress_with_zeros, zeros_of
+from rbjax.sysid.torque.regression import METHODS, Regression, regress
+from rbjax.sysid.torque.regressors import (
     JOINT_TERMS,
     observation_matrix,
     parameter_names,
     parameter_values,
     regressor,
 )
-from rbjax.sysid.report import report
-from rbjax.sysid.selection import Selected, select
-from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
-from rbjax.sysid.splits import Split, split
-from rbjax.sysid.squares import Squares, squares
-from rbjax.sysid.statistics import Estimates, Interval, crlb, estimates, information
-from rbjax.sysid.torque_rows import TorqueRows, torque_rows
-from rbjax.sysid.traces import Trace
-from rbjax.sysid.units import in_si
-from rbjax.sysid.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
-from rbjax.sysid.whiteness import Whiteness, sandwich, whiteness
+from rbjax.sysid.torque.rows import TorqueRows, torque_rows
+from rbjax.sysid.torque.selection import Selected, select
+from rbjax.sysid.torque.stacking import Equations, equations
 
 __all__ = [
     # unknowns and simulation
@@ -113,11 +106,6 @@ __all__ = [
     "Squares",
     "prediction_error",
     "Predicted",
-    "StateSpace",
-    "kalman_filter",
-    "KalmanFiltered",
-    "kalman_smoother",
-    "Smoothed",
     "free_run",
     "fit",
     "Fit",

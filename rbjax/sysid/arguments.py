@@ -9,8 +9,8 @@ import numpy as np
 
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, listed
-from rbjax.sysid.recording import Recording
-from rbjax.sysid.simulation import Setup
+from rbjax.sysid.data.recording import Recording
+from rbjax.sysid.simulation.setup import Setup
 
 
 def setup_of(where: str, model: Any) -> Setup:

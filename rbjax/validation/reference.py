@@ -18,8 +18,8 @@ import mujoco
 import numpy as np
 
 from rbjax.loading import compile_model
-from rbjax.loading.actuator_kinds import is_at_joint, what_is_left_out
-from rbjax.loading.dropped import dropped_features, tendon_is_supported
+from rbjax.loading.mjcf.actuator_kinds import is_at_joint, what_is_left_out
+from rbjax.loading.mjcf.dropped import dropped_features, tendon_is_supported
 
 Array = np.ndarray
 

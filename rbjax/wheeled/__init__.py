@@ -1,52 +1,51 @@
 """Wheeled robots: rolling without slipping, and slipping when they must.
 
-    parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
-    robots         kinds, with_trailers; from_file, of MJCF and URDF
-    fidelities     at(robot, name) -> a vehicle; fidelities
-    as a Model     full_model, with rolling rows; full_model_state
-    as a file      write_mjcf, with wheels that touch a plane
-    motion         start, rates, rollout, simulate, contacts
-    following      commands, pure_pursuit, stanley, tracking_gains
-    control        controlled, the system of an rb.control.Problem
-    odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
-    motors         TorqueSource, SpeedServo, DCMotor
-    tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
-    on any model   TyreOnGround, a force element
-    recommend      the cheapest fidelity that is accurate enough for a manoeuvre
+parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
+robots         kinds, with_trailers; from_file, of MJCF and URDF
+fidelities     at(robot, name) -> a vehicle; fidelities
+as a Model     full_model, with rolling rows; full_model_state
+as a file      write_mjcf, with wheels that touch a plane
+motion         start, rates, rollout, simulate, contacts
+following      commands, pure_pursuit, stanley, tracking_gains
+control        controlled, the system of an rb.control.Problem
+odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
+motors         TorqueSource, SpeedServo, DCMotor
+tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
+on any model   TyreOnGround, a force element
+recommend      the cheapest fidelity that is accurate enough for a manoeuvre
 """
 
 from typing import Any
 
 from rbjax.above import names_from_above
-from rbjax.callable_modules import make_modules_callable
-from rbjax.wheeled.arrangement import Arrangement
-from rbjax.wheeled.constrained import full_model_state
-from rbjax.wheeled.contacts import Contacts, contacts
-from rbjax.wheeled.controlled import Vehicle, controlled
-from rbjax.wheeled.fidelity import Fidelity
-from rbjax.wheeled.following import (
+from rbjax.wheeled.files.reading import from_file
+from rbjax.wheeled.files.writing import write_mjcf
+from rbjax.wheeled.kinematics.odometry import HeadingSlip, mean_twists, odometry, rolled_twists
+from rbjax.wheeled.models.constrained import full_model_state
+from rbjax.wheeled.models.contact_forces import Contacts, contacts
+from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.models.states import rates, start
+from rbjax.wheeled.motion.control_system import Vehicle, controlled
+from rbjax.wheeled.motion.following import (
     Commands,
     commands,
     pure_pursuit,
     stanley,
     tracking_gains,
 )
-from rbjax.wheeled.from_file import from_file
-from rbjax.wheeled.full_model import full_model
-from rbjax.wheeled.kinds import with_trailers
-from rbjax.wheeled.motion import rollout, simulate
-from rbjax.wheeled.motors import DCMotor, Motor, SpeedServo, TorqueSource
-from rbjax.wheeled.odometry import HeadingSlip, mean_twists, odometry, rolled_twists
-from rbjax.wheeled.parts import Body, Drive, Steering, Wheel
+from rbjax.wheeled.motion.rollout import rollout, simulate
+from rbjax.wheeled.multibody.full_model import full_model
 from rbjax.wheeled.registry import at, fidelities, kinds
-from rbjax.wheeled.relaxation import Relaxing
-from rbjax.wheeled.robot import Robot
-from rbjax.wheeled.rolling_resistance import RollingResistance
-from rbjax.wheeled.states import rates, start
-from rbjax.wheeled.tyre_element import Contact, TyreOnGround
-from rbjax.wheeled.tyre_laws import Coulomb, Fiala, Linear, Pacejka, TMeasy
-from rbjax.wheeled.tyres import Tyre, traction_along
-from rbjax.wheeled.write_mjcf import write_mjcf
+from rbjax.wheeled.robot.arrangement import Arrangement
+from rbjax.wheeled.robot.catalogue import with_trailers
+from rbjax.wheeled.robot.motors import DCMotor, Motor, SpeedServo, TorqueSource
+from rbjax.wheeled.robot.parts import Body, Drive, Steering, Wheel
+from rbjax.wheeled.robot.robot import Robot
+from rbjax.wheeled.tyres.element import Contact, TyreOnGround
+from rbjax.wheeled.tyres.laws import Coulomb, Fiala, Linear, Pacejka, TMeasy
+from rbjax.wheeled.tyres.relaxation import Relaxing
+from rbjax.wheeled.tyres.rolling_resistance import RollingResistance
+from rbjax.wheeled.tyres.tyre import Tyre, traction_along
 
 #: names offered here whose module imports this package; `rbjax` fills this table
 FROM_ABOVE = names_from_above("rbjax.wheeled")
@@ -110,5 +109,3 @@ __all__ = [
     "with_trailers",
     "write_mjcf",
 ]
-
-make_modules_callable(__name__)

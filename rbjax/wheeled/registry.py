@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.wheeled import kinds as made
-from rbjax.wheeled.constrained import Constrained
-from rbjax.wheeled.fidelity import Fidelity
-from rbjax.wheeled.quasi_velocities import QuasiVelocities
-from rbjax.wheeled.robot import Robot
-from rbjax.wheeled.rolling import Dynamical, Kinematic, Kinematical
-from rbjax.wheeled.slipping import Slipping
+from rbjax.wheeled.models.constrained import Constrained
+from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.models.quasi_velocities import QuasiVelocities
+from rbjax.wheeled.models.rolling import Dynamical, Kinematic, Kinematical
+from rbjax.wheeled.models.slipping import Slipping
+from rbjax.wheeled.robot import catalogue
+from rbjax.wheeled.robot.robot import Robot
 
 _FIDELITIES: tuple[type[Fidelity], ...] = (
     Kinematic,
@@ -58,18 +58,18 @@ def kinds() -> dict[str, Kind]:
         1
     """
     makers: dict[str, Callable[..., Robot]] = {
-        "differential_drive": made.differential_drive,
-        "unicycle": made.unicycle,
-        "omni_3": functools.partial(made.omnidirectional, 3),
-        "omni_4": functools.partial(made.omnidirectional, 4),
-        "mecanum": made.mecanum,
-        "car": made.car,
-        "front_drive_car": functools.partial(made.car, drive="front"),
-        "bicycle": made.bicycle,
-        "tricycle": made.tricycle,
-        "skid_steer": made.skid_steer,
-        "tractor_trailers": _with_trailers(made.differential_drive, 2, 0.0),
-        "car_trailer": _with_trailers(made.car, 1, 0.8, drawbar=3.0, track=1.4, mass=400.0,
+        "differential_drive": catalogue.differential_drive,
+        "unicycle": catalogue.unicycle,
+        "omni_3": functools.partial(catalogue.omnidirectional, 3),
+        "omni_4": functools.partial(catalogue.omnidirectional, 4),
+        "mecanum": catalogue.mecanum,
+        "car": catalogue.car,
+        "front_drive_car": functools.partial(catalogue.car, drive="front"),
+        "bicycle": catalogue.bicycle,
+        "tricycle": catalogue.tricycle,
+        "skid_steer": catalogue.skid_steer,
+        "tractor_trailers": _with_trailers(catalogue.differential_drive, 2, 0.0),
+        "car_trailer": _with_trailers(catalogue.car, 1, 0.8, drawbar=3.0, track=1.4, mass=400.0,
                                       inertia=300.0, radius=0.3, wheel_mass=15.0),
     }  # fmt: skip
     names = tuple(fidelities())
@@ -83,7 +83,7 @@ def _with_trailers(
 
     @functools.wraps(make)
     def both(**numbers: Any) -> Robot:
-        return made.with_trailers(make(**numbers), number, hitch, **trailer)
+        return catalogue.with_trailers(make(**numbers), number, hitch, **trailer)
 
     return both
 

@@ -9,7 +9,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.constraints import Row
-from rbjax.constraints.system import gradient_matrix, rows_of
+from rbjax.constraints.equations.system import gradient_matrix, rows_of
 from rbjax.forces import Instant
 
 T = 0.3

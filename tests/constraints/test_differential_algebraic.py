@@ -13,12 +13,12 @@ import scipy.special
 import rbjax as rb
 from benchmarks.cases.mechanisms import andrews, four_bars, tilted_four_bar
 from rbjax import constraints as rc
-from rbjax.constraints.projection import projected
+from rbjax.constraints.equations.projection import projected
 from rbjax.forces.acting import applied
 from rbjax.motion.implicit import increment, stages
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import motion
-from rbjax.solvers.steps import mixed
+from rbjax.solvers.common.steps import mixed
 from tests.constraints.test_formulations import hung_twice, pendulum, skate
 from tests.oracles import load
 from tests.tolerances import GRADIENT

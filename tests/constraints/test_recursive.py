@@ -23,12 +23,12 @@ from benchmarks.cases.mechanisms import (
     walker,
 )
 from rbjax import constraints as rc
-from rbjax.constraints.clusters import Cluster, clusters
-from rbjax.constraints.law import constrained_motion
-from rbjax.constraints.projection import projected
-from rbjax.constraints.recursive import by_clusters
-from rbjax.constraints.system import rows_of
-from rbjax.dynamics.drivers import driver
+from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.system import rows_of
+from rbjax.constraints.methods.clusters import Cluster, clusters
+from rbjax.constraints.methods.recursive import by_clusters
+from rbjax.dynamics.drivers.choice import driver
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Vec3
 from rbjax.model import WORLD

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rbjax as rb
-from rbjax.constraints.geometry import time
-from rbjax.constraints.row import Row, angle, function_of
-from rbjax.constraints.system import gradient_matrix
+from rbjax.constraints.equations.system import gradient_matrix
+from rbjax.constraints.rows.geometry import time
+from rbjax.constraints.rows.row import Row, angle, function_of
 from rbjax.forces import Instant
 
 MODEL = rb.load("double_pendulum")

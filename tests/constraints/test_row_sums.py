@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.constraints import Row
-from rbjax.constraints.row import angle
+from rbjax.constraints.rows.row import angle
 from rbjax.forces import Loads
 
 A = Row(2.0, 3.0, Loads({0: 5.0}), 7.0)

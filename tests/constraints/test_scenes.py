@@ -9,8 +9,8 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.law import constrained_motion
-from rbjax.constraints.projection import projected
+from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.projection import projected
 
 #: name -> freedoms (the textbooks' number), motors, and redundant rows: those across the plane of a
 #: plane loop

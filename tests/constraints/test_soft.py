@@ -10,7 +10,7 @@ import pytest
 import rbjax as rb
 from benchmarks.cases.mechanisms import pendulum
 from rbjax import constraints as rc
-from rbjax.constraints.compliant import compliant_motion
+from rbjax.constraints.methods.compliant import compliant_motion
 from rbjax.constraints.registry import formulation_of
 from tests.constraints.rows import check, tree
 

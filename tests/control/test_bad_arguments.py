@@ -41,8 +41,6 @@ def start(key):
 ENV = C.Environment(CART, cost, start, dt=0.05, episode=5)
 POLICY = C.network(KEY, (4, 3, 1))
 PROBLEM = C.Problem(LINE, 3, 1.0, running=[C.Control()], bounds=(-1.0, 1.0))
-SPACE = C.StateSpace.of(lambda x, u, w: x + u + w, lambda x: x[:1])
-BELIEF = C.Estimate(jnp.zeros(2), jnp.eye(2))
 
 
 # ------------------------------------------------------------ bad values, by kind
@@ -250,16 +248,6 @@ TABLE = {
         "A": array(2, 2), "C": array(1, 2), "W": array(2, 2), "V": array(1, 1),
         "discrete": flag(),
     }),
-    "kalman_predict": (C.kalman_predict, {
-        "space": SPACE, "estimate": BELIEF, "given": np.zeros(2), "process": np.eye(2),
-    }, {"space": [3, "x"], "estimate": [3, "x"], "process": array(2, 2)}),
-    "kalman_update": (C.kalman_update, {
-        "space": SPACE, "estimate": BELIEF, "reading": np.zeros(1), "noise": np.eye(1),
-    }, {"space": [3, "x"], "estimate": [3, "x"], "reading": ["x", np.zeros(2)],
-        "noise": array(1, 1)}),
-    "observed": (C.observed, {"model": CART, "read": lambda s: s.q}, {
-        "model": model(), "read": function(), "dt": positive(), "integrator": name(),
-    }),
     "computed_torque": (C.computed_torque, {"model": ARM, "reference": REST, "stiffness": 1.0}, {
         "model": model(), "reference": [*array(7), lambda: REST], "stiffness": weight(),
         "damping": weight(), "undriven": name(),
@@ -343,10 +331,10 @@ TABLE = {
 #: what has nothing to check: terms without arguments, results and parts that functions make
 WITHOUT = {
     "Acceleration", "Allocation", "CartesianImpedance", "ComputedTorque", "Configuration",
-    "Controller", "DifferentialInverseKinematics", "Effort", "Estimate", "Gains",
+    "Controller", "DifferentialInverseKinematics", "Effort", "Gains",
     "GravityCompensation", "InverseKinematics", "Jerk", "JointImpedance", "LinearStatus", "Law",
     "LinearQuadratic", "Lyapunov", "Margins", "Method", "Network", "OperationalSpace", "Reach",
-    "RegionMap", "Regulator", "Solution", "StateSpace", "SteadyFilter", "Steered", "System", "Term",
+    "RegionMap", "Regulator", "Solution", "SteadyFilter", "Steered", "System", "Term",
     "Tracking", "Trained", "Velocity", "methods",
 }  # fmt: skip
 

@@ -15,7 +15,7 @@ from rbjax.control.optimal.shooting.augmented_lagrangian import no_multipliers
 from rbjax.control.optimal.shooting.knots import Expanded, columns, expand, numbers
 from tests.tolerances import F64_TRANSFORM, relative_error
 
-function = importlib.import_module("rbjax.threads.function")
+function = importlib.import_module("rbjax.compiler.jax.function")
 N = 4
 
 
@@ -60,7 +60,7 @@ def test_few_knots_go_apart_on_a_gpu(samples: int, monkeypatch: pytest.MonkeyPat
     assert (first["program"].apart is not None) == (samples == 1)
     if samples > 1:
         return
-    by_gpu = importlib.import_module("rbjax.threads.primitive").on_gpu
+    by_gpu = importlib.import_module("rbjax.compiler.jax.primitive").on_gpu
     known = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
     known |= dict(zip(closed.jaxpr.invars, jax.tree.leaves(wide), strict=True))
 

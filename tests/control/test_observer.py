@@ -7,18 +7,16 @@ import pytest
 import scipy.linalg
 
 import rbjax as rb
-from rbjax.control import (
-    LinearStatus,
+from rbjax.control import LinearStatus, feedback, lqr_at
+from rbjax.control.linear import kalman_gain
+from rbjax.estimation import (
     Estimate,
     StateSpace,
-    feedback,
-    kalman_gain,
+    kalman_filter,
     kalman_predict,
     kalman_update,
-    lqr_at,
-    observed,
+    model_state_space,
 )
-from rbjax.motion.kalman import kalman_filter
 from tests.tolerances import relative_error
 
 RNG = np.random.default_rng(0)
@@ -72,7 +70,7 @@ def test_a_cart_pole_is_held_by_measured_positions():
     up, zero = rb.State(jnp.array([0.0, jnp.pi]), jnp.zeros(2)), jnp.zeros(1)
     K = lqr_at(model, up, zero, [10.0, 10.0, 1.0, 1.0], [0.1], dt=dt).K
     law = feedback(model, up, zero, K)
-    space = observed(model, lambda state: state.q, dt)
+    space = model_state_space(model, lambda state: state.q, dt)
     W, V = jnp.array([1e-8, 1e-8, 1e-4, 1e-4]), jnp.array([1e-6, 1e-6])
     start = rb.State(up.q + jnp.array([0.2, 0.1]), jnp.array([0.1, -0.3]))
     noise = 1e-3 * jax.random.normal(jax.random.key(0), (300, 2))

@@ -158,7 +158,7 @@ def test_gains_compose():
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_one_problem_is_small_enough_for_a_thread(dtype):
-    said = rb.threads.explain(backward, random_problem(7, 16, 12, 6, dtype))
+    said = rb.compiler.explain(backward, random_problem(7, 16, 12, 6, dtype))
     assert said.statements < 20_000 and said.array_bytes < 16 * 1024
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics import arguments, batching
+from rbjax.dynamics.tracing import algorithm, batching
 from tests.compilations import compilations
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
@@ -32,7 +32,7 @@ def loop(f, *xs):
 
 
 def test_chunks_are_the_samples(given, monkeypatch):
-    monkeypatch.setattr(arguments, "wanted", lambda: False)  # chunks are what XLA needs
+    monkeypatch.setattr(algorithm, "wanted", lambda: False)  # chunks are what XLA needs
     run = functools.partial(fd, MODEL)
     mapped = jax.jit(jax.vmap(run))
     assert relative_error(mapped(*given)[SOME], loop(run, *given)) <= F64_TRANSFORM

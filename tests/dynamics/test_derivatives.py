@@ -14,7 +14,7 @@ from benchmarks.cases.random_trees import (
     random_tree,
     to_pinocchio,
 )
-from rbjax.dynamics.operations import operation_count
+from rbjax.dynamics.tracing.operations import operation_count
 from tests.robots import load_quietly, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, relative_error
 

@@ -12,7 +12,7 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
 import rbjax as rb
-from rbjax.dynamics import batching
+from rbjax.dynamics.tracing import batching
 from tests.eight_devices import check, mesh, on_eight_devices
 from tests.test_registry import MODEL, REGISTRY, samples
 from tests.tolerances import F64_TRANSFORM, relative_error
@@ -155,7 +155,7 @@ def test_two_axes_and_gradients():
 @pytest.mark.parametrize("size", [320, 12, 7, 1])
 def test_parts_are_the_batch(monkeypatch, size):
     """The same on one device, emulating eight."""
-    monkeypatch.setattr("rbjax.dynamics.devices.devices", lambda: 8)
+    monkeypatch.setattr("rbjax.dynamics.tracing.devices.devices", lambda: 8)
     monkeypatch.setattr(batching, "CPU_CHUNK", 16)
     x, y = np.arange(2.0 * size).reshape(2, size), np.array([3.0, 4.0])
     got = batching.chunks(lambda a: a[0] * a[1][:, None], [x, y], [-1, None], size, -1)

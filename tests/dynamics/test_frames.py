@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.frames import PATH_UNROLLED_UP_TO
+from rbjax.dynamics.algorithms.frames import PATH_UNROLLED_UP_TO
 from rbjax.loading import compile_model
 from tests.robots import at, load_quietly, robot
 from tests.tolerances import F32_MAX, F64_IDENTITY, F64_PARITY, relative_error

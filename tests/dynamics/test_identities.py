@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.rnea import momentum
+from rbjax.dynamics.algorithms.rnea import momentum
 from tests.robots import at, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.aba import factorize
-from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.limbs import Limbs
-from rbjax.dynamics.unrolled import Unrolled
+from rbjax.compiler.lower.frame import batch_first, write_program
+from rbjax.dynamics.algorithms.aba import factorize
+from rbjax.dynamics.drivers.choice import driver
+from rbjax.dynamics.drivers.limbs import Limbs
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.lanes import fusion_barrier
 from rbjax.model import WORLD, partition
-from rbjax.threads.frame import batch_first, write_program
+from tests.compiler.host import COMPILER, on_host
 from tests.robots import Robot, load_quietly, robot
-from tests.threads.host import COMPILER, on_host
 from tests.tolerances import F64_PARITY, relative_error
 
 G1 = "frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.momenta import momentum_and_rate, momentum_of, nearby_velocity, velocity_of
+from rbjax.dynamics.algorithms.momenta import (
+    momentum_and_rate,
+    momentum_of,
+    nearby_velocity,
+    velocity_of,
+)
 from tests.robots import at, mass_matrix, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
 

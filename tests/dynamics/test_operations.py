@@ -6,10 +6,10 @@ import mujoco
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.operations import OperationCount, leaf_names, operation_count
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiler.jax.programs import traced
+from rbjax.dynamics.tracing.operations import OperationCount, leaf_names, operation_count
 from rbjax.lanes import fusion_barrier, sincos
-from rbjax.threads.primitive import run
-from rbjax.threads.programs import traced
 from tests.forces.test_drivers import TWO_ARMED
 from tests.oracles.random_actuators import random_actuated
 from tests.robots import load_quietly
@@ -95,7 +95,6 @@ def test_our_elements_have_counts(driver: str) -> None:
         rb.forces.Bushing.of(*ends, stiffness=3.0, damping=1.0),
         rb.forces.GearLoss.of(arms, one, 0.1),
         rb.forces.JointCurves.of(arms, one, (-1.0, 1.0), torque=0.3, coulomb=0.1),
-        rb.forces.RotationalDrag(jnp.array([0.1]), ("left",)),
     )
     immersed = [load_quietly(fluid.format(shape)) for shape in ("ellipsoid", "none")]
     names = set()

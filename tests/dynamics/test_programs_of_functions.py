@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics import arguments
+from rbjax.dynamics.tracing import algorithm as entry
 
 KEPT = 2
 
@@ -26,9 +26,9 @@ def alive(run, count: int) -> int:
 
 
 def test_an_algorithm_keeps_a_few_programs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(arguments, "PROGRAMS_OF_FUNCTIONS", KEPT)
+    monkeypatch.setattr(entry, "PROGRAMS_OF_FUNCTIONS", KEPT)
 
-    @arguments.algorithm("q")
+    @entry.algorithm("q")
     def applied(model: rb.Model, q: jax.Array, law=None) -> jax.Array:
         return law(model, 0.0, None, q, None)
 
@@ -44,6 +44,6 @@ def test_an_algorithm_keeps_a_few_programs(monkeypatch: pytest.MonkeyPatch) -> N
 def test_steps_and_linearisations_do_not_grow(function) -> None:
     model = rb.load("pendulum")
     state = model.default_state()
-    limit = arguments.PROGRAMS_OF_FUNCTIONS
+    limit = entry.PROGRAMS_OF_FUNCTIONS
     found = alive(lambda law: function(model, state, None, 0.01, law=law), limit + 8)
     assert found <= limit

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.forces.activation import Filter, Integrator
+from rbjax.forces.actuators.activation import Filter, Integrator
 from tests.forces.actuated import actuation, errors, limbs
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, F64_ROUNDING

@@ -9,10 +9,10 @@ import pytest
 import rbjax as rb
 from rbjax.forces.acting import loads, states
 from rbjax.forces.instant import Instant
+from tests.compiler.host import COMPILER, on_host
 from tests.forces.actuated import Samples, actuation, errors, limbs, motion_errors, ours
 from tests.oracles.random_actuators import random_actuated
 from tests.robots import load_quietly
-from tests.threads.host import COMPILER, on_host
 from tests.tolerances import F64_PARITY, F64_TRANSFORM, GRADIENT, relative_error
 
 SEEDS = [pytest.param(k, marks=() if k == 3 else pytest.mark.slow) for k in range(20)]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.forces.joint_limits import stop_energy, stop_force
+from rbjax.forces.joints.limits import stop_energy, stop_force
 from tests.forces.against_mujoco import AT_A_JUMP, applied, costs_nothing, slopes
 from tests.robots import load_quietly
 from tests.tolerances import F64_IDENTITY

@@ -7,9 +7,9 @@ import pytest
 
 import rbjax as rb
 from rbjax.forces.acting import states
-from rbjax.forces.activation import Integrator
+from rbjax.forces.actuators.activation import Integrator
+from rbjax.forces.actuators.orientation_servo import OrientationServo
 from rbjax.forces.instant import Instant
-from rbjax.forces.orientation_servo import OrientationServo
 from tests.forces.actuated import errors, limbs
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY

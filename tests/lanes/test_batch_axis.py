@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.tracing import with_jvp
+from rbjax.dynamics.tracing.custom_rules import with_jvp
 from rbjax.lanes import batch_first, batch_last
 
 X = jnp.arange(6.0).reshape(2, 3)

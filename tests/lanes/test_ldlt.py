@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threads
 from rbjax.lanes import elimination_order, is_zero, ldlt
-from rbjax.threads import threads
 from tests.tolerances import F64_ROUNDING
 
 RNG = np.random.default_rng(5)

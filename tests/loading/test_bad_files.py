@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.loading import load as loading  # the module, which is called as the function
+from rbjax import loading
 from tests.loading.test_load import joint, link, mjcf, urdf
 from tests.robots import SMALL
 

@@ -6,9 +6,9 @@ import pytest
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.loading.at_rest import at_rest
-from rbjax.loading.load import compile_model
+from rbjax.loading.loader import compile_model
 from rbjax.loading.round_shapes import round_shape
-from rbjax.loading.urdf_shapes import find_mesh
+from rbjax.loading.urdf.shapes import find_mesh
 
 AXLE = np.array([0.0, 1.0, 0.0])
 LYING = 'euler="90 0 0"'

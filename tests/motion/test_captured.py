@@ -22,8 +22,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.motion import captured as levels
-from rbjax.motion.captured import Captured, captured, with_captured
+from rbjax.motion.closures import captured as levels
+from rbjax.motion.closures.captured import Captured, captured, with_captured
 from tests.compilations import compilations
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics import drivers
+from rbjax.dynamics.drivers import choice
 from rbjax.forces.inputs import Inputs
 from rbjax.motion import force_jacobian
 from rbjax.motion.linearise import beside, generalized_forces
@@ -102,7 +102,7 @@ def test_forces_that_reach_beyond_their_joint_take_one_tangent_a_column(monkeypa
 @pytest.mark.slow
 def test_the_program_of_a_chain_of_40_hinges_is_short(monkeypatch):
     """63,713 statements before; the compile time is proportional to them."""
-    from rbjax.threads import primitive
+    from rbjax.compiler.jax import primitive
 
     write, sizes = primitive.write_program, []
 
@@ -137,9 +137,9 @@ def test_link_constants_as_a_program_of_their_own(dt, monkeypatch):
         return run(mass), jax.jit(jax.vmap(lambda m: total(m)))(jnp.stack([mass, 2 * mass]))
 
     want = found()
-    monkeypatch.setattr(drivers, "THREADS_UNROLLED_UP_TO", {4: 0, 8: 0})
-    monkeypatch.setattr(drivers, "CPU_UNROLLED_UP_TO", 0)
+    monkeypatch.setattr(choice, "THREADS_UNROLLED_UP_TO", {4: 0, 8: 0})
+    monkeypatch.setattr(choice, "CPU_UNROLLED_UP_TO", 0)
     monkeypatch.setattr(force_jacobian, "CPU_UNROLLED_UP_TO", 0)
-    assert drivers.on_threads(model, float, pairs=True).driver == "rolled"
+    assert choice.on_threads(model, float, pairs=True).driver == "rolled"
     for a, b in zip(jax.tree.leaves(want), jax.tree.leaves(found()), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9)  # sines of entries up to 1e3

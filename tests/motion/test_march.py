@@ -12,16 +12,16 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.extend.core import jaxpr_as_fun
 
 import rbjax as rb
-from rbjax.dynamics.operations import operation_count
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiler.jax.programs import traced
+from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field
 from rbjax.motion.integrators import semi_implicit_euler
 from rbjax.motion.march import March, keep_every
 from rbjax.motion.pullback import Pullback
-from rbjax.threads.primitive import run
-from rbjax.threads.programs import traced
-from tests.threads.host import COMPILER, many_on_host
+from tests.compiler.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
 threaded = importlib.import_module("rbjax.motion.threaded")

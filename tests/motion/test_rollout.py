@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.manifold import rate_lanes
+from rbjax.dynamics.algorithms.manifold import rate_lanes
 from rbjax.loading import compile_model
 from rbjax.rotations import so3
 from tests.compilations import compilations

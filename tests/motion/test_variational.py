@@ -9,8 +9,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.motion.variational import VariationalMidpoint
+from tests.compiler.host import COMPILER, many_on_host
 from tests.forces.elements import Lag, Wind
-from tests.threads.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
 
 NAME = "variational_midpoint"

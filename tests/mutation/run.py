@@ -34,7 +34,7 @@ TESTS = [  # what is cheap comes first: a deadline then leaves out the fewest
     "tests/test_bad_arguments.py", "tests/model/test_*.py", "tests/solvers/test_terms.py",
     *(f"rbjax/{room}" for room in ROOMS),  # their doctests
     "tests/dynamics/test_*.py", "tests/motion/test_*.py", "tests/test_registry.py",
-    "tests/body/test_*.py", "tests/solvers/test_simulate.py", "tests/threads/test_simulate.py",
+    "tests/body/test_*.py", "tests/solvers/test_simulate.py", "tests/compiler/test_simulate.py",
 ]  # fmt: skip
 START = 15.0  # seconds that Python, JAX and the imports may take
 

@@ -14,7 +14,8 @@ import pytest
 from scipy.optimize import minimize
 
 import rbjax as rb
-from rbjax.planning import Curve, dubins, reeds_shepp, words
+from rbjax.planning import Curve, dubins, reeds_shepp
+from rbjax.planning.paths import words
 from tests.tolerances import GRADIENT
 
 END = 1e-12  # relative to distances of a few radii: rounding of a few arcs

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from rbjax.planning import elastic_program
+from rbjax.planning.timing import elastic_program
 
 
 def drawn(n: int, m: int, seed: int):

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 
 import rbjax as rb
 from rbjax.planning import Controls, Footprint, OccupancyGrid, grid_a_star, grid_dijkstra
-from rbjax.planning.holonomic import KAPPA, HolonomicDistance
+from rbjax.planning.search.holonomic import KAPPA, HolonomicDistance
 from tests.planning.scenes import H, room
 from tests.planning.test_grid_dijkstra import CAR, car_like, cluttered, corner, middle
 

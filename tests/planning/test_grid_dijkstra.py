@@ -16,7 +16,7 @@ from rbjax.planning import (
     grid_dijkstra,
     reeds_shepp,
 )
-from rbjax.planning.controls import MotionTable
+from rbjax.planning.search.controls import MotionTable
 
 CAR = Footprint.rectangle(ahead=0.41, behind=0.13, width=0.32, discs=3)
 

@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.planning import Controls, Footprint, hybrid_a_star, reeds_shepp
-from rbjax.planning.ending import Direct
+from rbjax.planning.search.ending import Direct
 from tests.planning.scenes import bends, driven, rectangle_hits, room
 
 SIZE = dict(ahead=0.7, behind=0.2, width=0.4)

@@ -211,17 +211,22 @@ def test_wrong_arguments(call, words: list[str]) -> None:
 
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
 def test_a_limit_of_the_steering_angle_binds(dtype: type) -> None:
-    """A bicycle with a wheelbase of 1 m on a circle of 1 m steers by 45 degrees."""
+    """A bicycle with a wheelbase of 1 m on a circle of 1 m steers by 45 degrees. The vehicle and
+    the limits are in float64; the motion has the dtype of the path."""
     vehicle = rb.wheeled.at(KINDS["bicycle"].make(wheelbase=1.0), "kinematical")
     steps = jnp.asarray([[1.57, 0, 1.57]], dtype)
-    path = Path(jnp.zeros(3, dtype), steps).split(0.1)
+    path = Path(jnp.zeros(3, dtype), steps).split(0.4)
+    angles = jnp.asarray([jnp.inf, jnp.pi / 4, 0.78])  # the second is exactly at the limit
 
-    def status(angle: float) -> str:
+    def run(angle):
         limits = Limits(torque=50.0, speed=1.0, steering_rate=1.0, steering=angle)
-        return time_scaling(vehicle, path, limits).status
+        return time_scaling(vehicle, path, limits)
 
-    assert status(np.inf) == "found"
-    assert status(np.pi / 4) == "found"  # exactly at the limit
-    assert status(0.78) == "infeasible"
-    cart_path = Path(jnp.zeros(3, dtype), jnp.asarray([[0.1, 0, 0]], dtype))
-    assert time_scaling(cart(), cart_path, Limits(1.0, steering=0.1)).status == "found"
+    found = jax.jit(jax.vmap(run))(angles)
+    assert found.ok.tolist() == [True, True, False]
+    assert {x.dtype for x in jax.tree.leaves(found.motion)} == {jnp.dtype(dtype)}
+
+
+def test_a_robot_without_steering_ignores_the_limit_of_the_angle() -> None:
+    path = Path(np.zeros(3), [[0.1, 0, 0]])
+    assert time_scaling(cart(), path, Limits(1.0, steering=0.1)).status == "found"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.plotting.solids import _outermost
+from rbjax.plotting.solid_shapes import _outermost
 
 matplotlib.use("Agg")
 

@@ -1,4 +1,4 @@
-"""Cases of the functions of arrays of control, sysid and stability."""
+"""Cases of the functions of arrays of control, estimation, sysid and stability."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from rbjax import control, stability, sysid
+from rbjax import control, estimation, stability, sysid
 from tests.composing import cast
 from tests.public.grid import Case, same
 from tests.robots import robot
@@ -119,11 +119,6 @@ def follow(model, q, velocity):
     return control.differential_inverse_kinematics(model, q, goal, damping=0.1).v
 
 
-def estimate(x, P):
-    return control.Estimate(x, P)
-
-
-SPACE = control.StateSpace.of(lambda x, u, w: jnp.sin(x) + u + w, lambda x: x[:2])
 SEVEN = [0.5 * RNG.normal(size=(3, 7)) for _ in range(2)]
 REACHED, FEEDBACK = 0.3 * RNG.normal(size=(3, 3)), 0.1 * RNG.normal(size=(3, 2, 3))
 FOUR, CART_STATE = np.full((3, 4), 1.0), [0.2 * RNG.normal(size=(3, 2)) for _ in range(2)]
@@ -133,14 +128,6 @@ ONE = np.full((3, 1), 1.0)
 def on(model: Callable[[Any], rb.Model], f: Callable) -> Callable[[Any], Callable]:
     """A function of a model and arrays. The model is made before any tracing."""
     return lambda dtype: functools.partial(f, model(dtype))
-
-
-def moved(read: Callable) -> Callable[[Any], Callable]:
-    def make(dtype: Any) -> Callable:
-        space = control.observed(cart(dtype), lambda state: state.q, 0.01)
-        return lambda q, v, u: read(space, rb.State(q, v), u)
-
-    return make
 
 
 def planned(method: str) -> Callable[[Any], Callable]:
@@ -165,21 +152,6 @@ def tracked(dtype: Any) -> Callable:
 
 
 CONTROL |= {
-    "kalman_predict": Case(
-        same(
-            lambda x, P, u: control.kalman_predict(
-                SPACE, estimate(x, P), u, jnp.eye(3, dtype=x.dtype)
-            )
-        ),
-        [START, WEIGHT, START[::-1]],
-    ),
-    "kalman_update": Case(
-        same(lambda x, P, y, V: control.kalman_update(SPACE, estimate(x, P), y, V)),
-        [START, WEIGHT, START[:, :2], SMALL_WEIGHT],
-    ),
-    "observed": Case(
-        moved(lambda space, x, u: space.move(x, u, jnp.zeros(4, u.dtype))), [*CART_STATE, ONE]
-    ),
     "steer": Case(
         same(lambda A, B, Q, R, x: control.steer(linear(A, B, Q, R), x, 0 * x)[:2]), [*LQ, START]
     ),
@@ -238,6 +210,60 @@ CONTROL |= {
     "solve, sqp": Case(planned("sqp"), CART_STATE, dtypes=F64),
 }
 
+# ---------------------------------------------------------------- estimation
+
+
+def estimate(x, P):
+    return estimation.Estimate(x, P)
+
+
+SPACE = estimation.StateSpace.of(lambda x, u, w: jnp.sin(x) + u + w, lambda x: x[:2])
+READ = [RNG.normal(size=(3, 2, 3)), RNG.normal(size=(3, 3, 2))]
+
+
+def filtered(read: Callable) -> Callable[[Any], Callable]:
+    """A filter of three samples of a system of three states, of noise that is known."""
+
+    def found(x, P, u, y, W, V):
+        space = estimation.StateSpace.of(lambda x, u, w: jnp.sin(x) + u + w, lambda x: x[:2])
+        return read(space, estimation.kalman_filter(space, x, P, u, y, W, V))
+
+    return same(found)
+
+
+def moved(read: Callable) -> Callable[[Any], Callable]:
+    def make(dtype: Any) -> Callable:
+        space = estimation.model_state_space(cart(dtype), lambda state: state.q, 0.01)
+        return lambda q, v, u: read(space, rb.State(q, v), u)
+
+    return make
+
+
+ESTIMATION = {
+    "kalman_predict": Case(
+        same(
+            lambda x, P, u: estimation.kalman_predict(
+                SPACE, estimate(x, P), u, jnp.eye(3, dtype=x.dtype)
+            )
+        ),
+        [START, WEIGHT, START[::-1]],
+    ),
+    "kalman_update": Case(
+        same(lambda x, P, y, V: estimation.kalman_update(SPACE, estimate(x, P), y, V)),
+        [START, WEIGHT, START[:, :2], SMALL_WEIGHT],
+    ),
+    "model_state_space": Case(
+        moved(lambda space, x, u: space.move(x, u, jnp.zeros(4, u.dtype))), [*CART_STATE, ONE]
+    ),
+    "kalman_filter": Case(
+        filtered(lambda space, x: (x.state, x.covariance, x.log_likelihood)),
+        [START, WEIGHT, *READ, WEIGHT, SMALL_WEIGHT],
+    ),
+    "kalman_smoother": Case(
+        filtered(estimation.kalman_smoother), [START, WEIGHT, *READ, WEIGHT, SMALL_WEIGHT]
+    ),
+}
+
 # ---------------------------------------------------------------- sysid
 
 PSEUDO = positive(3, 4)
@@ -249,22 +275,11 @@ def arm(dtype: Any) -> rb.Model:
     return robot("double_pendulum", "unrolled").model.astype(dtype)
 
 
-def filtered(read: Callable) -> Callable[[Any], Callable]:
-    """A filter of three samples of a system of three states, of noise that is known."""
-
-    def found(x, P, u, y, W, V):
-        space = sysid.StateSpace.of(lambda x, u, w: jnp.sin(x) + u + w, lambda x: x[:2])
-        return read(space, sysid.kalman_filter(space, x, P, u, y, W, V))
-
-    return same(found)
-
-
 def heavier(f: Callable) -> Callable[[Any], Callable]:
     """A function of the masses of the two bodies."""
     return on(arm, lambda model, mass: f(model.replace(bodies=model.bodies.replace(mass=mass))))
 
 
-READ = [RNG.normal(size=(3, 2, 3)), RNG.normal(size=(3, 3, 2))]
 LONG = [RNG.normal(size=(3, 4, 2)) for _ in range(3)]
 TWO = [RNG.normal(size=(3, 2)) for _ in range(3)]
 MASSES = np.abs(RNG.normal(size=(3, 2))) + 1
@@ -296,13 +311,6 @@ SYSID = {
     "parameter_values": Case(heavier(sysid.parameter_values), [MASSES]),
     "observation_matrix": Case(
         on(arm, lambda m, q, v, a: sysid.observation_matrix(m, q, v, a)), LONG
-    ),
-    "kalman_filter": Case(
-        filtered(lambda space, x: (x.state, x.covariance, x.log_likelihood)),
-        [START, WEIGHT, *READ, WEIGHT, SMALL_WEIGHT],
-    ),
-    "kalman_smoother": Case(
-        filtered(sysid.kalman_smoother), [START, WEIGHT, *READ, WEIGHT, SMALL_WEIGHT]
     ),
     "log_determinant_divergence": Case(
         same(sysid.log_determinant_divergence), [PSEUDO, PSEUDO[::-1]]

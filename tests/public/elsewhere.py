@@ -23,6 +23,7 @@ ELSEWHERE: dict[str, set[str]] = {
                  "grid_dijkstra_many", "hybrid_a_star", "methods", "plan", "refine", "smooth",
                  "time_scaling"},
     # searches, training, sentences; `solve` has cases by its methods
+    "kinematics": {"inverse_kinematics"},
     "control": {"actor_critic", "directions", "inverse_kinematics", "methods", "mpc",
                 "region_of_attraction", "through_time"},
     # recordings, fits and their statistics, which run in NumPy on the host
@@ -33,6 +34,8 @@ ELSEWHERE: dict[str, set[str]] = {
               "parameter_names", "prediction_error", "random_motions", "read_csv", "read_npz",
               "regress", "regress_with_zeros", "report", "sandwich", "select", "split", "squares",
               "torque_rows", "whiteness", "zeros_of"},
+    "estimation": set(),
+    "sensors": set(),
     # theory by polynomials in NumPy, runs of a million steps, pictures
     "stability": {"adams", "alpha_degrees", "attempt", "backward_differentiation", "characteristic",
                   "dissipation", "drift", "equilibrium", "gradient_growth", "growth_factors",
@@ -61,5 +64,5 @@ ELSEWHERE: dict[str, set[str]] = {
               "quaternion_matrix", "rotation_z", "sincos", "sub", "total"},
     "model": {"as_declared", "known_zeros", "made_ahead", "partition", "prepare", "spans",
               "without_constants"},
-    "threads": {"compile", "explain", "threads"},
+    "compiler": {"compile", "explain", "threads"},
 }  # fmt: skip

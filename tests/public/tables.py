@@ -198,6 +198,7 @@ TABLES: dict[str, dict[str, Case]] = {
     "wheeled": WHEELED,
     "planning": PLANNING,
     "control": designs.CONTROL,
+    "estimation": designs.ESTIMATION,
     "sysid": designs.SYSID,
     "stability": designs.STABILITY,
 }

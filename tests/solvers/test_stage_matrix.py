@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rbjax.solvers import radau_iia
-from rbjax.solvers.differential_algebraic import Equations, Point, solve
-from rbjax.solvers.spectrum import weights
-from rbjax.solvers.stage_matrix import Factored, Matrix
+from rbjax.solvers.constrained.differential_algebraic import Equations, Point, solve
+from rbjax.solvers.constrained.spectrum import weights
+from rbjax.solvers.constrained.stage_matrix import Factored, Matrix
 
 TABLEAU = radau_iia(3).tableau
 FORCE = 7.0

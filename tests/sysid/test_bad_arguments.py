@@ -5,7 +5,6 @@ balances, filters, motions and designs, `test_bad_data.py` the readers."""
 import functools
 import inspect
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -20,18 +19,12 @@ RUN = y.Recording("a", {"q": y.Channel(T, 0.1 * np.cos(5 * T))})
 MASS = {"mass": y.Unknown("bodies.mass", 0, positive=True)}
 J = np.random.default_rng(0).normal(size=(20, 2))
 R = J[:, 0] - 2 * J[:, 1]
-WALK = y.StateSpace.of(lambda x, u, w: x + w, lambda x: x)
 NUMBER = [None, "x", NAN, [], object(), np.ones((3, 3, 3))]
 
 
 @functools.cache
 def fit():
     return y.identify(MODEL, RUN, MASS, grid=y.Grid(0.01), restarts=0)
-
-
-def filtered():
-    seen = jnp.array([[1.0], [jnp.nan], [2.0]])
-    return y.kalman_filter(WALK, jnp.zeros(1), [1.0], jnp.zeros(2), seen, [1.0], [1.0])
 
 
 # function: (its good arguments, {argument: wrong values})
@@ -69,21 +62,6 @@ CASES = {
     "free_run": ({"model": MODEL, "recordings": [RUN]}, {
         "model": WRONG_MODEL, "recordings": WRONG_RUNS, "grid": WRONG_GRID, "starts": ["x", 5],
         "noise": [5, "x", {}, {"q": "x"}, {"q": [0.0]}, {"q": [NAN]}, {"q": [1.0, 2.0]}],
-    }),
-    "kalman_filter": (
-        {
-            "space": WALK, "start": jnp.zeros(1), "covariance": [1.0], "inputs": jnp.zeros(2),
-            "readings": jnp.ones((3, 1)), "process": [1.0], "noise": [1.0],
-        },
-        {
-            "space": [5, "x", None], "covariance": ["x", None, [[1.0, 2.0]]],
-            "inputs": [np.zeros(5)], "readings": [np.zeros((5, 1)), "x", None],
-            "process": ["x", None, [[1.0, 2.0]]], "noise": ["x", None, np.ones(2)],
-            "arrived": [np.ones((5, 1), bool)],
-        },
-    ),
-    "kalman_smoother": ({"space": WALK, "filtered": filtered()}, {
-        "space": [5, None], "filtered": [5, "x", None],
     }),
     "Channel": ({"t": T, "values": T}, {
         "t": [None, "x", T[::-1], T * NAN, T[:5], T[:, None]],

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import strategies as st
 
 import rbjax as rb
-from rbjax.sysid.job import Job
-from rbjax.sysid.job_example import write_example
-from rbjax.sysid.job_keys import KEYS
+from rbjax.sysid.jobs.example import write_example
+from rbjax.sysid.jobs.job import Job
+from rbjax.sysid.jobs.keys import KEYS
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +136,7 @@ MANY = hypothesis.settings(
     max_examples=150, derandomize=True, deadline=None, database=None,
     suppress_health_check=list(hypothesis.HealthCheck),
 )  # fmt: skip
+
 
 def bad_job(example, text):
     path = example.with_name("bad.toml")

@@ -9,10 +9,10 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, identify
-from rbjax.sysid.precision import cast
-from rbjax.sysid.runs import grid_of, run_of
-from rbjax.sysid.step_length import start_grid
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.estimators.step_length import start_grid
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation.runs import grid_of, run_of
+from rbjax.sysid.statistics.precision import cast
 
 MODEL = rb.load("pendulum")
 MASS = {"mass": Unknown("bodies.mass", 0, positive=True)}

@@ -21,15 +21,15 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown
-from rbjax.sysid.consistent import _Problem
-from rbjax.sysid.divergence import Divergence
-from rbjax.sysid.encoder_zeros import _augmented
-from rbjax.sysid.likelihood import Levels, Likelihood, series_of
-from rbjax.sysid.regression import LOSSES, METHODS, weighted
-from rbjax.sysid.runs import batch_of, run_of
-from rbjax.sysid.shooting import Shooting
-from rbjax.sysid.simulation_error import SimulationError
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.estimators.likelihood import Levels, Likelihood, series_of
+from rbjax.sysid.parameters.divergence import Divergence
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation.runs import batch_of, run_of
+from rbjax.sysid.simulation.shooting import Shooting
+from rbjax.sysid.simulation.simulation_error import SimulationError
+from rbjax.sysid.torque.consistency import _Problem
+from rbjax.sysid.torque.encoder_zeros import _augmented
+from rbjax.sysid.torque.regression import LOSSES, METHODS, weighted
 from tests.sysid.test_prediction_error import first
 from tests.sysid.test_torque_rows import MODEL as ARM
 from tests.sysid.test_torque_rows import TERMS, run, truth

@@ -9,9 +9,9 @@ import pytest
 import rbjax as rb
 from benchmarks.cases.wrong_data import NOISE, TRUTH, UNKNOWNS, WRONG, T, leg
 from rbjax.sysid import PD, Channel, Grid, Recording, Setup, Trace, Unknown, diagnose, identify
-from rbjax.sysid.clocks import rate_of
-from rbjax.sysid.mends import flip, stretch, swap, without
-from rbjax.sysid.simulation import motion
+from rbjax.sysid.data.corrections import flip, stretch, swap, without
+from rbjax.sysid.judgement.clocks import rate_of
+from rbjax.sysid.simulation.setup import motion
 
 
 def seen(q):

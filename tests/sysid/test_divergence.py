@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rbjax.sysid.divergence import Divergence, _excess
+from rbjax.sysid.parameters.divergence import Divergence, _excess
 
 ONE = np.array([1.0])
 KINDS = {

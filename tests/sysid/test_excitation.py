@@ -8,7 +8,7 @@ from scipy import interpolate
 
 import rbjax as rb
 from rbjax.sysid import Fourier, Spline, crlb
-from rbjax.sysid.experiments import CRITERIA
+from rbjax.sysid.design.experiments import CRITERIA
 from tests.oracles import load
 from tests.sysid.two_link import regressor
 from tests.tolerances import GRADIENT, relative_error

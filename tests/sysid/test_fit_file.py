@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import Grid, identify
-from rbjax.sysid.fit_file import write_fit
+from rbjax.sysid.estimators.fit_file import write_fit
 from tests.sysid.test_identify import DAMPING, GUESS, MASS, seen
 
 

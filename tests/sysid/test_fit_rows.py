@@ -8,12 +8,12 @@ import pytest
 import rbjax as rb
 from rbjax.rotations import quaternion
 from rbjax.sysid import Grid, Setup, Unknown
-from rbjax.sysid.fit_rows import columns_of, samples_of
-from rbjax.sysid.fit_statistics import fit_statistics
-from rbjax.sysid.runs import Run
-from rbjax.sysid.simulation import motion
-from rbjax.sysid.simulation_error import SimulationError
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.estimators.fit_rows import columns_of, samples_of
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation.runs import Run
+from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.simulation.simulation_error import SimulationError
+from rbjax.sysid.statistics.fit_statistics import fit_statistics
 
 N, SIGMA = 150, 1e-3
 SOUGHT = {"inertia": Unknown("bodies.inertia", (0, 0, 0), positive=True)}

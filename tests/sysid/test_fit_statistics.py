@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rbjax.sysid.fit_statistics import Column, Rows, _scores, fit_statistics
-from rbjax.sysid.simulation_error import HUBER
+from rbjax.sysid.simulation.simulation_error import HUBER
+from rbjax.sysid.statistics.fit_statistics import Column, Rows, _scores, fit_statistics
 
 M = 300
 T = np.linspace(0.0, 3.0, M)
@@ -124,9 +124,7 @@ def test_columns_of_unequal_noise_and_few_samples():
     first = columns(0.1 * rng.normal(size=M), wide)[0]
     for stated, sigma in ((True, 1.0), (False, 0.1)):
         rows = Rows(single, np.zeros(1), np.ones(1, bool), np.zeros(1, int), np.arange(4))
-        said = fit_statistics(
-            [*NAMES, "d"], np.zeros(4), [first, Column("z[0]", [rows], stated)]
-        )
+        said = fit_statistics([*NAMES, "d"], np.zeros(4), [first, Column("z[0]", [rows], stated)])
         assert abs(said.estimates.interval("d").sigma / sigma - 1) < 0.15
 
 

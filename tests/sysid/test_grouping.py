@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Grid, Inertia, Reads, Setup, Tilt, Unknown, base_parameters, grouping
-from rbjax.sysid.grouping import grouped
-from rbjax.sysid.islands import directions
-from rbjax.sysid.runs import Run
-from rbjax.sysid.simulation_error import SimulationError
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid import Grid, Inertia, Reads, Setup, Tilt, Unknown, base_parameters
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation import grouping
+from rbjax.sysid.simulation.grouping import grouped
+from rbjax.sysid.simulation.islands import directions
+from rbjax.sysid.simulation.runs import Run
+from rbjax.sysid.simulation.simulation_error import SimulationError
 
 SOUGHT = {
     "armature": Unknown("joints.armature", positive=True), "bias": Unknown("sensors.q.bias"),

@@ -12,12 +12,12 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import PD, Derived, Grid, Setup, Tilt, Unknown
-from rbjax.sysid.islands import ALL, directions, islands_of
-from rbjax.sysid.runs import Run
-from rbjax.sysid.side_by_side import equal_parts
-from rbjax.sysid.simulation import motion, reading
-from rbjax.sysid.simulation_error import SimulationError, began
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation.islands import ALL, directions, islands_of
+from rbjax.sysid.simulation.runs import Run
+from rbjax.sysid.simulation.setup import motion, reading
+from rbjax.sysid.simulation.side_by_side import equal_parts
+from rbjax.sysid.simulation.simulation_error import SimulationError, began
 
 GRID = Grid(0.01, 2, "rk4", 3)
 N = 12

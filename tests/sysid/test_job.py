@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 import rbjax as rb
 from rbjax.cli import app
 from rbjax.sysid import Grid, Inertia, Tilt, estimates
-from rbjax.sysid.job import Job, Results
-from rbjax.sysid.job_example import CONFIGURATION, TRUTH, write_example
+from rbjax.sysid.jobs.example import CONFIGURATION, TRUTH, write_example
+from rbjax.sysid.jobs.job import Job, Results
 
 
 def run(*args, code=0):
@@ -140,11 +140,11 @@ def test_the_command_says_what_was_found(tmp_path, monkeypatch):
 
 def test_a_robot_whose_file_cannot_say_it_gets_a_new_one(tmp_path):
     """Gravity that is tilted has no place in a URDF."""
-    urdf = '''<robot name="r"><link name="base"/><link name="arm"><inertial>
+    urdf = """<robot name="r"><link name="base"/><link name="arm"><inertial>
       <origin xyz="0 0 -0.1"/><mass value="1"/>
       <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
       <joint name="j" type="continuous"><parent link="base"/><child link="arm"/>
-      <axis xyz="0 1 0"/></joint></robot>'''
+      <axis xyz="0 1 0"/></joint></robot>"""
     (tmp_path / "r.urdf").write_text(urdf)
     model = rb.load(tmp_path / "r.urdf")
     job = Job(str(tmp_path / "r.urdf"), None, (), (), {}, None, {}, tmp_path)

@@ -11,11 +11,11 @@ import rbjax as rb
 from rbjax.cli import app
 from rbjax.errors import InputError, UnknownName
 from rbjax.sysid import Setup
-from rbjax.sysid import job as jobs
-from rbjax.sysid.job import Job
-from rbjax.sysid.job_example import CONFIGURATION, write_example
-from rbjax.sysid.job_keys import KEYS, KINDS
-from rbjax.sysid.job_places import place_of
+from rbjax.sysid.jobs import job as jobs
+from rbjax.sysid.jobs.example import CONFIGURATION, write_example
+from rbjax.sysid.jobs.job import Job
+from rbjax.sysid.jobs.keys import KEYS, KINDS
+from rbjax.sysid.jobs.places import place_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "job_files.md"
 ANGLE = '"shoulder angle" = { sensor = "q", joint = "shoulder", unit = "deg" }'
@@ -138,7 +138,7 @@ def tree():
     ],
 )
 def test_names_resolve_within_indices(tree, leaf, index, where):
-    value = rb.sysid.unknowns.leaf_of(tree, leaf)
+    value = rb.sysid.parameters.unknowns.leaf_of(tree, leaf)
     numbers = np.arange(value.size).reshape(value.shape)
     where = tuple(np.array(x) if isinstance(x, list) else x for x in where)
     np.testing.assert_array_equal(numbers[place_of(tree, leaf, index)], numbers[where])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rbjax.sysid.divergence import Divergence
-from rbjax.sysid.least_squares import minimise, shown
+from rbjax.sysid.estimators.least_squares import minimise, shown
+from rbjax.sysid.parameters.divergence import Divergence
 
 T = np.linspace(0.0, 3.0, 200)
 

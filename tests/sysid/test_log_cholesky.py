@@ -10,7 +10,7 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.errors import InputError
-from rbjax.sysid.log_cholesky import parameter_jacobian
+from rbjax.sysid.parameters.log_cholesky import parameter_jacobian
 from tests.composing import check_axes, check_composes
 from tests.oracles import load
 from tests.tolerances import relative_error

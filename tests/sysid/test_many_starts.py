@@ -18,8 +18,8 @@ from rbjax.sysid import (
     identify,
     many_starts,
 )
-from rbjax.sysid.guesses import drawn
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.parameters.guesses import drawn
+from rbjax.sysid.parameters.unknowns import Unknowns
 
 MODEL = rb.load("pendulum")
 ROTOR = {"armature": Unknown("joints.armature", 0, positive=True)}

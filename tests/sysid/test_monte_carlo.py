@@ -60,7 +60,7 @@ def test_outliers_are_drawn_with_the_residuals_of_a_robust_fit() -> None:
 def test_it_repeats_the_fit_of_the_user(monkeypatch) -> None:
     """From the first guess and with the options of the fit, not from the numbers that it found;
     recordings differ in their noise only."""
-    from rbjax.sysid import monte_carlo as module
+    from rbjax.sysid.judgement import repeated_fits
 
     found, asked = swung(), []
 
@@ -68,8 +68,8 @@ def test_it_repeats_the_fit_of_the_user(monkeypatch) -> None:
         asked.append((setup, runs, how))
         return found
 
-    monkeypatch.setattr(__import__("sys").modules["rbjax.sysid.monte_carlo"], "fitted", fitted)
-    again = module(found, 3)
+    monkeypatch.setattr(repeated_fits, "fitted", fitted)
+    again = monte_carlo(found, 3)
     assert len(asked) == 3 and again.failed == 0
     for setup, runs, how in asked:
         assert setup.model.joints.damping[0] == found.guess["drag"] != found.values["drag"]
@@ -96,14 +96,12 @@ def test_refuses(found, how, said) -> None:
 @pytest.mark.parametrize(("ok", "good"), [(True, True), (True, False), (False, False)])
 def test_repetitions_that_fail_are_counted(monkeypatch, ok, good) -> None:
     """And those whose verdict is good."""
-    from rbjax.sysid import monte_carlo as module
+    from rbjax.sysid.judgement import repeated_fits
 
     found = swung()
     verdict = dataclasses.replace(found.verdict, good=good)
     one = dataclasses.replace(found, ok=ok, verdict=verdict)
-    monkeypatch.setattr(
-        __import__("sys").modules["rbjax.sysid.monte_carlo"], "fitted", lambda *x, **more: one
-    )
-    again = module(found, 3)
+    monkeypatch.setattr(repeated_fits, "fitted", lambda *x, **more: one)
+    again = monte_carlo(found, 3)
     assert again.failed == 3 * (not ok) and again.good == 3 * good
     assert again.coverage == 1.0 and again.inside.shape == (3, 1)

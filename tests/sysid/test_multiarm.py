@@ -8,10 +8,10 @@ import rbjax as rb
 from benchmarks.cases import pendulums
 from benchmarks.cases.pendulums import NAMES, Arms, chain
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, free_run, identify
-from rbjax.sysid.runs import run_of
-from rbjax.sysid.shooting import Shooting
-from rbjax.sysid.simulation import motion
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation.runs import run_of
+from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.simulation.shooting import Shooting
 
 T = 0.02
 GRID = Grid(T, 2)

@@ -11,9 +11,9 @@ from scipy import stats
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, estimates, identify
 from rbjax.sysid import prediction_error as fitted
-from rbjax.sysid.divergence import Divergence
-from rbjax.sysid.likelihood import series_of
-from rbjax.sysid.prediction_error import _maximised
+from rbjax.sysid.estimators.likelihood import series_of
+from rbjax.sysid.estimators.prediction import _maximised
+from rbjax.sysid.parameters.divergence import Divergence
 
 T, PUSH, SIGMA = 0.02, 0.3, 1e-3
 EULER = "semi_implicit_euler"  # of one stage, whose program is small

@@ -5,8 +5,8 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import Channel, Derived, Grid, Recording, Setup, Unknown, identify
-from rbjax.sysid.programs import kept
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation.programs import kept
 from tests.compilations import compilations
 
 MODEL = rb.load("pendulum")
@@ -64,9 +64,7 @@ def test_what_is_one_program():
 
     def factor(setup, p):
         bodies = setup.model.bodies
-        return setup.replace(
-            model=setup.model.replace(bodies=bodies.replace(mass=p * bodies.mass))
-        )
+        return setup.replace(model=setup.model.replace(bodies=bodies.replace(mass=p * bodies.mass)))
 
     times = {"times": Derived((0.0,), factor)}
     assert of(1.0, times) is of(1.0, times) and of(1.0, times) is not of(2.0, times)

@@ -5,7 +5,7 @@ import pytest
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.sysid import combinations, estimates
-from rbjax.sysid.rank import beside_others
+from rbjax.sysid.statistics.rank import beside_others
 
 RNG = np.random.default_rng(0)
 T = np.linspace(0.0, 2.0, 40)

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import rbjax as rb
 from rbjax.sysid import Channel, Recording, in_si, split
-from rbjax.sysid.units import UNITS
+from rbjax.sysid.data.units import UNITS
 
 T = np.arange(200) / 100
 SWING = np.stack([np.sin(3 * T), np.cos(2 * T)], 1)

@@ -231,7 +231,7 @@ def test_instruments_of_the_simulated_arm():
 
 def test_the_method_is_one_of_a_dict():
     names, W, tau, _, beta = experiment(100)
-    sysid.METHODS["half"] = lambda eq: sysid.regression.weighted(eq)
+    sysid.METHODS["half"] = lambda eq: sysid.torque.regression.weighted(eq)
     try:
         assert np.allclose(sysid.regress(W, tau, names, method="half").beta, beta)
     finally:

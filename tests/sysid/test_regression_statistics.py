@@ -9,7 +9,7 @@ import rbjax as rb
 from rbjax import sysid
 from rbjax.errors import InputError, UnknownName
 from rbjax.sysid import regress, select
-from rbjax.sysid.encoder_zeros import regress_with_zeros, zeros_of
+from rbjax.sysid.torque.encoder_zeros import regress_with_zeros, zeros_of
 
 NAMES = ["offset", "slope", "wave"]
 BETA = np.array([1.0, -2.0, 0.5])

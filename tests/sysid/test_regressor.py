@@ -11,7 +11,7 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.errors import InputError, UnknownName
-from rbjax.sysid.regressor import coordinate_rows, joint_coordinates
+from rbjax.sysid.torque.regressors import coordinate_rows, joint_coordinates
 from tests.composing import check_axes, check_composes
 from tests.oracles import load
 from tests.robots import robot

@@ -17,6 +17,6 @@ def test_a_report_says_what_was_found(tmp_path):
         assert words in page
     # fits of q and v, residuals, intervals, correlation, held out
     assert page.count("data:image/png") == 6
-    assert "src=\"http" not in page and "<script" not in page
+    assert 'src="http' not in page and "<script" not in page
     with pytest.raises(rb.InputError, match="no folder"):
         report(found, tmp_path / "nowhere" / "report.html")

@@ -4,7 +4,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Recording, Setup
-from rbjax.sysid.runs import run_of
+from rbjax.sysid.simulation.runs import run_of
 
 SETUP = Setup.of(rb.load("pendulum"))
 T = 0.01

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import PD, Grid, Setup, Unknown, segments
-from rbjax.sysid.segments import in_segments
-from rbjax.sysid.simulation import motion
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid import PD, Grid, Setup, Unknown
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation import segments
+from rbjax.sysid.simulation.segments import in_segments
+from rbjax.sysid.simulation.setup import motion
 
 N = 50
 SOUGHT = {

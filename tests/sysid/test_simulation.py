@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import PD, Grid, Sensor, Setup
-from rbjax.sysid.simulation import motion, reading
+from rbjax.sysid.simulation.setup import motion, reading
 
 MODEL = rb.load("cart_pole")
 START = rb.State(jnp.array([0.1, 0.4]), jnp.array([0.0, -0.3]))

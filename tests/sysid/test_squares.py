@@ -7,7 +7,7 @@ import pytest
 import rbjax as rb
 from rbjax.errors import InputError
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, squares
-from rbjax.sysid.squares import _keep, faster
+from rbjax.sysid.simulation.objective import _keep, faster
 
 MODEL = rb.load("cart_pole")
 SOUGHT = {

@@ -18,8 +18,8 @@ from rbjax.sysid import (
     log_determinant_divergence,
     pseudo_inertia_of,
 )
-from rbjax.sysid.guesses import drawn
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.parameters.guesses import drawn
+from rbjax.sysid.parameters.unknowns import Unknowns
 
 MODEL = rb.load("arm7")
 MASSES = np.asarray(MODEL.bodies.mass)

@@ -5,8 +5,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import Channel, Recording, Trace, Unknown, held_out, identify
-from rbjax.sysid.variance import explained, varies
-from rbjax.sysid.verdict import constant_columns, is_poor, judged, without_outliers
+from rbjax.sysid.estimators.verdict import constant_columns, is_poor, judged, without_outliers
+from rbjax.sysid.statistics.variance import explained, varies
 
 RNG = np.random.default_rng(0)
 MASS = {"mass": Unknown("bodies.mass", 0, positive=True)}

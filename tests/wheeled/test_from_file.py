@@ -14,10 +14,10 @@ import pytest
 
 from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName, UnsupportedFeature
-from rbjax.loading.load import compile_model
+from rbjax.loading.loader import compile_model
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, SpeedServo, TorqueSource
-from rbjax.wheeled.numbers import numbers_of
+from rbjax.wheeled.kinematics.numbers import numbers_of
 from tests.oracles.rolling_mujoco import RollingFile, Touch, ackermann
 from tests.tolerances import relative_error
 from tests.wheeled.test_full_model import full_rates, stacked

@@ -13,13 +13,13 @@ from rbjax import wheeled
 from rbjax.constraints import KKT, jacobian, mobility
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
-from rbjax.wheeled.constrained import Constrained, full_state
-from rbjax.wheeled.equations import project, weights
-from rbjax.wheeled.fidelity import kinetic_energy
-from rbjax.wheeled.full_model import full_model
-from rbjax.wheeled.instant import coordinate_rates
-from rbjax.wheeled.planar import Moving, rate_of
-from rbjax.wheeled.velocities import ideal, rows
+from rbjax.wheeled.kinematics.instant import coordinate_rates
+from rbjax.wheeled.kinematics.planar import Moving, rate_of
+from rbjax.wheeled.kinematics.velocities import ideal, rows
+from rbjax.wheeled.models.constrained import Constrained, full_state
+from rbjax.wheeled.models.equations import project, weights
+from rbjax.wheeled.models.fidelity import kinetic_energy
+from rbjax.wheeled.multibody.full_model import full_model
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 
 KINDS = wheeled.kinds()

@@ -11,11 +11,11 @@ from rbjax import wheeled
 from rbjax.compiling import compiler_options
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, Relaxing, RollingResistance, SpeedServo
-from rbjax.wheeled.fidelity import as_state, kinetic_energy, potential_energy
-from rbjax.wheeled.loads import wheel_loads
-from rbjax.wheeled.motion import METHODS
-from rbjax.wheeled.slipping import Slipping
-from rbjax.wheeled.velocities import contact, rows, shaft_speed, twists_of
+from rbjax.wheeled.kinematics.velocities import contact, rows, shaft_speed, twists_of
+from rbjax.wheeled.models.fidelity import as_state, kinetic_energy, potential_energy
+from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.models.slipping import Slipping
+from rbjax.wheeled.motion.rollout import METHODS
 from tests.wheeled.laws import LAWS, by_complex_step, numbers
 
 KINDS = wheeled.kinds()

@@ -9,8 +9,8 @@ from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled import Body, Drive, Robot, SpeedServo, Steering, Wheel
-from rbjax.wheeled.fidelity import kinetic_energy, potential_energy
-from rbjax.wheeled.velocities import ideal, rows
+from rbjax.wheeled.kinematics.velocities import ideal, rows
+from rbjax.wheeled.models.fidelity import kinetic_energy, potential_energy
 from tests.oracles import wheeled as oracle
 from tests.wheeled.test_full_model import on_a_slope
 
@@ -224,7 +224,7 @@ def test_every_kind_has_every_fidelity_and_trailers_can_be_added() -> None:
 
 def test_a_car_turns_about_the_axle_of_its_rear_wheels() -> None:
     """Ackermann: each front wheel is across the line from the centre of the turn to its hub."""
-    from rbjax.wheeled.velocities import contact, twists_of
+    from rbjax.wheeled.kinematics.velocities import contact, twists_of
 
     vehicle = wheeled.at(wheeled.kinds()["car"].make(), "kinematical")
     state = wheeled.start(vehicle, twist=[3.0, 0.0, 0.0])

@@ -9,9 +9,9 @@ from rbjax import wheeled
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.wheeled import Fiala, Linear, Relaxing, RollingResistance, TMeasy
-from rbjax.wheeled.fidelity import kinetic_energy, potential_energy
-from rbjax.wheeled.loads import wheel_loads
-from rbjax.wheeled.velocities import contact, twists_of
+from rbjax.wheeled.kinematics.velocities import contact, twists_of
+from rbjax.wheeled.models.fidelity import kinetic_energy, potential_energy
+from rbjax.wheeled.models.loads import wheel_loads
 
 KINDS = wheeled.kinds()
 SOME = ["differential_drive", "car_trailer"]

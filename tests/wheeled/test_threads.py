@@ -7,7 +7,7 @@ import pytest
 
 from rbjax import wheeled
 from rbjax.model import State
-from tests.threads.host import by_xla, many_on_host
+from tests.compiler.host import by_xla, many_on_host
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 KINDS = wheeled.kinds()

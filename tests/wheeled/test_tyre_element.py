@@ -257,7 +257,7 @@ def test_in_single_precision_and_as_a_thread():
     np.testing.assert_allclose(
         found, jax.jit(rb.applied_forces)(model, state), rtol=1e-3, atol=0.05
     )
-    explained = rb.threads.explain(lambda s: rb.applied_forces(half, s), light)
+    explained = rb.compiler.explain(lambda s: rb.applied_forces(half, s), light)
     assert explained.operations < 400
 
 

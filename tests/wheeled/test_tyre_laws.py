@@ -179,7 +179,7 @@ def test_as_a_thread(law):
     def f(law, u):
         return law.response(u[0], u[1], u[2])[0]
 
-    assert rb.threads.explain(f, law, jnp.ones(3)).operations < 90
+    assert rb.compiler.explain(f, law, jnp.ones(3)).operations < 90
 
 
 @pytest.mark.parametrize(

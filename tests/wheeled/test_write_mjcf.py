@@ -12,8 +12,8 @@ import pytest
 import rbjax as rb
 from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName, UnsupportedFeature
-from rbjax.wheeled.full_model import BASES, full_model
-from rbjax.wheeled.motors import limited
+from rbjax.wheeled.multibody.full_model import BASES, full_model
+from rbjax.wheeled.robot.motors import limited
 from tests.tolerances import relative_error
 
 KINDS = wheeled.kinds()

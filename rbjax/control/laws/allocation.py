@@ -23,7 +23,7 @@ from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
 from rbjax.forces.acting import sighted
-from rbjax.forces.actuator import Actuator, GainBias
+from rbjax.forces.actuators.actuator import Actuator, GainBias
 from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, sub

@@ -25,7 +25,7 @@ from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.linearise import apart, beside
 from rbjax.motion.rollout import integrated
-from rbjax.solvers.arguments import check_between, check_whole
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 KEPT = 2**23  # numbers of states that are kept at once: 64 MiB in f64
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from rbjax.control.laws.controller import Controller, actuator_forces, check_controlled_model, gains
 from rbjax.control.laws.references import Followed, check_configurations, configuration
-from rbjax.dynamics.manifold import difference
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.lanes import matvec
 from rbjax.model import Model, State, spans
 from rbjax.rotations import so3

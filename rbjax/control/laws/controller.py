@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control.laws.allocation import Allocation, allocate, check_driven
+from rbjax.dynamics.algorithms.rnea import inverse_dynamics
 from rbjax.dynamics.arguments import check_array, check_model, check_moves
-from rbjax.dynamics.rnea import inverse_dynamics
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
 from rbjax.model import Model, State

@@ -15,8 +15,8 @@ from typing import Any
 import jax
 
 from rbjax.control.laws.controller import Controller, check_controlled_model, holding_forces
+from rbjax.dynamics.algorithms.jacobians import generalized_forces
 from rbjax.dynamics.arguments import check_array, check_takes
-from rbjax.dynamics.jacobians import generalized_forces
 from rbjax.model import Model, State
 
 WHERE = "gravity_compensation"

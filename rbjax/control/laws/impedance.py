@@ -28,8 +28,8 @@ from rbjax.control.laws.controller import (
 )
 from rbjax.control.laws.references import check_configurations, check_poses, configuration
 from rbjax.control.laws.task import Task, inertia, motion, task_of
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_array, shape_of
-from rbjax.dynamics.manifold import difference
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.model import Model, State

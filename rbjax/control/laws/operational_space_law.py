@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from rbjax.control.laws.controller import Controller, actuator_forces, check_controlled_model, gains
 from rbjax.control.laws.references import check_configurations, check_poses, configuration
 from rbjax.control.laws.task import Inertia, Motion, Task, inertia, motion, task_of
-from rbjax.dynamics.manifold import difference
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.lanes import matvec
 from rbjax.model import Model, State
 

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_array, check_quaternions, check_takes
-from rbjax.dynamics.manifold import difference
 from rbjax.errors import InputError
 from rbjax.model import Model
 

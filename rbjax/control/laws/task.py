@@ -20,11 +20,11 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.control.laws.references import Pose, pose
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, site_pose
+from rbjax.dynamics.algorithms.jacobians import jacobian
+from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_static
-from rbjax.dynamics.crba import mass_matrix
-from rbjax.dynamics.frames import frame_bias_acceleration, site_pose
-from rbjax.dynamics.jacobians import jacobian
-from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.kinematics.goals import Goal, body_of
 from rbjax.lanes import ldlt, matmat, matvec

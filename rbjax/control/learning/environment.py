@@ -24,7 +24,7 @@ from rbjax.model.record import Record
 from rbjax.motion.field import free_motion
 from rbjax.motion.integrators import integrator_of
 from rbjax.motion.rollout import rollout
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 
 class Segment(NamedTuple):

@@ -14,8 +14,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import quickly
 from rbjax.progress import progress_line
-from rbjax.threads import quickly
 
 CHUNKS = 10  # reports of progress
 

@@ -32,7 +32,7 @@ from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
 from rbjax.model import State
 from rbjax.model.record import Record
-from rbjax.solvers.arguments import check_between, check_whole
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 GROUPS = 32  # of samples, whose gradients are computed side by side
 

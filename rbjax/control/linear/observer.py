@@ -1,18 +1,12 @@
-"""States that are not measured: the steady Kalman gain, and a filter about a model.
+"""The steady Kalman gain: the regulator of the transposed system, (A', C', W, V) for (A, B, Q, R).
 
-The steady gain is the regulator of the transposed system: (A', C', W, V) for (A, B, Q, R). About a
-model, `kalman_update` and `kalman_predict` (`motion/kalman.py`) are the two halves of a filter on
-the tangent space, to be called around a control law,
-
-    x <- update(x, y);   u = law(t, x.state);   x <- predict(x, u)
+Filters and smoothers of a model are in `rbjax.estimation`.
 
 Source: Bryson & Ho, *Applied Optimal Control*, 12; Anderson & Moore, *Optimal Filtering*, 4.
 """
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -20,19 +14,12 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
 from rbjax.arguments import flag
-from rbjax.constraints.formulation import Formulation
 from rbjax.control.linear.algebraic_riccati import riccati
 from rbjax.control.linear.regulators import weights
 from rbjax.control.linear.riccati import definite_factor
 from rbjax.control.linear.systems import pair
 from rbjax.control.products import product
 from rbjax.control.status import LinearStatus
-from rbjax.dynamics.arguments import check_model, check_step, check_takes
-from rbjax.model import Model, State
-from rbjax.motion.field import Law, free_motion, law_of
-from rbjax.motion.integrators import Integrator, integrator_of
-from rbjax.motion.kalman import StateSpace
-from rbjax.motion.linearise import apart, beside, step
 
 
 class SteadyFilter(NamedTuple):
@@ -91,54 +78,3 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
         L, ok = definite_factor((S + S.T) / 2)
         gain = jnp.where(ok, cho_solve((L, True), product(C, found.P)).T, 0.0)
     return SteadyFilter(gain, found.P, found.residual, found.error, found.status)
-
-
-def observed(
-    model: Model,
-    read: Callable[[State], jax.Array],
-    dt: Any = None,
-    *,
-    integrator: str | Integrator | None = None,
-    law: Law = free_motion,
-    constraints: str | Formulation | None = None,
-) -> StateSpace:
-    """A model as the state space of a Kalman filter: steps of `rollout`, noise w (2 nv + nx,) on
-    the tangent space behind each, and readings y = read(state) + e.
-
-    Args:
-        model: the robot.
-        read: a function of a state that returns (m,).
-        dt: seconds; the model's timestep if None.
-        integrator, law, constraints: as in `rb.step`.
-
-    Returns:
-        `StateSpace`, for `kalman_update`, `kalman_predict` and `kalman_filter`.
-
-    Raises:
-        InputError: no model, a reading that is no function of a state.
-
-    Source: Sola, *A micro Lie theory*, 2018.
-
-    Example:
-        >>> import jax.numpy as jnp, rbjax as rb
-        >>> from rbjax.control import Estimate, kalman_update, observed
-        >>> model = rb.load("pendulum")
-        >>> space = observed(model, lambda state: state.q, 0.01)
-        >>> guess = Estimate(model.default_state(), jnp.eye(2))
-        >>> kalman_update(space, guess, jnp.array([0.2]), [1e-4]).state.q.shape
-        (1,)
-    """
-    check_model("observed", model)
-    check_takes("observed", "read", read, "state")
-    if dt is not None:
-        check_step("observed", "dt", dt, jnp.zeros(()).dtype)
-    integrator_of("observed", integrator, law_of("observed", model, law, constraints))
-
-    def move(state: State, ctrl: Any, w: jax.Array) -> State:
-        new = step(model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints)
-        return beside(model, new, w)
-
-    return StateSpace(
-        move, lambda state, y: y - read(state), functools.partial(beside, model),
-        functools.partial(apart, model),
-    )  # fmt: skip

@@ -23,7 +23,7 @@ import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.compiling import compiled
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.control.linear.algebraic_riccati import riccati
 from rbjax.control.linear.riccati import Gains, backward, constant_problem
 from rbjax.control.status import LinearStatus, raise_failure
@@ -34,7 +34,7 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Law, free_motion
 from rbjax.motion.integrators import Integrator
 from rbjax.motion.linearise import apart, linearise
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 
 class Regulator(NamedTuple):

@@ -26,7 +26,7 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 from rbjax.arguments import instance
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, shape_of
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 MADE = "a LinearQuadratic, such as rb.control.linear.constant_problem returns"
 

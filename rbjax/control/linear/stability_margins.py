@@ -29,7 +29,7 @@ from rbjax.control.linear.lyapunov_equation import cayley, is_stable, pace
 from rbjax.control.linear.systems import pair
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, check_step
-from rbjax.solvers.arguments import check_between, check_whole
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 CROSSINGS = 16  # of each kind that are refined
 HALVINGS = 50

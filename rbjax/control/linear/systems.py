@@ -32,7 +32,7 @@ from rbjax.dynamics.arguments import check_array, check_model, check_step, shape
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least
 from rbjax.model import Model
-from rbjax.solvers.arguments import check_between
+from rbjax.solvers.common.arguments import check_between
 
 
 class Reach(NamedTuple):

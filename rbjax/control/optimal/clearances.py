@@ -24,8 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control.optimal.terms import Term
+from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array
-from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least, check_several
 from rbjax.model import Model

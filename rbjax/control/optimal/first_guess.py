@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.control.optimal.constraint_rows import row_count
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY, Multipliers
@@ -24,7 +25,6 @@ from rbjax.control.optimal.shooting.expansion import merit
 from rbjax.control.optimal.solution import Solution
 from rbjax.control.products import product
 from rbjax.errors import InputError
-from rbjax.threads import threads
 
 
 class Guess(NamedTuple):

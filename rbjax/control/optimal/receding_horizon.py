@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag
+from rbjax.compiler import threads
 from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.optimal.options import Options, StoppingRule
@@ -36,8 +37,7 @@ from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_between, check_whole
-from rbjax.threads import threads
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without

@@ -19,11 +19,11 @@ import numpy as np
 
 from rbjax.control.optimal.system import Controlled
 from rbjax.control.optimal.terms import Term
+from rbjax.dynamics.algorithms.energy import center_of_mass
+from rbjax.dynamics.algorithms.forward import forward_dynamics
+from rbjax.dynamics.algorithms.frames import frame_velocity, site_pose
+from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_takes
-from rbjax.dynamics.energy import center_of_mass
-from rbjax.dynamics.forward import forward_dynamics
-from rbjax.dynamics.frames import frame_velocity, site_pose
-from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
 from rbjax.kinematics.arguments import check_rotation, known_array

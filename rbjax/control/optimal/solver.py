@@ -22,9 +22,9 @@ from rbjax.control.optimal.registry import METHODS, method_of, name_of
 from rbjax.control.optimal.solution import SearchResult, Solution, solution_of
 from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
 from rbjax.errors import InputError
-from rbjax.motion.captured import with_captured
+from rbjax.motion.closures.captured import with_captured
 from rbjax.progress import Say, progress_line
-from rbjax.solvers.arguments import check_between, check_whole
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 
 def solve(

@@ -20,13 +20,13 @@ import numpy as np
 
 from rbjax import solvers
 from rbjax.arguments import real_array
-from rbjax.dynamics.manifold import difference, integrate
+from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.integrators import INTEGRATORS
 from rbjax.motion.rollout import rollout
 from rbjax.motion.simulate import simulate
-from rbjax.solvers.dop853 import DOP853
+from rbjax.solvers.explicit.dop853 import DOP853
 from rbjax.stability.methods import Solver, made, stepping
 from rbjax.stability.runs.linearisation import at_rest
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic

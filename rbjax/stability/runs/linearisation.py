@@ -10,7 +10,8 @@ import numpy as np
 
 from rbjax.arguments import real_array
 from rbjax.constraints import residual
-from rbjax.dynamics.arguments import algorithm, check_arrays, check_model
+from rbjax.dynamics.arguments import check_arrays, check_model
+from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.field import free_motion, law_of

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.control.optimal.collocation import barrier
 from rbjax.control.optimal.collocation.barrier import Bounded, Duals
 from rbjax.control.optimal.collocation.condensing import (
@@ -35,8 +36,7 @@ from rbjax.control.optimal.constraint_rows import limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback, backward_pass
 from rbjax.lanes.products import matvec
-from rbjax.solvers.tableau import Tableau
-from rbjax.threads import threads
+from rbjax.solvers.common.tableau import Tableau
 
 
 class Point(NamedTuple):

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.control.optimal.constraint_rows import row_count
 from rbjax.control.optimal.objective import motion_cost
 from rbjax.control.optimal.options import Options, StoppingRule
@@ -47,7 +48,6 @@ from rbjax.control.optimal.shooting.search_state import (
 )
 from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import GOING
-from rbjax.threads import threads
 
 ACCEPTED, ASCENT = 0.1, 2.0  # shares of the expected change
 

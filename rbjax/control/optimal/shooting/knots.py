@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import in_parts, side_by_side, threads
 from rbjax.control.optimal.constraint_rows import knot_violation, limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import (
@@ -28,7 +29,6 @@ from rbjax.control.optimal.shooting.expansion import (
     quadratic,
     second_order,
 )
-from rbjax.threads import in_parts, side_by_side, threads
 
 #: knots, of all problems together, up to which a GPU has a thread a column
 FEW = 2048

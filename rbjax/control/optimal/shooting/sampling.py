@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threads
 from rbjax.control.optimal.constraint_rows import (
     constraint_violations,
     row_count,
@@ -38,8 +39,7 @@ from rbjax.control.optimal.shooting.knots import largest_gap
 from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_between, check_whole
-from rbjax.threads import threads
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")

@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import in_parts, threads
 from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
@@ -43,7 +44,6 @@ from rbjax.control.optimal.shooting.knots import FEW, Expanded, knot_indices, kn
 from rbjax.control.optimal.shooting.search_state import LENGTHS, Decision, IterationValues
 from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.products import product
-from rbjax.threads import in_parts, threads
 
 RHO = 3.0
 

@@ -1,0 +1,46 @@
+"""All formulations of one rigid body's motion, by name. They describe the same motion.
+
+A formulation without an attitude in its name has no singularities. `lagrange_*` are the direct
+Lagrangian equations in a representation with three numbers, and each is singular somewhere.
+"""
+
+from __future__ import annotations
+
+import functools
+from types import MappingProxyType
+
+from rbjax.arguments import choice
+from rbjax.body.attitude_lagrange import Lagrange, QuasiLagrange
+from rbjax.body.equations import Formulation
+from rbjax.body.kirchhoff import Kirchhoff
+from rbjax.body.newton_euler import NewtonEuler
+from rbjax.body.spatial_equations import Momentum, Spatial
+from rbjax.rotations import representations
+
+
+@functools.cache
+def formulations() -> MappingProxyType[str, Formulation]:
+    """Name -> formulation, in a fixed order, with those without an attitude in the name first.
+
+    >>> list(formulations())[:3], len(formulations()) >= 36
+    (['newton_euler', 'newton_euler_origin', 'kirchhoff'], True)
+    """
+    entries: dict[str, Formulation] = {
+        "newton_euler": NewtonEuler(),
+        "newton_euler_origin": NewtonEuler((0.0, 0.0, 0.0)),
+        "kirchhoff": Kirchhoff(),
+        "spatial_body": Spatial(),
+        "spatial_world": Spatial((0.0, 0.0, 0.0)),
+        "momentum_body": Momentum(),
+        "momentum_world": Momentum((0.0, 0.0, 0.0)),
+        "quasi_lagrange": QuasiLagrange("unit_quaternion"),
+    }
+    minimal = (name for name, rep in representations().items() if rep.size == 3)
+    entries |= {f"lagrange_{name}": Lagrange(name) for name in minimal}
+    return MappingProxyType(entries)
+
+
+def formulation(name: str) -> Formulation:
+    """The formulation of that name."""
+    known = formulations()
+    return known[choice("formulation", name, known)]

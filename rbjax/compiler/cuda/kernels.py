@@ -1,0 +1,212 @@
+"""The CUDA source around a program: one thread a sample, one warp a block.
+
+The warp fetches rows of a batch-first operand through shared memory, so that it reads whole lines.
+Batch-first results are written in the same way (`stores`). Other layouts are read and written in
+place. A result that all samples share (the cotangent of an operand without a batch) is summed over
+the warp, with one partial sum a block.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rbjax.compiler.cuda import stores
+from rbjax.compiler.cuda.c_source import PREAMBLE, c_type, table
+from rbjax.compiler.lower.frame import Written, offset, parameters, sample_index
+from rbjax.compiler.lower.lowering import Unsupported
+
+#: threads of a block: one warp, so that no warp waits for another
+BLOCK = 32
+#: bytes of shared memory in which a block stages its rows
+SHARED_BYTES = 47 * 1024
+#: bytes of constant memory for tables; the others are read through the cache
+CONSTANT_BYTES = 48 * 1024
+#: NVRTC takes a second for a thousand statements; what is larger takes XLA longer still
+STATEMENTS_UP_TO = 100_000
+#: the driver reserves a thread's arrays for all threads that the device can hold at once: 17 GB
+ARRAY_BYTES_UP_TO = 64 * 1024
+
+BASICS = """
+#define QUALIFIED static __device__ inline
+#define NAN __int_as_float(0x7fffffff)
+#define INFINITY __int_as_float(0x7f800000)
+#define RSQRTf(x) rsqrtf(x)
+#define RSQRT(x) rsqrt(x)
+typedef float c_float;
+typedef double c_double;
+"""
+HEAD = """
+#define AT_ONCE 16
+// what does not fit into registers goes to shared memory: local memory that L1 cannot hold is L2's
+#if __CUDACC_VER_MAJOR__ >= 13
+#define SPILL_TO_SHARED asm volatile(".pragma \\"enable_smem_spilling\\";");
+#else
+#define SPILL_TO_SHARED
+#endif
+template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, int rows) {
+  if (rows < BLOCK) {
+    for (int k = threadIdx.x; k < rows * N; k += BLOCK) to[PITCH == N ? k : k + k / N] = from[k];
+    return;
+  }
+  for (int first = 0; first < N; first += AT_ONCE) {  // many reads on their way at a time
+    T held[AT_ONCE];
+#pragma unroll
+    for (int j = 0; j < AT_ONCE; j++)
+      if (first + j < N) held[j] = from[(first + j) * BLOCK + threadIdx.x];
+#pragma unroll
+    for (int j = 0; j < AT_ONCE; j++) {
+      const int k = (first + j) * BLOCK + threadIdx.x;
+      if (first + j < N) to[PITCH == N ? k : k + k / N] = held[j];
+    }
+  }
+}
+template <class T> QUALIFIED T over_warp(T x) {
+  for (int k = 16; k; k >>= 1) x += __shfl_down_sync(0xffffffffu, x, k);
+  return x;
+}
+"""
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """CUDA source of a program and how to launch it."""
+
+    source: str
+    name: str
+    block: int
+    grid: int
+    #: for each result, whether it is one partial sum a block
+    summed: tuple[bool, ...]
+
+
+def kernel(program: Written, name: str = "threads") -> Kernel:
+    """The kernel of a program; raises `Unsupported` if it is too large for a thread."""
+    if program.statements > STATEMENTS_UP_TO:
+        raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
+    sums = (a for a, s in zip(program.results, program.summed, strict=True) if s)
+    bytes = program.array_bytes + sum(a.size * a.dtype.itemsize for a in sums)
+    if bytes > ARRAY_BYTES_UP_TO:
+        raise Unsupported(f"{bytes} bytes of arrays in a thread, more than {ARRAY_BYTES_UP_TO}")
+    source = "\n".join(_lines(program, name, _room(program)))
+    grid = max(-(-math.prod(program.batch) // BLOCK), 1)
+    return Kernel(source, name, BLOCK, grid, program.summed)
+
+
+@dataclass(frozen=True)
+class Room:
+    """The contents of a block's shared memory.
+
+    staged: fetched operands, id -> entries of a row; whole: results whose rows are staged; tiled:
+    results that are written through the tile, at these `spots`; tile: bytes of the tile a thread.
+    """
+
+    staged: dict[int, int]
+    whole: dict[int, stores.Rows]
+    tiled: dict[int, stores.Rows]
+    spots: dict[int, stores.Spot]
+    tile: int
+
+
+def _pitch(row: int) -> int:
+    """Entries from row to row. It is odd, so that the threads of a warp use different banks."""
+    return row | 1
+
+
+def _room(program: Written) -> Room:
+    """Fills shared memory: results that are staged whole, small ones first, a tile, operands."""
+    left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
+    rows = stores.rows_of(program)
+    short = [key for key, row in rows.items() if stores.is_staged(row)]
+    whole = {key: stores.whole(kinds[key], rows[key]) for key in short}
+    while True:
+        tiled, spots = stores.tiled(program, {k: n for k, n in rows.items() if k not in whole})
+        tile = max((r.bytes for r in tiled.values()), default=0)
+        total = tile + sum(r.bytes for r in whole.values())
+        if total <= left or not whole:
+            break
+        del whole[max(whole, key=lambda k: whole[k].bytes)]
+    if total > left:
+        tiled, spots, tile, total = {}, {}, 0, 0
+    wanted = {}
+    for array, layout in zip(program.operands, program.layouts[0], strict=True):
+        row = layout.rows(program.batch)
+        if row is not None and stores.is_staged(row):
+            wanted[array.id] = row, _pitch(row) * array.dtype.itemsize
+    staged = {}
+    for key, (row, bytes) in sorted(wanted.items(), key=lambda x: x[1][1]):
+        if total + bytes <= left:
+            total += bytes
+            staged[key] = row
+    return Room(staged, whole, tiled, spots, tile)
+
+
+def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
+    size, index = math.prod(program.batch), sample_index(program.batch)
+    ins, outs = program.layouts
+    yield f"#define BLOCK {BLOCK}"
+    yield BASICS + HEAD + stores.HEAD + PREAMBLE
+    left = CONSTANT_BYTES
+    for array in program.builder.tables:
+        left -= array.size * array.dtype.itemsize
+        yield table(array, "static __constant__" if left >= 0 else "static __device__ const")
+    yield f'extern "C" __global__ void __launch_bounds__({BLOCK}) {name}('
+    yield parameters(program, "__restrict__") + "){SPILL_TO_SHARED"
+    yield f"const long long first=(long long)blockIdx.x*{BLOCK};"
+    yield f"const int rows={size}ll-first<{BLOCK}?(int)({size}ll-first):{BLOCK};"
+    # a thread beyond the batch repeats the last sample, which does no harm
+    yield "const int own=(int)threadIdx.x<rows?(int)threadIdx.x:rows-1;"
+    yield "const long long b=first+own;"
+    names: dict[int, str] = {}
+    for k, (array, layout) in enumerate(zip(program.operands, ins, strict=True)):
+        names[array.id] = f"x{k}"
+        kind, row = c_type(array.dtype), room.staged.get(array.id)
+        if row is None:
+            yield f"const {kind}* __restrict__ x{k}=p{k}+({offset(layout, index)});"
+        else:
+            pitch = _pitch(row)
+            yield f"__shared__ {kind} s{k}[{pitch * BLOCK}];"
+            yield f"fetch<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
+            yield f"const {kind}* x{k}=s{k}+own*{pitch};"
+    if room.staged:
+        yield "__syncwarp();"
+    if room.tiled:
+        yield f"__shared__ uint4 tile[{room.tile * BLOCK // 16}];"
+    tiles: dict[int, tuple[int, stores.Rows]] = {}
+    leaving = []
+    for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
+        names[array.id] = f"y{k}"
+        kind, key = c_type(array.dtype), array.id
+        if program.summed[k]:
+            yield f"{kind} y{k}[{max(array.size, 1)}];"
+        elif key in room.whole:
+            n, pitch = room.whole[key].size, room.whole[key].pitch
+            yield f"__shared__ uint4 o{k}[{room.whole[key].bytes * BLOCK // 16}];"
+            yield f"{kind}* const y{k}=({kind}*)o{k}+threadIdx.x*{pitch};"
+            leaving.append(f"leave<{kind},{n},{pitch}>(r{k}+first*{n},({kind}*)o{k},rows);")
+        elif key in room.tiled:
+            tiles[key] = k, room.tiled[key]
+            yield f"{kind}* const w{k}=({kind}*)tile;"
+            yield f"{kind}* const v{k}=r{k}+first*{room.tiled[key].size};"
+            yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
+        else:
+            yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
+    printer = stores.StorePrinter(names, tiles, room.spots, stores.passing(program))
+    yield from printer.lines(program.builder.block)
+    yield from leaving
+    yield from _sums(program)
+    yield "}"
+
+
+def _sums(program: Written) -> Iterator[str]:
+    """Sums of results over the batch: one partial sum a block."""
+    for k, array in enumerate(program.results):
+        if not program.summed[k] or not array.size:
+            continue
+        kind, n = c_type(array.dtype), array.size
+        yield "" if n <= 64 else "#pragma unroll 1"
+        yield f"for(int i=0;i<{n};i++){{"
+        yield f"const {kind} t=over_warp<{kind}>((int)threadIdx.x<rows?y{k}[i]:({kind})0);"
+        yield f"if(threadIdx.x==0)r{k}[(long long)blockIdx.x*{n}+i]=t;"
+        yield "}"

@@ -1,0 +1,255 @@
+"""Stores of batch-first results: rows are collected in shared memory, and a warp writes its 32.
+
+Rows that fit are staged whole, in any order of their entries: 32 of them are consecutive in memory.
+A longer row that is written once, in order, is stored piece by piece through the warp's tile.
+Pieces start at a sector of memory in every row, even if the row does not: the tile keeps the last
+entries of the previous piece, and a row's piece lags by as many as necessary. In other long rows,
+runs of entries that are written together are stored in this way from any start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rbjax.compiler.cuda.c_source import Printer, c_type
+from rbjax.compiler.ir.program import Block, Load, Loop, Op, Store, Var, walk
+from rbjax.compiler.lower.frame import Written
+
+#: rows with more entries than about a sector, and at most this many, are staged whole
+SHORT, WHOLE = 8, 128
+#: 4-byte entries in a piece of a longer row
+TILE = 256
+#: entries of a run that is stored through the tile
+RUN = 32
+#: bytes of a memory sector; pieces start at its multiples
+ALIGN = 32
+
+HEAD = """
+// a warp's whole rows, of N entries, to memory, where they lie without gaps
+template <class T, int N, int PITCH> QUALIFIED void leave(T* to, const T* from, int rows) {
+  const int lane = threadIdx.x;
+  __syncwarp();
+  if (PITCH == N && rows == 32) {
+    constexpr int wide = 32 * N * sizeof(T) / 16;
+#pragma unroll
+    for (int k = 0; k < wide; k += 32)
+      if (k + lane < wide) ((uint4*)to)[k + lane] = ((const uint4*)from)[k + lane];
+  } else {
+#pragma unroll 8
+    for (int k = lane; k < rows * N; k += 32) to[k] = from[PITCH == N ? k : k + k / N];
+  }
+  __syncwarp();
+}
+// what a piece writes of row r: entries FROM to UPTO, but both ends lag, to where memory is aligned
+template <class T, int N, int FROM, int UPTO, int MARGIN, int PITCH>
+QUALIFIED void piece(T* to, const T* tile, int r, int lag) {
+  const int lane = threadIdx.x, upto = UPTO < N ? UPTO - lag : N;
+#pragma unroll
+  for (int c = 0; c < UPTO - FROM + MARGIN; c += 32) {
+    const int k = FROM - lag + c + lane;
+    if (k < upto && (FROM || k >= 0)) to[r * N + k] = tile[r * PITCH + MARGIN + k - FROM];
+  }
+}
+// entries FROM to UPTO of each row of a warp, of N, from its tile to memory; the tile has room for
+// MARGIN entries before them; the pieces of a row begin at multiples of ALIGN entries
+template <class T, int N, int FROM, int UPTO, int ALIGN, int MARGIN, int PITCH>
+QUALIFIED void flush(T* to, T* tile, int rows) {
+  __syncwarp();
+  if (rows == 32) {
+#pragma unroll 1
+    for (int r = 0; r < 32; r += 8)
+#pragma unroll
+      for (int i = 0; i < 8; i++)  // lags repeat after eight rows
+        piece<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r + i, i * N % ALIGN);
+  } else {
+#pragma unroll 1
+    for (int r = 0; r < rows; r++)
+      piece<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r, r * N % ALIGN);
+  }
+  __syncwarp();
+  if (UPTO < N)
+    for (int c = 0; c < MARGIN; c++) {
+      T* const row = tile + threadIdx.x * PITCH;
+      row[c] = row[c + UPTO - FROM];
+    }
+}
+"""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The layout of a result's rows in shared memory.
+
+    size: entries of a row; width: entries of a piece, `size` if a row is stored whole. align:
+    pieces start at multiples of this many entries; margin: entries kept from the previous piece.
+    """
+
+    dtype: np.dtype
+    size: int
+    width: int
+    align: int
+    margin: int
+    pitch: int
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of one thread."""
+        return self.pitch * self.dtype.itemsize
+
+
+def is_staged(row: int) -> bool:
+    """Whether rows with this many entries, of operands or results, go through shared memory."""
+    return SHORT < row <= WHOLE
+
+
+def whole(dtype: np.dtype, size: int) -> Rows:
+    """Rows that are stored whole; without gaps if at most two threads of a warp share a bank."""
+    return Rows(dtype, size, size, 1, 0, size if size % 4 else size | 1)
+
+
+def pieces(dtype: np.dtype, size: int) -> Rows:
+    """Rows that are stored piece by piece, or whole if there is one piece."""
+    width = TILE * 4 // max(dtype.itemsize, 4)
+    if size <= width:
+        return whole(dtype, size)
+    align = ALIGN // max(dtype.itemsize, 4)  # groups of 32 rows start at aligned memory
+    margin = 0 if size % align == 0 else align - 1
+    return Rows(dtype, size, width, margin + 1, margin, (width + margin) | 1)
+
+
+def run_of(dtype: np.dtype, size: int) -> Rows:
+    """Pieces of a row that start anywhere."""
+    width = min(TILE * 4 // max(dtype.itemsize, 4), size)
+    return Rows(dtype, size, width, 1, 0, width | 1)
+
+
+def rows_of(program: Written) -> dict[int, int]:
+    """The batch-first results: id -> entries of a row."""
+    found = {}
+    for array, layout in zip(program.results, program.layouts[1], strict=True):
+        row = layout.rows(program.batch)
+        if row:
+            found[array.id] = row
+    return found
+
+
+@dataclass(frozen=True)
+class Spot:
+    """The place of a value in the tile: column `at`. With `last` the entries from `first` to `upto`
+    are stored to memory, counted from the store's own base."""
+
+    at: int
+    first: int
+    upto: int
+    last: bool
+
+
+def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict[int, Spot]]:
+    """Of these results (id -> entries of a row), those that are stored through the tile, and the
+    spots of their stores, by id. No thread reads them, and all threads reach their stores."""
+    statements = [s for s in walk(program.builder.block) if isinstance(s, (Load, Store))]
+    read = {s.array.id for s in statements if isinstance(s, Load)}
+    rows = {key: n for key, n in rows.items() if n > 1 and key not in read}
+    written = [s for s in statements if s.array.id in rows]
+    alike, found = _alike(program), {}
+    spots: dict[int, Spot] = {}
+    for run in _runs(program.builder.block, rows):
+        array, row = run[0].array, rows[run[0].array.id]
+        whole = len(run) == row == sum(s.array is array for s in written) and run[0].base is None
+        if not whole and (len(run) < min(row, RUN) or run[0].base not in alike):
+            continue
+        form = pieces(array.dtype, row) if whole else run_of(array.dtype, row)
+        found[array.id] = form
+        for k, store in enumerate(run):
+            at, upto = k % form.width, store.offset + 1
+            last = at == form.width - 1 or k == len(run) - 1
+            spots[id(store)] = Spot(form.margin + at, store.offset - at, upto, last)
+    return found, spots
+
+
+def _alike(program: Written) -> set[Any]:
+    """The indices that are the same for all threads: those made from loop counters."""
+    found: set[Any] = {None}
+    for s in walk(program.builder.block):
+        if isinstance(s, Loop):
+            found.add(s.counter)
+        elif isinstance(s, Op) and all(x in found for x in s.args if isinstance(x, Var)):
+            found.add(s.dest)
+    return found
+
+
+def _runs(block: Block, rows: dict[int, int]) -> Iterator[list[Store]]:
+    """Stores of consecutive entries of one of these results, without others in between."""
+    run: list[Store] = []
+    for s in block.statements:
+        if isinstance(s, Store) and s.array.id in rows:
+            last = run[-1] if run else s
+            follows = s.array is last.array and s.base is last.base
+            if run and not (follows and s.offset == last.offset + 1):
+                yield run
+                run = []
+            run.append(s)
+        elif isinstance(s, Loop) and any(
+            isinstance(x, Store) and x.array.id in rows for x in walk(s.body)
+        ):
+            if run:
+                yield run
+                run = []
+            yield from _runs(s.body, rows)
+    if run:
+        yield run
+
+
+def passing(program: Written) -> set[int]:
+    """Long batch-last arrays of floats, which are read or written once, a line by each warp."""
+    found = set()
+    for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
+        for array, layout in zip(arrays, layouts, strict=True):
+            first = len(layout.shape) - len(layout.axes)
+            last = layout.axes and layout.axes == tuple(range(first, len(layout.shape)))
+            if last and array.size > WHOLE and array.dtype.kind == "f":
+                found.add(array.id)
+    return found
+
+
+class StorePrinter(Printer):
+    """Prints statements. Stores of a result in pieces fill the warp's tile and flush it. Entries of
+    passing arrays do not stay in the cache, which needs its lines for other data."""
+
+    def __init__(
+        self, names: dict[int, str], tiles: dict[int, tuple[int, Rows]], spots: dict[int, Spot],
+        passing: set[int],
+    ):  # fmt: skip
+        super().__init__(names)
+        self.tiles, self.spots, self.passing = tiles, spots, passing
+
+    def _lines(self, statement: Any) -> Iterator[str]:
+        spot = self.spots.get(id(statement))
+        if spot is not None:
+            yield from self._through_tile(statement, spot)
+        elif isinstance(statement, (Load, Store)) and statement.array.id in self.passing:
+            at = f"&{self.place(statement.array, statement.base, statement.offset)}"
+            if isinstance(statement, Store):
+                yield f"__stcs({at},{self.value(statement.value)});"
+            else:
+                dest = statement.dest
+                yield f"const {c_type(dest.dtype)} {self.value(dest)}=__ldcs({at});"
+        else:
+            yield from super()._lines(statement)
+
+    def _through_tile(self, store: Store, spot: Spot) -> Iterator[str]:
+        k, rows = self.tiles[store.array.id]
+        kind, pitch = c_type(rows.dtype), rows.pitch
+        yield f"w{k}[threadIdx.x*{pitch}+{spot.at}]={self.value(store.value)};"
+        if not spot.last:
+            return
+        to = f"v{k}" if store.base is None else f"v{k}+{self.value(store.base)}"
+        if rows.width == rows.size == spot.upto - spot.first:
+            yield f"leave<{kind},{rows.size},{pitch}>({to},w{k},rows);"
+        else:
+            sizes = (rows.size, spot.first, spot.upto, rows.align, rows.margin, pitch)
+            yield f"flush<{kind},{','.join(map(str, sizes))}>({to},w{k},rows);"

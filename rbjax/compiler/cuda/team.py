@@ -1,0 +1,164 @@
+"""The CUDA source of a program that a team of threads runs: a block a sample.
+
+Arrays lie in the block's shared memory. The turns of a loop over entries are independent, and
+thread i of n takes turns i, i + n, ... . All threads run what is outside of such loops, with the
+same values, so they take the same branches. Where a loop reads what other threads have written, or
+writes what they may still read, the threads meet at a barrier first. So a sample may have matrices
+of ten to thirty rows, which are too many numbers for the registers of one thread.
+
+Source: steps between barriers (Valiant 1990, *A bridging model for parallel computation*); a block
+a small matrix (Haidar et al. 2015, *Batched matrix computations on hardware accelerators*).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, c_type, table
+from rbjax.compiler.cuda.kernels import BASICS, STATEMENTS_UP_TO, Kernel
+from rbjax.compiler.ir.program import (
+    Await,
+    Barrier,
+    Block,
+    Load,
+    Loop,
+    Op,
+    Reserve,
+    Store,
+    walk,
+)
+from rbjax.compiler.lower.frame import Written, offset, parameters, sample_index
+
+#: threads of a team where there are fewer samples than this; a warp where there are more
+TEAMS = {600: 128, 1200: 64}
+WARP = 32
+#: bytes of a block's shared memory; of a multiprocessor's, and those that the driver takes a block
+SHARED_BYTES, SHARED_BYTES_IN_ALL, DRIVERS_BYTES = 47 * 1024, 227 * 1024, 1024
+#: blocks for which a multiprocessor should have registers: of a warp, and of larger teams
+RESIDENT, RESIDENT_LARGE = 16, 4
+#: operations up to which the turns of a thread are written out
+WRITTEN_OUT = 600
+
+HEAD = """
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+// copies that go on while the thread does other things
+template <class T> QUALIFIED void early(T* to, const T* from) {
+  asm volatile("cp.async.ca.shared.global [%0], [%1], %2;"
+    :: "r"((unsigned)__cvta_generic_to_shared(to)), "l"(from), "n"((int)sizeof(T)) : "memory");
+}
+QUALIFIED void arrived() { asm volatile("cp.async.wait_all;" ::: "memory"); }
+#else
+template <class T> QUALIFIED void early(T* to, const T* from) { *to = *from; }
+QUALIFIED void arrived() {}
+#endif
+"""
+
+
+def size_of(samples: int) -> int:
+    """The threads of a team."""
+    return next((n for most, n in TEAMS.items() if samples <= most), WARP)
+
+
+def kernel(program: Written, name: str = "threads", team: int | None = None) -> Kernel:
+    """The kernel of a program that was written for a team, and that fits."""
+    samples = math.prod(program.batch)
+    team = team or size_of(samples)
+    source = "\n".join(_lines(program, name, team))
+    return Kernel(source, name, team, samples, program.summed)
+
+
+def fits(program: Written) -> bool:
+    """Whether the program's arrays fit into shared memory, and its text into a kernel."""
+    bytes = shared_bytes(program.builder.block)
+    return bytes <= SHARED_BYTES and program.statements <= STATEMENTS_UP_TO
+
+
+def _resident(bytes: int, team: int) -> int:
+    """The blocks for which a multiprocessor should have registers: not more than its shared memory
+    holds."""
+    wanted = RESIDENT if team == WARP else RESIDENT_LARGE
+    return min(wanted, SHARED_BYTES_IN_ALL // (bytes + DRIVERS_BYTES))
+
+
+def shared_bytes(block: Block) -> int:
+    """Bytes of the arrays that a team shares."""
+    arrays = [s.array for s in walk(block) if isinstance(s, Reserve) and s.array.shared]
+    return sum(-(-max(a.size, 1) * a.dtype.itemsize // 16) * 16 for a in arrays)
+
+
+def _lines(program: Written, name: str, team: int) -> Iterator[str]:
+    ins, outs = program.layouts
+    index = sample_index(program.batch)
+    yield BASICS + HEAD + PREAMBLE
+    for array in program.builder.tables:
+        yield table(array, "static __device__ const")
+    least = _resident(shared_bytes(program.builder.block), team)
+    yield f'extern "C" __global__ void __launch_bounds__({team},{least}) {name}('
+    yield parameters(program, "__restrict__") + "){"
+    yield "const long long b=blockIdx.x;"
+    yield "const int lane=threadIdx.x;"
+    names: dict[int, str] = {}
+    for k, (array, layout) in enumerate(zip(program.operands, ins, strict=True)):
+        names[array.id] = f"x{k}"
+        yield f"const {c_type(array.dtype)}* __restrict__ x{k}=p{k}+({offset(layout, index)});"
+    for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
+        names[array.id] = f"y{k}"
+        # of a sum over the batch each block writes its own part
+        start = f"b*{array.size}" if program.summed[k] else offset(layout, index)
+        yield f"{c_type(array.dtype)}* __restrict__ y{k}=r{k}+({start});"
+    yield from TeamPrinter(names, team).lines(program.builder.block)
+    yield "}"
+
+
+class TeamPrinter(Printer):
+    """Prints statements for one thread of a team."""
+
+    def __init__(self, names: dict[int, str], team: int):
+        super().__init__(names)
+        self.team = team
+        self._early = False
+
+    @property
+    def barrier(self) -> str:
+        return "__syncwarp();" if self.team == WARP else "__syncthreads();"
+
+    def _lines(self, statement: Any) -> Iterator[str]:
+        match statement:
+            case Barrier():
+                yield self.barrier
+            case Await():
+                yield f"arrived();{self.barrier}"
+            case Reserve(array=array) if array.shared:
+                yield f"__shared__ {c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
+            case Loop(team=True):
+                yield from self._turns(statement)
+            case Load(dest=dest, array=array, base=base, offset=offset) if self._early:
+                yield f"const auto* {self.value(dest)}=&{self.place(array, base, offset)};"
+            case Store(array=array, base=base, offset=offset, value=value) if self._early:
+                yield f"early(&{self.place(array, base, offset)},{self.value(value)});"
+            case _:
+                yield from super()._lines(statement)
+
+    def _turns(self, loop: Loop) -> Iterator[str]:
+        """The turns of this thread."""
+        i, count, team = self.value(loop.counter), loop.count, self.team
+        self._early = loop.early
+        body = list(self.lines(loop.body))
+        self._early = False
+        rounds = -(-count // team)
+        if rounds == 1:
+            yield "{" if count == team else f"if(lane<{count}){{"
+            yield f"const int {i}=lane;"
+        else:
+            ops = sum(isinstance(s, (Op, Load, Store)) for s in walk(loop.body))
+            yield "#pragma unroll" if rounds * ops <= WRITTEN_OUT else "#pragma unroll 1"
+            yield f"for(int r{i}=0;r{i}<{rounds};r{i}++){{"
+            yield f"const int {i}=r{i}*{team}+lane;"
+            if count % team:
+                yield f"if(r{i}<{rounds - 1}||{i}<{count}){{"
+            else:
+                yield "{"
+        yield from body
+        yield "}" if rounds == 1 else "}}"

@@ -1,0 +1,79 @@
+"""Compiled code on disk, next to JAX's own compilation cache if the caller has enabled that.
+
+A cache saves time only: if the folder cannot be read or written, code is compiled again and a
+warning names the folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import os
+import tempfile
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+
+#: bytes of the digest at the beginning of a file; if the code has another digest, it is compiled
+#: again
+DIGEST = hashlib.sha256().digest_size
+
+
+def cached(name: str, make: Callable[[], bytes]) -> bytes:
+    """The bytes of the file of this name, made at the first time."""
+    folder = _folder()
+    if folder is None:
+        return make()
+    found = _read(folder / name)
+    if found is not None:
+        return found
+    made = make()
+    try:
+        _write(folder, name, made)
+    except OSError as error:
+        _say(str(folder), str(error))
+    return made
+
+
+def _read(file: Path) -> bytes | None:
+    """The content of a file; None if it is missing, cannot be read or is damaged."""
+    try:
+        found = file.read_bytes()
+    except OSError:
+        return None
+    digest, content = found[:DIGEST], found[DIGEST:]
+    return content if digest == hashlib.sha256(content).digest() else None
+
+
+def _write(folder: Path, name: str, content: bytes) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("wb", dir=folder, delete=False) as file:
+        try:
+            file.write(hashlib.sha256(content).digest() + content)
+            file.close()
+            os.replace(file.name, folder / name)  # atomic
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.unlink(file.name)
+            raise
+
+
+@functools.cache
+def _say(folder: str, reason: str) -> None:
+    warnings.warn(
+        f"rbjax.compiler: compiled code is not kept on disk ({reason}), so each process compiles "
+        f"it again; make {folder} writable, or set JAX_COMPILATION_CACHE_DIR to another folder",
+        stacklevel=2,
+    )
+
+
+def _folder() -> Path | None:
+    config: Any = jax.config  # its type does not list all names
+    folder = config.jax_compilation_cache_dir
+    if not folder or "://" in folder or not config.jax_enable_compilation_cache:
+        return None
+    return Path(folder) / "rbjax-threads"

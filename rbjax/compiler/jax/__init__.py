@@ -1,0 +1,1 @@
+"""The JAX primitive that runs a program: batching, derivatives, sharding, calls from XLA."""

@@ -1,0 +1,222 @@
+"""A program over a batch as LLVM IR: a function of one part of the samples.
+
+`i32 part(buffers, index)` gets the data of the operands and results, and which part of the batch
+it computes; parts are independent, so threads may share them. It returns 0, or 1 without memory. A
+result that is summed over the batch has one row a part, which the caller adds up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+from rbjax.compiler.ir.program import Array, Load, Op, Store, walk
+from rbjax.compiler.llvm.jit import register_bytes
+from rbjax.compiler.llvm.operations import ALIGNMENT
+from rbjax.compiler.llvm.samples import Lines
+from rbjax.compiler.llvm.statements import MALLOC, one_sample, stored
+from rbjax.compiler.llvm.vectors import Step, many_samples
+from rbjax.compiler.lower.arrays import row_major
+from rbjax.compiler.lower.frame import Layout, Written
+from rbjax.compiler.passes.counting import accesses, operations
+
+#: operations that are worth a part of their own: some ten microseconds
+OPERATIONS_A_PART = 50_000
+#: turns of a `while`, which are not known
+TURNS = 10
+#: local arrays of all lanes that a core's own cache holds
+ARRAY_BYTES = 512 * 1024
+#: a tile that a loop reads or writes, for all lanes
+TILE_BYTES = 64 * 1024
+#: each part keeps a row of its own of every summed result
+PARTS_UP_TO = 1024
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The function `part`, with what it needs; libm: the functions of C that it calls; count: the
+    parts of the batch."""
+
+    text: str
+    libm: tuple[str, ...]
+    count: int
+
+
+def parts(program: Written, lanes: int | None = None, samples: int | None = None) -> Parts:
+    """The function of one part of the program's batch.
+
+    Args:
+        lanes: samples that run at once, as lanes of vectors, if the batch has so many; as many as
+            fit into a register by default. The last ones of a part may run twice.
+        samples: the size of a part, a divisor of the batch. None: as many as are worth a thread.
+    """
+    size = math.prod(program.batch)
+    lanes = _lanes(program) if lanes is None else lanes
+    return _Frame(program, lanes if size >= lanes else 1).parts(samples)
+
+
+class _Frame:
+    """The function `part` around the function of one sample, or of as many as there are lanes.
+
+    Operands and results are numbered together. places: the bytes at %space where the function finds
+    a sum or a tile.
+    """
+
+    def __init__(self, program: Written, lanes: int):
+        self.program, self.lanes, self.size = program, lanes, math.prod(program.batch)
+        self.arrays = (*program.operands, *program.results)
+        self.layouts = (*program.layouts[0], *program.layouts[1])
+        self.steps: list[Step] = [_lane_step(x, program.batch, lanes) for x in self.layouts]
+        self.sums = [k + len(program.operands) for k, s in enumerate(program.summed) if s]
+        self.tiles = self.in_tiles() if lanes > 1 else []
+        if lanes > 1:
+            self.samples = many_samples(program, lanes, self.steps, (*self.sums, *self.tiles))
+        else:
+            self.samples = one_sample(program)
+        self.room, self.places = self.samples.workspace, {}
+        for k in (*self.sums, *self.tiles):
+            self.places[k] = self.room
+            self.room += lanes * -(-self.bytes_of(k) // ALIGNMENT) * ALIGNMENT
+        self.tables = [
+            k for k, step in enumerate(self.steps) if step is None and k not in self.places
+        ]
+        self.lines = Lines()
+
+    def bytes_of(self, k: int) -> int:
+        return self.arrays[k].size * self.arrays[k].dtype.itemsize
+
+    def in_tiles(self) -> list[int]:
+        """The arrays whose samples are rows that are turned into vectors, and back.
+
+        The program must name most of their entries, or reach as many in loops and they are few; of
+        others it reads and writes what it needs.
+        """
+        block = self.program.builder.block
+        named = Counter(s.array.id for s in walk(block) if isinstance(s, Load | Store))
+        reached = accesses(block)
+
+        def most(k: int, array: Array) -> bool:
+            short = self.lanes * self.bytes_of(k) <= TILE_BYTES
+            return array.size <= 2 * (reached if short else named)[array.id]
+
+        every = zip(self.arrays, self.layouts, self.steps, strict=True)
+        return [
+            k for k, (array, layout, step) in enumerate(every)
+            if step not in (0, 1) and k not in self.sums
+            and array.size and most(k, array)
+            and layout.strides == row_major(layout.sample)
+        ]  # fmt: skip
+
+    def parts(self, share: int | None = None) -> Parts:
+        each, count = _shares(self.program, self.size, self.lanes)
+        if share is not None:
+            each, count = share, self.size // share
+        lines, samples = self.lines, self.samples
+        names = self.begin(each, count)
+        lines += ["br label %ahead", "ahead:", "br label %turn", "turn:"]
+        lines.append("%wanted = phi i64 [%first, %ahead], [%next, %after]")
+        lines.append(f"%b = call i64 @llvm.smin.i64(i64 %wanted, i64 {self.size - self.lanes})")
+        pointers, after = self.pointers(names)
+        lines.append(samples.call(pointers, "%space" if self.room else "null"))
+        for k in self.sums:
+            t = stored(self.arrays[k].dtype)
+            lines.add_up(names[k], pointers[k], t, self.arrays[k].size, self.lanes)
+        lines += [
+            *after, "br label %after", "after:", f"%next = add i64 %wanted, {self.lanes}",
+            "%more = icmp slt i64 %next, %stop",
+            "br i1 %more, label %turn, label %done", "done:",
+            *(["call void @free(ptr %memory)"] if self.room else []), "ret i32 0",
+        ]  # fmt: skip
+        declared = [
+            *MALLOC, "declare i64 @llvm.smin.i64(i64, i64)",
+            "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)", *lines.declared,
+            *samples.outside,
+        ]  # fmt: skip
+        part = ["define i32 @part(ptr %buffers, i64 %index) nounwind {", *lines, "}"]
+        text = "\n".join([*dict.fromkeys(declared), samples.text, *part])
+        return Parts(text, samples.libm, count)
+
+    def begin(self, each: int, count: int) -> list[str]:
+        """The samples of the part, its memory, and the addresses of the arrays."""
+        lines, names = self.lines, []
+        for k in range(len(self.arrays)):
+            place = lines.made(f"getelementptr ptr, ptr %buffers, i64 {k}")
+            names.append(lines.made(f"load ptr, ptr {place}"))
+        for k in self.tables:
+            lines.append(f"%table{k} = alloca [{self.lanes} x ptr], align {ALIGNMENT}")
+        lines += [
+            f"%first = mul i64 %index, {each}", f"%last = icmp eq i64 %index, {count - 1}",
+            f"%end = add i64 %first, {each}",
+            f"%stop = select i1 %last, i64 {self.size}, i64 %end",
+        ]  # fmt: skip
+        if self.room:
+            lines += [
+                f"%memory = call ptr @malloc(i64 {self.room + ALIGNMENT})",
+                "%nothing = icmp eq ptr %memory, null",
+                "br i1 %nothing, label %full, label %begin", "full:", "ret i32 1", "begin:",
+                "%address = ptrtoint ptr %memory to i64", "%low = sub i64 0, %address",
+                f"%gap = and i64 %low, {ALIGNMENT - 1}",
+                "%space = getelementptr i8, ptr %memory, i64 %gap",
+            ]  # fmt: skip
+        for k in self.sums:
+            n = self.bytes_of(k)
+            own = lines.made(f"mul i64 %index, {n}")
+            names[k] = lines.made(f"getelementptr i8, ptr {names[k]}, i64 {own}")
+            lines.append(f"call void @llvm.memset.p0.i64(ptr {names[k]}, i8 0, i64 {n}, i1 false)")
+        return names
+
+    def pointers(self, names: list[str]) -> tuple[list[str], Lines]:
+        """The arguments of the function of samples from %b on, and what follows its call."""
+        lines, batch, out = self.lines, self.program.batch, []
+        after = Lines(lines)
+        for k, (array, layout) in enumerate(zip(self.arrays, self.layouts, strict=True)):
+            t = stored(array.dtype)
+            if k in self.tiles or k in self.tables:
+                rows = lines.each(names[k], t, layout, batch, self.lanes, self.steps[k])
+            if k in self.places:
+                out.append(lines.made(f"getelementptr i8, ptr %space, i64 {self.places[k]}"))
+                if k in self.tiles and k < len(self.program.operands):
+                    lines.tile_of_rows(out[k], rows, t, array.size)
+                elif k in self.tiles:
+                    after.rows_of_tile(rows, out[k], t, array.size)
+            elif k in self.tables:
+                lines.fill(f"%table{k}", rows)
+                out.append(f"%table{k}")
+            else:
+                out.append(lines.sample(names[k], t, layout, batch, "%b"))
+        return out, after
+
+
+def _lanes(program: Written) -> int:
+    """The samples whose numbers fit into a register; one if their local arrays need much memory."""
+    values = [s.dest for s in walk(program.builder.block) if isinstance(s, Op)]
+    dtypes = {x.dtype for x in values} | {x.dtype for x in (*program.operands, *program.results)}
+    floats = [t.itemsize for t in dtypes if t.kind == "f"] or [t.itemsize for t in dtypes]
+    lanes = register_bytes() // max(floats, default=8)
+    return lanes if lanes * program.array_bytes <= ARRAY_BYTES else 1
+
+
+def _lane_step(layout: Layout, batch: tuple[int, ...], lanes: int) -> int | None:
+    """The entries from a sample to the next one within a vector, or None if they differ."""
+    if not layout.axes:  # shared, or a sum
+        return 0
+    axes = [(n, step) for n, step in zip(batch, layout.steps, strict=True) if n > 1]
+    if not axes:
+        return 0
+    together, step = 1, axes[-1][1]  # the samples that lie at equal distances
+    for n, far in reversed(axes):
+        if far != together * step:
+            return None if together % lanes else step
+        together *= n
+    return step
+
+
+def _shares(program: Written, size: int, lanes: int) -> tuple[int, int]:
+    """The samples of a part, and the parts. The last one has the rest of the batch too, but for
+    parts that are one vector: a second one would take it twice as long."""
+    work = max(operations(program.builder.block, TURNS), 1)
+    wanted = max(OPERATIONS_A_PART * max(lanes // 2, 1) // work, -(-size // PARTS_UP_TO), 1)
+    each = max(min(-(-wanted // lanes) * lanes, size), 1)
+    single = each == lanes and not any(program.summed)
+    return each, -(-size // each) if single else size // each

@@ -1,0 +1,315 @@
+"""Elementary functions in double precision as formulas that hold in every lane of a vector.
+
+The argument is reduced to where a polynomial holds, by parts of a constant whose multiples are
+exact. A function says where it does not hold; those lanes are left to C's library.
+
+Source: Sun's fdlibm (Ng, 1993) for the polynomials of sine, cosine, logarithm and arctangent; the
+exponential is its Taylor series.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from rbjax.compiler.ir.expressions import Number
+from rbjax.lanes.trigonometry import SERIES, horner
+
+F64, I32, I64 = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.int64)
+
+#: pi / 2 and ln 2 in parts, whose products with small integers are exact, and the rest
+QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21,
+           8.47842766036889956997e-32)  # fmt: skip
+LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+PI_LACKS = 1.2246467991473531772e-16
+#: angles beyond are left to C: their reduction needs more digits of pi
+FAR = 1e6
+#: sin x, tan x and the like are x, its sign included
+SMALL = 1e-9
+#: (log(1 + f) - f + f^2 / 2 ...) in s^2, with s = f / (2 + f)
+LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01,
+       2.222219843214978396e-01, 1.818357216161805012e-01, 1.531383769920937332e-01,
+       1.479819860511658591e-01)  # fmt: skip
+#: (x - atan x) / x^3 in x^2, for |x| <= 7 / 16
+ATAN = (3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01,
+        -1.11111104054623557880e-01, 9.09088713343650656196e-02, -7.69187620504482999495e-02,
+        6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02,
+        -3.65315727442169155270e-02, 1.62858201153657823623e-02)  # fmt: skip
+#: atan of 1/2, 1, 3/2 and infinity, and what they lack
+ATAN_OF = (
+    (4.63647609000806093515e-01, 2.26987774529616870924e-17),
+    (7.85398163397448278999e-01, 3.06161699786838301793e-17),
+    (9.82793723247329054082e-01, 1.39033110312309984516e-17),
+    (1.57079632679489655800e00, 6.12323399573676603587e-17),
+)
+#: 1 / (k + 2)!
+EXP = tuple(1 / math.factorial(k) for k in range(2, 15))
+#: added to a small integer, it leaves this in the last bits
+INTEGER = 1.5 * 2.0**52
+
+# Each function returns its value, and where it does not hold (or None if it holds everywhere).
+Found = tuple[Number, Number | None]
+
+
+def two_sum(a: Number, b: Number) -> tuple[Number, Number]:
+    """a + b, and what it lacks (Knuth)."""
+    s = a + b
+    c = s - a
+    return s, (a - (s - c)) + (b - c)
+
+
+def lifted(x: Number, power: int) -> tuple[Number, Number]:
+    """|x| 2^power, and whether x is subnormal or zero. It is exact although XLA sets the flags by
+    which the processor reads subnormal numbers as zeros."""
+    bits = abs(x).bits(I64)
+    one = bits | int(np.float64(2.0**52).view(I64))  # 2^52 + 2^1074 |x| for a subnormal x
+    subnormal = bits < 1 << 52
+    y = (one.bits(F64) - 2.0**52) * 2.0 ** (power - 1074)
+    return subnormal.where(y, abs(x) * 2.0**power), subnormal
+
+
+def widened(x: Number) -> Number:
+    """A number in double precision. It is exact for subnormal numbers of single precision too."""
+    if x.value.dtype != np.float32:
+        return x.cast(F64)
+    bits = abs(x).bits(I32)
+    one = bits | int(np.float32(2.0**23).view(I32))
+    y = (one.bits(x.value.dtype) - 2.0**23).cast(F64) * 2.0**-149
+    wide = x.cast(F64)
+    return (bits < 1 << 23).where(y.op("copysign", wide), wide)
+
+
+# ------------------------------------------------------------------- angles
+
+
+def _reduced(x: Number) -> tuple[Number, Number, Number]:
+    """x less a multiple of pi / 2, what that lacks, and the multiple."""
+    n = (x * (2 / math.pi)).op("rint")
+    r = x - n * QUARTER[0]
+    r, e = two_sum(r, -(n * QUARTER[1]))
+    r, f = two_sum(r, -(n * QUARTER[2]))
+    rest = (e + f) - n * QUARTER[3]
+    y = r + rest
+    return y, (r - y) + rest, (n + INTEGER).bits(I64)
+
+
+def _sine(r: Number, e: Number) -> Number:
+    first, *rest = SERIES[F64][1]
+    z = r * r
+    v = z * r
+    return r - ((z * (e * 0.5 - v * horner(rest, z)) - e) - v * first)
+
+
+def _cosine(r: Number, e: Number) -> Number:
+    z = r * r
+    half = z * 0.5
+    w = 1.0 - half
+    return w + (((1.0 - w) - half) + (z * (z * horner(SERIES[F64][2], z)) - r * e))
+
+
+def _turned(x: Number, quarters: int) -> tuple[Number, Number]:
+    """sin(x + quarters pi / 2)."""
+    r, e, n = _reduced(x)
+    n = n + quarters
+    y = (n & 1).equals(0).where(_sine(r, e), _cosine(r, e))
+    return (n & 2).equals(0).where(y, -y), abs(x) > FAR
+
+
+def sin(x: Number) -> Found:
+    y, far = _turned(x, 0)
+    return (abs(x) < SMALL).where(x, y), far
+
+
+def cos(x: Number) -> Found:
+    return _turned(x, 1)
+
+
+def tan(x: Number) -> Found:
+    r, e, n = _reduced(x)
+    s, c, even = _sine(r, e), _cosine(r, e), (n & 1).equals(0)
+    y = even.where(s, -c) / even.where(c, s)
+    return (abs(x) < SMALL).where(x, y), abs(x) > FAR
+
+
+def _of_ratio(a: Number, b: Number) -> Number:
+    """atan(a / b) for numbers that are not negative, and not both zero or infinite."""
+    up, down, high, low = a, b, a.known(0.0), a.known(0.0)
+    # less the angle whose tangent is 1/2, 1, 3/2 or infinity
+    steps = (
+        (7 / 16, 2.0 * a - b, 2.0 * b + a), (11 / 16, a - b, a + b),
+        (19 / 16, a - 1.5 * b, b + 1.5 * a), (39 / 16, -b, a),
+    )  # fmt: skip
+    for (least, p, q), (angle, rest) in zip(steps, ATAN_OF, strict=True):
+        here = a >= least * b
+        up, down = here.where(p, up), here.where(q, down)
+        high, low = here.where(angle, high), here.where(rest, low)
+    t = up / down
+    z = t * t
+    return high - ((t * (z * horner(ATAN, z)) - low) - t)
+
+
+def _behind(x: Number, angle: Number) -> Number:
+    """The angle from the other side where x is negative."""
+    return (x.known(1.0).op("copysign", x) < 0.0).where(math.pi - (angle - PI_LACKS), angle)
+
+
+def atan2(y: Number, x: Number) -> Found:
+    a, b = abs(y), abs(x)
+    endless = a.equals(math.inf) & b.equals(math.inf)
+    large = a.op("max", b) > 2.0**400  # a subnormal number changes nothing then
+    a = endless.where(1.0, large.where(a * 2.0**-100, lifted(a, 600)[0]))
+    b = endless.where(1.0, large.where(b * 2.0**-100, lifted(b, 600)[0]))
+    b = a.op("max", b).equals(0.0).where(1.0, b)
+    return _behind(x, _of_ratio(a, b)).op("copysign", y), None
+
+
+def atan(x: Number) -> Found:
+    return _of_ratio(abs(x), x.known(1.0)).op("copysign", x), None
+
+
+def asin(x: Number) -> Found:
+    return _of_ratio(abs(x), ((1.0 - x) * (1.0 + x)).op("sqrt")).op("copysign", x), None
+
+
+def acos(x: Number) -> Found:
+    return _behind(x, _of_ratio(((1.0 - x) * (1.0 + x)).op("sqrt"), abs(x))), None
+
+
+# ------------------------------------------------------------------- exponentials
+
+
+def power_of_two(x: Number) -> tuple[Number, Number]:
+    """p and n with exp x = 2^n (1 + p)."""
+    n = (x * (1 / math.log(2))).op("rint")
+    high, low = x - n * LN2[0], n * LN2[1]
+    return less_one(high, low), n
+
+
+def less_one(high: Number, low: Number | float) -> Number:
+    """exp(high - low) - 1, for |high| <= 0.35."""
+    r = high - low
+    return high + (r * r * horner(EXP, r) - low)
+
+
+def scaled(y: Number, n: Number) -> Number:
+    """2^n y, in two steps, for 2^n may be too large or too small."""
+    half = (n * 0.5).op("rint")
+
+    def power(k: Number) -> Number:
+        return (((k + INTEGER).bits(I64) << 52) + (1023 << 52)).bits(F64)
+
+    return y * power(half) * power(n - half)
+
+
+def limited(x: Number, least: float, most: float) -> Number:
+    return x.op("max", least).op("min", most)
+
+
+def exp(x: Number) -> Found:
+    p, n = power_of_two(limited(x, -746.0, 710.0))
+    return scaled(1.0 + p, n), None
+
+
+def exp2(x: Number) -> Found:
+    x = limited(x, -1076.0, 1025.0)
+    n = x.op("rint")
+    return scaled(1.0 + less_one((x - n) * math.log(2), 0.0), n), None
+
+
+def _expm1(x: Number) -> Number:
+    """exp x - 1, up to 700."""
+    p, n = power_of_two(x.op("max", -100.0))
+    return scaled(p, n) + (scaled(x.known(1.0), n) - 1.0)
+
+
+def expm1(x: Number) -> Found:
+    return (abs(x) < SMALL**2).where(x, _expm1(x)), x > 700.0
+
+
+def tanh(x: Number) -> Found:
+    a = abs(x).op("min", 22.0)
+    t = _expm1(-2.0 * a)
+    near = a < 1.0
+    q = near.where(-t, 2.0 * (t + 1.0)) / (t + 2.0)
+    return near.where(q, 1.0 - q).op("copysign", x), None
+
+
+def sinh(x: Number) -> Found:
+    t = _expm1(abs(x))
+    return (0.5 * (t + t / (t + 1.0))).op("copysign", x), abs(x) > 700.0
+
+
+def cosh(x: Number) -> Found:
+    p, n = power_of_two(abs(x))
+    e = scaled(1.0 + p, n)
+    return 0.5 * e + 0.5 / e, abs(x) > 700.0
+
+
+# ------------------------------------------------------------------- logarithms
+
+
+def is_positive(x: Number) -> Number:
+    """Whether x > 0, for subnormal numbers too."""
+    return x.bits(I64) > 0
+
+
+def mantissa(x: Number) -> tuple[Number, Number]:
+    """m and k with x = 2^k m, for positive x, and m between the roots of 1/2 and 2."""
+    high, small = lifted(x, 54)
+    bits = small.where(high, x).bits(I64)
+    one = 1023 << 52
+    m = ((bits & ((1 << 52) - 1)) + one).bits(F64)
+    k = ((bits >> 52) + int(np.float64(INTEGER).view(I64))).bits(F64) - (INTEGER + 1023)
+    above = m > math.sqrt(2)
+    m, k = above.where(m * 0.5, m), above.where(k + 1.0, k)
+    return m, small.where(k - 54.0, k)
+
+
+def _log(x: Number) -> Number:
+    m, k = mantissa(x)
+    f = m - 1.0
+    s = f / (2.0 + f)
+    z, half = s * s, 0.5 * f * f
+    y = k * LN2[0] - ((half - (s * (half + z * horner(LOG, z)) + k * LN2[1])) - f)
+    y = (x < math.inf).where(y, x)  # infinity and nan are their own
+    zero = (x.bits(I64) << 1).equals(0)
+    return is_positive(x).where(y, zero.where(-math.inf, y.known(math.nan)))
+
+
+def log(x: Number) -> Found:
+    return _log(x), None
+
+
+def _log1p(x: Number) -> Number:
+    u, lost = two_sum(x.known(1.0), x)
+    y = _log(u)
+    y = ((u > 0.0) & (u < math.inf)).where(y + lost / u, y)
+    return (abs(x) < SMALL**2).where(x, y)
+
+
+def log1p(x: Number) -> Found:
+    return _log1p(x), None
+
+
+def atanh(x: Number) -> Found:
+    a = abs(x)
+    return (0.5 * _log1p(2.0 * a / (1.0 - a))).op("copysign", x), None
+
+
+def asinh(x: Number) -> Found:
+    a = abs(x)
+    z = a * a
+    return _log1p(a + z / (1.0 + (1.0 + z).op("sqrt"))).op("copysign", x), a > 1e100
+
+
+def acosh(x: Number) -> Found:
+    t = x - 1.0
+    return _log1p(t + (t * (t + 2.0)).op("sqrt")), abs(x - 1e100) > 1e100
+
+
+FUNCTIONS: dict[str, Callable[..., Found]] = {
+    f.__name__: f for f in (sin, cos, tan, atan2, atan, asin, acos, exp, exp2, expm1, tanh, sinh,
+                            cosh, log, log1p, atanh, asinh, acosh)
+}  # fmt: skip

@@ -1,0 +1,97 @@
+"""Powers and roots of vectors, through a logarithm in twice the precision (Dekker, 1971).
+
+    x^y = exp(y log x): an error of log x is multiplied by up to 700
+"""
+
+from __future__ import annotations
+
+import math
+
+from rbjax.compiler.ir.expressions import Number
+from rbjax.compiler.ir.program import BOOL
+from rbjax.compiler.llvm.elementary import (
+    I64,
+    LN2,
+    Found,
+    exp,
+    is_positive,
+    less_one,
+    lifted,
+    limited,
+    log,
+    mantissa,
+    scaled,
+    two_sum,
+)
+from rbjax.lanes.trigonometry import horner
+
+#: a sum of two numbers that do not overlap
+Double = tuple[Number, Number]
+
+#: 2/3, and what it lacks
+TWO_THIRDS = 2 / 3, 3.70074341541718826e-17
+#: (log((1 + s) / (1 - s)) - 2 s - 2/3 s^3) / s^5 in s^2, for |s| <= 0.172
+SERIES = tuple(2 / (2 * k + 5) for k in range(13))
+#: a cube root is rounded to so many last bits of zeros; its square is exact
+ROUGH = 1 << 30
+
+
+def _split(x: Number) -> Double:
+    t = x * (2.0**27 + 1)
+    high = t - (t - x)
+    return high, x - high
+
+
+def product(x: Number, y: Number) -> Double:
+    """x y, and what it lacks."""
+    p = x * y
+    (a, b), (c, d) = _split(x), _split(y)
+    return p, ((a * c - p) + a * d + b * c) + b * d
+
+
+def _log_of_mantissa(m: Number) -> Double:
+    """2 artanh((m - 1) / (m + 1))."""
+    d, d_low = two_sum(m, m.known(1.0))
+    f = m - 1.0
+    s = f / d
+    p, e = product(s, d)
+    s_low = ((f - p) - e - s * d_low) / d
+    z, z_low = product(s, s)
+    z_low = z_low + 2.0 * s * s_low
+    u, u_low = two_sum(z.known(TWO_THIRDS[0]), z * horner(SERIES, z))
+    u_low = u_low + TWO_THIRDS[1]
+    v, e = product(z, u)
+    v_low = e + z * u_low + z_low * u
+    v, e = two_sum(v.known(2.0), v)
+    v_low = v_low + e
+    y, e = product(s, v)
+    return y, e + s * v_low + s_low * v
+
+
+def pow(x: Number, y: Number) -> Found:
+    m, k = mantissa(x)
+    high, low = _log_of_mantissa(m)
+    high, e = two_sum(k * LN2[0], high)
+    high, low = two_sum(high, e + (low + k * LN2[1]))
+    w, e = product(y, high)
+    near = abs(w) < 745.0
+    w_low = near.where(e + y * low, 0.0)
+    w = limited(w, -746.0, 710.0)
+    n = (w * (1 / math.log(2))).op("rint")
+    power = scaled(1.0 + less_one(w - n * LN2[0], n * LN2[1] - w_low), n)
+    usual = is_positive(x) & (x < math.inf) & (abs(y) < 1e300)
+    return power, usual.op("not", dtype=BOOL)
+
+
+def cbrt(x: Number) -> Found:
+    high, small = lifted(x, 54)
+    a = small.where(high, abs(x))
+    t = exp(log(a)[0] / 3.0)[0]
+    t = ((t.bits(I64) + ROUGH // 2) & -ROUGH).bits(a.value.dtype)
+    r = a / (t * t)
+    y = t + t * ((r - t) / (t + t + r))
+    y = ((a > 0.0) & (a < math.inf)).where(y, a)
+    return small.where(y * 2.0**-18, y).op("copysign", x), None
+
+
+FUNCTIONS = {f.__name__: f for f in (pow, cbrt)}

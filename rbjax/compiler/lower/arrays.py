@@ -1,0 +1,345 @@
+"""Small arrays of a thread.
+
+They have three forms: a numpy array whose entries are known; an object array of `Value`s, each in a
+register; a `View` of memory. Only a `View` may have indices that are not known. A team of threads
+has a fourth, `Delayed`: entries that are computed where they are read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rbjax.compiler.ir.program import I32, Array, Builder, Value, Var
+from rbjax.compiler.lower.delayed import Delayed, Shaped
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View(Shaped):
+    """array[base + offset + sum of index * stride], with a shape."""
+
+    array: Array
+    base: Value | None
+    offset: int
+    strides: tuple[int, ...]
+    shape: tuple[int, ...]
+
+    @staticmethod
+    def of(array: Array, shape: Sequence[int]) -> View:
+        """All of an array, row by row."""
+        return View(array, None, 0, row_major(shape), tuple(shape))
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self.array.dtype
+
+    @property
+    def changeable(self) -> bool:
+        """Whether it may be updated in place: no two entries share a place, and no one reads it."""
+        apart = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
+        own = self.array.space == "local" and not self.array.pieces
+        return apart and own and not self.array.owners
+
+    def same(self, other: Any) -> bool:
+        """Whether the other is a view of the same place."""
+        return isinstance(other, View) and all(
+            a is b or a == b
+            for a, b in (
+                (self.array, other.array), (self.base, other.base), (self.offset, other.offset),
+                (self._steps(), other._steps()), (self.shape, other.shape),
+            )
+        )  # fmt: skip
+
+    def _steps(self) -> list[int]:
+        """The strides along axes of more than one entry."""
+        return [s for s, n in zip(self.strides, self.shape, strict=True) if n > 1]
+
+    def places(self) -> np.ndarray:
+        """The known part of the address of each entry."""
+        out = np.full(self.shape, self.offset)
+        for axis, (n, stride) in enumerate(zip(self.shape, self.strides, strict=True)):
+            wide = [-1 if k == axis else 1 for k in range(self.ndim)]
+            out += (np.arange(n) * stride).reshape(wide)
+        return out
+
+    def at(self, b: Builder, axis: int, index: Value) -> View:
+        """The slice at an index along an axis, which disappears."""
+        stride = self.strides[axis]
+        strides, shape = (
+            tuple(x for k, x in enumerate(xs) if k != axis) for xs in (self.strides, self.shape)
+        )
+        moved = self.moved(b, (index, stride))
+        return replace(moved, strides=strides, shape=shape)
+
+    def moved(self, b: Builder, *terms: tuple[Value, int]) -> View:
+        """The view shifted by value * stride entries, for each term."""
+        known = sum(int(v) * s for v, s in terms if isinstance(v, np.generic))
+        unknown = [(v, s) for v, s in terms if not isinstance(v, np.generic)]
+        base = b.index(self.array, *unknown)
+        if self.base is not None and base is not None:
+            base = b.op("index_add", self.array.index, self.base, base)
+        return replace(
+            self, base=self.base if base is None else base, offset=self.offset + known
+        )
+
+    def sliced(self, slices: Sequence[slice]) -> View:
+        """A rectangle of it; slices have start, stop and a step that may be negative."""
+        offset = self.offset + sum(
+            s.start * k for s, k in zip(slices, self.strides, strict=True)
+        )
+        shape = tuple(len(range(s.start, s.stop, s.step or 1)) for s in slices)
+        strides = tuple(k * (s.step or 1) for s, k in zip(slices, self.strides, strict=True))
+        return replace(self, offset=offset, strides=strides, shape=shape)
+
+    def reshaped(self, shape: Sequence[int]) -> View | None:
+        """The same entries with another shape, or None if they would have to move."""
+        shape = tuple(shape)
+        if 0 in shape:
+            return replace(self, strides=(0,) * len(shape), shape=shape)
+        kept = [(n, s) for n, s in zip(self.shape, self.strides, strict=True) if n != 1]
+        groups: list[tuple[int, int]] = []  # axes that one stride covers: (entries, stride)
+        for n, s in kept:
+            if groups and groups[-1][1] == n * s:
+                groups[-1] = (groups[-1][0] * n, s)
+            else:
+                groups.append((n, s))
+        strides: list[int] = []
+        left = list(groups)
+        for n in reversed(shape):
+            if n == 1 or not left:
+                strides.append(0)
+                continue
+            count, stride = left.pop()
+            if count % n:
+                return None
+            strides.append(stride)
+            if count > n:
+                left.append((count // n, stride * n))
+        if any(count != 1 for count, _ in left):
+            return None
+        return replace(self, strides=tuple(reversed(strides)), shape=shape)
+
+    def transposed(self, permutation: Sequence[int]) -> View:
+        return replace(
+            self,
+            strides=tuple(self.strides[k] for k in permutation),
+            shape=tuple(self.shape[k] for k in permutation),
+        )
+
+    def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> View:
+        """As `jax.lax.broadcast_in_dim`: axis k of the view is axis axes[k] of the result."""
+        strides = [0] * len(shape)
+        for k, axis in enumerate(axes):
+            strides[axis] = self.strides[k] if self.shape[k] == shape[axis] else 0
+        return replace(self, strides=tuple(strides), shape=tuple(shape))
+
+
+Small = Any  # np.ndarray of numbers, np.ndarray of Values, View, or Delayed
+
+#: a team keeps arrays of at most so many entries in registers, the same in each of its threads
+FEW = 16
+#: work from which on the threads of a team share it, in operations
+SHARED_ABOVE = 64
+
+
+def row_major(shape: Sequence[int]) -> tuple[int, ...]:
+    """Strides, in entries, of an array that is written row by row."""
+    return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
+
+
+def is_known(x: Small) -> bool:
+    """Whether all entries are numbers."""
+    return isinstance(x, np.ndarray) and x.dtype != object
+
+
+def objects(x: np.ndarray) -> np.ndarray:
+    """Entries, known or not, as an object array of Values."""
+    if x.dtype == object:
+        return x
+    out = np.empty(x.shape, object)
+    flat = out.reshape(-1) if x.ndim else out
+    for i, value in enumerate(x.reshape(-1)):
+        flat[i if x.ndim else ()] = value
+    return out
+
+
+def filled(shape: Sequence[int], value: Value) -> np.ndarray:
+    """One value everywhere (`np.full` would convert it to a Python number)."""
+    out = np.empty(shape, object)
+    out[...] = value
+    return out
+
+
+def scalars(b: Builder, x: Small) -> np.ndarray:
+    """The entries as an array of Values; those in memory are read."""
+    if isinstance(x, Delayed):
+        if not b.teamed or x.work <= SHARED_ABOVE or x.size == 1:
+            out = np.empty(x.shape, object)
+            for i in np.ndindex(x.shape):
+                out[i] = x.entry(*map(I32.type, i))
+            return out
+        x = stored(b, x)
+    if not isinstance(x, View):
+        return objects(x)
+    out = np.empty(x.shape, object)
+    places = x.places()
+    for i in np.ndindex(x.shape):
+        out[i] = b.load(x.array, x.base, int(places[i]))
+    return out
+
+
+def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
+    """An object array as known numbers, if every entry is known."""
+    if x.dtype != object:
+        return x
+    if not x.shape:
+        value: Any = x[()]
+        return np.asarray(value, dtype) if isinstance(value, np.generic) else x
+    if all(isinstance(v, np.generic) for v in x.flat):
+        return np.array([v for v in x.flat], dtype).reshape(x.shape)
+    return x
+
+
+def in_memory(b: Builder, x: Small, dtype: Any) -> View:
+    """The entries in memory: a table of known numbers, or a local copy of registers."""
+    if isinstance(x, View):
+        return x
+    if isinstance(x, Delayed):
+        return stored(b, x)
+    x = tidy(x, dtype)
+    if is_known(x):
+        return View.of(b.table(np.ascontiguousarray(x)), x.shape)
+    if b.teamed:
+        return _kept(b, x, dtype)
+    view = View.of(b.local(dtype, x.size), x.shape)
+    write(b, view, x)
+    return view
+
+
+def _kept(b: Builder, x: np.ndarray, dtype: Any) -> View:
+    """Values of a team's threads in memory that does not change; equal ones once. Axes along which
+    they repeat have no entries of their own."""
+    repeats = [n > 1 and s == 0 for n, s in zip(x.shape, x.strides, strict=True)]
+    own = x[tuple(slice(0, 1) if r else slice(None) for r in repeats)]
+
+    def make() -> View:
+        view = View.of(b.local(dtype, own.size), own.shape)
+        write(b, view, own)
+        view.array.owners += 1
+        return view
+
+    values = tuple(v.id if isinstance(v, Var) else (v.dtype.char, v.tobytes()) for v in own.flat)
+    return b.once(("kept", own.shape, values), make).broadcast(x.shape, range(x.ndim))
+
+
+def stored(b: Builder, x: Delayed) -> View:
+    """Delayed entries in memory that does not change, once."""
+
+    def make() -> tuple[View, Delayed]:
+        view = View.of(b.local(x.dtype, max(x.size, 1)), x.shape)
+        write(b, view, x)
+        view.array.owners += 1
+        return view, x  # x lives as long as its number is a key
+
+    return b.once(("stored", id(x)), make)[0]
+
+
+def settled(b: Builder, x: Small) -> Small:
+    """A delayed array in registers if it is small, else in memory; another as it is."""
+    if not isinstance(x, Delayed):
+        return x
+    few = (x.size <= FEW and x.work <= SHARED_ABOVE) or x.size == 1
+    return scalars(b, x) if few else stored(b, x)
+
+
+def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
+    """Copy x to a place in memory; large pieces by a loop."""
+    if isinstance(x, View) and x.same(to):
+        return
+    if b.teamed and isinstance(x, View):
+        to, x = in_a_row(to, x)
+    if isinstance(x, Delayed) or (b.teamed and isinstance(x, View) and x.size > 1):
+        each(b, to.shape, lambda *i: put(b, to, i, get(b, x, i)))
+        return
+    if b.teamed and is_known(x) and x.size > FEW:
+        loop_above = 0
+    if x.size > loop_above and (isinstance(x, View) or is_known(x)):
+        source = in_memory(b, x, to.dtype)
+        each(b, to.shape, lambda *i: put(b, to, i, get(b, source, i)))
+        return
+    values, places = scalars(b, x), to.places()
+    for i in np.ndindex(to.shape):
+        b.store(to.array, to.base, int(places[i]), values[i])
+
+
+def transposed(x: Small, order: Sequence[int]) -> Small:
+    """x with its axes in another order."""
+    return x.transpose(order) if isinstance(x, np.ndarray) else x.transposed(order)
+
+
+def in_a_row(*views: View) -> Sequence[View]:
+    """The views with one axis, if the entries of each are in a row."""
+    flat = [x.reshaped((x.size,)) for x in views]
+    return [x for x in flat if x is not None] if None not in flat else views
+
+
+def owned_copy(b: Builder, x: Small, dtype: Any) -> View:
+    """A local copy that may be changed."""
+    view = View.of(b.local(dtype, x.size), x.shape)
+    write(b, view, x)
+    return view
+
+
+def spread(b: Builder, x: Small, dtype: Any, shape: tuple[int, ...]) -> View | Delayed:
+    """x in memory, broadcast to a shape as numpy does."""
+    view = x if isinstance(x, Delayed) else in_memory(b, x, dtype)
+    return view.broadcast(shape, range(len(shape) - view.ndim, len(shape)))
+
+
+def get(b: Builder, view: View | Delayed, index: Sequence[Value]) -> Value:
+    """One entry."""
+    if isinstance(view, Delayed):
+        return view.entry(*index)
+    there = view.moved(b, *zip(index, view.strides, strict=True))
+    return b.load(there.array, there.base, there.offset)
+
+
+def put(b: Builder, view: View, index: Sequence[Value], value: Value) -> None:
+    """Change one entry."""
+    there = view.moved(b, *zip(index, view.strides, strict=True))
+    b.store(there.array, there.base, there.offset, value)
+
+
+def each(b: Builder, shape: Sequence[int], f: Callable[..., None], *index: Value) -> None:
+    """f(*index) for every index of a shape, in nested loops; by a team in one loop. What f does for
+    an index does not depend on what it does for others."""
+    if b.teamed and not math.prod(shape):
+        return
+    if b.teamed and math.prod(shape) != 1:
+        with b.spread(math.prod(shape)) as counter:
+            f(*index, *unravelled(b, counter, shape))
+    elif not shape:
+        f(*index)
+    elif shape[0] == 1:
+        each(b, shape[1:], f, *index, I32.type(0))
+    else:
+        with b.loop(shape[0]) as counter:
+            each(b, shape[1:], f, *index, counter)
+
+
+def unravelled(b: Builder, counter: Value, shape: Sequence[int]) -> list[Value]:
+    """The index along each axis of a shape, from a place row by row."""
+    out: list[Value] = []
+    wide = [n for n in shape if n > 1]
+    for n in reversed(shape):
+        if n == 1:
+            out.append(I32.type(0))
+            continue
+        wide.pop()
+        out.append(b.op("index_mod", I32, counter, I32.type(n)) if wide else counter)
+        counter = b.op("index_div", I32, counter, I32.type(n)) if wide else counter
+    return out[::-1]

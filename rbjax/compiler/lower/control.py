@@ -1,0 +1,373 @@
+"""Rules of loops, branches and nested calls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+
+from rbjax.compiler.ir.program import BOOL, I32, Await, Block, Builder, If, Value, Var, While
+from rbjax.compiler.lower.arrays import (
+    FEW,
+    Small,
+    View,
+    get,
+    in_a_row,
+    in_memory,
+    is_known,
+    owned_copy,
+    put,
+    settled,
+    stored,
+    unravelled,
+    write,
+)
+from rbjax.compiler.lower.delayed import Delayed
+from rbjax.compiler.lower.effects import only_reports
+from rbjax.compiler.lower.gather import COMBINE
+from rbjax.compiler.lower.lowering import Lowering, called, dtype_of, rule, writer
+
+#: the most entries of a loop's carry that are kept in registers
+REGISTERS = 256
+#: the most entries of a row that a team fetches
+ROW_UP_TO = 512
+INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", *COMBINE}
+
+
+def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
+    """The inputs of a jaxpr with indices that are not known. They must be in memory."""
+    jaxpr = closed.jaxpr
+    varying = {v for v, u in zip(jaxpr.invars, unknown, strict=True) if u}
+    origin = {v: {k} for k, v in enumerate(jaxpr.invars)}  # inputs that a variable is a version of
+    found: set[int] = set()
+
+    def is_varying(atom: Any) -> bool:
+        return not isinstance(atom, Literal) and atom in varying
+
+    def of(atom: Any) -> set[int]:
+        return set() if isinstance(atom, Literal) else origin.get(atom, set())
+
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        if any(map(is_varying, eqn.invars)):
+            varying.update(eqn.outvars)
+        if name in INDEXED:
+            index = eqn.invars[1:] if name == "dynamic_slice" else eqn.invars[1:2]
+            if name == "dynamic_update_slice":
+                index = eqn.invars[2:]
+            if any(map(is_varying, index)):
+                found |= of(eqn.invars[0])
+            if name.startswith(("dynamic_update", "scatter")):
+                origin[eqn.outvars[0]] = of(eqn.invars[0])
+            continue
+        for inner, atoms in _inner(eqn):
+            flags = [is_varying(a) for a in atoms]
+            if name in ("scan", "while"):
+                flags = [True] * len(atoms)
+            for k in indexed(inner, flags):
+                found |= of(atoms[k])
+    return found
+
+
+def _inner(eqn: Any) -> list[tuple[ClosedJaxpr, list]]:
+    P, atoms = eqn.params, list(eqn.invars)
+    match eqn.primitive.name:
+        case "cond":
+            return [(branch, atoms[1:]) for branch in P["branches"]]
+        case "while":
+            nc, nb = P["cond_nconsts"], P["body_nconsts"]
+            return [
+                (P["cond_jaxpr"], atoms[:nc] + atoms[nc + nb :]),
+                (P["body_jaxpr"], atoms[nc:]),
+            ]
+        case "scan":
+            return [(P["jaxpr"], atoms)]
+    inner = called(eqn)
+    return [] if inner is None or len(inner.jaxpr.invars) != len(atoms) else [(inner, atoms)]
+
+
+class Carry:
+    """The carry of a loop: variables or local arrays."""
+
+    def __init__(self, low: Lowering, init: Sequence[Small], avals: Sequence[Any], memory: set):
+        self.low = low
+        self.values: list[Any] = []
+        for k, (x, aval) in enumerate(zip(init, avals, strict=True)):
+            if k in memory or aval.size > (_most(x) if low.b.teamed else REGISTERS):
+                self.values.append(self._array(x, aval))
+            else:
+                entries, out = low.scalars(x), np.empty(aval.shape, object)
+                for i in np.ndindex(aval.shape):
+                    out[i] = low.b.declare(dtype_of(aval), entries[i])
+                self.values.append(out)
+
+    def _array(self, x: Small, aval: Any) -> View:
+        taken = {y.array for y in self.values if isinstance(y, View)}
+        if isinstance(x, View) and x.changeable and x.array not in taken:
+            return x
+        return owned_copy(self.low.b, x, dtype_of(aval))
+
+    def advance(self, new: Sequence[Small]) -> None:
+        """Updates all at once: old values are read before any of them changes."""
+        b = self.low.b
+        old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
+        arrays = {x.array for x in self.values if isinstance(x, View)}
+        moves: list[tuple[Var, Value]] = []
+        copies: list[tuple[View, Small]] = []
+        for to, x in zip(self.values, new, strict=True):
+            if isinstance(to, View):
+                if isinstance(x, View) and x.same(to):
+                    continue
+                if isinstance(x, View) and x.array in arrays:
+                    x = owned_copy(b, x, to.dtype)
+                elif isinstance(x, Delayed) and not arrays.isdisjoint(x.sources):
+                    x = stored(b, x)
+                copies.append((to, x))
+                continue
+            for var, value in zip(to.flat, self.low.scalars(x).flat, strict=True):
+                if value is var:
+                    continue
+                if isinstance(value, Var) and value.id in old:
+                    value = b.declare(value.dtype, value)
+                moves.append((var, value))
+        for to, x in copies:
+            write(b, to, x)
+        for var, value in moves:
+            b.assign(var, value)
+
+
+def _most(x: Small) -> int:
+    """The most entries that a team keeps in registers."""
+    return 4 * FEW if isinstance(x, np.ndarray) and not is_known(x) else FEW // 2
+
+
+@writer("scan")
+def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+    P, b = eqn.params, low.b
+    length, body = P["length"], P["jaxpr"]
+    nk = len(eqn.outvars) - over_time(eqn.outvars, body.jaxpr.outvars)
+    nc = len(eqn.invars) - nk - over_time(eqn.invars, body.jaxpr.invars)
+    consts, init, xs = ins[:nc], ins[nc : nc + nk], ins[nc + nk :]
+    avals = [v.aval for v in body.jaxpr.invars]
+    ys: list[Small] = []
+    rows_in = dict(zip(body.jaxpr.invars[nc + nk :], xs, strict=True))
+    # for each stacked output, the input whose rows it returns unchanged
+    same = [None if isinstance(v, Literal) else rows_in.get(v) for v in body.jaxpr.outvars[nk:]]
+    for var, given, place in zip(eqn.outvars[nk:], same, places[nk:], strict=True):
+        aval = var.aval
+        if given is not None:
+            ys.append(given)
+        else:
+            ys.append(place or View.of(b.local(dtype_of(aval), max(aval.size, 1)), aval.shape))
+    if not length:
+        return [*init, *ys]
+    if length == 1:
+        first = [x.at(b, 0, I32.type(0)) if isinstance(x, View) else x[0, ...] for x in xs]
+        spots = [
+            y.at(b, 0, I32.type(0)) if given is None else None
+            for y, given in zip(ys, same, strict=True)
+        ]
+        out = low.closed(body, [*consts, *init, *first], [*[None] * nk, *spots])
+        return [*out[:nk], *ys]
+    unknown = [not is_known(x) for x in consts] + [True] * (len(avals) - nc)
+    wanted = indexed(body, unknown)
+    consts = [
+        in_memory(b, x, dtype_of(a)) if k in wanted and not isinstance(x, View) else x
+        for k, (x, a) in enumerate(zip(consts, avals[:nc], strict=True))
+    ]
+    xs = [in_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
+    with low.held([*consts, *xs, *ys]):  # one of these may also be the initial carry
+        memory = {k - nc for k in wanted if nc <= k < nc + nk}
+        carry = Carry(low, init, avals[nc : nc + nk], memory)
+    begin, rows_at = _fetched(b, xs, length, P["reverse"])
+    begin()
+    with (
+        low.held([*consts, *xs, *ys]),
+        b.loop(length, reverse=P["reverse"]) as counter,
+    ):
+        rows = rows_at(counter)
+        spots = [
+            y.at(b, 0, counter) if given is None else None
+            for y, given in zip(ys, same, strict=True)
+        ]
+        out = low.closed(body, [*consts, *carry.values, *rows], [*[None] * nk, *spots])
+        carry.advance(out[:nk])
+    return [*carry.values, *ys]
+
+
+def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable, Callable]:
+    """What comes before a loop over the rows of arrays, and its rows at a counter. A team copies
+    those of operands to its memory a turn before they are read."""
+    own = [
+        b.teamed and x.array.space == "operand" and x.dtype.itemsize >= 4
+        and x.size > length and x.size // length <= ROW_UP_TO
+        for x in xs
+    ]  # fmt: skip
+    if not any(own):
+        return lambda: None, lambda counter: [x.at(b, 0, counter) for x in xs]
+    both = [
+        View.of(b.local(x.dtype, 2 * (x.size // length)), (2, *x.shape[1:])) if o else x
+        for x, o in zip(xs, own, strict=True)
+    ]
+    one = I32.type(1)
+
+    def fetch(row: Value) -> None:
+        half = b.op("and", I32, row, one)
+        for x, to, o in zip(xs, both, own, strict=True):
+            if o:
+                _copied_early(b, to.at(b, 0, half), x.at(b, 0, row))
+
+    def rows(counter: Value) -> list[View]:
+        b.block.statements.append(Await())
+        last, step = (0, -1) if reverse else (length - 1, 1)
+        with b.when(b.op("ne", BOOL, counter, I32.type(last))):
+            fetch(b.op("index_add", I32, counter, I32.type(step)))
+        half = b.op("and", I32, counter, one)
+        return [
+            to.at(b, 0, half if o else counter) for to, o in zip(both, own, strict=True)
+        ]
+
+    return lambda: fetch(I32.type(length - 1 if reverse else 0)), rows
+
+
+def _copied_early(b: Builder, to: View, x: View) -> None:
+    to, x = in_a_row(to, x)
+    with b.spread(max(x.size, 1), early=True) as counter:
+        index = unravelled(b, counter, x.shape)
+        put(b, to, index, get(b, x, index))
+
+
+def over_time(outside: list, inside: list) -> int:
+    """The number of arguments or results of a scan with a time axis (jax 0.11 gives no counts)."""
+    return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
+
+
+@rule("while")
+def _while(low: Lowering, eqn: Any, ins: list) -> list:
+    P, b = eqn.params, low.b
+    nc, nb = P["cond_nconsts"], P["body_nconsts"]
+    test_consts, body_consts, init = ins[:nc], ins[nc : nc + nb], ins[nc + nb :]
+    test, body = P["cond_jaxpr"], P["body_jaxpr"]
+    n = len(init)
+    memory = {
+        k - len(consts)
+        for closed, consts in ((test, test_consts), (body, body_consts))
+        for k in indexed(closed, [not is_known(x) for x in consts] + [True] * n)
+        if k >= len(consts)
+    }
+    with low.held([*test_consts, *body_consts]):
+        carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
+    loop = While(Block(), None, Block())
+    b.block.statements.append(loop)
+    with low.held([*test_consts, *body_consts]):
+        with b.inside(loop.test), low.held(carry.values):
+            (goes,) = low.closed(test, [*test_consts, *carry.values])
+            loop.condition = low.scalars(goes)[()]
+        with b.inside(loop.body):
+            carry.advance(low.closed(body, [*body_consts, *carry.values]))
+    return carry.values
+
+
+@writer("cond")
+def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+    branches, args = eqn.params["branches"], ins[1:]
+    which = low.scalars(ins[0])[()]
+    going_on = [branch for branch in branches if not only_reports(branch)]
+    if len(going_on) == 1:
+        return low.closed(going_on[0], args, places)
+    if not isinstance(which, Var):
+        chosen = branches[min(max(int(which), 0), len(branches) - 1)]
+        return low.closed(chosen, args, places)
+    b, outs = low.b, []
+    updated = _updated_arguments(branches, args, places)
+    for k, (var, place) in enumerate(zip(eqn.outvars, places, strict=True)):
+        aval = var.aval
+        if place is not None:
+            outs.append(place)
+        elif k in updated:
+            outs.append(args[updated[k]])
+        elif aval.size > REGISTERS:
+            outs.append(View.of(b.local(dtype_of(aval), aval.size), aval.shape))
+        else:
+            entries = np.empty(aval.shape, object)
+            for i in np.ndindex(aval.shape):
+                entries[i] = b.declare(dtype_of(aval))
+            outs.append(entries)
+
+    def run(branch: ClosedJaxpr) -> None:
+        spots = [
+            x if isinstance(x, View) and k not in updated else None for k, x in enumerate(outs)
+        ]
+        found = [settled(b, x) for x in low.closed(branch, args, spots)]
+        for to, x in zip(outs, found, strict=True):
+            if not isinstance(to, View):
+                for var, value in zip(to.flat, low.scalars(x).flat, strict=True):
+                    b.assign(var, value)
+        for k in updated:  # the other results have read the old array by now
+            write(b, outs[k], found[k])
+
+    def choose(first: int) -> None:
+        if first == len(branches) - 1:
+            run(branches[first])
+            return
+        here = which if which.dtype == BOOL else b.op("le", BOOL, which, which.dtype.type(first))
+        node = If(here, Block(), Block())
+        b.block.statements.append(node)
+        blocks = (node.then, node.otherwise)
+        if which.dtype == BOOL:  # branch 1 where it holds
+            blocks = (node.otherwise, node.then)
+        with b.inside(blocks[0]):
+            run(branches[first])
+        with b.inside(blocks[1]):
+            choose(first + 1)
+
+    with low.held([x for j, x in enumerate(args) if j not in updated.values()]):
+        choose(0)
+    return outs
+
+
+def _updated_arguments(
+    branches: Sequence[ClosedJaxpr], args: list, places: list
+) -> dict[int, int]:
+    """The argument of each result that is, in every branch, this argument or an update of it.
+
+    Such an argument is updated in place, if nothing reads it later.
+    """
+    out: dict[int, int] = {}
+    for k, origins in enumerate(zip(*map(_versions, branches), strict=True)):
+        j = origins[0]
+        if j is None or set(origins) != {j} or j in out.values() or places[k] is not None:
+            continue
+        x = args[j]
+        if isinstance(x, View) and x.changeable:
+            others = [y for i, y in enumerate(args) if i != j and isinstance(y, View)]
+            if all(y.array is not x.array for y in others):
+                out[k] = j
+    return out
+
+
+def _versions(closed: ClosedJaxpr) -> list[int | None]:
+    """For each result, the input that it equals or that it is an updated copy of; or None."""
+    jaxpr = closed.jaxpr
+    origin: dict[Any, int | None] = {v: k for k, v in enumerate(jaxpr.invars)}
+
+    def of(atom: Any) -> int | None:
+        return None if isinstance(atom, Literal) else origin.get(atom)
+
+    for eqn in jaxpr.eqns:
+        inner = called(eqn)
+        if eqn.primitive.name.startswith(("dynamic_update", "scatter")):
+            origin[eqn.outvars[0]] = of(eqn.invars[0])
+        elif inner is not None:
+            for var, k in zip(eqn.outvars, _versions(inner), strict=True):
+                origin[var] = None if k is None else of(eqn.invars[k])
+    return [of(v) for v in jaxpr.outvars]
+
+
+@rule("platform_index")
+def _platform(low: Lowering, eqn: Any, ins: list) -> list:
+    groups = eqn.params["platforms"]
+    here = [k for k, group in enumerate(groups) if group is None or low.b.platform in group]
+    return [np.asarray(here[0] if here else len(groups) - 1, np.int32)]

@@ -1,0 +1,335 @@
+"""Rules for elementwise primitives."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.compiler.ir.folding import FOLD
+from rbjax.compiler.ir.program import BOOL, Builder, Value
+from rbjax.compiler.lower.arrays import (
+    FEW,
+    SHARED_ABOVE,
+    Small,
+    View,
+    each,
+    filled,
+    get,
+    in_memory,
+    is_known,
+    put,
+    spread,
+)
+from rbjax.compiler.lower.delayed import Delayed
+from rbjax.compiler.lower.lowering import Lowering, Unsupported, dtype_of, rule, takes_delayed
+from rbjax.lanes import polynomial_sincos
+
+#: larger arrays use loops over memory
+LOOP_ABOVE = 1024
+#: the same for arrays that are in memory already
+LOOP_ABOVE_IN_MEMORY = 64
+
+#: primitives with a single operation, and its number of arguments
+SAME = {
+    "add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "neg": "neg", "lt": "lt",
+    "le": "le", "gt": "gt", "ge": "ge", "eq": "eq", "ne": "ne", "and": "and", "or": "or",
+    "xor": "xor", "not": "not", "sqrt": "sqrt", "rsqrt": "rsqrt", "cbrt": "cbrt", "exp": "exp",
+    "exp2": "exp2", "expm1": "expm1", "log": "log", "log1p": "log1p", "log2": "log2", "sin": "sin",
+    "cos": "cos", "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh",
+    "cosh": "cosh", "tanh": "tanh", "asinh": "asinh", "acosh": "acosh", "atanh": "atanh",
+    "erf": "erf", "erfc": "erfc", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
+    "abs": "abs", "atan2": "atan2", "nextafter": "nextafter", "is_finite": "isfinite",
+    "max": "max", "min": "min", "population_count": "popcount", "clz": "clz",
+    "shift_left": "shl", "shift_right_logical": "shr", "shift_right_arithmetic": "sar",
+    "copysign": "copysign",
+}  # fmt: skip
+
+
+def entrywise(
+    low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small
+) -> Small:
+    """f of the entries of arrays of equal shape; an axis may have 1 entry, a shape may be ()."""
+    if not shape:
+        out = np.empty((), object)
+        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.scalars(x)[()] for x in xs))
+        return out
+    size = math.prod(shape)
+    if low.b.teamed and _is_wide(xs, size):
+        delayed = _delayed(low.b, dtype, shape, f, xs)
+        if size > FEW or delayed.work > SHARED_ABOVE:
+            return delayed
+        xs = tuple(low.scalars(x) for x in xs)
+    in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
+    if size > LOOP_ABOVE or in_memory_now:
+        b = low.b
+        sources = [spread(b, x, x.dtype if x.dtype != object else _dtype(x), shape) for x in xs]
+        view = View.of(b.local(dtype, math.prod(shape)), shape)
+        each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
+        return view
+    arrays = [low.scalars(x) for x in xs]
+    out = np.empty(shape, object)
+    arrays = [x if x.shape == shape else np.broadcast_to(x, shape) for x in arrays]
+    for i in np.ndindex(shape):
+        out[i] = f(*(x[i] for x in arrays))
+    return out
+
+
+def _is_wide(xs: tuple, size: int) -> bool:
+    """Whether threads of a team may share the entries: not where registers hold as many."""
+    if all(isinstance(x, np.ndarray) for x in xs):
+        entries = sum(own_entries(x).size for x in xs if not is_known(x))
+        return size > FEW and 0 < entries < size
+    return size > FEW or any(isinstance(x, Delayed) for x in xs)
+
+
+def own_entries(x: np.ndarray) -> np.ndarray:
+    """The entries of an array without those that broadcasting repeats."""
+    own = (slice(0, 1) if s == 0 else slice(None) for s in x.strides)
+    return x[tuple(own)] if x.size and x.ndim else x
+
+
+def _delayed(b: Builder, dtype: Any, shape: tuple, f: Callable, xs: tuple) -> Delayed:
+    """The same of a team, entry by entry when they are read."""
+    sources = [source(b, x, shape) for x in xs]
+    arrays = frozenset().union(*(s.sources for s in sources))
+    cost = 1 + sum(s.cost for s in sources)
+
+    def entry(*i: Value) -> Value:
+        return f(*(s.entry(*i) for s in sources))
+
+    return Delayed(shape, np.dtype(dtype), entry, arrays, cost)
+
+
+def source(b: Builder, x: Small, shape: tuple) -> Delayed:
+    """The entries of an array, broadcast to a shape as numpy does. Values in registers are also in
+    memory, for an index that is not known."""
+    if not isinstance(x, np.ndarray):
+        wide = x.broadcast(shape, range(len(shape) - x.ndim, len(shape)))
+        if isinstance(wide, Delayed):
+            return wide
+        view = wide
+        return Delayed(
+            shape, view.dtype, lambda *i: get(b, view, i), frozenset({view.array}), 1
+        )
+    x = np.broadcast_to(x, shape)
+    own = own_entries(x)
+    dtype = x.dtype if x.dtype != object else _dtype(x)
+    if own.size == 1:
+        value = own.reshape(-1)[0]
+        return Delayed(shape, dtype, lambda *i: value, frozenset(), 0)
+    memory = in_memory(b, x, dtype)
+
+    def entry(*i: Value) -> Value:
+        known = all(isinstance(k, np.generic) for k in i)
+        return x[tuple(map(int, i))] if known else get(b, memory, i)
+
+    return Delayed(shape, dtype, entry, frozenset(), 1)
+
+
+def _dtype(x: np.ndarray) -> np.dtype:
+    return x.flat[0].dtype
+
+
+def _shape(eqn: Any) -> tuple[int, ...]:
+    return eqn.outvars[0].aval.shape
+
+
+def _one(low: Lowering, eqn: Any, ins: list) -> list:
+    name, dtype = SAME[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
+    if name in FOLD and name != "shl" and all(map(is_known, ins)):
+        with np.errstate(all="ignore"):
+            return [np.asarray(FOLD[name](*ins), dtype)]
+    f = functools.partial(low.b.op, name, dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+rule(*SAME)(_one)
+takes_delayed(
+    *SAME, "div", "rem", "pow", "square", "integer_pow", "logistic", "sign", "round", "clamp",
+    "select_n", "convert_element_type",
+)  # fmt: skip
+
+
+@rule("div")
+def _div(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = dtype_of(eqn.outvars[0].aval)
+    if dtype.kind == "f" and all(map(is_known, ins)):
+        with np.errstate(all="ignore"):
+            return [np.asarray(np.divide(*ins), dtype)]
+    f = functools.partial(low.b.op, "div" if dtype.kind == "f" else "idiv", dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("rem")
+def _rem(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = dtype_of(eqn.outvars[0].aval)
+    f = functools.partial(low.b.op, "fmod" if dtype.kind == "f" else "irem", dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("pow")
+def _pow(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = dtype_of(eqn.outvars[0].aval)
+    if dtype.kind != "f":
+        raise Unsupported("pow of integers")
+    f = lambda x, y: low.b.op("pow", dtype, x, low.b.cast(y, dtype))  # noqa: E731
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("square")
+def _square(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = dtype_of(eqn.outvars[0].aval)
+    return [entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
+
+
+@rule("one_minus_square")  # from jax 0.11 on, in the derivatives of tanh, asin, acos, atanh
+def _one_minus_square(low: Lowering, eqn: Any, ins: list) -> list:
+    return low.evaluate(lambda x: (1 + x) * (1 - x), *ins, avals=[eqn.invars[0].aval])
+
+
+@rule("integer_pow")
+def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, y = dtype_of(eqn.outvars[0].aval), eqn.params["y"]
+
+    def power(x: Value) -> Value:
+        n, square, out = abs(y), x, None
+        while n:
+            if n & 1:
+                out = square if out is None else low.b.op("mul", dtype, out, square)
+            n >>= 1
+            if n:
+                square = low.b.op("mul", dtype, square, square)
+        out = dtype.type(1) if out is None else out
+        return low.b.op("div", dtype, dtype.type(1), out) if y < 0 else out
+
+    return [entrywise(low, dtype, _shape(eqn), power, *ins)]
+
+
+@rule("logistic")
+def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
+    one = dtype.type(1)
+
+    def f(x: Value) -> Value:
+        e = b.op("exp", dtype, b.op("neg", dtype, x))
+        return b.op("div", dtype, one, b.op("add", dtype, e, one))
+
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("sign")
+def _sign(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
+    zero = dtype.type(0)
+
+    def f(x: Value) -> Value:  # x itself if it is zero or nan
+        below = x if dtype.kind == "u" else b.select(
+            b.op("lt", BOOL, x, zero), dtype.type(-1), x
+        )  # fmt: skip
+        return b.select(b.op("gt", BOOL, x, zero), dtype.type(1), below)
+
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("round")
+def _round(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
+    to_even = int(eqn.params["rounding_method"]) == 1
+    f = functools.partial(b.op, "rint" if to_even else "round", dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("clamp")
+def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
+
+    def f(least: Value, x: Value, most: Value) -> Value:
+        return b.op("min", dtype, b.op("max", dtype, x, least), most)
+
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("select_n")
+def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
+
+    def f(which: Value, *cases: Value) -> Value:
+        if len(cases) == 1:
+            return cases[0]
+        if which.dtype == BOOL:
+            return b.select(which, cases[1], cases[0])
+        out = cases[-1]
+        for k in reversed(range(len(cases) - 1)):
+            out = b.select(b.op("eq", BOOL, which, which.dtype.type(k)), cases[k], out)
+        return out
+
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("convert_element_type", "reduce_precision")
+def _convert(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
+    if eqn.primitive.name == "reduce_precision":
+        bits = (eqn.params["exponent_bits"], eqn.params["mantissa_bits"])
+        if bits != {4: (8, 23), 8: (11, 52)}[dtype.itemsize]:
+            raise Unsupported(f"reduce_precision to {bits}")
+        return list(ins)
+    x = ins[0]
+    if isinstance(x, View) and x.dtype == dtype:
+        return [x]
+    if is_known(x) and dtype.kind == "f":
+        return [x.astype(dtype)]
+
+    def f(x: Value) -> Value:
+        if dtype == BOOL:
+            return b.op("ne", BOOL, x, x.dtype.type(0)) if x.dtype != BOOL else x
+        return b.cast(x, dtype)
+
+    return [entrywise(low, dtype, _shape(eqn), f, x)]
+
+
+@rule("bitcast_convert_type")
+def _bitcast(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = dtype_of(eqn.outvars[0].aval)
+    if eqn.invars[0].aval.dtype.itemsize != dtype.itemsize:
+        raise Unsupported("bitcast_convert_type to another size")
+    f = functools.partial(low.b.op, "bitcast", dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("sincos")
+def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
+    """Cosine and sine by polynomials of one reduced angle."""
+    aval = jax.ShapeDtypeStruct((), eqn.invars[0].aval.dtype)
+    closed = _traced(polynomial_sincos, aval.dtype)
+
+    def pair(angle: Value) -> list[Value]:
+        return [low.scalars(x)[()] for x in low.closed(closed, [filled((), angle)])]
+
+    b, shape = low.b, _shape(eqn)
+    if math.prod(shape) > LOOP_ABOVE_IN_MEMORY:
+        angles = spread(b, ins[0], aval.dtype, shape)
+        views = [View.of(b.local(aval.dtype, math.prod(shape)), shape) for _ in range(2)]
+
+        def one(*i: Value) -> None:
+            for view, value in zip(views, pair(get(b, angles, i)), strict=True):
+                put(b, view, i, value)
+
+        each(b, shape, one)
+        return list(views)
+    x = low.scalars(ins[0])
+    out = np.empty(shape, object), np.empty(shape, object)
+    for i in np.ndindex(shape):
+        out[0][i], out[1][i] = pair(x[i])
+    return list(out)
+
+
+@functools.cache
+def _traced(f: Callable, dtype: np.dtype) -> Any:
+    return jax.make_jaxpr(f)(jnp.zeros((), dtype))

@@ -1,0 +1,349 @@
+"""Rules for dense factorisations and triangular systems.
+
+Each is a JAX function that works column by column, which is traced and lowered. Small matrices are
+unrolled, entry by entry. Larger ones use a loop over the columns.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from rbjax.compiler.ir.program import I32, Block, Value, Var
+from rbjax.compiler.lower.arrays import Small, View, each, get, in_memory, put, settled
+from rbjax.compiler.lower.elementwise import source
+from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
+
+#: matrices with more columns are factorised by a loop
+UNROLL_UP_TO = 8
+#: triangular systems with more rows are solved by a loop in a thread of a team
+ROWS_UP_TO = 16
+
+
+def _columns(n: int, step: Callable, *state: Any, reverse: bool = False) -> Any:
+    """step(k, *state) for each column; k is known if there are few."""
+    if n <= UNROLL_UP_TO:
+        for k in reversed(range(n)) if reverse else range(n):
+            state = step(k, *state)
+        return state
+    turn = lambda k, x: step(n - 1 - k if reverse else k, *x)  # noqa: E731
+    return lax.fori_loop(0, n, turn, state)
+
+
+def _row(a: jax.Array, k: Any, first: Any = 0) -> jax.Array:
+    """a[k], where k is at least `first`; by selections if k is not known and rows are few."""
+    if isinstance(k, int) or len(a) > UNROLL_UP_TO:
+        return a[k]
+    out = a[-1]
+    for i in reversed(range(first, len(a) - 1)):
+        out = jnp.where(k == i, a[i], out)
+    return out
+
+
+def _exchanged(x: jax.Array, k: Any, p: Any, first: Any = 0) -> jax.Array:
+    """x, with rows k and p in each other's place, where p is at least `first`."""
+    rows = np.arange(len(x))
+    here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
+    there = (rows == k).reshape(here.shape)
+    return jnp.where(there, _row(x, p, first), jnp.where(here, x[k], x))
+
+
+def cholesky(a: jax.Array) -> jax.Array:
+    """L of A = L L^T, from the lower triangle; nan if A is not positive definite."""
+    return _cholesky_by(a, False)[0]
+
+
+def cholesky_and_inverses(a: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The same by the inverse of each root, which on a GPU takes a third of a root's and a
+    division's time; and these inverses (n,) of the diagonal."""
+    return _cholesky_by(a, True)
+
+
+def _cholesky_by(a: jax.Array, inverse: bool) -> tuple[jax.Array, jax.Array]:
+    n = len(a)
+    rows = np.arange(n)
+
+    def step(k: Any, a: jax.Array, factors: jax.Array, bad: jax.Array) -> tuple:
+        pivot = a[k, k]
+        bad = bad | ~(pivot > 0)
+        factor = lax.rsqrt(pivot) if inverse else jnp.ones_like(pivot)
+        factors = jnp.where(rows == k, factor, factors) if inverse else factors
+        root = pivot * factor if inverse else jnp.sqrt(pivot)
+        scaled = a[:, k] * factor if inverse else a[:, k] / root
+        column = jnp.where(rows == k, root, jnp.where(rows > k, scaled, 0))
+        below = (rows[:, None] > k) & (rows > k) & (rows[:, None] >= rows)
+        a = jnp.where(below, a - column[:, None] * column, a)
+        return jnp.where(rows == k, column[:, None], a), factors, bad
+
+    a, factors, bad = _columns(n, step, a, jnp.ones(n, a.dtype), jnp.asarray(False))
+    lower = rows[:, None] >= rows
+    return jnp.where(lower, jnp.where(bad, jnp.nan, a), 0), jnp.where(bad, jnp.nan, factors)
+
+
+def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """L and U in one matrix, the row swapped at each column, and the permutation."""
+    m, n = a.shape
+    rows, columns, count = np.arange(m), np.arange(n), min(m, n)
+
+    def step(k: Any, a: jax.Array, pivots: jax.Array, order: jax.Array) -> tuple:
+        size = jnp.where(rows < k, -1, jnp.abs(a[:, k]))
+        size = jnp.where(jnp.isnan(size), jnp.inf, size)
+        p = jnp.argmax(size[k:] if isinstance(k, int) else size).astype(jnp.int32)
+        p = p + k if isinstance(k, int) else p
+        first = k if isinstance(k, int) else 0
+
+        a, order = _exchanged(a, k, p, first), _exchanged(order, k, p, first)
+        pivots = jnp.where(np.arange(count) == k, p, pivots)
+        below = rows > k
+        pivot = a[k, k]
+        factor = jnp.where(pivot == 0, a[:, k], a[:, k] / pivot)
+        right = below[:, None] & (columns > k)
+        a = jnp.where(right, a - factor[:, None] * a[k], a)
+        return jnp.where(below[:, None] & (columns == k), factor[:, None], a), pivots, order
+
+    start = a, jnp.zeros(count, jnp.int32), jnp.arange(m, dtype=jnp.int32)
+    return _columns(count, step, *start)
+
+
+def permutation(pivots: jax.Array, *, size: int) -> jax.Array:
+    """The order of rows after the swaps, one after another."""
+    rows = np.arange(size)
+
+    def step(k: Any, order: jax.Array) -> tuple:
+        p = pivots[k]
+        return (jnp.where(rows == k, _row(order, p), jnp.where(rows == p, order[k], order)),)
+
+    return _columns(len(pivots), step, jnp.arange(size, dtype=jnp.int32))[0]
+
+
+def triangular_solve(
+    a: jax.Array, b: jax.Array, *, left_side: bool, lower: bool, transpose_a: bool,
+    unit_diagonal: bool,
+) -> jax.Array:  # fmt: skip
+    """x of a x = b, or of x a = b; a may be transposed."""
+    if not left_side:
+        a, b = a.T, b.T
+        lower = not lower
+    if transpose_a:
+        a = a.T
+        lower = not lower
+    n = len(a)
+    rows = np.arange(n)
+
+    def step(k: Any, b: jax.Array) -> tuple:
+        x = b[k] if unit_diagonal else b[k] / a[k, k]
+        later = rows > k if lower else rows < k
+        b = jnp.where(later[:, None], b - a[:, k][:, None] * x, b)
+        return (jnp.where((rows == k)[:, None], x, b),)
+
+    (x,) = _columns(n, step, b, reverse=not lower)
+    return x if left_side else x.T
+
+
+def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Householder's reflections below the diagonal, R above it, the reflections' factors, and the
+    order of the columns: with `pivoting` the longest that is left comes next."""
+    m, n = a.shape
+    rows, columns, count = np.arange(m), np.arange(n), min(m, n)
+
+    def step(k: Any, a: jax.Array, taus: jax.Array, order: jax.Array) -> tuple:
+        if pivoting:
+            left = jnp.where((rows >= k)[:, None], a, 0)
+            p = jnp.where(columns >= k, (left * left).sum(0), -1).argmax().astype(jnp.int32)
+            a, order = _exchanged(a.T, k, p).T, _exchanged(order, k, p)
+        below, alpha = rows > k, a[k, k]
+        rest = jnp.where(below, a[:, k] ** 2, 0).sum()
+        length = jnp.sqrt(alpha**2 + rest)
+        beta = jnp.where(alpha >= 0, -length, length)
+        flat = rest == 0
+        tau = jnp.where(flat, 0, (beta - alpha) / jnp.where(flat, 1, beta))
+        scale = jnp.where(flat, 1, alpha - beta)
+        v = jnp.where(rows == k, 1, jnp.where(below, a[:, k] / scale, 0))
+        right = (rows >= k)[:, None] & (columns > k)
+        a = jnp.where(right, a - tau * v[:, None] * (v @ a), a)
+        mine = columns == k
+        a = jnp.where(below[:, None] & mine, v[:, None], a)
+        a = jnp.where((rows == k)[:, None] & mine, jnp.where(flat, alpha, beta), a)
+        return a, jnp.where(np.arange(count) == k, tau, taus), order
+
+    return _columns(count, step, a, jnp.zeros(count, a.dtype), jnp.arange(n, dtype=jnp.int32))
+
+
+def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
+    """The first columns of the product of reflections."""
+    rows = np.arange(a.shape[0])
+
+    def step(k: Any, q: jax.Array) -> tuple:
+        v = jnp.where(rows == k, 1, jnp.where(rows > k, a[:, k], 0))
+        return (q - taus[k] * v[:, None] * (v @ q),)
+
+    start = jnp.eye(a.shape[0], a.shape[1], dtype=a.dtype)
+    return _columns(len(taus), step, start, reverse=True)[0]
+
+
+def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[jax.Array, ...]:
+    """Q and R; with `pivoting` the order of the columns too."""
+    m, n = a.shape
+    r, taus, order = geqrf(a, pivoting)
+    k = m if full_matrices else min(m, n)
+    wide = jnp.concatenate([r, jnp.zeros((m, max(k - n, 0)), a.dtype)], 1)[:, :k]
+    found = householder_product(wide, taus), jnp.triu(r[:k])
+    return (*found, order) if pivoting else found
+
+
+def mapped(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
+    """The results of f, mapped over the axes before the last ones."""
+    for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
+        f = jax.vmap(f)
+    return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
+
+
+@rule("cholesky")
+def _cholesky(low: Lowering, eqn: Any, ins: list) -> list:
+    if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
+        a = low.scalars(ins[0])
+        with low.b.by_itself():  # each thread the whole factor, in its registers
+            L, inverses = mapped(low, eqn, [a], cholesky_and_inverses, (2,))
+        for root, inverse in zip(np.diagonal(L), inverses, strict=True):
+            low.b.inverses[root] = inverse
+        return [L]
+    return mapped(low, eqn, ins, cholesky, (2,))
+
+
+@rule("lu")
+def _lu(low: Lowering, eqn: Any, ins: list) -> list:
+    return mapped(low, eqn, ins, lu, (2,))
+
+
+@rule("lu_pivots_to_permutation")
+def _permutation(low: Lowering, eqn: Any, ins: list) -> list:
+    f = functools.partial(permutation, size=eqn.params["permutation_size"])
+    return mapped(low, eqn, ins, f, (1,))
+
+
+@rule("triangular_solve")
+def _triangular_solve(low: Lowering, eqn: Any, ins: list) -> list:
+    names = "left_side", "lower", "transpose_a", "unit_diagonal"
+    if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= ROWS_UP_TO:
+        return [_solved_by_team(low, eqn, *ins)]
+    ins = [settled(low.b, x) for x in ins]
+    f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
+    return mapped(low, eqn, ins, f, (2,))
+
+
+takes_delayed("triangular_solve")
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A loop of a team in which each thread has solved a system for a column (or row) of the right
+    side.
+
+    solution: all entries of the solutions in memory, as at `version` of their array.
+    block: the loop's statements.
+    left: whether the matrix is on the left.
+    column: the column of a thread.
+    x: the entries of a thread's solution, in registers.
+    """
+
+    solution: View
+    version: int
+    block: Block
+    left: bool
+    column: Value
+    x: list[Value]
+
+    def goes_on(self, left: bool, used: list[Any], right: View) -> bool:
+        """Whether the same threads can solve the next system at once: with numbers that were
+        there before the loop, and the whole of the solutions."""
+        there = all(not isinstance(v, Var) or v.id < self.column.id for v in used)
+        known = not any(isinstance(v, View) for v in used)
+        whole = self.solution.same(right) and right.array.version == self.version
+        return self.left == left and there and known and whole
+
+
+def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
+    """Each thread solves for some columns of the right side (or its rows, from the right), which
+    are in its registers, with the inverses of the diagonal."""
+    b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]
+    left, turned = P["left_side"], P["transpose_a"] == P["left_side"]
+    forwards = P["lower"] != turned
+    a = settled(b, a)
+    a = low.scalars(a) if n <= UNROLL_UP_TO else in_memory(b, a, dtype)
+
+    def entry(j: int, k: int) -> Value:
+        j, k = (k, j) if turned else (j, k)
+        return get(b, a, (I32.type(j), I32.type(k))) if isinstance(a, View) else a[j, k]
+
+    def inverted(x: Value) -> Value:
+        return b.inverses[x] if x in b.inverses else b.op("div", dtype, dtype.type(1), x)
+
+    inverse = [None if P["unit_diagonal"] else inverted(entry(k, k)) for k in range(n)]
+
+    def solve(x: list[Value]) -> list[Value]:
+        for k in range(n) if forwards else reversed(range(n)):
+            if inverse[k] is not None:
+                x[k] = b.op("mul", dtype, x[k], inverse[k])
+            for j in range(k + 1, n) if forwards else range(k):
+                x[j] = b.op("sub", dtype, x[j], b.op("mul", dtype, entry(j, k), x[k]))
+        return x
+
+    if right.shape[1 if left else 0] == 1:
+        found = solve(list(low.scalars(right).reshape(-1)))
+        out = np.empty(right.shape, object)
+        out.reshape(-1)[:] = found
+        return out
+    view = View.of(b.local(dtype, right.size), right.shape)
+
+    def write(c: Value, x: list[Value]) -> None:
+        for k in range(n):
+            put(b, view, (I32.type(k), c) if left else (c, I32.type(k)), x[k])
+        b.solved[view.array] = Solved(view, view.array.version, b.block, left, c, x)
+
+    before = b.solved.get(right.array) if isinstance(right, View) else None
+    used = [*inverse, *np.ravel(a)] if isinstance(a, np.ndarray) else [a]
+    if before is not None and before.goes_on(left, used, right):
+        with b.inside(before.block), b.by_itself():
+            write(before.column, solve(list(before.x)))
+        return view
+    s = source(b, right, right.shape)
+
+    def column(c: Value) -> None:
+        write(c, solve([s.entry(*((I32.type(k), c) if left else (c, I32.type(k))))
+                        for k in range(n)]))  # fmt: skip
+
+    each(b, (right.shape[1 if left else 0],), column)
+    return view
+
+
+@rule("geqrf")
+def _geqrf(low: Lowering, eqn: Any, ins: list) -> list:
+    return mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
+
+
+@rule("householder_product")
+def _householder_product(low: Lowering, eqn: Any, ins: list) -> list:
+    return mapped(low, eqn, ins, householder_product, (2,))
+
+
+@rule("qr")
+def _qr(low: Lowering, eqn: Any, ins: list) -> list:
+    names = "full_matrices", "pivoting"
+    f = functools.partial(qr, **{name: eqn.params.get(name, False) for name in names})
+    return mapped(low, eqn, ins, f, (2,))
+
+
+@rule("custom_linear_solve")
+def _custom_linear_solve(low: Lowering, eqn: Any, ins: list) -> list:
+    counts, jaxprs = eqn.params["const_lengths"], eqn.params["jaxprs"]
+    sizes = [counts.matvec, counts.vecmat, counts.solve, counts.transpose_solve]
+    start = sum(sizes[:2])
+    solve = ins[start : start + counts.solve]
+    return low.closed(jaxprs.solve, [*solve, *ins[sum(sizes) :]])

@@ -1,0 +1,125 @@
+"""Rules for primitives that index: slices at an index that is not known, gather, scatter.
+
+Known indices cost nothing. Otherwise the operand is in memory, or a small array stays in registers
+and selections find the entry.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rbjax.compiler.ir.program import BOOL, I32, Value, Var
+from rbjax.compiler.lower.arrays import Small, View, in_memory, is_known, objects, owned_copy, write
+from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule
+
+#: arrays in registers with at most this many entries are indexed by selections
+SELECT_UP_TO = 8
+
+
+def clamped(low: Lowering, index: Value, most: int) -> Value:
+    """The index clamped to 0 ... most."""
+    if not isinstance(index, Var):
+        return I32.type(min(max(int(index), 0), most))
+    if most <= 0:
+        return I32.type(0)
+    b, kind = low.b, index.dtype
+    if kind.kind != "u":
+        index = b.op("max", kind, index, kind.type(0))
+    if most <= np.iinfo(kind).max:
+        index = b.op("min", kind, index, kind.type(most))
+    return b.cast(index, I32)
+
+
+def in_bounds(low: Lowering, index: Value, most: int) -> Value:
+    """Whether 0 <= index <= most."""
+    b, kind = low.b, index.dtype
+    ok: Value = np.bool_(True)
+    if kind.kind != "u":
+        ok = b.op("ge", BOOL, index, kind.type(0))
+    if most <= np.iinfo(kind).max:
+        ok = b.op("and", BOOL, ok, b.op("le", BOOL, index, kind.type(most)))
+    return ok
+
+
+def changeable(low: Lowering, x: Small, dtype: Any) -> View:
+    """x as memory that may be updated: itself if nothing reads it later, else a copy."""
+    if isinstance(x, View) and x.changeable:
+        return x
+    return owned_copy(low.b, x, dtype)
+
+
+def _moved(low: Lowering, view: View, starts: Sequence[Value], sizes: Sequence[int]) -> View:
+    box = [slice(0, n, 1) for n in sizes]
+    return view.sliced(box).moved(low.b, *zip(starts, view.strides, strict=True))
+
+
+@rule("dynamic_slice")
+def _dynamic_slice(low: Lowering, eqn: Any, ins: list) -> list:
+    x, sizes = ins[0], eqn.params["slice_sizes"]
+    starts = [
+        clamped(low, low.scalars(i)[()], n - size)
+        for i, n, size in zip(ins[1:], x.shape, sizes, strict=True)
+    ]
+    if not any(isinstance(s, Var) for s in starts):
+        box = tuple(slice(int(s), int(s) + n, 1) for s, n in zip(starts, sizes, strict=True))
+        return [x.sliced(box) if isinstance(x, View) else x[box]]
+    if not isinstance(x, View) and not is_known(x) and x.size <= SELECT_UP_TO:
+        return [_selected(low, x, starts, sizes)]
+    view = _moved(low, in_memory(low.b, x, dtype_of(eqn.outvars[0].aval)), starts, sizes)
+    if view.array.mutable and view.size <= SELECT_UP_TO:
+        return [low.scalars(view)]  # read now, so that the array may be updated in place
+    return [view]
+
+
+def _selected(low: Lowering, x: np.ndarray, starts: list, sizes: Sequence[int]) -> np.ndarray:
+    b = low.b
+    for axis, (start, size) in enumerate(zip(starts, sizes, strict=True)):
+        pieces = [
+            np.take(x, range(k, k + size), axis) for k in range(x.shape[axis] - size + 1)
+        ]
+        out = pieces[-1]
+        for k in reversed(range(len(pieces) - 1)):
+            here = b.op("eq", BOOL, start, I32.type(k))
+            out = objects(out).copy()
+            for i in np.ndindex(out.shape):
+                out[i] = b.select(here, pieces[k][i], out[i])
+        x = out
+    return x
+
+
+@rule("dynamic_update_slice")
+def _dynamic_update_slice(low: Lowering, eqn: Any, ins: list) -> list:
+    x, update, *index = ins
+    dtype = dtype_of(eqn.outvars[0].aval)
+    starts = [
+        clamped(low, low.scalars(i)[()], n - size)
+        for i, n, size in zip(index, x.shape, update.shape, strict=True)
+    ]
+    if not isinstance(x, View) and not any(isinstance(s, Var) for s in starts):
+        out = objects(x).copy()
+        box = tuple(slice(int(s), int(s) + n) for s, n in zip(starts, update.shape, strict=True))
+        out[box] = low.scalars(update)
+        return [out]
+    if not isinstance(x, View) and x.size <= SELECT_UP_TO:
+        return [_updated(low, objects(x), low.scalars(update), starts)]
+    with low.held([update]):
+        whole = changeable(low, x, dtype)
+    write(low.b, _moved(low, whole, starts, update.shape), update)
+    return [whole]
+
+
+def _updated(low: Lowering, x: np.ndarray, update: np.ndarray, starts: list) -> np.ndarray:
+    b, out = low.b, x.copy()
+    spans = [range(n - m + 1) for n, m in zip(x.shape, update.shape, strict=True)]
+    for at in itertools.product(*spans):
+        here: Value = np.bool_(True)
+        for start, k in zip(starts, at, strict=True):
+            here = b.op("and", BOOL, here, b.op("eq", BOOL, start, I32.type(k)))
+        for i in np.ndindex(update.shape):
+            to = tuple(np.add(at, i))
+            out[to] = b.select(here, update[i], out[to])
+    return out

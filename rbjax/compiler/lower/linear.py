@@ -1,0 +1,195 @@
+"""Rules for matrix products."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rbjax.compiler.ir.program import BOOL, I32, Builder, Value
+from rbjax.compiler.lower.arrays import (
+    SHARED_ABOVE,
+    Small,
+    View,
+    each,
+    get,
+    in_memory,
+    put,
+    transposed,
+    write,
+)
+from rbjax.compiler.lower.delayed import Delayed
+from rbjax.compiler.lower.elementwise import source
+from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
+
+#: products with more terms are loops
+UNROLL_UP_TO = 512
+#: the same of two matrices on a GPU, where a loop waits for its two loads at each term
+MATRICES_UP_TO = 2048
+#: the same where one sample's matrices fill a CPU's vectors: a loop over rows runs at their speed
+VECTORS_UP_TO = 100
+#: terms of a sum that a thread of a team writes out
+TERMS_UP_TO = 32
+#: sums of a product that run together on a CPU: with what they read they fit into 16 registers
+SIDE_BY_SIDE = 12
+
+
+@rule("dot_general")
+def _dot(low: Lowering, eqn: Any, ins: list) -> list:
+    ((ca, cb), (ba, bb)), dtype = eqn.params["dimension_numbers"], dtype_of(eqn.outvars[0].aval)
+    fa = [k for k in range(len(ins[0].shape)) if k not in (*ca, *ba)]
+    fb = [k for k in range(len(ins[1].shape)) if k not in (*cb, *bb)]
+    x = transposed(ins[0], (*ba, *fa, *ca))
+    y = transposed(ins[1], (*bb, *fb, *cb))
+    nb, na, ny = len(ba), len(fa), len(fb)
+    shape = (*x.shape[:nb], *x.shape[nb : nb + na], *y.shape[nb : nb + ny])
+    contracted = x.shape[nb + na :]
+    terms = math.prod(contracted)
+    if low.b.teamed and 2 * math.prod(shape) * terms > SHARED_ABOVE:
+        return [_delayed(low, x, y, shape, contracted, (nb, na, ny), dtype)]
+    if math.prod(shape) * math.prod(contracted) > _unrolled(low.b, bool(fa and fb)):
+        return [_looped(low, x, y, shape, contracted, (nb, na, ny), dtype)]
+    a, c = low.scalars(x), low.scalars(y)
+    b, out = low.b, np.empty(shape, object)
+    for i in np.ndindex(shape):
+        left, right = (*i[: nb + na],), (*i[:nb], *i[nb + na :])
+        total: Value = dtype.type(0)
+        for t in np.ndindex(contracted):
+            term = b.op("mul", dtype, b.cast(a[left + t], dtype), b.cast(c[right + t], dtype))
+            total = b.op("add", dtype, total, term)
+        out[i] = total
+    return [out]
+
+
+takes_delayed("dot_general")
+
+
+def _unrolled(b: Builder, matrices: bool) -> int:
+    """The terms up to which a product, perhaps of two matrices, is no loop."""
+    if b.matrices:
+        return VECTORS_UP_TO
+    return MATRICES_UP_TO if matrices and b.platform == "cuda" else UNROLL_UP_TO
+
+
+def _delayed(
+    low: Lowering, x: Small, y: Small, shape: tuple, contracted: tuple, sizes: tuple, dtype: Any
+) -> Small:
+    """Each sum where it is read. What several sums read is in memory, or as good as there."""
+    b, (nb, na, ny) = low.b, sizes
+    terms = math.prod(contracted)
+    if not terms:
+        return np.zeros(shape, dtype)
+    ways = math.prod(y.shape[nb : nb + ny]), math.prod(x.shape[nb : nb + na])
+    x, y = (
+        in_memory(b, z, dtype) if n > 1 and isinstance(z, Delayed) and z.cost > 2 else z
+        for z, n in zip((x, y), ways, strict=True)
+    )
+    s, t = source(b, x, x.shape), source(b, y, y.shape)
+
+    def entry(*i: Value) -> Value:
+        left, right = i[: nb + na], (*i[:nb], *i[nb + na :])
+
+        def term(*k: Value) -> Value:
+            pair = (b.cast(z.entry(*at, *k), dtype) for z, at in ((s, left), (t, right)))
+            return b.op("mul", dtype, *pair)
+
+        return summed(b, contracted, term, functools.partial(b.op, "add", dtype), dtype)
+
+    return Delayed(shape, dtype, entry, s.sources | t.sources, terms * (2 + s.cost + t.cost))
+
+
+def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: Any) -> Value:
+    """term(*index) of each index of a shape, which has entries, put together by add."""
+    if math.prod(shape) <= TERMS_UP_TO:
+        every = [term(*map(I32.type, k)) for k in np.ndindex(shape)]
+        return functools.reduce(add, every)
+    first = term(*(I32.type(0) for _ in shape))
+    total = b.declare(dtype, first)
+    started = b.declare(BOOL, np.bool_(False))
+
+    def more(*k: Value) -> None:
+        value = term(*k)
+        b.assign(total, b.select(started, add(total, value), value))
+        b.assign(started, np.bool_(True))
+
+    with b.by_itself():
+        each(b, shape, more)
+    return total
+
+
+def _looped(
+    low: Lowering, x: Small, y: Small, shape: tuple, contracted: tuple, sizes: tuple, dtype: Any
+) -> View:
+    """Sums in loops. On a CPU some run side by side: each waits for its last term, not for the
+    others, and they share what they read of x."""
+    b, (nb, na, ny) = low.b, sizes
+    x, y = in_memory(b, x, dtype), in_memory(b, y, dtype)
+    if b.matrices and na and ny and y.strides[nb + ny - 1] != 1:
+        y = _side_by_side(b, y, nb, ny)
+    out = View.of(b.local(dtype, math.prod(shape)), shape)
+    if ny:
+        inner = out
+    elif na:
+        x, y, na, inner = y, x, 0, out
+    else:  # one sum for each index of the batch
+        y, inner = (_with_axis(v, nb) for v in (y, out))
+    count, width = inner.shape[-1], SIDE_BY_SIDE if b.platform == "cpu" else 1
+    whole = count - count % width
+    for start, stop, size in ((0, whole, width), (whole, count, count - whole)):
+        if stop > start:
+            rows = _in_tiles(y, y.ndim - len(contracted) - 1, start, stop, size)
+            _sums(b, x, rows, _in_tiles(inner, inner.ndim - 1, start, stop, size), (nb, na))
+    return out
+
+
+def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
+    """A copy in which the entries of y that a row of sums reads lie side by side."""
+    order = (*range(nb), *range(nb + ny, y.ndim), *range(nb, nb + ny))
+    rows = transposed(y, order)
+    assert isinstance(rows, View)
+    copy = View.of(b.local(y.dtype, y.size), rows.shape)
+    write(b, copy, rows)
+    back = transposed(copy, tuple(np.argsort(order)))
+    assert isinstance(back, View)
+    return back
+
+
+def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> None:
+    """out = sum over the last axes of x y. Axis -1 of out and the same one of y are a tile."""
+    (nb, na), dtype = sizes, out.dtype
+    tile = [np.int32(k) for k in range(out.shape[-1])]
+
+    def one(*i: Value) -> None:
+        left, right = i[: nb + na], (*i[:nb], *i[nb + na :])
+        totals = [b.declare(dtype, dtype.type(0)) for _ in tile]
+
+        def more(*t: Value) -> None:
+            for k, total in zip(tile, totals, strict=True):
+                term = b.op("mul", dtype, get(b, x, (*left, *t)), get(b, y, (*right, k, *t)))
+                b.assign(total, b.op("add", dtype, total, term))
+
+        each(b, x.shape[nb + na :], more)
+        for k, total in zip(tile, totals, strict=True):
+            put(b, out, (*i, k), total)
+
+    each(b, out.shape[:-1], one)
+
+
+def _in_tiles(x: View, axis: int, start: int, stop: int, size: int) -> View:
+    """Entries of an axis as two axes: tiles, and the entries of a tile."""
+    step = x.strides[axis]
+    return replace(
+        x, offset=x.offset + start * step,
+        strides=(*x.strides[:axis], size * step, step, *x.strides[axis + 1 :]),
+        shape=(*x.shape[:axis], (stop - start) // size, size, *x.shape[axis + 1 :]),
+    )  # fmt: skip
+
+
+def _with_axis(x: View, axis: int) -> View:
+    """With an axis of one entry."""
+    strides, shape = ((*xs[:axis], n, *xs[axis:]) for xs, n in ((x.strides, 0), (x.shape, 1)))
+    return replace(x, strides=strides, shape=shape)

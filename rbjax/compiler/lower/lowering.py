@@ -1,0 +1,355 @@
+"""From the jaxpr of one sample to the program of one thread.
+
+`Lowering.run` goes through the equations. A rule for each primitive (`RULES`) maps small arrays to
+small arrays. Moving entries (slices, reshapes, transposes) costs nothing: it renames them. A result
+that is written entry by entry (the stacked outputs of a scan) is written to its final place, so a
+trajectory goes directly to the kernel's result.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
+
+from rbjax._jax_compat import CALLS, JAXPRS, expanded
+from rbjax.compiler.ir.program import Builder
+from rbjax.compiler.lower.arrays import FEW, Small, View, scalars, settled, tidy, write
+from rbjax.compiler.lower.delayed import Delayed
+
+Rule = Callable[["Lowering", Any, list], list]
+RULES: dict[str, Rule] = {}
+#: rules that write a result to a given place: f(lowering, equation, inputs, places)
+WRITERS: dict[str, Callable[[Lowering, Any, list, list], list]] = {}
+
+
+#: a key of threefry: its first number is the low half
+KEY = np.dtype(np.uint64)
+
+
+class Unsupported(Exception):
+    """A primitive or a type that threads do not support."""
+
+
+#: the dtypes that a thread supports
+DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
+
+
+#: primitives whose rules take delayed arrays as they are
+TAKES_DELAYED: set[str] = set()
+#: operations up to which the entries of a delayed array are computed at each of its uses
+CHEAP = 4
+
+
+def takes_delayed(*names: str) -> None:
+    TAKES_DELAYED.update(names)
+
+
+#: arguments that the rule of a primitive does not read; they are passed as None
+UNREAD: dict[str, tuple[int, ...]] = {}
+
+
+def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
+    """Register the rule that turns primitives of these names into statements."""
+
+    def register(f: Rule) -> Rule:
+        RULES.update(dict.fromkeys(names, f))
+        UNREAD.update(dict.fromkeys(names, unread) if unread else {})
+        return f
+
+    return register
+
+
+def writer(*names: str) -> Callable:
+    """The same, for rules that get the places of their results."""
+
+    def register(f: Callable) -> Callable:
+        WRITERS.update(dict.fromkeys(names, f))
+        return f
+
+    return register
+
+
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """The part of a jaxpr that its results need.
+
+    last: for each variable that is read, the last equation that reads it. equations: for each, its
+    number, itself and the inputs that it reads. uses: how often each variable is read.
+    """
+
+    jaxpr: Jaxpr
+    last: dict[Any, int]
+    uses: Counter
+    equations: list[tuple[int, Any, list]]
+
+
+class Lowering:
+    """Writes the program of a jaxpr with a `Builder`."""
+
+    def __init__(self, builder: Builder):
+        self.b = builder
+        self.needs: dict[int, Needs] = {}
+
+    def closed(
+        self, closed: ClosedJaxpr, args: Sequence[Small], places: Sequence[View | None] = ()
+    ) -> list[Small]:
+        return self.run(closed.jaxpr, closed.consts, args, places)
+
+    def run(
+        self,
+        jaxpr: Jaxpr,
+        consts: Sequence[Any],
+        args: Sequence[Small],
+        places: Sequence[View | None] = (),
+    ) -> list[Small]:
+        """The results of a jaxpr. A result with a place is written there."""
+        needs = self.needed(jaxpr)
+        last = needs.last
+        env: dict[Any, Small] = {}
+
+        def bind(var: Any, value: Small) -> None:
+            if var in last:
+                if isinstance(value, Delayed) and needs.uses[var] > 1 and value.cost > CHEAP:
+                    value = settled(self.b, value)
+                env[var] = value
+                _own(value, 1)
+
+        def read(atom: Any) -> Small:
+            return known(atom.val, atom.aval) if isinstance(atom, Literal) else env[atom]
+
+        for var, const in zip(jaxpr.constvars, consts, strict=True):
+            held = isinstance(const, View | Delayed) or _is_objects(const)
+            bind(var, const if held else known(const, var.aval))
+        for var, arg in zip(jaxpr.invars, args, strict=True):
+            bind(var, arg)
+        if self.b.teamed:
+            wanted = _places(jaxpr, places, lambda v: v in last and self._joined(v))
+        else:
+            wanted = _places(jaxpr, places)
+        for n, eqn, atoms in needs.equations:
+            ins = [None if atom is None else read(atom) for atom in atoms]
+            for atom in atoms:
+                if not isinstance(atom, Literal) and last.get(atom) == n and atom in env:
+                    _own(env.pop(atom), -1)
+            outs = self._equation(eqn, ins, [wanted.get(v) for v in eqn.outvars])
+            for var, out in zip(eqn.outvars, outs, strict=True):
+                place = wanted.get(var)
+                if isinstance(out, Delayed) and place is not None and place.array.shared:
+                    write(self.b, place, out)  # a piece of a larger array, where it belongs
+                    out = place
+                bind(var, out)
+        outs = [read(atom) for atom in jaxpr.outvars]
+        for value in env.values():
+            _own(value, -1)
+        for i, place in enumerate(places):
+            if place is not None:
+                write(self.b, place, outs[i])
+                outs[i] = place
+        return outs
+
+    def _equation(self, eqn: Any, ins: list[Small], places: list[View | None]) -> list[Small]:
+        name = eqn.primitive.name
+        for var in eqn.outvars:
+            dtype = dtype_of(var.aval)
+            fits = dtype is None or dtype in DTYPES
+            call = called(eqn) or expanded(eqn)  # the inner jaxpr names it
+            if not fits and (name in RULES or call is None):
+                raise Unsupported(f"{name} of type {dtype}")
+        if name not in TAKES_DELAYED and (name in WRITERS or name in RULES):
+            ins = [settled(self.b, x) for x in ins]
+        if name in WRITERS:
+            return WRITERS[name](self, eqn, ins, places)
+        if name in RULES:
+            return [
+                tidy(out, dtype_of(var.aval)) if isinstance(out, np.ndarray) else out
+                for out, var in zip(RULES[name](self, eqn, ins), eqn.outvars, strict=True)
+            ]
+        inner, high = called(eqn), expanded(eqn)
+        if high is not None:
+            inner = jax.make_jaxpr(high)(*(v.aval for v in eqn.invars))
+        if inner is None:
+            raise Unsupported(name)
+        return self.closed(inner, ins, places)
+
+    def _joined(self, var: Any) -> View | None:
+        """A place for a concatenation of a team, for the pieces to be written there."""
+        aval = var.aval
+        if aval.size <= FEW or dtype_of(aval) not in DTYPES:
+            return None
+        array = self.b.local(dtype_of(aval), aval.size)
+        array.pieces = True
+        return View.of(array, aval.shape)
+
+    def needed(self, jaxpr: Jaxpr) -> Needs:
+        """The part of a jaxpr that its results need."""
+        known = self.needs.get(id(jaxpr))
+        if known is None or known.jaxpr is not jaxpr:
+            known = self.needs[id(jaxpr)] = self._needed(jaxpr)
+        return known
+
+    def _needed(self, jaxpr: Jaxpr) -> Needs:
+        end = len(jaxpr.eqns)
+        last: dict[Any, int] = {v: end for v in jaxpr.outvars if not isinstance(v, Literal)}
+        equations = []
+        uses = Counter(v for v in jaxpr.outvars if not isinstance(v, Literal))
+        for n, eqn in reversed(list(enumerate(jaxpr.eqns))):
+            if not eqn.effects and not any(v in last for v in eqn.outvars):
+                continue
+            atoms: list[Any] = list(eqn.invars)
+            for k in self._unread(eqn):
+                atoms[k] = None
+            for atom in atoms:
+                if atom is not None and not isinstance(atom, Literal):
+                    last.setdefault(atom, n)
+                    uses[atom] += 1
+            equations.append((n, eqn, atoms))
+        return Needs(jaxpr, last, uses, equations[::-1])
+
+    def _unread(self, eqn: Any) -> Sequence[int]:
+        inner = called(eqn)
+        if inner is None or eqn.primitive.name in RULES:
+            return UNREAD.get(eqn.primitive.name, ())
+        last = self.needed(inner.jaxpr).last
+        return [k for k, v in enumerate(inner.jaxpr.invars) if v not in last]
+
+    @contextmanager
+    def held(self, values: Sequence[Small]) -> Iterator[None]:
+        """Prevents updates in place of values that are read again later."""
+        for value in values:
+            _own(value, 1)
+        try:
+            yield
+        finally:
+            for value in values:
+                _own(value, -1)
+
+    def scalars(self, x: Small) -> np.ndarray:
+        return scalars(self.b, x)
+
+    def evaluate(self, f: Callable, *args: Small, avals: Sequence[Any]) -> list[Small]:
+        """The results of a JAX function, traced for arguments of these shapes and types."""
+        return self.closed(jax.make_jaxpr(f)(*avals), args)
+
+
+def dtype_of(aval: Any) -> Any:
+    """The dtype of an array's entries; a random key is one 64-bit number."""
+    dtype: Any = getattr(aval, "dtype", None)
+    return KEY if is_key(dtype) and dtype.itemsize == KEY.itemsize else dtype
+
+
+@functools.lru_cache(256)
+def is_key(dtype: Any) -> bool:
+    """Whether this is a dtype of random keys."""
+    return jnp.issubdtype(dtype, jax.dtypes.prng_key)
+
+
+def known(x: Any, aval: Any) -> np.ndarray:
+    """A constant as a numpy array, with the dtype of the jaxpr."""
+    if is_key(getattr(x, "dtype", None)):
+        return np.asarray(jax.random.key_data(x)).view(KEY)[..., 0]
+    return np.asarray(x, aval.dtype)
+
+
+def called(eqn: Any) -> ClosedJaxpr | None:
+    """The jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
+    if eqn.primitive.name not in CALLS:
+        return None
+    for name in JAXPRS:
+        inner = eqn.params.get(name)
+        if isinstance(inner, ClosedJaxpr):
+            return inner
+        if isinstance(inner, Jaxpr):
+            return ClosedJaxpr(inner, ())
+    return None
+
+
+def _is_objects(x: Any) -> bool:
+    return isinstance(x, np.ndarray) and x.dtype == object
+
+
+def _own(value: Small, change: int) -> None:
+    if isinstance(value, View):
+        value.array.owners += change
+    elif isinstance(value, Delayed):
+        for array in value.sources:
+            array.owners += change
+
+
+#: equations that only move entries
+MOVES = {
+    "slice", "transpose", "reshape", "squeeze", "expand_dims", "broadcast_in_dim", "rev", "iota",
+}  # fmt: skip
+
+
+def _places(
+    jaxpr: Jaxpr, places: Sequence[View | None], joined: Callable | None = None
+) -> dict[Any, View]:
+    """The places of results, passed back through equations that only move entries. joined: a place
+    for another concatenation with computed pieces."""
+    wanted: dict[Any, View] = {}
+    inputs = {*jaxpr.invars, *jaxpr.constvars}
+
+    def want(var: Any, place: View | None) -> None:
+        if place is not None and not isinstance(var, Literal) and var not in inputs:
+            wanted.setdefault(var, place)
+
+    def same_entries(var: Any, place: View) -> None:
+        want(var, place.reshaped(var.aval.shape))
+
+    for var, place in zip(jaxpr.outvars, places, strict=False):
+        want(var, place)
+    if not wanted and joined is None:
+        return wanted
+    moved = {v for eqn in jaxpr.eqns if eqn.primitive.name in MOVES for v in eqn.outvars}
+    uses = Counter(v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal))
+    uses.update(v for v in jaxpr.outvars if not isinstance(v, Literal))
+    for eqn in reversed(jaxpr.eqns):
+        if eqn.primitive.name == "fusion_barrier":
+            for var, made in zip(eqn.invars, eqn.outvars, strict=True):
+                shape = getattr(made.aval, "shape", ())
+                want(var, wanted.get(made) if shape else None)
+            continue
+        place = wanted.get(eqn.outvars[0]) if eqn.outvars else None
+        if place is None and joined is not None and eqn.primitive.name == "concatenate":
+            pieces: list[Any] = eqn.invars
+            if any(v not in moved and v not in inputs for v in pieces if isinstance(v, Var)):
+                place = joined(eqn.outvars[0])
+                want(eqn.outvars[0], place)
+        if place is None:
+            continue
+        match eqn.primitive.name:
+            case "reshape" | "squeeze" | "expand_dims":
+                same_entries(eqn.invars[0], place)
+            case "broadcast_in_dim" if _size(eqn.invars[0]) == _size(eqn.outvars[0]):
+                same_entries(eqn.invars[0], place)
+            case "stack" if uses[eqn.outvars[0]] > 1:  # stays in registers to be read again
+                del wanted[eqn.outvars[0]]
+            case "stack":
+                axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
+                for k, var in enumerate(eqn.invars):
+                    box = [slice(0, n, 1) for n in place.shape]
+                    box[axis] = slice(k, k + 1, 1)
+                    same_entries(var, place.sliced(box))
+            case "concatenate":
+                start, axis = 0, eqn.params["dimension"]
+                atoms: list[Any] = eqn.invars
+                for var in atoms:
+                    stop = start + var.aval.shape[axis]
+                    box = [slice(0, n, 1) for n in place.shape]
+                    box[axis] = slice(start, stop, 1)
+                    want(var, place.sliced(box))
+                    start = stop
+    return wanted
+
+
+def _size(atom: Any) -> int:
+    return atom.aval.size

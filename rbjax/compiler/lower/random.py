@@ -1,0 +1,150 @@
+"""Rules for random numbers: threefry keys, with the same bits as `jax.random`.
+
+Source: Salmon et al., *Parallel random numbers: as easy as 1, 2, 3*, 2011.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from rbjax._jax_compat import key_implementation
+from rbjax.compiler.ir.program import Value
+from rbjax.compiler.lower.arrays import Small, View, each, get, put, spread
+from rbjax.compiler.lower.lowering import KEY, Lowering, Unsupported, dtype_of, rule
+
+U32 = np.dtype(np.uint32)
+#: more blocks than this are computed by a loop
+LOOP_ABOVE = 16
+ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
+
+
+@rule("threefry2x32")
+def _threefry(low: Lowering, eqn: Any, ins: list) -> list:
+    b, aval = low.b, eqn.outvars[0].aval
+    if aval.size > LOOP_ABOVE:
+        sources = [spread(b, x, U32, aval.shape) for x in ins]
+        views = [View.of(b.local(U32, aval.size), aval.shape) for _ in range(2)]
+
+        def one(*i: Value) -> None:
+            values = threefry(low, *(get(b, x, i) for x in sources))
+            for view, value in zip(views, values, strict=True):
+                put(b, view, i, value)
+
+        each(b, aval.shape, one)
+        return list(views)
+    arrays = np.broadcast_arrays(*(low.scalars(x) for x in ins))
+    outs = np.empty(aval.shape, object), np.empty(aval.shape, object)
+    for i in np.ndindex(outs[0].shape):
+        outs[0][i], outs[1][i] = threefry(low, *(x[i] for x in arrays))
+    return list(outs)
+
+
+@rule("iota_2x32_shape")
+def _counters(low: Lowering, eqn: Any, ins: list) -> list:
+    shape = eqn.outvars[0].aval.shape
+    count = np.arange(np.prod(shape, dtype=np.int64), dtype=np.uint64).reshape(shape)
+    return [(count >> np.uint64(32)).astype(U32), count.astype(U32)]
+
+
+def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[Value, Value]:
+    """Twenty rounds of the block cipher on two numbers."""
+    b = low.b
+
+    def op(name: str, *args: Value) -> Value:
+        return b.op(name, U32, *args)
+
+    keys = k0, k1, op("xor", op("xor", k0, k1), U32.type(0x1BD11BDA))
+    x, y = op("add", x, k0), op("add", y, k1)
+    for turn in range(5):
+        for r in ROTATIONS[turn % 2]:
+            x = op("add", x, y)
+            y = op("or", op("shl", y, U32.type(r)), op("shr", y, U32.type(32 - r)))
+            y = op("xor", x, y)
+        x = op("add", x, keys[(turn + 1) % 3])
+        y = op("add", op("add", y, keys[(turn + 2) % 3]), U32.type(turn + 1))
+    return x, y
+
+
+def unwrapped(low: Lowering, keys: Small) -> np.ndarray:
+    """Keys as pairs of 32-bit numbers."""
+    b, x = low.b, low.scalars(keys)
+    out = np.empty((*x.shape, 2), object)
+    for i in np.ndindex(x.shape):
+        out[(*i, 0)] = b.cast(x[i], U32)
+        out[(*i, 1)] = b.cast(b.op("shr", KEY, x[i], KEY.type(32)), U32)
+    return out
+
+
+def wrapped(low: Lowering, data: Small) -> np.ndarray:
+    """Pairs of numbers as keys."""
+    b, x = low.b, low.scalars(data)
+    out = np.empty(x.shape[:-1], object)
+    for i in np.ndindex(out.shape):
+        high = b.op("shl", KEY, b.cast(x[(*i, 1)], KEY), KEY.type(32))
+        out[i] = b.op("or", KEY, b.cast(x[(*i, 0)], KEY), high)
+    return out
+
+
+def _impl(dtype: Any) -> Any:
+    if dtype_of(jax.ShapeDtypeStruct((), dtype)) != KEY:
+        raise Unsupported(f"random keys of type {dtype}")
+    return key_implementation(dtype)
+
+
+@rule("random_wrap")
+def _wrap(low: Lowering, eqn: Any, ins: list) -> list:
+    _impl(eqn.outvars[0].aval.dtype)
+    return [wrapped(low, ins[0])]
+
+
+@rule("random_unwrap")
+def _unwrap(low: Lowering, eqn: Any, ins: list) -> list:
+    return [unwrapped(low, ins[0])]
+
+
+@rule("random_clone")
+def _clone(low: Lowering, eqn: Any, ins: list) -> list:
+    return list(ins)
+
+
+@rule("random_seed")
+def _seed(low: Lowering, eqn: Any, ins: list) -> list:
+    impl, aval = _impl(eqn.outvars[0].aval.dtype), eqn.invars[0].aval
+    return [wrapped(low, _each(low, impl.seed, aval.shape, [ins[0]], [aval.dtype])[0])]
+
+
+@rule("random_bits")
+def _bits(low: Lowering, eqn: Any, ins: list) -> list:
+    P, aval = eqn.params, eqn.invars[0].aval
+    impl = _impl(aval.dtype)
+    f = lambda key: impl.random_bits(key, P["bit_width"], P["shape"])  # noqa: E731
+    return _each(low, f, aval.shape, [unwrapped(low, ins[0])], [U32])
+
+
+@rule("random_split")
+def _split(low: Lowering, eqn: Any, ins: list) -> list:
+    aval = eqn.invars[0].aval
+    f = lambda key: _impl(aval.dtype).split(key, eqn.params["shape"])  # noqa: E731
+    return [wrapped(low, _each(low, f, aval.shape, [unwrapped(low, ins[0])], [U32])[0])]
+
+
+@rule("random_fold_in")
+def _fold_in(low: Lowering, eqn: Any, ins: list) -> list:
+    key, message = (v.aval for v in eqn.invars)
+    shape = eqn.outvars[0].aval.shape
+    keys = np.broadcast_to(unwrapped(low, ins[0]), (*shape, 2))
+    args = [keys, np.broadcast_to(low.scalars(ins[1]), shape)]
+    (out,) = _each(low, _impl(key.dtype).fold_in, shape, args, [U32, message.dtype])
+    return [wrapped(low, out)]
+
+
+def _each(low: Lowering, f: Callable, shape: tuple, args: list, dtypes: list) -> list[Small]:
+    """f mapped over the leading axes of this shape."""
+    for _ in shape:
+        f = jax.vmap(f)
+    avals = [jax.ShapeDtypeStruct(x.shape, d) for x, d in zip(args, dtypes, strict=True)]
+    return low.evaluate(f, *args, avals=avals)

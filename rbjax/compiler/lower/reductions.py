@@ -1,0 +1,235 @@
+"""Rules for reductions and cumulative sums."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rbjax.compiler.ir.program import BOOL, Value
+from rbjax.compiler.lower.arrays import (
+    SHARED_ABOVE,
+    Small,
+    View,
+    each,
+    filled,
+    get,
+    in_memory,
+    put,
+)
+from rbjax.compiler.lower.delayed import Delayed
+from rbjax.compiler.lower.elementwise import LOOP_ABOVE, source
+from rbjax.compiler.lower.linear import summed
+from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
+
+
+def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Small:
+    """Entries reduced along axes by f of two values."""
+    axes = tuple(axes)
+    kept = [k for k in range(x.ndim) if k not in axes]
+    shape = tuple(x.shape[k] for k in kept)
+    count = int(np.prod([x.shape[k] for k in axes], dtype=int))
+    if low.b.teamed and count and not isinstance(x, np.ndarray):
+        delayed = _delayed(low, x, kept, list(axes), dtype, f)
+        if delayed is not None:
+            return delayed
+    if x.size > LOOP_ABOVE and count:
+        return _looped(low, in_memory(low.b, x, dtype), kept, list(axes), dtype, f)
+    entries = low.scalars(x).transpose(*kept, *axes).reshape(*shape, count)
+    out = np.empty(shape, object)
+    for i in np.ndindex(shape):
+        out[i] = functools.reduce(f, entries[i])
+    return out
+
+
+def _delayed(
+    low: Lowering, x: Small, kept: list, axes: list, dtype: Any, f: Callable
+) -> Delayed | None:
+    """Reductions of a team, each where it is read; None if a thread does them sooner. One of more
+    than one axis is first of all but the longest."""
+    s = source(low.b, x, x.shape)
+    if s.work <= SHARED_ABOVE:
+        return None
+    if not kept:
+        if len(axes) == 1:
+            return None
+        longest = max(axes, key=lambda k: x.shape[k])
+        rest = [k for k in axes if k != longest]
+        rows = _delayed(low, x, [longest], rest, dtype, f)
+        assert rows is not None
+        kept, axes, s = [], [0], source(low.b, in_memory(low.b, rows, dtype), rows.shape)
+    shape, count = tuple(s.shape[k] for k in kept), tuple(s.shape[k] for k in axes)
+
+    def entry(*i: Value) -> Value:
+        def term(*k: Value) -> Value:
+            at = dict(zip((*kept, *axes), (*i, *k), strict=True))
+            return s.entry(*(at[j] for j in range(s.ndim)))
+
+        return summed(low.b, count, term, f, dtype)
+
+    cost = int(np.prod(count, dtype=int)) * (1 + s.cost)
+    return Delayed(shape, np.dtype(dtype), entry, s.sources, cost)
+
+
+@rule("reduce")
+def _reduce_by_function(low: Lowering, eqn: Any, ins: list) -> list:
+    body, axes = eqn.params["jaxpr"], eqn.params["dimensions"]
+    n, shape = len(ins) // 2, eqn.outvars[0].aval.shape
+    kept = [k for k in range(ins[0].ndim) if k not in axes]
+    rows = [low.scalars(x).transpose(*kept, *axes).reshape(*shape, -1) for x in ins[:n]]
+    outs = [np.empty(shape, object) for _ in range(n)]
+    for i in np.ndindex(shape):
+        totals = list(ins[n:])
+        for k in range(rows[0].shape[-1]):
+            totals = low.closed(body, [*totals, *(filled((), row[(*i, k)]) for row in rows)])
+        for out, total in zip(outs, totals, strict=True):
+            out[i] = low.scalars(total)[()]
+    return list(outs)
+
+
+def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: Any, f: Callable) -> View:
+    b = low.b
+    x = x.transposed([*kept, *axes])
+    shape, rest = x.shape[: len(kept)], x.shape[len(kept) :]
+    out = View.of(b.local(dtype, int(np.prod(shape, dtype=int))), shape)
+
+    def one(*i: Value) -> None:
+        zero = np.int32(0)
+        first = get(b, x, (*i, *(zero for _ in rest)))
+        total, started = b.declare(dtype, first), b.declare(BOOL, np.bool_(False))
+
+        def more(*k: Value) -> None:
+            value = get(b, x, (*i, *k))
+            b.assign(total, b.select(started, f(total, value), value))
+            b.assign(started, np.bool_(True))
+
+        each(b, rest, more)
+        put(b, out, i, total)
+
+    each(b, shape, one)
+    return out
+
+
+REDUCTIONS = {
+    "reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min",
+    "reduce_and": "and", "reduce_or": "or", "reduce_xor": "xor",
+}  # fmt: skip
+
+
+def _neutral(name: str, dtype: np.dtype) -> Any:
+    """The neutral element of a reduction."""
+    if name in ("add", "or", "xor"):
+        return 0
+    if name == "and":
+        return np.invert(dtype.type(0))
+    if name == "mul":
+        return 1
+    sign = -1 if name == "max" else 1
+    if dtype.kind == "f":
+        return sign * np.inf
+    if dtype == BOOL:
+        return name == "min"
+    return np.iinfo(dtype).min if name == "max" else np.iinfo(dtype).max
+
+
+def _reduce(low: Lowering, eqn: Any, ins: list) -> list:
+    name = REDUCTIONS[eqn.primitive.name]
+    dtype, x = dtype_of(eqn.outvars[0].aval), ins[0]
+    if not x.size:
+        return [np.full(eqn.outvars[0].aval.shape, _neutral(name, dtype), dtype)]
+    f = functools.partial(low.b.op, name, dtype)
+    return [reduced(low, x, eqn.params["axes"], dtype, f)]
+
+
+rule(*REDUCTIONS)(_reduce)
+takes_delayed(*REDUCTIONS)
+
+
+@rule("argmax", "argmin")
+def _arg(low: Lowering, eqn: Any, ins: list) -> list:
+    (axis,), dtype = eqn.params["axes"], dtype_of(eqn.outvars[0].aval)
+    b, better = low.b, "gt" if eqn.primitive.name == "argmax" else "lt"
+
+    def wins(value: Value, best: Value) -> Value:
+        out = b.op(better, BOOL, value, best)
+        if best.dtype.kind == "f":  # the first nan is the answer
+            is_nan, was_not = b.op("ne", BOOL, value, value), b.op("eq", BOOL, best, best)
+            out = b.op("or", BOOL, out, b.op("and", BOOL, is_nan, was_not))
+        return out
+
+    if ins[0].size > LOOP_ABOVE:
+        view = in_memory(b, ins[0], eqn.invars[0].aval.dtype)
+
+        def one(x: View, out: View, *i: Value) -> None:
+            best = b.declare(x.dtype, get(b, x, (*i, np.int32(0))))
+            at = b.declare(dtype, dtype.type(0))
+            with b.loop(x.shape[-1]) as k:
+                value = get(b, x, (*i, k))
+                with b.when(wins(value, best)):
+                    b.assign(best, value)
+                    b.assign(at, b.cast(k, dtype))
+            put(b, out, i, at)
+
+        return [_along(low, view, axis, dtype, one)]
+    x = np.moveaxis(low.scalars(ins[0]), axis, -1)
+    out = np.empty(x.shape[:-1], object)
+    for i in np.ndindex(out.shape):
+        best, at = x[i][0], dtype.type(0)
+        for k, value in enumerate(x[i][1:], 1):
+            won = wins(value, best)
+            best, at = b.select(won, value, best), b.select(won, dtype.type(k), at)
+        out[i] = at
+    return [out]
+
+
+CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+
+
+def _cumulative(low: Lowering, eqn: Any, ins: list) -> list:
+    name, axis = CUMULATIVE[eqn.primitive.name], eqn.params["axis"]
+    dtype = dtype_of(eqn.outvars[0].aval)
+    if ins[0].size > LOOP_ABOVE:
+        return [_cumulative_looped(low, in_memory(low.b, ins[0], dtype), eqn, name)]
+    x = np.moveaxis(low.scalars(ins[0]), axis, 0)
+    x = x[::-1] if eqn.params["reverse"] else x
+    out = x.copy()
+    for k in range(1, len(x)):
+        for i in np.ndindex(x.shape[1:]):
+            out[(k, *i)] = low.b.op(name, dtype, out[(k - 1, *i)], x[(k, *i)])
+    out = out[::-1] if eqn.params["reverse"] else out
+    return [np.moveaxis(out, 0, axis)]
+
+
+def _cumulative_looped(low: Lowering, x: View, eqn: Any, name: str) -> View:
+    b, axis, reverse = low.b, eqn.params["axis"], eqn.params["reverse"]
+    out = View.of(b.local(x.dtype, x.size), x.shape)
+    order = [*(k for k in range(x.ndim) if k != axis), axis]
+    source, to = x.transposed(order), out.transposed(order)
+    n = x.shape[axis]
+
+    def one(*i: Value) -> None:
+        first = (*i, np.int32(n - 1 if reverse else 0))
+        total = b.declare(x.dtype, get(b, source, first))
+        put(b, to, first, total)
+        with b.loop(n - 1, reverse=reverse) as k:
+            here = (*i, k if reverse else b.op("index_add", k.dtype, k, np.int32(1)))
+            b.assign(total, b.op(name, x.dtype, total, get(b, source, here)))
+            put(b, to, here, total)
+
+    each(b, source.shape[:-1], one)
+    return out
+
+
+def _along(low: Lowering, x: View, axis: int, dtype: Any, f: Callable) -> View:
+    """f(x with the axis last, the result, *index) for each index of the other axes."""
+    rest = [k for k in range(x.ndim) if k != axis]
+    moved = x.transposed([*rest, axis])
+    shape = moved.shape[:-1]
+    out = View.of(low.b.local(dtype, int(np.prod(shape, dtype=int))), shape)
+    each(low.b, shape, lambda *i: f(moved, out, *i))
+    return out
+
+
+rule(*CUMULATIVE)(_cumulative)

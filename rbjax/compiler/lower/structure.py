@@ -1,0 +1,231 @@
+"""Rules for primitives that only move entries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rbjax.compiler.lower.arrays import (
+    FEW,
+    Small,
+    View,
+    filled,
+    owned_copy,
+    stored,
+    tidy,
+    transposed,
+    write,
+)
+from rbjax.compiler.lower.delayed import Delayed
+from rbjax.compiler.lower.elementwise import LOOP_ABOVE
+from rbjax.compiler.lower.lowering import Lowering, rule, takes_delayed, writer
+
+takes_delayed(
+    "fusion_barrier", "copy", "copy_p", "stop_gradient", "name", "batch_first", "batch_last",
+    "slice", "squeeze", "reshape", "expand_dims", "transpose", "rev", "broadcast_in_dim",
+    "concatenate", "stack", "split", "unstack",
+)  # fmt: skip
+
+
+@rule("fusion_barrier", "copy", "copy_p", "stop_gradient",
+      "optimization_barrier", "device_put", "sharding_constraint", "name", "pvary", "reshard",
+      "nonbatchable",
+      "nondifferentiable_backward", "nontraceable")  # fmt: skip
+def _identity(low: Lowering, eqn: Any, ins: list) -> list:
+    return list(ins)
+
+
+@rule("batch_first", "batch_last")
+def _first(low: Lowering, eqn: Any, ins: list) -> list:
+    return ins[:1]
+
+
+@rule("slice")
+def _slice(low: Lowering, eqn: Any, ins: list) -> list:
+    P = eqn.params
+    steps = P["strides"] or [1] * len(P["start_indices"])
+    box = tuple(map(slice, P["start_indices"], P["limit_indices"], steps))
+    return [cut(low, ins[0], box)]
+
+
+def cut(low: Lowering, x: Small, box: tuple[slice, ...]) -> Small:
+    """A rectangle of x."""
+    if isinstance(x, Delayed):
+        return x.sliced(low.b, box)
+    return x.sliced(box) if isinstance(x, View) else x[box]
+
+
+@rule("squeeze", "reshape", "expand_dims")
+def _reshape(low: Lowering, eqn: Any, ins: list) -> list:
+    return [reshaped(low, ins[0], eqn.outvars[0].aval.shape)]
+
+
+def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
+    """x with another shape."""
+    if isinstance(x, Delayed):
+        delayed = x.reshaped(shape)
+        if delayed is not None:
+            return delayed
+        x = stored(low.b, x)
+    if isinstance(x, View):
+        out = x.reshaped(shape)
+        return owned_copy(low.b, x, x.dtype).reshaped(shape) if out is None else out
+    return x.reshape(shape)
+
+
+@rule("transpose")
+def _transpose(low: Lowering, eqn: Any, ins: list) -> list:
+    return [transposed(ins[0], eqn.params["permutation"])]
+
+
+@rule("rev")
+def _rev(low: Lowering, eqn: Any, ins: list) -> list:
+    x, axes = ins[0], eqn.params["dimensions"]
+    if isinstance(x, np.ndarray):
+        return [np.flip(x, axes)]
+    box = [slice(n - 1, -1, -1) if k in axes else slice(0, n, 1) for k, n in enumerate(x.shape)]
+    return [cut(low, x, tuple(box))]
+
+
+@rule("broadcast_in_dim")
+def _broadcast(low: Lowering, eqn: Any, ins: list) -> list:
+    x, shape, axes = ins[0], eqn.params["shape"], eqn.params["broadcast_dimensions"]
+    if not isinstance(x, np.ndarray):
+        return [x.broadcast(shape, axes)]
+    wide = [1] * len(shape)
+    for k, axis in enumerate(axes):
+        wide[axis] = x.shape[k]
+    return [np.broadcast_to(x.reshape(wide), shape)]
+
+
+@writer("concatenate")
+def _concatenate(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+    out, axis, place = eqn.outvars[0].aval, eqn.params["dimension"], places[0]
+    whole = _pieces_of_one(ins, axis) if low.b.teamed else None
+    if place is None and whole is not None:
+        return [whole]
+    if place is None and out.size > (FEW if low.b.teamed else LOOP_ABOVE):
+        place = View.of(low.b.local(out.dtype, out.size), out.shape)
+    if place is None:
+        return [tidy(np.concatenate([low.scalars(x) for x in ins], axis), out.dtype)]
+    start = 0
+    with low.b.parts():
+        for x in ins:
+            box = [slice(0, n, 1) for n in place.shape]
+            box[axis] = slice(start, start + x.shape[axis], 1)
+            write(low.b, place.sliced(box), x)
+            start += x.shape[axis]
+    return [place]
+
+
+def _pieces_of_one(xs: list, axis: int) -> View | None:
+    """Pieces of one array, side by side along an axis as they were, as one view; else None."""
+    first = xs[0]
+    if not all(isinstance(x, View) and x.array is first.array for x in xs):
+        return None
+    at, step = first.offset, first.strides[axis]
+    for x in xs:
+        own = (x.base, x.offset, x.strides)
+        if own[0] is not first.base or own[1:] != (at, first.strides):
+            return None
+        at += x.shape[axis] * step
+    shape = list(first.shape)
+    shape[axis] = sum(x.shape[axis] for x in xs)
+    return View(first.array, first.base, first.offset, first.strides, tuple(shape))
+
+
+@rule("tile")
+def _tile(low: Lowering, eqn: Any, ins: list) -> list:
+    return [np.tile(low.scalars(ins[0]), eqn.params["reps"])]
+
+
+@writer("stack")
+def _stack(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+    axis, place = eqn.params.get("axis", eqn.params.get("dimension", 0)), places[0]
+    out = eqn.outvars[0].aval
+    if place is None and low.b.teamed and out.size > FEW:
+        whole = _rows_of_one(ins, axis)
+        if whole is not None:
+            return [whole]
+        place = View.of(low.b.local(out.dtype, out.size), out.shape)
+    if place is None:
+        return [tidy(np.stack([low.scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype)]
+    with low.b.parts():
+        for k, x in enumerate(ins):
+            write(low.b, place.at(low.b, axis, np.int32(k)), x)
+    return [place]
+
+
+def _rows_of_one(xs: list, axis: int) -> View | None:
+    """Rows of one array, at equal distances, as one view; else None."""
+    first = xs[0]
+    if len(xs) < 2 or not all(isinstance(x, View) for x in xs):
+        return None
+    step = xs[1].offset - first.offset
+    for k, x in enumerate(xs):
+        if x.array is not first.array or x.base is not first.base or x.strides != first.strides:
+            return None
+        if x.offset != first.offset + k * step:
+            return None
+    strides, shape = list(first.strides), list(first.shape)
+    strides.insert(axis, step)
+    shape.insert(axis, len(xs))
+    return View(first.array, first.base, first.offset, tuple(strides), tuple(shape))
+
+
+@rule("unstack")
+def _unstack(low: Lowering, eqn: Any, ins: list) -> list:
+    axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
+    return _split(low, ins[0], axis, [1] * ins[0].shape[axis], squeeze=True)
+
+
+@rule("split")
+def _splits(low: Lowering, eqn: Any, ins: list) -> list:
+    return _split(low, ins[0], eqn.params["axis"], eqn.params["sizes"])
+
+
+def _split(low: Lowering, x: Small, axis: int, sizes: Any, squeeze: bool = False) -> list:
+    out, start = [], 0
+    for size in sizes:
+        box = [slice(0, n, 1) for n in x.shape]
+        box[axis] = slice(start, start + size, 1)
+        part = cut(low, x, tuple(box))
+        shape = tuple(n for k, n in enumerate(part.shape) if k != axis)
+        out.append(reshaped(low, part, shape) if squeeze else part)
+        start += size
+    return out
+
+
+@rule("pad")
+def _pad(low: Lowering, eqn: Any, ins: list) -> list:
+    x, fill = low.scalars(ins[0]), low.scalars(ins[1])[()]
+    config = eqn.params["padding_config"]
+    # put gaps between entries, then pad the sides; a negative side is cut
+    spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
+    wide = filled(spread, fill)
+    wide[tuple(slice(None, None, gap + 1) for _, _, gap in config)] = x
+    for axis, (before, after, _) in enumerate(config):
+        for side, amount in ((0, before), (1, after)):
+            if amount > 0:
+                shape = list(wide.shape)
+                shape[axis] = amount
+                more = filled(shape, fill)
+                wide = np.concatenate([wide, more] if side else [more, wide], axis)
+            elif amount < 0:
+                cut = slice(None, amount) if side else slice(-amount, None)
+                wide = wide[tuple(cut if k == axis else slice(None) for k in range(wide.ndim))]
+    return [wide]
+
+
+@rule("iota", "full", "empty2")
+def _constant(low: Lowering, eqn: Any, ins: list) -> list:
+    aval, P = eqn.outvars[0].aval, eqn.params
+    if eqn.primitive.name == "empty2":  # of a derivative's loop, which writes before it reads
+        return [np.zeros(aval.shape, aval.dtype)]
+    if eqn.primitive.name == "full":
+        return [np.full(aval.shape, P["fill_value"], aval.dtype)]
+    axis = P["dimension"]
+    row = np.arange(aval.shape[axis], dtype=aval.dtype)
+    shape = [-1 if k == axis else 1 for k in range(len(aval.shape))]
+    return [np.broadcast_to(row.reshape(shape), aval.shape)]

@@ -1,0 +1,261 @@
+"""The statements of a team of threads in phases: the threads meet at a barrier between two of them.
+
+Each statement reads and writes variables and arrays, and comes after those that it depends on. A
+barrier is due before a statement that reads what other threads have written since the last one, or
+that writes what they may still read. Before it is placed, later loops of the team that need no
+barrier, with what they are made of, come forward into the phase (list scheduling, Graham 1969).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from rbjax.compiler.ir.program import (
+    Array,
+    Assign,
+    Await,
+    Barrier,
+    Block,
+    Declare,
+    If,
+    Load,
+    Loop,
+    Op,
+    Reserve,
+    Store,
+    Var,
+    While,
+    walk,
+)
+
+
+def synchronised(block: Block) -> Block:
+    """The statements in an order with few barriers, with these."""
+    return _Phases(Pending()).ordered(block)
+
+
+@dataclass
+class Pending:
+    """Accesses since the last barrier: arrays that were read; places that all threads wrote; arrays
+    that loops of a team wrote, and the part of each loop."""
+
+    read: set[Array] = field(default_factory=set)
+    alike: dict[Array, set] = field(default_factory=dict)
+    spread: dict[Array, set[int]] = field(default_factory=dict)
+
+    def copy(self) -> Pending:
+        return Pending().joined(self)
+
+    def joined(self, other: Pending) -> Pending:
+        self.read |= other.read
+        for mine, more in ((self.alike, other.alike), (self.spread, other.spread)):
+            for array, places in more.items():
+                mine.setdefault(array, set()).update(places)
+        return self
+
+    def clear(self) -> None:
+        self.read.clear()
+        self.alike.clear()
+        self.spread.clear()
+
+    def may(self, s: Any) -> bool:
+        """Whether a statement without inner blocks, or a loop of a team, needs no barrier."""
+        match s:
+            case Load(array=array):
+                return array not in self.spread
+            case Store(array=array, base=base, offset=offset) if _is_seen(array):
+                here = self.alike.get(array, ())
+                apart = all(b is base and at != offset for b, at in here)
+                free = array not in self.read and array not in self.spread
+                return array.pieces or (apart and free)
+            case Loop(team=True, body=body, part=part):
+                loads, stores = _touched(body)
+                return all(x not in self.spread for x in loads) and all(
+                    x.pieces or self._may_spread(x, part) for x in stores
+                )
+        return True
+
+    def _may_spread(self, array: Array, part: int) -> bool:
+        others = self.spread.get(array, set()) - ({part} if part else set())
+        return array not in self.read and array not in self.alike and not others
+
+    def note(self, s: Any) -> None:
+        """Its accesses."""
+        match s:
+            case Load(array=array) if _is_seen(array):
+                self.read.add(array)
+            case Store(array=array, base=base, offset=offset) if _is_seen(array):
+                self.alike.setdefault(array, set()).add((base, offset))
+            case Loop(team=True, body=body, part=part, early=early):
+                loads, stores = _touched(body)
+                self.read |= loads
+                for array in () if early else stores:
+                    self.spread.setdefault(array, set()).add(part)
+
+
+def _is_seen(array: Array) -> bool:
+    """Whether several threads access an array that changes."""
+    return array.shared or array.space == "result"
+
+
+def _touched(*blocks: Block) -> tuple[set[Array], set[Array]]:
+    """The arrays that statements read, and those that they write."""
+    every = [s for block in blocks for s in walk(block)]
+    loads = {s.array for s in every if isinstance(s, Load) and _is_seen(s.array)}
+    return loads, {s.array for s in every if isinstance(s, Store) and _is_seen(s.array)}
+
+
+class _Phases:
+    """Writes the statements of a block, and of those inside."""
+
+    def __init__(self, now: Pending):
+        self.now = now
+        self.out: list[Any] = []
+
+    def ordered(self, block: Block) -> Block:
+        statements = [s for s in block.statements if not isinstance(s, Reserve)]
+        before = _dependencies(statements)
+        left = dict.fromkeys(range(len(statements)))
+        while left:
+            first = next(iter(left))
+            if self._waits(statements[first]):
+                for k in list(left):
+                    s = statements[k]
+                    if k in left and _is_shared(s):
+                        self._forward(statements, before, left, k)
+            if first in left:
+                self._write(statements[first])
+                del left[first]
+        own = {s.array for s in block.statements if isinstance(s, Reserve)}
+        return Block(_declared(self.out, own))
+
+    def _forward(self, statements: list, before: list[set[int]], left: dict, k: int) -> None:
+        """A loop of a team, after what it depends on, if none of that waits."""
+        wanted, reached = {k}, [k]
+        while reached:
+            more = {j for j in before[reached.pop()] if j in left} - wanted
+            wanted |= more
+            reached += more
+        trial = self.now.copy()
+        for j in sorted(wanted):
+            s = statements[j]
+            if _has_phases(s) or not trial.may(s):
+                return
+            trial.note(s)
+        for j in sorted(wanted):
+            self._write(statements[j])
+            del left[j]
+
+    def _waits(self, s: Any) -> bool:
+        """Whether the threads meet before a statement, or in it."""
+        return _has_phases(s) or not self.now.may(s)
+
+    def _write(self, s: Any) -> None:
+        now = self.now
+        match s:
+            case Loop(team=False, body=body):
+                s = Loop(s.counter, s.count, s.reverse, self._turn(body))
+            case While(test=test, body=body):
+                test = self._turn(test, body)
+                after = now.copy()
+                s = While(test, s.condition, _Phases(now).ordered(body))
+                now.clear()
+                now.joined(after)
+            case If(then=then, otherwise=otherwise):
+                other = now.copy()
+                then = _Phases(now).ordered(then)
+                s = If(s.condition, then, _Phases(other).ordered(otherwise))
+                now.joined(other)
+            case Await():
+                now.clear()
+            case _:
+                if not now.may(s):
+                    self.out.append(Barrier())
+                    now.clear()
+                now.note(s)
+        self.out.append(s)
+
+    def _turn(self, block: Block, *others: Block) -> Block:
+        """The first statements of a loop's turn, before which the threads meet if it changes
+        arrays."""
+        if not any(_touched(block, *others)):
+            return _Phases(self.now).ordered(block)
+        self.now.clear()
+        found = _Phases(self.now).ordered(block)
+        waits = found.statements and isinstance(found.statements[0], Await)
+        return found if waits else Block([Barrier(), *found.statements])
+
+
+def _is_shared(s: Any) -> bool:
+    """Whether the threads of a team share the turns of a loop."""
+    return isinstance(s, Loop) and s.team
+
+
+def _has_phases(s: Any) -> bool:
+    """Whether the threads may meet in a statement."""
+    return isinstance(s, Loop | While | If | Await) and not _is_shared(s)
+
+
+def _declared(statements: list, own: set[Array]) -> list:
+    """The statements, and before the first use of each of a block's own arrays its declaration."""
+    out, left = [], set(own)
+    for s in statements:
+        if left:
+            for array in [x for x in _uses(s)[0] | _uses(s)[1] if x in left]:
+                out.append(Reserve(array))
+                left.remove(array)
+        out.append(s)
+    return out
+
+
+def _uses(s: Any) -> tuple[set, set]:
+    """The variables and arrays that a statement reads, and those that it writes."""
+    reads: set = set()
+    writes: set = set()
+
+    def read(*values: Any) -> None:
+        reads.update(v for v in values if isinstance(v, Var))
+
+    for x in walk(Block([s])):
+        match x:
+            case Op(dest=dest, args=args):
+                read(*args)
+                writes.add(dest)
+            case Load(dest=dest, array=array, base=base):
+                read(base)
+                reads.add(array)
+                writes.add(dest)
+            case Store(array=array, base=base, value=value):
+                read(base, value)
+                writes.add(array)
+            case Declare(var=var, value=value) | Assign(var=var, value=value):
+                read(value)
+                writes.add(var)
+            case If(condition=condition) | While(condition=condition):
+                read(condition)
+    return reads, writes
+
+
+def _dependencies(statements: list) -> list[set[int]]:
+    """For each statement those before it that it depends on."""
+    out: list[set[int]] = []
+    writers: dict[Any, list[int]] = {}
+    readers: dict[Any, list[int]] = {}
+    fence: int | None = None
+    for k, s in enumerate(statements):
+        before = set() if fence is None else {fence}
+        reads, writes = _uses(s)
+        for x in reads:
+            before.update(writers.get(x, ()))
+            readers.setdefault(x, []).append(k)
+        for x in writes:
+            if isinstance(x, Array) and x.pieces:  # each entry once
+                writers.setdefault(x, []).append(k)
+                continue
+            before.update(writers.get(x, ()), readers.get(x, ()))
+            writers[x], readers[x] = [k], []
+        if isinstance(s, Await):
+            before, fence = set(range(k)), k
+        out.append(before - {k})
+    return out

@@ -1,0 +1,1 @@
+"""Analysis of a constrained robot: mobility, assembly, reaction forces."""

@@ -1,0 +1,1 @@
+"""The equations of constrained motion: residuals, multipliers, projections, derivatives."""

@@ -1,0 +1,1 @@
+"""Formulations: methods that solve the equations of constrained motion."""

@@ -1,0 +1,81 @@
+"""Rows that yield (`Soft`), held as MuJoCo holds them; rows that do not, beside them.
+
+    M a + b = tau + sum of J_i^T f_i + G^T f
+    g'' + R f = -b g' - d k g     of soft rows;        g'' = 0     of others
+so (A + R) f = (what is asked) - g''(a_0): with equalities only, MuJoCo's convex problem is linear.
+
+How near it is to rigid rows. The residual and the motion's distance from the rigid one fall as the
+square of the time constant T, as 1 / k. MuJoCo's four-bar after 0.25 s of its fall, T halved from
+0.02 s on: 6.6e-4, 1.9e-4, 4.9e-5, 1.2e-5, 3.1e-6 rad beside the rigid one
+(`tests/loading/test_compliant.py`).
+(MuJoCo, *Computation*, constraint model; Todorov 2014)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax
+
+from rbjax.constraints.equations.law import Solve, System, constrained_motion
+from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.system import OnMatrices
+from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.methods.soft import Soft, softness
+from rbjax.constraints.rows.row import Row
+from rbjax.dynamics.algorithms.aba import aba
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.drivers.choice import Driver
+from rbjax.forces.instant import Instant
+from rbjax.lanes import Lane
+from rbjax.model import Model, State
+
+
+@dataclass(frozen=True)
+class Compliant(Formulation):
+    """Index 0 in soft rows, by MuJoCo's law; 1 in others, which are put back on their constraints
+    after each step.
+
+    Enforces the models of `rb.load(file, compliant=True)`, and those with a `Soft` if no other
+    formulation is named. An explicit step needs T well above it, as MuJoCo's own (twice there).
+
+    Source: MuJoCo, *Computation*, constraint model.
+    """
+
+    name: ClassVar[str] = "compliant"
+    family: ClassVar[str] = "unconstrained"
+    index: ClassVar[int] = 0
+
+    def __call__(self, model, t, state, tau, pushes):
+        return compliant_motion(model, t, state, tau, pushes)[0]
+
+    def settled(self, model: Model, t: Any, state: State) -> State:
+        held = tuple(x for x in model.constraints if not isinstance(x, Soft))
+        return projected(model.replace(constraints=held), t, state) if held else state
+
+
+def compliant_motion(
+    model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
+) -> tuple[jax.Array, jax.Array]:
+    """a (nv,) and the forces f (rows,) on the rows, of a sample."""
+    return constrained_motion(model, t, state, tau, pushes, method=yielding, left_of=left_of)
+
+
+def yielding(
+    d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+) -> tuple[jax.Array, None, System]:
+    """From free motion on: (A + R) df = c - G M^-1 f."""
+    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
+
+    def system(now: Instant, rows: Sequence[Row]) -> Solve:
+        return OnMatrices(d, factors, now, rows, R=softness(now, rows)[0]).solved
+
+    return d.pack(qdd, tau), None, system
+
+
+def left_of(now: Instant, rows: Sequence[Row], f: jax.Array | None) -> Sequence[Lane]:
+    """(what is asked) - g'' - R f."""
+    R, left = softness(now, rows)
+    return list(left if f is None else left - R * f)

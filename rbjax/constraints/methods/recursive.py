@@ -1,0 +1,246 @@
+"""Constrained motion by recursion over a tree of clusters: the articulated-body algorithm with
+loops.
+
+Inside a cluster the articulated-body algorithm eliminates the joints as if no row held them. It
+leaves an inertia I_f and a force -p_f at the parent, and of each row, as of a unit multiplier, a
+force u_i at each joint and a wrench w at the parent. With W = [w ...] the rows ask
+
+    A l = c - sum of u_i u_f,i / D_i - W^T a_p,     A_rs = sum of u_r,i u_s,i / D_i
+(u_f: what the forces leave; a_p: the parent's acceleration). So the cluster is to its parent
+
+    I = I_f + W A^-1 W^T,     p = p_f - W l_0,     l = l_0 - A^-1 W^T a_p
+With H the inertia of the cluster's joints and F their coupling to the parent, W = -F H^-1 G^T and
+I = I_c - F P F^T, where P = H^-1 - H^-1 G^T A^-1 G H^-1 is the inverse that the rows leave of H. It
+is B (B^T H B)^-1 B^T, with no basis B of their null space and no choice of coordinates. A holds the
+rows of one cluster only: loops that share no joint are never coupled.
+
+Where a loop is not quite closed, forces of its rows do not quite cancel at the parent. What is left
+is in W, so the equations stay exact.
+
+(Jain 2012, *Multibody graph transformations and analysis, part II: constraint embedding*; Chignoli,
+Adrian, Kim & Wensing 2023, *Recursive rigid-body dynamics algorithms for systems with kinematic
+loops*; Carpentier, Budhiraja & Mansard 2021 for A where rows are redundant)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+
+from rbjax.constraints.equations.law import Solve, System, constrained_motion, range_space
+from rbjax.constraints.equations.system import (
+    ROWS_ON_LANES,
+    as_free_bodies,
+    eliminated_along,
+    response,
+    shared,
+    triangle,
+)
+from rbjax.constraints.methods.clusters import Cluster, clusters
+from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.rows.row import Row
+from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
+from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.drivers.packing import pack, unpack
+from rbjax.forces.instant import Instant
+from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
+from rbjax.lanes.proximal import LeastNorm
+from rbjax.model import WORLD
+from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
+
+
+@dataclass(frozen=True)
+class Recursive(Formulation):
+    """Index 0, by recursion over clusters of joints that share loops:
+
+        I = I_f + W A^-1 W^T,     A = G_c H_c^-1 G_c^T of one cluster
+    The cost is that of the articulated-body algorithm and, of each cluster by itself, its rows
+    cubed: a robot with loops in its legs costs as much as its legs do. The accelerations are those
+    of `Multipliers`, where rows are redundant too. A single cluster that hangs on the world is
+    solved as there; rows that hold links to the world are in one.
+
+    Recursion is for trees that are written out link by link (`driver="unrolled"`, small trees, and
+    values on a CPU up to 40 coordinates), and for clusters of up to 24 rows. Others are solved as
+    by `Multipliers`. `Projected(of=Recursive())` also puts states back on the constraints. A row
+    whose gradient has pushes of your own counts as held to the world unless its `Loads` are
+    `internal`.
+
+    Source: Jain 2012; Chignoli, Adrian, Kim & Wensing 2023.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("four_bar")
+        >>> start = model.default_state()
+        >>> path = rb.rollout(model, start, None, 1e-3, steps=9, constraints="recursive")
+        >>> path.ok
+        Array(True, dtype=bool)
+    """
+
+    name: ClassVar[str] = "recursive"
+    family: ClassVar[str] = "minimal"
+    index: ClassVar[int] = 0
+
+    def __call__(self, model, t, state, tau, pushes):
+        return constrained_motion(model, t, state, tau, pushes, method=by_clusters)[0]
+
+
+def by_clusters(
+    d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+) -> tuple[jax.Array | None, None, System]:
+    """From accelerations zero on, cluster by cluster; from free motion on where links are a loop of
+    the program."""
+    if not d.listed:
+        return range_space(d, now, tau, pushes)
+    joints, gravity = now.links.joints, d.prepared.gravity
+
+    def system(now: Instant, rows: Sequence[Row]) -> Solve:
+        found = clusters(d.topology, rows)
+        if max((len(cluster.rows) for cluster in found), default=0) > ROWS_ON_LANES:
+            by_rows = response(d, factorize(d, joints), now, rows)
+            left = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, pushes), tau)
+            return lambda f, c: by_rows.solved(left if f is None else f, c)
+        moved = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, pushes))
+        tree = ClusterTree(d, joints, [X for X, _ in moved], rows, found, tau)
+        own = {i: -f for i, (_, f) in enumerate(moved)}
+        return lambda f, c: tree.solved(tau, own, c) if f is None else tree.solved(f, {}, c)
+
+    return None, None, system
+
+
+class Tied(NamedTuple):
+    """A cluster whose joints and multipliers are eliminated.
+
+    Fields, of each of its rows: u, the force that a unit multiplier leaves at each joint, and
+    e = u / D; W, the wrench that it leaves at the parent, and Y = A^-1 W, of no row if the parent
+    is the world.
+    """
+
+    cluster: Cluster
+    u: Sequence[dict[int, Lane]]
+    e: Sequence[dict[int, Lane]]
+    W: Sequence[Force]
+    Y: Sequence[Force]
+    A: LeastNorm
+
+
+class ClusterTree:
+    """The factors of the mass matrix of a robot and of the rows that tie its joints."""
+
+    def __init__(
+        self,
+        d: Driver,
+        joints: Any,
+        poses: Sequence[Transform],
+        rows: Sequence[Row],
+        found: Sequence[Cluster],
+        like: jax.Array,
+    ):
+        self._d, self._parents = d, d.topology.parents
+        self._rows, self._like = rows, like
+        self._factors: dict[int, Factor] = {}
+        self._found = found
+        self._tied: dict[int, list[Tied]] = {}  # by the link on which they hang
+        constants, joints = d.whole(d.constants), d.whole(joints)
+        carried: dict[int, ArticulatedInertia] = {}
+        for i in reversed(range(len(joints))):
+            link, joint, X = constants[i], joints[i], poses[i]
+            I_children = self._with_clusters(i, carried.pop(i, ArticulatedInertia.zero()))
+            I_A = link.inertia.articulated() + I_children
+            I_a, factor = eliminate(link, joint.S, X, I_A)
+            message, parent = None, self._parents[i]
+            if parent != WORLD:
+                mass = rigid_mass(link, joint.S, I_children)
+                message = to_parent(X, I_a, factor, mass)
+            known = (link, joint, X, I_children)
+            message, self._factors[i] = fusion_barrier((message, factor), known=known)
+            if parent != WORLD:
+                carried[parent] = carried[parent] + message if parent in carried else message
+        self._with_clusters(WORLD, ArticulatedInertia.zero())
+
+    def _with_clusters(self, link: int, I: ArticulatedInertia) -> ArticulatedInertia:
+        """The inertia of a link with the clusters that hang on it."""
+        self._tied[link] = [self._tie(x) for x in self._found if x.parent == link]
+        more = [x for tied in self._tied[link] for x in zip(tied.W, tied.Y, strict=False)]
+        for w, y in more:
+            I = I + ArticulatedInertia.outer(w, y)
+        return fusion_barrier(I) if more else I
+
+    def _tie(self, cluster: Cluster) -> Tied:
+        inward = sorted(cluster.links, reverse=True)
+        loads = [self._rows[r].gradient for r in cluster.rows]
+        units = [
+            eliminated_along(self._parents, self._factors, inward, x, cluster.parent) for x in loads
+        ]
+        u, e, W = zip(*units, strict=True)
+        usual = [as_free_bodies(self._d, self._rows[r]) for r in cluster.rows]
+        A, Y = LeastNorm(triangle(u, e), usual, self._like.dtype), []
+        if cluster.parent != WORLD:
+            columns = [A.solve(column) for column in zip(*W, strict=True)]
+            Y = [Force.from_lanes(lanes) for lanes in zip(*columns, strict=True)]
+        return Tied(cluster, u, e, W, Y, A)
+
+    def solved(
+        self, tau: jax.Array, forces: Mapping[int, Force], c: Sequence[Lane]
+    ) -> tuple[jax.Array, jax.Array]:
+        """a (nv,) and l (rows,) of M a = tau + sum of J_i^T f_i + G^T l, G a = c; f_i: forces on
+        links."""
+        u = unpack(tau)
+        l = self._inward(u, dict(forces), c)
+        a = self._outward(u, l)
+        return pack(a, self._like), pack(l, self._like)
+
+    def _inward(self, u: list[Lane], pending: dict[int, Force], c: Sequence[Lane]) -> list[Lane]:
+        """The multipliers, as if no parent of a cluster moved; the forces u become those that are
+        left at the joints. pending: forces on links."""
+        l: list[Lane] = [0.0] * len(self._rows)
+
+        def arrived(link: int) -> Force:
+            """The force on a link, with those of the clusters that hang on it."""
+            f = pending.pop(link, Force.zero())
+            for tied in self._tied[link]:
+                rows, left = tied.cluster.rows, dict(enumerate(u))
+                off = [sub(c[r], shared(left, e)) for r, e in zip(rows, tied.e, strict=True)]
+                for r, x, w in zip(rows, tied.A.solve(off), tied.W, strict=True):
+                    l[r], f = x, f + w * x
+            return f
+
+        for i in reversed(range(len(u))):
+            f, x, parent = arrived(i), self._factors[i], self._parents[i]
+            left, message = add(u[i], x.S.dot(f)), None
+            if parent != WORLD:
+                message = x.X.T(f - x.U * mul(left, x.inverse_D))
+                message = pending.get(parent, Force.zero()) + message
+            u[i], message = fusion_barrier((left, message), known=(u[i], x))
+            if parent != WORLD:
+                pending[parent] = message
+        arrived(WORLD)
+        return l
+
+    def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
+        """Accelerations; l become the multipliers where parents move."""
+        a, out = {WORLD: Motion.zero()}, []
+
+        def arrived(link: int) -> None:
+            """The multipliers of the clusters that hang on a link act on their joints."""
+            for tied in self._tied[link]:
+                rows = tied.cluster.rows
+                for r, y in zip(rows, tied.Y, strict=False):
+                    l[r] = fusion_barrier(sub(l[r], y.dot(a[link])))
+                for r, own in zip(rows, tied.u, strict=True):
+                    for i, x in own.items():
+                        u[i] = add(u[i], mul(l[r], x))
+
+        arrived(WORLD)
+        for i, parent in enumerate(self._parents):
+            x = self._factors[i]
+            carried = x.X(a[parent])
+            qdd = mul(sub(u[i], x.U.dot(carried)), x.inverse_D)
+            a[i], qdd = fusion_barrier((carried + x.S * qdd, qdd), known=(x, a[parent]))
+            out.append(qdd)
+            arrived(i)
+        return out

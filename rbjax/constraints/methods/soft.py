@@ -1,0 +1,202 @@
+"""Rows that yield, as MuJoCo's do.
+
+    g'' + R f = -b g' - d k g,     g'' = G a + G' v,     R = (1 - d) / d w
+f, the force on a row, is what is left of the multiplier; w its inverse inertia, a number of the
+row; d its impedance, between 0 and 1, a function of how far the constraint is off, r = |g|:
+
+    d(r) = d_0 + (d_w - d_0) y(r / width),   y(x) = x^p / m^(p-1) up to m,
+                                             1 - (1 - x)^p / (1 - m)^(p-1) above, 1 from x = 1 on
+and their mean where the width is zero;
+k, b from solref = (time constant T, damping ratio z): k = 1 / (d_w T z)^2, b = 2 / (d_w T); or,
+where its numbers are not above zero, from (-stiffness, -damping): k = stiffness / d_w^2,
+b = damping / d_w.
+
+MuJoCo 4 has G' v in connects and welds, and not in the couplings of joints; MJX has it nowhere.
+(MuJoCo, *Computation*, constraint model; Todorov 2014)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.constraints.equations.residuals import jacobian
+from rbjax.constraints.equations.system import gradient_matrix
+from rbjax.constraints.rows.constraint import Constraint
+from rbjax.constraints.rows.geometry import AXES, cosine, displacement, turn
+from rbjax.constraints.rows.pairs import Pair
+from rbjax.constraints.rows.row import Row
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.drivers.packing import pack
+from rbjax.errors import InputError
+from rbjax.forces.instant import Frame, Instant
+from rbjax.lanes import Lane, neg, sub
+from rbjax.lanes.products import matvec
+from rbjax.model import Model
+from rbjax.model.leaves import scalar
+from rbjax.model.record import check_fields, check_number, floats
+
+#: within which MuJoCo holds impedances and the place of their middle
+IMPEDANCES = 1e-4, 0.9999
+#: a width below which it is none
+LEAST = 1e-15
+SOLREF = (0.02, 1.0)
+SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+
+
+class Soft(Constraint):
+    """A constraint whose rows yield under the formulation "compliant"; others hold them as ever.
+
+    Fields: of, the constraint; solref (2,), (time constant s, damping ratio) or (-stiffness 1/s^2,
+    -damping 1/s); solimp (5,), d_0, d_w, width in the unit of its rows, m, p; weight (rows,), the
+    inverse inertias of the rows. Static: bias, whether g'' has its part G' v.
+
+    Source: MuJoCo, *Computation*, constraint model, parameters.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax import constraints as rc
+        >>> model = rb.load("double_pendulum")
+        >>> tip = rc.Inplane.between(model, None, "lower", point=[0.0, 0.0, 1.2])
+        >>> model = model.with_constraints(rc.Soft.on(model, tip, solref=(0.01, 1.0)))
+        >>> path = rb.rollout(model, model.default_state(), None, 1e-3, steps=9)
+    """
+
+    of: Constraint
+    solref: jax.Array = eqx.field(converter=floats)
+    solimp: jax.Array = eqx.field(converter=floats)
+    weight: jax.Array = eqx.field(converter=floats)
+    bias: bool = eqx.field(static=True, default=True)
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.of, Constraint) or isinstance(self.of, Soft):
+            raise InputError(
+                f"Soft(of=...): got {type(self.of).__name__}, expected a Constraint that is not "
+                "soft already"
+            )
+        check_fields(self)
+        for name, due in {"solref": (2,), "solimp": (5,), "weight": (self.of.size,)}.items():
+            if jnp.shape(getattr(self, name)) != due:
+                raise InputError(
+                    f"Soft({name}=...): got the shape {jnp.shape(getattr(self, name))}, "
+                    f"expected {due}"
+                )
+        if not isinstance(self.solref, jax.core.Tracer):
+            first, second = np.asarray(self.solref)
+            if (first > 0) != (second > 0):
+                raise InputError(
+                    f"Soft(solref=...): got {[float(first), float(second)]}, expected two numbers "
+                    "above zero (time constant, damping ratio), or none (-stiffness, -damping)"
+                )
+
+    @classmethod
+    def on(
+        cls,
+        model: Model,
+        of: Constraint,
+        solref: Any = SOLREF,
+        solimp: Any = SOLIMP,
+        q: jax.Array | None = None,
+    ) -> Soft:
+        """A constraint with the weights diag(G M^-1 G^T) that it has in a configuration (nq,); the
+        model's default state if None."""
+        q = model.default_state().q if q is None else q
+        G = jacobian(model.replace(constraints=(of,)), q)
+        weight = (G * jnp.linalg.solve(mass_matrix(model, q), G.T).T).sum(-1)
+        return cls(of, solref, solimp, weight)
+
+    @property
+    def size(self) -> int:
+        return self.of.size
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        return self.of.rows(now)
+
+    def yielding(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
+        """R, and what g'' + R f shall be, of its rows."""
+        low, high, width, middle, power = self.solimp.astype(dtype)
+        low, high, middle = (jnp.clip(x, *IMPEDANCES) for x in (low, high, middle))
+        g = jnp.stack([jnp.asarray(row.residual, dtype) for row in rows])
+        rate = jnp.stack([jnp.asarray(row.rate, dtype) for row in rows])
+        d = impedance(_norm(g), low, high, width, middle, jnp.maximum(power, 1.0))
+        k, b = reference(self.solref.astype(dtype), high)
+        asked = -b * rate - d * k * g
+        R = (1 - d) / d * self.weight.astype(dtype)
+        return list(R), list(asked)
+
+
+def is_soft(model: Model) -> bool:
+    """Whether a model has a `Soft` constraint. If so, "compliant" is the default formulation."""
+    return any(isinstance(x, Soft) for x in model.constraints)
+
+
+def reference(solref: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """k 1/s^2 and b 1/s."""
+    direct = solref[0] <= 0
+    time, ratio = jnp.where(direct, 1.0, solref)
+    k = jnp.where(direct, -solref[0], 1 / (time * ratio) ** 2) / high**2
+    return k, jnp.where(direct, -solref[1], 2 / time) / high
+
+
+def impedance(r: jax.Array, low: Any, high: Any, width: Any, middle: Any, power: Any) -> jax.Array:
+    """d at a distance r."""
+    x = jnp.minimum(r / jnp.maximum(width, LEAST), 1.0)
+    inner = x**power / middle ** (power - 1)
+    outer = 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
+    y = jnp.where(x <= middle, inner, outer)
+    return low + (high - low) * jnp.where(width > LEAST, y, 0.5)
+
+
+def _norm(g: jax.Array) -> jax.Array:
+    """|g|, with the derivative zero at zero."""
+    square = (g * g).sum()
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+
+
+class QuaternionWeld(Pair):
+    """p_b = p_a, all axes parallel: six rows, as MuJoCo's `weld` has them. The last three are the
+    sine of half the angle between the frames times its axis, times `scale`, m; under a formulation
+    that holds rows it is `Weld`. Frames half a turn apart have no derivative.
+
+    Fields: a, b, `Place`s; scale, MuJoCo's torquescale.
+    """
+
+    scale: jax.Array = eqx.field(converter=floats)
+    size = 6
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_number(self, "scale")
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        trace = sum(cosine(A, e, B, e) for e in AXES)
+        scale = scalar(self.scale, now.q.dtype)
+        # sin(x) n / (2 cos(x / 2)), with 1 + trace = 4 cos(x / 2)^2
+        turned = trace.applied(lambda c: 1 / jnp.sqrt(1 + c))  # type: ignore[union-attr]
+        return [*displacement(A, B), *(row * turned * scale for row in turn(A, B))]
+
+
+def softness(now: Instant, rows: Sequence[Row]) -> tuple[jax.Array, jax.Array]:
+    """R (rows,), zero where a constraint is not soft, and what is left of the rows' equations at
+    the accelerations of the instant without forces on them: asked - g''; of rigid ones -g''."""
+    R: list[Any] = []
+    left: list[Any] = []
+    a = now.a
+    done = matvec(gradient_matrix(now, rows), a)
+    for constraint in now.model.constraints:
+        at = slice(len(R), len(R) + constraint.size)
+        has = [row.acceleration for row in rows[at]]
+        if isinstance(constraint, Soft):
+            own, asked = constraint.yielding(rows[at], a.dtype)
+            R += own
+            has = has if constraint.bias else list(done[at])
+            left += [sub(x, y) for x, y in zip(asked, has, strict=True)]
+        else:
+            R += [jnp.zeros((), a.dtype)] * constraint.size
+            left += [neg(x) for x in has]
+    return jnp.stack(R), pack(left, a)

@@ -1,0 +1,1 @@
+"""Constraints and their rows: scalars of the motion with two derivatives in time."""

@@ -1,0 +1,152 @@
+"""Couplings: one coordinate of a joint as a function of another one, or of time.
+
+    polynomial    q1 - r1 = c0 + c1 (q2 - r2) + c2 (q2 - r2)^2 + ...
+    gear          q1 - r1 = ratio (q2 - r2)
+    rack          q1 - r1 = radius (q2 - r2)
+    prescribed    q1 = f(t)
+with r the joints' reference, in which the file draws the robot. One row each.
+(MuJoCo, *XML reference*, equality/joint; URDF's mimic; Haug, *Computer-Aided Kinematics and
+Dynamics*, 9.5)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints.rows.constraint import Constraint
+from rbjax.constraints.rows.geometry import coordinate, time
+from rbjax.constraints.rows.row import Row
+from rbjax.constraints.rows.user_function import check_function, evaluate
+from rbjax.dynamics.arguments import check_takes
+from rbjax.errors import InputError
+from rbjax.forces.instant import Instant
+from rbjax.model.leaves import numbers, scalar, table
+from rbjax.model.links import lane
+from rbjax.model.record import check_fields, check_number, floats
+
+
+class JointPolynomial(Constraint):
+    """q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality of joints, URDF's mimic.
+
+    Fields: coefficients (n,), c_0 first, n at least 1. Static: `joint` (1), `driver` (2), names or
+    indices of joints of one coordinate; without a driver q1 - r1 = c_0.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import JointPolynomial
+        >>> bend = JointPolynomial("elbow", "shoulder", [0.1, -2.0])
+        >>> model = rb.load("double_pendulum").with_constraints(bend)
+    """
+
+    joint: str | int = eqx.field(static=True)
+    driver: str | int | None = eqx.field(static=True)
+    coefficients: jax.Array = eqx.field(converter=floats)
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        if len(jnp.shape(self.coefficients)) != 1 or not jnp.shape(self.coefficients)[0]:
+            raise InputError(
+                f"JointPolynomial(coefficients=...): got the shape {jnp.shape(self.coefficients)}, "
+                "expected (n,) with n at least 1, c_0 first"
+            )
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        c = numbers(self.coefficients, now.q.dtype)
+        if self.driver is None:
+            return [moved(now, self.joint) - c[0]]
+        x, out = moved(now, self.driver), Row.constant(c[-1])
+        for each in reversed(c[:-1]):
+            out = out * x + each
+        return [moved(now, self.joint) - out]
+
+
+class Gear(Constraint):
+    """q1 - r1 = ratio (q2 - r2), of two hinges; the ratio of wheels that mesh is below zero.
+
+    Fields: ratio. Static: `joint` (1), `driver` (2), names or indices of hinges.
+    """
+
+    joint: str | int = eqx.field(static=True)
+    driver: str | int = eqx.field(static=True)
+    ratio: jax.Array = eqx.field(converter=floats)
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_number(self, "ratio")
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        turned = moved(now, self.driver, "hinge")
+        return [moved(now, self.joint, "hinge") - turned * scalar(self.ratio, now.q.dtype)]
+
+
+class Rack(Constraint):
+    """q1 - r1 = radius (q2 - r2), of a slide and a hinge: a rack and its pinion.
+
+    Fields: radius, m, the pinion's pitch radius; below zero for the other side of the pinion.
+    Static: `joint` (1), a slide, `driver` (2), a hinge, names or indices.
+    """
+
+    joint: str | int = eqx.field(static=True)
+    driver: str | int = eqx.field(static=True)
+    radius: jax.Array = eqx.field(converter=floats)
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_number(self, "radius")
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        turned = moved(now, self.driver, "hinge")
+        return [moved(now, self.joint, "slide") - turned * scalar(self.radius, now.q.dtype)]
+
+
+class Prescribed(Constraint):
+    """q = f(t): a coordinate of a joint follows a function of time, which is differentiated twice.
+
+    Static: `joint`, a name or index of a joint of one coordinate, and `function`, of t (), which
+    gives rad or m; one function is one program.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax.constraints import Prescribed
+        >>> swing = Prescribed("hinge", lambda t: 0.3 * jnp.sin(2 * t))
+        >>> model = rb.load("pendulum").with_constraints(swing)
+    """
+
+    joint: str | int = eqx.field(static=True)
+    function: Callable[[Any], Any] = eqx.field(static=True)
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_function("Prescribed(function=...)", self.function)
+        check_takes("Prescribed", "function", self.function, "t")
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        _check_kind(now, self.joint, None)
+
+        def wanted(t: Any) -> Any:
+            return evaluate("Prescribed: function", self.function, None, (t,), (), now.q.dtype)
+
+        return [coordinate(now, self.joint) - time(now).applied(wanted)]
+
+
+def moved(now: Instant, joint: str | int, kind: str | None = None) -> Row:
+    """q - r of a joint of one coordinate; of this kind, if one is named."""
+    _check_kind(now, joint, kind)
+    start = now.model.topology.joint_q[now.model.joint(joint)]
+    reference = lane(table(now.model.joints.reference, now.q.dtype), start)
+    return coordinate(now, joint) - reference
+
+
+def _check_kind(now: Instant, joint: str | int, kind: str | None) -> None:
+    found = now.joint(joint)
+    if len(found.q) != 1 or kind not in (None, found.kind):
+        raise InputError(
+            f"a coupling has joint {joint!r}, a {found.kind}, expected a "
+            f"{kind or 'joint of one coordinate, such as a hinge or a slide'}"
+        )

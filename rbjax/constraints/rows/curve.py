@@ -1,0 +1,198 @@
+"""A point of one body on a curve or a surface that is fixed in another.
+
+x is the point of B in A's axes, three rows that `along` makes; what follows is the chain rule.
+
+    surface   f(x) = 0                                                   1 row
+    curve     n_1 . (x - c(s)) = 0,  n_2 . (x - c(s)) = 0                2 rows
+
+where s(x) is the parameter of the curve's point nearest to x, a root of
+
+    F(x, s) = (x - c(s)) . c'(s) = 0,       ds = -F_x dx / F_s,      F_s = (x - c) . c'' - |c'|^2
+
+(implicit function theorem; its derivatives of higher order follow from the same line), and n_1, n_2
+span the plane across c'(s). The rows vanish together only where x = c(s).
+
+Points of equal distance. s(x) is smooth as long as x is nearer than the curve's centre of curvature
+(F_s < 0). Two branches of the curve may be equally near; then the first entry of the table decides,
+and s jumps as x passes from one to the other. There the rows jump too; a point that satisfies them
+is on the curve, at distance zero, so this concerns only where a curve crosses itself: x does not
+say which branch is meant, and such curves need a coordinate s of their own (a slide).
+(do Carmo, *Differential Geometry of Curves and Surfaces*, 1.5, 2.7)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints.rows.constraint import Constraint
+from rbjax.constraints.rows.geometry import AXES, along
+from rbjax.constraints.rows.place import Place, check_places
+from rbjax.constraints.rows.row import Row, function_of
+from rbjax.constraints.rows.user_function import (
+    arrays,
+    check_function,
+    check_leaves,
+    evaluate,
+)
+from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
+from rbjax.errors import InputError
+from rbjax.forces.instant import Instant
+from rbjax.model.record import check_fields, floats
+
+#: of Newton's method, from the nearest point of the table; a table that is fine enough to be on the
+#: right branch needs four or five
+NEWTON_STEPS = 8
+
+
+def _position(a: Place, b: Place, now: Instant) -> list[Row]:
+    """The origin of b in a's axes."""
+    A, B = a.frame(now), b.frame(now)
+    return [along(A, u, B) for u in AXES]
+
+
+def _inner(a: jax.Array, b: jax.Array) -> jax.Array:
+    return (a * b).sum(-1)
+
+
+class PointOnSurface(Constraint):
+    """The origin of b on the surface f(x) = 0, x in a's axes: one row.
+
+    Fields: a, b, `Place`s; numbers, a pytree that f takes as its last argument, or None.
+    Static: f, from x (3,) m (and numbers) to a scalar (); its gradient is nowhere zero on the
+    surface.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax.constraints import Place, PointOnSurface
+        >>> def ellipsoid(x, axes):
+        ...     return jnp.sum((x / axes) ** 2) - 1.0
+        >>> PointOnSurface(Place.on(), Place.on(body="box"), ellipsoid, jnp.ones(3)).size
+        1
+    """
+
+    a: Place
+    b: Place
+    f: Callable = eqx.field(static=True)
+    numbers: Any = eqx.field(converter=arrays, default=None)
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_places(self)
+        check_function("PointOnSurface(f=...)", self.f)
+        check_leaves("PointOnSurface(numbers=...)", self.numbers)
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        def height(x: jax.Array) -> jax.Array:
+            return evaluate("PointOnSurface: f", self.f, self.numbers, (x,), (), x.dtype)[None]
+
+        return function_of(_position(self.a, self.b, now), height, now.q.dtype)
+
+
+class PointOnCurve(Constraint):
+    """The origin of b on the curve c(s), in a's axes: two rows.
+
+    Fields: a, b, `Place`s; starts (n,), parameters s of the curve, fine enough that Newton's method
+    finds the nearest point of the curve from the nearest of theirs; numbers, a pytree that c takes
+    as its last argument, or None. Between and beyond `starts` the curve is what c says; a closed
+    curve is one of periodic c.
+    Static: c, from s () (and numbers) to (3,) m, with c' nowhere zero.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax.constraints import Place, PointOnCurve
+        >>> def helix(s):
+        ...     return jnp.stack([jnp.cos(s), jnp.sin(s), 0.1 * s])
+        >>> table = jnp.linspace(0.0, 9.0, 40)
+        >>> bead = PointOnCurve(Place.on(), Place.on(body="box"), helix, table)
+        >>> round(float(bead.nearest(jnp.array([0.0, 1.1, 0.1571]))), 3)
+        1.571
+    """
+
+    a: Place
+    b: Place
+    c: Callable = eqx.field(static=True)
+    starts: jax.Array = eqx.field(converter=floats)
+    numbers: Any = eqx.field(converter=arrays, default=None)
+    size = 2
+
+    def __check_init__(self) -> None:
+        check_places(self)
+        check_function("PointOnCurve(c=...)", self.c)
+        check_fields(self)
+        if len(jnp.shape(self.starts)) != 1 or not jnp.shape(self.starts)[0]:
+            raise InputError(
+                f"PointOnCurve(starts=...): got the shape {jnp.shape(self.starts)}, expected (n,), "
+                "parameters along the curve, as jnp.linspace makes them"
+            )
+        check_leaves("PointOnCurve(numbers=...)", self.numbers)
+
+    def point(self, s: jax.Array) -> jax.Array:
+        """c(s) (3,) m in a's axes."""
+        return _curve(self.c, self.numbers, s)
+
+    def nearest(self, x: jax.Array) -> jax.Array:
+        """The parameter () of the point of the curve nearest to x (3,), with its derivatives."""
+        return _nearest(self.c)(x, self.numbers, self.starts.astype(x.dtype))
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        def across(x: jax.Array) -> jax.Array:
+            c, dc = _with_slope(self.point, self.nearest(x))
+            return jnp.stack([_inner(n, x - c) for n in _normals(dc)])
+
+        return function_of(_position(self.a, self.b, now), across, now.q.dtype)
+
+
+def _curve(c: Callable, numbers: Any, s: jax.Array) -> jax.Array:
+    return evaluate("PointOnCurve: c", c, numbers, (s,), (3,), s.dtype)
+
+
+def _with_slope(f: Callable, s: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """f(s) and f'(s)."""
+    return jax.jvp(f, (s,), (jnp.ones_like(s),))
+
+
+def _normals(along: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Two unit vectors across a direction (3,), and across each other. They turn smoothly with it,
+    but where it passes from one axis that is least along it to another: then they jump, and the
+    multipliers with them, while forces do not."""
+    t = along / jnp.sqrt(_inner(along, along))
+    least = jnp.eye(3, dtype=t.dtype)[jnp.argmin(jnp.abs(jax.lax.stop_gradient(t)))]
+    n = jnp.cross(t, least)
+    n = n / jnp.sqrt(_inner(n, n))
+    return n, jnp.cross(t, n)
+
+
+def _nearest(c: Callable) -> Callable:
+    """(x, numbers, starts) -> s, with the derivative of the implicit function."""
+
+    def F(x: jax.Array, numbers: Any, s: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """F and |c'|^2."""
+        point, slope = _with_slope(lambda s: _curve(c, numbers, s), s)
+        return _inner(x - point, slope), _inner(slope, slope)
+
+    def found(x: jax.Array, numbers: Any, starts: jax.Array) -> jax.Array:
+        apart = x - jax.vmap(lambda s: _curve(c, numbers, s))(starts)
+
+        def newton(_: Any, s: jax.Array) -> jax.Array:
+            off, slope, size = jax.jvp(
+                lambda s: F(x, numbers, s), (s,), (jnp.ones_like(s),), has_aux=True
+            )
+            # beyond the centre of curvature the step would go to where x is farthest: Gauss' step
+            return s - off / jnp.where(slope < -0.1 * size, slope, -size)
+
+        return jax.lax.fori_loop(0, NEWTON_STEPS, newton, starts[jnp.argmin(_inner(apart, apart))])
+
+    def rule(primals: tuple, tangents: tuple) -> tuple:
+        s = nearest(*primals)
+        x, numbers, _ = primals
+        _, change = jvp_of(lambda x, numbers: F(x, numbers, s)[0], (x, numbers), tangents[:2])
+        _, slope = _with_slope(lambda s: F(x, numbers, s)[0], s)
+        return s, jnp.zeros_like(s) if change is None else -change / slope
+
+    nearest = with_jvp(found, rule)
+    return nearest

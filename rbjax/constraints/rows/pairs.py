@@ -1,0 +1,338 @@
+"""Joints between two bodies that close a loop: the lower pairs and what is made of the same rows.
+
+a and b are frames on the two bodies, their z the axis of the joint.
+
+    spherical     p_b = p_a                                 3 rows
+    revolute      p_b = p_a,  z_b parallel to z_a           5
+    cylindrical   p_b on z_a, z_b parallel to z_a           4
+    prismatic     p_b on z_a, axes parallel                 5
+    screw         cylindrical, s = pitch (turn / 2 pi)      5
+    planar        p_b in the plane across z_a, z_b parallel 3
+    universal     p_b = p_a,  z_b across x_a                4
+    weld          p_b = p_a,  axes parallel                 6
+
+Parallel z axes may point in the same or in opposite directions: these rows are zero for both. The
+rows of a prismatic joint and of a weld are the sine of an angle, so they are zero at half a turn
+too. `assemble` uses the sine of half the angle (`HalfAngle`), which is not zero there.
+(Masarati, *Multibody System Dynamics*, ch. 6; Haug, 1989, 9.4; Reuleaux's lower pairs)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.constraints.rows.constraint import Constraint
+from rbjax.constraints.rows.geometry import (
+    AXES,
+    X,
+    Y,
+    Z,
+    along,
+    cosine,
+    displacement,
+    distance,
+    turn,
+)
+from rbjax.constraints.rows.place import Place, check_places, places
+from rbjax.constraints.rows.row import Row, angle
+from rbjax.dynamics.arguments import check_array
+from rbjax.errors import InputError
+from rbjax.forces.instant import Frame, Instant
+from rbjax.model import Model
+from rbjax.model.leaves import scalar
+from rbjax.model.record import check_number, floats
+
+#: if the trace of a rotation is this near to -1 (half a turn), 1 + trace is mostly rounding error
+NEAR = 1e-5
+
+
+class Pair(Constraint):
+    """Rows between two frames.
+
+    Fields: a, b, `Place`s. Class field: turns, the slice of the rows that `geometry.turn` gives, or
+    None.
+    """
+
+    a: Place
+    b: Place
+    turns: ClassVar[slice | None] = None
+
+    def __check_init__(self) -> None:
+        check_places(self)
+
+    @classmethod
+    def between(
+        cls,
+        model: Model,
+        a: str | int | None,
+        b: str | int | None,
+        *,
+        point: Any = (0.0, 0.0, 0.0),
+        axis: Any = (0.0, 0.0, 1.0),
+        q: jax.Array | None = None,
+        **numbers: Any,
+    ) -> Any:
+        """The joint of two bodies (None: the world) that a point and an axis of the world, in a
+        configuration, define; there it is closed.
+
+        Args:
+            model: the robot.
+            a, b: names or indices of bodies.
+            point: (3,) m in the world.
+            axis: (3,), of any length, in the world.
+            q: (nq,); the model's default state if None.
+            numbers: the kind's own.
+        """
+        ends = places(model, a, b, point=point, axis=axis, q=q)
+        try:
+            return cls(*ends, **numbers)
+        except TypeError as error:
+            fields = [f.name for f in dataclasses.fields(cls)][2:]
+            raise InputError(
+                f"{cls.__name__}.between: got the numbers {sorted(numbers)}, expected {fields}"
+            ) from error
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        return self.between_frames(self.a.frame(now), self.b.frame(now), now)
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        """The rows, of the two frames."""
+        raise NotImplementedError(f"{type(self).__name__} has no method between_frames")
+
+
+class HalfAngle(Constraint):
+    """The rows of a pair, with 2 sin(x / 2) instead of sin(x) for the angle x between its frames.
+
+    They are zero only if the frames are aligned. They are NaN within 0.2 degrees of half a turn,
+    where rounding determines them.
+
+    Fields: of, a `Pair` with `turns`.
+    """
+
+    of: Pair
+
+    @property
+    def size(self) -> int:
+        return self.of.size
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        A, B = self.of.a.frame(now), self.of.b.frame(now)
+        rows = list(self.of.between_frames(A, B, now))
+        trace = Row.constant(0.0)
+        for e in AXES:
+            trace = trace + cosine(A, e, B, e)
+        # 2 sin(x / 2) = sin(x) / cos(x / 2), with 1 + trace = 4 cos(x / 2)^2
+        scale = trace.applied(lambda c: 2 / jnp.sqrt(jnp.where(c > NEAR - 1, 1 + c, jnp.nan)))
+        turns = range(*self.of.turns.indices(len(rows))) if self.of.turns else ()
+        return [row * scale if r in turns else row for r, row in enumerate(rows)]
+
+
+def parallel(A: Frame, B: Frame) -> list[Row]:
+    """z_b parallel to z_a."""
+    return [cosine(A, X, B, Z), cosine(A, Y, B, Z)]
+
+
+class Spherical(Pair):
+    """p_b = p_a: three rows, in world axes. MuJoCo's `connect`."""
+
+    size = 3
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return displacement(A, B)
+
+
+class Revolute(Pair):
+    """p_b = p_a, z_b parallel to z_a: five rows."""
+
+    size = 5
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [*displacement(A, B), *parallel(A, B)]
+
+
+class Cylindrical(Pair):
+    """p_b on the axis z_a, z_b parallel to it: four rows."""
+
+    size = 4
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, X, B), along(A, Y, B), *parallel(A, B)]
+
+
+class Prismatic(Pair):
+    """p_b on the axis z_a, all axes parallel: five rows."""
+
+    size = 5
+    turns = slice(2, 5)
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, X, B), along(A, Y, B), *turn(A, B)]
+
+
+class Screw(Pair):
+    """A cylindrical joint whose slide is tied to its turn: s = pitch turn / (2 pi), five rows.
+
+    Fields: pitch, m a turn, not zero. The joint may make any number of turns: the slide determines
+    it, to within half a turn.
+    """
+
+    pitch: jax.Array = eqx.field(converter=floats)
+    size = 5
+
+    def __check_init__(self) -> None:
+        check_number(self, "pitch")
+        if not isinstance(self.pitch, jax.core.Tracer) and not np.asarray(self.pitch):
+            raise InputError(
+                "Screw(pitch=...): got 0, expected a pitch in metres a turn that is not zero; "
+                "without a pitch the joint is a Revolute"
+            )
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        lead = scalar(self.pitch, now.q.dtype) / (2 * math.pi)
+        turned = along(A, Z, B) * (1.0 / lead)
+        sine, cosine_ = cosine(A, Y, B, X), cosine(A, X, B, X)
+        s, c = turned.applied(jnp.sin), turned.applied(jnp.cos)
+        off = angle(sine * c - cosine_ * s, cosine_ * c + sine * s)
+        return [along(A, X, B), along(A, Y, B), *parallel(A, B), off * lead]
+
+
+class Planar(Pair):
+    """p_b in the plane across z_a, z_b parallel to z_a: three rows."""
+
+    size = 3
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, Z, B), *parallel(A, B)]
+
+
+class Universal(Pair):
+    """A Cardan joint: p_b = p_a, z_b across x_a: four rows.
+
+    The cross turns about x_a on one body and about z_b on the other.
+    """
+
+    size = 4
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [*displacement(A, B), cosine(A, X, B, Z)]
+
+
+class Weld(Pair):
+    """p_b = p_a, all axes parallel: six rows. The last three are the sine of the angle between the
+    frames times its axis."""
+
+    size = 6
+    turns = slice(3, 6)
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [*displacement(A, B), *turn(A, B)]
+
+
+class Inline(Pair):
+    """p_b on the axis z_a: two rows."""
+
+    size = 2
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, X, B), along(A, Y, B)]
+
+
+class Inplane(Pair):
+    """p_b in the plane across z_a: one row."""
+
+    size = 1
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, Z, B)]
+
+
+class Parallel(Pair):
+    """z_b parallel to z_a: two rows."""
+
+    size = 2
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return parallel(A, B)
+
+
+class Orthogonal(Pair):
+    """z_b across x_a: one row."""
+
+    size = 1
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [cosine(A, X, B, Z)]
+
+
+class Distance(Pair):
+    """|p_b - p_a| = length: one row, a massless rod with two balls.
+
+    Fields: length, m, above zero.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> rod = rb.constraints.Distance.between(
+        ...     model, None, "lower", point=[0.3, 0.0, 0.0], other=[0.0, 0.0, 0.4]
+        ... )
+        >>> float(rod.length)
+        0.5
+    """
+
+    length: jax.Array = eqx.field(converter=floats)
+    size = 1
+
+    @classmethod
+    def between(  # type: ignore[override]
+        cls,
+        model: Model,
+        a: str | int | None,
+        b: str | int | None,
+        *,
+        point: Any = (0.0, 0.0, 0.0),
+        other: Any = None,
+        length: Any = None,
+        q: jax.Array | None = None,
+    ) -> Distance:
+        """A rod between two points, which are given in world axes for one configuration.
+
+        Args:
+            model: the robot.
+            a, b: names or indices of bodies; None is the world.
+            point: (3,) m in the world, the end on a.
+            other: (3,) m in the world, the end on b.
+            length: m; the distance of the two points if None.
+            q: (nq,); the model's default state if None.
+
+        Raises:
+            InputError: `other` is missing, or the same point as `point`.
+        """
+        if other is None:
+            raise InputError(
+                "Distance.between: got one point, expected two: other=(3,) is the end on b, m in "
+                "the world. Distance(a, b, length) takes two Places"
+            )
+        point = check_array("Distance.between", "point", point, (3,))
+        other = check_array("Distance.between", "other", other, (3,))
+        apart = jnp.sqrt(((other - point) ** 2).sum())
+        if not isinstance(apart, jax.core.Tracer) and not np.asarray(apart):
+            raise InputError(
+                f"Distance.between: point and other are both {np.asarray(point).tolist()}, "
+                "expected two points; a Spherical holds two points together"
+            )
+        start, end = (places(model, a, b, point=x, q=q)[k] for k, x in enumerate((point, other)))
+        return cls(start, end, apart if length is None else length)
+
+    def __check_init__(self) -> None:
+        check_number(self, "length", positive=True)
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [distance(A, B) - scalar(self.length, now.q.dtype)]

@@ -1,0 +1,169 @@
+"""Wheels that roll without slip, and blades that slide only along themselves, on a plane.
+
+The plane is through A's origin, across its z, n; it may move with a body. The wheel's centre c is
+B's origin. What touches the plane is at p = c + r:
+
+    sphere      r = -R n
+    thin disc   r = R m,     m = -(n - (n . e) e) / sin(lean),   cos(lean) = n . e,   e its axle
+
+(m is the steepest way down in the disc's plane, so p is the lowest point of the rim.) They touch
+where n . (p - p_A) = 0, a holonomic row. They do not slip where the material points of both bodies
+at p have one velocity: where
+
+    u = c' + w_B x r - p_A' - w_A x (p - p_A)
+
+is zero along x_A and y_A, two rows with no function behind them. Along n, u is the holonomic row's
+rate already. As the contact moves along the rim, u' needs its rate r', not the material point's:
+
+    u' = c'' + w_B' x r + w_B x r' - p_A'' - w_A' x (p - p_A) - w_A x (c' + r' - p_A')
+(Neimark & Fufaev, *Dynamics of Nonholonomic Systems*, ch. 1; Bloch, *Nonholonomic Mechanics and
+Control*, 1.4 to 1.8)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints.rows.constraint import Constraint
+from rbjax.constraints.rows.geometry import X, Y, Z, along, cosine, opposed
+from rbjax.constraints.rows.place import Place, check_places
+from rbjax.constraints.rows.row import Row
+from rbjax.forces.instant import Frame, Instant
+from rbjax.lanes import Lane, Vec3, add
+from rbjax.model.leaves import scalar
+from rbjax.model.record import check_number, floats
+
+Moving = tuple[Vec3, Vec3]  # a vector in world axes, and its rate
+
+
+def swept(F: Frame, u: Vec3) -> Moving:
+    """A direction fixed in a frame, in world axes, with its rate."""
+    u = F.rotation @ u
+    return u, F.angular_velocity.cross(u)
+
+
+def slip(A: Frame, B: Frame, arm: Moving, ways: Sequence[Moving]) -> list[Row]:
+    """How fast B slides on A at B's origin + arm, along each way: u . s."""
+    (r, dr), a, b = arm, A.angular_velocity, B.angular_velocity
+    p = B.position + r
+    far, apart = p - A.position, B.velocity + dr - A.velocity
+    u = B.velocity + b.cross(r) - A.velocity - a.cross(far)
+    du = (
+        B.acceleration + B.angular_acceleration.cross(r) + b.cross(dr)
+        - A.acceleration - A.angular_acceleration.cross(far) - a.cross(apart)
+    )  # fmt: skip
+    return [
+        Row(
+            None,
+            u.dot(s),
+            opposed(B.push(s, at=p), A.push(-s, at=p)),
+            add(du.dot(s), u.dot(ds)),
+        )
+        for s, ds in ways
+    ]
+
+
+class Rolling(Constraint):
+    """A wheel on a plane: three rows, the height of the contact and two of slip.
+
+    Fields: a, a `Place`, its origin in the plane and its z the normal on the wheel's side; b, a
+    `Place`, its origin the wheel's centre and its z the axle; radius, m, above zero.
+    """
+
+    a: Place
+    b: Place
+    radius: jax.Array = eqx.field(converter=floats)
+    size = 3
+
+    def __check_init__(self) -> None:
+        check_places(self)
+        check_number(self, "radius", positive=True)
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        A, B = self.a.frame(now), self.b.frame(now)
+        height, arm = self.contact(A, B, scalar(self.radius, now.q.dtype))
+        return [height, *slip(A, B, arm, [swept(A, X), swept(A, Y)])]
+
+    def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
+        """The height of the lowest point, and its arm from the centre."""
+        raise NotImplementedError(f"{type(self).__name__} has no method contact")
+
+
+class RollingSphere(Rolling):
+    """A sphere that rolls on a plane without slip: three rows.
+
+    Fields: a, b, radius, as `Rolling` has them; b's axes do not matter. A round wheel whose axle
+    stays parallel to the plane rolls like this too.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import Place, RollingSphere
+        >>> ball = RollingSphere(Place.on(), Place.on(body="box"), 0.1)
+        >>> rb.load("free_body").with_constraints(ball).constraints[0].size
+        3
+    """
+
+    def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
+        n, dn = swept(A, Z)
+        return along(A, Z, B) + (-radius), (n * (-radius), dn * (-radius))
+
+
+class RollingDisc(Rolling):
+    """A thin disc that rolls on a plane without slip, and may lean: three rows.
+
+    Fields: a, b, radius, as `Rolling` has them. It must not lie flat, where all of its rim touches.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import Place, RollingDisc
+        >>> wheel = RollingDisc(Place.on(), Place.on(body="box", axis=[0, 1, 0]), 0.3)
+        >>> rb.load("free_body").with_constraints(wheel).constraints[0].size
+        3
+    """
+
+    def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
+        lean = cosine(A, Z, B, Z)
+        sine = lean.applied(lambda c: jnp.sqrt(1 - c * c))
+        (n, dn), (e, de), c = swept(A, Z), swept(B, Z), lean.value
+        # m sin = c e - n, with the rate m' sin + m sin'
+        scale: Any = 1.0 / sine.value  # type: ignore[operator]
+        m = (e * c - n) * scale
+        dm = (e * lean.rate + de * c - dn - m * sine.rate) * scale
+        return along(A, Z, B) - sine * radius, (m * radius, dm * radius)
+
+
+class KnifeEdge(Constraint):
+    """A blade that slides along itself on a plane, and not sideways: one row, u . (n x d) = 0.
+
+    u is the velocity of the blade's point against the plane's body, d the direction of the blade.
+    What keeps the point in the plane is no part of it. A wheel without mass is such a blade, across
+    its axle: so is a Chaplygin sleigh made, and a cart's axle.
+
+    Fields: a, a `Place`, its z the normal n; b, a `Place`, its origin the blade's point and its z
+    the direction d, not along n.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import KnifeEdge, Place
+        >>> skate = KnifeEdge(Place.on(), Place.on(body="box", point=[-0.3, 0, 0], axis=[1, 0, 0]))
+        >>> rb.load("free_body").with_constraints(skate).constraints[0].size
+        1
+    """
+
+    a: Place
+    b: Place
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_places(self)
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        A, B = self.a.frame(now), self.b.frame(now)
+        (n, dn), (d, dd) = swept(A, Z), swept(B, Z)
+        still = Vec3.zero(), Vec3.zero()
+        return slip(A, B, still, [(n.cross(d), dn.cross(d) + n.cross(dd))])

@@ -1,0 +1,182 @@
+"""One row of a constraint: a scalar of the motion with its first two derivatives in time.
+
+    holonomic        g(t, q) = 0,     g' = G v + g_t,     g'' = G a + (G' v + 2 g_t' ...)
+    non-holonomic    y = G v + b = 0 (no g behind it),    y' = G a + ...
+
+`gradient` is G as the forces on the robot by a multiplier of one: generalized forces and wrenches
+on links. A row stands for a scalar: g if it is holonomic, otherwise y. Rows add, scale and multiply
+as these scalars do; `applied` applies a smooth function to g. So a new constraint needs only its
+residual: its derivatives follow by the chain rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.drivers.packing import pack
+from rbjax.errors import InputError
+from rbjax.forces.element import Loads
+from rbjax.lanes import Lane, add, is_literal, mul, neg, sub
+
+
+@dataclass(frozen=True)
+class Row:
+    """A scalar of the motion.
+
+    Fields: value g, None where there is only a rate (non-holonomic); rate, its first derivative in
+    time; gradient G, as `Loads`; acceleration, the derivative of the rate at the accelerations that
+    the instant has.
+    """
+
+    value: Lane | None
+    rate: Lane
+    gradient: Loads
+    acceleration: Lane
+
+    @classmethod
+    def constant(cls, x: Lane) -> Row:
+        """What does not move."""
+        return cls(x, 0.0, Loads(), 0.0)
+
+    @property
+    def holonomic(self) -> bool:
+        return self.value is not None
+
+    @property
+    def residual(self) -> Lane:
+        """g; zero where there is none."""
+        return 0.0 if self.value is None else self.value
+
+    @property
+    def time_derivative(self) -> Row:
+        """g' of a holonomic row, as a row with only a rate: `rate = 0.3` is
+        `row.time_derivative - 0.3`. A row that has only a rate has no such derivative."""
+        if self.value is None:
+            raise InputError("Row.time_derivative: the row has only a rate, expected a value g")
+        return Row(None, self.rate, self.gradient, self.acceleration)
+
+    def __add__(self, other: Row | Lane) -> Row:
+        if not isinstance(other, Row):
+            if self.value is None:
+                return Row(None, add(self.rate, other), self.gradient, self.acceleration)
+            return Row(add(self.value, other), self.rate, self.gradient, self.acceleration)
+        if self.value is None and other.value is not None:  # y + g:  (y + g)' = y' + g'
+            rate, acceleration = add(self.rate, other.value), add(self.acceleration, other.rate)
+            return Row(None, rate, self.gradient, acceleration)
+        if other.value is None and self.value is not None:
+            return other + self
+        return Row(
+            None if self.value is None or other.value is None else add(self.value, other.value),
+            add(self.rate, other.rate),
+            self.gradient + other.gradient,
+            add(self.acceleration, other.acceleration),
+        )
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Row:
+        value = None if self.value is None else neg(self.value)
+        return Row(value, neg(self.rate), -self.gradient, neg(self.acceleration))
+
+    def __sub__(self, other: Row | Lane) -> Row:
+        return self + (-other)
+
+    def __rsub__(self, other: Lane) -> Row:
+        return -self + other
+
+    def __mul__(self, other: Row | Lane) -> Row:
+        if not isinstance(other, Row):
+            value = None if self.value is None else mul(self.value, other)
+            rate, acceleration = mul(self.rate, other), mul(self.acceleration, other)
+            return Row(value, rate, self.gradient * other, acceleration)
+        if other.value is None:
+            if self.value is None:
+                raise InputError(
+                    "Row: the product of two rows that have only a rate is not linear in the "
+                    "velocities, expected at most one such factor; rbjax.constraints.Pfaffian "
+                    "takes A(t, q) v = b(t, q)"
+                )
+            return other * self
+        if self.value is None:  # y x:  (y x)' = y' x + y x'
+            acceleration = add(mul(self.acceleration, other.value), mul(self.rate, other.rate))
+            rate = mul(self.rate, other.value)
+            return Row(None, rate, self.gradient * other.value, acceleration)
+        twice = mul(2.0, mul(self.rate, other.rate))
+        return Row(
+            mul(self.value, other.value),
+            add(mul(self.rate, other.value), mul(self.value, other.rate)),
+            self.gradient * other.value + other.gradient * self.value,
+            add(
+                add(mul(self.acceleration, other.value), mul(self.value, other.acceleration)), twice
+            ),
+        )
+
+    __rmul__ = __mul__
+
+    def applied(self, f: Callable[[Any], Any]) -> Row:
+        """f of a holonomic row, f smooth and of one scalar."""
+        _check_holonomic("Row.applied", [self])
+        x: Any = self.value if not is_literal(self.value) else jnp.asarray(self.value, float)
+
+        def slope(x: Any) -> tuple:
+            return jax.jvp(f, (x,), (jnp.ones_like(x),))
+
+        (value, first), (_, second) = jax.jvp(slope, (x,), (jnp.ones_like(x),))
+        bent = mul(second, mul(self.rate, self.rate))
+        acceleration = add(mul(first, self.acceleration), bent)
+        return Row(value, mul(first, self.rate), self.gradient * first, acceleration)
+
+
+def _check_holonomic(where: str, rows: Sequence[Row]) -> None:
+    """Reject rows that have only a rate: a function of them is not linear in the velocities."""
+    if any(row.value is None for row in rows):
+        raise InputError(
+            f"{where}: a row has only a rate, expected rows with a value g; rbjax.constraints."
+            "Pfaffian takes A(t, q) v = b(t, q)"
+        )
+
+
+def angle(sine: Row, cosine: Row) -> Row:
+    """atan2(sine, cosine) of two rows, in (-pi, pi]: the angle of a vector of any length."""
+    _check_holonomic("angle", [sine, cosine])
+    s: Any = sine.value
+    c: Any = cosine.value
+    inverse = 1.0 / add(mul(s, s), mul(c, c))  # of the length squared
+    x, y = mul(c, inverse), mul(s, inverse)
+    rate = sub(mul(x, sine.rate), mul(y, cosine.rate))
+    longer = add(mul(y, sine.rate), mul(x, cosine.rate))
+    acceleration = sub(mul(x, sine.acceleration), mul(y, cosine.acceleration))
+    return Row(
+        jnp.arctan2(s, c),
+        rate,
+        sine.gradient * x + cosine.gradient * neg(y),
+        sub(acceleration, mul(2.0, mul(rate, longer))),
+    )
+
+
+def function_of(rows: Sequence[Row], f: Callable[[jax.Array], jax.Array], dtype: Any) -> list[Row]:
+    """f (n,) -> (m,) of n holonomic rows, f smooth."""
+    _check_holonomic("function_of", rows)
+    one = jnp.ones((), dtype)
+    columns = zip(*((row.value, row.rate, row.acceleration) for row in rows), strict=True)
+    x, rate, bent = (pack(column, one[None]) for column in columns)
+
+    def slope(s: jax.Array) -> tuple:
+        return jax.jvp(lambda s: f(x + s * rate + (s * s / 2) * bent), (s,), (one,))
+
+    (value, first), (_, second) = jax.jvp(slope, (jnp.zeros_like(one),), (one,))
+    J = jax.jacfwd(f)(x)
+    return [
+        Row(
+            value[r],
+            first[r],
+            sum((row.gradient * J[r, k] for k, row in enumerate(rows)), Loads()),
+            second[r],
+        )
+        for r in range(value.shape[0])
+    ]

@@ -1,0 +1,72 @@
+"""The Coriolis matrix (Echeandia & Wensing 2021).
+
+With S_i a link's unit twist, V_i its twist and B(I, V) = (V x* I - I V x + (I V) x-bar*) / 2,
+
+    C = sum over bodies of J^T (I J' + B J),   J'_i = V_i x S_i,
+
+so that C v + g = b and M' = C + C^T. Two of B's four blocks are zero (`Coriolis`).
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.algorithms.composites import (
+    Coriolis,
+    axis_rates,
+    carried,
+    link_axes,
+    link_inertias,
+    link_twists,
+    tree_poses,
+)
+from rbjax.dynamics.drivers.choice import driver
+from rbjax.dynamics.drivers.pairs import pair_matrix
+from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.lanes import Sym3, Vec3
+from rbjax.model import Model
+from rbjax.spatial import RigidInertia
+
+
+@algorithm("q", "v")
+def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+    """C(q, v) (nv, nv), with C v + gravity_forces = bias_forces and M' - 2 C skew.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+
+    Returns:
+        (nv, nv); M' = C + C^T along the motion.
+
+    Source: Echeandia & Wensing (2021), *Numerical methods to compute the Coriolis matrix*.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> state = model.default_state()
+        >>> rb.coriolis_matrix(model, state.q, state.v).shape
+        (2, 2)
+    """
+    if not model.nv:
+        return jnp.zeros((0, 0), q.dtype)
+    d = driver(model, q.dtype)
+    joints = d.joints(q, v)
+    poses = tree_poses(d, joints)
+    S, inertias = link_axes(d, poses, joints), link_inertias(d, poses)
+    V = link_twists(d, S, v)
+    S_rate = axis_rates(d, V, S, poses, joints)
+    B = d.each(Coriolis.of, inertias, V)
+    nothing = (RigidInertia(0.0, Vec3.zero(), Sym3.zero()), Coriolis.zero())
+    composite = carried(d, d.each(lambda *x: x, inertias, B), nothing)
+
+    def forces(S, S_rate, composite):
+        inertia, B = composite
+        return inertia(S_rate) + B(S.ang), (*inertia(S), *B.transposed(S))
+
+    both = d.each(forces, S, S_rate, composite)
+    outer, inner = d.each(lambda x: x[0], both), d.each(lambda x: x[1], both)
+    axes = d.each(lambda S, S_rate: (*S_rate, *S.ang), S, S_rate)
+    return pair_matrix(d, (S, outer), (inner, axes), v)

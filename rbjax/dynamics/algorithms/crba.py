@@ -1,0 +1,101 @@
+"""Composite-rigid-body algorithm: the joint-space inertia matrix (Featherstone, ch. 6).
+
+inward   I_c = I + sum of X^T I_c X of the children;   F = I_c S;   M_ii = S.F + armature
+         F moves on to the root, and M_ji = S_j . F at each ancestor j on its path.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.algorithms.composites import (
+    carried,
+    link_axes,
+    link_inertias,
+    tree_poses,
+)
+from rbjax.dynamics.drivers.choice import Driver, driver
+from rbjax.dynamics.drivers.pairs import packed, pair_matrix, with_armature
+from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.lanes import Lane, Sym3, Vec3, add, fusion_barrier
+from rbjax.model import WORLD, Model
+from rbjax.spatial import Force, RigidInertia
+
+_ZERO = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
+
+
+def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]:
+    """One step: the link's pose in its parent, its composite inertia, and F = I_c S."""
+    link, joint = x
+    I_c = link.inertia + children
+    return joint.transform(link), I_c, I_c(joint.S)
+
+
+def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
+    """Rows of lanes; each F moves to the root separately."""
+
+    def step(x, children):
+        X, I_c, F = composite(x, children)
+        return X.rigid_to_parent(I_c), (X, F)
+
+    ys = d.whole(d.inward(step, _ZERO, d.zip(d.constants, joints)))
+    axes = [joint.S for joint in d.whole(joints)]
+    armatures = [link.armature for link in d.whole(d.constants)]
+    n = len(axes)
+    M: list[list[Lane]] = [[0.0] * n for _ in range(n)]
+    for i, (X, F) in enumerate(ys):
+        M[i][i] = add(axes[i].dot(F), armatures[i])
+        j = i
+        while d.topology.parents[j] != WORLD:
+            F = fusion_barrier(X.T(F))
+            j = d.topology.parents[j]
+            X = ys[j][0]
+            M[i][j] = M[j][i] = axes[j].dot(F)
+    return M
+
+
+def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
+    """All F and S in world axes, and M as one masked sum of six outer products."""
+    d.unroll = 2  # the steps are small
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses, joints)
+    I_c = carried(d, link_inertias(d, poses), _ZERO)
+    F = d.each(lambda inertia, S: inertia(S), I_c, S)
+    return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
+
+
+def crba(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
+    """M as an array (nv, nv)."""
+    return packed(_listed(d, joints), like) if d.listed else _by_columns(d, joints, like)
+
+
+@algorithm("q", long=True)
+def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
+    """M(q) (nv, nv), symmetric positive definite: kinetic energy = v^T M v / 2, armature included.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+
+    Returns:
+        (nv, nv) kg m^2, kg m or kg.
+
+    Raises:
+        InputError: wrong shape or dtype, values that are not finite, zero quaternions.
+
+    Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 6 (CRBA).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> rb.mass_matrix(model, model.default_state().q).shape
+        (2, 2)
+    """
+    n = model.nv
+    if not n:
+        return jnp.zeros((0, 0), q.dtype)
+    d = driver(model, q.dtype)
+    return crba(d, d.joints(q, None), jnp.zeros(n, q.dtype))

@@ -1,0 +1,162 @@
+"""First derivatives of inverse and forward dynamics.
+
+    d tau = dID/dq dq + dID/dv dv + M da,      d a = M^-1 (d tau - dID/dq dq - dID/dv dv)
+
+with dq on the tangent space of the configuration (`integrate`). An entry is a product of the
+`operands` of two links. For forward dynamics the columns are solved with ABA's factors
+(inverse.py). On a GPU, a batch of a large robot is computed column by column (columns.py).
+
+`operands` requires axes that are constant in their links. The axes of a `Node` are not: then JAX
+differentiates the dynamics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.algorithms.aba import aba
+from rbjax.dynamics.algorithms.columns import forward_by_columns, inverse_by_columns
+from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.forward import acceleration, forward_dynamics, inverse_mass_matrix
+from rbjax.dynamics.algorithms.inverse import InverseMass
+from rbjax.dynamics.algorithms.manifold import integrate
+from rbjax.dynamics.algorithms.operands import inverse_pairs, whole_operands
+from rbjax.dynamics.algorithms.rnea import inverse_dynamics
+from rbjax.dynamics.drivers.choice import driver
+from rbjax.dynamics.drivers.pairs import pair_matrix, with_armature
+from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.model import Model
+
+Derivatives = tuple[jax.Array, jax.Array, jax.Array]
+
+
+class InverseDynamicsDerivatives(NamedTuple):
+    """Derivatives of tau by q (tangent), v and a, each (nv, nv). The last is the mass matrix."""
+
+    q: jax.Array
+    v: jax.Array
+    a: jax.Array
+
+
+class ForwardDynamicsDerivatives(NamedTuple):
+    """Derivatives of a by q (tangent), v and tau, each (nv, nv). The last is M^-1."""
+
+    q: jax.Array
+    v: jax.Array
+    tau: jax.Array
+
+
+def _inverse_apart(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
+    by = inverse_by_columns if model.topology.straight else differentiated_inverse
+    return by(model, *given)
+
+
+def _forward_apart(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
+    by = forward_by_columns if model.topology.straight else differentiated_forward
+    return by(model, *given)
+
+
+@algorithm("q", "v", "a", apart=_inverse_apart)
+def inverse_dynamics_derivatives(
+    model: Model, q: jax.Array, v: jax.Array, a: jax.Array
+) -> InverseDynamicsDerivatives:
+    """Derivatives of tau = ID(q, v, a): `(q, v, a)`, each (nv, nv), q on the tangent space.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        a: (nv,) acceleration.
+
+    Source: Carpentier & Mansard (2018); Singh, Russell & Wensing (2022), RA-L 7(2).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> s = model.default_state()
+        >>> rb.inverse_dynamics_derivatives(model, s.q, s.v, s.v).q.shape
+        (2, 2)
+    """
+    if not model.nv:
+        return InverseDynamicsDerivatives(*(jnp.zeros((0, 0), q.dtype),) * 3)
+    if not model.topology.straight:
+        return InverseDynamicsDerivatives(*differentiated_inverse(model, q, v, a))
+    d = driver(model, q.dtype)
+    joints = d.joints(q, None)
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses, joints)
+    x = whole_operands(d, poses, S, v, d.lanes(a))
+    by_q, by_v, M = (pair_matrix(d, a, b, v) for a, b in inverse_pairs(S, x))
+    return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
+
+
+@algorithm("q", "v", "tau", pairs=True, apart=_forward_apart)
+def forward_dynamics_derivatives(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
+) -> ForwardDynamicsDerivatives:
+    """Derivatives of a = FD(q, v, tau): `(q, v, tau)`, each (nv, nv), q on the tangent space.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        tau: (nv,) generalized force.
+
+    Source: Carpentier & Mansard (2018); Singh, Russell & Wensing (2022), RA-L 7(2).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> s = model.default_state()
+        >>> rb.forward_dynamics_derivatives(model, s.q, s.v, s.v).tau.shape
+        (2, 2)
+    """
+    return accelerated_derivatives(model, q, v, tau)[1]
+
+
+def accelerated_derivatives(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
+) -> tuple[jax.Array, ForwardDynamicsDerivatives]:
+    """a = FD(q, v, tau) and its derivatives, of checked arrays. If the joint axes are constant
+    (`straight`), both share one ABA."""
+    if not model.nv:
+        none = jnp.zeros((0, 0), q.dtype)
+        return jnp.zeros(0, q.dtype), ForwardDynamicsDerivatives(none, none, none)
+    if not model.topology.straight:
+        a = acceleration(model, q, v, tau)
+        return a, ForwardDynamicsDerivatives(*differentiated_forward(model, q, v, tau))
+    d = driver(model, q.dtype)
+    joints = d.joints(q, v)
+    a, factors = aba(d, joints, d.lanes(tau), d.prepared.gravity)
+    _, _, U, inverse_D = d.unzip(factors, 4)
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses, joints)
+    x = whole_operands(d, poses, S, v, a)
+    by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*inverse_pairs(S, x)[:2])
+    return d.pack(a, v), ForwardDynamicsDerivatives(by_q, by_v, inverse)
+
+
+def differentiated_inverse(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> Derivatives:
+    """d ID / dq (tangent), d ID / dv, M, each (nv, nv)."""
+    return (*_by_state(inverse_dynamics, model, q, v, a), mass_matrix(model, q))
+
+
+def differentiated_forward(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> Derivatives:
+    """d FD / dq (tangent), d FD / dv, M^-1, each (nv, nv)."""
+    return (*_by_state(forward_dynamics, model, q, v, tau), inverse_mass_matrix(model, q))
+
+
+def _by_state(
+    f: Callable, model: Model, q: jax.Array, v: jax.Array, given: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """df/dq (tangent) and df/dv of f(model, q, v, given)."""
+
+    def moved(dq: jax.Array, v: jax.Array) -> jax.Array:
+        return f(model, integrate(model, q, dq), v, given)
+
+    return jax.jacfwd(moved, (0, 1))(jnp.zeros_like(v), v)

@@ -1,0 +1,1 @@
+"""Drivers run a recursion over the tree: unrolled, by limbs, or as a loop over the links."""

@@ -1,0 +1,82 @@
+"""Drivers: how a recursion over the tree runs.
+
+A recursion is written once, as a step on the lanes of one link. A driver runs it over the tree:
+
+- `Unrolled` writes the steps one after another into the program. Structural zeros differ from link
+  to link, so this is the least arithmetic and the fastest code. Compile time grows with the tree.
+- `Rolled` is a `lax.scan` over the links: one step is compiled however many links there are.
+- `Limbs` unrolls the trunk and one limb of each kind, and is a `lax.scan` over the limbs of that
+  kind: a humanoid's two legs are one leg in a loop. It is for GPU threads, whose programs must be
+  short.
+
+`outward` passes each step its parent's carry, `inward` the sum of its children's messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from rbjax.compiler.jax.backend import gpu
+from rbjax.dynamics.drivers.contract import Driver as Driver
+from rbjax.dynamics.drivers.limbs import Limbs
+from rbjax.dynamics.drivers.rolled import Rolled
+from rbjax.dynamics.drivers.rolled import allocate_slots as allocate_slots
+from rbjax.dynamics.drivers.unrolled import Unrolled
+from rbjax.model import DRIVER_NAMES, Model, Prepared, partition, prepare
+
+#: above this many velocity coordinates "auto" rolls. On the CPU unrolled code runs two to three
+#: times as fast, but its gradient compiles in 0.8 s a link; that of rolled code in 4 s for any
+#: length (benchmarks/results/cpu-thresholds-*.json: chains of 4 to 16).
+UNROLLED_UP_TO = 8
+
+#: the same on the CPU for values, if the model's numbers are constants of the program: a humanoid's
+#: forward dynamics runs ten times as fast (25 times for one sample in a loop) and compiles in 3 s
+#: instead of 2. If the model is an argument, it would be twice as fast and compile in 15 s
+VALUES_UNROLLED_UP_TO = 40
+
+#: the same in a GPU thread, by bytes of a number: up to about 8,000 statements, instruction fetches
+#: cost nothing. Numbers of 8 bytes take two registers each. ABA has 350 statements a coordinate,
+#: the others have 190 at most
+THREADS_UNROLLED_UP_TO = {4: 26, 8: 12}
+SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
+
+#: at least so many where there is no GPU: as machine code a humanoid's forward dynamics takes 0.85
+#: of the time it takes in limbs, its derivatives a quarter, and the gradient of a rollout compiles
+#: in two thirds, since JAX differentiates no loops; G1's take the same time, and twice to compile
+CPU_UNROLLED_UP_TO = 26
+
+#: above this many velocity coordinates, algorithms with a row of numbers for each pair of links run
+#: as several kernels, with a thread for each link of each sample
+THREADS_APART_ABOVE = 8
+
+DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
+    zip(DRIVER_NAMES[1:], (Unrolled, Rolled, Limbs), strict=True)
+)
+
+
+def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:
+    """The driver that the model names; "auto" unrolls small trees and rolls large ones.
+    `values`: the model's numbers are known while tracing, and the result is not differentiated."""
+    name = model.driver
+    if name == "auto":
+        few = values and jax.default_backend() == "cpu"
+        most = VALUES_UNROLLED_UP_TO if few else UNROLLED_UP_TO
+        name = "unrolled" if model.nv <= most else "rolled"
+    if not model.nv or (name == "limbs" and not partition(model.topology).groups):
+        name = "unrolled"
+    return DRIVERS[name](model, prepare(model, dtype))
+
+
+def on_threads(model: Model, dtype: Any, *, pairs: bool = False, long: bool = True) -> Model:
+    """The model with the driver that suits a thread of a GPU or a lane of machine code, if it names
+    none. `pairs`: the algorithm works on all pairs of links, which limbs do not shorten. `long`: it
+    has as many statements as ABA, twice those of the others."""
+    if model.driver != "auto":
+        return model
+    most = THREADS_UNROLLED_UP_TO if pairs or long else SHORT_UNROLLED_UP_TO
+    few = model.nv <= max(most[np.dtype(dtype).itemsize], 0 if gpu() else CPU_UNROLLED_UP_TO)
+    return model.replace(driver="unrolled" if few else "rolled" if pairs else "limbs")

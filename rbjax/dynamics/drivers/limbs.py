@@ -1,0 +1,398 @@
+"""The driver by limbs: isomorphic limbs run as a loop over one unrolled limb.
+
+A humanoid's two legs are one leg in a `lax.scan` over two. Base and waist (the trunk) are unrolled,
+as in `Unrolled`. So the program is short if a robot repeats itself. Within a limb the loop carries
+nothing: all lanes of a limb are in registers.
+
+A number on which all limbs of a group agree is a literal of the program, so shared zeros vanish. A
+number on which they differ is a column over the limbs, read at the loop's counter. Results of a
+loop are written to memory. Values that a step passes on unchanged are not, nor is a link's pose,
+which is recomputed from cosine and sine.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.drivers import unrolled
+from rbjax.dynamics.drivers.contract import Step, Sweeps
+from rbjax.dynamics.drivers.joint_lanes import joint_lanes
+from rbjax.dynamics.drivers.packing import pack
+from rbjax.joints import HINGE, JointMotion, PosedJoint, turning
+from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, sincos, sub
+from rbjax.lanes.barriers import whole_cotangent
+from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, partition
+from rbjax.model.links import lane
+
+
+class Parts:
+    """A per-link value of `Limbs`: a list for the trunk, and for each group a list over the
+    positions in a limb. Its items are columns over the limbs."""
+
+    def __init__(self, trunk: list, limbs: list[list]):
+        self.trunk, self.limbs = trunk, limbs
+
+
+jax.tree_util.register_pytree_node(
+    Parts, lambda x: ((x.trunk, x.limbs), None), lambda _, children: Parts(*children)
+)
+
+
+class LimbJoint:
+    """Among the columns: the joint motions at one position of a group."""
+
+    def __init__(self, link: Link, constants: LinkConstants, q: list, v: list, trig: Any):
+        self.link, self.columns = link, (constants, q, v, trig)
+
+    def of(self, lane_of: Callable[[Any], Lane]) -> PosedJoint:
+        """The motion in one limb, with the lanes that `lane_of` gives."""
+        constants, q, v, trig = jax.tree.map(lane_of, self.columns)
+        if trig is None:
+            return PosedJoint(self.link.kind.motion(q, v, constants), constants)
+        c, s = trig
+        return PosedJoint(turning(c, s, v[0]), constants)
+
+
+class PoseLane:
+    """Among the columns: a lane of the links' poses, cheaper to recompute than to store."""
+
+    def __init__(self, joint: LimbJoint, k: int):
+        self.joint, self.k = joint, k
+
+
+class Limb:
+    """Replaces columns by one limb's lanes."""
+
+    def __init__(self, column_lane: Callable[[Any], Lane]):
+        self.lane = lambda x: x if is_literal(x) else column_lane(x)
+        self.joints: dict[int, tuple[LimbJoint, PosedJoint]] = {}
+
+    def __call__(self, x: Any) -> Any:
+        if isinstance(x, LimbJoint):
+            return self.joint(x)
+        if isinstance(x, PoseLane):
+            return jax.tree.leaves(self.joint(x.joint).pose)[x.k]
+        return self.lane(x)
+
+    def joint(self, x: LimbJoint) -> PosedJoint:
+        if id(x) not in self.joints:
+            self.joints[id(x)] = x, x.of(self.lane)
+        return self.joints[id(x)][1]
+
+    @property
+    def poses(self) -> dict[int, PoseLane]:
+        """For each lane of a pose, its `PoseLane` among the columns."""
+        return {
+            id(x): PoseLane(joint, k)
+            for joint, posed in self.joints.values()
+            for k, x in enumerate(jax.tree.leaves(posed.pose)) if not is_literal(x)
+        }  # fmt: skip
+
+
+class Limbs(Sweeps, unrolled.Listed):
+    """The trunk unrolled, and a loop over the limbs of each group."""
+
+    def __init__(self, model: Model, prepared: Prepared):
+        top = self.topology = model.topology
+        self.prepared = prepared
+        self._trunk, self._groups = partition(top)
+        place = {link: n for n, link in enumerate(self._trunk)}
+        self._place = {**place, WORLD: WORLD}
+        self._parents = [self._place[top.parents[i]] for i in self._trunk]
+        self._like: Any = None  # the shape and dtype of one lane, known with q
+        #: id of a lane that `whole` has read from a column -> lane, column, limb
+        self._read: dict[int, tuple[Lane, Any, int]] = {}
+        self.constants = self._parts(
+            prepared.link,
+            lambda links: jax.tree.map(lambda x: self._column(x, links), prepared.columns),
+        )
+
+    def _parts(self, of_link: Callable, of_links: Callable, *given: Parts) -> Parts:
+        """A per-link value, from each link of the trunk and from the links of each position."""
+        trunk = list(map(of_link, self._trunk, *(x.trunk for x in given)))
+        positions = [list(zip(*group.links, strict=True)) for group in self._groups]
+        limbs = [
+            list(map(of_links, links, *(x.limbs[n] for x in given)))
+            for n, links in enumerate(positions)
+        ]
+        return Parts(trunk, limbs)
+
+    def _column(self, column: Any, links: Sequence[int]) -> Any:
+        """The rows of a column for some links; a literal if they agree."""
+        if isinstance(column, np.ndarray):
+            return _merged(*(lane(column, i) for i in links))
+        return _rows(column, links)
+
+    def joints(self, q: jax.Array, v: jax.Array | None) -> Parts:
+        """As `Unrolled.joints`."""
+        self._like = jnp.zeros(q.shape[1:], q.dtype)
+        links = self.topology.links
+        hinges = [i for i, link in enumerate(links) if link.kind is HINGE]
+        place = {i: n for n, i in enumerate(hinges)}
+        c, s = jnp.zeros((2, 0), q.dtype)
+        if hinges:
+            reference = self._cast(self._column(self.prepared.columns.reference, hinges))
+            c, s = in_turn(sub(_rows(q, [links[i].q[0] for i in hinges]), reference))
+        qs: Any = q
+        vs: Any = [0.0] * self.topology.nv if v is None else v
+
+        def trunk(i: int, constants: LinkConstants) -> JointMotion:
+            if i in place:
+                return turning(c[place[i]], s[place[i]], vs[i])
+            return joint_lanes(links[i], constants, qs, vs)
+
+        def limbs(index: Sequence[int], constants: LinkConstants) -> LimbJoint:
+            link = links[index[0]]
+            speeds = zip(*(links[i].v for i in index), strict=True)
+            speed = [0.0 if v is None else _rows(v, at) for at in speeds]
+            if index[0] in place:
+                turned = [_rows(x, [place[i] for i in index]) for x in (c, s)]
+                return LimbJoint(link, constants, [], speed, turned)
+            at = [_rows(q, every) for every in zip(*(links[i].q for i in index), strict=True)]
+            return LimbJoint(link, constants, at, speed, None)
+
+        out = self._parts(trunk, limbs, self.constants)
+        return Parts(fusion_barrier(out.trunk), out.limbs)
+
+    def lanes(self, x: jax.Array | None) -> Parts:
+        """As `Unrolled.lanes`."""
+        if x is None:
+            return self._parts(lambda i: 0.0, lambda links: 0.0)
+        return self._parts(lambda i: x[i], lambda links: _rows(x, links))
+
+    def scattered(self, values: Mapping[int, Any], zero: Any) -> Parts:
+        """As `Unrolled.scattered`."""
+        return self._parts(
+            lambda i: values.get(i, zero),
+            lambda links: jax.tree.map(_merged, *(values.get(i, zero) for i in links)),
+        )
+
+    def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
+        """As `Unrolled.pack`. Limbs that follow each other are written as one block."""
+        rows = dict(zip(self._trunk, lanes.trunk, strict=True))
+        blocks: dict[int, jax.Array] = {}
+        for group, columns in zip(self._groups, lanes.limbs, strict=True):
+            shape = (len(group.links), 1, *like.shape[1:])
+            wide = [_wide(jnp.asarray(x, like.dtype), shape) for x in columns]
+            block = jnp.concatenate(wide, 1)
+            every = [i for limb in group.links for i in limb]
+            block = block.reshape(len(every), *like.shape[1:])
+            if every == list(range(every[0], every[0] + len(every))):
+                blocks[every[0]] = block
+            else:
+                rows |= {i: block[n] for n, i in enumerate(every)}
+        for first in [i for i in rows if i - 1 not in rows]:
+            run = [rows[i] for i in itertools.takewhile(rows.__contains__, itertools.count(first))]
+            blocks[first] = pack(run, like[: len(run)])
+        return jnp.concatenate([blocks[i] for i in sorted(blocks)])
+
+    def columns(self, values: Parts, like: jax.Array) -> Any:
+        """As `Unrolled.columns`."""
+        return jax.tree.map(lambda *lanes: pack(lanes, like), *self.whole(values))
+
+    def whole(self, values: Parts) -> list:
+        """As `Unrolled.whole`: a list over the links."""
+        out: list = [None] * self.topology.nv
+        for i, x in zip(self._trunk, values.trunk, strict=True):
+            out[i] = x
+        for group, positions in zip(self._groups, values.limbs, strict=True):
+            for j, limb in enumerate(group.links):
+                for i, x in zip(limb, self._limb(positions, j), strict=True):
+                    out[i] = x
+        return out
+
+    def rows(self, whole: list) -> Parts:
+        """As `Unrolled.rows`."""
+        return self._parts(
+            lambda i: whole[i],
+            lambda links: jax.tree.map(self._column_of, *(whole[i] for i in links)),
+        )
+
+    def _column_of(self, *lanes: Lane) -> Any:
+        """The lanes of the limbs as a column: the one that they were read from, if there is one."""
+        _, column, _ = self._read.get(id(lanes[0]), (None, None, 0))
+        for j, x in enumerate(lanes):
+            _, own, limb = self._read.get(id(x), (None, None, 0))
+            if own is None or own is not column or limb != j:
+                return _merged(*lanes)
+        return column
+
+    def zip(self, *values: Parts) -> Parts:
+        """As `Unrolled.zip`."""
+        groups = zip(*(v.limbs for v in values), strict=True)
+        limbs = [list(zip(*positions, strict=True)) for positions in groups]
+        return Parts(list(zip(*(v.trunk for v in values), strict=True)), limbs)
+
+    def part(self, values: Parts, k: int) -> Parts:
+        """As `Unrolled.part`."""
+        return Parts([x[k] for x in values.trunk], [[x[k] for x in xs] for xs in values.limbs])
+
+    def outward(self, step: Step, root: Any, xs: Parts) -> Parts:
+        """As `Unrolled.outward`: the trunk, then the limbs."""
+        carries, ys = unrolled.outward(self._parents, step, root, xs.trunk)
+
+        def limb(group, x, before, known):
+            return (), unrolled.outward(group.parents, step, before, x, known)[1]
+
+        return Parts(ys, self._each_group(limb, (), xs, carries, root)[1])
+
+    def inward(self, step: Step, zero: Any, xs: Parts) -> Parts:
+        """As `Unrolled.inward`: the limbs, then the trunk."""
+
+        def limb(group, x, before, known):
+            sums = [zero] * len(x)
+            messages, ys = unrolled.inward(group.parents, step, sums, x, known)
+            return messages[0], ys
+
+        sums, limbs = self._each_group(limb, zero, xs, None, None)
+        return Parts(unrolled.inward(self._parents, step, sums, xs.trunk)[1], limbs)
+
+    def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: Parts) -> Parts:
+        """As `Sweeps.out_and_in`: the trunk out; out and in through each limb, which stores nothing
+        of its outward sweep; the trunk in."""
+        carries, first = unrolled.outward(self._parents, outward, root, xs.trunk)
+
+        def limb(group, x, before, known):
+            y = unrolled.outward(group.parents, outward, before, x, known)[1]
+            sums, both = [zero] * len(x), list(zip(x, y, strict=True))
+            messages, ys = unrolled.inward(group.parents, inward, sums, both, known)
+            return messages[0], ys
+
+        sums, limbs = self._each_group(limb, zero, xs, carries, root)
+        both = list(zip(xs.trunk, first, strict=True))
+        return Parts(unrolled.inward(self._parents, inward, sums, both)[1], limbs)
+
+    def _each_group(
+        self, limb: Callable, zero: Any, xs: Parts, carries: list | None, root: Any
+    ) -> tuple[list, list]:
+        """message, ys = limb(group, xs, carry of its carrier, known) of every limb: the sums of the
+        messages to each link of the trunk, and the columns of ys."""
+        sums, out = [zero] * len(self._trunk), []
+        for group, positions in zip(self._groups, xs.limbs, strict=True):
+            messages, ys = self._one_group(group, limb, zero, positions, carries, root)
+            out.append(ys)
+            for port, message in messages:
+                sums[port] = jax.tree.map(add, sums[port], message)
+        return sums, out
+
+    def _one_group(
+        self, group: Group, limb: Callable, zero: Any, xs: list, carries: list | None, root: Any
+    ) -> tuple[list[tuple[int, Any]], Any]:
+        """The same for one group. Messages are pairs (place in the trunk, message). The loop sums
+        those to the same link."""
+        ports = [self._place[i] for i in group.carriers]
+        together = len(set(ports)) == 1
+        summed = together and ports[0] != WORLD
+        before = [] if carries is None else [root if p == WORLD else carries[p] for p in ports]
+        starts = jax.tree.map(_merged, *before) if before and not together else None
+
+        def body(total, given, known):
+            x, own = given
+            start = before[0] if before and together else own
+            message, ys = limb(group, x, start, known)
+            if not summed:
+                return (), (() if together else message, ys)
+            return as_arrays(jax.tree.map(add, total, message), self._like), ((), ys)
+
+        start = as_arrays(zero, self._like) if summed else ()
+        total, (messages, ys) = self._loop(group, body, start, (xs, starts))
+        if together:
+            return [(ports[0], total)] if summed else [], ys
+        pairs = [(port, self._limb(messages, j)) for j, port in enumerate(ports) if port != WORLD]
+        return pairs, ys
+
+    def _limb(self, columns: Any, j: int) -> Any:
+        """The lanes of limb j."""
+
+        def lane(column):
+            cast = self._cast(column)
+            found = (whole_cotangent(cast) if isinstance(cast, jax.Array) else cast)[j]
+            self._read[id(found)] = found, column, j
+            return found
+
+        return jax.tree.map(Limb(lane), columns)
+
+    def _loop(self, group: Group, body: Callable, carry: Any, given: Any) -> tuple[Any, Any]:
+        """carry, out = body(carry, given, known) over the limbs, with lanes instead of the columns
+        of `given`. A lane that the body returns unchanged stays the column that it was."""
+        leaves, treedef = jax.tree.flatten(given)
+        found = [c for x in leaves for c in _columns(x)]
+        columns = {id(c): c for c in found}
+        emitted: dict[str, Any] = {}
+
+        def turn(carry, lanes):
+            lane_of = dict(zip(columns, lanes, strict=True))
+            limb = Limb(lambda column: lane_of[id(column)])
+            x = jax.tree.unflatten(treedef, [limb(x) for x in leaves])
+            poses = limb.poses
+            known = [posed.pose for _, posed in limb.joints.values()]
+            carry, out = body(carry, x, known)
+            flat, emitted["tree"] = jax.tree.flatten(out)
+            kept = poses | {id(x): columns[key] for key, x in lane_of.items()}
+            kept |= {id(x): x for x in flat if is_literal(x)}
+            fresh = {id(x): x for x in flat if id(x) not in kept}
+            emitted["out"] = [(id(x), kept.get(id(x))) for x in flat]
+            emitted["fresh"] = list(fresh)
+            return carry, list(fresh.values())
+
+        lanes = [self._cast(c) for c in columns.values()]
+        # a transposed limb recomputes its values: storing them would fill the thread's memory
+        turn = jax.checkpoint(turn, prevent_cse=False)
+        carry, ys = jax.lax.scan(turn, carry, lanes, length=len(group.links))
+        made = dict(zip(emitted["fresh"], ys, strict=True))
+        out = [made.get(key, column) for key, column in emitted["out"]]
+        return carry, jax.tree.unflatten(emitted["tree"], out)
+
+    def _cast(self, column: Any) -> Any:
+        if isinstance(column, np.ndarray):
+            return column.astype(self._like.dtype)
+        return column
+
+
+@jax.custom_jvp
+def in_turn(angles: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Cosines and sines, one after another: their long program is compiled once for all."""
+    return jax.lax.scan(lambda _, x: ((), sincos(x)), (), angles)[1]
+
+
+@in_turn.defjvp
+def _in_turn_jvp(primals: tuple, tangents: tuple) -> tuple:
+    c, s = in_turn(*primals)
+    return (c, s), (-s * tangents[0], c * tangents[0])
+
+
+def _columns(x: Any) -> list:
+    """The columns that a leaf is read from."""
+    if isinstance(x, PoseLane):
+        return _columns(x.joint)
+    if isinstance(x, LimbJoint):
+        return [c for c in jax.tree.leaves(x.columns) if not is_literal(c)]
+    return [] if is_literal(x) else [x]
+
+
+def _wide(column: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """A column, or a value that all limbs share, as (limbs, 1, ...)."""
+    if column.ndim:
+        column = jnp.expand_dims(column, (1, *range(column.ndim + 1, len(shape))))
+    return jnp.broadcast_to(column, shape)
+
+
+def _rows(x: Any, index: Sequence[int]) -> Any:
+    """These rows of an array; a slice of it if they are evenly spaced."""
+    steps = {b - a for a, b in itertools.pairwise(index)}
+    if len(steps) == 1 and min(steps) > 0:
+        return x[index[0] : index[-1] + 1 : steps.pop()]
+    return x[np.array(index, int)]
+
+
+def _merged(*lanes: Lane) -> Any:
+    """The lanes of the limbs as a column; a literal if they agree."""
+    if not all(map(is_literal, lanes)):
+        return jnp.stack([jnp.asarray(x) for x in lanes])
+    return lanes[0] if all(x == lanes[0] for x in lanes) else np.array(lanes, float)

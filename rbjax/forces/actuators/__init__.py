@@ -1,0 +1,1 @@
+"""Actuators: transmissions, laws from controls to forces, and their losses."""

@@ -1,0 +1,241 @@
+"""An actuator of any kind: a transmission, and a law from its controls to a force.
+
+    tau = r(q) f(u, x, l, l'),      x' = rate(u, x, l, l')
+(MuJoCo, *Computation*, actuation model.) `model.actuators` stores those whose law is affine and has
+no state by columns (`affine`).
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.forces.actuators.activation import Activation
+from rbjax.forces.actuators.limits import clip
+from rbjax.forces.actuators.muscle import Muscle
+from rbjax.forces.actuators.transmissions import JointAxis, Reach, Transmission
+from rbjax.forces.element import Element, Loads
+from rbjax.forces.instant import Instant
+from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
+from rbjax.model.leaves import numbers, table
+from rbjax.model.model import Record
+
+
+class Signals:
+    """What the law of an actuator sees: its controls u within their ranges, its state x, the length
+    and speed of its transmission, and the step h: the model's timestep where none is fixed."""
+
+    def __init__(self, now: Instant, u: Sequence[Lane], transmission: Transmission):
+        self.u, self.x, self.dtype = u, now.x, now.q.dtype
+        self.h = now.h
+        self._now, self._transmission = now, transmission
+
+    @property
+    def reach(self) -> Reach:
+        """Length and moment arms."""
+        return self._now.once(self._transmission, lambda: self._transmission.reach(self._now))
+
+    @property
+    def length(self) -> Lane:
+        """l."""
+        return self.reach.length
+
+    @property
+    def speed(self) -> Lane:
+        """l'."""
+        return self._now.once(self.reach, lambda: self.reach.speed(self._now))
+
+    @property
+    def turn(self) -> Lane:
+        """What a full turn adds to the length."""
+        return self._transmission.turn(self.dtype)
+
+    def nearest(self, angle: Lane, to: Lane) -> Lane:
+        """Of all that differ from an angle by full turns, the one nearest to another."""
+        return angle - self.turn * jnp.round((angle - to) / self.turn)
+
+
+class Law(Record):
+    """From an actuator's controls, state, length and speed to its force."""
+
+    @property
+    def size(self) -> int:
+        """How many numbers its state has."""
+        return 0
+
+    @abc.abstractmethod
+    def force(self, seen: Signals) -> Lane:
+        """The force that the actuator's force range limits."""
+
+    def friction(self, seen: Signals) -> Lane:
+        """The force that nothing limits."""
+        return 0.0
+
+    def rate(self, seen: Signals) -> Sequence[Lane]:
+        """x'."""
+        return []
+
+    def advanced(self, seen: Signals, dt: Any) -> Sequence[Lane]:
+        """x after a step."""
+        return []
+
+    def within(self, x: Sequence[Lane], dtype: Any, turn: Callable) -> Sequence[Lane]:
+        """x within its range. turn(dtype): the change of the length over a full turn."""
+        return x
+
+    def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
+        """The derivatives of the force by l and l', for an implicit step; zero if not known."""
+        return 0.0, 0.0
+
+
+class Actuator(Element):
+    """One actuator. Fields: ctrlrange (n, 2) of its controls and forcerange (2,), infinite where
+    the file sets none. Static: `controls`, their indices among those of the model."""
+
+    transmission: Transmission
+    law: Law
+    ctrlrange: jax.Array
+    forcerange: jax.Array
+    controls: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        return self.law.size
+
+    @property
+    def actuates(self) -> bool:
+        return True
+
+    def loads(self, now: Instant) -> Loads:
+        seen = self._signals(now)
+        limits = table(self.forcerange, seen.dtype)[None]
+        force = jnp.asarray(self.law.force(seen), seen.dtype)
+        force = add(clip(force, limits, 0), self.law.friction(seen))
+        return Loads({n: mul(arm, force) for n, arm in seen.reach.arms.items()})
+
+    def chord(self, now: Instant, h: Any) -> dict[int, Lane]:
+        """The implicit stiffness of servos and dampers on joints whose coordinates add, which those
+        of an attitude do not. It is zero while the force is at the end of its range."""
+        joint = self.transmission.joint if isinstance(self.transmission, JointAxis) else -1
+        if joint < 0 or now.model.topology.joints[joint].quaternion:
+            return {}
+        seen = self._signals(now)
+        k, d = self.law.slopes(seen)
+        if is_zero(k) and is_zero(d):
+            return {}
+        own = neg(add(mul(h / 2, d), mul(h * h / 4, k)))
+        force, limits = self.law.force(seen), table(self.forcerange, seen.dtype)[None]
+        own = jnp.where(clip(force, limits, 0) == force, jnp.maximum(own, 0.0), 0.0)
+        return {n: mul(mul(arm, arm), own) for n, arm in seen.reach.arms.items()}
+
+    def rate(self, now: Instant) -> Sequence[Lane]:
+        return [0.0] * self.size if now.u is None else self.law.rate(self._signals(now))
+
+    def advance(self, now: Instant, dt: Any) -> Sequence[Lane]:
+        return now.x if now.u is None else self.law.advanced(self._signals(now), dt)
+
+    def within(self, x: jax.Array) -> Sequence[Lane]:
+        return self.law.within(list(x), x.dtype, self.transmission.turn)
+
+    def _signals(self, now: Instant) -> Signals:
+        limits = table(self.ctrlrange, now.q.dtype)
+        u = [clip(now.u[k], limits, i) for i, k in enumerate(self.controls)]
+        return Signals(now, u, self.transmission)
+
+
+class Affine(Record):
+    """c0 + c1 l + c2 l'; with one coefficient (1,) a constant."""
+
+    coefficients: jax.Array
+
+    def __call__(self, seen: Signals) -> Lane:
+        found = numbers(self.coefficients, seen.dtype)
+        return found[0] if len(found) == 1 else inner(found, (1.0, seen.length, seen.speed))
+
+    def slopes(self, dtype: Any) -> Sequence[Lane]:
+        """c1, c2."""
+        return numbers(self.coefficients, dtype)[1:] or (0.0, 0.0)
+
+
+class Active(Record):
+    """The active force of a muscle."""
+
+    muscle: Muscle
+
+    def __call__(self, seen: Signals) -> Lane:
+        return self.muscle.active(seen.length, seen.speed, seen.dtype)
+
+
+class Passive(Record):
+    """The passive force of a muscle."""
+
+    muscle: Muscle
+
+    def __call__(self, seen: Signals) -> Lane:
+        return self.muscle.passive(seen.length, seen.dtype)
+
+
+class GainBias(Law):
+    """f = gain a + bias, with a the activation, or the control where there is none.
+
+    `early`: the force is that of the activation after the step. `circular`: a is an angle; of all
+    that differ from it by full turns the one nearest to l counts.
+    """
+
+    gain: Affine | Active
+    bias: Affine | Passive | None
+    activation: Activation | None
+    early: bool = eqx.field(static=True, default=False)
+    circular: bool = eqx.field(static=True, default=False)
+
+    @property
+    def size(self) -> int:
+        return 0 if self.activation is None else 1
+
+    def force(self, seen: Signals) -> Lane:
+        if self.activation is None:
+            a = seen.u[0]
+        elif self.early:
+            a = self.activation.advanced(self._control(seen), seen.x[0], seen.h)
+        else:
+            a = seen.x[0]
+        a = seen.nearest(a, seen.length) if self.circular else a
+        bias = 0.0 if self.bias is None else self.bias(seen)
+        return add(mul(self.gain(seen), a), bias)
+
+    def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
+        gain, bias = self.gain, Affine(np.zeros(1)) if self.bias is None else self.bias
+        if self.activation or self.circular or not isinstance(gain, Affine):
+            return 0.0, 0.0
+        if not isinstance(bias, Affine):
+            return 0.0, 0.0
+        (g1, g2), (b1, b2) = gain.slopes(seen.dtype), bias.slopes(seen.dtype)
+        return add(mul(g1, seen.u[0]), b1), add(mul(g2, seen.u[0]), b2)
+
+    def rate(self, seen: Signals) -> Sequence[Lane]:
+        if self.activation is None:
+            return []
+        return [self.activation.rate(self._control(seen), seen.x[0])]
+
+    def advanced(self, seen: Signals, dt: Any) -> Sequence[Lane]:
+        if self.activation is None:
+            return []
+        a = self.activation.advanced(self._control(seen), seen.x[0], dt)
+        return [seen.nearest(a, seen.length) if self.circular else a]
+
+    def within(self, x: Sequence[Lane], dtype: Any, turn: Callable) -> Sequence[Lane]:
+        if self.activation is None:
+            return x
+        period = turn(dtype) if self.circular else None
+        return [self.activation.within(a, period) for a in x]
+
+    def _control(self, seen: Signals) -> Lane:
+        """The control; on a circle, where it is followed, the one nearest to the activation."""
+        followed = self.activation is not None and self.activation.follows
+        return seen.nearest(seen.u[0], seen.x[0]) if self.circular and followed else seen.u[0]

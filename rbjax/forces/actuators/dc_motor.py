@@ -1,0 +1,182 @@
+"""A DC motor: voltage, current, heat, cogging and the friction of its bearings.
+
+    f = K i,      L i' = V - K l' - R i,      without inductance i = (V - K l') / R
+    R = R0 (1 + alpha (T - T0)),      C T' = R i^2 - (T - Ta) / RT
+    friction  -(s0 z + s1 z'),  z' = l' - s0 |l'| z / g(l'),  g = FC + (FS - FC) exp(-(l'/vS)^2)
+(MuJoCo, *DC motor technical note*; LuGre: Canudas de Wit et al., 1995.) A controller on board
+drives V = (R/K) tau + K l' within its limit; a terminal voltage is added to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.forces.actuators.activation import at_least, decayed
+from rbjax.forces.actuators.actuator import Law, Signals
+from rbjax.forces.actuators.pid import Controller
+from rbjax.lanes import Lane, add
+from rbjax.model.leaves import numbers, scalar
+from rbjax.model.model import Record
+
+
+class Windings(Record):
+    """Fields: resistance () R0, constant () K, drive () the limit of the controller's voltage,
+    time_constant () L / R, current_rate () the limit of i'; the last two count where the current is
+    a state (`inductive`)."""
+
+    resistance: jax.Array
+    constant: jax.Array
+    drive: jax.Array
+    time_constant: jax.Array
+    current_rate: jax.Array
+    inductive: bool = eqx.field(static=True)
+
+
+class Heat(Record):
+    """Fields: numbers (5,), RT K/W, C J/K, Ta, alpha 1/K, T0. The state is T - Ta."""
+
+    numbers: jax.Array
+
+
+class LuGre(Record):
+    """Fields: numbers (5,), s0, s1, FC, FS, vS. The state is z, how far the bristles bend."""
+
+    numbers: jax.Array
+
+    def rate(self, z: Lane, speed: Lane, dtype: Any) -> Lane:
+        """z'."""
+        return speed - self._decay(speed, dtype) * z
+
+    def advanced(self, z: Lane, speed: Lane, h: Any, dtype: Any) -> Lane:
+        """z after a step at constant speed."""
+        decay = self._decay(speed, dtype)
+        some = decay > 1e-15
+        lasting = jnp.where(some, decay, 1.0)
+        pushed = jnp.where(some, -jnp.expm1(-decay * h) / lasting, h)
+        return jnp.exp(-decay * h) * z + pushed * speed
+
+    def force(self, z: Lane, speed: Lane, dtype: Any) -> Lane:
+        """s0 z + s1 z'."""
+        stiffness, damping, *_ = numbers(self.numbers, dtype)
+        return stiffness * z + damping * self.rate(z, speed, dtype)
+
+    def _decay(self, speed: Lane, dtype: Any) -> Lane:
+        """s0 |v| / g(v)."""
+        stiffness, _, coulomb, static, stribeck = numbers(self.numbers, dtype)
+        ratio = speed / at_least(stribeck)
+        g = coulomb + (static - coulomb) * jnp.exp(-ratio * ratio)
+        return stiffness * jnp.abs(speed) / at_least(g)
+
+
+class DCMotor(Law):
+    """Fields: `cogging` (3,), amplitude, number of poles, phase; the others None where the motor
+    has none. `voltage`: whether the last control is a terminal voltage. States, where they are: the
+    controller's, T - Ta, z, i."""
+
+    windings: Windings
+    cogging: jax.Array
+    controller: Controller | None
+    heat: Heat | None
+    bristles: LuGre | None
+    voltage: bool = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        own = (self.heat is not None) + (self.bristles is not None) + self.windings.inductive
+        return own + (0 if self.controller is None else self.controller.size)
+
+    def force(self, seen: Signals) -> Lane:
+        K = scalar(self.windings.constant, seen.dtype)
+        if not self.windings.inductive:
+            return K * self._current(seen, seen.h)
+        return K * self._current_after(seen, seen.h)  # MuJoCo's DC motors act early
+
+    def friction(self, seen: Signals) -> Lane:
+        amplitude, poles, phase = numbers(self.cogging, seen.dtype)
+        out = amplitude * jnp.sin(poles * seen.length + phase)
+        if self.bristles is None:
+            return out
+        z = self._parts(seen)["z"]
+        return out - self.bristles.force(z, seen.speed, seen.dtype)
+
+    def rate(self, seen: Signals) -> Sequence[Lane]:
+        return self._rates(seen, seen.h)
+
+    def advanced(self, seen: Signals, dt: Any) -> Sequence[Lane]:
+        n = 0 if self.controller is None else self.controller.size
+        out = [] if self.controller is None else self.controller.advanced(seen, dt)
+        x = self._parts(seen)
+        if self.heat is not None:
+            out.append(x["T"] + dt * self._rates(seen, dt)[n])
+        if self.bristles is not None:
+            out.append(self.bristles.advanced(x["z"], seen.speed, dt, seen.dtype))
+        if self.windings.inductive:
+            out.append(self._current_after(seen, dt))
+        return out
+
+    def within(self, x: Sequence[Lane], dtype: Any, turn: Callable) -> Sequence[Lane]:
+        if self.controller is None:
+            return x
+        n = self.controller.size
+        return [*self.controller.within(x[:n], dtype), *x[n:]]
+
+    def _parts(self, seen: Signals) -> dict[str, Lane]:
+        """The states beside the controller's."""
+        own = [("T", self.heat is not None), ("z", self.bristles is not None)]
+        names = [name for name, there in [*own, ("i", self.windings.inductive)] if there]
+        return dict(zip(names, seen.x[self.size - len(names) :], strict=True))
+
+    def _resistance(self, seen: Signals) -> Lane:
+        """R at the motor's temperature."""
+        R = scalar(self.windings.resistance, seen.dtype)
+        if self.heat is None:
+            return R
+        _, _, ambient, alpha, reference = numbers(self.heat.numbers, seen.dtype)
+        return R * (1 + alpha * (self._parts(seen)["T"] + ambient - reference))
+
+    def _voltage(self, seen: Signals, h: Any) -> Lane:
+        """V."""
+        out: Lane = 0.0
+        if self.controller is not None:
+            w, dtype = self.windings, seen.dtype
+            K, R, limit = (scalar(x, dtype) for x in (w.constant, w.resistance, w.drive))
+            out = R / K * self.controller.output(seen, h, seen.x) + K * seen.speed
+            out = jnp.clip(out, -limit, limit)
+        return add(out, seen.u[-1]) if self.voltage else out
+
+    def _current(self, seen: Signals, h: Any) -> Lane:
+        """i where it has no inertia."""
+        K = scalar(self.windings.constant, seen.dtype)
+        return (self._voltage(seen, h) - K * seen.speed) / at_least(self._resistance(seen))
+
+    def _current_rate(self, seen: Signals, h: Any) -> Lane:
+        """i' where it has."""
+        w, i = self.windings, self._parts(seen)["i"]
+        limit = scalar(w.current_rate, seen.dtype)
+        te = at_least(scalar(w.time_constant, seen.dtype))
+        return jnp.clip((self._current(seen, h) - i) / te, -limit, limit)
+
+    def _current_after(self, seen: Signals, h: Any) -> Lane:
+        """i after a step."""
+        te = scalar(self.windings.time_constant, seen.dtype)
+        rate = self._current_rate(seen, h)
+        return self._parts(seen)["i"] + decayed(h, te, rate * at_least(te))
+
+    def _rates(self, seen: Signals, h: Any) -> list[Lane]:
+        out = [] if self.controller is None else self.controller.rate(seen, h)
+        x = self._parts(seen)
+        if self.heat is not None:
+            resistance, capacity, *_ = numbers(self.heat.numbers, seen.dtype)
+            i = x["i"] if self.windings.inductive else self._current(seen, h)
+            R = self._resistance(seen)
+            out.append((R * i * i - x["T"] / resistance) / capacity)
+        if self.bristles is not None:
+            out.append(self.bristles.rate(x["z"], seen.speed, seen.dtype))
+        if self.windings.inductive:
+            out.append(self._current_rate(seen, h))
+        return out

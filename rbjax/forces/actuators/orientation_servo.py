@@ -1,0 +1,124 @@
+"""A servo on an orientation: three torques along the shortest way to an attitude.
+
+    tau = kp log(Q^-1 Q_target) + c - kv w,      in the axes of what turns
+(MuJoCo, *XML reference*, actuator/orientation.) The target is a rotation vector or a quaternion. It
+may be a state whose rate is the control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.forces.actuators.activation import Activation
+from rbjax.forces.actuators.limits import clip
+from rbjax.forces.actuators.transmissions import Arms, between, merged, relative
+from rbjax.forces.element import Element, Loads
+from rbjax.forces.instant import Instant
+from rbjax.lanes import Lane, Vec3, add, is_zero, mul, total
+from rbjax.model.leaves import numbers, table
+from rbjax.rotations import quaternion
+from rbjax.rotations.coefficients import length as norm
+
+
+class OrientationServo(Element):
+    """Fields: gains (3,) kp, c, kv; ctrlrange (n, 2); strongest () the largest torque; activation,
+    of a target that is a state. Static: `joint`, a ball that it turns; or `site`, and `reference`
+    from which its attitude is measured; `controls`, three of a rotation vector or four of a
+    quaternion."""
+
+    gains: jax.Array
+    ctrlrange: jax.Array
+    strongest: jax.Array
+    activation: Activation | None
+    controls: tuple[int, ...] = eqx.field(static=True)
+    joint: int = eqx.field(static=True, default=-1)
+    site: int = eqx.field(static=True, default=-1)
+    reference: int = eqx.field(static=True, default=-1)
+    early: bool = eqx.field(static=True, default=False)
+
+    @property
+    def size(self) -> int:
+        return 0 if self.activation is None else 3
+
+    @property
+    def actuates(self) -> bool:
+        return True
+
+    def loads(self, now: Instant) -> Loads:
+        current, rows = self._turned(now)
+        inverse = [current[0], *(-x for x in current[1:])]
+        error = quaternion.log_lanes(quaternion.product(inverse, self._target(now)))
+        kp, constant, kv = numbers(self.gains, now.q.dtype)
+        torque = []
+        for row, e in zip(rows, error, strict=True):
+            speed = total(mul(arm, now.v[n]) for n, arm in row.items())
+            torque.append(add(add(mul(kp, e), constant), -mul(kv, speed)))
+        size = norm(sum(x * x for x in torque))
+        limit = numbers(self.strongest[None], now.q.dtype)[0]
+        strong = size > limit
+        share = jnp.where(strong, limit, 1.0) / jnp.where(strong, size, 1.0)
+        tau: Arms = {}
+        for row, x in zip(rows, torque, strict=True):
+            tau = merged(tau, {n: mul(arm, share * x) for n, arm in row.items()})
+        return Loads(tau)
+
+    def rate(self, now: Instant) -> Sequence[Lane]:
+        if self.activation is None or now.u is None:
+            return [0.0] * self.size
+        u = zip(self._inputs(now), now.x, strict=True)
+        return [self.activation.rate(u, a) for u, a in u]
+
+    def advance(self, now: Instant, dt: Any) -> Sequence[Lane]:
+        if self.activation is None or now.u is None:
+            return now.x
+        return self._nearest(self._next(now, dt))
+
+    def within(self, x: jax.Array) -> Sequence[Lane]:
+        if self.activation is None:
+            return list(x)
+        return self._nearest([self.activation.within(a) for a in x])
+
+    def _nearest(self, phi: list[Lane]) -> list[Lane]:
+        """The shortest rotation vector of the same attitude."""
+        angle = norm(sum(x * x for x in phi))
+        far = angle > jnp.pi
+        turns = 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
+        share = jnp.where(far, 1 - turns / jnp.where(far, angle, 1.0), 1.0)
+        return [x * share for x in phi]
+
+    def _next(self, now: Instant, dt: Any) -> list[Lane]:
+        assert self.activation is not None
+        u = zip(self._inputs(now), now.x, strict=True)
+        return [self.activation.advanced(u, a, dt) for u, a in u]
+
+    def _inputs(self, now: Instant) -> list[Lane]:
+        limits = table(self.ctrlrange, now.q.dtype)
+        return [clip(now.u[k], limits, i) for i, k in enumerate(self.controls)]
+
+    def _target(self, now: Instant) -> list[Lane]:
+        """The quaternion of the target, of any length."""
+        if self.activation is None:
+            u = self._inputs(now)
+            if len(u) == 3:
+                return quaternion.exp_lanes(u)
+            none = total(x * x for x in u) < 1e-30
+            return [jnp.where(none, 1.0 if k == 0 else 0.0, x) for k, x in enumerate(u)]
+        phi = self._next(now, now.h) if self.early else list(now.x)
+        return quaternion.exp_lanes(phi)
+
+    def _turned(self, now: Instant) -> tuple[list[Lane], list[Arms]]:
+        """The attitude as a quaternion, and the arms of a torque about each of its axes."""
+        if self.joint >= 0:
+            top = now.model.topology
+            at, start = top.joint_v[self.joint], top.joint_q[self.joint]
+            return [now.q[start + k] for k in range(4)], [{at + k: 1.0} for k in range(3)]
+        site, base = now.site(self.site), now.site(self.reference)
+        axes = site.rotation.columns
+        rows = [between(site, base, Vec3.zero(), axis) for axis in axes]
+        rows = [{n: arm for n, arm in row.items() if not is_zero(arm)} for row in rows]
+        return relative(site, base, now.q.dtype), rows

@@ -1,0 +1,1 @@
+"""Forces of a fluid on bodies."""

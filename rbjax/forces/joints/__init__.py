@@ -1,0 +1,1 @@
+"""Forces of joints: springs, dampers, friction, limits, curves."""

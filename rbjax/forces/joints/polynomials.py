@@ -1,0 +1,171 @@
+"""Springs and dampers of joints.
+
+    hinge, slide:           tau = -x (k_0 + k_1 x + k_2 x^2 + ...)
+    ball, a free joint's two halves:  tau = -x (k_0 + k_1 |x| + k_2 |x|^2 + ...)
+    each velocity:          tau = -v (d_0 + d_1 |v| + d_2 |v|^2 + ...)
+
+x is the displacement of a joint from the rest of its spring, `model.joints.springref`, in the
+coordinates of v (MuJoCo, *Computation*, passive forces). The linear terms k_0, d_0 are the model's
+`joints.stiffness` and `joints.damping`. Dampers are odd in v, so that positive coefficients
+dissipate. Springs are not odd in the coordinate of a hinge or a slide: that is MuJoCo's law
+(measured on its `qfrc_spring`), whose k_1 makes a spring stiffer to one side and softer to the
+other. It is the law of a potential,
+
+    V = x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...),
+
+and so is that of a ball with |x|: the torque -f(|x|) x / |x| on the tangent is conservative because
+the rate of the angle |x| is x . w / |x|.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.algorithms.manifold import difference_lanes
+from rbjax.forces.element import Element, Loads, Shapes, coordinates
+from rbjax.forces.instant import Instant
+from rbjax.lanes import Lane, add, inner, is_zero, mul, neg, total
+from rbjax.model import Model
+from rbjax.model.leaves import table
+from rbjax.model.links import lane
+from rbjax.rotations.coefficients import length
+
+
+class JointPolynomials(Element):
+    """Springs and dampers of joints, by default without the linear terms, which the model has.
+
+    tau = -x (k_1 x + k_2 x^2 + ...) - v (d_1 |v| + d_2 |v|^2 + ...); balls and free joints have |x|
+    for x within the brackets.
+
+    Fields:
+        stiffness: (n, s), a row a joint: k_1 in N m/rad^2 or N/m^2, and so on.
+        damping: (m, d), a row a velocity coordinate of these joints: d_1 in N m s^2/rad^2 or
+            N s^2/m^2, and so on.
+        joints: their names or indices; static.
+        lowest: the index of the first coefficients, 0 or 1; static.
+
+    Source: MuJoCo 4, XML reference, joint, stiffness and damping.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("pendulum")
+        >>> cubic = rb.forces.JointPolynomials(
+        ...     jnp.array([[0.0, 3.0]]), jnp.zeros((1, 1)), model.joint_names
+        ... )
+        >>> state = model.default_state().replace(q=jnp.array([2.0]))
+        >>> rb.applied_forces(model.with_forces(cubic), state).tolist()
+        [-24.0]
+    """
+
+    stiffness: jax.Array
+    damping: jax.Array
+    joints: tuple[str | int, ...] = eqx.field(static=True)
+    lowest: int = eqx.field(static=True, default=1)
+
+    def may_be_endless(self, name: str) -> bool:
+        return False
+
+    def shapes(self, model: Model) -> Shapes:
+        return {
+            "stiffness": (len(self.joints), None),
+            "damping": (coordinates(model, self.joints), None),
+        }
+
+    def loads(self, now: Instant) -> Loads:
+        out: dict[int, Lane] = {}
+        for coefficients, at, x in self._springs(now):
+            k = self._polynomial(coefficients, x)
+            out |= {at + i: neg(mul(k, y)) for i, y in enumerate(x)}
+        damping, row = table(self.damping, now.v.dtype), 0
+        for joint in map(now.joint, self.joints):
+            for i, v in enumerate(joint.v, joint.start):
+                coefficients = _row(damping, row)
+                if not all(map(is_zero, coefficients)):
+                    size = [jnp.abs(v)] if self.lowest or len(coefficients) > 1 else [v]
+                    drag = mul(self._polynomial(coefficients, size), v)
+                    out[i] = add(out.get(i, 0.0), neg(drag))
+                row += 1
+        return Loads(out)
+
+    def chord(self, now: Instant, h: Any) -> dict[int, Lane]:
+        """The implicit stiffness of the linear terms."""
+        if self.lowest:
+            return {}
+        stiffness, damping = (table(x, now.v.dtype) for x in (self.stiffness, self.damping))
+        out: dict[int, Lane] = {}
+        for row, joint in enumerate(map(now.joint, self.joints)):
+            spring = mul(h * h / 4, lane(stiffness[:, 0], row))
+            for i in range(joint.start, joint.start + len(joint.v)):
+                out[i] = add(mul(h / 2, lane(damping[:, 0], len(out))), spring)
+        return out
+
+    def energy(self, now: Instant) -> Lane:
+        """sum of x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...)."""
+
+        def stored(coefficients: Sequence[Lane], x: Sequence[Lane]) -> Lane:
+            shares = [mul(1 / n, k) for n, k in enumerate(coefficients, self.lowest + 2)]
+            return mul(self._polynomial(shares, x), inner(x, x))
+
+        return total(stored(coefficients, x) for coefficients, _, x in self._springs(now))
+
+    def _springs(self, now: Instant) -> list[tuple[list[Lane], int, list[Lane]]]:
+        """Coefficients, first velocity coordinate and displacement of each spring; of a free joint
+        the three slides are one and the ball another."""
+        stiffness, out = table(self.stiffness, now.q.dtype), []
+        for row, name in enumerate(self.joints):
+            coefficients = _row(stiffness, row)
+            if all(map(is_zero, coefficients)):
+                continue
+            index = now.model.joint(name)
+            x, at = displacement(now, index), now.model.topology.joint_v[index]
+            out += [(coefficients, at + i, x[i : i + 3]) for i in range(0, len(x), 3)]
+        return out
+
+    def _polynomial(self, coefficients: Sequence[Lane], x: Sequence[Lane]) -> Lane:
+        """The polynomial in x, or in the length of a vector."""
+        if not self.lowest and len(coefficients) == 1:
+            return coefficients[0]
+        size = x[0] if len(x) == 1 else length(inner(x, x))
+        if self.lowest:
+            return polynomial(coefficients, size)
+        return add(coefficients[0], polynomial(coefficients[1:], size))
+
+
+def linear_springs(model: Model) -> JointPolynomials:
+    """The linear springs and dampers of a model's joints, as an element."""
+    own = model.joints
+    stiffness, damping = (table(x, x.dtype)[:, None] for x in (own.stiffness, own.damping))
+    return JointPolynomials(stiffness, damping, (*range(len(model.joint_names)),), lowest=0)
+
+
+def displacement(now: Instant, joint: int) -> list[Lane]:
+    """The displacement of a joint from the rest of its spring, in the coordinates of v."""
+    top, rest = now.model.topology, table(now.model.joints.springref, now.q.dtype)
+    kind, start = top.joints[joint], top.joint_q[joint]
+    at = range(start, start + kind.nq)
+    return difference_lanes(_OneJoint((kind,)), [lane(rest, i) for i in at], [now.q[i] for i in at])
+
+
+class _OneJoint(NamedTuple):
+    """The topology of one joint, for `difference_lanes`."""
+
+    joints: tuple[Any]
+    joint_q: tuple[int] = (0,)
+    joint_v: tuple[int] = (0,)
+
+
+def polynomial(coefficients: Sequence[Lane], x: Lane) -> Lane:
+    """c_1 x + c_2 x^2 + ..."""
+    out: Lane = 0.0
+    for c in reversed(coefficients):
+        out = mul(x, add(c, out))
+    return out
+
+
+def _row(numbers: jax.Array, i: int) -> list[Lane]:
+    return [lane(numbers[:, k], i) for k in range(numbers.shape[1])]

@@ -1,0 +1,1 @@
+"""From a compiled MuJoCo model to the parts of a `Model`."""

@@ -1,0 +1,1 @@
+"""A `Model` written as MJCF, or into the file that it came from."""

@@ -1,0 +1,252 @@
+"""Numbers of a model into the user's own file, of which all else stays as it is.
+
+Only attributes and elements of the XML are changed: MuJoCo's own writer would round every other
+number to six digits, and leave out comments.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+
+from rbjax.dynamics.arguments import check_model
+from rbjax.errors import InputError, ModelError
+from rbjax.forces import JointFriction
+from rbjax.loading.loader import _compile_source, _read, from_compiled
+from rbjax.loading.urdf.prepare import is_urdf
+from rbjax.loading.write.draft import text
+from rbjax.model import Model
+
+_CLOSE = 1e-12  # relative: a number that did not change is not written
+
+
+def write_back(model: Model, source: str | Path, path: str | Path | None = None) -> str:
+    """The user's own MJCF or URDF file with a model's numbers in place of its own.
+
+    Written are those numbers that differ from the file's: of bodies mass, centre and inertia; of
+    joints damping, armature, Coulomb friction and (MJCF) stiffness; of MJCF's actuators gain, bias
+    and gear; gravity. Geometry, sensors, names, defaults and materials stay.
+
+    Args:
+        model: that of the file, with other numbers.
+        source: the file, its text, or a bundled scene's name.
+        path: a file to write as well. Relative paths of meshes are those of the source, so it
+            belongs beside it.
+
+    Returns:
+        The text.
+
+    Raises:
+        InputError: a model with other bodies or joints than the file's.
+        ModelError: the file that was written gives another model: numbers that it cannot say.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> heavy = model.replace(bodies=model.bodies.replace(mass=2 * model.bodies.mass))
+        >>> again = rb.load(rb.write_back(heavy, "pendulum"))
+        >>> (again.bodies.mass / model.bodies.mass).tolist()
+        [2.0]
+    """
+    check_model("write_back", model)
+    if not isinstance(source, (str, Path)):
+        raise InputError(
+            f"write_back: source is {type(source).__name__}, expected a path or the text of a file"
+        )
+    given, place = _read(source)
+    urdf = is_urdf(given, str(source))
+    floating = urdf and "free" in model.topology.joint_kinds
+    compiled = _compile_source(source, floating_base=floating)[0]
+    before = from_compiled(compiled)
+    for what in ("body_names", "joint_names", "actuator_names"):
+        ours, theirs = getattr(model, what), getattr(before, what)
+        motors = what == "actuator_names" and not theirs  # load(..., motors=True)
+        if ours != theirs and not motors:
+            raise InputError(
+                f"write_back: the model has {what} {ours}, expected those of the file, {theirs}"
+            )
+    model, before = (jax.tree.map(np.asarray, m) for m in (model, before))
+    out = _urdf(model, before, given) if urdf else _mjcf(model, before, given, compiled)
+    if urdf or place is None:
+        again = from_compiled(_compile_source(out, floating_base=floating)[0])
+    else:
+        spec = mujoco.MjSpec.from_string(out)
+        spec.modelfiledir = str(place.parent.resolve())  # so that its meshes are found
+        again = from_compiled(_compile_source(spec, floating_base=False)[0])
+    _check(model, jax.tree.map(np.asarray, again), urdf)
+    if path is not None:
+        Path(path).write_text(out, encoding="utf-8")
+    return out
+
+
+def _mjcf(model: Model, before: Model, given: str, compiled: mujoco.MjModel) -> str:
+    root = _parsed(given)
+    world = [body for section in root.iter("worldbody") for body in section.iter("body")]
+    if len(world) != model.nb:
+        raise InputError(
+            f"write_back: the file has {len(world)} <body> elements and the model {model.nb} "
+            "bodies, expected as many: it includes or repeats others. Write all into one file, "
+            "mujoco.MjSpec.from_file(path).to_xml(), and load that"
+        )
+    if _differs(model.gravity, before.gravity):
+        _child(root, "option").set("gravity", text(model.gravity))
+    for body, inertial in zip(world, _changed_inertials(model, before), strict=True):
+        if inertial is not None:
+            old = body.find("inertial")
+            if old is not None:
+                body.remove(old)
+            mass, com, I = inertial
+            full = text(I[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+            said = {"pos": text(com), "mass": text(mass), "fullinertia": full}
+            body.insert(0, ET.Element("inertial", said))
+    joints = [joint for body in world for joint in _joints_of(body)]
+    friction = _friction(model)
+    own: Any = model.joints
+    was_own: Any = before.joints
+    if len(joints) == len(model.joint_names):
+        for j, (joint, start) in enumerate(zip(joints, model.topology.joint_v, strict=True)):
+            for key, at in (("armature", start), ("damping", start), ("stiffness", j)):
+                new, was = getattr(own, key)[at], getattr(was_own, key)[at]
+                if _differs(new, was):
+                    # what an actuator reflects is not the joint's own
+                    kept = getattr(compiled, f"{'jnt' if key == 'stiffness' else 'dof'}_{key}")[at]
+                    further = joint.get(key, "").split()[1:]  # of a polynomial
+                    joint.set(key, " ".join([text(kept + new - was), *further]))
+            if start in friction:
+                joint.set("frictionloss", text(friction[start]))
+    actuators = [one for section in root.iter("actuator") for one in section]
+    if len(actuators) == len(before.actuator_names):
+        for a, one in enumerate(actuators):
+            _write_actuator(one, model, before, a)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _parsed(given: str) -> ET.Element:
+    """The file with its comments."""
+    return ET.fromstring(given, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+
+
+def _changed_inertials(model: Model, before: Model) -> list[Any]:
+    """Mass, centre and inertia of each body, None where they are the file's."""
+    found = []
+    for b in range(model.nb):
+        new, old = ([getattr(m.bodies, n)[b] for n in ("mass", "com", "inertia")]
+                    for m in (model, before))  # fmt: skip
+        found.append(new if any(map(_differs, new, old)) else None)
+    return found
+
+
+def _joints_of(element: ET.Element) -> list[ET.Element]:
+    """The joints of a body, also those within frames."""
+    found = []
+    for child in element:
+        if child.tag in ("joint", "freejoint"):
+            found.append(child)
+        elif child.tag == "frame":
+            found += _joints_of(child)
+    return found
+
+
+def _write_actuator(one: ET.Element, model: Model, before: Model, a: int) -> None:
+    own: Any = model.actuators
+    old: Any = before.actuators
+    gain, bias = own.gain[a], own.bias[a]
+    if _differs(gain, old.gain[a]) or _differs(bias, old.bias[a]):
+        servo = [gain[0], *gain[1:], bias[0]] == [-bias[1], 0.0, 0.0, 0.0]
+        if one.tag == "position" and servo:
+            one.attrib.pop("dampratio", None)
+            one.set("kp", text(gain[0]))
+            one.set("kv", text(-bias[2]))
+        else:
+            one.tag = "general"
+            for key in ("kp", "kv", "dampratio"):
+                one.attrib.pop(key, None)
+            kind = "affine" if gain[1:].any() else "fixed"
+            said = {"gaintype": kind, "gainprm": text(gain), "biasprm": text(bias)}
+            one.attrib.update(said | {"biastype": "affine" if bias.any() else "none"})
+    seen = np.flatnonzero(old.gear[a])
+    if _differs(own.gear[a], old.gear[a]) and len(seen) == 1:
+        held = one.get("gear", "1").split()
+        change = own.gear[a][seen[0]] / old.gear[a][seen[0]]
+        one.set("gear", " ".join([text(float(held[0]) * change), *held[1:]]))
+
+
+def _friction(model: Model) -> dict[int, float]:
+    """First velocity of a joint -> its Coulomb friction, of the model's elements of friction."""
+    found: dict[int, float] = {}
+    for element in model.forces:
+        if isinstance(element, JointFriction):
+            joints = [model.joint(j) if isinstance(j, str) else j for j in element.joints]
+            starts = [model.topology.joint_v[j] for j in joints]
+            found |= dict(zip(starts, map(float, np.ravel(element.coulomb)), strict=False))
+    return found
+
+
+def _urdf(model: Model, before: Model, given: str) -> str:
+    robot = _parsed(given)
+    links = {link.get("name"): link for link in robot.findall("link")}
+    for name, changed in zip(model.body_names, _changed_inertials(model, before), strict=True):
+        link = links.get(name)
+        if link is None or changed is None:
+            continue
+        mass, com, I = changed
+        inertial = _child(link, "inertial")
+        origin = _child(inertial, "origin")
+        origin.set("xyz", text(com))
+        origin.set("rpy", "0 0 0")
+        _child(inertial, "mass").set("value", text(mass))
+        places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2),
+                  "izz": (2, 2)}  # fmt: skip
+        for key, at in places.items():
+            _child(inertial, "inertia").set(key, text(I[at]))
+    joints = {joint.get("name"): joint for joint in robot.findall("joint")}
+    friction = _friction(model)
+    for name, start in zip(model.joint_names, model.topology.joint_v, strict=True):
+        joint = joints.get(name)
+        if joint is None:
+            continue
+        damping = model.joints.damping[start]
+        if _differs(damping, before.joints.damping[start]):
+            _child(joint, "dynamics").set("damping", text(damping))
+        if start in friction:
+            _child(joint, "dynamics").set("friction", text(friction[start]))
+    return ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def _child(element: ET.Element, tag: str) -> ET.Element:
+    found = element.find(tag)
+    return ET.SubElement(element, tag) if found is None else found
+
+
+def _check(model: Model, again: Model, urdf: bool) -> None:
+    """`ModelError` where the written file says another number."""
+    wrong = []
+    pairs = [("gravity", model.gravity, again.gravity)]
+    pairs += [(f"bodies.{n}", getattr(model.bodies, n), getattr(again.bodies, n))
+              for n in ("mass", "com", "inertia", "position")]  # fmt: skip
+    pairs += [(f"joints.{n}", getattr(model.joints, n), getattr(again.joints, n))
+              for n in ("damping", "armature", "stiffness", "placement", "axis")]  # fmt: skip
+    if not urdf:
+        pairs += [(f"actuators.{n}", getattr(model.actuators, n), getattr(again.actuators, n))
+                  for n in ("gear", "gain", "bias") if len(again.actuator_names)]  # fmt: skip
+    for name, a, b in pairs:
+        size = max(float(np.abs(a).max(initial=0.0)), 1e-300)
+        if a.shape != b.shape or np.abs(a - b).max(initial=0.0) > 1e-9 * size:
+            wrong.append(name)
+    if wrong:
+        hint = "; a URDF has no armature, stiffness or gravity" if urdf else ""
+        raise ModelError(
+            f"write_back: the file cannot say these numbers of the model: {', '.join(wrong)}{hint};"
+            " `write_mjcf` writes a file of its own"
+        )
+
+
+def _differs(a: Any, b: Any) -> bool:
+    a, b = np.asarray(a), np.asarray(b)
+    size = float(np.abs(b).max(initial=0.0))
+    return bool(np.abs(a - b).max(initial=0.0) > _CLOSE * size)

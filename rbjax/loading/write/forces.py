@@ -1,0 +1,226 @@
+"""Force elements beside actuators as MJCF: what `force_joints`, `force_tendons` and `force_fluid`
+read, the other way round."""
+
+from __future__ import annotations
+
+import dataclasses
+import xml.etree.ElementTree as ET
+from typing import Any
+
+import numpy as np
+
+from rbjax.forces import (
+    Anchor,
+    Element,
+    EllipsoidFluid,
+    GravityCompensation,
+    InertiaBoxFluid,
+    JointFriction,
+    JointLimits,
+    JointPolynomials,
+    PointSpring,
+)
+from rbjax.forces.actuators.actuator import Actuator
+from rbjax.forces.actuators.orientation_servo import OrientationServo
+from rbjax.lanes import Vec3, quaternion_matrix
+from rbjax.loading.write.draft import Draft, text, unique
+from rbjax.model import WORLD, Model
+
+Array = np.ndarray
+_TERMS = 2  # of MJCF's polynomials, beyond the linear one
+
+
+def write_forces(draft: Draft) -> list[Element]:
+    """Write the elements; return them as they will be read, in that order."""
+    kinds = (JointPolynomials, JointLimits, JointFriction, GravityCompensation, PointSpring,
+             InertiaBoxFluid, EllipsoidFluid)  # fmt: skip
+    # a subclass may do anything, so it is not taken for what it is made of
+    sorted_out: dict[type, list] = {kind: [] for kind in kinds}
+    for element in draft.model.forces:
+        if type(element) in sorted_out:
+            sorted_out[type(element)].append(element)
+        elif type(element) not in (Actuator, OrientationServo):
+            _leave_out(draft, element)
+    polynomials, limits, friction, lifted, springs, boxes, ellipsoids = sorted_out.values()
+    written = _write_polynomials(draft, polynomials)
+    _write_limits(draft, limits)
+    _write_friction(draft, friction)
+    written += _write_lifted(draft, lifted)
+    written += [_write_spring(draft, spring) for spring in springs]
+    return written + _write_fluids(draft, boxes, ellipsoids)
+
+
+def box_axes(model: Model) -> dict[int, Array]:
+    """The attitude of each body's inertia box in a fluid, which a file gives with the inertia."""
+    boxes = [x for x in model.forces if type(x) is InertiaBoxFluid]
+    return {b: q for x in boxes for b, q in zip(x.bodies, x.orientation, strict=True)}
+
+
+def _leave_out(draft: Draft, element: Element) -> None:
+    draft.note(f"no MJCF form, left out: force element {type(element).__name__}")
+
+
+def _dofs(model: Model, joint: int) -> range:
+    start = model.topology.joint_v[joint]
+    return range(start, start + model.topology.joints[joint].nv)
+
+
+def _write_polynomials(draft: Draft, elements: list[JointPolynomials]) -> list[Element]:
+    """Behind the linear terms of stiffness and damping."""
+    model, top = draft.model, draft.model.topology
+    stiffness, damping = np.zeros((len(top.joint_kinds), _TERMS)), np.zeros((model.nv, _TERMS))
+    for element in elements:
+        joints = list(map(model.joint, element.joints))
+        dofs = [i for j in joints for i in _dofs(model, j)]
+        starts = np.cumsum([0, *(len(_dofs(model, j)) for j in joints)])[:-1]
+        even = element.damping[np.repeat(starts, np.diff([*starts, len(dofs)]))] == element.damping
+        if element.stiffness[:, _TERMS:].any() or element.damping[:, _TERMS:].any():
+            draft.note(f"JointPolynomials of more than {_TERMS + 1} terms, left out", _names(
+                draft, joints))  # fmt: skip
+        elif not even.all():
+            draft.note("JointPolynomials with one damper an axis, left out", _names(draft, joints))
+        else:
+            np.add.at(stiffness[:, : element.stiffness.shape[1]], joints, element.stiffness)
+            np.add.at(damping[:, : element.damping.shape[1]], dofs, element.damping)
+    some = [j for j in range(len(top.joint_kinds))
+            if stiffness[j].any() or damping[_dofs(model, j)].any()]  # fmt: skip
+    for j in some:
+        first = _dofs(model, j)[0]
+        own = model.joints
+        draft.joints[j].set("stiffness", text([own.stiffness[j], *stiffness[j]]))
+        draft.joints[j].set("damping", text([own.damping[first], *damping[first]]))
+    if not some:
+        return []
+    dofs = [i for j in some for i in _dofs(model, j)]
+    return [JointPolynomials(stiffness[some], damping[dofs], tuple(some))]  # type: ignore[arg-type]
+
+
+def _names(draft: Draft, joints: list[int]) -> list[str]:
+    return [draft.joint(j) for j in joints]
+
+
+def _write_limits(draft: Draft, elements: list[JointLimits]) -> None:
+    joints = [j for x in elements for j in map(draft.model.joint, x.joints)]
+    if joints:
+        draft.note(
+            "compliant stops as ranges alone, with MuJoCo's softness (load with limits=True)",
+            _names(draft, joints),
+        )
+
+
+def _write_friction(draft: Draft, elements: list[JointFriction]) -> None:
+    for element in elements:
+        joints, at = list(map(draft.model.joint, element.joints)), 0
+        for j in joints:
+            n = len(_dofs(draft.model, j))
+            loss = element.coulomb[at : at + n]
+            at += n
+            draft.joints[j].set("frictionloss", text(loss[0]))
+        draft.note(
+            "friction as MuJoCo's friction loss, without break-away and viscous parts (load with "
+            "friction=True)",
+            _names(draft, joints),
+        )
+
+
+def _write_lifted(draft: Draft, elements: list[GravityCompensation]) -> list[Element]:
+    """Gravity compensation: of all joints, or shared by passive joints and actuators."""
+    model = draft.model
+    everywhere = [x for x in elements if x.joints is None and not x.actuated]
+    others = [x for x in elements if not (x.joints is None and not x.actuated)]
+    driven = _driven_joints(model, others) if others and not everywhere else None
+    if others and driven is None:
+        for element in others:
+            _leave_out(draft, element)
+        others = []
+    for j in driven or ():
+        draft.joints[j].set("actuatorgravcomp", "true")
+    fraction = np.zeros(model.nb)
+    for element in everywhere or others[:1]:
+        np.add.at(fraction, list(map(model.body, element.bodies)), element.fraction)
+    some = np.flatnonzero(fraction)
+    for b in some:
+        draft.bodies[b].set("gravcomp", text(fraction[b]))
+    if not len(some):
+        return []
+    lifted = GravityCompensation(fraction[some], tuple(some.tolist()))  # type: ignore[arg-type]
+    if not others:
+        return [lifted]
+    passive = [j for j in range(len(model.joint_names)) if j not in (driven or ())]
+    found: list[Element] = []
+    if passive:
+        found.append(dataclasses.replace(lifted, joints=tuple(passive)))
+    return [*found, dataclasses.replace(lifted, joints=tuple(driven or ()), actuated=True)]
+
+
+def _driven_joints(model: Model, elements: list[GravityCompensation]) -> list[int] | None:
+    """The joints whose share actuators bear, if that and the passive share make up all of one
+    compensation, as they do in MuJoCo."""
+    everything = range(len(model.joint_names))
+    shares = {x.actuated: list(map(model.joint, x.joints or everything)) for x in elements}
+    joints = [j for share in shares.values() for j in share]
+    lifted = [(list(map(model.body, x.bodies)), x.fraction.tolist()) for x in elements]
+    same = all(x == lifted[0] for x in lifted)
+    whole = len(shares) == len(elements) and sorted(joints) == list(everything)
+    return sorted(shares[True]) if same and whole and True in shares and model.nu else None
+
+
+def _write_spring(draft: Draft, spring: PointSpring) -> Element:
+    """A spatial tendon between two sites."""
+    ends = [_site_of(draft, anchor) for anchor in (spring.a, spring.b)]
+    k, d = (_padded(draft, x) for x in (spring.stiffness, spring.damping))
+    tendon = ET.SubElement(
+        draft.tendon, "spatial", name=f"spring{len(draft.tendon)}", stiffness=text(k),
+        damping=text(d), springlength=text(spring.slack),
+    )  # fmt: skip
+    for name in ends:
+        ET.SubElement(tendon, "site", site=name)
+    at = Anchor(np.zeros(3), site=0)  # type: ignore[arg-type]
+    return PointSpring(at, at, k, d, spring.slack)  # type: ignore[arg-type]
+
+
+def _padded(draft: Draft, x: Any) -> Array:
+    if x[1 + _TERMS :].any():
+        draft.note(f"PointSpring of more than {_TERMS + 1} terms, the first of which are written")
+    return np.concatenate([x, np.zeros(1 + _TERMS)])[: 1 + _TERMS]
+
+
+def _site_of(draft: Draft, anchor: Anchor) -> str:
+    """The name of the site at an anchor, made if there is none."""
+    model = draft.model
+    point: Any = np.asarray(anchor.point, np.float64)
+    body = WORLD
+    if anchor.site is not None:
+        site = model.site(anchor.site)
+        if not point.any():
+            return draft.sites[site]
+        body = model.topology.site_bodies[site]
+        turn = quaternion_matrix(*np.asarray(model.sites.orientation[site], np.float64))
+        point = model.sites.position[site] + np.array([*(turn @ Vec3(*point))])
+    elif anchor.body not in (None, WORLD):
+        body = model.body(anchor.body)
+    name = unique(["anchor"], draft.sites)[0]
+    draft.sites.append(name)
+    draft.add(body, "site", name=name, pos=text(point))
+    return name
+
+
+def _write_fluids(draft: Draft, boxes: list, ellipsoids: list) -> list[Element]:
+    """The medium as options, and a geom without mass for each ellipsoid."""
+    written: list[Element] = [*boxes[:1], *ellipsoids[:1]]
+    for element in (*boxes[1:], *ellipsoids[1:]):
+        draft.note(f"a second {type(element).__name__}, left out, for MJCF has one medium")
+    for element in written[:1]:
+        for key in ("density", "viscosity", "wind"):
+            draft.option.set(key, text(getattr(element, key)))
+    for element in ellipsoids[:1]:
+        columns = (element.blunt_drag, element.slender_drag, element.angular_drag,
+                   element.kutta_lift, element.magnus_lift)  # fmt: skip
+        for n, b in enumerate(element.bodies):
+            draft.add(
+                b, "geom", type="ellipsoid", size=text(element.semi_axes[n]),
+                pos=text(element.position[n]), quat=text(element.orientation[n]), mass="0",
+                contype="0", conaffinity="0", fluidshape="ellipsoid",
+                fluidcoef=text([x[n] for x in columns]),
+            )  # fmt: skip
+    return written

@@ -1,0 +1,1 @@
+"""Maps of occupied cells, their distance fields, and footprints on them."""

@@ -1,0 +1,215 @@
+"""What a robot covers of the plane, and whether that is free of obstacles.
+
+A footprint is a union of discs that covers the robot's outline. A disc is free where the distance
+of its centre from obstacles exceeds its radius: one look into a `DistanceField` a disc.
+(Ziegler & Stiller, *Fast collision checking for intelligent vehicle motion planning*, IV 2010)
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.arguments import real_number
+from rbjax.errors import InputError
+from rbjax.lanes.extremes import largest, smallest
+from rbjax.model.record import Record, check_fields, floats
+from rbjax.planning.maps.occupancy import DistanceField
+from rbjax.rotations.arguments import takes
+
+
+class Footprint(Record):
+    """Discs in the robot's frame, x ahead and y to the left.
+
+    Fields: centers (n, 2) m; radii (n,) m.
+
+    Example:
+        >>> car = Footprint.rectangle(ahead=0.9, behind=0.3, width=0.6, discs=3)
+        >>> car.centers.round(2).tolist(), round(float(car.radii[0]), 4)
+        ([[-0.1, 0.0], [0.3, 0.0], [0.7..., 0.0]], 0.3606)
+    """
+
+    centers: jax.Array = eqx.field(converter=floats)
+    radii: jax.Array = eqx.field(converter=floats)
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        n = jnp.shape(self.radii)
+        if len(n) != 1 or jnp.shape(self.centers) != (*n, 2) or not n[0]:
+            raise InputError(
+                f"Footprint: got centers of shape {jnp.shape(self.centers)} and radii of shape {n},"
+                " expected (n, 2) and (n,)"
+            )
+
+    @property
+    def reach(self) -> jax.Array:
+        """The largest distance () m of a covered point from the frame's origin."""
+        square = (self.centers**2).sum(-1)
+        off = square > 0  # a disc at the origin has no direction
+        far = jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
+        return largest(far + self.radii)
+
+    @classmethod
+    def disc(cls, radius: float) -> Footprint:
+        """A disc around the frame's origin. radius: m."""
+        _lengths("disc", radius=radius)
+        return cls(jnp.zeros((1, 2)), jnp.full(1, float(radius)))
+
+    @classmethod
+    def rectangle(cls, ahead: float, behind: float, width: float, discs: int = 4) -> Footprint:
+        """A rectangle from x = -behind to x = ahead, |y| <= width / 2, in m, under a row of discs.
+
+        The discs reach sqrt((length / discs)^2 + width^2) / 2 - width / 2 beyond its sides.
+        """
+        for name, length in (("ahead", ahead), ("behind", behind)):
+            real_number("Footprint.rectangle", name, length, "a length", traced=True)
+        _lengths("rectangle", length=ahead + behind, width=width)
+        if not isinstance(discs, int) or discs < 1:
+            raise InputError(
+                f"Footprint.rectangle: discs is {discs!r}, expected a positive integer"
+            )
+        each = (ahead + behind) / discs
+        x = -behind + each * (np.arange(discs) + 0.5)
+        centers = np.column_stack([x, np.zeros(discs)])
+        return cls(jnp.asarray(centers), jnp.full(discs, math.hypot(each, width) / 2))
+
+    @classmethod
+    def polygon(cls, vertices: Any, excess: float) -> Footprint:
+        """A simple polygon, convex or not, under discs that reach at most `excess` m beyond it.
+
+        vertices: (n, 2) m, in order. There are about 2 area / excess^2 discs.
+
+        Example:
+            >>> wedge = Footprint.polygon([[0, 0], [1, 0], [0, 1]], excess=0.2)
+            >>> bool(wedge.reach < 1.21)
+            True
+        """
+        corners = np.asarray(vertices, float)
+        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
+            raise InputError(
+                f"Footprint.polygon: vertices have shape {corners.shape}, expected (n, 2), n >= 3"
+            )
+        if not np.isfinite(corners).all():
+            raise InputError("Footprint.polygon: vertices are not finite, expected numbers in m")
+        _lengths("polygon", excess=excess)
+        # squares of a lattice whose centres are near enough to the polygon for it to touch them
+        radius = excess / 2
+        side = radius * math.sqrt(2)
+        low, high = corners.min(0), corners.max(0)
+        n = np.maximum(1, np.ceil((high - low) / side)).astype(int)
+        first = (low + high) / 2 - side * (n - 1) / 2
+        steps = np.stack(np.meshgrid(*map(np.arange, n), indexing="ij"), -1).reshape(-1, 2)
+        centers = first + side * steps
+        near = _apart(corners, centers) <= radius
+        return cls(jnp.asarray(centers[near]), jnp.full(int(near.sum()), radius))
+
+
+def _lengths(where: str, **lengths: Any) -> None:
+    for name, x in lengths.items():
+        if not (isinstance(x, (int, float, np.number)) and 0 < x < math.inf):
+            raise InputError(f"Footprint.{where}: {name} is {x!r}, expected a length above zero")
+
+
+def _apart(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Distances (k,) of points (k, 2) from a polygon (n, 2); zero inside."""
+    a, b = corners, np.roll(corners, -1, 0)
+    edge = b - a
+    along = ((points[:, None] - a) * edge).sum(-1) / np.maximum((edge * edge).sum(-1), 1e-300)
+    nearest = a + np.clip(along, 0, 1)[..., None] * edge
+    distance = np.sqrt(((points[:, None] - nearest) ** 2).sum(-1)).min(1)
+    # a ray in x crosses the edges an odd number of times
+    x, y = points[:, :1], points[:, 1:]
+    across = (a[:, 1] > y) != (b[:, 1] > y)
+    level = np.where(across, edge[:, 1], 1.0)
+    crosses = across & (x < a[:, 0] + (y - a[:, 1]) * edge[:, 0] / level)
+    return np.where(crosses.sum(1) % 2 == 1, 0.0, distance)
+
+
+def _of_a_field(f: Callable) -> Callable:
+    """Refuse what is no field or no footprint."""
+
+    @functools.wraps(f)
+    def call(field: Any, poses: Any, footprint: Any) -> jax.Array:
+        for name, x, kind, maker in (
+            ("field", field, DistanceField, "OccupancyGrid.distance_field()"),
+            ("footprint", footprint, Footprint, "Footprint.rectangle(...)"),
+        ):
+            if not isinstance(x, kind):
+                raise InputError(
+                    f"{f.__name__}: {name} is {type(x).__name__}, expected a {kind.__name__}, as "
+                    f"{maker} makes it"
+                )
+        return f(field, poses, footprint)
+
+    return call
+
+
+def placed(poses: jax.Array, footprint: Footprint) -> jax.Array:
+    """The centres of discs (..., n, 2) m in the world."""
+    x, y, heading = (poses[..., k, None] for k in range(3))
+    c, s = jnp.cos(heading), jnp.sin(heading)
+    a, b = footprint.centers[:, 0], footprint.centers[:, 1]
+    return jnp.stack([x + c * a - s * b, y + s * a + c * b], -1)
+
+
+@_of_a_field
+@takes(poses="planar_pose")
+def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.Array:
+    """The distance between footprint and obstacles, negative where they overlap; differentiable.
+
+        min over discs of  d(center) - radius
+
+    Args:
+        field: `OccupancyGrid.distance_field()`.
+        poses: (..., 3): x and y in m, the heading in rad.
+        footprint: `Footprint`.
+
+    Returns:
+        (...) m, by interpolation between cells: within resolution / sqrt(2) of the exact one.
+
+    Raises:
+        InputError: wrong types or shapes, poses that are not finite.
+
+    Example:
+        >>> from rbjax.planning import OccupancyGrid
+        >>> field = OccupancyGrid(np.zeros((20, 20), bool), 0.1).distance_field()
+        >>> round(float(clearance(field, [1.0, 0.5, 0.0], Footprint.disc(0.2))), 6)
+        0.3
+    """
+    centers = placed(poses, footprint)
+    gaps = field.at(centers) - footprint.radii
+    return smallest(gaps)
+
+
+@_of_a_field
+@takes(poses="planar_pose")
+def clear(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.Array:
+    """Whether a footprint is certainly free of obstacles.
+
+    True only where every disc is free. It may be false where the exact clearance is less than
+    resolution * sqrt(2).
+
+    Args:
+        field, poses, footprint: as for `clearance`.
+
+    Returns:
+        (...) of bool.
+
+    Raises:
+        InputError: wrong types or shapes, poses that are not finite.
+
+    Example:
+        >>> from rbjax.planning import OccupancyGrid
+        >>> field = OccupancyGrid(np.zeros((20, 20), bool), 0.1).distance_field()
+        >>> clear(field, [[1.0, 1.0, 0.0], [1.0, 0.1, 0.0]], Footprint.disc(0.2)).tolist()
+        [True, False]
+    """
+    centers = placed(poses, footprint)
+    return (field.below(centers) > footprint.radii).all(-1)

@@ -1,0 +1,176 @@
+"""Maps of the plane: cells that are free or occupied, and the exact distance to what is occupied.
+
+Cell (i, j) is the square of side h whose lower left corner is origin + h (i, j): x counts first.
+The signed distance d is positive in free space, negative in obstacles, and zero on the edges of
+their cells. At the centres of cells it is exact:
+
+    d = D(occupied) - D(free),   D(set)^2 = min over its cells of  a(i - i')^2 + a(j - j')^2
+
+with a(k) = h max(|k| - 1/2, 0), the distance of a centre from a square k cells away. The minimum
+is taken axis after axis (Felzenszwalb & Huttenlocher, Theory of Computing 8 (2012) 415).
+
+Between centres. d has slope one, so the bilinear interpolation `at` is within h / sqrt(2) of it,
+on either side, and is differentiable. `below` is never more than d, and at least d - h sqrt(2):
+what it calls free is free.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.compiling import compiled
+from rbjax.errors import InputError
+from rbjax.model.record import Record, check_fields, check_number, floats
+from rbjax.planning.maps.ros_map import read
+
+
+class DistanceField(Record):
+    """Signed distances from obstacles.
+
+    Fields: values (nx + 2, ny + 2) m, at the centres of a map's cells and of one ring of cells
+    around it, no larger than the map's diagonal; resolution () m; origin (2,) m, of the map.
+    """
+
+    values: jax.Array
+    resolution: jax.Array
+    origin: jax.Array
+
+    def at(self, points: jax.Array) -> jax.Array:
+        """The interpolated distance (...) m at points (..., 2) m.
+
+        Beyond the map it falls with the distance from the ring.
+        """
+        u, v, away = self._place(points)
+        nx, ny = self.values.shape
+        i = jnp.clip(jnp.floor(u), 0, nx - 2).astype(int)
+        j = jnp.clip(jnp.floor(v), 0, ny - 2).astype(int)
+        a, b = u - i, v - j
+        low = (1 - b) * self.values[i, j] + b * self.values[i, j + 1]
+        high = (1 - b) * self.values[i + 1, j] + b * self.values[i + 1, j + 1]
+        return (1 - a) * low + a * high - away
+
+    def below(self, points: jax.Array) -> jax.Array:
+        """A lower bound (...) m of the distance at points (..., 2) m: from the nearest centre."""
+        u, v, away = self._place(points)
+        i, j = jnp.round(u), jnp.round(v)
+        square = (u - i) ** 2 + (v - j) ** 2
+        off = square > 0  # at a centre the bound is not smooth
+        off = self.resolution * jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
+        return self.values[i.astype(int), j.astype(int)] - off - away
+
+    def _place(self, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """The nearest place between the centres, in cells, and how far it is in m."""
+        nx, ny = self.values.shape
+        u, v = ((points[..., k] - self.origin[k]) / self.resolution + 0.5 for k in (0, 1))
+        inside, also = jnp.clip(u, 0.0, nx - 1.0), jnp.clip(v, 0.0, ny - 1.0)
+        square = (u - inside) ** 2 + (v - also) ** 2
+        beyond = square > 0
+        away = jnp.where(beyond, jnp.sqrt(jnp.where(beyond, square, 1.0)), 0.0)
+        return inside, also, self.resolution * away
+
+
+class OccupancyGrid(Record):
+    """A map of cells.
+
+    Fields: occupied (nx, ny), bool; resolution () m, the side of a cell; origin (2,) m, the corner
+    of cell (0, 0).
+
+    Example:
+        >>> walls = np.zeros((40, 30), bool)
+        >>> walls[20, :15] = True
+        >>> grid = OccupancyGrid(walls, 0.1)
+        >>> grid.cell(jnp.array([2.05, 0.33])).tolist()
+        [20, 3]
+        >>> grid.center(jnp.array([20, 3])).tolist()
+        [2.05..., 0.35...]
+        >>> round(float(grid.distance_field().at(jnp.array([1.55, 0.95]))), 6)
+        0.45
+    """
+
+    occupied: jax.Array = eqx.field(converter=lambda x: _cells(x))
+    resolution: jax.Array = eqx.field(converter=floats)
+    origin: jax.Array = eqx.field(converter=floats, default=(0.0, 0.0))
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        check_number(self, "resolution", positive=True)
+        if jnp.shape(self.origin) != (2,):
+            raise InputError(
+                f"OccupancyGrid(origin=...): got the shape {jnp.shape(self.origin)}, expected (2,)"
+            )
+
+    @classmethod
+    def from_ros(cls, file: Any, *, unknown: str = "occupied") -> OccupancyGrid:
+        """Read a map of ROS's map_server: a `map.yaml` and the image that it names.
+
+        Args:
+            file: path of the YAML file, with image, resolution, origin, negate, occupied_thresh
+                and free_thresh; mode trinary or scale.
+            unknown: "occupied" or "free": how cells between the thresholds are treated.
+
+        Raises:
+            InputError: a file that cannot be read, keys that are missing, numbers out of range, a
+                map with a yaw. UnknownName: another mode.
+        """
+        return cls(*map(jnp.asarray, read(file, unknown)))
+
+    def cell(self, points: jax.Array) -> jax.Array:
+        """The cells (..., 2) of points (..., 2) m; beyond the map, indices are out of its range."""
+        return jnp.floor((points - self.origin) / self.resolution).astype(int)
+
+    def center(self, cells: jax.Array) -> jax.Array:
+        """The centres (..., 2) m of cells (..., 2)."""
+        return self.origin + self.resolution * (cells + 0.5)
+
+    def distance_field(self, closed: bool = True) -> DistanceField:
+        """The exact signed distances. closed: what is beyond the map counts as occupied.
+
+        A pure function of `occupied`, for `jit` and `vmap`. It takes nx^2 ny operations.
+        """
+        return _distance_field(self, closed=closed)
+
+
+def _cells(occupied: Any) -> Any:
+    try:
+        cells = occupied if hasattr(occupied, "dtype") else np.asarray(occupied)
+    except ValueError:
+        cells = np.zeros(0, object)
+    if len(np.shape(cells)) != 2 or 0 in np.shape(cells) or cells.dtype != bool:
+        raise InputError(
+            f"OccupancyGrid(occupied=...): got {type(occupied).__name__} of shape "
+            f"{np.shape(cells)} and dtype {cells.dtype}, expected an array (nx, ny) of bool"
+        )
+    return jnp.asarray(cells)
+
+
+def _field(grid: OccupancyGrid, closed: bool) -> DistanceField:
+    solid = jnp.pad(grid.occupied, 1, constant_values=closed)
+    h = grid.resolution
+    most = jnp.sqrt(jnp.asarray(float(sum(n * n for n in grid.occupied.shape)), h.dtype))
+    out, within = (jnp.minimum(_distance(cells, h.dtype), most) for cells in (solid, ~solid))
+    return DistanceField(h * (out - within), h, grid.origin)
+
+
+_distance_field = compiled(_field, static_argnames=("closed",))
+
+
+def _distance(cells: jax.Array, dtype: Any) -> jax.Array:
+    """D of a set of cells, in cells, at all centres; infinite if there are none."""
+    nx, ny = cells.shape
+    j = jnp.arange(ny)
+    before = jax.lax.cummax(jnp.where(cells, j, -jnp.inf).astype(dtype), axis=1)
+    after = jax.lax.cummin(jnp.where(cells, j, jnp.inf).astype(dtype), axis=1, reverse=True)
+    column = _gap(jnp.minimum(j - before, after - j)) ** 2  # of the nearest in the same column x
+    i = jnp.arange(nx, dtype=dtype)
+    across = _gap(jnp.abs(i[:, None] - i)) ** 2
+    return jnp.sqrt((across[:, :, None] + column[None]).min(1))
+
+
+def _gap(k: jax.Array) -> jax.Array:
+    """From a centre to a square k cells away."""
+    return jnp.maximum(k - 0.5, 0.0)

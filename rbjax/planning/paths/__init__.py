@@ -1,0 +1,1 @@
+"""Paths in the plane: shortest curves, chains of twists, smoothing."""

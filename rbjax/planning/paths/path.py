@@ -1,0 +1,225 @@
+"""Paths in the plane as chains of twists, and what a search found.
+
+A step xi = (a, b, phi) is a twist of the robot's frame that is held for one unit of time: a ahead
+and b to the left, in m, while the heading turns by phi. Pose after pose,
+
+    (x, y) += R(theta + phi / 2) (a, b) sinc(phi / 2),   theta += phi
+
+exactly. A car's arc has b = 0, the length |a| and the curvature phi / a. Turning on the spot has
+a = b = 0. Sliding sideways has b != 0. A step of zeros does nothing, so paths of several lengths
+are one batch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.arguments import instance, integer, real_number, shown
+from rbjax.errors import InputError
+from rbjax.model.record import Record, check_fields, floats
+from rbjax.planning.maps.footprint import Footprint, placed
+from rbjax.planning.maps.occupancy import DistanceField
+
+#: the largest number of parts of a step that `clear_along` takes
+MOST_PARTS = 1_000_000
+
+
+def moved(heading: Any, steps: Any, xp: Any = jnp) -> tuple[Any, Any]:
+    """Displacements (...) m in the world by steps (..., 3) from headings (...)."""
+    a, b, phi = (steps[..., i] for i in range(3))
+    c, s = xp.cos(heading + phi / 2), xp.sin(heading + phi / 2)
+    chord = xp.sinc(phi / (2 * math.pi))
+    return chord * (c * a - s * b), chord * (s * a + c * b)
+
+
+def chain(start: Any, steps: Any, xp: Any = jnp) -> Any:
+    """Poses (..., n + 1, 3) before and after each of the steps (..., n, 3) from a pose (..., 3)."""
+    turned = xp.cumsum(steps[..., 2], -1)
+    turned = xp.concatenate([xp.zeros_like(start[..., 2:]), turned], -1)
+    headings = start[..., 2:] + turned
+    way = xp.stack(moved(headings[..., :-1], steps, xp), -1)
+    xy = xp.cumsum(xp.concatenate([start[..., None, :2], way], -2), -2)
+    return xp.concatenate([xy, headings[..., None]], -1)
+
+
+#: the largest number of steps of a path
+MOST_STEPS = 1e7
+
+
+class Path(Record):
+    """A chain of twists; leading axes are a batch.
+
+    Fields: start (..., 3), the pose (x, y, heading) in m and rad; steps (..., n, 3): m ahead, m to
+    the left, rad to the left.
+
+    Example:
+        >>> quarter = Path([0.0, 0.0, 0.0], [[np.pi / 2, 0.0, np.pi / 2], [-1.0, 0.0, 0.0]])
+        >>> quarter.poses.round(6).tolist()[-1]
+        [1.0, 0.0, 1.57079...]
+        >>> quarter.gears.tolist(), quarter.curvatures.tolist(), round(float(quarter.length), 4)
+        ([1.0, -1.0], [1.0, 0.0], 2.5708)
+    """
+
+    start: jax.Array = eqx.field(converter=floats)
+    steps: jax.Array = eqx.field(converter=floats)
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        shapes = jnp.shape(self.start), jnp.shape(self.steps)
+        if len(shapes[1]) < 2 or shapes[1][-1] != 3 or shapes[0] != (*shapes[1][:-2], 3):
+            raise InputError(
+                f"Path: got start and steps of shapes {shapes[0]} and {shapes[1]}, expected "
+                "(..., 3) and (..., n, 3)"
+            )
+
+    @property
+    def poses(self) -> jax.Array:
+        """Poses (..., n + 1, 3) before and after each step."""
+        return chain(self.start, self.steps)
+
+    @property
+    def lengths(self) -> jax.Array:
+        """m (..., n) that the frame's origin moves in each step."""
+        square = self.steps[..., 0] ** 2 + self.steps[..., 1] ** 2
+        return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+
+    @property
+    def length(self) -> jax.Array:
+        """m (...) from the start to the end."""
+        return self.lengths.sum(-1)
+
+    @property
+    def gears(self) -> jax.Array:
+        """Signs (..., n) of the speed ahead."""
+        return jnp.sign(self.steps[..., 0])
+
+    @property
+    def curvatures(self) -> jax.Array:
+        """1/m (..., n), positive to the left when driven ahead; infinite where it turns on the
+        spot."""
+        length, turn = self.lengths, self.steps[..., 2]
+        signed = jnp.where(self.steps[..., 0] < 0, -length, length)
+        still = length == 0
+        spot = jnp.where(turn == 0, 0.0, jnp.copysign(jnp.inf, turn))
+        return jnp.where(still, spot, turn / jnp.where(still, 1.0, signed) + 0.0)  # no -0
+
+    @property
+    def cusps(self) -> jax.Array:
+        """How often (...) the gear changes."""
+        gear = self.gears
+        gear = jnp.where(gear == 0, jnp.nan, gear)
+        last = jax.lax.associative_scan(
+            lambda p, q: jnp.where(jnp.isnan(q), p, q), gear, axis=gear.ndim - 1
+        )
+        return (last[..., 1:] * last[..., :-1] < 0).sum(-1)
+
+    def split(self, spacing: float) -> Path:
+        """The same path by steps of at most `spacing` m or rad; one path, outside of traced code.
+
+        Equal steps in a row are first joined.
+        """
+        real_number("Path.split", "spacing", spacing, "a number above zero", above=0.0, traced=True)
+        if self.start.ndim != 1:
+            raise InputError(f"Path.split: got a batch {self.start.shape[:-1]}, expected one path")
+        runs = _joined(np.asarray(self.steps))
+        size = np.maximum(np.hypot(runs[:, 0], runs[:, 1]), np.abs(runs[:, 2]))
+        parts = np.maximum(1, np.ceil(size / spacing * (1 - _rounding(self.steps))))
+        if parts.sum() > MOST_STEPS:
+            raise InputError(
+                f"Path.split: spacing {spacing} makes {parts.sum():.1e} steps, expected at most "
+                f"{MOST_STEPS:.0e}; take a larger spacing"
+            )
+        parts = parts.astype(int)
+        steps = np.repeat(runs / parts[:, None], parts, 0)
+        return Path(self.start, jnp.asarray(steps, self.steps.dtype))
+
+
+def _rounding(steps: Any) -> float:
+    return max(1e-12, 8 * float(np.finfo(steps.dtype).eps))
+
+
+def _joined(steps: np.ndarray) -> np.ndarray:
+    """Neighbours of one twist as one step; without steps of zeros."""
+    same = _rounding(steps)
+    out: list[np.ndarray] = []
+    for step in steps.astype(float)[np.abs(steps).max(1, initial=0.0) > 0]:
+        if out:
+            last, size, more = out[-1], np.linalg.norm(out[-1]), np.linalg.norm(step)
+            if np.abs(last * more - step * size).max() <= same * size * more:
+                out[-1] = last + step
+                continue
+        out.append(step)
+    return np.reshape(out, (-1, 3))
+
+
+def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: int) -> jax.Array:
+    """Whether a footprint is certainly free of obstacles all along a path.
+
+    Each step is tested at the middles of equal parts. A disc is enlarged by half the way that it
+    makes in a part, so the moments between are covered too.
+
+    Args:
+        field: `OccupancyGrid.distance_field()`.
+        path: `Path`; leading axes are a batch.
+        footprint: `Footprint`.
+        parts: of each step. More parts err less on the safe side.
+
+    Returns:
+        (...) of bool.
+
+    Example:
+        >>> from rbjax.planning import OccupancyGrid
+        >>> field = OccupancyGrid(np.zeros((20, 20), bool), 0.1).distance_field()
+        >>> out = Path([1.0, 1.0, 0.0], [[0.5, 0.0, 0.0], [1.0, 0.0, 0.0]])
+        >>> bool(clear_along(field, out, Footprint.disc(0.2), 8))
+        False
+    """
+    where = "clear_along"
+    instance(where, "field", field, DistanceField, "rb.planning.DistanceField")
+    instance(where, "path", path, Path, "rb.planning.Path")
+    instance(where, "footprint", footprint, Footprint, "rb.planning.Footprint")
+    integer(where, "parts", parts, least=1)
+    if parts > MOST_PARTS:
+        raise InputError(f"{where}: parts is {shown(parts)}, expected at most {MOST_PARTS:,}")
+    poses = path.poses[..., :-1, None, :]
+    share = (jnp.arange(parts) + 0.5) / parts
+    steps = path.steps[..., None, :]
+    some = share[:, None] * steps
+    x, y = moved(poses[..., 2], some)
+    there = jnp.stack([poses[..., 0] + x, poses[..., 1] + y, poses[..., 2] + some[..., 2]], -1)
+    a, b = footprint.centers[:, 0], footprint.centers[:, 1]
+    far = jnp.hypot(a, b)
+    way = path.lengths[..., None] + jnp.abs(path.steps[..., 2:]) * far  # (..., n, discs)
+    wide = footprint.radii + way[..., None, :] / (2 * parts)
+    return (field.below(placed(there, footprint)) > wide).all((-1, -2, -3))
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a search found.
+
+    Fields: status, "found", "no path", "start in collision", "goal in collision" or "count
+    exhausted"; cost, in the controls' unit, or None; poses (n + 1, 3), from the start to the goal
+    (or its set), one for each control; controls (n,), their numbers, -1 on a curve that is not made
+    of controls; expanded, how many cells were visited; path, the exact motion, or None;
+    refinement, what `plan` says of the smoothed path: "none", "smoothed", "as it was".
+    """
+
+    status: str
+    cost: float | None = None
+    poses: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    controls: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    expanded: int = 0
+    path: Path | None = None
+    refinement: str = "none"
+
+    @property
+    def found(self) -> bool:
+        return self.status == "found"

@@ -1,0 +1,240 @@
+"""Smoother paths near a path, by its gradients: shorter, less bent, further from obstacles.
+
+Unknown are the lengths l_i and the curvatures k_i of the arcs; r is the turning radius, m the
+margin, d_ij the clearance of disc j after arc i:
+
+    min   1/2 sum l_i^2 / (r e_i)  +  1/2 sum (k_i+1 - k_i)^2 r^3 w / e_i
+          +  1/2 sum max(1 - d_ij / m, 0)^2 c e_i / r
+    with  the end at the goal,   |k_i| <= 1 / r,   e_i / 4 <= |l_i| <= 4 e_i
+
+e_i is the first length of an arc. Differences of curvature count within a gear only; there is no
+price on the steering of a car that stands. Gears stay as they are, and so do steps that are no arcs
+(turning on the spot, sliding). Poses are integrated exactly from the start, so each iterate is a
+path that a robot can drive.
+
+Gauss-Newton steps with a Levenberg-Marquardt damping and the linearised end as an equality. What a
+bound holds back is left out of the step. Then the end is restored by Newton's method. The step is
+taken only if the cost falls, the end is met, the bounds hold, and the whole path is clear of
+obstacles: so every iterate is feasible, and the worst result is the path that there was.
+
+Source: Nocedal & Wright, *Numerical Optimization*, 10.3 and 18.3; Dolgov et al., IJRR 29 (2010)
+485, section 3, for the terms.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.arguments import integer, real_number
+from rbjax.compiling import alone, compiled, wide_vectors
+from rbjax.errors import InputError
+from rbjax.model.record import Record
+from rbjax.planning.maps.footprint import Footprint, placed
+from rbjax.planning.maps.occupancy import DistanceField
+from rbjax.planning.paths.path import Path, chain, clear_along
+
+BENDING, CLEARANCE = 0.2, 10.0  # w and c
+RESTORING = 3  # Newton steps to the goal
+FACTOR = 4.0  # of a length, at most
+
+
+class Smoothed(Record):
+    """A path and how it came about; leading axes are a batch.
+
+    Fields: path; steps_taken (...), how many steps made it better, 0 if it is as it was; cost
+    (..., 2), before and after.
+    """
+
+    path: Path
+    steps_taken: jax.Array
+    cost: jax.Array
+
+    @property
+    def status(self) -> str:
+        """Of one path: "smoothed", or "as it was" if no step made it better."""
+        return "smoothed" if int(self.steps_taken) else "as it was"
+
+
+class _Problem(NamedTuple):
+    """Fields: path; field; footprint; radius; margin; arcs (n,), which steps are; unit (n,) m,
+    their lengths; same (n - 1,), whether two neighbours are arcs in one gear; goal (3,)."""
+
+    path: Path
+    field: DistanceField
+    footprint: Footprint
+    radius: jax.Array
+    margin: jax.Array
+    arcs: jax.Array
+    unit: jax.Array
+    same: jax.Array
+    goal: jax.Array
+
+    def steps(self, z: jax.Array) -> jax.Array:
+        """z (2, n): lengths in units of the first ones, curvatures in units of 1 / radius."""
+        length = jnp.where(self.path.steps[:, 0] < 0, -1.0, 1.0) * z[0] * self.unit
+        arcs = jnp.stack([length, jnp.zeros_like(length), z[1] / self.radius * length], -1)
+        return jnp.where(self.arcs[:, None], arcs, self.path.steps)
+
+    def residuals(self, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """All terms whose squares are the cost, and the end's deviation (3,) in m."""
+        poses = chain(self.path.start, self.steps(z))
+        share = jnp.sqrt(self.unit / self.radius)  # zero for padding
+        jump = jnp.where(self.same, z[1, 1:] - z[1, :-1], 0.0)
+        pace = jnp.where(self.same, self.unit[1:] + self.unit[:-1], 1.0) / 2
+        jump = jump * jnp.sqrt(BENDING * self.radius / pace)
+        away = self.field.at(placed(poses[1:], self.footprint)) - self.footprint.radii
+        short = jnp.maximum(1 - away / self.margin, 0.0)
+        short = jnp.where(self.arcs[:, None], math.sqrt(CLEARANCE) * share[:, None] * short, 0.0)
+        length = jnp.where(self.arcs, share * z[0], 0.0)
+        off = (poses[-1] - self.goal) * jnp.stack([1.0, 1.0, self.radius])
+        return jnp.concatenate([length, jump, short.ravel()]), off
+
+    def cost(self, z: jax.Array) -> jax.Array:
+        return 0.5 * (self.residuals(z)[0] ** 2).sum()
+
+    def limits(self, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+        one = jnp.ones_like(z[0])
+        return jnp.stack([one / FACTOR, -one]), jnp.stack([one * FACTOR, one])
+
+    def is_free(self, z: jax.Array, parts: int) -> jax.Array:
+        path = Path(self.path.start, self.steps(z))
+        return clear_along(self.field, path, self.footprint, parts)
+
+
+def _step(p: _Problem, z: jax.Array, damping: jax.Array) -> jax.Array:
+    """Where a damped step with the linearised end leads, within the limits."""
+    (r, off), (J, A) = p.residuals(z), jax.jacfwd(p.residuals)(z)
+    J, A = J.reshape(len(r), -1), A.reshape(3, -1)
+    low, high = (x.ravel() for x in p.limits(z))
+    x, g = z.ravel(), r @ J
+    held = ((x <= low) & (g > 0)) | ((x >= high) & (g < 0)) | ~jnp.tile(p.arcs, 2)
+    free = 1.0 - held.astype(x.dtype)
+    H = free[:, None] * (J.T @ J) * free + jnp.diag(damping * free + (1 - free))
+    # the multipliers of the end; the scale keeps the matrix regular if nothing can move the end
+    A = A * free
+    solved = jnp.linalg.solve(H, jnp.concatenate([A, (free * g)[None]]).T)
+    S = A @ solved[:, :3]
+    S = S + jnp.eye(3, dtype=x.dtype) * (1e-12 * jnp.trace(S) + jnp.finfo(x.dtype).tiny)
+    multipliers = jnp.linalg.solve(S, off - A @ solved[:, 3])
+    x = jnp.clip(x - solved[:, 3] - solved[:, :3] @ multipliers, low, high)
+    return _restored(p, x.reshape(z.shape), low, high)
+
+
+def _restored(p: _Problem, z: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """The nearest z whose path ends at the goal, by variables that are off their limits."""
+
+    def end(x):
+        return p.residuals(x.reshape(z.shape))[1]
+
+    x = z.ravel()
+    for _ in range(RESTORING):
+        off, A = end(x), jax.jacfwd(end)(x)
+        room = jnp.tile(p.arcs, 2) * jnp.minimum(jnp.minimum(x - low, high - x), 1.0)
+        W = A * room
+        S = W @ A.T
+        S = S + jnp.eye(3, dtype=x.dtype) * (1e-12 * jnp.trace(S) + jnp.finfo(x.dtype).tiny)
+        x = x - W.T @ jnp.linalg.solve(S, off)
+    return x.reshape(z.shape)
+
+
+def _smooth(
+    path: Path, field: DistanceField, footprint: Footprint, radius: jax.Array, margin: jax.Array,
+    iterations: int, parts: int,
+) -> Smoothed:  # fmt: skip
+    a, b, turn = (path.steps[:, i] for i in range(3))
+    arcs = (a != 0) & (b == 0)
+    unit = jnp.where(arcs, jnp.abs(a), 0.0)
+    bend = jnp.where(arcs, turn / jnp.where(arcs, a, 1.0), 0.0) * radius
+    goal = chain(path.start, path.steps)[-1]
+    same = arcs[1:] & arcs[:-1] & (a[1:] * a[:-1] > 0)
+    p = _Problem(path, field, footprint, radius, margin, arcs, unit, same, goal)
+    z = jnp.stack([jnp.ones_like(bend), jnp.clip(bend, -1.0, 1.0)])
+    # an end is met to rounding of as many additions as there are steps
+    close = 64 * jnp.finfo(z.dtype).eps * (path.length + radius + jnp.abs(path.start).max())
+    gain = max(1e-6, 64 * float(jnp.finfo(z.dtype).eps))  # not only by rounding
+    first = p.cost(z)
+
+    def turn_of(carry, _):
+        z, cost, damping, taken = carry
+        new = _step(p, z, damping)
+        low, high = p.limits(z)
+        value, off = p.cost(new), p.residuals(new)[1]
+        good = (value < cost * (1 - gain)) & (jnp.abs(off).max() <= close)
+        good &= ((new >= low) & (new <= high) | ~arcs).all() & p.is_free(new, parts)
+        z = jnp.where(good, new, z)
+        damping = jnp.clip(jnp.where(good, damping / 4, damping * 4), 1e-6, 1e6)
+        return (z, jnp.where(good, value, cost), damping, taken + good), None
+
+    begin = z, first, jnp.full_like(first, 0.1), jnp.zeros((), int)
+    (z, cost, _, taken), _ = jax.lax.scan(turn_of, begin, length=iterations)
+    steps = jnp.where(taken > 0, p.steps(z), path.steps)
+    return Smoothed(Path(path.start, steps), taken, jnp.stack([first, cost]))
+
+
+_program = compiled(_smooth, options=wide_vectors, static_argnames=("iterations", "parts"))
+
+
+def smooth(
+    path: Path,
+    field: DistanceField,
+    footprint: Footprint,
+    radius: Any,
+    margin: Any = None,
+    iterations: int = 30,
+    parts: int = 4,
+) -> Smoothed:
+    """A path with the same ends and gears that is shorter, bends more gently, and keeps away from
+    obstacles where it can.
+
+    Args:
+        path: one `Path` in steps that are short against obstacles, as `Path.split` makes them. The
+            number of steps stays. Use `jax.vmap` for many.
+        field: `OccupancyGrid.distance_field()`.
+        footprint: `Footprint`.
+        radius: the smallest turning radius () in m.
+        margin: the clearance () m that is wanted; None for four cells.
+        iterations: how many steps are tried.
+        parts: of each step of the path, for the test for obstacles.
+
+    Returns:
+        `Smoothed`. Its path is certainly clear and its curvature at most 1 / radius, or it is the
+        path that was given.
+
+    Raises:
+        InputError: wrong types, a batch, a radius or margin that is not above zero.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.planning import OccupancyGrid, reeds_shepp
+        >>> field = OccupancyGrid(np.zeros((40, 30), bool), 0.1).distance_field()
+        >>> bends = Path([0.7, 1.0, 0.0], [[0.5, 0.0, s] for s in (0.5, -0.5, -0.5, 0.5)])
+        >>> better = smooth(bends.split(0.1), field, Footprint.disc(0.2), 1.0)
+        >>> better.status, bool(better.path.length < bends.length)
+        ('smoothed', True)
+    """
+    for name, x, kind in (
+        ("path", path, Path), ("field", field, DistanceField), ("footprint", footprint, Footprint)
+    ):  # fmt: skip
+        if not isinstance(x, kind):
+            raise InputError(
+                f"smooth: {name} is {type(x).__name__}, expected rb.planning.{kind.__name__}"
+            )
+    if path.start.ndim != 1:
+        raise InputError(
+            f"smooth: got a batch of paths {path.start.shape[:-1]}, expected one; use jax.vmap"
+        )
+    for name, n in (("iterations", iterations), ("parts", parts)):
+        integer("smooth", name, n, least=1)
+    dtype = jnp.result_type(path.steps, field.values)
+    margin = 4 * field.resolution if margin is None else margin
+    sizes = []
+    for name, x in (("radius", radius), ("margin", margin)):
+        real_number("smooth", name, x, "a length above zero", above=0.0, traced=True)
+        sizes.append(jnp.asarray(x, dtype))
+    path = Path(path.start.astype(dtype), path.steps.astype(dtype))
+    run = _program if alone() else _smooth
+    return run(path, field, footprint, sizes[0], sizes[1], iterations=iterations, parts=parts)

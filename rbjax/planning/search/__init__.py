@@ -1,0 +1,1 @@
+"""Searches for a path on a map."""

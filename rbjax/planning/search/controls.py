@@ -1,0 +1,198 @@
+"""A finite set of controls of a wheeled robot, and the motions that they make.
+
+A control is a speed v and a turning rate w that are held for a time dt:
+
+    x' = v cos(theta),  y' = v sin(theta),  theta' = w
+
+A robot that slides sideways has a speed u to the left too. The motion is an arc, integrated
+exactly. If w dt is a multiple of the width of a heading's cell, headings stay on a ring of n
+values. Then all motions there are make a table by heading and control.
+(Lynch & Park, *Modern Robotics*, 10.4.2, figure 10.14)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.arguments import real_array, real_number
+from rbjax.errors import InputError
+from rbjax.planning.maps.footprint import Footprint
+from rbjax.planning.paths.path import Path, moved
+
+
+@dataclass(frozen=True, eq=False)
+class Controls:
+    """Controls of a planner.
+
+    Fields: speeds (n,) m/s; turn_rates (n,) rad/s; dt s; costs (n,), positive integers, None for 1
+    each; reversal, a non-negative integer, what a change from driving ahead to driving backwards
+    costs, or back; steering, another, what a change of the curvature costs; sideways (n,) m/s to
+    the left, None for 0 each.
+
+    Example:
+        >>> car = Controls.car(radius=1.0, turn=np.deg2rad(15.0), reversal=2)
+        >>> len(car.speeds), round(car.dt, 4), car.costs.tolist()
+        (6, 0.2618, [1, 1, 1, 1, 1, 1])
+    """
+
+    speeds: np.ndarray
+    turn_rates: np.ndarray
+    dt: float
+    costs: Any = None
+    reversal: int = 0
+    steering: int = 0
+    sideways: Any = None
+
+    def __post_init__(self) -> None:
+        speeds, rates = (
+            np.atleast_1d(real_array("Controls", name, x))
+            for name, x in (("speeds", self.speeds), ("turn_rates", self.turn_rates))
+        )
+        costs = np.ones(len(speeds), int) if self.costs is None else np.asarray(self.costs)
+        if speeds.ndim != 1 or not len(speeds) or not speeds.shape == rates.shape == costs.shape:
+            raise InputError(
+                f"Controls: got speeds, turn_rates and costs of shapes {speeds.shape}, "
+                f"{rates.shape} and {costs.shape}, expected (n,) each"
+            )
+        slides = np.zeros_like(speeds) if self.sideways is None else np.asarray(self.sideways)
+        if slides.shape != speeds.shape or not np.isfinite(slides).all():
+            raise InputError(
+                f"Controls: sideways is {self.sideways!r}, expected {len(speeds)} finite speeds "
+                "in m/s"
+            )
+        real_number("Controls", "dt", self.dt, above=0.0)
+        if costs.dtype.kind not in "iu" or (costs < 1).any():
+            raise InputError(
+                f"Controls: costs are {costs.tolist()}, expected positive integers: choose a unit "
+                "so small that every cost is a multiple of it"
+            )
+        for name in ("reversal", "steering"):
+            x = getattr(self, name)
+            if not isinstance(x, (int, np.integer)) or x < 0:
+                raise InputError(f"Controls: {name} is {x!r}, expected an integer of at least zero")
+        for name, value in (
+            ("speeds", speeds), ("turn_rates", rates), ("costs", costs),
+            ("sideways", slides.astype(float)),
+        ):  # fmt: skip
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def car(
+        cls, radius: float, turn: float, speed: float = 1.0, costs: Any = None, reversal: int = 0,
+        steering: int = 0,
+    ) -> Controls:  # fmt: skip
+        """Six controls: ahead and backwards; to the left, straight, and to the right.
+
+        radius: turning radius, m. turn: the angle of an arc, rad. speed: m/s. costs: (6,), ahead
+        before backwards, and from left to right.
+        """
+        for name, x in (("radius", radius), ("turn", turn), ("speed", speed)):
+            real_number("Controls.car", name, x, "a number above zero", above=0.0, traced=True)
+        speeds = speed * np.repeat([1.0, -1.0], 3)
+        bend = np.tile([1.0, 0.0, -1.0], 2) / radius
+        return cls(speeds, speeds * bend, float(radius * turn / speed), costs, reversal, steering)
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Twists (n, 3) of the motions: m ahead, m to the left, rad."""
+        return self.dt * np.column_stack([self.speeds, self.sideways, self.turn_rates])
+
+    @property
+    def curvatures(self) -> np.ndarray:
+        """w / v (n,) in 1/m; zero for controls that do not drive."""
+        still = self.speeds == 0
+        return np.where(still, 0.0, self.turn_rates / np.where(still, 1.0, self.speeds))
+
+    @property
+    def prices(self) -> np.ndarray:
+        """What control j costs after control i (n + 1, n); the last row is for the first one."""
+        v, bend = self.speeds, self.curvatures
+        reversed_ = v[:, None] * v < 0
+        bent = ~np.isclose(bend[:, None], bend, rtol=1e-9, atol=0)
+        after = self.costs + self.reversal * reversed_ + self.steering * bent
+        return np.vstack([after, self.costs])
+
+    def in_reverse(self) -> Controls:
+        """The same motions backwards in time, at the same costs."""
+        return replace(
+            self, speeds=-self.speeds, turn_rates=-self.turn_rates, sideways=-self.sideways
+        )
+
+    def path(self, start: np.ndarray, controls: np.ndarray) -> Path:
+        """The motion by numbers (n,) of controls, from a pose (3,)."""
+        return Path(jnp.asarray(start), jnp.asarray(self.steps[controls].reshape(-1, 3)))
+
+    def turns(self, headings: int) -> np.ndarray:
+        """w dt (n,) as numbers of heading cells."""
+        exact = self.turn_rates * self.dt * headings / (2 * math.pi)
+        whole = np.round(exact)
+        off = int(np.abs(exact - whole).argmax())
+        if abs(exact[off] - whole[off]) > 1e-9:
+            raise InputError(
+                f"turn_rates[{off}] * dt is {exact[off]:.6g} of {headings} heading cells, expected "
+                "a whole number; change dt or the number of headings"
+            )
+        return whole.astype(int)
+
+    def moved(self, heading: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements (..., n) m by all controls from a heading (...), after a time t (...)."""
+        heading, t = np.broadcast_arrays(heading, t)
+        steps = t[..., None, None] / self.dt * self.steps
+        return moved(heading[..., None], steps, np)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTable:
+    """All motions from the origin, by heading k and control c, for headings first + 2 pi k / K.
+
+    Fields: headings (K,) rad; step (2, K, n) m, the displacement; turns (n,), in cells of headings;
+    discs (2, K, n, m) m, centres of a footprint's discs at moments of the motion; radii (K, n, m)
+    m, of the discs, so enlarged that they cover the footprint between those moments too.
+    """
+
+    headings: np.ndarray
+    step: np.ndarray
+    turns: np.ndarray
+    discs: np.ndarray
+    radii: np.ndarray
+
+    def along(self, start: float, controls: np.ndarray) -> np.ndarray:
+        """Headings (n + 1,) rad of a path, by the numbers (n,) of its controls."""
+        turned = np.concatenate([[0], np.cumsum(self.turns[controls])])
+        return start + turned * (2 * math.pi / len(self.headings))
+
+    @classmethod
+    def of(
+        cls, controls: Controls, footprint: Footprint, first: float, headings: int, spacing: float
+    ) -> MotionTable:
+        """spacing: the distance in m between two moments, at most."""
+        turns = controls.turns(headings)
+        angles = first + 2 * math.pi * np.arange(headings) / headings
+        centers, radii = np.asarray(footprint.centers, float), np.asarray(footprint.radii, float)
+        # how far a disc moves, at most: the origin's way, and the turn about it
+        far = np.hypot(*centers.T)
+        way = controls.dt * (
+            np.hypot(controls.speeds, controls.sideways)[:, None]
+            + np.abs(controls.turn_rates)[:, None] * far
+        )
+        moments = max(1, math.ceil(way.max() / spacing))
+        times = controls.dt * (np.arange(moments) + 0.5) / moments
+        x, y = controls.moved(angles[:, None], times[None])  # (K, moments, n)
+        turned = angles[:, None, None] + controls.turn_rates * times[:, None]
+        c, s = np.cos(turned)[..., None], np.sin(turned)[..., None]
+        a, b = centers.T
+        discs = np.stack([x[..., None] + c * a - s * b, y[..., None] + s * a + c * b])
+        discs = np.moveaxis(discs, 2, 3).reshape(2, headings, len(turns), -1)
+        wide = np.tile(radii + way / (2 * moments), (1, moments))  # (n, moments * discs)
+        return cls(
+            angles,
+            np.stack(controls.moved(angles, controls.dt)),
+            turns,
+            discs,
+            np.broadcast_to(wide, discs.shape[1:]),
+        )

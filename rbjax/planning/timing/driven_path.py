@@ -1,0 +1,199 @@
+"""A path as a robot drives it: its coordinates, and the torques that a motion along it needs.
+
+A path is a chain of twists. Along it a length s counts m, and rad times the robot's reach r:
+ds = |(a, b, r phi)|. The robot's free velocities are nu = g(s) s', and its steerings turn at
+b(s)' s'. So its torques are linear in s'' and in x = s'^2,
+
+    tau = A(s) s'' + B(s) x + C(s),      nu' = g s'' + (dg/ds) x
+
+by the equations of the reduced model at nu' = 0 and at unit torques. Of more drives than free
+velocities it takes the torques of the least norm, in units of their limits.
+
+Where neighbours have nearly the same direction, g and b change evenly from the middle of a step to
+that of the next: corners are rounded within a step. Elsewhere the robot stops: at a reversal, or
+between driving and turning on the spot. There, and at the start, it steers while it stands.
+
+Source: Bobrov, Dubowsky & Gibson, IJRR 4 (1985) 3, section 2; Lynch & Park, *Modern Robotics*, 9.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.lanes.extremes import largest
+from rbjax.model import State
+from rbjax.planning.paths.path import Path
+from rbjax.planning.timing.limits import Limits
+from rbjax.wheeled.kinematics.numbers import stacked
+from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.models.states import with_twist
+from rbjax.wheeled.motion.following import commands
+
+TURN = 0.5  # the cosine of the largest change of direction that is rounded: 60 degrees
+PARTS = 4  # steps of the fourth order that integrate the coordinates over one of the path
+#: when each stage is, how far along the slope before it, and its weight
+RK4 = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6
+
+
+class Sides(NamedTuple):
+    """Coordinates q (n, nq), velocities by s' nu (n, nv), twists by s' (n, 3), and the torques'
+    A, B, C (n, drives), at one end of each step."""
+
+    q: jax.Array
+    nu: jax.Array
+    twist: jax.Array
+    A: jax.Array
+    B: jax.Array
+    C: jax.Array
+
+
+class DrivenPath(NamedTuple):
+    """Of each of n steps: size (n,), its length ds; stops (n,), whether the robot stands before it;
+    turns (n, steerings) rad, how far it steers meanwhile; bends (n, steerings), db/ds; first, last:
+    `Sides` at its begin and end."""
+
+    size: jax.Array
+    stops: jax.Array
+    turns: jax.Array
+    bends: jax.Array
+    first: Sides
+    last: Sides
+
+
+def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
+    """A step of the classical Runge-Kutta method; slope is a function of y and of the part of the
+    step that is done. Its stages are a loop, which makes a quarter of the program."""
+
+    def stage(carry, weights):
+        k, total = carry
+        part, weight = weights
+        k = slope(y + h * part * k, part)
+        return (k, total + weight * k), None
+
+    zero = jnp.zeros_like(y)
+    weights = tuple(x.astype(y.dtype) for x in RK4)
+    return y + h * jax.lax.scan(stage, (zero, zero), weights)[0][1]
+
+
+def torques_for(vehicle: Fidelity, limits: Limits, q, v, rates, turning) -> jax.Array:
+    """The torques (drives,) at which v changes at rates (nv,) as the steerings turn."""
+    drives = len(vehicle.robot.drives)
+
+    def accelerations(tau):
+        n, now = vehicle.instant(State(q, v), jnp.concatenate([tau, turning]))
+        return stacked(vehicle.accelerations(n, now), q.dtype)
+
+    none = jnp.zeros(drives, q.dtype)
+    most = limits.torques(vehicle).astype(q.dtype)
+    short = rates - accelerations(none)
+    G = jax.jacfwd(accelerations)(none) * most
+    if drives == vehicle.nv:
+        return most * jnp.linalg.solve(G, short)
+    return most * (G.T @ jnp.linalg.solve(G @ G.T, short))
+
+
+def driven(vehicle: Fidelity, limits: Limits, path: Path) -> DrivenPath:
+    """One path, as the robot drives it from where it stands straight. Steps of zeros stay."""
+    robot, steps = vehicle.robot, path.steps
+    steerings, dtype = robot.layout.steerings, path.steps.dtype
+    one = jnp.ones((), dtype)
+    unit = jnp.stack([one, one, reach_of(vehicle, dtype)])
+    size = _norm(steps * unit)
+    moves = size > 0
+    twist = steps / jnp.where(moves, size, 1.0)[:, None]
+    # a step of zeros has the direction of the one before it, so it changes nothing
+    twist = _held(twist, moves)
+    before, after = jnp.roll(twist, 1, 0), jnp.roll(twist, -1, 0)
+    cosine = (before * twist * unit**2).sum(-1)
+    stops = (cosine < TURN).at[0].set(True)
+    # at the begins and at the ends of steps: two rows
+    ends = jnp.stack(
+        [
+            jnp.where(stops[:, None], twist, (before + twist) / 2),
+            jnp.where(jnp.roll(stops, -1)[:, None], twist, (twist + after) / 2),
+        ]
+    )
+    angles = _angles(vehicle, ends)
+    straight = jnp.zeros_like(angles[0, :1])
+    turns = angles[0] - jnp.concatenate([straight, angles[1, :-1]])
+    turns = jnp.where(stops[:, None], turns, 0.0)
+    width = jnp.where(moves, size, 1.0)[:, None]
+    bends = jnp.where(moves[:, None], (angles[1] - angles[0]) / width, 0.0)
+
+    def velocities(twist, angle):
+        q = jnp.zeros(vehicle.nq, dtype).at[steerings].set(angle)
+        return with_twist(vehicle, q, twist).v
+
+    nu = jax.vmap(jax.vmap(velocities))(ends, angles)
+    start = jnp.zeros(vehicle.nq, dtype).at[:3].set(path.start.astype(dtype))
+    q = _coordinates(vehicle, start, size, turns, bends, nu)
+    slope = (nu[1] - nu[0]) / width
+
+    def linear(q, nu, slope, bend):
+        def torques(rate, x):
+            root = jnp.sqrt(x)
+            rates = nu * rate + slope * x
+            return torques_for(vehicle, limits, q, nu * root, rates, bend * root)
+
+        units = jnp.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], dtype)
+        C, A, B = jax.vmap(torques)(*units)
+        return A - C, B - C, C
+
+    both = jax.vmap(jax.vmap(linear), (0, 0, None, None))(q, nu, slope, bends)
+    sides = [Sides(*(x[i] for x in (q, nu, ends, *both))) for i in (0, 1)]
+    return DrivenPath(size, stops, turns, bends, *sides)
+
+
+def reach_of(vehicle: Fidelity, dtype) -> jax.Array:
+    """The largest distance of a wheel of the chassis from its origin, m."""
+    places = [jnp.asarray(w.position, dtype) for w in vehicle.robot.wheels if w.body == 0]
+    return jnp.maximum(largest(_norm(jnp.stack(places))), 1e-2)
+
+
+def _norm(x: jax.Array) -> jax.Array:
+    square = (x * x).sum(-1)
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+
+
+def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
+    """Rows (n, k), each that is not known replaced by the last known one, or else the first."""
+    at = jnp.where(known, jnp.arange(len(known)), -1)
+    at = jax.lax.cummax(at)
+    return rows[jnp.where(at < 0, jnp.argmax(known), at)]
+
+
+def _angles(vehicle: Fidelity, twists: jax.Array) -> jax.Array:
+    if not vehicle.robot.steerings:
+        return jnp.zeros((*twists.shape[:-1], 0), twists.dtype)
+    return jax.vmap(jax.vmap(lambda x: commands(vehicle.robot, x).angles))(twists)
+
+
+def _coordinates(vehicle: Fidelity, start, size, turns, bends, nu) -> jax.Array:
+    """Coordinates (2, n, nq) at the begin and at the end of each step, integrated along it."""
+    at = vehicle.robot.layout.steerings
+    drives = jnp.zeros(len(vehicle.robot.drives), start.dtype)
+
+    def slope(q, v, bend):
+        n, now = vehicle.instant(State(q, v), jnp.concatenate([drives, bend]))
+        return stacked(vehicle.coordinate_rates(n, now), q.dtype)
+
+    def over(q, step):
+        size, turn, bend, nu0, nu1 = step
+        q = first = q.at[at].add(turn)
+
+        def part(q, i):
+            def rates(q, part):
+                return slope(q, nu0 + (nu1 - nu0) * (i + part) / PARTS, bend)
+
+            return rk4(rates, q, size / PARTS), None
+
+        q, _ = jax.lax.scan(part, q, jnp.arange(PARTS, dtype=q.dtype))
+        return q, jnp.stack([first, q])
+
+    q = jax.lax.scan(over, start, (size, turns, bends, *nu))[1]
+    return jnp.swapaxes(q, 0, 1)

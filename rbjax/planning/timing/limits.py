@@ -1,0 +1,141 @@
+"""What a robot's motors, wheels and steering can do, and a motion that stays within it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.model.record import Record, check_fields, floats
+from rbjax.wheeled import Fidelity, TorqueSource
+from rbjax.wheeled.models.rolling import Rolling
+
+
+def _number(default: float) -> Any:
+    return eqx.field(converter=floats, default_factory=lambda: jnp.asarray(default))
+
+
+class Limits(Record):
+    """Limits of a motion, each on the absolute value; infinity is no limit.
+
+    Fields: torque () N m, of every drive, or (drives,); speed () m/s, of the origin of the chassis;
+    turn_rate () rad/s, of the chassis; steering_rate () rad/s; steering () rad, the angle, by
+    default the largest on the path.
+
+    Example:
+        >>> Limits(torque=0.5, speed=1.0).torque.shape
+        ()
+    """
+
+    torque: jax.Array = eqx.field(converter=floats)
+    speed: jax.Array = _number(np.inf)
+    turn_rate: jax.Array = _number(np.inf)
+    steering_rate: jax.Array = _number(np.inf)
+    steering: jax.Array = _number(np.inf)
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        for name in ("torque", "speed", "turn_rate", "steering_rate", "steering"):
+            x = getattr(self, name)
+            if jnp.ndim(x) > (name == "torque"):
+                raise InputError(
+                    f"Limits({name}=...): got the shape {jnp.shape(x)}, expected a number"
+                    + (" or one a drive" if name == "torque" else "")
+                )
+            if not isinstance(x, jax.core.Tracer) and not (np.asarray(x) > 0).all():
+                raise InputError(f"Limits({name}=...): got {x}, expected numbers above zero")
+
+    def may_be_endless(self, name: str) -> bool:
+        return name != "torque"
+
+    def torques(self, vehicle: Fidelity) -> jax.Array:
+        """(drives,) N m."""
+        return jnp.broadcast_to(self.torque, (len(vehicle.robot.drives),))
+
+
+def check_can_follow(where: str, vehicle: Any, limits: Any) -> None:
+    """Refuse what has no torques that a path needs: a vehicle that slips or has no inertia, motors
+    whose command is no torque, drives that cannot accelerate it in every way that it moves."""
+    if not isinstance(vehicle, Rolling):
+        raise InputError(
+            f"{where}: vehicle is {type(vehicle).__name__}, expected a robot that rolls and has "
+            'inertia, as rbjax.wheeled.at(robot, "kinematical") gives it'
+        )
+    if not isinstance(limits, Limits):
+        raise InputError(
+            f"{where}: limits is {type(limits).__name__}, expected rbjax.planning.Limits"
+        )
+    robot = vehicle.robot
+    drives, nv = len(robot.drives), vehicle.nv
+    if jnp.shape(limits.torque) not in ((), (drives,)):
+        raise InputError(
+            f"{where}: limits.torque has shape {jnp.shape(limits.torque)}, expected () or "
+            f"({drives},), one a drive"
+        )
+    if drives < nv:
+        raise InputError(
+            f"{where}: {drives} drives for {nv} velocities that the wheels leave free; expected at "
+            "least as many drives, or a path has no torques"
+        )
+    for j, drive in enumerate(robot.drives):
+        if not isinstance(drive.motor, TorqueSource):
+            raise InputError(
+                f"{where}: the motor of drives[{j}] is {type(drive.motor).__name__}, expected "
+                "TorqueSource: the controls are torques"
+            )
+    for j, steering in enumerate(robot.steerings):
+        if steering.lag is not None:
+            raise InputError(
+                f"{where}: steerings[{j}] has a lag, expected None: its control is a rate"
+            )
+    known = not isinstance(limits.steering_rate, jax.core.Tracer)
+    if robot.steerings and known and not np.isfinite(limits.steering_rate):
+        raise InputError(
+            f"{where}: limits.steering_rate is infinite, expected a rate in rad/s: this robot "
+            "steers"
+        )
+
+
+class Timed(Record):
+    """A motion with its controls, which are constant in each interval.
+
+    Fields: ts (n + 1,) s, from 0 and never falling; q (n + 1, nq); v (n + 1, nv); controls (n, nu),
+    torques in N m of the drives, then rates in rad/s of the steerings. Intervals may be empty.
+    Leading axes are a batch.
+
+    Example:
+        >>> m = Timed(jnp.array([0.0, 1.0, 3.0]), jnp.zeros((3, 1)), jnp.zeros((3, 1)),
+        ...           jnp.array([[3.0], [0.0]]))
+        >>> controls, dt = m.sampled(2)
+        >>> controls.tolist(), float(dt)
+        ([[2.0], [0.0]], 1.5)
+    """
+
+    ts: jax.Array
+    q: jax.Array
+    v: jax.Array
+    controls: jax.Array
+
+    @property
+    def time(self) -> jax.Array:
+        """s (...) from the start to the end."""
+        return self.ts[..., -1]
+
+    @property
+    def durations(self) -> jax.Array:
+        """s (..., n) of the intervals."""
+        return self.ts[..., 1:] - self.ts[..., :-1]
+
+    def sampled(self, steps: int) -> tuple[jax.Array, jax.Array]:
+        """Controls (steps, nu) for `wheeled.rollout`, and its dt: means over equal times, so every
+        torque has the same impulse. Of one motion; use `jax.vmap` for many."""
+        impulse = jnp.cumsum(self.durations[:, None] * self.controls, 0)
+        impulse = jnp.concatenate([jnp.zeros_like(impulse[:1]), impulse])
+        dt = self.time / steps
+        at = dt * jnp.arange(steps + 1)
+        sums = jax.vmap(lambda y: jnp.interp(at, self.ts, y), 1, 1)(impulse)
+        return (sums[1:] - sums[:-1]) / dt, dt

@@ -1,0 +1,221 @@
+"""The fastest motion along a path: torques, speeds and steering rates within their limits.
+
+Along a path the torques are linear in s'' and in x = s'^2 (`driven_path`). With s'' = u constant in
+a step of length ds, x+ = x + 2 ds u, and all limits are half-planes of (u, x):
+
+    |A u + B x + C| <= tau_max           at both ends of the step
+    x <= min (v_max / |v|)^2, ...        of speeds and of steering rates, all linear in s'
+    x = 0                                where the robot stops
+
+Backwards from the end: the interval K of x from which the rest of the path can be driven. u is
+eliminated from the half-planes (Fourier, Motzkin), which leaves bounds of x. Then ahead from the
+start, each time with the largest u that leads into the next K. That motion is the fastest, and no
+state on it is a dead end.
+
+Source: Pham & Pham, *A new approach to time-optimal path parameterization based on reachability
+analysis*, IEEE T-RO 34 (2018) 645, algorithm 1; Lynch & Park, *Modern Robotics*, 9.4.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.compiling import alone, compiled
+from rbjax.errors import InputError
+from rbjax.lanes.extremes import largest, smallest
+from rbjax.model.record import Record, cast_floats
+from rbjax.planning.paths.path import Path
+from rbjax.planning.timing.driven_path import DrivenPath, Sides, driven
+from rbjax.planning.timing.limits import Limits, Timed, check_can_follow
+from rbjax.wheeled import Fidelity
+
+
+class TimeScaled(Record):
+    """The fastest motion along a path.
+
+    Fields: motion, a `Timed` of 2 n intervals: before each step of the path, the robot stands and
+    steers there if it must, for no time elsewhere; ok (), whether there is such a motion.
+    """
+
+    motion: Timed
+    ok: jax.Array
+
+    @property
+    def status(self) -> str:
+        """The status of one path: "found"; or "infeasible" if the limits do not hold even at rest,
+        or the path needs steering angles beyond the limit."""
+        return "found" if bool(self.ok) else "infeasible"
+
+
+def time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
+    """The time-optimal motion of a robot along a path, at rest at both ends.
+
+    It stops where the path reverses or turns by more than 60 degrees, and steers there. Elsewhere
+    it rounds a corner between two steps within half of each. So make steps short, by `Path.split`:
+    a corner is rounded more closely then, and more slowly.
+
+    Args:
+        vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
+            starts with its steerings and trailers straight.
+        path: one `Path` of the chassis. Steps of zeros may fill it up. Use `jax.vmap` for many.
+        limits: `Limits`. The path determines the steering angles, so a path that exceeds their
+            limit is infeasible at any speed.
+
+    Returns:
+        `TimeScaled`. Its coordinates are those that the robot has on the path with its rounded
+        corners. Its controls, replayed without feedback, end off in proportion to the steps' length
+        (a cart after 16 s: 0.3 m with steps of 0.1 m, 4 cm with 0.02 m); `refine` ends at the goal.
+        Of trailers, none is asked for obstacles here.
+
+    Raises:
+        InputError: wrong types, a batch, a robot whose drives give no torques for a path.
+
+    Source: Pham & Pham, IEEE T-RO 34 (2018) 645.
+
+    Example:
+        >>> import rbjax as rb
+        >>> robot = rb.wheeled.kinds()["differential_drive"].make(caster=None)
+        >>> cart = rb.wheeled.at(robot, "kinematical")
+        >>> ahead = Path([0.0, 0.0, 0.0], [[2.0, 0.0, 0.0]]).split(0.1)
+        >>> found = time_scaling(cart, ahead, Limits(torque=0.4, speed=1.0))
+        >>> found.status, round(float(found.motion.time), 2)
+        ('found', 3.15)
+    """
+    check_can_follow("time_scaling", vehicle, limits)
+    check_path("time_scaling", path)
+    run = _program if alone() else _time_scaling
+    return run(vehicle, path, limits)
+
+
+def check_path(where: str, path: Any) -> None:
+    """Refuse what is not one path."""
+    if not isinstance(path, Path):
+        raise InputError(f"{where}: path is {type(path).__name__}, expected rbjax.planning.Path")
+    if path.start.ndim != 1 or not path.steps.shape[0]:
+        raise InputError(
+            f"{where}: got steps of shape {path.steps.shape}, expected those of one path, (n, 3) "
+            "with n of at least 1; use jax.vmap for many"
+        )
+
+
+def _time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
+    dtype = path.steps.dtype
+    vehicle, limits = cast_floats((vehicle, limits), dtype)
+    p = driven(vehicle, limits, path)
+    most = limits.torques(vehicle)
+    caps = jnp.stack([_cap(p, side, limits) for side in (p.first, p.last)])
+    zero = jnp.zeros((), dtype)
+    # a cap of the begin of a step holds for the end of the one before
+    cap = jnp.minimum(caps[0], jnp.concatenate([zero[None], caps[1, :-1]]))
+    cap = jnp.where(p.stops, 0.0, cap)
+
+    flat = jnp.sqrt(jnp.finfo(dtype).eps)
+
+    def rows(k, low, high):
+        """Half-planes a u + b x <= c of step k, whose end is in [low, high]."""
+        step, (A0, B0, C0), (A1, B1, C1) = k
+        A, B = jnp.stack([A0, A1 + 2 * step * B1]) / most, jnp.stack([B0, B1]) / most
+        C, one = jnp.stack([C0, C1]) / most, jnp.ones(1, dtype)
+        a, b, c = (jnp.ravel(x) for x in (A, B, C))
+        # where a torque hardly depends on u, rounding is all that it says of u
+        a = jnp.where(jnp.abs(a) > flat * jnp.abs(a).max(), a, 0.0)
+        return (
+            jnp.concatenate([a, -a, 2 * step * one, -2 * step * one]),
+            jnp.concatenate([b, -b, one, -one]),
+            jnp.concatenate([1 - c, 1 + c, high * one, -low * one]),
+        )
+
+    def back(next, k):
+        step, cap = k
+        a, b, c = rows(step, *next)
+        low, high = _eliminated(a, b, c, cap)
+        return (low, high), (low, high)
+
+    steps = p.size, p.first[3:], p.last[3:]
+    _, (low, high) = jax.lax.scan(back, (zero, zero), (steps, cap), reverse=True)
+    ends = jnp.append(low[1:], zero), jnp.append(high[1:], zero)
+
+    def ahead(x, k):
+        step, low, high = k
+        a, b, c = rows(step, low, high)
+        up = a > 0
+        u = smallest(jnp.where(up, (c - b * x) / jnp.where(up, a, 1.0), jnp.inf))
+        after = jnp.clip(x + 2 * step[0] * jnp.where(step[0] > 0, u, 0.0), low, high)
+        return after, after
+
+    _, x = jax.lax.scan(ahead, zero, (steps, *ends))
+    steerings = vehicle.robot.layout.steerings
+    angles = jnp.abs(jnp.stack([p.first.q, p.last.q])[..., steerings]).max(initial=0.0)
+    rounding = 64 * jnp.finfo(dtype).eps  # for a path of arcs exactly at the limit
+    ok = (low <= high).all() & (angles <= limits.steering * (1 + rounding))
+    return TimeScaled(_timed(vehicle, p, limits, jnp.concatenate([zero[None], x])), ok)
+
+
+def _fastest(rates: jax.Array) -> jax.Array:
+    """The largest absolute rate of steering of each step; zero if nothing steers."""
+    return largest(jnp.abs(rates)) if rates.shape[-1] else jnp.zeros(rates.shape[:-1], rates.dtype)
+
+
+def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
+    """The largest x (n,) by limits of rates at one end of the steps."""
+    v = side.twist
+    steer = _fastest(p.bends) / limits.steering_rate
+    ways = [
+        (v[:, 0] ** 2 + v[:, 1] ** 2) / limits.speed**2, (v[:, 2] / limits.turn_rate) ** 2, steer**2
+    ]  # fmt: skip
+    return 1 / jnp.maximum(largest(jnp.stack(ways), 0), 1e-12)
+
+
+def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
+    """The bounds of x in [0, cap] for which some u has a u + b x <= c."""
+    # row i bounds u from above, row j from below; a row without u, with a 1 for the other
+    i, j, flat = a > 0, a < 0, a == 0
+    eps = 64 * jnp.finfo(a.dtype).eps
+    p, r = a[:, None], b[:, None]
+    alpha, gamma = p * b - a * r, p * c - a * c[:, None]
+    size = jnp.abs(p * b) + jnp.abs(a * r)
+    used = i[:, None] & j
+    alpha = jnp.concatenate([jnp.where(used & (jnp.abs(alpha) > eps * size), alpha, 0).ravel(), b])
+    gamma = jnp.concatenate([jnp.where(used, gamma, 0).ravel(), c])
+    alpha = alpha.at[-len(b) :].set(jnp.where(flat, b, 0))
+    gamma = gamma.at[-len(b) :].set(jnp.where(flat, c, 0))
+    ratio = gamma / jnp.where(alpha == 0, 1.0, alpha)
+    high = jnp.minimum(cap, smallest(jnp.where(alpha > 0, ratio, jnp.inf)))
+    low = jnp.maximum(0.0, largest(jnp.where(alpha < 0, ratio, -jnp.inf)))
+    # rounding may leave nothing of an interval that is a point
+    off = ((alpha == 0) & (gamma < -eps)).any() | (low > high + eps * (1 + cap))
+    return jnp.where(off, jnp.inf, jnp.minimum(low, high)), high
+
+
+def _timed(vehicle: Fidelity, p: DrivenPath, limits: Limits, x: jax.Array) -> Timed:
+    """The motion by s'^2 (n + 1,) between the steps."""
+    n = len(p.size)
+    speed = jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
+    both = speed[1:] + speed[:-1]
+    runs = (p.size > 0) & (both > 0)
+    drive = jnp.where(runs, 2 * p.size / jnp.where(runs, both, 1.0), 0.0)
+    turn = _fastest(p.turns)
+    stand = turn / limits.steering_rate
+    u = jnp.where(runs, (x[1:] - x[:-1]) / (2 * jnp.where(runs, p.size, 1.0)), 0.0)
+    tau = [
+        s.A * u[:, None] + s.B * y[:, None] + s.C for s, y in ((p.first, x[:-1]), (p.last, x[1:]))
+    ]
+    driving = jnp.concatenate([(tau[0] + tau[1]) / 2, p.bends * (both / 2)[:, None]], -1)
+    standing = jnp.concatenate([p.first.C, p.turns / jnp.where(stand > 0, stand, 1.0)[:, None]], -1)
+
+    def in_turn(a, b):
+        return jnp.stack([a, b], 1).reshape(2 * n, *a.shape[1:])
+
+    before = jnp.concatenate([jnp.zeros_like(p.first.q[:1]), p.last.q[:-1]])
+    before = before.at[0].set(p.first.q[0].at[vehicle.robot.layout.steerings].add(-p.turns[0]))
+    v = p.first.nu * speed[:-1, None]
+    q = jnp.concatenate([in_turn(before, p.first.q), p.last.q[-1:]])
+    v = jnp.concatenate([in_turn(v, v), p.last.nu[-1:] * speed[-1]])
+    ts = jnp.concatenate([jnp.zeros(1, x.dtype), jnp.cumsum(in_turn(stand, drive))])
+    return Timed(ts, q, v, in_turn(standing, driving))
+
+
+_program = compiled(_time_scaling)

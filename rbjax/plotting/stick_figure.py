@@ -1,0 +1,184 @@
+"""Solids of a model without geoms: rods between joints, and ellipsoids of inertia.
+
+The ellipsoid touches the box of even density with the mass and inertia of its body, of half lengths
+a_i: m a_i^2 / 3 = (I_1 + I_2 + I_3) / 2 - I_i. So a rod shows as a rod of its length, a plate as a
+plate. Where an inertia asks for more than the robot's size, the ellipsoid has that size.
+"""
+
+from __future__ import annotations
+
+import colorsys
+
+import numpy as np
+from matplotlib.colors import to_rgb
+
+from rbjax.dynamics.arguments import check_model
+from rbjax.lanes import quaternion_matrix
+from rbjax.model import WORLD, Model
+from rbjax.plotting.solid_shapes import Solid, capsule, cylinder, ellipsoid, sphere
+from rbjax.style import BLUE, GREEN, INK, PALETTE, RED
+
+Array = np.ndarray
+
+
+def skeleton(model: Model) -> list[Solid]:
+    """What a model looks like, from only its numbers: no file, no geoms.
+
+    Args:
+        model: one robot; lengths in m.
+
+    Returns:
+        Rods from joint to joint and to the ends of last bodies, a pin at each hinge, a
+        rail along each slide, ellipsoids of inertia, red, green and blue axes on floating bodies.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.plotting import skeleton
+        >>> len(skeleton(rb.load("double_pendulum")))  # for each of two: rod, pin, ellipsoid
+        6
+    """
+    check_model("skeleton", model)
+    return _Skeleton(model).solids()
+
+
+class _Skeleton:
+    """A model's numbers as arrays, and what is read from them."""
+
+    def __init__(self, model: Model):
+        top = model.topology
+        self.parents, self.kinds = top.body_parents, top.joint_kinds
+        self.joints: list[list[int]] = [[] for _ in range(top.nb)]
+        for joint, body in enumerate(top.joint_bodies):
+            self.joints[body].append(joint)
+        self.children: list[list[int]] = [[] for _ in range(top.nb)]
+        for body, parent in enumerate(self.parents):
+            if parent != WORLD:
+                self.children[parent].append(body)
+        bodies, joints = model.bodies, model.joints
+        self.mass, self.com, self.inertia, self.position = (
+            np.asarray(x, float)
+            for x in (bodies.mass, bodies.com, bodies.inertia, bodies.position)
+        )
+        self.anchor, self.axis, self.range = (
+            np.asarray(x, float) for x in (joints.placement, joints.axis, joints.range)
+        )
+        turn = quaternion_matrix(*np.asarray(bodies.orientation, float).T)
+        self.turn = np.stack([*turn], -1).reshape(-1, 3, 3)
+        self.size = self._size()
+        self.radius = 0.016 * self.size
+
+    def hub(self, body: int) -> Array:
+        """Where a body hangs on its parent, in its own frame: its joint, or its origin."""
+        held = [j for j in self.joints[body] if self.kinds[j] != "free"]
+        if held:
+            return self.anchor[held[-1]]
+        return self.com[body] if self.joints[body] else np.zeros(3)
+
+    def held_at(self, body: int) -> Array:
+        """The same point in the parent's frame, joints at zero."""
+        return self.position[body] + self.turn[body] @ self.hub(body)
+
+    def _size(self) -> float:
+        """The robot's extent in m, drawn with its joints at zero."""
+        R: list[Array] = []
+        p: list[Array] = []
+        points: list[Array] = []
+        for body, parent in enumerate(self.parents):
+            free = any(self.kinds[j] == "free" for j in self.joints[body])
+            Rp, pp = (np.eye(3), np.zeros(3)) if parent == WORLD else (R[parent], p[parent])
+            place = np.zeros(3) if free else self.position[body]
+            R.append(Rp @ self.turn[body])
+            p.append(pp + Rp @ place)
+            points += [p[body] + R[body] @ x for x in (self.com[body], self.hub(body))]
+        extent = float(np.ptp(np.array(points), axis=0).max()) if points else 0.0
+        axes = [self._semi_axes(b)[0].max() for b in range(len(self.parents))]
+        return extent if extent > 1e-9 else 2.0 * max([*axes, 0.0]) or 1.0
+
+    def _semi_axes(self, body: int) -> tuple[Array, Array]:
+        """Lengths (3,) and directions (3, 3), as columns, of the ellipsoid of inertia."""
+        if not self.mass[body] > 0:
+            return np.zeros(3), np.eye(3)
+        values, vectors = np.linalg.eigh(self.inertia[body])
+        square = 3.0 / self.mass[body] * (values.sum() / 2 - values)
+        return np.sqrt(np.maximum(square, 0.0)), vectors
+
+    def colors(self) -> list[tuple[float, float, float]]:
+        """A colour for each limb, lighter from body to body along it."""
+        limb, depth = [0] * len(self.parents), [0] * len(self.parents)
+        limbs = 0
+        for body, parent in enumerate(self.parents):
+            if parent == WORLD or len(self.children[parent]) > 1:
+                limb[body], limbs = limbs, limbs + 1
+            else:
+                limb[body], depth[body] = limb[parent], depth[parent] + 1
+        return [
+            _lighter(PALETTE[k % len(PALETTE)], 0.10 * (d % 4))
+            for k, d in zip(limb, depth, strict=True)
+        ]
+
+    def solids(self) -> list[Solid]:
+        out: list[Solid] = []
+        colors, ink, r = self.colors(), to_rgb(INK), self.radius
+        for body, color in enumerate(colors):
+            # an ellipsoid before the rod inside it: of two at one depth the later is in front
+            out += self._ellipsoid(body, color)
+            hub = self.hub(body)
+            ends = [self.held_at(child) for child in self.children[body]] or [self._tip(body, hub)]
+            rods = [end for end in ends if np.linalg.norm(end - hub) > 0.5 * r]
+            out += [Solid(capsule(hub, end, r), body, color, 1.0) for end in rods]
+            for joint in self.joints[body]:
+                out += self._joint(body, joint, ink)
+        return out
+
+    def _tip(self, body: int, hub: Array) -> Array:
+        """Where a last body ends: beyond its centre of mass, on its ellipsoid."""
+        com, (axes, directions) = self.com[body], self._semi_axes(body)
+        way = com - hub
+        if not np.linalg.norm(way) > 0 or not axes.min() > 0:
+            return com
+        reach = 1.0 / np.linalg.norm(directions.T @ way / axes)  # in units of way
+        return com + way * min(reach, 1.0)
+
+    def _ellipsoid(self, body: int, color: tuple[float, float, float]) -> list[Solid]:
+        axes, directions = self._semi_axes(body)
+        alone = len(self.parents) == 1
+        axes = np.clip(axes, 0.8 * self.radius, self.size * (2.0 if alone else 0.6))
+        if not self.mass[body] > 0:
+            return []
+        points = ellipsoid(*axes) @ directions.T + self.com[body]
+        return [Solid(points, body, _lighter(color, 0.3), 0.45)]
+
+    def _joint(self, body: int, joint: int, ink: tuple[float, float, float]) -> list[Solid]:
+        kind, at, r = self.kinds[joint], self.anchor[joint], self.radius
+        if kind == "hinge":
+            pin = cylinder(1.15 * r, 1.5 * r) @ _towards(self.axis[joint]).T
+            return [Solid(pin + at, body, ink, 1.0)]
+        if kind == "slide":
+            reach = self.range[joint]
+            reach = reach if np.isfinite(reach).all() else np.array([-0.5, 0.5]) * self.size
+            turn = self.turn[body]
+            begin, end = (self.position[body] + turn @ (at + x * self.axis[joint]) for x in reach)
+            return [Solid(capsule(begin, end, 0.3 * r), self.parents[body], ink, 0.5)]
+        length = max(0.15 * self.size, 1.15 * self._semi_axes(body)[0].max(initial=0.0))
+        length = min(length, 0.75 * self.size)
+        centre = self.com[body] if kind == "free" else at
+        pins = zip(np.eye(3), (RED, GREEN, BLUE), strict=True)
+        axes = [
+            Solid(capsule(centre, centre + length * x, 0.35 * r), body, to_rgb(c), 1.0)
+            for x, c in pins
+        ]
+        return axes if kind == "free" else [Solid(sphere(1.4 * r) + at, body, ink, 1.0), *axes]
+
+
+def _towards(axis: Array) -> Array:
+    """A rotation that takes z to an axis."""
+    z = axis / np.linalg.norm(axis)
+    x = np.cross(np.eye(3)[np.abs(z).argmin()], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def _lighter(color: object, by: float) -> tuple[float, float, float]:
+    """A colour moved towards white by a share from 0 to 1."""
+    hue, light, saturation = colorsys.rgb_to_hls(*to_rgb(color))  # type: ignore[arg-type]
+    return colorsys.hls_to_rgb(hue, light + by * (1 - light), saturation)

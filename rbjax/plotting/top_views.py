@@ -1,0 +1,268 @@
+"""Wheeled robots from above: a motion in one picture, or as a moving one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+
+from rbjax.arguments import integer
+from rbjax.errors import InputError
+from rbjax.model import State
+from rbjax.motion.trajectory import Trajectory
+from rbjax.plotting import movie_files
+from rbjax.plotting.arguments import check_axis
+from rbjax.plotting.from_above import (
+    FORCES,
+    SLIDING,
+    Drawing,
+    Places,
+    acting,
+    centers,
+    places,
+    quiver,
+    reach,
+)
+from rbjax.plotting.moving import canvas_of, check_positive, clock, picture, schedule
+from rbjax.style import GRID, INK, ORANGE
+from rbjax.wheeled.models.fidelity import Fidelity
+
+
+def top_view(
+    ax: Axes,
+    vehicle: Fidelity,
+    path: Trajectory,
+    *,
+    robots: int = 5,
+    controls: Any = None,
+    grid: Any = None,
+) -> None:
+    """A motion from above: the way of the chassis' origin, and the robot at some of its times.
+
+    Args:
+        ax: an axis.
+        vehicle: `rbjax.wheeled.at(robot, fidelity)`.
+        path: of one vehicle, as `rbjax.wheeled.rollout` gives it.
+        robots: at how many times the robot is drawn, evenly along the saved states.
+        controls: (nu,), (T, nu) or a function (t, state) -> (nu,), to draw the forces on wheels
+            too, at a fidelity that has them; the longest is as long as the robot.
+        grid: a map, an `rbjax.planning.OccupancyGrid`.
+
+    Raises:
+        InputError: a batch of motions; controls of another shape.
+
+    Example:
+        >>> import matplotlib.figure, jax.numpy as jnp
+        >>> from rbjax import wheeled
+        >>> from rbjax.plotting import top_view
+        >>> car = wheeled.at(wheeled.kinds()["car"].make(), "kinematical")
+        >>> path = wheeled.rollout(car, wheeled.start(car), jnp.full((8, 2), 0.2), 0.1)
+        >>> top_view(matplotlib.figure.Figure().subplots(), car, path)
+    """
+    check_axis("top_view", ax)
+    robots = min(integer("top_view", "robots", robots, least=0), 10_000)
+    _check("top_view", path, controls, vehicle)
+    q = np.asarray(path.q)
+    _ground(ax, grid)
+    ax.plot(q[:, 0], q[:, 1], color=ORANGE, lw=1.2, zorder=1)
+    shown = np.unique(np.linspace(0, len(q) - 1, max(1, robots)).round().astype(int))
+    at, forces = [], []
+    for k in shown:
+        here = places(vehicle, q[k])
+        ax.update_datalim(Drawing(ax, vehicle.robot).show(here))
+        if controls is not None:
+            given = _given(controls, path.ts[k], path.state(int(k)), k)
+            force, _ = acting(vehicle, path.state(int(k)), given, here)
+            at.append(centers(vehicle.robot, here))
+            forces.append(force)
+    if forces:
+        arrows = np.concatenate(forces)
+        quiver(ax, np.concatenate(at), arrows * _scale(vehicle, arrows), FORCES)
+    ax.autoscale_view()
+    ax.set_aspect("equal")
+    ax.set(xlabel="x [m]", ylabel="y [m]")
+
+
+def animate_top_view(
+    vehicle: Fidelity,
+    path: Trajectory,
+    file: str | Path,
+    *,
+    controls: Any = None,
+    grid: Any = None,
+    footprint: Any = None,
+    fps: float = 25.0,
+    speed: float = 1.0,
+    title: str = "",
+    size: tuple[int, int] = (800, 600),
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a motion from above as a GIF or an MP4.
+
+    It shows the robot, its wheels, its way so far; with controls, the forces on wheels (blue) and
+    the velocities at which they slide (red). The longest arrow of each is as long as the robot.
+
+    Args:
+        vehicle: `rbjax.wheeled.at(robot, fidelity)`.
+        path: of one vehicle, as `rbjax.wheeled.rollout` gives it.
+        file: ends in .gif, or in .mp4, for which ffmpeg must be installed.
+        controls: (nu,), (T, nu) or a function (t, state) -> (nu,), at a fidelity with forces on
+            wheels: "slipping" or "constrained".
+        grid: a map, an `rbjax.planning.OccupancyGrid`.
+        footprint: an `rbjax.planning.Footprint` of the chassis.
+        fps: frames a second of the animation.
+        speed: seconds of motion in a second of the animation.
+        title: text at the top.
+        size: width and height in pixels.
+        progress: called with the frames done and their total; None shows a bar in a terminal.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        InputError: a batch of motions, another suffix, ffmpeg missing, controls of another shape.
+
+    Example:
+        >>> import pathlib, tempfile, jax.numpy as jnp
+        >>> from rbjax import plotting, wheeled
+        >>> car = wheeled.at(wheeled.kinds()["car"].make(), "kinematical")
+        >>> path = wheeled.rollout(car, wheeled.start(car), jnp.full((4, 2), 0.2), 0.1)
+        >>> file = pathlib.Path(tempfile.mkdtemp()) / "car.gif"
+        >>> plotting.animate_top_view(car, path, file, size=(200, 150)).name
+        'car.gif'
+    """
+    file = Path(file)
+    movie_files.check("animate_top_view", file, (".gif", ".mp4"))
+    _check("animate_top_view", path, controls, vehicle)
+    check_positive("animate_top_view", fps=fps, speed=speed)
+    film = _Film(vehicle, path, controls, fps, speed)
+    pictures = film.pictures(grid, footprint, title, speed, size)
+    movie_files.write(file, pictures, len(film.ts), fps, progress)
+    return file
+
+
+class _Film:
+    """The frames of a motion: coordinates, places, forces and sliding."""
+
+    def __init__(
+        self, vehicle: Fidelity, path: Trajectory, controls: Any, fps: float, speed: float
+    ):
+        ts = np.asarray(path.ts, float)
+        kept, self.ts = schedule("animate_top_view", ts, np.asarray(path.q), fps, speed)
+        ts, count, self.vehicle = ts[:kept], len(self.ts), vehicle
+        self.q, v, x = (_between(self.ts, ts, table) for table in (path.q, path.v, path.x))
+        self.places = places(vehicle, self.q)
+        self.at = np.array([centers(vehicle.robot, self.places.at(k)) for k in range(count)])
+        self.forces = self.sliding = None
+        if controls is not None:
+            last = np.clip(np.searchsorted(ts, self.ts, side="right") - 1, 0, len(ts) - 1)
+            found = []
+            for k in range(count):
+                state = State(self.q[k], v[k], None if x is None else x[k])
+                given = _given(controls, self.ts[k], state, last[k])
+                found.append(acting(vehicle, state, given, self.places.at(k)))
+            forces, sliding = (np.array(rows) for rows in zip(*found, strict=True))
+            self.forces = forces * _scale(vehicle, forces)
+            self.sliding = sliding * _scale(vehicle, sliding)
+
+    def pictures(
+        self, grid: Any, footprint: Any, title: str, speed: float, size: tuple[int, int]
+    ) -> Iterator[np.ndarray]:
+        canvas, figure = canvas_of(size)
+        left, below = (min(0.3, 60 / pixels) for pixels in size)
+        ax = figure.add_axes((left, below, 0.96 - left, 0.92 - below))
+        _ground(ax, grid)
+        ax.set(xlabel="x [m]", ylabel="y [m]", title=title)
+        ax.set_aspect("equal")
+        margin = 0.75 * reach(self.vehicle.robot)
+        points = np.concatenate([self.at.reshape(-1, 2), self.q[:, :2]])
+        low, high = points.min(0) - margin, points.max(0) + margin
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        (way,) = ax.plot([], [], color=ORANGE, lw=1.2, zorder=1)
+        robot = Drawing(ax, self.vehicle.robot)
+        discs = None if footprint is None else _Discs(ax, footprint)
+        arrows = [
+            (quiver(ax, self.at[0], table[0], color), table)
+            for table, color in ((self.forces, FORCES), (self.sliding, SLIDING))
+            if table is not None
+        ]
+        label = ax.text(0.02, 0.02, "", transform=ax.transAxes, family="monospace", color=INK)
+        for k, t in enumerate(self.ts):
+            here = self.places.at(k)
+            way.set_data(*self.q[: k + 1, :2].T)
+            robot.show(here)
+            if discs is not None:
+                discs.show(here)
+            for shown, table in arrows:
+                shown.set_offsets(self.at[k])
+                shown.set_UVC(*table[k].T)
+            label.set_text(clock(t, speed))
+            yield picture(canvas)
+
+
+class _Discs:
+    """A footprint."""
+
+    def __init__(self, ax: Axes, footprint: Any):
+        self.centers = np.asarray(footprint.centers, float)
+        wide = 2 * np.asarray(footprint.radii, float)
+        self.shown = EllipseCollection(
+            wide, wide, np.zeros(len(wide)), units="xy", offsets=self.centers,
+            offset_transform=ax.transData, fc=GRID, ec="none", alpha=0.5, zorder=1.5,
+        )  # fmt: skip
+        ax.add_collection(self.shown)
+
+    def show(self, at: Places) -> None:
+        self.shown.set_offsets(at.points(0, self.centers))
+
+
+def _ground(ax: Axes, grid: Any) -> None:
+    """The cells of a map that are occupied."""
+    if grid is None:
+        return
+    (nx, ny), h = grid.occupied.shape, float(grid.resolution)
+    x, y = (float(a) for a in grid.origin)
+    extent = (x, x + nx * h, y, y + ny * h)
+    cells = np.asarray(grid.occupied, float).T
+    ax.imshow(cells, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=2, zorder=0)
+
+
+def _scale(vehicle: Fidelity, arrows: np.ndarray) -> float:
+    """Of arrows, so that the longest is as long as the robot."""
+    longest = float(np.hypot(arrows[..., 0], arrows[..., 1]).max())
+    return reach(vehicle.robot) / longest if longest > 1e-9 else 0.0
+
+
+def _between(t: np.ndarray, ts: np.ndarray, table: Any) -> Any:
+    """A table (T, n) at other times."""
+    if table is None:
+        return None
+    columns = [np.interp(t, ts, column) for column in np.asarray(table, float)[: len(ts)].T]
+    return np.stack(columns, -1) if columns else np.zeros((len(t), 0))
+
+
+def _given(controls: Any, t: Any, state: State, k: int) -> Any:
+    """The controls at a time."""
+    if callable(controls):
+        return controls(t, jax.tree.map(jax.numpy.asarray, state))
+    return controls if np.ndim(controls) == 1 else controls[k]
+
+
+def _check(where: str, path: Trajectory, controls: Any, vehicle: Fidelity) -> None:
+    if not isinstance(vehicle, Fidelity):
+        raise InputError(f"{where}: vehicle is {type(vehicle).__name__}, expected wheeled.at(...)")
+    if not isinstance(path, Trajectory):
+        raise InputError(f"{where}: path is {type(path).__name__}, expected a Trajectory")
+    if path.q.ndim != 2:
+        raise InputError(f"{where}: path.q has shape {path.q.shape}, expected (T, nq): one motion")
+    due = [(vehicle.nu,), (len(path.q), vehicle.nu)]
+    if controls is not None and not callable(controls) and np.shape(controls) not in due:
+        raise InputError(
+            f"{where}: controls have shape {np.shape(controls)}, expected {due[0]}, or {due[1]}, "
+            "one row for each saved state, or a function (t, state)"
+        )

@@ -1,0 +1,1 @@
+"""What several solvers share: tableaux, steps on groups, stages, Newton iterations."""

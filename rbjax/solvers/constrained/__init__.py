@@ -1,0 +1,1 @@
+"""Implicit methods for differential-algebraic equations of motion."""

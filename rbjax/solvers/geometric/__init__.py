@@ -1,0 +1,1 @@
+"""Methods that keep structure: Lie groups, splittings, second-order equations."""

@@ -1,0 +1,300 @@
+"""Methods for q' = v, v' = a(t, q, v): Newmark's family, explicit and implicit.
+
+The state is a pair (q, v) whose rate is (v, a); q may live on a Lie group (`groups.OnGroup`), where
+q + u is q exp(u) and the family is that of Arnold and Bruels. With a carried acceleration A:
+
+    q1 = q0 + h v0 + h^2 ((1/2 - beta) A0 + beta A1)
+    v1 = v0 + h ((1 - gamma) A0 + gamma A1)
+    (1 - alpha_m) A1 + alpha_m A0 = (1 - alpha_f) a1 + alpha_f a0,    a1 = a(t1, q1, v1)
+Sources: Newmark 1959; Hilber, Hughes & Taylor 1977; Chung & Hulbert 1993; Arnold & Bruels,
+*Multibody System Dynamics* 18, 2007. Dense output: cubic. No error estimate: constant steps, or
+`diffrax.HalfSolver`, which compares a step with two halves.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+
+from rbjax.solvers.common.arguments import check_between
+from rbjax.solvers.common.field import field, forwards
+from rbjax.solvers.common.groups import group_of, unwrapped
+from rbjax.solvers.common.newton import MAX_STEPS, chord, root, verdict
+from rbjax.solvers.common.steps import (
+    AbstractGroupSolver,
+    combine,
+    dense_between,
+    pair,
+    scaled,
+    select,
+)
+
+RESULTS = diffrax.RESULTS
+ROUNDING = 1e-6  # of the parameters, in single precision
+
+
+class Halves(eqx.Module):
+    """One step's view of a term whose state is a pair: how q and v move, and the acceleration."""
+
+    terms: Any
+    args: Any
+
+    def rate(self, t: Any, y: Any) -> Any:
+        return field(self.terms, self.args)(t, y)
+
+    def acceleration(self, t: Any, y: Any) -> Any:
+        return pair(self.rate(t, y))[0][1]
+
+    def velocity(self, t: Any, y: Any) -> Any:
+        return pair(self.rate(t, y))[0][0]
+
+    def kicked(self, y: Any, dv: Any) -> Any:
+        """y with v changed by dv, and q untouched."""
+        (q, v), together = pair(y)
+        return together([q, combine((1.0, 1.0), (v, dv))])
+
+    def moved(self, y: Any, dq: Any, dv: Any) -> Any:
+        """y with q moved by dq and v by dv."""
+        _, together = pair(y)
+        return group_of(self.terms).retract(y, together([dq, dv]))
+
+
+def momentum_of(terms: Any, args: Any) -> Callable[[Any, Any], Any] | None:
+    """The term's p(t, y), if it has one, with t in the solver's time. Reversed time changes only
+    the sign of h, so p is that of the state as it is."""
+    of_term = getattr(unwrapped(terms), "momentum", None)
+    return of_term and (lambda t, y: of_term(forwards(terms, t) * t, y, args))
+
+
+def in_momenta(
+    momentum: Callable[[Any, Any], Any],
+    place: Callable[[Any], Any],
+    residual: Callable[[Any], Any],
+    guess: Any,
+) -> tuple[Callable[[Any], Any], Callable[[Any, Any], Any]]:
+    """M residual(k) of an equation of accelerations, with M at the guess, and the function
+    M(place(k)) residual(k). Newton on the latter converges from farther away: the force of a stiff
+    spring is linear in q, and M(q)^-1 times that force is not."""
+    held = jax.lax.stop_gradient(place(guess))
+    _, inertia = jax.linearize(lambda v: momentum(held, v), guess)
+
+    def weighed(k):
+        return inertia(residual(k))
+
+    def where_it_leads(k, _):
+        return momentum(place(k), residual(k)), None
+
+    return weighed, where_it_leads
+
+
+class GeneralizedAlpha(AbstractGroupSolver):
+    """The implicit members of the family. Order 2 where gamma = 1/2 - alpha_m + alpha_f, else 1.
+
+    Fields: alpha_m, alpha_f, beta, gamma; root_finder, root_find_max_steps. The solver's state is
+    A and a flag that says whether A must first be set to the acceleration, as after a jump.
+    """
+
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+    root_finder: optx.AbstractRootFinder = eqx.field(default_factory=chord)
+    root_find_max_steps: int = MAX_STEPS
+
+    def order(self, terms):
+        """1 where the parameters are traced: their order is then not known."""
+        off: Any = self.gamma - (1 / 2 - self.alpha_m + self.alpha_f)
+        return 2 if not isinstance(off, jax.core.Tracer) and abs(off) < ROUNDING else 1
+
+    def init(self, terms, t0, t1, y0, args):
+        return pair(_no_rate(terms, args, t0, y0))[0][1], jnp.array(True)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        halves, h = Halves(terms, args), t1 - t0
+        (_, v0), _ = pair(y0)
+        rate0 = halves.rate(t0, y0)
+        (velocity, now), together = pair(rate0)
+        carried, begins = solver_state
+        carried = select(begins | made_jump, now, carried)
+        m, f = self.alpha_m, self.alpha_f
+        bent = forwards(terms, h) * h  # q'' is v', except for the sign of time
+
+        def after(k):
+            """A1, and the state that it leads to, of k = h a1."""
+            old = scaled(h, carried)
+            carrying = combine(
+                ((1 - f) / (1 - m), f / (1 - m), -m / (1 - m)), (k, scaled(h, now), old)
+            )  # h A1
+            dq = combine((h, bent * (0.5 - self.beta), bent * self.beta), (velocity, old, carrying))
+            dv = combine((1 - self.gamma, self.gamma), (old, carrying))
+            return carrying, halves.moved(y0, dq, dv)
+
+        def residual(k):
+            return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
+
+        # The guess has q moving on at v0: the acceleration of a stiff spring leads far away.
+        explicit = self.beta == 0
+        free = jnp.where(explicit, 0.0, (self.beta - 0.5) / jnp.where(explicit, 1.0, self.beta))
+        guess = combine(
+            (((1 - m) * free + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
+        )
+        function, slope, momentum = residual, None, momentum_of(terms, args)
+        if momentum is not None:
+            of_state = pair(y0)[1]
+            function, slope = in_momenta(
+                lambda q, v: momentum(t1, of_state([q, v])),
+                lambda k: pair(after(k)[1])[0][0], residual, guess,
+            )  # fmt: skip
+        max_steps = self.root_find_max_steps
+        k, ok = root(function, self.root_finder, guess, v0, max_steps, slope=slope)
+        carrying, y1 = after(k)
+        per_step = 1 / jnp.where(h == 0, 1.0, h)
+        a1, carried = (
+            select(h == 0, old, scaled(per_step, x)) for x, old in ((k, now), (carrying, carried))
+        )
+        rate1 = together([halves.velocity(t1, y1), a1])
+        rates = field(terms, args)
+        dense = dense_between(group_of(terms), rates, t0, t1, y0, y1, rate0, rate1)
+        return y1, None, dense, (carried, jnp.array(False)), verdict(ok)
+
+
+def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
+    """Zeros instead of the rate."""
+    rate = jax.eval_shape(field(terms, args), t, y)
+    return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), rate)
+
+
+def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
+    """Chung and Hulbert's: order 2, spectral radius rho_inf (0 to 1) at infinite frequency."""
+    check_between("generalized_alpha", "rho_inf", rho_inf, 0, 1)
+    m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
+    return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)
+
+
+def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlpha:
+    """Newmark's method: order 2 if gamma is 1/2; a larger gamma damps. beta 1/4 is the average
+    acceleration, which is A-stable."""
+    check_between("newmark", "beta", beta, 0, sys.float_info.max)
+    check_between("newmark", "gamma", gamma, 0.5, sys.float_info.max)  # below, oscillations grow
+    return GeneralizedAlpha(0.0, 0.0, beta, gamma, **options)
+
+
+def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
+    """Hilber, Hughes and Taylor's: order 2, A-stable; alpha is -1/3 (most damping) to 0."""
+    check_between("hht_alpha", "alpha", alpha, -1 / 3, 0)
+    return GeneralizedAlpha(0.0, -alpha, (1 - alpha) ** 2 / 4, 1 / 2 - alpha, **options)
+
+
+class CentralDifferences(AbstractGroupSolver):
+    """Newmark's explicit member (beta 0, gamma 1/2): order 2, stable to h omega = 2.
+
+    Forces that depend on the velocity use v0 + h a0, so the method stays explicit and of order 2.
+    """
+
+    def order(self, terms):
+        return 2
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        halves, h = Halves(terms, args), t1 - t0
+        rate0 = halves.rate(t0, y0)
+        (v, a0), _ = pair(rate0)
+        dq = combine((h, forwards(terms, h) * h * h / 2), (v, a0))
+        a1 = halves.acceleration(t1, halves.moved(y0, dq, scaled(h, a0)))
+        y1 = halves.moved(y0, dq, combine((h / 2, h / 2), (a0, a1)))
+        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1, rate0)
+        return y1, None, dense, None, RESULTS.successful
+
+
+class SemiImplicitEuler(AbstractGroupSolver):
+    """Semi-implicit Euler with damping treated implicitly, the default of robot engines.
+
+    (1 - h da/dv) (v1 - v0) = h a(t0, q0, v0),    q1 = q0 + h v1.  Order 1; damping sets no limit
+    on the step. da/dv includes Coriolis forces and servo gains. `linear_solver` is of lineax;
+    `lineax.GMRES` needs no matrix.
+    """
+
+    linear_solver: lx.AbstractLinearSolver = eqx.field(default_factory=lx.LU)
+
+    def order(self, terms):
+        return 1
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        halves, h = Halves(terms, args), t1 - t0
+        (q0, v0), together = pair(y0)
+        a0, slope = jax.linearize(lambda v: halves.acceleration(t0, together([q0, v])), v0)
+        operator = lx.FunctionLinearOperator(
+            lambda dv: combine((1.0, -h), (dv, slope(dv))), jax.eval_shape(lambda: v0)
+        )
+        solved = lx.linear_solve(operator, scaled(h, a0), self.linear_solver, throw=False)
+        dv = solved.value
+        kicked = halves.kicked(y0, dv)
+        y1 = halves.moved(kicked, scaled(h, halves.velocity(t0, kicked)), scaled(0.0, dv))
+        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
+        return y1, None, dense, None, verdict(solved.result == lx.RESULTS.successful)
+
+
+class VariationalMidpoint(AbstractGroupSolver):
+    """The discrete Euler-Lagrange equations of L_d = h L(q0 + h w / 2, w), q1 = q0 + h w.
+
+    p1 - p0 = h p'(m),  (p0 + p1) / 2 = p(m),  m = (q0 + h w / 2, w)  with p = M(q) v. The method is
+    exactly symplectic in (q, p), and of order 2 with any forces. The term gives the momentum
+    (`OnGroup(..., momentum=)`). Without it the mass is constant, p is v, and this is the implicit
+    midpoint rule. (Marsden & West, *Acta Numerica* 2001.)
+
+    Fields: root_finder, root_find_max_steps.
+    """
+
+    root_finder: optx.AbstractRootFinder = eqx.field(default_factory=chord)
+    root_find_max_steps: int = MAX_STEPS
+
+    def order(self, terms):
+        return 2
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        halves, h = Halves(terms, args), t1 - t0
+        (_, v0), _ = pair(y0)
+        tm = t0 + h / 2
+        momentum = momentum_of(terms, args) or (lambda t, y: pair(y)[0][1])
+        p0 = momentum(t0, y0)
+
+        def middle(dw):
+            """The velocity of q at v0 + dw, and the midpoint."""
+            w = halves.velocity(tm, halves.kicked(y0, dw))
+            return w, halves.moved(y0, scaled(h / 2, w), dw)
+
+        def residual(dw):
+            w, at = middle(dw)
+            a = halves.acceleration(tm, at)
+
+            def onward(s):
+                return momentum(tm + s, halves.moved(at, scaled(s, w), scaled(s, a)))
+
+            p, rate = jax.jvp(onward, (h * 0,), (h * 0 + 1,))
+            return combine((1.0, -1.0, -h / 2), (p, p0, rate))
+
+        guess = jax.tree.map(jnp.zeros_like, v0)
+        dw, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
+        w, at = middle(dw)
+        p1 = combine((2.0, -1.0), (momentum(tm, at), p0))
+        there = halves.moved(y0, scaled(h, w), scaled(2.0, dw))
+        (_, v), _ = pair(there)
+        t1 = t0 + h
+
+        def moment(dv):
+            return momentum(t1, halves.kicked(there, dv))
+
+        here, linear = jax.linearize(moment, jax.tree.map(jnp.zeros_like, v))
+        operator = lx.FunctionLinearOperator(linear, jax.eval_shape(lambda: v))
+        missing = combine((1.0, -1.0), (p1, here))
+        solved = lx.linear_solve(operator, missing, lx.LU(), throw=False)
+        y1 = halves.kicked(there, solved.value)
+        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
+        return y1, None, dense, None, verdict(ok & (solved.result == lx.RESULTS.successful))

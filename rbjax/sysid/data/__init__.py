@@ -1,0 +1,1 @@
+"""Recordings of a robot: how they are read, checked, split, filtered and corrected."""

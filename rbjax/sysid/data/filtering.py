@@ -1,0 +1,212 @@
+"""Zero-phase low-pass filters and differentiation, with the cut-off that they state.
+
+A filter that runs forward and backward has no delay, and the square of its amplitude. The cut-off
+here is that of the result: the frequency at which its amplitude is 1/sqrt(2).
+
+    even clock      Butterworth of order n, forward and backward: |H|^2 = 1 / (1 + w^(2n)), where
+                    w = tan(pi f h) / tan(pi f_0 h), and w^(2n) = sqrt(2) - 1 at the cut-off;
+                    derivatives are central differences over seven samples, with a relative error
+                    of (w h)^6/140 (first) and (w h)^6/560 (second), w = 2 pi f
+    uneven clock    smoothing spline: min sum_k w_k (x_k - s(t_k))^2 + lambda int s''^2, which is a
+                    zero-phase filter 1 / (1 + lambda h (2 pi f)^4), h the mean step;
+                    derivatives are those of the spline
+White noise of standard deviation sigma leaves as noise of gain * sigma, where
+    gain^2 = mean over the frequencies up to Nyquist's of |H(f) D(f)|^2, D the difference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import interpolate, signal
+
+from rbjax.errors import InputError
+from rbjax.solvers.common.arguments import check_whole
+
+EVEN = 0.01  # steps may differ so much of their median on an even clock
+FLAT = 0.01  # the amplitude within the bandwidth
+DECAYED = 0.01  # what is left of the effect of an end
+#: derivative -> weights of the samples k steps later, k = 1, 2, 3 (Fornberg 1988)
+DIFFERENCES = {1: np.array([3 / 4, -3 / 20, 1 / 60]), 2: np.array([3 / 2, -3 / 20, 1 / 90])}
+HALF_POWER = np.sqrt(2) - 1  # (f / f_0)^(2 n) where 1 / (1 + (f / f_0)^(2 n)) is 1 / sqrt(2)
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """A filtered signal, or a derivative of it, and what was done to it.
+
+    Fields: values, of the shape given; derivative, 0, 1 or 2; cutoff in Hz, where the amplitude is
+    1/sqrt(2) of the ideal one; bandwidth in Hz, up to which it is within 1 %; delay in s, always 0;
+    gain, the standard deviation of the result for white noise of 1; settled, a slice without the
+    samples that an end of the signal disturbs; method.
+    """
+
+    values: np.ndarray
+    derivative: int
+    cutoff: float
+    bandwidth: float
+    gain: float
+    settled: slice
+    method: str
+    delay: float = 0.0
+
+
+def low_pass(t: Any, x: Any, cutoff: float, *, order: int = 4) -> Filtered:
+    """A signal without what is faster than the cut-off, without delay.
+
+    Args:
+        t: (samples,) times in s: an even clock takes the Butterworth filter, another the spline.
+        x: (samples,) or (samples, columns), without NaN.
+        cutoff: in Hz, where the amplitude is 1/sqrt(2); below half the rate.
+        order: of the Butterworth filter, each way; the spline has none.
+
+    Returns:
+        `Filtered`.
+
+    Raises:
+        InputError: wrong shapes, values that are not finite, a cut-off outside of (0, rate/2).
+
+    Source: Gustafsson 1996 (forward and backward); Silverman 1984 (the spline as a filter).
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import low_pass
+        >>> t = np.arange(1000) / 500
+        >>> smooth = low_pass(t, np.sin(2 * np.pi * t), cutoff=20.0)
+        >>> bool(abs(smooth.values - np.sin(2 * np.pi * t))[smooth.settled].max() < 1e-3)
+        True
+    """
+    return differentiate(t, x, cutoff, times=0, order=order)
+
+
+def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int = 4) -> Filtered:
+    """The first or second derivative of a filtered signal, without delay.
+
+    Args:
+        t: (samples,) times in s: an even clock takes the Butterworth filter, another the spline.
+        x: (samples,) or (samples, columns), without NaN.
+        cutoff: in Hz, of the filter; below half the rate.
+        times: 1 or 2; 0 is `low_pass`.
+        order: of the Butterworth filter, each way; the spline has none.
+
+    Returns:
+        `Filtered`; its values in units of x per s or s^2.
+
+    Raises:
+        InputError: as `low_pass`.
+
+    Source: Gustafsson 1996; Silverman 1984.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import differentiate
+        >>> t = np.arange(1000) / 500
+        >>> rate = differentiate(t, np.sin(2 * np.pi * t), cutoff=30.0)
+        >>> error = abs(rate.values - 2 * np.pi * np.cos(2 * np.pi * t))[rate.settled]
+        >>> bool(error.max() < 1e-3)
+        True
+    """
+    where = "differentiate" if times else "low_pass"
+    check_whole(where, "times", times, 0, 2)
+    check_whole(where, "order", order, 1)
+    t, x = _signal(where, t, x)
+    steps = np.diff(t)
+    h = float((t[-1] - t[0]) / len(steps))
+    number = isinstance(cutoff, (int, float, np.number)) and not isinstance(cutoff, bool)
+    if not number or not 0 < cutoff < 0.5 / h:
+        raise InputError(
+            f"{where}: cutoff is {cutoff} Hz, expected a number between 0 and {0.5 / h:g} Hz, half "
+            "the rate of the samples"
+        )
+    even = np.abs(steps - h).max() <= EVEN * h
+    run = _butterworth if even else _spline
+    return run(t, x, cutoff, times, order, h)
+
+
+def _butterworth(
+    t: np.ndarray, x: np.ndarray, cutoff: float, times: int, order: int, h: float
+) -> Filtered:
+    warped = np.tan(np.pi * cutoff * h) / HALF_POWER ** (1 / (2 * order))
+    sos = signal.butter(order, 2 * np.arctan(warped) / np.pi, output="sos")
+    slowest = max(np.abs(signal.sos2zpk(sos)[1]).max(), 1e-3)
+    ends = int(np.ceil(np.log(DECAYED) / np.log(slowest))) + 3 * (times > 0)
+    smooth = signal.sosfiltfilt(sos, x, axis=0, padlen=min(len(x) - 1, 3 * ends))
+    if times:
+        smooth = _differences(smooth, times) / h**times
+
+    def response(w: np.ndarray) -> np.ndarray:
+        difference = np.ones_like(w)
+        if times:
+            turned = np.outer(w * h, [1, 2, 3])
+            part = 2 * np.sin(turned) if times == 1 else 2 - 2 * np.cos(turned)
+            difference = np.abs(part @ DIFFERENCES[times]) / h**times
+        return np.abs(signal.freqz_sos(sos, w * h)[1]) ** 2 * difference
+
+    method = f"Butterworth of order {order} forward and backward"
+    method += ", central differences" if times else ""
+    return _stated(smooth, times, cutoff, response, h, ends, method)
+
+
+def _differences(x: np.ndarray, times: int) -> np.ndarray:
+    """Central differences (samples, ...), the signal continued through its end points."""
+    beyond = ((3, 3), *[(0, 0)] * (x.ndim - 1))
+    x = np.pad(x, beyond, mode="reflect", reflect_type="odd")
+    n, out = len(x) - 6, 0.0
+    for k, weight in enumerate(DIFFERENCES[times], 1):
+        later, earlier = x[3 + k : 3 + k + n], x[3 - k : 3 - k + n]
+        out = out + weight * (later - earlier if times == 1 else later - 2 * x[3 : 3 + n] + earlier)
+    return np.asarray(out)
+
+
+def _spline(
+    t: np.ndarray, x: np.ndarray, cutoff: float, times: int, order: int, h: float
+) -> Filtered:
+    stiffness = HALF_POWER / (2 * np.pi * cutoff) ** 4
+    weights = np.gradient(t) / h  # so that the cut-off is the same where samples are dense
+    smooth = interpolate.make_smoothing_spline(t, x, w=weights, lam=stiffness / h, axis=0)
+
+    def response(w: np.ndarray) -> np.ndarray:
+        return w**times / (1 + stiffness * w**4)
+
+    # its impulse response decays as exp(-w_0 |t| / sqrt(2))
+    decay = np.sqrt(2) * stiffness**0.25
+    ends = int(np.ceil(-np.log(DECAYED) * decay / h))
+    values = np.asarray(smooth(t, times))
+    return _stated(values, times, cutoff, response, h, ends, "smoothing spline")
+
+
+def _stated(
+    values: np.ndarray, times: int, cutoff: float, response: Any, h: float, ends: int, method: str
+) -> Filtered:
+    w = np.pi / h * (np.arange(20_000) + 0.5) / 20_000
+    amplitude = response(w)
+    off = np.abs(amplitude / w**times - 1) > FLAT
+    bandwidth = w[off.argmax()] if off.any() else w[-1]
+    gain = float(np.sqrt(np.mean(amplitude**2)))
+    settled = slice(ends, max(ends, len(values) - ends))
+    return Filtered(values, times, cutoff, bandwidth / (2 * np.pi), gain, settled, method)
+
+
+def _signal(where: str, t: Any, x: Any) -> tuple[np.ndarray, np.ndarray]:
+    try:
+        t, x = np.asarray(t, float), np.asarray(x, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{where}: t is {type(t).__name__} and x {type(x).__name__}, expected arrays of numbers"
+        ) from error
+    if t.ndim != 1 or x.ndim not in (1, 2) or len(t) != len(x) or len(t) < 6:
+        raise InputError(
+            f"{where}: t has shape {t.shape} and x {x.shape}, expected (samples,), and (samples,) "
+            "or (samples, columns), of at least 6 samples"
+        )
+    if not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
+        raise InputError(f"{where}: t does not increase, expected finite times that do")
+    if not np.isfinite(x).all():
+        at = np.argwhere(~np.isfinite(x))[0]
+        raise InputError(
+            f"{where}: x is {x[tuple(at)]} at sample {at[0]}, expected finite values; a filter "
+            "would spread it: leave that sample out (the clock may be uneven), or cut the signal"
+        )
+    return t, x

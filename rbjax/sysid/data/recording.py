@@ -1,0 +1,384 @@
+"""Recordings: what the sensors of a robot measured, each on its own clock.
+
+A `Channel` is one sensor: a clock t (samples,) in s and values (samples, columns) in SI. Sensors
+run at different rates, clocks are irregular, samples are missing. A sample that did not arrive is
+NaN in `values`, and only there: what is computed from a channel leaves it out.
+A `Recording` holds the channels of one run by sensor:
+    q v a tau     of the joints: rad, rad/s, rad/s^2, N m (of slides m, m/s, m/s^2, N)
+    current       of the motors of the joints, A
+    ctrl          commands, which hold until the next one
+    pose:NAME     of a body or a site: position in m and quaternion (w, x, y, z), in the world
+    position:SITE, gyro:SITE, accelerometer:SITE, force:SITE, torque:SITE    3 numbers each
+    other:NAME    anything else
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import InitVar, dataclass
+from typing import Any
+
+import numpy as np
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.model import Model, State
+from rbjax.sysid.data.resampling import interpolated, quaternion_columns
+from rbjax.sysid.data.units import in_si
+
+#: sensors of the joints -> what the model says of their number
+JOINT_SENSORS = {"q": "nq", "v": "nv", "a": "nv", "tau": "nv", "current": "nv", "ctrl": "nu"}
+#: sensors of a body or a site -> number of columns
+PLACED_SENSORS = {"pose": 7, "position": 3, "gyro": 3, "accelerometer": 3, "force": 3, "torque": 3}
+HELD = "ctrl"
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """What one sensor measured, on its own clock.
+
+    Args:
+        t: (samples,) times in s; they increase.
+        values: (samples, columns) or (samples,), in `unit`.
+        names: of the columns: joints, actuators or axes; "0", "1", ... if None.
+        unit: of the values, one or one a column (`in_si`); the arrays are held in SI.
+        scale: a further factor, one or one a column: a torque constant in N m/A, a gear.
+        sign: 1 or -1, one or one a column: -1 where the sensor counts the other way.
+        noise: (columns,) standard deviation in SI, where it is known; in the columns of a
+            quaternion that of the rotation, in rad.
+        dropped: (samples,) or (samples, columns), true for a sample that did not arrive; or "nan":
+            those that are NaN.
+
+    Raises:
+        InputError: wrong lengths; a clock that stands still or goes back; a value that is not
+            finite and is not called dropped.
+        UnknownName: a unit that is not known.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import Channel
+        >>> seen = Channel([0.0, 0.1, 0.2], [[90.0], [np.nan], [180.0]], ("elbow",), unit="deg",
+        ...     dropped="nan")
+        >>> seen.values.ravel().round(2).tolist(), seen.arrived.ravel().tolist()
+        ([1.57, nan, 3.14], [True, False, True])
+    """
+
+    t: Any
+    values: Any
+    names: Any = None
+    unit: InitVar[str | Sequence[str]] = ""
+    scale: InitVar[float | Sequence[float]] = 1.0
+    sign: InitVar[int | Sequence[int]] = 1
+    noise: Any = None
+    dropped: InitVar[Any] = None
+
+    def __post_init__(self, unit: Any, scale: Any, sign: Any, dropped: Any) -> None:
+        t, values = _floats("t", self.t), _floats("values", self.values)
+        values = values[:, None] if values.ndim == 1 else values
+        if t.ndim != 1 or values.ndim != 2 or len(t) != len(values) or len(t) < 2:
+            raise InputError(
+                f"Channel: t has shape {t.shape} and values {values.shape}, expected (samples,) "
+                "and (samples, columns) with the same number of samples, at least 2"
+            )
+        columns = values.shape[1]
+        if not (self.names is None or isinstance(self.names, Iterable)):
+            raise InputError(f"Channel: names is {self.names!r}, expected one for each column")
+        names = tuple(map(str, range(columns) if self.names is None else self.names))
+        if len(names) != columns or len(set(names)) != columns:
+            raise InputError(
+                f"Channel: names are {names}, expected {columns} different ones, one a column"
+            )
+        if not isinstance(unit, Iterable):
+            raise InputError(f"Channel: unit is {unit!r}, expected a unit, or one for each column")
+        units = [unit] * columns if isinstance(unit, str) else list(unit)
+        factor = _one_a_column("unit", [in_si(u) for u in units], columns)
+        signs = _one_a_column("sign", sign, columns)
+        if not (np.abs(signs) == 1).all():
+            raise InputError(f"Channel: sign is {sign}, expected 1 or -1; a factor is `scale`")
+        factor = factor * signs * _one_a_column("scale", scale, columns)
+        noise = None if self.noise is None else _one_a_column("noise", self.noise, columns)
+        if noise is not None and (noise < 0).any():
+            raise InputError(f"Channel: noise is {noise}, expected positive standard deviations")
+        _check_clock(t)
+        missing = np.isnan(values) if isinstance(dropped, str) else _mask(dropped, values.shape)
+        if isinstance(dropped, str) and dropped != "nan":
+            raise InputError(f'Channel: dropped is {dropped!r}, expected an array of bool or "nan"')
+        wrong = np.argwhere(~np.isfinite(values) & ~missing)
+        if len(wrong):
+            i, j = wrong[0]
+            raise InputError(
+                f"Channel: {names[j]} is {values[i, j]} at sample {i} (t = {t[i]:g} s), and "
+                f"{len(wrong)} values in all are not finite; if these samples did not arrive, "
+                'say dropped="nan"'
+            )
+        held = {"t": t, "values": np.where(missing, np.nan, values * factor), "names": names}
+        for name, x in (held | {"noise": noise}).items():
+            object.__setattr__(self, name, x)
+            if isinstance(x, np.ndarray):
+                x.setflags(write=False)
+
+    @property
+    def arrived(self) -> np.ndarray:
+        """(samples, columns), false for samples that did not arrive."""
+        return ~np.isnan(self.values)
+
+    @property
+    def step(self) -> float:
+        """The median step of the clock in s."""
+        return float(np.median(np.diff(self.t)))
+
+    def drop(self, dropped: Any) -> Channel:
+        """The channel without these samples: (samples,) or (samples, columns) of bool."""
+        return self._with(self.t, self.values, ~self.arrived | _mask(dropped, self.values.shape))
+
+    def _with(self, t: Any, values: Any, dropped: Any = "nan") -> Channel:
+        return Channel(t, values, self.names, noise=self.noise, dropped=dropped)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """The channels of one run, by sensor; all clocks count from the same instant.
+
+    Args:
+        name: of the run.
+        channels: sensor -> `Channel`; the sensors are listed in `rbjax.sysid.data.recording`.
+        source: the recording that this is a piece of; its own name if "".
+        initial_state: the state at the first instant, if it is known exactly, such as rest at a
+            known configuration; `identify` estimates it if None. If the channel v has no sample
+            except its first one, the first readings of q and v are the known state.
+
+    Raises:
+        InputError: no channels, or clocks without a common stretch of time; an initial_state that
+            is not a `State`.
+        UnknownName: a sensor that is not known.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import Channel, Recording
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> run = Recording("swing", {"q": Channel(t, np.sin(t), ("hinge",))})
+        >>> run.piece(0.2, 0.5).channels["q"].values.shape
+        (31, 1)
+    """
+
+    name: str
+    channels: Mapping[str, Channel]
+    source: str = ""
+    initial_state: State | None = None
+
+    def __post_init__(self) -> None:
+        if not (self.initial_state is None or isinstance(self.initial_state, State)):
+            raise InputError(
+                f"Recording {self.name}: initial_state is {type(self.initial_state).__name__}, "
+                "expected a State, such as State(q, v), or None to have it estimated"
+            )
+        if not isinstance(self.name, str) or not isinstance(self.channels, Mapping):
+            raise InputError(
+                f"Recording: name is {type(self.name).__name__} and channels "
+                f"{type(self.channels).__name__}, expected a str and a dict sensor -> Channel"
+            )
+        object.__setattr__(self, "channels", dict(self.channels))
+        object.__setattr__(self, "source", self.source or self.name)
+        if not self.channels:
+            raise InputError(f"Recording {self.name}: no channels, expected at least one sensor")
+        for sensor, channel in self.channels.items():
+            kind, _, where = str(sensor).partition(":")
+            if not isinstance(channel, Channel):
+                raise InputError(
+                    f"Recording {self.name}: channel {sensor} is {type(channel).__name__}, "
+                    "expected a Channel"
+                )
+            if sensor not in JOINT_SENSORS and not (where and kind in (*PLACED_SENSORS, "other")):
+                placed = [f"{kind}:NAME" for kind in (*PLACED_SENSORS, "other")]
+                raise UnknownName("sensor", sensor, [*JOINT_SENSORS, *placed])
+            columns = PLACED_SENSORS.get(kind, len(channel.names))
+            if len(channel.names) != columns:
+                raise InputError(
+                    f"Recording {self.name}: channel {sensor} has {len(channel.names)} columns, "
+                    f"expected {columns}"
+                )
+        if self.end <= self.start:
+            first = max(self.channels, key=lambda s: self.channels[s].t[0])
+            last = min(self.channels, key=lambda s: self.channels[s].t[-1])
+            raise InputError(
+                f"Recording {self.name}: channel {first} begins at {self.start:g} s, after channel "
+                f"{last} has ended ({self.end:g} s), expected clocks that count from one instant"
+            )
+
+    @property
+    def start_is_known(self) -> bool:
+        """Whether the initial state is known: by `initial_state`, or by a channel v with no sample
+        except its first one."""
+        if self.initial_state is not None:
+            return True
+        if "v" not in self.channels:
+            return False
+        arrived = self.channels["v"].arrived
+        return bool(arrived[0].all() and not arrived[1:].any())
+
+    def __getitem__(self, sensor: str) -> Channel:
+        if sensor not in self.channels:
+            raise UnknownName(f"channel of recording {self.name}", sensor, self.channels)
+        return self.channels[sensor]
+
+    @property
+    def start(self) -> float:
+        """The time in s from which on all channels have samples."""
+        return max(float(c.t[0]) for c in self.channels.values())
+
+    @property
+    def end(self) -> float:
+        """The time in s until which all channels have samples."""
+        return min(float(c.t[-1]) for c in self.channels.values())
+
+    def check_model(self, model: Model) -> None:
+        """`InputError` or `UnknownName` unless the channels suit the model.
+
+        A channel of the joints has a column for each coordinate of the model (nq, nv or nu), or
+        columns named after joints (actuators) of the model, with one coordinate each.
+        """
+        for sensor, channel in self.channels.items():
+            kind, _, where = sensor.partition(":")
+            if sensor in JOINT_SENSORS:
+                due, size = JOINT_SENSORS[sensor], getattr(model, JOINT_SENSORS[sensor])
+                named = model.actuator_names if sensor == HELD else model.joint_names
+                if len(channel.names) != size and not set(channel.names) <= set(named):
+                    raise InputError(
+                        f"Recording {self.name}: channel {sensor} has {len(channel.names)} columns "
+                        f"({', '.join(channel.names)}), expected {size} (the model's {due}), or "
+                        f"columns named after: {', '.join(named)}"
+                    )
+            elif kind == "pose" and where not in (*model.body_names, *model.site_names):
+                known = [*model.body_names, *model.site_names]
+                raise UnknownName(f"body or site of channel {sensor}", where, known)
+            elif kind not in ("pose", "other") and where not in model.site_names:
+                raise UnknownName(f"site of channel {sensor}", where, model.site_names)
+
+    def on_clock(
+        self, t: Any, *, gap: float | None = None, model: Model | None = None
+    ) -> Recording:
+        """All channels at the same times.
+
+        Commands hold their last value. Attitudes, of poses and of ball and free joints in q, are
+        interpolated by slerp. All other columns are cubic splines through the samples that arrived,
+        with an error of order step^4. A value between two samples that are too far apart is NaN, as
+        is a value next to a dropped sample (`gap`).
+
+        Args:
+            t: (samples,) times in s, within every channel's clock.
+            gap: the longest interval in s that is bridged, dropped samples included. If None:
+                3 median steps of the clock, and no dropped sample.
+            model: the robot, whose topology determines which columns of q are quaternions. If
+                None: any four neighbouring columns that move and have length 1 at every sample.
+
+        Raises:
+            InputError: times outside of a channel's clock.
+        """
+        t = _floats("t", t)
+        for sensor, c in self.channels.items():
+            if t.ndim != 1 or len(t) < 2 or not (c.t[0] <= t[0] and t[-1] <= c.t[-1]):
+                raise InputError(
+                    f"Recording {self.name}.on_clock: t is from {t.min():g} to {t.max():g} s, "
+                    f"expected (samples,) times that increase, from {c.t[0]:g} to {c.t[-1]:g} s, "
+                    f"where channel {sensor} has samples"
+                )
+        moved = {}
+        for sensor, c in self.channels.items():
+            if sensor == HELD:
+                values = c.values[np.searchsorted(c.t, t, side="right") - 1]
+            else:
+                turns = quaternion_columns(sensor, c.values, model)
+                values = interpolated(c.t, c.values, t, c.step, gap, turns)
+            moved[sensor] = c._with(t, values)
+        return dataclasses.replace(self, channels=moved)
+
+    def piece(self, t0: float, t1: float) -> Recording:
+        """The samples from t0 to t1 in s; the command that holds at t0 is moved to t0.
+
+        Raises:
+            InputError: a stretch in which a channel has fewer than two samples.
+        """
+        cut = {}
+        for sensor, c in self.channels.items():
+            keep = (t0 <= c.t) & (c.t <= t1)
+            t, values = c.t[keep], c.values[keep]
+            before = np.flatnonzero(c.t < t0)
+            if sensor == HELD and len(before) and not (len(t) and t[0] == t0):
+                t, values = np.append(t0, t), np.vstack([c.values[before[-1]], values])
+            if len(t) < 2:
+                raise InputError(
+                    f"Recording {self.name}.piece: channel {sensor} has {len(t)} samples from "
+                    f"{t0:g} to {t1:g} s, expected at least 2; the recording is from "
+                    f"{self.start:g} to {self.end:g} s"
+                )
+            cut[sensor] = c._with(t, values)
+        first = self.initial_state if t0 <= self.start else None
+        return Recording(f"{self.name}[{t0:g}:{t1:g}]", cut, self.source, first)
+
+    def pieces(self, seconds: float) -> list[Recording]:
+        """Pieces of this length, one after the other; a shorter rest at the end is left out."""
+        given: Any = seconds
+        number = isinstance(given, (int, float, np.number)) and seconds > 0
+        count = int((self.end - self.start) / seconds + 1e-9) if number else 0
+        if count < 1:
+            raise InputError(
+                f"Recording {self.name}.pieces: seconds is {seconds}, expected a positive length "
+                f"of at most {self.end - self.start:g} s"
+            )
+        starts = [self.start + seconds * k for k in range(count)]
+        return [self.piece(t0, t0 + seconds) for t0 in starts]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.channels)
+
+
+def _floats(name: str, x: Any) -> np.ndarray:
+    try:
+        return np.array(x, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"Channel: {name} is {type(x).__name__}, expected an array of numbers with rows of "
+            "equal length"
+        ) from error
+
+
+def _one_a_column(name: str, x: Any, columns: int) -> np.ndarray:
+    x = _floats(name, x)
+    if x.shape not in ((), (1,), (columns,)) or not np.isfinite(x).all() or (x == 0).any():
+        raise InputError(
+            f"Channel: {name} is {x.tolist()}, expected one number other than 0, or {columns}, one "
+            "a column"
+        )
+    return np.broadcast_to(x, (columns,)).copy()
+
+
+def _mask(dropped: Any, shape: tuple[int, int]) -> np.ndarray:
+    mask = np.asarray(False if dropped is None else dropped)
+    if mask.dtype != bool:
+        raise InputError(f"Channel: dropped has dtype {mask.dtype}, expected bool")
+    if mask.shape not in ((), shape[:1], shape):
+        raise InputError(
+            f"Channel: dropped has shape {mask.shape}, expected {shape[:1]} or {shape}"
+        )
+    return np.broadcast_to(mask[:, None] if mask.ndim == 1 else mask, shape)
+
+
+def _check_clock(t: np.ndarray) -> None:
+    if not np.isfinite(t).all():
+        i = int(np.flatnonzero(~np.isfinite(t))[0])
+        raise InputError(f"Channel: t is {t[i]} at sample {i}, expected finite times in s")
+    steps = np.diff(t)
+    wrong = np.flatnonzero(steps <= 0)
+    if len(wrong):
+        i = int(wrong[0])
+        what = "stands still" if steps[i] == 0 else "goes back"
+        raise InputError(
+            f"Channel: the clock {what} at sample {i + 1} (t = {t[i]:g} s, then {t[i + 1]:g} s), "
+            f"and at {len(wrong)} samples in all, expected times that increase; leave out samples "
+            "that came twice"
+        )
+
+
+def says_its_noise(runs: Sequence[Recording], sensor: str) -> bool:
+    """Whether every recording states the noise of a sensor."""
+    return all(run[sensor].noise is not None for run in runs)

@@ -1,0 +1,80 @@
+"""`split`: recordings to fit, to choose between models, and to judge the result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.solvers.common.arguments import check_whole
+from rbjax.sysid.arguments import floats, recordings_of
+from rbjax.sysid.data.recording import Recording
+
+
+class Split(NamedTuple):
+    """Recordings by their use."""
+
+    train: list[Recording]
+    validation: list[Recording]
+    test: list[Recording]
+
+
+def split(
+    recordings: Sequence[Recording],
+    train: float = 0.6,
+    validation: float = 0.2,
+    test: float = 0.2,
+    *,
+    seed: int = 0,
+) -> Split:
+    """Recordings to fit, to choose between models, and to judge the result, drawn at random.
+
+    Pieces of one recording stay together: neighbours in time are alike, and a score on them would
+    flatter.
+
+    Args:
+        recordings: the runs.
+        train: share of the runs.
+        validation: share of the runs; may be 0.
+        test: share of the runs; may be 0.
+        seed: the same seed draws the same split.
+
+    Returns:
+        `Split`, each in the order given. Each share above 0 gets at least one run.
+
+    Raises:
+        InputError: shares that do not add up to 1; fewer runs than shares.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import Channel, Recording, split
+        >>> seen = Channel([0.0, 1.0], [0.0, 1.0])
+        >>> runs = [Recording(f"run {k}", {"q": seen}) for k in range(10)]
+        >>> [len(part) for part in split(runs)]
+        [6, 2, 2]
+    """
+    check_whole("split", "seed", seed, 0)
+    recordings = recordings_of("split", recordings, empty=True)
+    shares = floats("split", "(train, validation, test)", [train, validation, test], "numbers")
+    if not (shares >= 0).all() or abs(shares.sum() - 1) > 1e-9 or train <= 0:
+        raise InputError(
+            f"split: shares are {train}, {validation}, {test}, expected numbers from 0 to 1 that "
+            "add up to 1, with some to train"
+        )
+    sources = list(dict.fromkeys(r.source for r in recordings))
+    used = shares > 0
+    if len(sources) < used.sum():
+        raise InputError(
+            f"split: {len(sources)} recordings ({', '.join(sources)}) for {used.sum()} parts, "
+            "expected at least one for each; pieces of one recording stay together, so cut a "
+            "single one by time with `piece`"
+        )
+    ends = np.round(np.cumsum(shares) * len(sources)).astype(int)
+    counts = np.maximum(np.diff(ends, prepend=0), used)
+    while counts.sum() > len(sources):
+        counts[counts.argmax()] -= 1
+    order = np.random.default_rng(seed).permutation(len(sources))
+    part = {sources[i]: k for k, i in zip(np.repeat([0, 1, 2], counts), order, strict=True)}
+    return Split(*([r for r in recordings if part[r.source] == k] for k in range(3)))

@@ -1,0 +1,1 @@
+"""Design of experiments: excitation trajectories that show the parameters best."""

@@ -1,0 +1,206 @@
+"""Motions that excite a robot: finite Fourier series, and splines from rest to rest.
+
+Both give q, v and a in closed form at any times, differentiable by their coefficients:
+    Fourier  q = q0 + sum_k a_k/(w k) sin(w k t) - b_k/(w k) cos(w k t),  w = 2 pi / period
+    Spline   q = sum_i c_i B_i(t), B-splines of degree 5 on a clamped even knot vector; the first
+             and the last three c are equal, so the motion starts and ends at rest, v = a = 0
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.solvers.common.arguments import check_whole
+
+DEGREE = 5  # of the splines: the acceleration is smooth
+
+
+class Motion(NamedTuple):
+    """q, v, a, each (samples, n), in rad, rad/s, rad/s^2 (of slides m, ...)."""
+
+    q: jax.Array
+    v: jax.Array
+    a: jax.Array
+
+
+def _seconds(x: Any) -> Any:
+    """A number as a float; other values stay, for `_check_time` to reject."""
+    return float(x) if isinstance(x, (int, float, np.number)) else x
+
+
+class Fourier(eqx.Module):
+    """A finite Fourier series for each joint, of one common period.
+
+    q = q0 + sum_k a_k/(w k) sin(w k t) - b_k/(w k) cos(w k t)
+    v = sum_k a_k cos(w k t) + b_k sin(w k t)
+
+    Args:
+        q0: (n,) centres.
+        a: (n, harmonics) cosines of the velocity.
+        b: (n, harmonics) sines of the velocity.
+        period: in s.
+
+    Raises:
+        InputError: shapes that do not fit; a period that is not positive.
+
+    Source: Swevers, Ganseman, Tuekel, De Schutter, Van Brussel 1997, equations 8 to 10.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import Fourier
+        >>> swing = Fourier(jnp.zeros(1), jnp.ones((1, 1)), jnp.zeros((1, 1)), period=2 * jnp.pi)
+        >>> q, v, a = swing(jnp.array([0.0]))
+        >>> q.tolist(), v.tolist(), abs(a).tolist()
+        ([[0.0]], [[1.0]], [[0.0]])
+    """
+
+    q0: jax.Array
+    a: jax.Array
+    b: jax.Array
+    period: float = eqx.field(static=True, converter=_seconds)
+
+    def __check_init__(self) -> None:
+        for name in ("q0", "a", "b"):
+            _check_numbers("Fourier", name, getattr(self, name))
+        shapes = [np.shape(x) for x in (self.q0, self.a, self.b)]
+        if len(shapes[1]) != 2 or shapes[0] != shapes[1][:1] or shapes[1] != shapes[2]:
+            raise InputError(
+                f"Fourier: q0, a and b have shapes {shapes}, expected (n,), (n, harmonics) twice"
+            )
+        _check_time("Fourier", "period", self.period)
+
+    def __call__(self, t: jax.Array) -> Motion:
+        """The motion at times t (samples,) in s."""
+        w = 2 * np.pi / self.period * np.arange(1, self.a.shape[1] + 1)
+        phase = jnp.asarray(t)[:, None] * w
+        s, c = jnp.sin(phase), jnp.cos(phase)
+        q = self.q0 + s @ (self.a / w).T - c @ (self.b / w).T
+        return Motion(q, c @ self.a.T + s @ self.b.T, c @ (self.b * w).T - s @ (self.a * w).T)
+
+    @property
+    def duration(self) -> float:
+        """One period in s."""
+        return self.period
+
+    @classmethod
+    def random(
+        cls, key: jax.Array, q0: jax.Array, harmonics: int, period: float, speed: float = 0.1
+    ) -> Fourier:
+        """Normal coefficients, whose velocity is about `speed` in rad/s."""
+        q0 = _random("Fourier.random", key, q0, speed)
+        check_whole("Fourier.random", "harmonics", harmonics, 1)
+        shape = (2, len(q0), harmonics)
+        a, b = speed / np.sqrt(harmonics) * jax.random.normal(key, shape)
+        return cls(q0, a, b, period)
+
+
+class Spline(eqx.Module):
+    """A quintic B-spline for each joint that starts and ends at rest.
+
+    Args:
+        points: (n, m) control points, m of at least 3: the first is where the motion starts, the
+            last where it ends.
+        duration: in s.
+
+    Raises:
+        InputError: too few points; a duration that is not positive.
+
+    Source: de Boor, *A Practical Guide to Splines*, IX (the recursion) and X (derivatives).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import Spline
+        >>> reach = Spline(jnp.array([[0.0, 0.5, 1.0]]), duration=2.0)
+        >>> q, v, a = reach(jnp.array([0.0, 1.0, 2.0]))
+        >>> q.ravel().round(4).tolist(), v[0].tolist(), a[0].tolist()
+        ([0.0, 0.5, 1.0], [0.0], [0.0])
+    """
+
+    points: jax.Array
+    duration: float = eqx.field(static=True, converter=_seconds)
+
+    def __check_init__(self) -> None:
+        _check_numbers("Spline", "points", self.points)
+        shape = np.shape(self.points)
+        if len(shape) != 2 or shape[1] < 3:
+            raise InputError(
+                f"Spline: points has shape {shape}, expected (n, m), at least 3 points a joint"
+            )
+        _check_time("Spline", "duration", self.duration)
+
+    def __call__(self, t: jax.Array) -> Motion:
+        """The motion at times t (samples,) in s, from 0 to the duration."""
+        c = jnp.concatenate([self.points[:, :1]] * 2 + [self.points] + [self.points[:, -1:]] * 2, 1)
+        inner = np.linspace(0, self.duration, c.shape[1] - DEGREE + 1)
+        knots = np.concatenate([[0.0] * DEGREE, inner, [self.duration] * DEGREE])
+        out = []
+        for degree in (DEGREE, DEGREE - 1, DEGREE - 2):
+            out.append(_basis(knots, degree, jnp.asarray(t)) @ c.T)
+            c = degree * jnp.diff(c, axis=1) / (knots[degree + 1 : -1] - knots[1 : -degree - 1])
+            knots = knots[1:-1]
+        return Motion(*out)
+
+    @classmethod
+    def random(
+        cls, key: jax.Array, q0: jax.Array, points: int, duration: float, size: float = 0.1
+    ) -> Spline:
+        """From q0 and back, by control points that are about `size` in rad away."""
+        q0 = _random("Spline.random", key, q0, size)
+        check_whole("Spline.random", "points", points, 3)
+        away = size * jax.random.normal(key, (len(q0), points))
+        return cls(q0[:, None] + away.at[:, [0, -1]].set(0.0), duration)
+
+
+def _basis(knots: np.ndarray, degree: int, t: jax.Array) -> jax.Array:
+    """(samples, functions): Cox and de Boor's recursion; 0/0 is 0 there."""
+    t = t[:, None]
+    ends = (knots[1:] == knots[-1]) & (knots[:-1] < knots[-1])  # the last interval is closed
+    B = ((knots[:-1] <= t) & ((t < knots[1:]) | (ends & (t <= knots[1:])))).astype(t.dtype)
+    for p in range(1, degree + 1):
+        rise, fall = knots[p:-1] - knots[: -p - 1], knots[p + 1 :] - knots[1:-p]
+        up = np.divide(1.0, rise, where=rise > 0, out=np.zeros_like(rise))
+        down = np.divide(1.0, fall, where=fall > 0, out=np.zeros_like(fall))
+        B = (t - knots[: -p - 1]) * up * B[:, :-1] + (knots[p + 1 :] - t) * down * B[:, 1:]
+    return B
+
+
+def _random(where: str, key: Any, q0: Any, size: Any) -> jax.Array:
+    """q0 as an array; all three are checked."""
+    if not jnp.issubdtype(getattr(key, "dtype", float), jax.dtypes.prng_key) and np.shape(key) != (
+        2,
+    ):
+        raise InputError(f"{where}: key is {type(key).__name__}, expected jax.random.key(seed)")
+    _check_numbers(where, "q0", q0)
+    if np.ndim(q0) != 1:
+        raise InputError(f"{where}: q0 has shape {np.shape(q0)}, expected (n,)")
+    number = isinstance(size, (int, float, np.number)) and not isinstance(size, bool)
+    if not number or not np.isfinite(size):
+        raise InputError(f"{where}: the size of the motion is {size!r}, expected a finite number")
+    return jnp.asarray(q0, float)
+
+
+def _check_numbers(where: str, name: str, x: Any) -> None:
+    """`InputError` unless x is an array of finite numbers, or traced."""
+    if isinstance(x, jax.core.Tracer):
+        return
+    if x is None or isinstance(x, str):
+        raise InputError(f"{where}: {name} is {x!r}, expected an array of numbers")
+    if not isinstance(x, (jax.Array, np.ndarray, list, tuple, int, float)):
+        return  # a placeholder of JAX or equinox for an array
+    try:
+        finite = np.isfinite(np.asarray(x, float)).all()
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: {name} is {x!r}, expected an array of numbers") from error
+    if not finite:
+        raise InputError(f"{where}: {name} has numbers that are not finite, expected finite ones")
+
+
+def _check_time(where: str, name: str, seconds: Any) -> None:
+    if not isinstance(seconds, float) or not 0 < seconds < np.inf:
+        raise InputError(f"{where}: {name} is {seconds}, expected a positive time in s")

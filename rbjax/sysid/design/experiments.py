@@ -1,0 +1,342 @@
+"""`design`: the motion that says most of the unknowns, within the limits of the robot.
+
+    min over the coefficients of  loss(F),   F = F_known + J^T J,   subject to  g(q, v, a) <= 0
+J (rows, n) is what the samples of the motion say of the n unknowns: a regressor over the torque's
+noise, or the Jacobian of a simulated motion. Its columns should be in units in which the unknowns
+are of order one. F_known is the information of experiments already made: what comes out is then
+the best next one.
+    D   -log det F / n        the volume of the confidence ellipsoid; independent of units
+    A   log trace F^-1        the mean variance
+    E   -log lambda_min(F)    the worst direction
+    condition   log sqrt(lambda_max / lambda_min), that of J
+Limits are held by an augmented Lagrangian over sampled times, with BFGS inside, and are checked on
+ten times as many samples at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax.flatten_util import ravel_pytree
+from jax.scipy.linalg import cho_solve
+
+from rbjax.dynamics import inverse_dynamics
+from rbjax.errors import InputError, UnknownName
+from rbjax.model import Model
+from rbjax.progress import progress_line
+from rbjax.solvers.common.arguments import check_whole
+from rbjax.sysid.design.excitation import Fourier, Spline
+
+FINE = 10  # samples of the check at the end for each one of the optimisation
+MARGIN = 1e-3  # of a limit, for what the augmented Lagrangian leaves
+GROWTH = 4.0  # of the penalty where violations do not fall fast enough
+
+
+def _d(F: jax.Array) -> jax.Array:
+    return -jnp.linalg.slogdet(F)[1] / len(F)
+
+
+def _a(F: jax.Array) -> jax.Array:
+    L = jnp.linalg.cholesky(F)
+    return jnp.log(jnp.trace(cho_solve((L, True), jnp.eye(len(F), dtype=F.dtype))))
+
+
+def _e(F: jax.Array) -> jax.Array:
+    return -jnp.log(jnp.linalg.eigvalsh(F)[0])
+
+
+def _condition(F: jax.Array) -> jax.Array:
+    values = jnp.linalg.eigvalsh(F)
+    return 0.5 * jnp.log(values[-1] / values[0])
+
+
+#: criterion -> what is minimised, a function of the information (n, n)
+CRITERIA: dict[str, Callable[[jax.Array], jax.Array]] = {
+    "D": _d, "A": _a, "E": _e, "condition": _condition,
+}  # fmt: skip
+
+
+class MotionLimits(eqx.Module):
+    """What a motion may not exceed; each is a number a joint, or one for all.
+
+    Args:
+        low: position in rad or m, with `high`.
+        high: position, above `low`.
+        speed: of either sign, in rad/s or m/s.
+        acceleration: of either sign, in rad/s^2 or m/s^2.
+        torque: of either sign, in N m or N, with `model`.
+        model: whose `inverse_dynamics` gives the torque.
+        own: g(q, v, a) <= 0 of one sample, (nv,) each, to an array of order one.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import MotionLimits
+        >>> limits = MotionLimits(speed=2.0)
+        >>> q = jnp.zeros((1, 1))
+        >>> limits(q, q + 3.0, q)["speed"].tolist()
+        [[0.5]]
+    """
+
+    low: Any = None
+    high: Any = None
+    speed: Any = None
+    acceleration: Any = None
+    torque: Any = None
+    model: Model | None = None
+    own: Callable[..., jax.Array] | None = eqx.field(default=None, static=True)
+
+    def __check_init__(self) -> None:
+        if (self.low is None) != (self.high is None):
+            raise InputError("MotionLimits: only one of low and high is given, expected both")
+        if (self.torque is None) != (self.model is None):
+            raise InputError("MotionLimits: only one of torque and model is given, expected both")
+        for name in ("low", "high", "speed", "acceleration", "torque"):
+            x = getattr(self, name)
+            if x is not None and np.asarray(x).dtype.kind not in "biuf":
+                raise InputError(f"MotionLimits: {name} is {x!r}, expected numbers, or None")
+        if not (self.model is None or isinstance(self.model, Model)):
+            raise InputError(
+                f"MotionLimits: model is {type(self.model).__name__}, expected a Model (rbjax.load)"
+            )
+        if not (self.own is None or callable(self.own)):
+            raise InputError(f"MotionLimits: own is {self.own!r}, expected a function of q, v, a")
+        span = () if self.low is None else np.asarray(self.high) - np.asarray(self.low)
+        for name, x in (("high - low", span), ("speed", self.speed), ("torque", self.torque),
+                        ("acceleration", self.acceleration)):  # fmt: skip
+            if x is not None and not (np.asarray(x) > 0).all():
+                raise InputError(f"MotionLimits: {name} is {x}, expected positive numbers")
+
+    def __call__(self, q: jax.Array, v: jax.Array, a: jax.Array) -> dict[str, jax.Array]:
+        """By name, numbers that are at most 0 where the limit holds; 0.1 is 10 % beyond."""
+        out = {}
+        if self.low is not None:
+            low, span = jnp.asarray(self.low), jnp.asarray(self.high) - jnp.asarray(self.low)
+            out["position"] = jnp.abs((q - low) / span - 0.5) - 0.5
+        if self.speed is not None:
+            out["speed"] = jnp.abs(v) / jnp.asarray(self.speed) - 1
+        if self.acceleration is not None:
+            out["acceleration"] = jnp.abs(a) / jnp.asarray(self.acceleration) - 1
+        if self.model is not None:
+            tau = jax.vmap(lambda *x: inverse_dynamics(self.model, *x))(q, v, a)
+            out["torque"] = jnp.abs(tau) / jnp.asarray(self.torque) - 1
+        if self.own is not None:
+            out["own"] = jax.vmap(self.own)(q, v, a)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """The result of `design`.
+
+    Fields: motion; criterion; value and start_value, of what is minimised; information (n, n), with
+    that of the experiments before; worst, limit -> the largest value of g on the fine grid; ok,
+    whether all limits hold there; sentence.
+    """
+
+    motion: Any
+    criterion: str
+    value: float
+    start_value: float
+    information: np.ndarray
+    worst: Mapping[str, float]
+    ok: bool
+    sentence: str
+
+
+def design(
+    start: Fourier | Spline,
+    information: Callable[..., jax.Array],
+    limits: MotionLimits | None = None,
+    *,
+    criterion: str = "D",
+    known: Any = None,
+    samples: int = 100,
+    rounds: int = 8,
+    steps: int = 60,
+    progress: bool = True,
+) -> Experiment:
+    """The motion that says most of the unknowns.
+
+    Args:
+        start: a first motion, such as `Fourier.random(...)`, whose information has full rank.
+        information: (q, v, a), (samples, n) each, to J (rows, unknowns), rows divided by the noise
+            and columns in units in which the unknowns are of order one. Written with jax.numpy.
+        limits: `MotionLimits`; None: there are none, and the motion may grow without end.
+        criterion: "D", "A", "E" or "condition".
+        known: (unknowns, unknowns), the information of experiments already made.
+        samples: times at which the motion is looked at.
+        rounds: of the augmented Lagrangian; up to twice as many until all limits hold.
+        steps: of BFGS in a round.
+        progress: show a line on a terminal.
+
+    Returns:
+        `Experiment`: the best motion found that holds all limits. If the start holds them, so does
+        the result; else `ok` may be false.
+
+    Raises:
+        InputError: a start without full rank; wrong shapes.
+        UnknownName: an unknown criterion.
+
+    Source: Swevers et al. 1997; Pukelsheim, *Optimal Design of Experiments*, 6; Nocedal & Wright,
+        *Numerical Optimization*, 17.4.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> from rbjax.sysid import Fourier, MotionLimits, design
+        >>> def spring_and_mass(q, v, a):
+        ...     return jnp.concatenate([q, a], 1)  # tau = k q + m a
+        >>> start = Fourier.random(jax.random.key(0), jnp.zeros(1), 2, period=6.0)
+        >>> found = design(start, spring_and_mass, MotionLimits(speed=1.0), rounds=3, steps=20)
+        >>> found.ok, found.value < found.start_value
+        (True, True)
+    """
+    if criterion not in CRITERIA:
+        raise UnknownName("criterion", criterion, CRITERIA)
+    for name, number in (("samples", samples), ("rounds", rounds), ("steps", steps)):
+        check_whole("design", name, number, 1)
+    if not isinstance(start, (Fourier, Spline)):
+        raise InputError(
+            f"design: start is {type(start).__name__}, expected a motion: Fourier or Spline"
+        )
+    if not callable(information):
+        raise InputError(
+            f"design: information is {type(information).__name__}, expected a function (q, v, a) "
+            "-> J (rows, unknowns)"
+        )
+    if not (limits is None or isinstance(limits, MotionLimits)):
+        raise InputError(f"design: limits is {type(limits).__name__}, expected MotionLimits")
+    limits = MotionLimits() if limits is None else limits
+    _check_joints(start, limits)
+    times, fine = _times(start, samples), _times(start, FINE * samples)
+    flat: jax.Array
+    flat, unravel = ravel_pytree(start)
+    before = _start_information(start, information, times, known)
+    F0 = 0.0 if known is None else jnp.asarray(known)
+    loss = CRITERIA[criterion]
+
+    def information_of(x: jax.Array) -> jax.Array:
+        J = information(*unravel(x)(times))
+        return F0 + J.T @ J
+
+    def violations(x: jax.Array) -> jax.Array:
+        g = [jnp.ravel(y) for y in limits(*unravel(x)(times)).values()]
+        return jnp.concatenate(g) if g else jnp.full(1, -1.0, x.dtype)
+
+    def lagrangian(x: jax.Array, args: Any) -> jax.Array:
+        multipliers, penalty, margin = args
+        push = jnp.maximum(multipliers + penalty * (violations(x) + margin), 0)
+        return loss(information_of(x)) + jnp.sum(push**2 - multipliers**2) / (2 * penalty)
+
+    @jax.jit
+    def improve(x: jax.Array, args: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+        solver: Any = optx.BFGS(rtol=1e-6, atol=1e-8)
+        found: Any = optx.minimise(lagrangian, solver, x, args, max_steps=steps, throw=False)
+        good = jnp.isfinite(lagrangian(found.value, args)) & jnp.isfinite(found.value).all()
+        x = jnp.where(good, found.value, x)
+        return x, violations(x), loss(information_of(x))
+
+    @jax.jit
+    def worst_of(x: jax.Array) -> dict[str, jax.Array]:
+        return {name: g.max() for name, g in limits(*unravel(x)(fine)).items()}
+
+    def excess_of(x: jax.Array) -> float:
+        return max([float(w) for w in worst_of(x).values()], default=-1.0)
+
+    multipliers = jnp.zeros(jax.eval_shape(violations, flat).shape, flat.dtype)
+    x: jax.Array = flat
+    penalty, margin, last = 10.0, MARGIN, np.inf
+    best = (float(loss(jnp.asarray(before))), flat) if excess_of(flat) <= 0 else None
+    with progress_line("design", progress) as say:
+        for k in range(2 * rounds):
+            if k >= rounds and best is not None:
+                break
+            say(f"{criterion} criterion, round {k + 1} of {rounds}")
+            x, g, value = improve(x, (multipliers, penalty, margin))
+            excess = excess_of(x)
+            held = x if excess <= 0 else None
+            if held is None and best is not None:
+                held = _on_the_way(best[1], x, excess_of)
+                value = loss(information_of(held))
+            if held is not None and (best is None or float(value) < best[0]):
+                best = float(value), held
+            multipliers = jnp.maximum(multipliers + penalty * (g + margin), 0)
+            beyond = float(jnp.maximum(g + margin, 0).max())
+            penalty *= GROWTH if beyond > 0.25 * last else 1.0
+            margin = max(margin, MARGIN + excess - float(g.max()))  # what lies between two samples
+            last = beyond
+    if best is not None:
+        x = best[1]
+    worst = {name: float(w) for name, w in worst_of(x).items()}
+    after = information_of(x)
+    value, start_value = float(loss(after)), float(loss(jnp.asarray(before)))
+    broken = {name: w for name, w in worst.items() if w > 0}
+    sentence = f"the {criterion} criterion goes from {start_value:.4g} to {value:.4g}; "
+    sentence += f"all limits hold at {len(fine)} times" if not broken else "limits are broken: "
+    sentence += ", ".join(f"{name} by {100 * w:.2g} %" for name, w in broken.items())
+    return Experiment(
+        unravel(x), criterion, value, start_value, np.asarray(after), worst, not broken, sentence
+    )
+
+
+def _check_joints(start: Fourier | Spline, limits: MotionLimits) -> None:
+    """`InputError` unless each limit is one number, or one number for each joint."""
+    joints = len(start.q0 if isinstance(start, Fourier) else start.points)
+    for name in ("low", "high", "speed", "acceleration", "torque"):
+        shape = np.shape(getattr(limits, name)) if getattr(limits, name) is not None else ()
+        if shape not in ((), (1,), (joints,)):
+            raise InputError(
+                f"design: limit {name} has shape {shape}, expected one number, or {joints}, one "
+                "for each joint of the motion"
+            )
+
+
+def _on_the_way(
+    inside: jax.Array, outside: jax.Array, excess_of: Callable[[jax.Array], float]
+) -> jax.Array:
+    """A point within all limits between one that is and one that is not, by bisection."""
+    low, high = 0.0, 1.0
+    for _ in range(10):
+        mid = 0.5 * (low + high)
+        within = excess_of(inside + mid * (outside - inside)) <= 0
+        low, high = (mid, high) if within else (low, mid)
+    return inside + low * (outside - inside)
+
+
+def _times(motion: Fourier | Spline, samples: int) -> jax.Array:
+    """One period without its end, which is its start; or from rest to rest."""
+    last = not isinstance(motion, Fourier)
+    return jnp.asarray(np.linspace(0, motion.duration, samples, endpoint=last), float)
+
+
+def _start_information(
+    start: Fourier | Spline, information: Callable, times: jax.Array, known: Any
+) -> np.ndarray:
+    J = np.asarray(information(*start(times)), float)
+    if J.ndim != 2 or not np.isfinite(J).all():
+        raise InputError(
+            f"design: information gave an array of shape {J.shape}"
+            f"{'' if np.isfinite(J).all() else ' with numbers that are not finite'}, expected "
+            "finite (rows, unknowns)"
+        )
+    n = J.shape[1]
+    F = J.T @ J
+    if known is not None:
+        if np.shape(known) != (n, n):
+            raise InputError(f"design: known has shape {np.shape(known)}, expected {(n, n)}")
+        F = F + np.asarray(known, float)
+    lengths = np.sqrt(np.maximum(np.diag(F), np.finfo(float).tiny))
+    rank = int(np.linalg.matrix_rank(F / np.outer(lengths, lengths), hermitian=True))
+    if rank < n:
+        raise InputError(
+            f"design: the start says something of {rank} combinations of {n} unknowns, expected "
+            "all of them: start from a random motion, take base parameters as unknowns, or give "
+            "`known` information"
+        )
+    return F

@@ -1,0 +1,1 @@
+"""Estimators of unknown parameters from the motion of a robot."""

@@ -1,0 +1,298 @@
+"""The likelihood of recordings where noise drives the motion, with its slopes and information.
+
+    l(p) = sum over samples of  z^T S^-1 z + log det 2 pi S         (twice the negative logarithm)
+z and S are the innovations of an extended Kalman filter (`motion/kalman`), and their covariance.
+With S = L L^T, its slope and Fisher's information are those of least squares with the rows
+
+    J = [L^-1 dz;  L^-1 dS L^-T / sqrt 2],      r = [L^-1 z;  (1 - L^-1 z z^T L^-T) / sqrt 2],
+    dl = 2 J^T r,    F = J^T J
+so a Gauss-Newton method is Fisher scoring. Ljung, *System Identification*, 2nd ed., 7.4; Astrom,
+Automatica 16(5), 1980; Gupta & Mehra, IEEE T-AC 19(6), 1974 (scoring).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import solve_triangular
+
+from rbjax.dynamics.algorithms.manifold import difference
+from rbjax.errors import InputError
+from rbjax.estimation.kalman import KalmanFiltered, StateSpace, kalman_filter
+from rbjax.forces.inputs import Inputs
+from rbjax.model import State
+from rbjax.motion.field import Field, free_motion, law_of
+from rbjax.motion.integrators import advanced, integrator_of
+from rbjax.motion.linearise import apart, beside
+from rbjax.sysid.data.recording import Recording
+from rbjax.sysid.parameters.divergence import Divergence
+from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.simulation.runs import run_of
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.simulation.simulation_error import began, triangle_of
+from rbjax.sysid.statistics.fit_statistics import Column, Rows
+
+#: a sample may be this part of a period off the instants of the grid
+OFF = 1e-2
+DRIVES = ("torque", "acceleration")
+
+
+class Series(NamedTuple):
+    """One run, or a batch of them, on the instants of a grid: the first readings, as a state; speed
+    (nv,), how far the first one may be off where it was not read; commands (N, n); readings "q"
+    (N + 1, nq) and perhaps "v" (N + 1, nv); and which of them arrived, (N + 1, rows)."""
+
+    start: State
+    speed: jax.Array
+    commands: jax.Array
+    readings: dict[str, Any]
+    arrived: Any
+
+
+class Levels(NamedTuple):
+    """Standard deviations: drive (nv,), of a torque in N m (or an acceleration in rad/s^2) that is
+    held for a period; reading (rows,), of the sensors, rad and rad/s."""
+
+    drive: Any
+    reading: Any
+
+
+class Likelihood:
+    """l(x) of a batch of runs; x (n + levels,) holds the numbers of the unknowns and the logarithms
+    of those noise levels that are sought. `drives` and `reads` say which, (nv,) and (rows,)."""
+
+    def __init__(
+        self, setup: Setup, unknowns: Unknowns, series: Series, grid: Grid, *, levels: Levels,
+        drives: np.ndarray, reads: np.ndarray, drive: str = "torque",
+    ):  # fmt: skip
+        self.unknowns, self.series = unknowns, series
+        self.shared = n = sum(unknowns.sizes)
+        self.drives, self.reads = (np.flatnonzero(x) for x in (drives, reads))
+        self.size = n + self.drives.size + self.reads.size
+        self.levels = levels
+        law = law_of("prediction_error", setup.model, free_motion, None)
+        integrator = integrator_of("prediction_error", grid.integrator, law)
+
+        def space(now: Setup) -> StateSpace:
+            model, T, count = now.model, grid.period, grid.substeps
+
+            def read(x: State) -> State:
+                q, v = now.sensors["q"], now.sensors["v"]
+                return State(q.scale * x.q + q.bias, v.scale * x.v + v.bias)
+
+            def move(x: State, u: Any, w: jax.Array) -> State:
+                t, ctrl = u
+                if now.controller is not None:
+                    ctrl = now.controller(t, read(x), ctrl)
+                h = jnp.asarray(T / count, x.q.dtype)
+                inputs = Inputs(ctrl, w if drive == "torque" else None)
+
+                def once(i: Any, x: State) -> State:
+                    return advanced(integrator, Field(model, law, h), t + i * h, x, inputs, h)
+
+                # a loop of known length, which has a derivative in both modes
+                x = once(0, x)
+                if count > 1:
+                    x = jax.lax.scan(lambda x, i: (once(i, x), None), x, jnp.arange(1, count))[0]
+                if drive == "torque":
+                    return x
+                still = jnp.zeros(model.nx, w.dtype)
+                return beside(model, x, jnp.concatenate([w * T**2 / 2, w * T, still]))
+
+            def innovation(x: State, y: dict[str, Any]) -> jax.Array:
+                seen = read(x)
+                rows = [difference(model, seen.q, y["q"])]
+                return jnp.concatenate([*rows, y["v"] - seen.v] if "v" in y else rows)
+
+            return StateSpace(
+                move, innovation, functools.partial(beside, model), functools.partial(apart, model)
+            )
+
+        def filtered(x: jax.Array, s: Series) -> KalmanFiltered:
+            now, level, nv = unknowns.write(setup, x[:n]), self.levels_of(x), setup.model.nv
+            R = level.reading**2
+            start = began(now, s.start, "v" in s.readings)
+            hinges = setup.model.nq == nv
+            P = [R[:nv] / now.sensors["q"].scale ** 2 if hinges else R[:nv], s.speed**2]
+            if "v" in s.readings:
+                read = s.arrived[0, nv:]
+                P[1] = jnp.where(read, R[nv:] / now.sensors["v"].scale ** 2, P[1])
+            P.append(jnp.zeros(setup.model.nx, R.dtype))
+            # the first readings are the first state, so they are not used again
+            there = s.arrived.at[0].set(False)
+            times = grid.period * jnp.arange(s.commands.shape[0])
+            inputs = (times.astype(R.dtype), s.commands)
+            return kalman_filter(
+                space(now), start, jnp.concatenate(P), inputs, s.readings, level.drive**2, R,
+                arrived=there,
+            )  # fmt: skip
+
+        def rows(x: jax.Array, s: Series) -> tuple[jax.Array, jax.Array]:
+            def pair(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+                f = filtered(x, s)
+                return f.innovation, f.innovation_covariance
+
+            def along(e: jax.Array) -> tuple[Any, Any]:
+                return jax.jvp(pair, (x,), (e,))
+
+            (z, S), slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(x.size, dtype=x.dtype))
+            found = jax.vmap(_scored, (0, 0, 1, 1))(z, S, *slopes)
+            return tuple(a.reshape(-1, *a.shape[2:]) for a in found)  # type: ignore[return-value]
+
+        def value(x: jax.Array, s: Series) -> jax.Array:
+            return -2 * filtered(x, s).log_likelihood
+
+        self.space = space
+        self.value = value  # of one run, traced
+        self._filtered = jax.jit(jax.vmap(filtered, (None, 0)))
+        self._values = jax.jit(jax.vmap(value, (None, 0)))
+        self._rows = jax.jit(jax.vmap(rows, (None, 0)))
+        self.rows = rows  # of one run, traced
+
+    def levels_of(self, x: Any) -> Levels:
+        """The noise levels at x."""
+        n, k = self.shared, self.drives.size
+        drive, reading = (jnp.asarray(a) for a in self.levels)
+        return Levels(
+            drive.at[self.drives].set(jnp.exp(x[n : n + k])),
+            reading.at[self.reads].set(jnp.exp(x[n + k :])),
+        )
+
+    def cost(self, x: np.ndarray) -> float:
+        """l, inf where it is not finite."""
+        found = float(np.sum(self._values(jnp.asarray(x), self.series)))
+        return found if np.isfinite(found) else np.inf
+
+    def triangle(self, x: np.ndarray) -> np.ndarray:
+        """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
+        J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
+        return triangle_of(np.concatenate([J.reshape(-1, self.size), r.reshape(-1, 1)], 1))
+
+    def columns(self, x: np.ndarray, scale: np.ndarray) -> list[Column]:
+        """Rows of the score by column, as input of `fit_statistics`, for the numbers x / scale. The
+        rows of sensors (i, j) and (j, i) are equal, so they are combined into one."""
+        J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
+        runs = J.shape[0]
+        there = np.array(self.series.arrived)
+        there[:, 0] = False  # the initial state is made from these
+        times, m = there.shape[1:]
+        J, r = J.reshape(runs, times, -1, self.size) / scale, r.reshape(runs, times, -1)
+        place, which = np.arange(times), np.arange(self.size)
+        found = []
+
+        def rows(k: int, c: int, double: float, at: np.ndarray) -> Rows:
+            ones = np.ones(int(at.sum()))
+            return Rows(double * J[k, at, c], double * r[k, at, c], ones, place[at], which)
+
+        for c in range(m + m * m):
+            i, j = divmod(c - m, m) if c >= m else (c, c)
+            if i > j:
+                continue
+            double = np.sqrt(2.0) if i < j else 1.0
+            found.append(Column(
+                f"row {i}" if c < m else f"variance {i},{j}",
+                [rows(k, c, double, there[k, :, i] & there[k, :, j]) for k in range(runs)], True,
+            ))  # fmt: skip
+        return found
+
+    def filtered(self, x: np.ndarray, series: Series | None = None) -> KalmanFiltered:
+        """The result of the filter for each run."""
+        return self._filtered(jnp.asarray(x), self.series if series is None else series)
+
+    def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
+        """That of the unknowns, and of the logarithms as free numbers."""
+        n = self.shared
+        first = self.unknowns.divergence(x[:n], x0[:n])
+        return Divergence.joined([first, Divergence.free(x[n:], x0[n:], 1.0)])
+
+
+def _scored(
+    z: jax.Array, S: jax.Array, dz: jax.Array, dS: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """J (m + m m, n) and r (m + m m,) of one sample; dz (n, m), dS (n, m, m)."""
+    L = jnp.linalg.cholesky(S)
+    half = functools.partial(solve_triangular, L, lower=True)
+    e = half(z)
+    turned = jax.vmap(lambda d: half(half(d).T))(dS).reshape(dS.shape[0], -1)
+    off = (jnp.eye(z.size, dtype=z.dtype) - jnp.outer(e, e)).ravel()
+    J = jnp.concatenate([half(dz.T), turned.T / jnp.sqrt(2.0)])
+    return J, jnp.concatenate([e, off / jnp.sqrt(2.0)])
+
+
+def series_of(setup: Setup, recordings: Sequence[Recording], grid: Grid) -> Series:
+    """Recordings on the instants of a grid, filled up to the longest.
+
+    Raises:
+        InputError: samples between the instants; attitudes of which a part did not arrive.
+    """
+    found = [_series(setup, run, grid) for run in recordings]
+    longest = max(s.commands.shape[0] for s in found)
+
+    def filled(a: Any, length: int) -> Any:
+        rows = [(0, length - a.shape[0])] + [(0, 0)] * (a.ndim - 1)
+        return np.pad(a, rows, mode="edge")
+
+    each = [
+        s._replace(
+            commands=filled(s.commands, longest),
+            readings={k: filled(y, longest + 1) for k, y in s.readings.items()},
+            arrived=np.pad(s.arrived, ((0, longest + 1 - len(s.arrived)), (0, 0))),
+        )
+        for s in found
+    ]
+    if len({tuple(sorted(s.readings)) for s in each}) > 1:
+        raise InputError(
+            "prediction_error: some recordings have a channel v and some have none, expected the "
+            "same of all; leave out what only some have"
+        )
+    return jax.tree.map(lambda *a: jnp.stack([jnp.asarray(x) for x in a]), *each)
+
+
+def _series(setup: Setup, recording: Recording, grid: Grid) -> Series:
+    run, model = run_of(setup, recording, grid), setup.model
+    count, T = run.commands.shape[0], grid.period
+    readings, arrived = {}, []
+    for sensor, first in (("q", run.start.q), ("v", run.start.v)):
+        if sensor not in run.values:
+            continue
+        t = np.asarray(run.times[sensor]) / T
+        k = np.rint(t).astype(int)
+        there: Any = np.asarray(run.weights[sensor]) > 0
+        off = np.where(there.any(1), np.abs(t - k), 0.0)
+        if off.max() > OFF or len(set(k)) < len(k):
+            i = int(off.argmax())
+            raise InputError(
+                f"prediction_error: recording {recording.name} has a sample of {sensor} at "
+                f"{t[i] * T:.6g} s after its start, between instants that are {T:g} s apart; "
+                "expected samples at the instants of the grid: a grid with the period of the "
+                "fastest sensor, or recordings put on one clock by `Recording.on_clock`"
+            )
+        values = np.tile(np.asarray(first, float), (count + 1, 1))
+        seen = np.zeros((count + 1, model.nv), bool)
+        if there.shape[1] != model.nv:  # attitudes: all of a sample or nothing
+            there = np.repeat(there.all(1)[:, None], model.nv, 1)
+            values[k[there[:, 0]]] = np.asarray(run.values[sensor])[there[:, 0]]
+        else:
+            values[k] = np.where(there, np.asarray(run.values[sensor]), values[k])
+        seen[k] = there
+        readings[sensor] = values.astype(np.asarray(run.start.q).dtype)
+        arrived.append(seen)
+    return Series(
+        run.start, jnp.asarray(_fastest(setup, readings["q"], arrived[0], T), run.start.q.dtype),
+        run.commands, readings, np.concatenate(arrived, 1),
+    )  # fmt: skip
+
+
+def _fastest(setup: Setup, q: np.ndarray, there: np.ndarray, T: float) -> np.ndarray:
+    """(nv,) the largest speeds between two samples of q."""
+    at = np.flatnonzero(there.all(1))
+    if len(at) < 2:
+        return np.ones(setup.model.nv)
+    minus = jax.vmap(functools.partial(difference, setup.model))
+    speed = np.abs(np.asarray(minus(q[at[:-1]], q[at[1:]]))) / (T * np.diff(at)[:, None])
+    return np.maximum(speed.max(0), 1e-3 * max(speed.max(), 1e-3))

@@ -1,0 +1,253 @@
+"""`Verdict`: whether a fit is good, from the data that it was fitted to."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rbjax.sensors.columns import root_mean_square
+from rbjax.sysid.data.recording import HELD, Recording
+from rbjax.sysid.simulation.runs import ordered
+from rbjax.sysid.simulation.setup import Setup
+from rbjax.sysid.simulation.traces import FEW, Trace, Traces, together
+from rbjax.sysid.statistics.comparisons import EXPLAINED, NOISY
+from rbjax.sysid.statistics.variance import explained, varies
+
+#: residuals above this many times the roughness of the recordings are not noise
+ROUGH = 3.0
+#: a fit that explains more than this share of the variance counts as being at the right minimum
+CLOSE = 0.999
+#: residuals below this share of the spread are rounding, or the error of integration
+TINY = 1e-5
+#: residuals beyond so many robust standard deviations are outliers; normal noise has 1 in 16,000
+OUTLIER = 4.0
+#: and more of them than this share are not outliers, but a model that is wrong
+MOST = 0.2
+#: standard deviation of normal noise over the median of its size
+NORMAL = 1.4826
+#: a sensor whose values spread by no more than so many times their noise shows no motion
+STILL = 2.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a fit is good.
+
+    Fields:
+        good: whether all checks pass.
+        failed: a sentence for each check that does not.
+        r_squared: the share of variance explained, by sensor; nan if the sensor is constant.
+        noise_ratio: by sensor with stated noise, the largest of its columns' errors over it.
+        sentence: the verdict in words.
+        constant: the columns, by sensor, that never change in any recording.
+        outliers: with loss="huber", the share of outliers by sensor. They count in no other field.
+    """
+
+    good: bool
+    failed: tuple[str, ...]
+    r_squared: dict[str, float]
+    noise_ratio: dict[str, float]
+    sentence: str
+    constant: dict[str, tuple[str, ...]]
+    outliers: dict[str, float]
+
+
+def judged(
+    converged: bool, message: str, seen: Traces, recordings: Sequence[Recording],
+    coloured: Sequence[str], *, robust: bool = False,
+) -> Verdict:  # fmt: skip
+    """The verdict on a fit: it has converged, the recordings move, it explains 99 % of the variance
+    of each sensor, errs by at most 1.5 times the stated noise, and leaves residuals that are
+    white. `robust`, of loss="huber": all of that without outliers, of which a fifth is too many."""
+    failed = [] if converged else [f"the fit is {message}"]
+    seen, outliers = without_outliers(seen) if robust else (seen, {})
+    for sensor, share in outliers.items():
+        if share > MOST:
+            failed.append(
+                f"{100 * share:.3g} % of the residuals of {sensor} are outliers, above "
+                f"{100 * MOST:.3g} %"
+            )
+    shares, ratios = explained_by(seen), noise_ratios(seen, recordings)
+    constant = constant_columns(seen)
+    if not shares:
+        failed.append(f"no sensor has {FEW} samples, which are too few to judge the fit")
+    elif np.isnan([*shares.values()]).all():
+        failed.append(
+            f"nothing moves ({_listed(constant)} constant in all recordings), so the recordings "
+            "cannot identify a model of a motion; record one that moves each joint"
+        )
+    for sensor, share in shares.items():
+        if share < EXPLAINED:
+            still = " (its values change by no more than its noise)"
+            failed.append(
+                f"R2 of {sensor} is {share:.3g}, below {EXPLAINED}"
+                + (still if _is_still(_traces_of(seen, sensor), recordings, sensor) else "")
+            )
+    for sensor, ratio in ratios.items():
+        if not ratio <= NOISY:
+            failed.append(
+                f"the error of {sensor} is {ratio:.3g} times its stated noise, above {NOISY}"
+            )
+    if coloured and not _tiny(seen):
+        failed.append(
+            f"the residual is not white ({', '.join(coloured)}), so the model lacks something, and "
+            "intervals may miss the truth"
+        )
+    says = "the fit is poor: " + "; ".join(failed) if failed else "the fit is good"
+    if not failed:
+        worst = float(np.nanmin([*shares.values()]))
+        says += f": it explains {100 * worst:.5g} % of the variance, and what remains is noise"
+        if constant:
+            says += f"; {_listed(constant)} constant, which no model of a motion can explain"
+        if any(outliers.values()):
+            parts = [f"{100 * x:.2g} % of {sensor}" for sensor, x in outliers.items() if x]
+            says += f"; outliers do not count ({', '.join(parts)})"
+    return Verdict(not failed, tuple(failed), shares, ratios, says, constant, outliers)
+
+
+def _listed(constant: dict[str, tuple[str, ...]]) -> str:
+    """Columns that are constant, and the verb."""
+    count = sum(map(len, constant.values()))
+    words = "; ".join(f"{sensor} of {', '.join(names)}" for sensor, names in constant.items())
+    return f"{words} {'is' if count == 1 else 'are'}"
+
+
+def _traces_of(seen: Traces, sensor: str) -> list[Trace]:
+    """The traces of a sensor that have samples enough to judge a motion."""
+    return [sensors[sensor] for sensors in seen.values() if sensors[sensor].measured]
+
+
+def constant_columns(seen: Traces) -> dict[str, tuple[str, ...]]:
+    """By sensor, the names of the columns that were recorded and never change."""
+    found = {}
+    for sensor in next(iter(seen.values())):
+        every = _traces_of(seen, sensor)
+        if not every:
+            continue
+        moves = np.any([varies(trace.recorded) for trace in every], 0)
+        there = np.any([~np.isnan(trace.recorded).all(0) for trace in every], 0)
+        names = tuple(
+            n for n, a, b in zip(every[0].names, there, moves, strict=True) if a and not b
+        )
+        if names:
+            found[sensor] = names
+    return found
+
+
+def _is_still(every: Sequence[Trace], recordings: Sequence[Recording], sensor: str) -> bool:
+    """Whether all columns of a sensor spread by no more than their noise, which is stated, or as
+    large as third differences show."""
+    for trace in every:
+        noise = roughness(trace.recorded)
+        stated = [run[sensor].noise for run in recordings]
+        if all(sigma is not None for sigma in stated):
+            noise = np.maximum(noise, np.max(stated, 0))
+        with warnings.catch_warnings(action="ignore"):  # of columns without samples
+            spread = np.nan_to_num(np.nanstd(trace.recorded, 0))
+        if (spread > STILL * noise).any():
+            return False
+    return True
+
+
+def without_outliers(seen: Traces) -> tuple[Traces, dict[str, float]]:
+    """The traces without the samples whose residuals are outliers beside the median size of their
+    column's, and the share of these samples by sensor."""
+    found: dict[str, dict[str, Trace]] = {name: dict(sensors) for name, sensors in seen.items()}
+    shares = {}
+    for sensor in next(iter(seen.values())):
+        if not _traces_of(seen, sensor):
+            continue
+        with warnings.catch_warnings(action="ignore"):  # of columns without samples
+            scale = NORMAL * np.nanmedian(np.abs(together(seen, sensor)), 0)
+        out, count = 0, 0
+        for name, sensors in seen.items():
+            trace = sensors[sensor]
+            far = np.abs(trace.residual) > OUTLIER * scale
+            for k in trace.turns:  # an attitude is one
+                far[:, k : k + 4] = far[:, k : k + 4].any(1, keepdims=True)
+            out += int(far.sum())
+            count += int((~np.isnan(trace.recorded)).sum())
+            found[name][sensor] = trace._replace(recorded=np.where(far, np.nan, trace.recorded))
+        shares[sensor] = out / max(count, 1)
+    return found, shares
+
+
+def explained_by(seen: Traces) -> dict[str, float]:
+    """By sensor with samples enough, 1 - sum r^2 / sum (y - mean)^2; nan if it is constant."""
+    found = {}
+    for sensor in next(iter(seen.values())):
+        every = _traces_of(seen, sensor)
+        if every:
+            found[sensor] = explained([t.recorded for t in every], [t.residual for t in every])
+    return found
+
+
+def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, float]:
+    """By sensor whose noise is stated, the largest error of a column over its noise."""
+    found = {}
+    for sensor in explained_by(seen):
+        stated = [run[sensor].noise for run in recordings]
+        if any(noise is None for noise in stated):
+            continue
+        columns = next(iter(seen.values()))[sensor].columns
+        rms = columns.noise(root_mean_square(together(seen, sensor)))
+        noise = np.max([np.broadcast_to(s, rms.shape) for s in stated], 0)
+        found[sensor] = float(np.nanmax(rms / noise))
+    return found
+
+
+def is_poor(
+    seen: Traces, recordings: Sequence[Recording], setup: Setup, *, robust: bool = False
+) -> str:
+    """Why a fit may be at a wrong minimum, "" if nothing says so: R2 below 0.99, or below 0.999
+    with errors above the noise, which is stated or, for joints, as large as third differences of
+    the samples show. `robust`: without outliers."""
+    if robust:
+        seen, outliers = without_outliers(seen)
+        for sensor, share in outliers.items():
+            if share > MOST:
+                return f"{100 * share:.3g} % of the residuals of {sensor} are outliers"
+    shares = explained_by(seen)
+    for sensor, share in shares.items():
+        if share < EXPLAINED:
+            return f"R2 of {sensor} {share:.3g}"
+    doubted = [sensor for sensor, share in shares.items() if share < CLOSE]
+    ratios = noise_ratios(seen, recordings)
+    for sensor in doubted:
+        if not ratios.get(sensor, 0.0) <= ROUGH:
+            return f"error of {sensor} {ratios[sensor]:.3g} times the noise"
+    for sensor in doubted:
+        if sensor not in ("q", "v") or setup.columns(sensor).turns:
+            continue
+        error = root_mean_square(together(seen, sensor))
+        recorded = np.concatenate([s[sensor].recorded for s in seen.values()])
+        rough = np.max([roughness(ordered(setup.model, r)[sensor].values) for r in recordings], 0)
+        floor = TINY * np.nanstd(recorded, 0)
+        over = np.nanmax(error / np.maximum(ROUGH * rough, np.maximum(floor, 1e-300)))
+        if over > 1:
+            return f"error of {sensor} {ROUGH * over:.3g} times the roughness of its samples"
+    return ""
+
+
+def roughness(values: np.ndarray) -> np.ndarray:
+    """(n,) standard deviation of white noise, estimated from third differences."""
+    rough = np.diff(values, n=3, axis=0)
+    some = (~np.isnan(rough)).sum(0) > 3
+    found = np.full(values.shape[1], np.inf)
+    found[some] = np.sqrt(np.nanmean(rough[:, some] ** 2, 0) / 20)
+    return found
+
+
+def _tiny(seen: Traces) -> bool:
+    """Whether all residuals are rounding."""
+    for sensors in seen.values():
+        for sensor, trace in sensors.items():
+            if sensor == HELD or not trace.measured:
+                continue
+            spread = np.nanmax(np.nanstd(trace.recorded, 0))
+            if np.nanmax(np.abs(trace.residual)) > TINY * max(spread, 1e-300):
+                return False
+    return True

@@ -1,0 +1,1 @@
+"""Identification jobs that are described by a TOML file."""

@@ -1,0 +1,309 @@
+"""A job of identification as a TOML file: robot, recordings, unknowns, and where results go.
+
+`docs/job_files.md` lists the tables and keys, `rbjax.sysid.jobs.keys` holds them. Paths are
+relative to the file, and results lie within its folder.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError, UnknownName, UnsupportedFeature, listed
+from rbjax.loading import load, scenes, write_back, write_mjcf
+from rbjax.model import Model
+from rbjax.sensors.readings import Currents
+from rbjax.sysid.data.readers import Column, read_csv, read_npz
+from rbjax.sysid.data.recording import Recording
+from rbjax.sysid.estimators.identification import identify
+from rbjax.sysid.estimators.identified import Identified
+from rbjax.sysid.estimators.multi_start import many_starts
+from rbjax.sysid.jobs.keys import KEYS, NEEDED, check, short
+from rbjax.sysid.jobs.places import check_joints, place_of
+from rbjax.sysid.judgement.diagnosis import Diagnosis, diagnose
+from rbjax.sysid.judgement.report_page import report
+from rbjax.sysid.parameters.unknowns import Inertia, Parametrisation, Tilt, Unknown, Unknowns
+from rbjax.sysid.simulation.runs import grid_of
+from rbjax.sysid.simulation.setup import PD, Grid, Setup
+from rbjax.sysid.statistics.comparisons import HeldOut
+
+
+@dataclass(frozen=True)
+class Results:
+    """Results of a job.
+
+    Fields:
+        found: the fit.
+        verdict: on recordings that were held out; None if there are none.
+        diagnosis: of the recordings and the fit.
+        files: content -> path.
+        notes: sentences about these.
+    """
+
+    found: Identified
+    verdict: HeldOut | None
+    diagnosis: Diagnosis
+    files: dict[str, Path]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job of identification, read from its file; `run` runs it."""
+
+    source: str
+    setup: Setup
+    fit: tuple[Recording, ...]
+    held_out: tuple[Recording, ...]
+    unknowns: dict[str, Parametrisation]
+    grid: Grid | None
+    options: dict[str, Any]
+    folder: Path
+    guesses: int | None = None
+
+    @classmethod
+    def read(cls, path: str | Path, *, folder: str | Path | None = None) -> Job:
+        """Read and check a TOML file and the files that it names.
+
+        Args:
+            path: of the file.
+            folder: of the results, at any place; the folder of [output] if None.
+
+        Raises:
+            InputError: no such file, not TOML, a value of the wrong kind, recordings that do not
+                fit the robot; the message names the table and key.
+            UnknownName: a table, key, unit, sensor, joint, body or leaf that does not exist.
+        """
+        path = Path(path)
+        given = _toml(path)
+        check(given)
+        at = path.parent
+        out = _folder(path, given) if folder is None else Path(folder)
+        name = given["model"]
+        source = name if name in scenes() else str(at / name)
+        model = load(source, **{k: given[k] for k in KEYS[""] if k != "model" and k in given})
+        files = given["recordings"]
+        wanted = {name: Column(**line) for name, line in given["columns"].items()}
+        runs = {use: _read(at, files, use, wanted) for use in ("fit", "held_out")}
+        for run in (*runs["fit"], *runs["held_out"]):
+            check_joints(model, run, wanted)
+            run.check_model(model)
+        setup = _with_sensors(_controlled(model, given.get("controller", {})), given, wanted)
+        options = dict(given.get("options", {}))
+        grid = _grid(setup, given.get("controller", {}), options, runs)
+        unknowns = {n: _unknown(setup, n, line) for n, line in given["unknowns"].items()}
+        Unknowns.of("identify", unknowns, setup)  # raises before any work
+        guesses = options.pop("many_starts", None)
+        return cls(
+            source, setup, tuple(runs["fit"]), tuple(runs["held_out"]), unknowns, grid, options,
+            out, guesses,
+        )  # fmt: skip
+
+    def run(self, *, resume: bool = False, progress: bool = False) -> Results:
+        """Fit, judge, and write report.html, fit.json and the robot's file with the estimates into
+        the folder."""
+        saved = self.folder / "fit.json"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"identify: folder {self.folder} cannot be created: {error}"
+            ) from error
+        how: dict[str, Any] = {"grid": self.grid, "progress": progress, **self.options}
+        if self.guesses is not None and not resume:
+            found = many_starts(
+                self.setup, self.fit, self.unknowns, guesses=self.guesses, save=saved, **how
+            ).best
+        else:
+            found = identify(
+                self.setup, self.fit, self.unknowns, save=saved, resume=saved if resume else None,
+                **how,
+            )  # fmt: skip
+        diagnosis = diagnose(found, progress=progress)
+        page = self.folder / "report.html"
+        title = f"Identification of {Path(self.source).stem}"
+        report(found, page, held_out=self.held_out, diagnosis=diagnosis, title=title)
+        robot, note = self._robot(found.model)
+        files = {"report": page, "fit": saved, "robot": robot}
+        verdict = found.on(self.held_out) if self.held_out else None
+        return Results(found, verdict, diagnosis, files, (note,) if note else ())
+
+    def _robot(self, model: Model) -> tuple[Path, str]:
+        """The user's file with the found numbers; a new one where that cannot say them, and why."""
+        own = Path(self.source)
+        path = self.folder / (f"{own.stem}-found{own.suffix or '.xml'}")
+        try:
+            write_back(model, self.source, path)
+        except (InputError, UnsupportedFeature, ValueError) as error:
+            path = path.with_suffix(".xml")
+            write_mjcf(model, path)
+            return path, f"{own.name} cannot say the found numbers, so {path.name} is new: {error}"
+        return path, ""
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"identify: no file {path} ({error.strerror}); `rbjax identify --example FOLDER` "
+            "writes one that works"
+        ) from error
+    except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, an integer that is too long
+        reason = str(error)[:200]
+        raise InputError(f"identify: {path} is not a TOML file: {reason}") from error
+
+
+def _folder(path: Path, given: Mapping[str, Any]) -> Path:
+    """The folder of the results, within the folder of the file."""
+    name = given.get("output", {}).get("folder", path.stem)
+    at = path.parent.resolve()
+    if not (at / name).resolve().is_relative_to(at):
+        raise InputError(
+            f"identify: [output] folder is {short(name)}, which lies outside of {at}, expected a "
+            "folder within it; `rbjax identify FILE --out FOLDER` writes elsewhere"
+        )
+    return path.parent / name
+
+
+def _controlled(model: Model, given: Mapping[str, Any]) -> Setup:
+    """The set-up with the controller and delay of a file."""
+    servo = None
+    if "kp" in given or "kd" in given:
+        if not model.nu:
+            raise InputError(
+                "identify: [controller] has gains, but the model has no actuators; "
+                "motors = true gives each hinge and slide one"
+            )
+        gains = {}
+        for key in ("kp", "kd"):
+            values = np.asarray(given.get(key, 0.0), float)
+            if values.shape not in ((), (model.nu,)):
+                raise InputError(
+                    f"identify: [controller] {key} has {values.size} numbers, expected one, or "
+                    f"{model.nu}, one for each actuator: {listed(model.actuator_names, 8)}"
+                )
+            gains[key] = jnp.asarray(np.broadcast_to(values, (model.nu,)))
+        servo = PD(**gains)
+    delay = given.get("delay")
+    if delay is None and "longest_delay" in given:
+        raise InputError("identify: [controller] has longest_delay without delay, expected both")
+    return Setup.of(model, servo, None if delay is None else float(delay))
+
+
+def _with_sensors(setup: Setup, given: Mapping[str, Any], columns: Mapping[str, Column]) -> Setup:
+    """The set-up with every sensor of the columns: each one is fitted."""
+    options = given.get("sensors", {})
+    for sensor in dict.fromkeys(c.sensor for c in columns.values()):
+        if sensor in ("q", "v", "ctrl"):
+            continue
+        if sensor.partition(":")[0] in ("force", "torque", "other"):
+            raise InputError(
+                f"identify: sensor {sensor} is not one that a job file can simulate, expected q, "
+                "v, a, tau, current, ctrl, pose:NAME, position:SITE, gyro:SITE or "
+                "accelerometer:SITE; leave its columns out, or call `rb.sysid.identify` with "
+                "`Setup.with_sensors` and a `Reads`"
+            )
+        if sensor != "current":
+            setup = setup.with_sensors(sensor)
+            continue
+        nv = setup.model.nv
+        constant = np.asarray(options.get("current", 0.0), float)
+        if "current" not in options or constant.shape not in ((), (nv,)):
+            raise InputError(
+                "identify: sensor current needs the torque constants of the joints, expected "
+                f"[sensors] with current = a number in N m/A, or a list of {nv}"
+            )
+        constants = Currents(jnp.asarray(np.broadcast_to(constant, (nv,))))
+        setup = setup.with_sensors({"current": constants})
+    return setup
+
+
+def _grid(
+    setup: Setup, controller: Mapping[str, Any], options: dict[str, Any],
+    runs: Mapping[str, list[Recording]],
+) -> Grid | None:  # fmt: skip
+    """The grid that period, substeps and the delay ask for; None for the default of `identify`.
+    Unless the file has substeps, `identify` checks the steps with half their length."""
+    substeps, period = options.pop("substeps", None), options.pop("period", None)
+    if substeps is None and period is None and setup.delay is None:
+        return None
+    shortest = min(run.end - run.start for use in runs.values() for run in use)
+    longest = None
+    if setup.delay is not None:
+        delay = float(controller["delay"])
+        longest = float(controller.get("longest_delay", 3 * delay))
+        if not delay <= longest < shortest:
+            raise InputError(
+                f"identify: [controller] delay is {delay:g} s and longest_delay {longest:g} s, "
+                f"expected delay <= longest_delay < {shortest:g} s, the length of the shortest "
+                "recording"
+            )
+    seconds = None if period is None else float(period)
+    grid = grid_of(runs["fit"], setup, longest=longest, period=seconds)
+    if grid.period >= shortest:
+        raise InputError(
+            f"identify: [options] period is {grid.period:g} s, expected less than {shortest:g} s, "
+            "the length of the shortest recording"
+        )
+    return grid._replace(substeps=0 if substeps is None else substeps)
+
+
+def _read(
+    at: Path, files: Mapping[str, Any], use: str, wanted: Mapping[str, Column]
+) -> list[Recording]:
+    names = files.get(use, [])
+    names = [names] if isinstance(names, str) else names
+    how = {k: files[k] for k in ("time", "time_unit", "rate") if k in files}
+    text = {k: files[k] for k in ("delimiter", "decimal", "comment") if k in files}
+    found = []
+    for name in names:
+        suffix = Path(name).suffix
+        if suffix in (".csv", ".txt"):
+            found.append(read_csv(at / name, wanted, **how, **text))
+        elif suffix == ".npz":
+            found.append(read_npz(at / name, wanted, **how))
+        else:
+            raise InputError(
+                f"identify: recording {short(name)}, expected a file .csv, .txt or .npz"
+            )
+    return found
+
+
+def _unknown(setup: Setup, name: str, line: Mapping[str, Any]) -> Parametrisation:
+    kinds = [key for key in ("leaf", "inertia", "tilt") if key in line]
+    if len(kinds) != 1:
+        raise InputError(
+            f"identify: unknown {name} is {short(line)}, expected one of leaf, inertia and tilt, "
+            f"as in {NEEDED['unknowns']}, or {name} = {{inertia = "
+            f'"{setup.model.body_names[-1]}"}}'
+        )
+    if kinds[0] != "leaf":
+        others = [key for key in line if key != kinds[0]]
+        if others:
+            raise InputError(
+                f"identify: unknown {name} has {kinds[0]} and {listed(others, 4)}, expected "
+                f"{kinds[0]} only; the other keys belong to a leaf"
+            )
+        if kinds[0] == "tilt":
+            return Tilt()
+        if line["inertia"] not in setup.model.body_names:
+            raise UnknownName("body", line["inertia"], setup.model.body_names)
+        return Inertia(line["inertia"])
+    how = dict(line)
+    if "bounds" in how:
+        how["bounds"] = tuple(map(float, how["bounds"]))
+    if "positive" in how and "bounds" in how:
+        raise InputError(
+            f"identify: unknown {name} has positive and bounds, expected one of them: "
+            "bounds = [0.0, inf] is positive"
+        )
+    if "index" in how:
+        how["index"] = place_of(setup, how["leaf"], how["index"])
+    return Unknown(**how)

@@ -1,0 +1,1 @@
+"""Judgement of an identification: diagnosis of wrong data, repeated fits, reports."""

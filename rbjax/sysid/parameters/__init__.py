@@ -1,0 +1,1 @@
+"""The unknown parameters of a model: their names, coordinates, bounds and first guesses."""

@@ -1,0 +1,1 @@
+"""Statistics of residuals and Jacobians: rank, intervals, whiteness and comparisons."""

@@ -1,0 +1,322 @@
+"""What data say of parameters: information, covariance, intervals, and what they do not say.
+
+With residuals r(p) = y - f(p) of independent noise of variance S, and J = df/dp, in the limit of
+small noise (and exactly for a linear f):
+    information  F = J^T S^-1 J        covariance of the best estimate, the Cramer-Rao bound, F^-1
+A combination c(p) with gradient g has the variance g^T F^-1 g if g has no part in the null space of
+J. If it has one, no amount of such data says anything of c, and its interval is infinite.
+Intervals of positive and bounded parameters are symmetric in log(p - low), or in the logit, so they
+never leave the bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from scipy import linalg, special, stats
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.sysid.arguments import floats, names_of
+from rbjax.sysid.statistics.precision import rank_tolerance as tolerance_of
+
+SEEN = 1e-5  # share of a gradient in the null space that is rounding
+
+
+class Interval(NamedTuple):
+    """A value with its standard deviation, and the bounds of its confidence interval."""
+
+    value: float
+    sigma: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """Parameters with what the data say of them.
+
+    Fields: names; values (n,); covariance (n, n), within what the data show; free (n, k), columns
+    of length 1, the directions of which the data say nothing; dof, of the noise's estimate, inf if
+    the noise is known; bounds, name -> (low, high). For another covariance, such as `sandwich`'s,
+    use `dataclasses.replace`.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+    free: np.ndarray
+    dof: float = np.inf
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    lengths: np.ndarray | None = None  # of the columns of J, which scale the parameters
+
+    def interval(
+        self,
+        of: str | Mapping[str, float] | Callable[[dict[str, Any]], Any],
+        level: float = 0.95,
+        bounds: tuple[float, float] | None = None,
+    ) -> Interval:
+        """The confidence interval of a parameter or of any combination of parameters.
+
+        Args:
+            of: a name; name -> coefficient, a sum; or a function of the dict name -> value, written
+                with jax.numpy, such as `lambda p: p["b"] / p["m"]` (delta method).
+            level: the share of experiments whose interval holds the truth.
+            bounds: of the combination; a parameter's own if None.
+
+        Returns:
+            `Interval`: Student's with `dof`; from bound to bound, with sigma inf, if the data do
+            not show the combination.
+
+        Raises:
+            UnknownName: a name that is none of the parameters'.
+            InputError: a level outside of (0, 1).
+        """
+        if not 0 < level < 1:
+            raise InputError(f"interval: level is {level}, expected a number between 0 and 1")
+        value, gradient = self._combination(of)
+        if bounds is None:
+            bounds = self.bounds.get(of, (-np.inf, np.inf)) if isinstance(of, str) else None
+        low, high = bounds or (-np.inf, np.inf)
+        if not self._shows(gradient):
+            return Interval(value, np.inf, low, high)
+        sigma = float(np.sqrt(max(gradient @ self.covariance @ gradient, 0.0)))
+        half = float(stats.t.ppf(0.5 + level / 2, self.dof)) * sigma
+        return Interval(value, sigma, *_within(value, half, low, high))
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """(n,) standard deviations; inf where the data say nothing of a parameter."""
+        return np.array([self.interval(n).sigma for n in self.names])
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(n, n) correlations, within what the data show."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        sigma[sigma == 0] = 1.0
+        return self.covariance / np.outer(sigma, sigma)
+
+    def in_words(self, level: float = 0.95) -> list[str]:
+        """A sentence for each parameter, and one for each direction that stays free."""
+        said = []
+        for n in self.names:
+            x = self.interval(n, level)
+            if np.isinf(x.sigma):
+                said.append(f"{n}: these data do not say it")
+            else:
+                said.append(f"{n} = {x.value:.6g}, {level:.0%} from {x.low:.6g} to {x.high:.6g}")
+        for direction in self.free.T:
+            parts = [
+                f"{x:+.3g} {n}" for n, x in zip(self.names, direction, strict=True) if abs(x) > 1e-6
+            ]
+            said.append(f"free: a change along ({', '.join(parts)}) leaves the data as they are")
+        return said
+
+    def _combination(self, of: Any) -> tuple[float, np.ndarray]:
+        if isinstance(of, str):
+            of = {of: 1.0}
+        if isinstance(of, Mapping):
+            gradient = np.zeros(len(self.names))
+            for name, coefficient in of.items():
+                if name not in self.names:
+                    raise UnknownName("parameter", name, self.names)
+                gradient[self.names.index(name)] = coefficient
+            return float(gradient @ self.values), gradient
+        at = dict(zip(self.names, map(float, self.values), strict=True))
+        value, slopes = jax.value_and_grad(of)(at)
+        return float(value), np.array([float(slopes[n]) for n in self.names])
+
+    def _shows(self, gradient: np.ndarray) -> bool:
+        if not self.free.size:
+            return True
+        lengths = np.ones(len(self.names)) if self.lengths is None else self.lengths
+        null = linalg.orth(self.free * lengths[:, None])
+        scaled = gradient / lengths
+        return bool(linalg.norm(null.T @ scaled) <= SEEN * linalg.norm(scaled))
+
+
+def estimates(
+    names: Sequence[str],
+    values: Any,
+    jacobian: Any,
+    noise: Any = None,
+    *,
+    residual: Any = None,
+    dof: float | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    rank_tolerance: float | None = None,
+) -> Estimates:
+    """Covariance and intervals of the parameters of a least-squares fit.
+
+    cov = (J^T S^-1 J)^-1, where S is the noise's variance, or s^2 = r^T r / (m - rank) if unknown.
+
+    Args:
+        names: n of them.
+        values: (n,) estimates.
+        jacobian: (m, n), of what is measured, at the estimates.
+        noise: standard deviation of each row, (m,) or one number. If None, one number for all
+            rows is estimated from `residual`; for several sensors use `noise_by_channel`.
+        residual: (m,), only where the noise is unknown.
+        dof: of the noise's estimate, if `noise` is one: m - n, or what `noise_by_channel` says; inf
+            if None.
+        bounds: name -> (low, high), of positive parameters (0, inf).
+        rank_tolerance: a singular value below this, relative to the largest one, is zero, for
+            columns scaled to length 1. None: 1e-9 for a Jacobian in float64, 1e-4 in float32.
+
+    Returns:
+        `Estimates`.
+
+    Raises:
+        InputError: wrong shapes, numbers that are not finite; neither noise nor residual.
+
+    Source: Seber & Wild, *Nonlinear Regression*, 2.1; Kay, *Estimation Theory*, 3.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import estimates
+        >>> t = np.arange(5.0)
+        >>> line = estimates(["offset", "slope"], [1.0, 2.0], np.stack([t**0, t], 1), noise=0.1)
+        >>> [round(x, 3) for x in line.interval("slope")]
+        [2.0, 0.032, 1.938, 2.062]
+    """
+    names, values = names_of("estimates", "names", names), floats("estimates", "values", values)
+    rank_tolerance = tolerance_for(jacobian) if rank_tolerance is None else rank_tolerance
+    J = checked_rows("estimates", "jacobian", jacobian, 2)
+    m, n = J.shape
+    if not len(names) == len(set(names)) == n == values.size:
+        raise InputError(
+            f"estimates: {len(names)} names and {values.size} values, expected {n} different ones, "
+            "as the jacobian has columns"
+        )
+    if not (bounds is None or isinstance(bounds, Mapping)):
+        raise InputError(f"estimates: bounds is {bounds!r}, expected a dict name -> (low, high)")
+    unknown = set(bounds or {}) - set(names)
+    if unknown:
+        raise UnknownName("parameter", min(unknown), names)
+    for name, limits in (bounds or {}).items():
+        low_high = floats("estimates", f"bounds of {name}", limits, "(low, high)")
+        if low_high.shape != (2,) or not low_high[0] < low_high[1]:
+            raise InputError(f"estimates: bounds of {name} are {limits!r}, expected low < high")
+    _check_positive("rank_tolerance", rank_tolerance, below=1.0)
+    _check_positive("dof", np.inf if dof is None else dof)
+    if noise is None:
+        if residual is None:
+            raise InputError("estimates: neither noise nor residual, expected one of them")
+        r = checked_rows("estimates", "residual", residual, 1, m)
+        rank = decomposed(J, rank_tolerance)[2].shape[1]
+        if m <= rank:
+            raise InputError(
+                f"estimates: {m} residuals for {rank} parameters leave no noise to estimate, "
+                "expected more samples, or the noise"
+            )
+        noise, dof = max(np.sqrt(r @ r / (m - rank)), np.finfo(float).tiny), m - rank
+    sigma = _deviations("estimates", noise, m)
+    lengths, s, V, null = decomposed(J / sigma[:, None], rank_tolerance)
+    half = V / s / lengths[:, None]
+    free = null / lengths[:, None]
+    free = linalg.qr(free, mode="economic")[0] if free.size else free
+    free = free * np.where(free.sum(0) < 0, -1.0, 1.0)
+    return Estimates(
+        names, values.ravel(), half @ half.T, free, np.inf if dof is None else float(dof),
+        dict(bounds or {}), lengths,
+    )  # fmt: skip
+
+
+def _check_positive(name: str, x: Any, below: float = np.inf) -> None:
+    if isinstance(x, bool) or not isinstance(x, (int, float, np.number)) or not 0 < x <= below:
+        end = "" if below == np.inf else f", at most {below:g}"
+        raise InputError(f"estimates: {name} is {x!r}, expected a number above 0{end}")
+
+
+def tolerance_for(jacobian: Any) -> float:
+    """The rank tolerance of a Jacobian's dtype."""
+    return tolerance_of(jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
+
+
+def information(jacobian: Any, noise: Any = 1.0) -> np.ndarray:
+    """Fisher's information F = J^T S^-1 J (n, n), of rows with these standard deviations.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import information
+        >>> information(np.ones((4, 1)), noise=2.0).tolist()
+        [[1.0]]
+    """
+    J = checked_rows("information", "jacobian", jacobian, 2)
+    J = J / _deviations("information", noise, len(J))[:, None]
+    return J.T @ J
+
+
+def crlb(jacobian: Any, noise: Any = 1.0) -> np.ndarray:
+    """The Cramer-Rao bound F^-1 (n, n): no unbiased estimate has a smaller covariance.
+
+    A parameter that the data do not show has inf on the diagonal and nan beside it.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import crlb
+        >>> crlb(np.ones((4, 1)), noise=2.0).tolist()
+        [[1.0]]
+    """
+    J = checked_rows("crlb", "jacobian", jacobian, 2)
+    names = [str(k) for k in range(J.shape[1])]
+    tolerance = tolerance_for(jacobian)
+    found = estimates(names, np.zeros(len(names)), J, noise, rank_tolerance=tolerance)
+    bound, hidden = found.covariance.copy(), np.isinf(found.sigma)
+    bound[hidden] = bound[:, hidden] = np.nan
+    bound[hidden, hidden] = np.inf
+    return bound
+
+
+def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
+    """Lengths of the columns, singular values, right vectors and null space of J / lengths."""
+    lengths = linalg.norm(J, axis=0)
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    scaled = J / lengths
+    R = linalg.qr(scaled, mode="r")[0][: J.shape[1]] if len(J) > J.shape[1] else scaled
+    _, s, Vt = linalg.svd(R, full_matrices=True)
+    rank = int((s > tolerance * max(s[0], 1e-300)).sum()) if s.size and s[0] > 0 else 0
+    return lengths, s[:rank], Vt[:rank].T, Vt[rank:].T
+
+
+def _within(x: float, half: float, low: float, high: float) -> tuple[float, float]:
+    """x -+ half, to first order, on a scale that ends at the bounds."""
+    if not low < x < high:  # on a bound there is no such scale
+        return max(x - half, low), min(x + half, high)
+    if np.isinf(low) and np.isinf(high):
+        return x - half, x + half
+    if np.isinf(high):
+        with np.errstate(over="ignore"):
+            factor = np.exp(half / (x - low))
+        return low + (x - low) / factor, low + (x - low) * factor
+    if np.isinf(low):
+        with np.errstate(over="ignore"):
+            factor = np.exp(half / (high - x))
+        return high - (high - x) * factor, high - (high - x) / factor
+    u, du = np.log((x - low) / (high - x)), half * (1 / (x - low) + 1 / (high - x))
+    span = high - low
+    return low + span * float(special.expit(u - du)), low + span * float(special.expit(u + du))
+
+
+def checked_rows(where: str, name: str, x: Any, ndim: int, rows: int | None = None) -> np.ndarray:
+    x = floats(where, name, x)
+    if x.ndim != ndim or x.size == 0 or (rows is not None and len(x) != rows):
+        due = "(m, n)" if ndim == 2 else "(m,)" if rows is None else f"({rows},)"
+        raise InputError(f"{where}: {name} has shape {x.shape}, expected {due}")
+    if not np.isfinite(x).all():
+        at = np.argwhere(~np.isfinite(x))[0].tolist()
+        raise InputError(f"{where}: {name}{at} is {x[tuple(at)]}, expected finite values")
+    return x
+
+
+def _deviations(where: str, noise: Any, rows: int) -> np.ndarray:
+    sigma = floats(where, "noise", noise, "standard deviations")
+    if sigma.shape not in ((), (rows,)) or not (np.isfinite(sigma) & (sigma > 0)).all():
+        raise InputError(
+            f"{where}: noise has shape {sigma.shape}, expected one positive standard deviation, "
+            f"or {rows}, one a row"
+        )
+    return np.broadcast_to(sigma, (rows,))

@@ -1,0 +1,254 @@
+"""What can be found: the combinations of parameters that a Jacobian shows, in words.
+
+J (m, n) says how m measurements change with n parameters. With its columns scaled to unit length,
+J D^-1 = U S V^T, r singular values are above the tolerance. Then r columns span the others,
+
+    J_dropped = J_kept K,   J pi = J_kept beta,   beta = pi_kept + K pi_dropped,
+
+and beta, the base parameters, can be found; the n - r directions pi_kept = -K pi_dropped cannot. A
+parameter can be found by itself if its row of K is zero. The columns kept are the first that are
+independent, in the order given (reduced row echelon form of the rows V_r^T). So parameters are
+grouped into earlier ones, which gives the groupings of the textbooks. Gautier, J. Robotic Systems
+8(4), 1991; Khalil & Dombre, *Modeling, Identification and Control of Robots*, ch. 9 and 12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from rbjax.errors import InputError, UnknownName, listed
+from rbjax.sysid.arguments import floats, names_of
+from rbjax.sysid.statistics.precision import rank_tolerance
+
+#: A column smaller than this many rounding errors of the largest belongs to what moves nothing.
+NOTHING = 500
+#: A column whose part outside of the columns kept is smaller than this waits for the others.
+CLEAR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Combinations:
+    """The combinations of parameters that can be found.
+
+    Fields: names of the n parameters; singular_values of J with columns of unit length, descending;
+    tolerance, relative to the largest, below which they count as 0; kept and dropped, the columns
+    (places in names); K (r, n - r) with beta = pi[kept] + K pi[dropped].
+    """
+
+    names: tuple[str, ...]
+    singular_values: np.ndarray
+    tolerance: float
+    kept: tuple[int, ...]
+    dropped: tuple[int, ...]
+    K: np.ndarray
+
+    @property
+    def rank(self) -> int:
+        """How many combinations can be found."""
+        return len(self.kept)
+
+    @property
+    def gap(self) -> tuple[float, float]:
+        """The smallest singular value that counts and the largest that does not, over the largest;
+        the rank is sure where they lie decades apart."""
+        s, r = self.singular_values, self.rank
+        if not r:
+            return 0.0, 0.0
+        return float(s[r - 1] / s[0]), float(s[r] / s[0]) if r < len(s) else 0.0
+
+    @property
+    def condition(self) -> float:
+        """The condition number of the columns kept to r dimensions, all of unit length."""
+        return 1 / self.gap[0] if self.rank else np.inf
+
+    @cached_property
+    def hidden(self) -> tuple[str, ...]:
+        """Parameters that move nothing."""
+        silent = ~np.any(self.K, axis=0, keepdims=True)[0]
+        return tuple(self.names[j] for j, x in zip(self.dropped, silent, strict=True) if x)
+
+    @cached_property
+    def found(self) -> tuple[str, ...]:
+        """Parameters that can be found by themselves."""
+        single = ~np.any(self.K, axis=1, keepdims=True)[:, 0]
+        return tuple(self.names[j] for j, x in zip(self.kept, single, strict=True) if x)
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """B (r, n) with beta = B pi."""
+        B = np.zeros((self.rank, len(self.names)))
+        B[np.arange(self.rank), list(self.kept)] = 1.0
+        B[:, list(self.dropped)] = self.K
+        return B
+
+    @cached_property
+    def free_directions(self) -> np.ndarray:
+        """N (n, n - r): changes of the parameters that change no measurement."""
+        N = np.zeros((len(self.names), len(self.dropped)))
+        N[list(self.dropped), np.arange(len(self.dropped))] = 1.0
+        N[list(self.kept)] = -self.K
+        return N
+
+    def combine(self, values: Any) -> np.ndarray:
+        """beta (r,) of parameters (n,)."""
+        return self.matrix @ np.asarray(values, float)
+
+    def term(self, k: int, digits: int = 4) -> str:
+        """Combination k as a sum, such as "link1.Izz + joint1.armature - 0.25 link2.m"."""
+        parts = [self.names[self.kept[k]]]
+        for j, x in zip(self.dropped, self.K[k], strict=True):
+            if x:
+                size = f"{abs(x):.{digits}g}"
+                factor = "" if size == "1" else f"{size} "
+                parts.append(f"{'-' if x < 0 else '+'} {factor}{self.names[j]}")
+        return " ".join(parts)
+
+    def terms(self, digits: int = 4) -> tuple[str, ...]:
+        """All combinations as sums."""
+        return tuple(self.term(k, digits) for k in range(self.rank))
+
+    def words(self, digits: int = 4) -> str:
+        """What can be found and what cannot, one sentence a line."""
+        n, (least, most) = len(self.names), self.gap
+        kinds = len(self.found), self.rank - len(self.found), len(self.hidden)
+        lines = [
+            f"{self.rank} of {n} can be found: {kinds[0]} by themselves and {kinds[1]} as "
+            f"combinations; {kinds[2]} never show. Singular values that count end at "
+            f"{least:.2g} of the largest; the next is {most:.2g}."
+        ]
+        if self.found:
+            lines.append(f"Found by themselves: {', '.join(self.found)}.")
+        for k in range(self.rank):
+            if self.K[k].any():
+                partners = int((self.K[k] != 0).sum())
+                rest = "neither by itself" if partners == 1 else "none of them by itself"
+                lines.append(f"{self.term(k, digits)} is found; {rest}.")
+        if self.hidden:
+            lines.append(f"Never show: {', '.join(self.hidden)}.")
+        return "\n".join(lines)
+
+
+def combinations(
+    J: Any, names: Sequence[str], *, tolerance: float | None = None, first: Sequence[str] = ()
+) -> Combinations:
+    """The combinations of parameters that a Jacobian shows.
+
+    Args:
+        J: (..., n) derivatives of measurements by parameters; leading axes count measurements.
+            Rows of unequal noise should be divided by their noise.
+        names: (n,) of the parameters. Earlier ones are kept, later ones are grouped into them.
+        tolerance: of singular values, relative to the largest, with columns of unit length; None
+            for 1e-9 in float64 and 1e-4 in float32.
+        first: names that come before the others, where the data allow that they are kept.
+
+    Returns:
+        `Combinations`.
+
+    Raises:
+        InputError: shapes that do not match, values that are not finite, names that repeat.
+        UnknownName: a name of `first` that is no parameter.
+
+    Source: Gautier 1991; Golub & Van Loan, *Matrix Computations*, 5.4.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import combinations
+        >>> t = np.linspace(0.0, 1.0, 9)
+        >>> seen = combinations(np.stack([t, 2 * t, t**2, 0 * t], 1), ["a", "b", "c", "d"])
+        >>> print("\\n".join(seen.words().splitlines()[1:]))
+        Found by themselves: c.
+        a + 2 b is found; neither by itself.
+        Never show: d.
+    """
+    names = names_of("combinations", "names", names)
+    first = names_of("combinations", "first", first)
+    given = floats("combinations", "J", J)
+    J = np.asarray(J)
+    eps = float(np.finfo(np.float32 if J.dtype == np.float32 else np.float64).eps)
+    if tolerance is None:
+        tolerance = rank_tolerance(J.dtype)
+    J = given
+    if J.ndim < 2 or J.shape[-1] != len(names):
+        raise InputError(
+            f"combinations: J has shape {J.shape} and there are {len(names)} names, expected one "
+            "column for each name"
+        )
+    if len(set(names)) < len(names):
+        twice = sorted({x for x in names if names.count(x) > 1})
+        raise InputError(f"combinations: names repeat: {listed(twice, 4)}; expected unique names")
+    if not (isinstance(tolerance, (int, float, np.number)) and 0 < tolerance < 1):
+        raise InputError(f"combinations: tolerance is {tolerance!r}, expected between 0 and 1")
+    for name in first:
+        if name not in names:
+            raise UnknownName("parameter", name, names)
+    J = J.reshape(-1, len(names))
+    if not np.isfinite(J).all():
+        i, j = np.argwhere(~np.isfinite(J))[0]
+        raise InputError(f"combinations: J[{i}] of {names[j]} is {J[i, j]}, expected finite values")
+    size = np.linalg.norm(J, axis=0)
+    shows = size > NOTHING * eps * size.max(initial=0.0)
+    scale = np.where(shows, size, 1.0)
+    scaled = np.where(shows, J, 0.0) / scale
+    if len(J) > len(names):
+        scaled = scipy.linalg.qr(scaled, mode="r")[0][: len(names)]
+    _, s, Vt = np.linalg.svd(scaled, full_matrices=False)
+    rank = int((s > tolerance * s[0]).sum()) if s.size and s[0] > 0 else 0
+    leading = [names.index(name) for name in dict.fromkeys(first)]
+    order = [*leading, *(j for j in range(len(names)) if j not in leading)]
+    kept = _independent(Vt[:rank], order)
+    dropped = tuple(j for j in range(len(names)) if j not in set(kept))
+    K = np.zeros((rank, len(dropped)))
+    if rank and dropped:
+        K = scipy.linalg.solve(Vt[:rank, list(kept)], Vt[:rank, list(dropped)])
+        # what rounding, and singular values up to the tolerance, leave of an exact zero
+        K = np.where(np.abs(K) > max(tolerance * s[0] / s[rank - 1], 1e-12), K, 0.0)
+        K = K * (scale[list(dropped)] / scale[list(kept), None])
+    return Combinations(names, s, float(tolerance), kept, dropped, K)
+
+
+def beside_others(R: np.ndarray, n: int) -> np.ndarray:
+    """Slopes of the first n numbers of a triangular R (m, size + 1) of [J r], without their part in
+    the span of the other numbers' slopes, such as those of initial states and noise levels."""
+    first, others = R[:, :n], R[:, n:-1]
+    if not others.shape[1]:
+        return first
+    size = np.linalg.norm(others, axis=0)
+    moves = size > 0
+    U, s, _ = np.linalg.svd(others[:, moves] / size[moves], full_matrices=False)
+    U = U[:, s > rank_tolerance(R.dtype) * s.max(initial=0.0)]
+    return np.asarray(first - U @ (U.T @ first))
+
+
+def _independent(rows: np.ndarray, order: Sequence[int]) -> tuple[int, ...]:
+    """As many columns as there are orthonormal rows, independent, the first in order that are.
+
+    A first pass takes columns whose part outside of those taken is clearly there. If too few are,
+    the largest parts of the others follow, one by one.
+    """
+    rank = len(rows)
+    kept: list[int] = []
+    basis = np.zeros((rank, 0))
+
+    def outside(x: np.ndarray) -> np.ndarray:
+        for _ in range(2):  # twice is enough (Kahan)
+            x = x - basis @ (basis.T @ x)
+        return x
+
+    for j in order:
+        part = outside(rows[:, j])
+        length, whole = (float(np.linalg.norm(x)) for x in (part, rows[:, j]))
+        if len(kept) < rank and length > CLEAR * max(whole, 1e-6):
+            kept.append(j)
+            basis = np.column_stack([basis, part / length])
+    while len(kept) < rank:
+        parts = outside(rows)
+        j = int(np.argmax(np.linalg.norm(parts, axis=0)))
+        kept.append(j)
+        basis = np.column_stack([basis, parts[:, j] / np.linalg.norm(parts[:, j])])
+    return tuple(sorted(kept))

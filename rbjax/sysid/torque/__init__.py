@@ -1,0 +1,1 @@
+"""Identification from torques, which are linear in the inertial parameters."""

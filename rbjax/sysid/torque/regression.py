@@ -1,0 +1,368 @@
+"""Linear regression of torques on base parameters: tau = W pi + e.
+
+With X the columns of W that are kept (`rank`), beta the base parameters, S the noise's covariance:
+
+    ordinary      beta = (X^T X)^-1 X^T tau
+    weighted      beta = (X^T S^-1 X)^-1 X^T S^-1 tau,   covariance (X^T S^-1 X)^-1
+    robust        weighted, with weights psi(u) / u of the residuals u = e / s, again and again
+    instrumental  beta = (Z^T X)^-1 Z^T tau
+
+Noise in q, v and a makes X itself noisy, and the first three biased (towards zero, mostly);
+instruments Z are columns without that noise, such as those of the simulated motion. Gautier 1997
+(weights); Huber & Ronchetti, *Robust Statistics*, 2009, ch. 7; Janot, Vandanjon & Gautier, IEEE
+Trans. Control Systems Technology 22(1), 2014 (instruments).
+
+An estimator is a function of an `Equations` that returns a `Regression`; `METHODS` names them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.solvers.common.arguments import check_whole
+from rbjax.sysid.statistics.rank import Combinations
+from rbjax.sysid.statistics.whiteness_tests import meat_of
+from rbjax.sysid.torque.regression_statistics import (
+    ROUNDING,
+    negligible,
+    statistics_of,
+    with_statistics,
+)
+from rbjax.sysid.torque.stacking import Equations, equations
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """The result of a regression.
+
+    Fields:
+        combinations: the combinations that are the r base parameters.
+        beta: (r,), their values.
+        covariance: (r, r), by `fit_statistics`: for independent noise if the residuals are white,
+            otherwise for noise with the correlation of the residuals.
+        noise: (k,) standard deviation of each channel.
+        residual: (N, k), tau - W pi.
+        weights: (N, k), below 1 if a robust method reduces the weight of a sample.
+        dof: degrees of freedom of Student's t; infinite if the noise was given and the residuals
+            agree with it.
+        steps: number of iterations.
+        ok: whether they converged.
+        white: whether the residuals of each channel are independent in time.
+    """
+
+    combinations: Combinations
+    beta: Array
+    covariance: Array
+    noise: Array
+    residual: Array
+    weights: Array
+    dof: float
+    steps: int = 1
+    ok: bool = True
+    white: bool = True
+
+    @property
+    def errors(self) -> Array:
+        """Standard deviations (r,) of beta."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def intervals(self, level: float = 0.95) -> Array:
+        """(r, 2) limits between which each base parameter lies with this probability."""
+        if not 0 < level < 1:
+            raise InputError(f"intervals: level is {level}, expected between 0 and 1")
+        half = scipy.stats.t.ppf((1 + level) / 2, self.dof) * self.errors
+        return np.stack([self.beta - half, self.beta + half], 1)
+
+    def parameters(self, prior: Any) -> Array:
+        """All parameters (p,): those of `prior` that are dropped stay, the others follow from beta.
+
+        Inertias among them may be none that a body can have; `consistent` finds such.
+        """
+        c = self.combinations
+        out = np.array(prior, float)
+        if out.shape != (len(c.names),):
+            raise InputError(f"parameters: prior has shape {out.shape}, expected ({len(c.names)},)")
+        out[list(c.kept)] = self.beta - c.K @ out[list(c.dropped)]
+        return out
+
+    def words(self, level: float = 0.95) -> str:
+        """Each base parameter with its interval, one a line."""
+        rows = zip(self.combinations.terms(), self.beta, self.intervals(level), strict=True)
+        return "\n".join(f"{term} = {x:.5g} ({low:.5g} to {up:.5g})" for term, x, (low, up) in rows)
+
+
+def regress(
+    W: Any,
+    tau: Any,
+    names: Sequence[str],
+    *,
+    method: str = "weighted",
+    noise: Any = None,
+    base: Combinations | None = None,
+    lengths: Sequence[int] | None = None,
+    **options: Any,
+) -> Regression:
+    """Fit base parameters to torques.
+
+    Args:
+        W: (N, k, p) observation matrix of k channels, or (N, p) of one.
+        tau: (N, k) measured torques, N m or N; or (N,).
+        names: (p,) of the columns.
+        method: "ordinary", "weighted", "robust" or "instrumental": the keys of `METHODS`.
+        noise: standard deviation of tau if it is known: a number, (k,) or (N, k); inf for a torque
+            that does not count.
+        base: the combinations to fit; None for those that W shows.
+        lengths: number of samples of each recording in W, N in all. Noise is not correlated between
+            recordings. None: one recording. Samples are in the order of time.
+        options: of the method. robust: loss ("huber", "bisquare"), max_steps. instrumental:
+            instruments (N, k, p), or a function of the last `Regression` that returns them; start;
+            max_steps.
+
+    Returns:
+        `Regression`. `ok` is false where iterations did not converge.
+
+    Raises:
+        UnknownName: no such method. InputError: shapes that do not match, values that are not
+            finite, too few samples.
+
+    Source: Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import regress
+        >>> t = np.linspace(0.0, 1.0, 20)
+        >>> line = np.stack([np.ones(20), t], 1)
+        >>> found = regress(line, line @ [2.0, -1.0], ["offset", "slope"])
+        >>> found.beta.round(6).tolist()
+        [2.0, -1.0]
+    """
+    if method not in METHODS:
+        raise UnknownName("regression method", method, METHODS)
+    known = inspect.signature(METHODS[method]).parameters
+    for option in options:
+        if option not in list(known)[1:]:
+            raise UnknownName(f"option of method {method}", option, list(known)[1:])
+    if method == "instrumental" and "instruments" not in options:
+        raise InputError(
+            "regress: method instrumental without instruments, expected an array (N, k, p) like W, "
+            "or a function of the last Regression that returns it"
+        )
+    eq = equations(W, tau, names, noise=noise, base=base, lengths=lengths)
+    return METHODS[method](eq, **options)
+
+
+def ordinary(eq: Equations) -> Regression:
+    """Every torque counts alike. Without known noise all channels are taken to have the same."""
+    fitted, (N, k) = eq.fit(1.0), eq.tau.shape
+    beta, covariance = fitted.beta, fitted.covariance
+    residual = eq.tau - eq.X @ beta
+    if eq.noise is None:
+        dof = float(eq.tau.size - beta.size)
+        noise = np.full(k, np.sqrt((residual**2).sum() / dof))
+        covariance = noise[0] ** 2 * covariance
+    else:
+        if not eq.counted.all():
+            raise InputError(
+                "regress: noise is inf for some torques, but by method ordinary all count alike; "
+                "use method weighted, or leave these samples out"
+            )
+        dof, noise = np.inf, np.sqrt((eq.noise**2).mean(0))
+        noisy = (eq.X * eq.noise[..., None]).reshape(-1, beta.size) @ covariance
+        covariance = noisy.T @ noisy
+    found = Regression(
+        eq.combinations, beta, covariance, noise, residual, np.ones((N, k)), dof
+    )  # fmt: skip
+    return with_statistics(eq, found, np.ones((N, k)))
+
+
+def weighted(eq: Equations) -> Regression:
+    """Each torque counts by its noise: known, or that of its channel's residuals."""
+    sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
+    return with_statistics(eq, _weighted(eq, sd), np.broadcast_to(sd, eq.tau.shape))
+
+
+def _noise_of_channels(eq: Equations) -> Array:
+    beta = eq.fit(1.0).beta
+    noise = _floor(eq, np.sqrt(((eq.tau - eq.X @ beta) ** 2).mean(0)))
+    for _ in range(3):  # the noise of a channel and the weights by it settle at once
+        noise = _floor(eq, _weighted(eq, noise).noise)
+    return noise
+
+
+def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regression:
+    """Weights psi(u) / u take the pull of outliers away: iteratively reweighted least squares.
+
+    "huber" bounds the pull of a sample; "bisquare" starts there and then ignores samples farther
+    than 4.7 standard deviations. Each channel's scale is the median of |u| / 0.6745. The covariance
+    is Huber's: that of weighted least squares times mean psi^2 / (mean psi')^2.
+    """
+    if loss not in LOSSES:
+        raise UnknownName("loss", loss, LOSSES)
+    check_whole("robust", "max_steps", max_steps, 1)
+    sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
+    found, done, step = _weighted(eq, sd), False, 0
+    stages = ["huber"] if loss == "huber" else ["huber", loss]
+    for stage in stages:
+        for _ in range(max_steps):
+            step += 1
+            scale = _scale(eq, found.residual)
+            w, _, _ = LOSSES[stage](found.residual / scale)
+            beta = eq.fit(scale / np.sqrt(np.maximum(w, 1e-12))).beta
+            residual = eq.tau - eq.X @ beta
+            moved = np.abs(eq.X @ (beta - found.beta)) / scale  # in standard deviations of tau
+            done = bool(moved.max() < 1e-8)
+            found = Regression(
+                eq.combinations, beta, found.covariance, found.noise, residual, w, found.dof
+            )
+            if done:
+                break
+    scale = _scale(eq, found.residual)
+    w, psi, slope = LOSSES[loss](found.residual / scale)
+    # `with_statistics` keeps this covariance if the noise is given and the samples are few
+    counted = eq.counted
+    spread = (psi[counted] ** 2).mean() / max(slope[counted].mean(), 1e-3) ** 2
+    size = np.where(counted, scale, 0.0)
+    size = np.sqrt((size**2).sum(0) / np.maximum(counted.sum(0), 1))
+    found = Regression(
+        eq.combinations, found.beta, spread * eq.fit(scale).covariance,
+        size, found.residual, w, float(counted.sum() - found.beta.size), step, done,
+    )  # fmt: skip
+    return with_statistics(eq, found, scale, psi, slope)
+
+
+def instrumental(
+    eq: Equations,
+    *,
+    instruments: Any,
+    start: Regression | None = None,
+    max_steps: int = 20,
+    tolerance: float = 1e-3,
+) -> Regression:
+    """Instruments Z that are free of the noise in X: no bias.
+
+    `instruments` is an array (N, k, p) like W, or a function of the last `Regression` that returns
+    it, such as the observation matrix of the motion simulated with its parameters; then the
+    estimate is repeated from `start` (None: weighted least squares) until no base parameter moves
+    by more than `tolerance` standard deviations.
+    """
+    check_whole("instrumental", "max_steps", max_steps, 1)
+    found, (N, k) = weighted(eq) if start is None else start, eq.tau.shape
+    count = int(eq.counted.sum())
+    steps = max_steps if callable(instruments) else 3  # noise of channels settles at once
+    for step in range(1, steps + 1):
+        Z = np.asarray(instruments(found) if callable(instruments) else instruments, float)
+        if Z.shape != eq.W.shape or not np.isfinite(Z).all():
+            raise InputError(
+                f"instrumental: instruments have shape {Z.shape}, expected {eq.W.shape} as W, "
+                "finite"
+            )
+        given = eq.noise is not None
+        sd = eq.noise if eq.noise is not None else _floor(eq, found.noise)
+        X, y = _stacked(eq, sd)
+        Zs, _ = _stacked(dataclasses.replace(eq, W=Z), sd)
+        size = np.linalg.norm(Zs, axis=0)
+        if not size.all():
+            name = eq.combinations.names[eq.combinations.kept[int(np.argmin(size))]]
+            raise InputError(f"instrumental: the instruments do not show {name}")
+        Zs = Zs / size
+        try:
+            solve = scipy.linalg.solve(Zs.T @ X, Zs.T)
+        except np.linalg.LinAlgError as error:
+            raise InputError(
+                "instrumental: Z^T X is singular, the instruments do not show all base parameters"
+            ) from error
+        beta = solve @ y
+        residual = eq.tau - eq.X @ beta
+        dof = np.inf if given else float(count - beta.size)
+        noise = np.sqrt((np.where(eq.counted, residual, 0) ** 2).sum(0) * k / (count - beta.size))
+        covariance = solve @ solve.T
+        moved = (np.abs(beta - found.beta) / np.sqrt(covariance.diagonal())).max()
+        found = Regression(
+            eq.combinations, beta, covariance, noise, residual, np.ones((N, k)), dof, step,
+            bool(moved < tolerance) or not callable(instruments),
+        )  # fmt: skip
+        if callable(instruments) and found.ok:
+            break
+    said = statistics_of(eq, found.residual / sd, np.ones((N, k)), np.broadcast_to(sd, (N, k)))
+    if said.white or negligible(eq, found.residual):
+        return found
+    scores = np.split(
+        np.einsum("nkr,nk->nr", Zs.reshape(N, k, -1), found.residual / sd),
+        np.cumsum(eq.lengths)[:-1],
+    )
+    bread = scipy.linalg.inv(Zs.T @ X)
+    covariance = bread @ meat_of(scores) @ bread.T * (count / (count - found.beta.size))
+    return dataclasses.replace(found, covariance=covariance, dof=said.estimates.dof, white=False)
+
+
+def _huber(u: Array, c: float = 1.345) -> tuple[Array, Array, Array]:
+    psi = np.clip(u, -c, c)
+    return _weight(psi, u), psi, (np.abs(u) <= c).astype(float)
+
+
+def _bisquare(u: Array, c: float = 4.685) -> tuple[Array, Array, Array]:
+    x = np.minimum((u / c) ** 2, 1.0)
+    return (1 - x) ** 2, u * (1 - x) ** 2, (1 - x) * (1 - 5 * x)
+
+
+def _weight(psi: Array, u: Array) -> Array:
+    return np.where(u == 0, 1.0, psi / np.where(u == 0, 1.0, u))
+
+
+#: loss -> weight psi(u) / u, psi and psi' of residuals u in standard deviations; tuned to 95 % of
+#: the efficiency of least squares where the noise is normal
+LOSSES: dict[str, Callable[[Array], tuple[Array, Array, Array]]] = {
+    "huber": _huber,
+    "bisquare": _bisquare,
+}
+
+METHODS: dict[str, Callable[..., Regression]] = {
+    "ordinary": ordinary,
+    "weighted": weighted,
+    "robust": robust,
+    "instrumental": instrumental,
+}
+"""The estimators of `regress`: name -> function of `Equations` and options."""
+
+
+def _weighted(eq: Equations, noise: Array) -> Regression:
+    fitted = eq.fit(noise)
+    residual = eq.tau - eq.X @ fitted.beta
+    # each channel's degrees of freedom: its samples less what it gave to the parameters
+    count = eq.counted.sum(0)
+    free = np.maximum(count - fitted.leverage, 1e-3 * np.maximum(count, 1))
+    found = np.sqrt((np.where(eq.counted, residual, 0.0) ** 2).sum(0) / free)
+    ones = np.ones_like(residual)
+    dof = np.inf if eq.noise is not None else float(eq.tau.size - fitted.beta.size)
+    return Regression(eq.combinations, fitted.beta, fitted.covariance, found, residual, ones, dof)
+
+
+def _stacked(eq: Equations, noise: Any) -> tuple[Array, Array]:
+    """X (N k, r) and tau (N k,), both over the noise."""
+    sd = np.broadcast_to(noise, eq.tau.shape)
+    return (eq.X / sd[..., None]).reshape(eq.tau.size, -1), (eq.tau / sd).ravel()
+
+
+def _floor(eq: Equations, noise: Array) -> Array:
+    """Noise of channels, not below rounding."""
+    size = np.sqrt((eq.tau**2).mean(0))
+    return np.maximum(noise, ROUNDING * max(size.max(), np.finfo(float).tiny / ROUNDING))
+
+
+def _scale(eq: Equations, residual: Array) -> Array:
+    """The scale of each sample's noise: as known, or robust, of its channel."""
+    if eq.noise is not None:
+        return eq.noise
+    each = np.median(np.abs(residual), axis=0) / 0.6745
+    return np.broadcast_to(_floor(eq, each), residual.shape)

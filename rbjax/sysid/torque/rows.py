@@ -1,0 +1,331 @@
+"""The linear equations of one recording, both sides behind the same zero-phase filter.
+
+    F[tau] = F[Y(q, v, a)] pi + F[dY/dq pi] z
+
+The torque is linear in pi, so a linear filter F may act on every column and on the torque: what
+the filter takes away is taken from both, and friction, whose columns have steps, is not distorted.
+Then the equations are decimated to the bandwidth of the filter. z (nq,) are the zeros of the
+encoders, q = q_read + z. The equations are linearised at the given zeros; the derivatives with
+respect to z are computed when they are first read. A gap splits a recording: each stretch without a
+gap is filtered separately. All is computed in float64.
+Source: Gautier, ICRA 1997 (parallel filtering and decimation).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.arguments import check_model
+from rbjax.errors import InputError, UnknownName, listed
+from rbjax.model import Model
+from rbjax.sysid.data.filtering import differentiate, low_pass
+from rbjax.sysid.data.recording import Channel, Recording
+from rbjax.sysid.statistics.precision import cast, in_double
+from rbjax.sysid.torque.regressors import (
+    JOINT_TERMS,
+    joint_coordinates,
+    observation_matrix,
+    parameter_names,
+)
+
+Array = np.ndarray
+KEPT = 0.8  # Nyquist's frequency of the decimated equations is the cut-off over this
+FILLED = 1000  # samples are filled up to a multiple of it
+BRIDGED = 0.25  # periods of signal_cutoff that a spline bridges
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueRows:
+    """Equations W pi = tau of one recording.
+
+    Fields:
+        name: of the recording.
+        t: (N,) s; a gap of the recording is a gap here.
+        W: (N, nv, p).
+        tau: (N, nv) N m or N.
+        names: (p,) of the columns.
+        zeros: (nv,) rad or m, at which W holds.
+        cutoff: in Hz.
+        slopes_of: the function that computes `slopes`.
+    """
+
+    name: str
+    t: Array
+    W: Array
+    tau: Array
+    names: tuple[str, ...]
+    zeros: Array
+    cutoff: float
+    slopes_of: Callable[[], Array]
+
+    @functools.cached_property
+    def slopes(self) -> Array:
+        """(N, nv, p, nv), dW/dz; computed when first read."""
+        return self.slopes_of()
+
+    def at(self, zeros: Any) -> Array:
+        """W (N, nv, p) at other zeros, to first order."""
+        change = np.asarray(zeros, float) - self.zeros
+        return self.W + self.slopes @ change if change.any() else self.W
+
+    def residual(self, parameters: Any, zeros: Any = None) -> Array:
+        """tau - W pi (N, nv)."""
+        W = self.W if zeros is None else self.at(zeros)
+        return self.tau - W @ np.asarray(parameters, float)
+
+    def only(self, names: Sequence[str]) -> TorqueRows:
+        """The equations with these columns only: a model with fewer terms."""
+        for name in names:
+            if name not in self.names:
+                raise UnknownName("column", name, self.names)
+        at = [self.names.index(name) for name in names]
+        return dataclasses.replace(
+            self, W=self.W[:, :, at], names=tuple(names), slopes_of=lambda: self.slopes[:, :, at]
+        )
+
+    def piece(self, start: float = -np.inf, end: float = np.inf) -> TorqueRows:
+        """The equations of the times from start to end, in s."""
+        keep = (start <= self.t) & (self.t <= end)
+        if not keep.any():
+            raise InputError(
+                f"TorqueRows.piece: no equation of {self.name} lies from {start:g} to {end:g} s, "
+                f"expected times within {self.t[0]:g} to {self.t[-1]:g} s"
+            )
+        cut = {k: getattr(self, k)[keep] for k in ("t", "W", "tau")}
+        return dataclasses.replace(self, **cut, slopes_of=lambda: self.slopes[keep])
+
+
+@in_double
+def torque_rows(
+    model: Model,
+    recording: Recording,
+    cutoff: float,
+    *,
+    signal_cutoff: float | None = None,
+    joint_terms: Sequence[str] = (),
+    smoothing: float = 0.0,
+    zeros: Any = None,
+) -> TorqueRows:
+    """Compute the filtered equations of a recording of hinges and slides.
+
+    Args:
+        model: the robot; only its kinematics and gravity are used.
+        recording: with channels "q" (rad or m) and "tau" (N m or N). Samples may be missing: a gap
+            shorter than a quarter of a period of `signal_cutoff`, or than 3 samples, is bridged by
+            a spline; a longer one splits the recording.
+        cutoff: in Hz, of both sides of the equations.
+        signal_cutoff: in Hz, of the positions from which velocities and accelerations follow; 8
+            times `cutoff` if None, at most 0.4 of the rate.
+        joint_terms: as for `regressor`.
+        smoothing: as for `regressor`.
+        zeros: (nv,) rad or m, added to the positions that were read; 0 if None.
+
+    Returns:
+        `TorqueRows`, without the samples at the ends of a stretch, which the filters distort.
+
+    Raises:
+        InputError: balls or free joints; no stretch without a gap is longer than its filters; a
+            cut-off outside of the clock's range.
+        UnknownName: the recording has no q or tau.
+
+    Source: Gautier, ICRA 1997.
+
+    Example:
+        >>> import numpy as np, rbjax as rb
+        >>> from rbjax.sysid import Channel, Recording, torque_rows
+        >>> model, t = rb.load("pendulum"), np.arange(0.0, 4.0, 0.002)
+        >>> run = Recording("swing", {"q": Channel(t, np.sin(t)), "tau": Channel(t, np.cos(t))})
+        >>> rows = torque_rows(model, run, 5.0, joint_terms=["viscous"])
+        >>> rows.W.shape[1:], rows.names[-1]
+        ((1, 11), 'hinge.viscous')
+    """
+    where = "torque_rows"
+    check_model(where, model)
+    if model.nq != model.nv or len(joint_coordinates(model)) < model.nv:
+        raise InputError(
+            f"{where}: the model has {model.nq} positions and {model.nv} velocities, expected "
+            "hinges and slides only"
+        )
+    if not isinstance(recording, Recording):
+        raise InputError(
+            f"{where}: recording is {type(recording).__name__}, expected one Recording; call it "
+            "for each of several"
+        )
+    recording.check_model(model)
+    names = parameter_names(model, joint_terms)
+    z = _zeros(where, model, zeros)
+    q, tau = (_in_order(where, model, recording, s) for s in ("q", "tau"))
+    h = q.step
+    smooth = _cutoffs(where, cutoff, signal_cutoff, h)
+    both = Recording(recording.name, {"q": q, "tau": tau})
+    count = int((both.end - both.start) / h + 1e-9)
+    t = np.minimum(both.start + h * np.arange(count + 1), both.end)
+    both = both.on_clock(t, gap=max(3 * h, BRIDGED / smooth) * (1 + 1e-9))
+    seen = np.concatenate([both["q"].values, both["tau"].values], 1)
+    stretches = _stretches(~np.isnan(seen).any(1))
+    step = max(1, int(KEPT / (2 * cutoff * h) * (1 + 1e-6)))
+    first = _disturbed(h, cutoff, smooth)
+    usable = [s for s in stretches if s.stop - s.start >= 2 * first + step + 1]
+    if not usable:
+        longest = max((t[s.stop - 1] - t[s.start] for s in stretches), default=0.0)
+        raise InputError(
+            f"{where}: {recording.name} has no samples of q and tau without a gap for longer than "
+            f"{longest:g} s, expected more than {2 * first * h:.2g} s, which the filters disturb "
+            f"at both ends; raise cutoff ({cutoff:g} Hz), or record for longer"
+        )
+    signals = []
+    for s in usable:
+        moved = [differentiate(t[s], both["q"].values[s], smooth, times=k).values for k in range(3)]
+        signals.append([*moved, low_pass(t[s], both["tau"].values[s], smooth).values])
+    together = [np.concatenate(x) for x in zip(*signals, strict=True)]
+    ends = np.cumsum([0, *(s.stop - s.start for s in usable)])
+
+    def filtered(x: Array) -> Array:
+        """The columns of all stretches, filtered and decimated."""
+        found = []
+        for s, at, end in zip(usable, ends[:-1], ends[1:], strict=True):
+            flat = low_pass(t[s], x[at:end].reshape(end - at, -1), cutoff).values
+            found.append(flat[first : len(flat) - first : step].reshape(-1, *x.shape[1:]))
+        return np.concatenate(found)
+
+    columns = _Columns.of(model, z, together, joint_terms, smoothing)
+    times, torque = (
+        np.concatenate([x[s] for s in usable]) for x in (t, both["tau"].values)
+    )  # fmt: skip
+    kept = np.concatenate(
+        [np.arange(a + first, b - first, step) for a, b in itertools.pairwise(ends)]
+    )
+
+    def slopes() -> Array:
+        """One direction of z at a time: only its decimated rows are kept."""
+        return np.stack([filtered(columns.slope(e)) for e in np.eye(z.size)], -1)
+
+    return TorqueRows(
+        recording.name, times[kept], filtered(columns.values()), filtered(torque), names, z,
+        float(cutoff), slopes,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """W of a motion, and its derivative along a direction of the zeros. Samples are padded, so that
+    motions of similar length share a program."""
+
+    model: Model
+    zeros: jax.Array
+    motion: list[jax.Array]
+    samples: int
+    terms: tuple[str, ...]
+    smoothing: float
+
+    @classmethod
+    def of(
+        cls, model: Model, zeros: Array, motion: list[Array], terms: Sequence[str], smoothing: float
+    ) -> _Columns:
+        n = len(motion[0])
+        filled = [jnp.asarray(np.pad(x, ((0, -n % FILLED), (0, 0)), mode="edge")) for x in motion]
+        double = cast(model, jnp.float64)
+        return cls(double, jnp.asarray(zeros), filled, n, tuple(terms), float(smoothing))
+
+    def values(self) -> Array:
+        return self._of(_matrix)
+
+    @in_double
+    def slope(self, direction: Array) -> Array:
+        return self._of(_slope, jnp.asarray(direction))
+
+    def _of(self, f: Callable[..., jax.Array], *direction: jax.Array) -> Array:
+        functions = tuple(JOINT_TERMS[term] for term in self.terms)
+        found = f(
+            self.model, self.zeros, *direction, self.motion, terms=self.terms,
+            smoothing=self.smoothing, functions=functions,
+        )  # fmt: skip
+        return np.asarray(found)[: self.samples]
+
+
+#: `functions`: those of the terms, so that a redefined term is compiled again
+_static = functools.partial(jax.jit, static_argnames=("terms", "smoothing", "functions"))
+
+
+@_static
+def _matrix(
+    model: Model, zeros: jax.Array, motion: list[jax.Array], *, terms: tuple[str, ...],
+    smoothing: float, functions: Any,
+) -> jax.Array:  # fmt: skip
+    q, v, a, tau = motion
+    return observation_matrix(
+        model, q + zeros, v, a, joint_terms=terms, smoothing=smoothing, tau=tau
+    )
+
+
+@_static
+def _slope(
+    model: Model, zeros: jax.Array, direction: jax.Array, motion: list[jax.Array], *,
+    terms: tuple[str, ...], smoothing: float, functions: Any,
+) -> jax.Array:  # fmt: skip
+    def at(zeros: jax.Array) -> jax.Array:
+        return _matrix(model, zeros, motion, terms=terms, smoothing=smoothing, functions=functions)
+
+    return jax.jvp(at, (zeros,), (direction,))[1]
+
+
+def _zeros(where: str, model: Model, zeros: Any) -> Array:
+    z = np.zeros(model.nv) if zeros is None else np.asarray(zeros)
+    if z.shape != (model.nv,) or z.dtype.kind not in "biuf" or not np.isfinite(z).all():
+        raise InputError(
+            f"{where}: zeros is {zeros!r}, expected ({model.nv},) finite numbers in rad or m"
+        )
+    return z.astype(float)
+
+
+def _in_order(where: str, model: Model, recording: Recording, sensor: str) -> Channel:
+    """The channel with a column for each joint of the model, in its order."""
+    channel, names = recording[sensor], model.joint_names
+    if len(channel.names) != model.nv:
+        missing = [n for n in names if n not in channel.names]
+        raise InputError(
+            f"{where}: channel {sensor} of {recording.name} has {len(channel.names)} columns, "
+            f"expected {model.nv}, one for each joint; missing: {listed(missing, 8)}"
+        )
+    if set(channel.names) != set(names):
+        return channel
+    at = [channel.names.index(n) for n in names]
+    return Channel(channel.t, channel.values[:, at], names, dropped="nan")
+
+
+def _cutoffs(where: str, cutoff: Any, signal_cutoff: Any, h: float) -> float:
+    """Check both cut-offs, and return the cut-off of the signals."""
+    for name, f in (("cutoff", cutoff), ("signal_cutoff", signal_cutoff)):
+        if name == "signal_cutoff" and f is None:
+            continue
+        if not isinstance(f, (int, float, np.number)) or not 0 < f < 0.5 / h:
+            raise InputError(
+                f"{where}: {name} is {f!r} Hz, expected a number between 0 and {0.5 / h:g} Hz, "
+                "half the rate of the samples"
+            )
+    return float(min(8 * cutoff, 0.4 / h) if signal_cutoff is None else signal_cutoff)
+
+
+def _stretches(there: Array) -> list[slice]:
+    """Slices of samples without a gap."""
+    edges = np.diff(np.concatenate([[0], there.astype(int), [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+
+
+def _disturbed(h: float, cutoff: float, smooth: float) -> int:
+    """The number of samples at an end that the filters distort."""
+    t = h * np.arange(8)
+    return max(
+        differentiate(t, np.zeros(8), smooth, times=2).settled.start,
+        low_pass(t, np.zeros(8), cutoff).settled.start,
+    )

@@ -1,0 +1,87 @@
+"""`select`: of nested linear models, the one whose terms all earn their place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.sysid.statistics.comparisons import Comparison, Scored, compare
+from rbjax.sysid.torque.regression import Regression, regress
+from rbjax.sysid.torque.regression_statistics import ROUNDING
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """The model that the data need.
+
+    Fields: name; regression, its fit; comparisons, one for each model after the first, in order.
+    """
+
+    name: str
+    regression: Regression
+    comparisons: tuple[Comparison, ...]
+
+
+def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Selected:
+    """Fit nested models from the smallest to the largest, and keep each that earns its place.
+
+    Each is compared with the last one kept (`compare`). All are fitted and compared with the same
+    noise of each channel, from weighted least squares of the largest model, so that a larger model
+    never fits worse.
+
+    Args:
+        candidates: name -> (W, names), observation matrix (N, k, p) and names of its columns; each
+            model is a case of all that come after it. If errors of neighbours in time are alike,
+            one row of W should be the mean over a stretch as long as they are.
+        tau: (N, k), what is measured.
+
+    Returns:
+        `Selected`.
+
+    Raises:
+        InputError: no candidates, and what `regress` and `compare` refuse.
+
+    Source: Seber & Wild, *Nonlinear Regression*, 5.3.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import select
+        >>> t, noise = np.linspace(0, 1, 50), np.random.default_rng(1).normal(size=50)
+        >>> powers = [t**k for k in range(4)]
+        >>> lines = {f"degree {n}": (np.stack(powers[: n + 1], 1), "abcd"[: n + 1])
+        ...     for n in range(4)}
+        >>> select(lines, 1 + 2 * t + 0.1 * noise).name
+        'degree 1'
+    """
+    if not isinstance(candidates, Mapping) or not candidates:
+        raise InputError(
+            "select: no candidates, expected at least one, as a dict name -> (W, names)"
+        )
+    for name, candidate in candidates.items():
+        if not isinstance(candidate, (tuple, list)) or len(candidate) != 2:
+            raise InputError(
+                f"select: candidate {name} is {type(candidate).__name__}, expected (W, names): an "
+                "observation matrix and the names of its columns"
+            )
+    largest = [*candidates.values()][-1]
+    last = regress(largest[0], tau, largest[1])
+    least = ROUNDING * max(float(np.abs(last.residual).max()), float(np.max(np.abs(tau))), 1e-300)
+    sigma = np.maximum(last.noise, least)
+    fits = {name: regress(W, tau, names, noise=sigma) for name, (W, names) in candidates.items()}
+    samples = last.residual.size
+
+    def scored(name: str) -> Scored:
+        fit = fits[name]
+        return Scored(name, float(((fit.residual / sigma) ** 2).sum()), fit.combinations.rank)
+
+    kept, *others = fits
+    comparisons = []
+    for name in others:
+        if fits[name].combinations.rank > fits[kept].combinations.rank:
+            comparisons.append(compare(scored(kept), scored(name), samples))
+            kept = name if comparisons[-1].earned else kept
+    return Selected(kept, fits[kept], tuple(comparisons))

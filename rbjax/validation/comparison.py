@@ -1,0 +1,169 @@
+"""`compare`: a robot's motion against MuJoCo C (f64) and MJX (f32 and f64)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.loading import compile_model
+from rbjax.loading.loader import from_compiled
+from rbjax.validation import ours
+from rbjax.validation.mjx import Mjx
+from rbjax.validation.reference import (
+    Array,
+    Samples,
+    final_gradient,
+    quantities,
+    random_samples,
+    smooth,
+    trajectory,
+)
+from rbjax.validation.report import Report, Row, relative
+
+#: worst relative errors of functions of one state: rounding times the condition of M
+ALGORITHM = {"rbjax f64": 1e-10, "rbjax f32": 1e-4}
+#: rounding over a trajectory: as many units in the last place, times how much MuJoCo's own
+#: trajectory amplifies a change of its initial velocity
+UNITS = 1e4
+EPSILON = {"rbjax f64": 2.2e-16, "rbjax f32": 1.2e-7}
+#: error of MuJoCo's central differences: this, or the difference between two step sizes
+DIFFERENCES = 1e-8
+GRADIENTS = 3  # states for which the gradient of the trajectory is compared
+
+
+def compare(
+    source: Any,
+    *,
+    states: int = 20,
+    seed: int = 0,
+    mjx: bool | tuple[str, ...] = True,
+    seconds: float = 1.0,
+    gradient: bool = True,
+    driver: str = "auto",
+    floating_base: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Run a robot in rbjax, MuJoCo C and MJX side by side.
+
+    The comparison covers body poses and velocities, mass matrix, bias forces, forward dynamics with
+    the model's own springs, dampers and actuators, one semi-implicit Euler step, a trajectory's
+    final state, and the gradient of a random functional of this state by initial velocity and
+    controls (reverse mode against central differences of MuJoCo C).
+
+    Args:
+        source: as for `rbjax.load`.
+        states: how many random states.
+        seed: of the states.
+        mjx: whether MJX runs too, or its precisions, e.g. ("f64",).
+        seconds: length of the trajectory.
+        gradient: whether to compare gradients, which take most of a large robot's compile time.
+        driver: the driver of rbjax; "rolled" compiles faster than "unrolled".
+        floating_base: as in `rbjax.load`.
+        progress: called with the name of each stage before it starts.
+
+    Returns:
+        `Report`: `.table()`, `.to_dict()`, `.ok`, `.switched_off`.
+
+    Raises:
+        ModelError: the source cannot be read.
+        InputError: `states` is below 1, or the robot has no joints.
+
+    The caller's precision is not changed: f64 runs inside `jax.enable_x64`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.validation.compare("pendulum", states=3, mjx=False, seconds=0.02).ok
+        True
+    """
+    if states < 1:
+        raise InputError(f"compare: states is {states}, expected at least 1")
+    say = progress or (lambda stage: None)
+    say("MuJoCo C")
+    compiled = compile_model(source, floating_base=floating_base)
+    reference, off = smooth(compiled)
+    if not reference.nv:
+        raise InputError("compare: the model has no joints, so there is nothing to compare")
+    dt = float(reference.opt.timestep)
+    steps = max(1, round(seconds / dt))
+    samples = random_samples(reference, states, seed)
+    few = samples[:GRADIENTS]
+    weights = np.random.default_rng(seed + 1).normal(size=reference.nq + reference.nv)
+    weights = weights.astype(np.float32).astype(np.float64)
+    want = quantities(reference, samples)
+    want["trajectory"], growth = _final_states(reference, few, steps)
+    doubt = 0.0
+    if gradient:
+        want["gradient"] = final_gradient(reference, few, steps, weights)
+        rough = final_gradient(reference, few, steps, weights, step=3e-5)
+        doubt = relative(rough, want["gradient"]).worst
+
+    slope = weights if gradient else None
+    found: dict[str, dict[str, Array]] = {}
+    for column, dtype in (("rbjax f64", np.float64), ("rbjax f32", np.float32)):
+        say(column)
+        with jax.enable_x64(True):
+            model = from_compiled(reference, off).replace(driver=driver)
+            found[column] = ours.quantities(model, samples, dtype)
+            found[column] |= ours.motion(model, few, dt, steps, slope, dtype)
+    notes = [
+        f"Trajectory: {steps} steps of {dt:g} s. MuJoCo amplifies a change of the initial velocity "
+        f"{growth:.0e} times"
+        + (f", and its finite differences are accurate to {doubt:.0e}." if gradient else ".")
+    ]
+    for precision in ("f64", "f32") if mjx is True else mjx or ():
+        say(f"MJX {precision}")
+        try:
+            with jax.enable_x64(precision == "f64"):
+                engine = Mjx(reference)
+                found[f"MJX {precision}"] = engine.quantities(samples)
+                found[f"MJX {precision}"] |= engine.motion(few, steps, slope)
+        except NotImplementedError as error:
+            notes.append(f"MJX refuses this model: {error}")
+            break
+    rows = _rows(want, found, _tolerances(growth, doubt))
+    return Report(describe(source), states, steps * dt, rows, off, tuple(notes))
+
+
+def describe(source: Any) -> str:
+    """A robot's name for titles: that of its file, or "model"."""
+    text = str(source) if isinstance(source, (str, Path)) else "<"
+    return "model" if text.lstrip().startswith("<") else Path(text).name
+
+
+def _final_states(m: mujoco.MjModel, samples: Samples, steps: int) -> tuple[Array, float]:
+    """MuJoCo's final states (N, nq + nv), and how much they amplify a change of velocity."""
+    small = 1e-6
+    out, growth = [], 1.0
+    for q, v, ctrl in zip(samples.q, samples.v, samples.ctrl, strict=True):
+        last, moved = (
+            np.concatenate([x[-1] for x in trajectory(m, q, start, ctrl, steps)])
+            for start in (v, v + small)
+        )
+        out.append(last)
+        growth = max(growth, float(np.abs(moved - last).max() / small))
+    return np.stack(out), growth
+
+
+def _tolerances(growth: float, doubt: float) -> dict[str, dict[str, float]]:
+    """The largest allowed errors of rbjax: quantity -> column -> error; "" is for all others."""
+    path = {column: UNITS * growth * unit for column, unit in EPSILON.items()}
+    path = {column: tolerance for column, tolerance in path.items() if tolerance < 1}
+    gradient = {"rbjax f64": max(DIFFERENCES, 10 * doubt, path.get("rbjax f64", 1.0))}
+    return {"": ALGORITHM, "trajectory": path, "gradient": gradient}
+
+
+def _rows(want: dict, found: dict, tolerances: dict[str, dict[str, float]]) -> tuple[Row, ...]:
+    rows = []
+    for quantity, expected in want.items():
+        errors = {
+            column: relative(values[quantity], expected[: len(values[quantity])])
+            for column, values in found.items()
+        }
+        rows.append(Row(quantity, errors, tolerances.get(quantity, tolerances[""])))
+    return tuple(rows)

@@ -1,0 +1,1 @@
+"""Wheeled robots from MJCF and URDF files, and as MJCF files."""

@@ -1,0 +1,225 @@
+"""The numbers of a robot's wheels as a file has them: places, radii, inertias.
+
+A wheel's axle points along a; up is z. The wheel rolls towards its heading at a positive rate of
+its joint:
+
+    heading = a x z,    radius: the farthest point of its shapes from the axle
+    inertia about the axle, with armature;    yaw_inertia about the vertical through its place
+A steered wheel has its place on the axis of its steering, and the mass of all that turns with it; a
+caster has its pivot's, and the mass of its fork.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.loading.at_rest import AtRest, Composite
+from rbjax.loading.round_shapes import Round
+from rbjax.wheeled.files.joints import Roles, check_upright
+
+UP = np.array([0.0, 0.0, 1.0])
+#: relative differences below this are rounding of the file's numbers
+ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class FileWheel:
+    """A wheel in world axes, in m and kg.
+
+    Fields: joint; kind; place (3,), on the axle's height; ahead (3,), its heading, of a caster
+    where it rolls; radius, inertia, mass, yaw_inertia, trail, behind, damping, as `Wheel` has
+    them; sense, -1 of a caster that rolls ahead of its pivot at negative rates of its joint.
+    """
+
+    joint: int
+    kind: str
+    place: np.ndarray
+    ahead: np.ndarray
+    radius: float
+    inertia: float
+    mass: float
+    yaw_inertia: float
+    damping: float
+    trail: float = 0.05
+    behind: float = 0.0
+    sense: float = 1.0
+
+    @property
+    def bottom(self) -> float:
+        return float(self.place[2]) - self.radius
+
+
+@dataclass
+class LeftOut:
+    """What a file holds and the robot does not, in words."""
+
+    found: list[str] = field(default_factory=list)
+
+    def add(self, what: str, size: float, scale: float, unit: str = "mm") -> None:
+        """Note a size that is more than rounding."""
+        if abs(size) > ROUNDING * scale:
+            factor = {"mm": 1e3, "": 1.0, "degrees": np.degrees(1.0)}[unit]
+            self.found.append(f"{what} {abs(size) * factor:.3g} {unit}".rstrip())
+
+    def resisting(self, roles: Roles, j: int, *, damps: bool = False) -> None:
+        """Note what resists the motion of a hinge, but damping where the robot has it."""
+        if roles.rest.damping(j) and not damps:
+            self.found.append(f"{roles.name(j)}: damping")
+        self.found += [f"{roles.name(j)}: {what}" for what in roles.rest.resisting(j)]
+
+
+def file_wheels(
+    roles: Roles, radius: Any, rollers: Mapping[int, float], tolerance: float, out: LeftOut
+) -> list[FileWheel]:
+    """All wheels; `radius` a number, or numbers by joint; `rollers` by joint.
+
+    Raises:
+        InputError: a wheel that has no shape, stands on no plane with the others, or leans.
+    """
+    shapes = roles.rest.round_shapes(roles.wheels)
+    wheels = [
+        _wheel(roles, j, _size(roles, j, shape, radius), rollers, tolerance, out)
+        for j, shape in zip(roles.wheels, shapes, strict=True)
+    ]
+    lowest = min(w.bottom for w in wheels)
+    height = max(w.bottom for w in wheels) - lowest
+    largest = max(w.radius for w in wheels)
+    if height > tolerance * largest:
+        above = ", ".join(
+            f"{roles.name(w.joint)} {1e3 * (w.bottom - lowest):.3g} mm" for w in wheels
+        )
+        raise InputError(
+            f"from_file: the wheels do not stand on one level ground: their lowest points are "
+            f"above the lowest by {above}, expected at most {1e3 * tolerance * largest:.3g} mm; "
+            "hold other joints with q, give radius, or raise the tolerance"
+        )
+    out.add("wheels that stand at heights that differ by", height, largest)
+    return wheels
+
+
+def _wheel(
+    roles: Roles, j: int, shape: Round, rollers: Mapping[int, float], tolerance: float,
+    out: LeftOut,
+) -> FileWheel:  # fmt: skip
+    rest, name, (size, centre) = roles.rest, roles.name(j), shape
+    axle = rest.axis(j)
+    if abs(axle[2]) > tolerance:
+        raise InputError(
+            f"from_file: the axle of wheel {name!r} leans {np.degrees(np.arcsin(abs(axle[2]))):.3g}"
+            f" degrees from the horizontal, expected at most {np.degrees(tolerance):.3g}; hold the "
+            "robot upright with q, or raise the tolerance"
+        )
+    out.add(f"{name}: an axle that leans by", axle[2], 1.0, "degrees")
+    ahead = np.cross(axle, UP)
+    ahead /= np.linalg.norm(ahead)
+    own = rest.composite(rest.behind(j))
+    _note_unbalance(name, own, rest, j, size, out)
+    out.resisting(roles, j, damps=True)
+    inertia = own.about(axle, rest.anchor(j)) + rest.armature(j)
+    numbers = {"radius": size, "inertia": inertia, "damping": rest.damping(j)}
+    table = roles.turntable(j)
+    if table is None:
+        kind = "rollers" if j in rollers else "fixed"
+        return FileWheel(j, kind, centre, ahead, mass=own.mass,
+                         yaw_inertia=own.about(UP, centre), **numbers)  # fmt: skip
+    if j in rollers:
+        raise InputError(f"from_file: wheel {name!r} has rollers and is steered, expected one")
+    if table in roles.casters:
+        return _caster(roles, j, table, ahead, centre, numbers, tolerance, out)
+    return _steered(roles, j, table, ahead, centre, numbers, tolerance, out)
+
+
+def _steered(
+    roles: Roles, j: int, table: int, ahead: np.ndarray, centre: np.ndarray,
+    numbers: dict[str, float], tolerance: float, out: LeftOut,
+) -> FileWheel:  # fmt: skip
+    """A wheel on the axis of its steering, with all that is steered."""
+    place, whole = _pivot(roles, table, "steering", centre, tolerance, out)
+    size, name = numbers["radius"], roles.name(table)
+    off = _off(centre, place, UP)
+    out.add(f"{roles.name(j)}: a centre off the axis of {name} by", off, size)
+    out.add(f"{name}: a centre of mass off its axis by", _off(whole.com, place, UP), size)
+    return FileWheel(j, "steered", place, ahead, mass=whole.mass,
+                     yaw_inertia=whole.about(UP, place), **numbers)  # fmt: skip
+
+
+def _caster(
+    roles: Roles, j: int, table: int, ahead: np.ndarray, centre: np.ndarray,
+    numbers: dict[str, float], tolerance: float, out: LeftOut,
+) -> FileWheel:  # fmt: skip
+    """A wheel behind its pivot, with its fork."""
+    place, whole = _pivot(roles, table, "caster", centre, tolerance, out)
+    size, name = numbers["radius"], roles.name(table)
+    out.resisting(roles, table)
+    sense = -1.0 if ahead @ (centre - place) > 0 else 1.0
+    ahead = sense * ahead
+    side = np.cross(UP, ahead)
+    trail, aside = float(ahead @ (place - centre)), float(side @ (centre - place))
+    if trail <= ROUNDING * size:
+        raise InputError(
+            f"from_file: the wheel of caster {name!r} has its centre {1e3 * trail:.3g} mm behind "
+            "the pivot, expected above zero; is it a steering?"
+        )
+    if abs(aside) > tolerance * size:
+        raise InputError(
+            f"from_file: the wheel of caster {name!r} is {1e3 * abs(aside):.3g} mm beside its "
+            f"pivot, expected at most {1e3 * tolerance * size:.3g} mm; raise the tolerance"
+        )
+    out.add(f"{name}: a wheel beside its pivot by", aside, size)
+    out.add(f"{name}: a centre of mass beside its pivot by", side @ (whole.com - place), size)
+    return FileWheel(j, "caster", place, ahead, mass=whole.mass,
+                     yaw_inertia=whole.about(UP, place), trail=trail,
+                     behind=float(ahead @ (place - whole.com)), sense=sense, **numbers)  # fmt: skip
+
+
+def _pivot(
+    roles: Roles, table: int, what: str, centre: np.ndarray, tolerance: float, out: LeftOut
+) -> tuple[np.ndarray, Composite]:
+    """The place of a steering or caster, at the height of its wheel's centre, and all that turns
+    with it."""
+    leaning = check_upright(roles, table, what, tolerance)
+    out.add(f"{roles.name(table)}: an axis that leans by", leaning, 1.0, "degrees")
+    place = roles.rest.anchor(table)
+    place[2] = centre[2]
+    return place, roles.rest.composite(roles.rest.behind(table))
+
+
+def _size(roles: Roles, j: int, found: Round | None, radius: Any) -> Round:
+    """The radius of a wheel, as found or as given, and its centre on the axle."""
+    given = radius.get(j) if isinstance(radius, Mapping) else radius
+    if given is not None:
+        if not (isinstance(given, (int, float)) and 0 < given < np.inf):
+            raise InputError(f"from_file: radius is {given!r}, expected a length above zero, m")
+        return Round(float(given), roles.rest.anchor(j) if found is None else found.centre)
+    if found is None:
+        name = roles.name(j)
+        raise InputError(
+            f"from_file: wheel {name!r} has no shape in the file that shows its radius: no "
+            f"cylinder, sphere, capsule, ellipsoid or readable mesh; give radius={{{name!r}: ...}}"
+        )
+    return found
+
+
+def _note_unbalance(
+    name: str, own: Composite, rest: AtRest, j: int, size: float, out: LeftOut
+) -> None:
+    axle = rest.axis(j)
+    out.add(f"{name}: a centre of mass off the axle by", _off(own.com, rest.anchor(j), axle), size)
+    along = float(axle @ own.inertia @ axle)
+    across = 0.5 * (np.trace(own.inertia) - along)
+    # a body of revolution about the axle has this inertia
+    even = across * np.eye(3) + (along - across) * np.outer(axle, axle)
+    uneven = np.abs(own.inertia - even).max()
+    scale = max(np.abs(own.inertia).max(), 1e-300)
+    out.add(f"{name}: an inertia that is not even about the axle, by a part of", uneven / scale,
+            1.0, "")  # fmt: skip
+
+
+def _off(point: np.ndarray, anchor: np.ndarray, axis: np.ndarray) -> float:
+    """The distance of a point from a line."""
+    return float(np.linalg.norm(np.cross(axis, point - anchor)))

@@ -1,0 +1,302 @@
+"""A wheeled robot as an MJCF file that drives: its bodies, wheels that touch a plane, and motors.
+
+The bodies and joints are those of `full_model(robot, "free")`, in the same order. To them come
+
+    wheel i      a shape about its centre that touches the plane "ground" and nothing else
+    drive j      an actuator: its motor's law, on the axle of its wheel, or on the fixed tendon
+                 W = sum split_i phi'_i of a differential
+    steering j   an actuator: a servo of the rate, with the gain k = inertia / steering_time,
+                     k (u - b')             without a lag
+                     k ((u - b) / lag - b') with one
+    linkage      Ackermann's geometry as MuJoCo's polynomial of degree 4
+    shafts       wheels on one shaft, and the rotor of a differential, by equalities
+    resistance   of rolling, as friction loss of axles, under the loads at rest
+
+so ctrl is the robot's u. Where our wheels roll, MuJoCo's contacts yield. With solref = (T, 1) and
+solimp = d, and b = 2 / (d T), a wheel
+
+    sinks in      by g (1 - d) T^2 under the weight; half of it shortens the radius it rolls on
+    creeps        at f R / b under a traction f; R falls as (1 - d) / impratio
+    slides        at J' v / b: the rows ask for J v' = -b J v and leave out J' v; in a curve this is
+                  speed * turning rate / b across the wheel, whatever the friction and the impratio
+
+All three go to zero with T, which must be at least twice the timestep. A trailer's hinge carries
+moments of pitch and roll, so its axles' loads are those of one stiff body on soft ground; `loads`
+has a coupling without moments.
+"""
+
+from __future__ import annotations
+
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.arguments import choice, real_number
+from rbjax.constraints import Gear, JointPolynomial
+from rbjax.errors import InputError, UnsupportedFeature
+from rbjax.loading.write.draft import Draft, text
+from rbjax.loading.write.mjcf import compiled, drafted, serialised
+from rbjax.model import Model
+from rbjax.wheeled.kinematics.numbers import Numbers, numbers_of
+from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.multibody.full_model import full_model, knuckle_joint, wheel_joint
+from rbjax.wheeled.multibody.wheel_rows import linked
+from rbjax.wheeled.robot.motors import DCMotor, Motor, SpeedServo, TorqueSource
+from rbjax.wheeled.robot.robot import Robot
+
+SHAPES = ("ellipsoid", "cylinder", "sphere")
+#: of MJCF's <option>; of MuJoCo's own ones, the pyramidal cone creeps more across than along
+OPTION = {"integrator": "implicitfast", "cone": "elliptic", "impratio": 10.0}
+_DEGREE = 4  # of MJCF's polynomials
+_NODES = 33  # where they are fitted
+_HARMLESS = "masses or moments raised"  # of columns and knuckles, which have armature
+
+
+def write_mjcf(
+    robot: Robot,
+    path: str | Path | None = None,
+    *,
+    wheel: str = "ellipsoid",
+    width: float = 0.25,
+    friction: float = 1.0,
+    solref: Sequence[float] = (0.02, 1.0),
+    solimp: Sequence[float] = (0.9, 0.95, 0.001),
+    steering_range: float = 0.6,
+    steering_time: float = 0.01,
+    **option: Any,
+) -> str:
+    """A robot on a plane as an MJCF file, for MuJoCo and MJX; its controls are those of the robot.
+
+    At qpos0 all wheels just touch. The start of a motion in MuJoCo needs the velocities of all
+    joints: `full_model_state` gives them.
+
+    Args:
+        robot: `Robot`, with known numbers; without rollers.
+        path: a file to write as well.
+        wheel: "ellipsoid" touches in one point; "cylinder" in two or more, which scrub as the robot
+            turns; "sphere" in one, even where it leans far.
+        width: of a wheel, for each of its radius.
+        friction: the coefficient of sliding friction.
+        solref, solimp: MuJoCo's softness of contacts, and of equalities.
+        steering_range: rad, the stop of a steering with Ackermann's linkage, to which the
+            polynomial is fitted; a comment in the file says how well.
+        steering_time: s, in which the servos of steerings follow; with the explicit integrators
+            "Euler" and "RK4" no less than the timestep.
+        option: attributes of MJCF's <option>, such as timestep, integrator, cone, impratio.
+
+    Returns:
+        The text.
+
+    Raises:
+        UnsupportedFeature: wheels with rollers; a motor that MJCF does not have.
+        UnknownName: no such shape. InputError: numbers out of range, or traced; a wheel or caster
+            without inertia. ModelError: what MuJoCo refuses.
+
+    Source: MuJoCo, *Computation*, solver parameters.
+
+    Example:
+        >>> import mujoco
+        >>> import rbjax as rb
+        >>> robot = rb.wheeled.kinds()["differential_drive"].make()
+        >>> model = mujoco.MjModel.from_xml_string(rb.wheeled.write_mjcf(robot, friction=0.8))
+        >>> model.nu, model.nv
+        (2, 10)
+    """
+    _check(robot, wheel, width=width, friction=friction, steering_range=steering_range,
+           steering_time=steering_time)  # fmt: skip
+    n = numbers_of(robot, jnp.result_type(float))
+    full = full_model(robot, "free")
+    rigid = [row for row in full.constraints if isinstance(row, Gear)]
+    linkages, error = _linkages(n, float(steering_range))
+    draft = drafted(full.replace(constraints=(*rigid, *linkages)))
+    touch = {"solref": text(solref), "solimp": text(solimp)}
+    for key, value in (OPTION | option).items():
+        draft.option.set(key, value if isinstance(value, str) else text(value))
+    _write_ground(draft, n, wheel, float(width), touch | {"friction": text(friction)})
+    _write_drives(draft, n)
+    _write_steerings(draft, n, float(steering_range), float(steering_time))
+    _write_resistance(draft, n)
+    lost = [note for note in draft.notes if not note.startswith(_HARMLESS)]
+    if linkages:
+        draft.note(f"Ackermann's linkage within {error:.1g} rad")
+    out = serialised(draft)
+    compiled(out)
+    if lost:
+        warnings.warn(f"wheeled.write_mjcf: {'; '.join(lost)}", stacklevel=2)
+    if path is not None:
+        Path(path).write_text(out, encoding="utf-8")
+    return out
+
+
+def _check(robot: Any, wheel: str, **positive: Any) -> None:
+    if not isinstance(robot, Robot):
+        raise InputError(f"wheeled.write_mjcf: robot is {type(robot).__name__}, expected a Robot")
+    choice("shape of a wheel", wheel, SHAPES)
+    for name, x in positive.items():
+        real_number("wheeled.write_mjcf", name, x, above=0.0)
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(robot)):
+        raise InputError(
+            "wheeled.write_mjcf: got a traced robot, expected known numbers; call it outside of "
+            "jit, vmap and grad"
+        )
+    rolling = [i for i, x in enumerate(robot.wheels) if x.kind == "rollers"]
+    if rolling:
+        raise UnsupportedFeature(
+            f"wheeled.write_mjcf: wheels {rolling} have rollers. MuJoCo's friction has directions "
+            "of the contact, which do not turn with a wheel, so rollers would have to be bodies; "
+            'use rb.wheeled.at(robot, "slipping"), or write a robot without rollers'
+        )
+
+
+def _linkages(n: Numbers, reach: float) -> tuple[list[JointPolynomial], float]:
+    """The angle of each wheel of a steering of several by that of the column; the largest error."""
+    out, worst = [], 0.0
+    nodes = reach * np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
+    powers = nodes[:, None] ** np.arange(1, _DEGREE + 1)
+    for j, steering in enumerate(n.robot.steerings):
+        for i in steering.wheels if len(steering.wheels) > 1 else ():
+            angles = np.asarray(linked(n, j, i, jnp.asarray(nodes))[2], np.float64)
+            terms: np.ndarray = np.linalg.lstsq(powers, angles)[0]
+            worst = max(worst, float(np.abs(powers @ terms - angles).max()))
+            column = f"steering_{j}"
+            out.append(JointPolynomial(knuckle_joint(n, i)[0], column, jnp.asarray([0.0, *terms])))
+    return out, worst
+
+
+def _write_ground(
+    draft: Draft, n: Numbers, shape: str, width: float, touch: dict[str, str]
+) -> None:
+    """The plane, the shapes of wheels, and of bodies to look at."""
+    default = ET.Element("default")
+    draft.root.insert(2, default)  # behind compiler and option
+    ET.SubElement(default, "equality", solref=touch["solref"], solimp=touch["solimp"])
+    # wheels touch the ground only, and their own numbers count
+    ways = {"contype": "1", "conaffinity": "0", "priority": "1", "rgba": "0.15 0.15 0.15 1"}
+    axle = {"zaxis": "0 1 0"} if shape == "cylinder" else {}
+    ET.SubElement(ET.SubElement(default, "default", {"class": "wheel"}), "geom",
+                  {"type": shape} | axle | touch | ways)  # fmt: skip
+    seen = {"contype": "0", "conaffinity": "0", "rgba": "0.2 0.4 0.7 0.6"}
+    ET.SubElement(ET.SubElement(default, "default", {"class": "body"}), "geom", seen)
+    ET.SubElement(draft.world, "light", pos="0 0 10")
+    ground = {"name": "ground", "type": "plane", "size": "0 0 1", "rgba": "0.8 0.8 0.8 1"}
+    ET.SubElement(draft.world, "geom", ground | {"contype": "0", "conaffinity": "1"})
+    for i, given in enumerate(n.robot.wheels):
+        r = _own(given.radius)
+        half = width * r / 2
+        size = {"ellipsoid": (r, half, r), "cylinder": (r, half), "sphere": (r,)}[shape]
+        body = draft.model.body(f"wheel_{i}")
+        draft.add(body, "geom", name=f"wheel_{i}", size=text(size), **{"class": "wheel"})
+    for k, body in enumerate(n.robot.bodies):
+        mine = [w for w in n.robot.wheels if w.body == k]
+        places = np.array([[0.0, 0.0], *(np.asarray(w.position) for w in mine)])
+        if k:
+            places = np.vstack([places, [body.drawbar, 0.0]])
+        low, high = places.min(0), places.max(0)
+        thick = max(float(w.radius) for w in mine) / 4
+        middle, half = (low + high) / 2, np.maximum((high - low) / 2, thick)
+        at = draft.model.body(f"trailer_{k}" if k else "chassis")
+        draft.add(at, "geom", type="box", pos=text([*middle, float(body.height)]),
+                  size=text([*half, thick]), **{"class": "body"})  # fmt: skip
+
+
+def _write_drives(draft: Draft, n: Numbers) -> None:
+    """One actuator a drive, in the place of those of the full model."""
+    draft.actuator.clear()
+    for j, drive in enumerate(n.robot.drives):
+        name, axles = f"drive_{j}", [wheel_joint(i) for i in drive.wheels]
+        split = np.asarray(drive.split)
+        law = _law(draft, drive.motor, f"motor of {name}")
+        if len(axles) == 1:
+            ends = {"joint": axles[0], "gear": text(split[0])}
+        else:
+            ends = {"tendon": name}
+            _write_cage(draft, name, axles, split)
+            rotor = f"motor_{j}"
+            if rotor in draft.model.joint_names:
+                _write_cage(draft, rotor, [rotor], np.ones(1))
+                turns = {"tendon1": rotor, "tendon2": name, "polycoef": "0 1 0 0 0"}
+                ET.SubElement(draft.equality, "tendon", turns)
+        ET.SubElement(draft.actuator, "general", {"name": name} | ends | law)
+
+
+def _write_cage(draft: Draft, name: str, axles: list[str], split: np.ndarray) -> None:
+    """The tendon sum split_i phi_i."""
+    cage = ET.SubElement(draft.tendon, "fixed", name=name)
+    for axle, share in zip(axles, split, strict=True):
+        ET.SubElement(cage, "joint", joint=axle, coef=text(share))
+
+
+def _law(draft: Draft, motor: Motor, name: str) -> dict[str, str]:
+    """A motor's torque as gain u + bias Omega, within its limits."""
+    limits: dict[str, str] = {}
+    if type(motor) not in (TorqueSource, SpeedServo, DCMotor):
+        raise UnsupportedFeature(
+            f"wheeled.write_mjcf: {name} is {type(motor).__name__}, which MJCF does not have; "
+            "expected TorqueSource, SpeedServo or DCMotor"
+        )
+    limited = {"limit": "forcerange", "battery": "ctrlrange"}
+    for field, attribute in limited.items():
+        end = _own(getattr(motor, field, np.inf))
+        if np.isfinite(end):
+            limits[attribute] = f"{text(-end)} {text(end)}"
+            draft.note(f"{name}: it saturates at a corner, not as tanh")
+    given: Any = motor
+    if isinstance(motor, SpeedServo):
+        gain, bias = _own(given.gain), -_own(given.gain)
+    elif isinstance(motor, DCMotor):
+        k, R = _own(given.gear * given.torque_constant), _own(given.resistance)
+        gain, bias = k / R, -(k * k / R + _own(given.friction))
+    else:
+        gain, bias = 1.0, 0.0
+    return _affine(gain, 0.0, bias) | limits
+
+
+def _affine(gain: Any, by_length: Any, by_rate: Any) -> dict[str, str]:
+    """The force gain u + by_length l + by_rate l'."""
+    law = {"gainprm": text(gain)}
+    if by_length or by_rate:
+        terms = " ".join(map(text, (0.0, by_length, by_rate)))
+        law |= {"biastype": "affine", "biasprm": terms}
+    return law
+
+
+def _own(x: Any) -> Any:
+    """A number in its own precision, of which the file has the shortest decimals."""
+    return np.asarray(x)[()]
+
+
+def _write_steerings(draft: Draft, n: Numbers, reach: float, time: float) -> None:
+    """A servo of the rate of each steering."""
+    model: Model = draft.model
+    for j, steering in enumerate(n.robot.steerings):
+        name = f"steering_{j}"
+        turned = {name, *(knuckle_joint(n, i)[0] for i in steering.wheels)}
+        inertia = sum(float(model.joints.armature[model.v_slice(x).start]) for x in turned)
+        gain, stiffness = inertia / time, 0.0
+        damping = gain
+        if steering.lag is not None:
+            gain = stiffness = gain / _own(steering.lag)
+        law = _affine(gain, 0.0 - stiffness, -damping)
+        ET.SubElement(draft.actuator, "general", {"name": name, "joint": name} | law)
+        if len(turned) > 1:
+            draft.joints[model.joint(name)].set("range", text([-reach, reach]))
+
+
+def _write_resistance(draft: Draft, n: Numbers) -> None:
+    """Damping of axles; rolling resistance as their friction under the loads at rest."""
+    for i, given in enumerate(n.robot.wheels):
+        if _own(given.damping):
+            joint = draft.joints[draft.model.joint(wheel_joint(i))]
+            joint.set("damping", text(_own(given.damping)))
+    if n.robot.resistance is None:
+        return
+    c = _own(n.robot.resistance.coefficient)
+    for i, (given, load) in enumerate(zip(n.robot.wheels, wheel_loads(n), strict=True)):
+        torque = c * np.maximum(_own(load), 0) * _own(given.radius)
+        draft.joints[draft.model.joint(wheel_joint(i))].set("frictionloss", text(torque))

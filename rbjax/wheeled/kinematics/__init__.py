@@ -1,0 +1,1 @@
+"""Planar kinematics of wheeled robots: lanes, velocities of wheels, odometry."""

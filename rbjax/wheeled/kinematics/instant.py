@@ -1,0 +1,109 @@
+"""A wheeled robot at an instant, and the rates of its coordinates."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from rbjax.lanes import Lane, add, fusion_barrier, sub
+from rbjax.wheeled.kinematics.numbers import Numbers
+from rbjax.wheeled.kinematics.planar import Moving, Pair, direction, turned, turning
+from rbjax.wheeled.kinematics.velocities import Shape, caster_rates, shape_along, twists_of
+
+
+@dataclass(frozen=True)
+class Instant:
+    """Coordinates, velocities, tyre states and controls as lanes.
+
+    What depends on the angles is computed once.
+    """
+
+    n: Numbers
+    q: list[Lane]
+    v: list[Lane]
+    x: list[Lane]
+    u: list[Lane]
+
+    def with_velocities(self, v: list[Lane], x: list[Lane]) -> Instant:
+        """At the same coordinates, with other velocities and tyre states."""
+        out = replace(self, v=v, x=x)
+        known = ("pose", "directions", "shape")
+        vars(out).update({name: found for name, found in vars(self).items() if name in known})
+        return out
+
+    @functools.cached_property
+    def pose(self) -> Pair:
+        """The direction of the chassis."""
+        return fusion_barrier(direction(self.q[2]))
+
+    @functools.cached_property
+    def directions(self) -> list[Pair]:
+        """Those of trailers, steerings and casters."""
+        return fusion_barrier([direction(a) for a in angles_of(self.n, self)])
+
+    @functools.cached_property
+    def shape(self) -> Shape:
+        """The shape at the angles of trailers, steerings and casters."""
+        return shape_along(self.n, self.directions)
+
+    def bodies(self) -> list[tuple[Pair, Pair]]:
+        """Of each body its origin, on the ground, and its direction."""
+        n = self.n
+        out = [((self.q[0], self.q[1]), self.pose)]
+        for k, body in enumerate(n.bodies[1:], start=1):
+            at, ahead = out[n.ahead(k)]
+            e = turned(self.shape.trailers[k - 1], ahead)
+            hitch, bar = turned(body.hitch, ahead), turned((body.drawbar, 0.0), e)
+            x, y = (sub(add(a, b), c) for a, b, c in zip(at, hitch, bar, strict=True))
+            out.append(((x, y), e))
+        return out
+
+    def turning(self, w: Sequence[Lane]) -> Shape:
+        """The shape with its rate at full velocities w."""
+        rates = angle_rates(self.n, self, w)
+        return shape_along(
+            self.n, [turning(e, rate) for e, rate in zip(self.directions, rates, strict=True)]
+        )
+
+    def turning_twice(self, w: Sequence[Lane]) -> Shape:
+        """The shape with its first and second rate, where the angles turn evenly."""
+        rates = angle_rates(self.n, self, w)
+        return shape_along(
+            self.n,
+            [turning(turning(e, r), Moving(r, 0.0))
+             for e, r in zip(self.directions, rates, strict=True)],
+        )  # fmt: skip
+
+
+def angles_of(n: Numbers, now: Instant) -> list[Lane]:
+    """The angles on which the shape depends."""
+    return now.q[3 : n.layout.casters.stop]
+
+
+def steering_rates(n: Numbers, now: Instant) -> list[Lane]:
+    """b' of each steering."""
+    out = []
+    first = len(n.robot.drives)
+    for j, steering in enumerate(n.robot.steerings):
+        u = now.u[first + j]
+        if steering.lag is None:
+            out.append(u)
+        else:
+            out.append((u - now.q[n.layout.steerings.start + j]) / n.lane(steering.lag))
+    return out
+
+
+def coordinate_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+    """q' by the full velocities."""
+    x, y = turned((w[0], w[1]), now.pose)
+    return [x, y, w[2], *angle_rates(n, now, w), *w[2 + len(n.bodies) :]]
+
+
+def angle_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+    """The rates of the angles on which the shape depends."""
+    trailers = list(w[3 : 2 + len(n.bodies)])
+    casters = []
+    if n.layout.caster_wheels:
+        casters = caster_rates(n, now.shape, twists_of(n, now.shape, w))
+    return [*trailers, *steering_rates(n, now), *casters]

@@ -1,0 +1,1 @@
+"""Equations of motion of wheeled robots, one fidelity a file."""

@@ -1,0 +1,179 @@
+"""Newton-Euler equations of a wheeled robot, projected on any velocities.
+
+With twists V_k = J_k nu of the bodies and rates r_i = j_i nu of what turns by itself,
+
+    M = sum J_k^T M_k J_k + sum I_i j_i^T j_i
+    f = sum J_k^T (F_k - M_k V_k' - C_k) + sum j_i^T (t_i - I_i r_i')      at nu' = 0
+    M nu' = f
+
+M_k and C_k are those of a body about its own origin, in its own axes: m, the moment m c, the
+inertia, and w x (momentum). This is the principle of virtual power (Jourdain; Kane): wrenches are
+separated into what drives and what constrains by J^T, twists by J.
+(Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8, the kinematical approach)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, ldlt, mul, neg, sub, total
+from rbjax.wheeled.kinematics.instant import Instant
+from rbjax.wheeled.kinematics.numbers import BodyNumbers, Numbers
+from rbjax.wheeled.kinematics.planar import Twist, cross, rate_of, turned_back, value_of
+from rbjax.wheeled.kinematics.velocities import Motion, Shape, motion
+
+#: nu and a shape to full velocities
+Velocities = Callable[[Numbers, Shape, Sequence[Lane]], list[Lane]]
+
+
+#: a coefficient c, N s/m or N m s/rad, and a row d over the full velocities, with force - c d d^T w
+Damper = tuple[Lane, Sequence[Lane]]
+
+
+class Equations(NamedTuple):
+    """M (rows of lanes) and f (lanes); the full velocities of unit velocities nu, by column."""
+
+    M: list[list[Lane]]
+    f: list[Lane]
+    columns: list[list[Lane]]
+
+    @property
+    def accelerations(self) -> list[Lane]:
+        """nu' of M nu' = f."""
+        return ldlt(self.M).solve(self.f)
+
+    def damped(self, dampers: Sequence[Damper], h: Lane) -> list[Lane]:
+        """nu' of (M + h D) nu' = f, where D = sum c d d^T of the dampers."""
+        M = [list(row) for row in self.M]
+        for c, d in dampers:
+            moved = [inner(d, column) for column in self.columns]
+            for a, x in enumerate(moved):
+                for b in range(a + 1):
+                    M[a][b] = M[b][a] = add(M[a][b], mul(mul(h, c), mul(x, moved[b])))
+        return ldlt(M).solve(self.f)
+
+
+def momentum(body: BodyNumbers, V: Twist) -> Twist:
+    """Linear momentum, and angular momentum about the origin."""
+    (x, y, w), (a, b) = V, body.moment
+    return Twist(
+        sub(mul(body.mass, x), mul(w, b)),
+        add(mul(body.mass, y), mul(w, a)),
+        add(mul(body.inertia, w), sub(mul(a, y), mul(b, x))),
+    )
+
+
+def _gyroscopic(body: BodyNumbers, V: Twist) -> Twist:
+    """w x p, and v x p about the origin: what F takes beside M_k V'."""
+    p, w = momentum(body, V), V[2]
+    return Twist(neg(mul(w, p[1])), mul(w, p[0]), cross((V[0], V[1]), (p[0], p[1])))
+
+
+def weights(n: Numbers, pose: tuple[Lane, ...], shape: Shape) -> list[Twist]:
+    """Gravity along the ground on each body and fork, in its axes."""
+    if is_zero(n.downhill[0]) and is_zero(n.downhill[1]):
+        return [Twist(0.0, 0.0, 0.0)] * len(n.rigid)
+    falls = [turned_back(n.downhill, pose)]
+    for k in range(1, len(n.bodies)):
+        falls.append(turned_back(falls[n.ahead(k)], shape.trailers[k - 1]))
+    for i in n.layout.caster_wheels:
+        falls.append(turned_back(falls[n.wheels[i].body], shape.wheels[i]))
+    return [
+        Twist(mul(body.mass, x), mul(body.mass, y), cross(body.moment, (x, y)))
+        for body, (x, y) in zip(n.rigid, falls, strict=True)
+    ]
+
+
+def columns_of(n: Numbers, shape: Shape, velocities: Velocities, size: int) -> list[list[Lane]]:
+    """Full velocities of unit velocities nu: the columns of the basis."""
+    units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
+    return [velocities(n, shape, unit) for unit in units]
+
+
+def project(
+    n: Numbers,
+    now: Instant,
+    w: Sequence[Lane],
+    velocities: Velocities,
+    nu: Sequence[Lane],
+    forces: Sequence[Twist],
+    torques: Sequence[Lane],
+) -> Equations:
+    """M and f for velocities nu.
+
+    Args:
+        w: the full velocities, at which trailers, steerings and casters turn.
+        velocities: full velocities by nu.
+        forces: on each body and fork, in its axes, the moment about its origin.
+        torques: on each shaft.
+    """
+    columns = columns_of(n, now.shape, velocities, len(nu))
+    parts = [motion(n, now.shape, column) for column in columns]
+    moves, gains = _with_rates(n, now.turning(w), velocities, nu)
+    loads = [
+        F - momentum(body, A) - _gyroscopic(body, V)
+        for body, F, V, A in zip(n.rigid, forces, moves.twists, gains.twists, strict=True)
+    ]
+    for body, moment in _steering_torques(n, now, w):
+        loads[body] = loads[body] - Twist(0.0, 0.0, moment)
+    driving = [*torques, *([0.0] * (len(gains.turns) - len(torques)))]
+    turning = [
+        sub(t, mul(inertia, rate)) for t, (inertia, rate) in zip(driving, gains.turns, strict=True)
+    ]
+    pushed = [[momentum(b, V) for b, V in zip(n.rigid, p.twists, strict=True)] for p in parts]
+    M: list[list[Lane]] = [[0.0] * len(nu) for _ in nu]
+    for a, part in enumerate(parts):
+        for b in range(a + 1):
+            entry = total(inner(V, P) for V, P in zip(part.twists, pushed[b], strict=True))
+            for (inertia, x), (_, y) in zip(part.turns, parts[b].turns, strict=True):
+                entry = add(entry, mul(inertia, mul(x, y)))
+            M[a][b] = M[b][a] = entry
+    f = [
+        add(
+            total(inner(V, F) for V, F in zip(part.twists, loads, strict=True)),
+            total(mul(x, t) for (_, x), t in zip(part.turns, turning, strict=True)),
+        )
+        for part in parts
+    ]
+    M, f = fusion_barrier((M, f))
+    return Equations(M, f, columns)
+
+
+def _with_rates(
+    n: Numbers, shape: Shape, velocities: Velocities, nu: Sequence[Lane]
+) -> tuple[Motion, Motion]:
+    """The motion at nu, and its rate at nu' = 0, by the shape with its rate."""
+    both = motion(n, shape, velocities(n, shape, nu))
+    now = Motion(
+        [Twist(*map(value_of, V)) for V in both.twists],
+        [(i, value_of(rate)) for i, rate in both.turns],
+    )
+    then = Motion(
+        [Twist(*map(rate_of, V)) for V in both.twists],
+        [(i, rate_of(rate)) for i, rate in both.turns],
+    )
+    return now, then
+
+
+def _steering_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
+    """What bodies feel as their steered wheels turn faster about the vertical, at b'' = 0.
+
+    Wheels that turn by the angle b itself turn evenly; those of Ackermann's geometry do not.
+    """
+    uneven = [
+        i
+        for steering in n.robot.steerings
+        if len(steering.wheels) > 1
+        for i in steering.wheels
+        if not is_zero(n.wheels[i].yaw_inertia)
+    ]
+    if not uneven:
+        return []
+    shape, out = now.turning_twice(w), []
+    for i in uneven:
+        e = shape.wheels[i]
+        here = tuple(value_of(value_of(x)) for x in e)
+        twice = tuple(rate_of(rate_of(x)) for x in e)
+        out.append((n.wheels[i].body, mul(n.wheels[i].yaw_inertia, cross(here, twice))))
+    return out

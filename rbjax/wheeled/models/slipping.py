@@ -1,0 +1,214 @@
+"""Wheels that slip: the contact's force is a law of tyres, and all velocities are free.
+
+    M w' = f + sum J_i^T N_i mu_i(slip of wheel i),     shafts: - r N mu along the wheel
+
+A wheel with rollers passes only the force along their axis. A caster swivels without resistance,
+so only the force along it is passed. Loads are those of `loads`, with their transfer. The ground
+holds a wheel that would lift: a load below zero says that the motion is not that of a robot on all
+wheels (`forces`).
+
+Where wheels are light, contacts are stiff: a wheel's slip decays at about (N C / v) (1 / m +
+r^2 / I), with C the slope of the law and v the speed, or `smooth_speed` near rest. An explicit step
+must be shorter than two of these times; `simulate` finds it. "linearly_implicit_euler" of `rollout`
+has no such limit: it takes the contacts as dampers, of the secant of their law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.errors import InputError
+from rbjax.lanes import Lane, add, mul, neg, sub
+from rbjax.wheeled.kinematics.instant import Instant
+from rbjax.wheeled.kinematics.numbers import Numbers, WheelNumbers, with_lanes
+from rbjax.wheeled.kinematics.planar import Pair, Twist, cross, turned
+from rbjax.wheeled.kinematics.velocities import contact, twists_of
+from rbjax.wheeled.models.equations import Damper, Equations, columns_of, project, weights
+from rbjax.wheeled.models.fidelity import Fidelity, motor_dampers, shaft_torques
+from rbjax.wheeled.models.loads import resisting_torques, wheel_loads
+from rbjax.wheeled.models.rolling import all_of
+from rbjax.wheeled.tyres.laws import Fiala
+from rbjax.wheeled.tyres.tyre import Tyre
+
+
+class Slipping(Fidelity):
+    """A robot whose wheels slip: v = w, all velocities; x, the states of tyres that relax.
+
+    Fields: robot; tyre, the law of all wheels, or a tuple of one law a wheel.
+
+    Example:
+        >>> import rbjax as rb
+        >>> robot = rb.wheeled.kinds()["omni_3"].make()
+        >>> vehicle = rb.wheeled.at(robot, "slipping", tyre=rb.wheeled.Fiala(20.0, 0.8))
+        >>> vehicle.nv, vehicle.nx
+        (6, 0)
+    """
+
+    name: ClassVar[str] = "slipping"
+    tyre: Any = None
+
+    def __post_init__(self) -> None:
+        if self.tyre is None:
+            self.tyre = Fiala(jnp.asarray(20.0), jnp.asarray(0.9))
+
+    def __check_init__(self) -> None:
+        tyres = self.tyre if isinstance(self.tyre, tuple) else (self.tyre,)
+        if not all(isinstance(x, Tyre) or _relaxes(x) for x in tyres):
+            raise InputError(
+                f"Slipping: tyre is {type(self.tyre).__name__}, expected a law of tyres, such as "
+                "rbjax.wheeled.Fiala(20.0, 0.9), or a tuple of one for each wheel"
+            )
+        if isinstance(self.tyre, tuple) and len(self.tyre) != len(self.robot.wheels):
+            raise InputError(
+                f"Slipping: got {len(self.tyre)} tyres, expected one for each of the "
+                f"{len(self.robot.wheels)} wheels"
+            )
+        for i, (wheel, tyre) in enumerate(zip(self.robot.wheels, self.tyres, strict=True)):
+            if wheel.kind in ("rollers", "caster") and _relaxes(tyre):
+                raise InputError(
+                    f"Slipping: the tyre of wheels[{i}], which has {wheel.kind}, relaxes; expected "
+                    "a law without states there"
+                )
+            known = not isinstance(wheel.inertia, jax.core.Tracer)
+            if known and not float(wheel.inertia) > 0 and wheel.shaft is None:
+                raise InputError(
+                    f"Slipping: wheels[{i}].inertia is {float(wheel.inertia)}, expected a number "
+                    "above zero: a wheel that slips turns by its own inertia"
+                )
+
+    @property
+    def tyres(self) -> tuple[Any, ...]:
+        """The law of each wheel."""
+        if isinstance(self.tyre, tuple):
+            return self.tyre
+        return (self.tyre,) * len(self.robot.wheels)
+
+    @property
+    def nv(self) -> int:
+        return self.robot.layout.nw
+
+    @property
+    def nx(self) -> int:
+        return sum(tyre.size for tyre in self.tyres)
+
+    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+        return now.v
+
+    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+        return w
+
+    def contacts(self, n: Numbers, now: Instant) -> tuple[list[Pair], list[Lane]]:
+        """The traction of each wheel for each newton of load, along its heading and to its left;
+        the rates of the states of tyres."""
+        shape = now.shape
+        twists = twists_of(n, shape, now.v)
+        rates = now.v[2 + len(n.bodies) :]
+        out, states, taken = [], [], 0
+        for i, (wheel, law) in enumerate(zip(n.wheels, self.tyres, strict=True)):
+            tyre = with_lanes(law, n.dtype)
+            along, across = contact(n, shape, twists, i)
+            roll = mul(wheel.radius, rates[wheel.shaft])
+            slides = _slides(wheel, along, across, roll)
+            if wheel.kind == "caster":
+                out.append((_one_way(tyre, slides[0], roll), 0.0))
+            elif wheel.kind == "rollers":
+                pull, c = _one_way(tyre, slides[0], roll), _cosine(wheel)
+                out.append((mul(pull, c), mul(pull, mul(c, wheel.slant))))
+            else:
+                z = now.x[taken : taken + tyre.size]
+                taken += tyre.size
+                pull, rate = tyre.response(along, across, roll, z)
+                out.append(pull)
+                states.extend(rate)
+        return out, states
+
+    def forces(self, n: Numbers, now: Instant) -> tuple[list[Lane], list[Pair]]:
+        """The loads of wheels, N, and the forces on them, N, along x and y of their bodies."""
+        shape = now.shape
+        pulls, _ = self.contacts(n, now)
+        pulls = [turned(pull, e) for pull, e in zip(pulls, shape.wheels, strict=True)]
+        loads = wheel_loads(n, pulls)
+        return loads, [
+            (mul(load, x), mul(load, y)) for load, (x, y) in zip(loads, pulls, strict=True)
+        ]
+
+    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+        return self._equations(n, now)[0].accelerations
+
+    def damped_accelerations(self, n: Numbers, now: Instant, h: Lane) -> list[Lane]:
+        equations, loads = self._equations(n, now)
+        dampers = self._contact_dampers(n, now, loads, h) + motor_dampers(n, now, now.v)
+        return equations.damped(dampers, h)
+
+    def _equations(self, n: Numbers, now: Instant) -> tuple[Equations, list[Lane]]:
+        """The equations, and the loads of wheels."""
+        shape = now.shape
+        loads, forces = self.forces(n, now)
+        pulls = weights(n, now.pose, shape)
+        torques = shaft_torques(n, now, now.v)
+        if n.resistance is not None:
+            resisting = resisting_torques(n, now.v, loads)
+            torques = [add(a, b) for a, b in zip(torques, resisting, strict=True)]
+        for wheel, e, force in zip(n.wheels, shape.wheels, forces, strict=True):
+            pulls[wheel.body] = pulls[wheel.body] + Twist(*force, cross(wheel.position, force))
+            braking = neg(mul(wheel.radius, add(mul(force[0], e[0]), mul(force[1], e[1]))))
+            torques[wheel.shaft] = add(torques[wheel.shaft], braking)
+        return project(n, now, now.v, all_of, now.v, pulls, torques), loads
+
+    def _contact_dampers(
+        self, n: Numbers, now: Instant, loads: Sequence[Lane], h: Lane
+    ) -> list[Damper]:
+        """How the forces of the ground oppose the velocities at which contacts slide."""
+        units = columns_of(n, now.shape, all_of, self.nv)
+        columns = [self._all_slides(n, now, unit) for unit in units]
+        out: list[Damper] = []
+        for i, slides in enumerate(self._all_slides(n, now, now.v)):
+            wheel = n.wheels[i]
+            roll = mul(wheel.radius, now.v[2 + len(n.bodies) + wheel.shaft])
+            across = slides[1] if len(slides) > 1 else 0.0
+            found = with_lanes(self.tyres[i], n.dtype).damping(slides[0], across, roll, h)
+            load = jnp.maximum(loads[i], 0.0)
+            for k in range(len(slides)):
+                out.append((mul(load, found[k]), [column[i][k] for column in columns]))
+        return out
+
+    def _all_slides(self, n: Numbers, now: Instant, w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
+        """The velocities at which each contact slides, at full velocities w."""
+        twists, rates = twists_of(n, now.shape, w), w[2 + len(n.bodies) :]
+        return [
+            _slides(wheel, *contact(n, now.shape, twists, i), mul(wheel.radius, rates[wheel.shaft]))
+            for i, wheel in enumerate(n.wheels)
+        ]
+
+    def relaxation(self, n: Numbers, now: Instant) -> list[Lane]:
+        return self.contacts(n, now)[1] if self.nx else []
+
+
+def _slides(wheel: WheelNumbers, along: Lane, across: Lane, roll: Lane) -> tuple[Lane, ...]:
+    """The velocity at which a contact slides, in the directions in which it has a force: along the
+    wheel, and across unless it is a caster; along the rollers."""
+    along = sub(along, roll)
+    if wheel.kind == "caster":
+        return (along,)
+    if wheel.kind == "rollers":
+        # along e . a + across n . a, a the axis of the rollers
+        return (mul(_cosine(wheel), add(along, mul(wheel.slant, across))),)
+    return along, across
+
+
+def _cosine(wheel: WheelNumbers) -> Lane:
+    """Of the angle of the rollers' axes."""
+    return (1.0 + wheel.slant * wheel.slant) ** -0.5
+
+
+def _one_way(tyre: Any, slides: Lane, roll: Lane) -> Lane:
+    """The traction of a law along one axis."""
+    return tyre.traction(slides / tyre.reference_speed(roll), 0.0)[0]
+
+
+def _relaxes(tyre: Any) -> bool:
+    return getattr(tyre, "size", 0) > 0

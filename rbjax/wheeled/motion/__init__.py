@@ -1,0 +1,1 @@
+"""Motions of wheeled robots: rollout, simulation, tracking, the system for optimal control."""

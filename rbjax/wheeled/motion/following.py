@@ -1,0 +1,360 @@
+"""Following a path or a trajectory: pure pursuit, Stanley's law, time-varying LQR.
+
+A path is (n, 3): poses x, y in m and headings in rad, a few to a vehicle's length. The first two
+give the twist that the chassis should have; `commands` gives wheel speeds and steering angles for a
+twist of any robot. The third gives gains for all controls of a vehicle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.compiling import compiled
+from rbjax.control.linear.tracking import regulator_along
+from rbjax.dynamics.arguments import check_array, check_step, shape_of
+from rbjax.errors import InputError
+from rbjax.model import State
+from rbjax.wheeled.kinematics.numbers import stacked, with_lanes
+from rbjax.wheeled.kinematics.planar import Twist, dot, left
+from rbjax.wheeled.kinematics.velocities import free_velocities, ideal, place_of, shaft_speed
+from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.models.rolling import Kinematical
+from rbjax.wheeled.models.states import check_vehicle
+from rbjax.wheeled.motion.control_system import Vehicle
+from rbjax.wheeled.robot.robot import Robot
+
+
+class Commands(NamedTuple):
+    """speeds: (drives,) rad/s of the shafts. angles: (steerings,) rad.
+
+    These are not controls: the control of a `TorqueSource`, for example, is a torque. The method
+    `controls` converts them.
+    """
+
+    speeds: jax.Array
+    angles: jax.Array
+
+    def controls(self, robot: Robot) -> jax.Array:
+        """The controls (nu,) of the robot: for each drive the motor command whose no-load speed is
+        the speed of its shaft, in the motor's `unit`; for each steering its angle, rad.
+
+        Raises:
+            InputError: a `TorqueSource`, which has no speed; a steering without `lag`, whose
+                control is a rate.
+
+        Example:
+            >>> import rbjax as rb
+            >>> motor = rb.wheeled.DCMotor(2.0, 0.05, gear=20.0)
+            >>> robot = rb.wheeled.kinds()["differential_drive"].make(radius=0.1, motor=motor)
+            >>> found = rb.wheeled.commands(robot, [0.5, 0.0, 0.0])
+            >>> found.speeds.round(6).tolist(), found.controls(robot).round(6).tolist()
+            ([5.0, 5.0], [5.0, 5.0])
+        """
+        if not isinstance(robot, Robot):
+            raise InputError(f"controls: robot is {type(robot).__name__}, expected a Robot")
+        for j, steering in enumerate(robot.steerings):
+            if steering.lag is None:
+                raise InputError(
+                    f"controls: steerings[{j}] has no lag, so its control is a rate in rad/s and "
+                    "not an angle; give the steering a lag, or control the rate by the angle error"
+                )
+        dtype = self.speeds.dtype
+        speeds = [
+            with_lanes(drive.motor, dtype).command_for(self.speeds[j])
+            for j, drive in enumerate(robot.drives)
+        ]
+        return jnp.concatenate([stacked(speeds, dtype), self.angles])
+
+
+def commands(robot: Robot, twist: Any) -> Commands:
+    """The shaft speeds and the steering angles at which a robot has a twist.
+
+    A steering points along the velocity of its place, forwards or backwards, whichever is nearer to
+    straight ahead. Of a twist that the wheels do not allow at these angles it takes the allowed
+    part.
+
+    Args:
+        robot: `Robot`.
+        twist: (3,), vx and vy in m/s in the chassis' axes, the turning rate in rad/s.
+
+    Returns:
+        `Commands`.
+
+    Raises:
+        InputError: wrong types or shapes, values that are not finite.
+
+    Source: Lynch & Park, *Modern Robotics*, 13.2, 13.3.
+
+    Example:
+        >>> import rbjax as rb
+        >>> car = rb.wheeled.kinds()["car"].make(wheelbase=2.0)
+        >>> found = rb.wheeled.commands(car, [1.0, 0.0, 0.5])
+        >>> round(float(found.angles[0]), 6)
+        0.785398
+    """
+    if not isinstance(robot, Robot):
+        raise InputError(f"commands: robot is {type(robot).__name__}, expected a Robot")
+    twist = check_array("commands", "twist", twist, (3,))
+    return _commands(robot, twist)
+
+
+@compiled
+def _commands(robot: Robot, twist: jax.Array) -> Commands:
+    dtype = twist.dtype
+    bare = Kinematical(robot)
+    start = State(jnp.zeros(bare.nq, dtype), jnp.zeros(bare.nv, dtype))
+    n, now = bare.instant(start)
+    V = Twist(*(twist[i] for i in range(3)))
+    q, angles = list(now.q), []
+    for j, steering in enumerate(robot.steerings):
+        leader = next(
+            (x for x in robot.arrangement.leaders if x.what == "steering" and x.number == j), None
+        )
+        wheel = n.wheels[steering.wheels[0]]
+        place = wheel.position if leader is None else place_of(n, leader)
+        u = V.at(place)
+        ahead, side = dot(wheel.heading, u), dot(left(wheel.heading), u)
+        still = (ahead == 0) & (side == 0)
+        sign = jnp.where(ahead < 0, -1.0, 1.0).astype(dtype)
+        angle = jnp.arctan2(sign * side, jnp.where(still, 1.0, sign * ahead))
+        angles.append(angle)
+        q[n.layout.steerings.start + j] = angle
+    shape = replace(now, q=q).shape
+    w = ideal(n, shape, free_velocities(n, shape, V))
+    rates = w[2 + len(n.bodies) :]
+    speeds = [
+        shaft_speed(n, drive.wheels, split, rates)
+        for drive, split in zip(robot.drives, n.splits, strict=True)
+    ]
+    return Commands(stacked(speeds, dtype), stacked(angles, dtype))
+
+
+def _number(where: str, name: str, value: Any, dtype: Any, above: float | None) -> jax.Array:
+    """A number in the dtype. Raise if it is not traced and not above the bound, if there is one."""
+    x = check_array(where, name, value, ())
+    if above is not None and not isinstance(x, jax.core.Tracer) and not np.asarray(x) > above:
+        raise InputError(f"{where}: {name} is {value}, expected a number above {above:g}")
+    return x.astype(dtype)
+
+
+def _checked(where: str, path: Any, pose: Any) -> tuple[jax.Array, jax.Array]:
+    shape = shape_of(where, "path", path)
+    if len(shape) != 2 or shape[1] != 3 or shape[0] < 2:
+        raise InputError(f"{where}: path has shape {shape}, expected (n, 3) with n of at least 2")
+    path = check_array(where, "path", path, shape)
+    return path, check_array(where, "pose", pose, (3,))
+
+
+def _nearest(path: jax.Array, place: jax.Array) -> tuple[jax.Array, ...]:
+    """The segment nearest to a point: its index, the nearest point's fraction along it, the arc
+    length there, and whether that is the end of the path."""
+    a, edge = path[:-1, :2], path[1:, :2] - path[:-1, :2]
+    size = jnp.maximum((edge * edge).sum(-1), jnp.finfo(path.dtype).tiny)
+    part = jnp.clip(((place - a) * edge).sum(-1) / size, 0.0, 1.0)
+    off = a + part[:, None] * edge - place
+    k = (off * off).sum(-1).argmin()
+    lengths = jnp.where(size > jnp.finfo(path.dtype).tiny, jnp.sqrt(size), 0.0)
+    s = jnp.cumsum(lengths)
+    along = s[k] - lengths[k] * (1 - part[k])
+    return k, part[k], along, along >= s[-1] * (1 - 4 * jnp.finfo(path.dtype).eps)
+
+
+def pure_pursuit(path: Any, pose: Any, speed: Any, lookahead: Any) -> jax.Array:
+    """The twist along the arc to the point of a path that is a distance ahead of the nearest one.
+
+        w = 2 v y / L^2,    (x, y) the point in the robot's axes, L its distance
+
+    Args:
+        path: (n, 3).
+        pose: (3,), of the chassis.
+        speed: v, m/s; if it is negative, the robot drives along the path backwards.
+        lookahead: distance along the path, m, above zero. The path continues straight beyond its
+            end.
+
+    Returns:
+        (3,): v, 0, w. It is zero if the end of the path is the path's nearest point: the robot
+        stops.
+
+    Raises:
+        InputError: wrong shapes, values that are not finite, a lookahead of zero.
+
+    Source: Coulter, *Implementation of the pure pursuit path tracking algorithm*, CMU 1992.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> path = jnp.stack([jnp.linspace(0, 5, 50), jnp.zeros(50), jnp.zeros(50)], -1)
+        >>> twist = rb.wheeled.pure_pursuit(path, [0.0, 0.5, 0.0], 1.0, 1.0)
+        >>> bool(twist[2] < 0)
+        True
+    """
+    path, pose = _checked("pure_pursuit", path, pose)
+    speed = _number("pure_pursuit", "speed", speed, path.dtype, None)
+    lookahead = _number("pure_pursuit", "lookahead", lookahead, path.dtype, 0.0)
+    return _pure_pursuit(path, pose.astype(path.dtype), speed, lookahead)
+
+
+@compiled
+def _pure_pursuit(path: jax.Array, pose: jax.Array, speed: Any, lookahead: Any) -> jax.Array:
+    edges = path[1:, :2] - path[:-1, :2]
+    s = jnp.concatenate([jnp.zeros(1, path.dtype), jnp.cumsum(jnp.sqrt((edges**2).sum(-1)))])
+    _, _, along, ends = _nearest(path, pose[:2])
+    aim = along + lookahead
+    beyond = jnp.maximum(aim - s[-1], 0.0)
+    x, y = (jnp.interp(aim, s, path[:, k]) for k in (0, 1))
+    # the direction of the path at its end; a robot that drives backwards looks the other way
+    moves = (edges**2).sum(-1) > 0
+    last = jnp.where(moves, jnp.arange(len(edges)), 0).max()
+    way = edges[last] / jnp.maximum(jnp.sqrt((edges[last] ** 2).sum()), jnp.finfo(s.dtype).tiny)
+    x, y = x + beyond * way[0] - pose[0], y + beyond * way[1] - pose[1]
+    across = jnp.cos(pose[2]) * y - jnp.sin(pose[2]) * x
+    far = jnp.maximum(x * x + y * y, (NEAREST * lookahead) ** 2)  # a path may return to the robot
+    speed = jnp.where(ends, 0.0, speed)
+    return jnp.stack([speed, jnp.zeros_like(speed), 2 * speed * across / far])
+
+
+#: the least distance of the point that pure pursuit aims at, as a fraction of the lookahead
+NEAREST = 0.1
+
+
+def stanley(
+    path: Any, pose: Any, speed: Any, wheelbase: Any, gain: Any = 1.0, soft: Any = 0.5
+) -> jax.Array:
+    """The twist of Stanley's law for a car, from the heading and the offset of its front axle.
+
+        b = heading error + atan2(k e, soft + |v|),     w = v tan(b) / wheelbase
+
+    e is how far the path is to the left of the middle of the front axle.
+
+    Args:
+        path: (n, 3).
+        pose: (3,), of the middle of the rear axle.
+        speed: v of the rear axle, m/s, at least zero: the law is for driving forwards.
+            `pure_pursuit` drives backwards too. A traced speed below zero counts as zero.
+        wheelbase: m, above zero.
+        gain: k, 1/s, above zero.
+        soft: m/s, above zero.
+
+    Returns:
+        (3,): v, 0, w. The angle b is clipped to 1.2 rad. The result is zero if the end of the path
+        is its nearest point to the rear axle: the car stops.
+
+    Raises:
+        InputError: wrong shapes, values that are not finite, numbers outside their range.
+
+    Source: Hoffmann, Tomlin, Montemerlo & Thrun, *Autonomous automobile trajectory tracking for
+    off-road driving*, ACC 2007.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> path = jnp.stack([jnp.linspace(0, 5, 50), jnp.zeros(50), jnp.zeros(50)], -1)
+        >>> twist = rb.wheeled.stanley(path, [0.0, 0.5, 0.0], 1.0, 2.0)
+        >>> bool(twist[2] < 0)
+        True
+    """
+    path, pose = _checked("stanley", path, pose)
+    v = _number("stanley", "speed", speed, path.dtype, None)
+    if not isinstance(v, jax.core.Tracer) and not np.asarray(v) >= 0:
+        raise InputError(
+            f"stanley: speed is {speed}, expected at least 0: steering by the front axle is "
+            "unstable backwards; pure_pursuit takes speeds below zero"
+        )
+    given = {"wheelbase": wheelbase, "gain": gain, "soft": soft}
+    numbers = (_number("stanley", name, x, path.dtype, 0.0) for name, x in given.items())
+    return _stanley(path, pose.astype(path.dtype), v, *numbers)
+
+
+@compiled
+def _stanley(
+    path: jax.Array, pose: jax.Array, speed: Any, wheelbase: Any, gain: Any, soft: Any
+) -> jax.Array:
+    ahead = jnp.stack([jnp.cos(pose[2]), jnp.sin(pose[2])])
+    front = pose[:2] + wheelbase * ahead
+    k, part, *_ = _nearest(path, front)
+    speed = jnp.where(_nearest(path, pose[:2])[3], 0.0, jnp.maximum(speed, 0.0))
+    turn = _wrapped(path[k + 1, 2] - path[k, 2])
+    heading = path[k, 2] + part * turn
+    off = path[k, :2] + part * (path[k + 1, :2] - path[k, :2]) - front
+    e = jnp.cos(heading) * off[1] - jnp.sin(heading) * off[0]
+    angle = _wrapped(heading - pose[2]) + jnp.arctan2(gain * e, soft + jnp.abs(speed))
+    angle = jnp.clip(angle, -1.2, 1.2)
+    return jnp.stack([speed, jnp.zeros_like(speed), speed * jnp.tan(angle) / wheelbase])
+
+
+def _wrapped(angle: jax.Array) -> jax.Array:
+    return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
+
+
+def tracking_gains(
+    vehicle: Fidelity, states: State, controls: Any, dt: Any, Q: Any, R: Any
+) -> jax.Array:
+    """Gains K of a time-varying linear quadratic regulator along a trajectory: u + K (z - z_ref).
+
+    z = (q, v) is linearised over each step of `rollout` (rk4), z+ = A z + B u. Backwards from
+    P = Q at the end (`rb.control.backward`),
+
+        K = -(R + B^T P B)^-1 B^T P A,    P = Q + A^T P (A + B K)
+
+    Args:
+        vehicle: `at(robot, fidelity)`, without tyre states.
+        states: q (T + 1, nq), v (T + 1, nv), as `rollout` gives them.
+        controls: (T, nu).
+        dt: s.
+        Q: (nq + nv,), the weights of deviations; zero for what need not be held.
+        R: (nu,), above zero, the weights of controls.
+
+    Returns:
+        K (T, nu, nq + nv).
+
+    Raises:
+        InputError: wrong types or shapes, values that are not finite, tyres that relax.
+
+    Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, ch. 2.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax import wheeled
+        >>> robot = wheeled.kinds()["differential_drive"].make(caster=None)
+        >>> cart = wheeled.at(robot, "kinematical")
+        >>> u = jnp.zeros((5, 2))
+        >>> path = wheeled.rollout(cart, wheeled.start(cart, twist=[0.5, 0.0, 0.0]), u, 0.1)
+        >>> Q = jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.1, 0.1])
+        >>> wheeled.tracking_gains(cart, State(path.q, path.v), u, 0.1, Q, jnp.ones(2)).shape
+        (5, 2, 7)
+    """
+    check_vehicle("tracking_gains", vehicle)
+    if vehicle.nx:
+        raise InputError(
+            f"tracking_gains: the vehicle has {vehicle.nx} states of tyres, which no regulator "
+            "sees; expected a law of tyres that does not relax"
+        )
+    shape = shape_of("tracking_gains", "controls", controls)
+    if len(shape) != 2:
+        raise InputError(
+            f"tracking_gains: controls has shape {shape}, expected (steps, {vehicle.nu})"
+        )
+    steps = shape[0]
+    size = vehicle.nq + vehicle.nv
+    u = check_array("tracking_gains", "controls", controls, (steps, vehicle.nu))
+    if not isinstance(states, State):
+        raise InputError(f"tracking_gains: states is {type(states).__name__}, expected State(q, v)")
+    q = check_array("tracking_gains", "states.q", states.q, (steps + 1, vehicle.nq))
+    v = check_array("tracking_gains", "states.v", states.v, (steps + 1, vehicle.nv))
+    Q = check_array("tracking_gains", "Q", Q, (size,)).astype(q.dtype)
+    R = check_array("tracking_gains", "R", R, (vehicle.nu,)).astype(q.dtype)
+    dt = check_step("tracking_gains", "dt", dt, q.dtype)
+    return _gains(vehicle, State(q[:-1], v[:-1]), u.astype(q.dtype), dt, Q, R)
+
+
+@compiled
+def _gains(
+    vehicle: Fidelity, states: State, u: jax.Array, dt: jax.Array, Q: jax.Array, R: jax.Array
+) -> jax.Array:
+    system = Vehicle(vehicle)
+    along = jax.vmap(lambda state, ctrl: system.linear(0.0, state, ctrl, dt))(states, u)
+    Q, R = jnp.diag(Q), jnp.diag(R)
+    return -regulator_along(along.A, along.B, Q, R, Q).K

@@ -1,0 +1,1 @@
+"""Wheeled robots as a `Model` with rows for rolling wheels."""

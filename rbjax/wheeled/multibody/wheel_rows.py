@@ -1,0 +1,177 @@
+"""Rows of constraints of which the multibody model of a wheeled robot is made.
+
+    wheel on the ground     u . s = 0,     u the velocity of its material point that touches
+    steering column         b' as given, b'' = 0
+    Ackermann's linkage     angle of a wheel = delta(b)
+    differential            W = sum split_i phi'_i
+With the axle's direction y, to the left, and the ground's normal n, the ways s are
+
+    ahead    y x n                       the wheel rolls
+    left     n x (y x n)                 it does not slide sideways
+    roller   cos(roller) ahead + sin(roller) left      free rollers: only along their axes
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints import Constraint, Place, Row, along, coordinate
+from rbjax.constraints.rows.geometry import Y, Z
+from rbjax.constraints.rows.place import check_places
+from rbjax.constraints.rows.rolling import slip, swept
+from rbjax.errors import UnknownName
+from rbjax.forces.instant import Frame, Instant
+from rbjax.lanes import Lane, Vec3, add, mul, neg
+from rbjax.model.leaves import numbers, scalar
+from rbjax.model.record import check_number, floats
+from rbjax.wheeled.kinematics.instant import Instant as RobotInstant
+from rbjax.wheeled.kinematics.numbers import Numbers, numbers_of
+from rbjax.wheeled.kinematics.planar import Moving, cross, direction, rate_of, value_of
+from rbjax.wheeled.robot.robot import Robot
+
+WAYS = ("ahead", "left", "roller")
+
+Swept = tuple[Vec3, Vec3]  # a direction in world axes, and its rate
+
+
+class WheelContact(Constraint):
+    """A wheel on the ground: a row for each way in which its lowest point may not slide.
+
+    The multiplier of a row is the force of the ground on the wheel along that way, in N; of the
+    height, the load. The axle is level.
+
+    Fields: a, a `Place`, its origin on the ground and its z the normal; b, a `Place`, its origin
+    the wheel's centre and its y the axle, to the left; radius, m; roller, rad, the angle of the
+    rollers' axes from ahead to the left. Static: ways, of "ahead", "left" and "roller"; touches,
+    whether the first row is the height of the lowest point.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import Place
+        >>> from rbjax.wheeled.multibody.wheel_rows import WheelContact
+        >>> blade = WheelContact(Place.on(), Place.on(body="box"), 0.1, ways=("left",))
+        >>> rb.load("free_body").with_constraints(blade).constraints[0].size
+        1
+    """
+
+    a: Place
+    b: Place
+    radius: jax.Array = eqx.field(converter=floats)
+    roller: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(0.0))
+    ways: tuple[str, ...] = eqx.field(static=True, default=("ahead", "left"))
+    touches: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        check_places(self)
+        check_number(self, "radius", positive=True)
+        check_number(self, "roller")
+        for way in self.ways:
+            if way not in WAYS:
+                raise UnknownName("way", way, WAYS)
+
+    @property
+    def size(self) -> int:
+        return len(self.ways) + self.touches
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        A, B = self.a.frame(now), self.b.frame(now)
+        radius, dtype = scalar(self.radius, now.q.dtype), now.q.dtype
+        n, dn = swept(A, Z)
+        ways = _ways(A, B)
+        if "roller" in self.ways:
+            c, s = direction(scalar(self.roller, dtype))
+            (ahead, d_ahead), (left, d_left) = ways["ahead"], ways["left"]
+            ways["roller"] = ahead * c + left * s, d_ahead * c + d_left * s
+        arm = n * neg(radius), dn * neg(radius)
+        rows = slip(A, B, arm, [ways[way] for way in self.ways])
+        return [along(A, Z, B) - radius, *rows] if self.touches else rows
+
+
+def _ways(A: Frame, B: Frame) -> dict[str, Swept]:
+    """The directions ahead and to the left, on the ground."""
+    (n, dn), (y, dy) = swept(A, Z), swept(B, Y)
+    ahead, d_ahead = y.cross(n), dy.cross(n) + y.cross(dn)
+    return {
+        "ahead": (ahead, d_ahead),
+        "left": (n.cross(ahead), dn.cross(ahead) + n.cross(d_ahead)),
+    }
+
+
+class SteeringRate(Constraint):
+    """v = rate of a hinge, a = 0: one row with no function behind it.
+
+    Fields: rate, rad/s. Static: joint.
+    """
+
+    joint: str = eqx.field(static=True)
+    rate: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(0.0))
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_number(self, "rate")
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        rate = scalar(self.rate, now.q.dtype)
+        return [coordinate(now, self.joint).time_derivative - rate]
+
+
+class Linkage(Constraint):
+    """Ackermann's geometry: the angle of a steered wheel is a function of that of the column.
+
+    Fields: robot. Static: steering and wheel, their numbers; joint, the hinge of the wheel; column,
+    that of the steering.
+    """
+
+    robot: Robot
+    steering: int = eqx.field(static=True)
+    wheel: int = eqx.field(static=True)
+    joint: str = eqx.field(static=True)
+    column: str = eqx.field(static=True)
+    size = 1
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        b = coordinate(now, self.column)
+        n = numbers_of(self.robot, now.q.dtype)
+        first, second, angle = linked(n, self.steering, self.wheel, b.value)
+        bent = add(mul(first, b.acceleration), mul(second, mul(b.rate, b.rate)))
+        wanted = Row(angle, mul(first, b.rate), b.gradient * first, bent)
+        return [coordinate(now, self.joint) - wanted]
+
+
+def linked(n: Numbers, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, Lane]:
+    """The first two derivatives by b, and the value, of a wheel's angle against its direction at
+    zero steering."""
+    layout = n.layout
+    q: list[Any] = [0.0] * layout.nq
+    q[layout.steerings.start + steering] = Moving(Moving(b, 1.0), Moving(1.0, 0.0))
+    e = RobotInstant(n, q, [], [], []).shape.wheels[wheel]
+    now = tuple(value_of(value_of(x)) for x in e)
+    once = tuple(rate_of(value_of(x)) for x in e)
+    twice = tuple(rate_of(rate_of(x)) for x in e)
+    h = n.wheels[wheel].heading
+    sine, cosine = cross(h, now), add(mul(h[0], now[0]), mul(h[1], now[1]))
+    return cross(now, once), cross(now, twice), jnp.arctan2(sine, cosine)
+
+
+class Differential(Constraint):
+    """The angle of a motor's shaft is that of the cage, sum split_i phi_i.
+
+    Fields: split (k,). Static: joint, the shaft's hinge; wheels, the hinges of k wheels.
+    """
+
+    split: jax.Array = eqx.field(converter=floats)
+    joint: str = eqx.field(static=True)
+    wheels: tuple[str, ...] = eqx.field(static=True)
+    size = 1
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        out = coordinate(now, self.joint)
+        shares = numbers(self.split, now.q.dtype)
+        for wheel, share in zip(self.wheels, shares, strict=True):
+            out = out - coordinate(now, wheel) * share
+        return [out]

@@ -1,0 +1,1 @@
+"""Wheeled robots: bodies, wheels, drives, steerings, motors, and the catalogue of kinds."""

@@ -1,0 +1,186 @@
+"""What the wheels of a robot allow: mobility, steerability, and the wheels that lead.
+
+A wheel that cannot slide sideways takes one velocity from the chassis: c(b) . (vx, vy, w) = 0. With
+C the rows of all such wheels,
+
+    mobility      d_m = 3 - rank C          velocities that wheels leave at any steering
+    steerability  d_s = rank of the rows of steered wheels
+(Campion, Bastin & D'Andrea-Novel 1996; Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
+
+At most two rows are independent if the robot can move. These rows lead. They set the basis of its
+velocities (`velocities`), and all others must follow from them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+
+if TYPE_CHECKING:
+    from rbjax.wheeled.robot.parts import Wheel
+    from rbjax.wheeled.robot.robot import Robot
+
+#: relative singular values below this are zero, or below so many roundings of the robot's numbers
+RANK, ROUNDINGS = 1e-9, 16
+
+
+@dataclass(frozen=True)
+class Leader:
+    """A row that leads: of a fixed wheel, of a steering, or of the axis on which wheels skid.
+
+    backward: whether its wheel has its heading backward, so that it turns by negative rates as the
+    chassis moves ahead.
+    """
+
+    what: str  # "wheel", "steering", "skidding"
+    number: int = 0
+    backward: bool = False
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """What `arrange` finds.
+
+    Fields: mobility, steerability, leaders; trailing, the wheel that leads each trailer; support,
+    whether the wheels of the chassis stand in a point (1), on a line (2) or around an area (3).
+    """
+
+    mobility: int
+    steerability: int
+    leaders: tuple[Leader, ...]
+    trailing: tuple[int, ...] = ()
+    support: int = 3
+
+    @property
+    def maneuverability(self) -> int:
+        """mobility + steerability."""
+        return self.mobility + self.steerability
+
+
+def arrange(robot: Robot) -> Arrangement:
+    """The arrangement of a robot whose numbers are known.
+
+    Raises:
+        InputError: numbers are traced; the wheels lock the robot; a trailer has no wheel that
+            leads it, or several that contradict each other.
+    """
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(robot)):
+        raise InputError(
+            "Robot: the numbers are traced, and the arrangement of wheels depends on them; build "
+            "the robot outside of traced code and change its numbers with `replace` or "
+            "`equinox.tree_at`, or give `arrangement`"
+        )
+    sources = _sources(robot)
+    random = np.random.default_rng(0)
+    angles = random.uniform(-0.7, 0.7, (8, len(robot.steerings)))
+    leaders: list[Leader] = []
+    for source in sources:
+        ranks = [_rank(robot, [*leaders, source], b) for b in angles]
+        if min(ranks) > len(leaders):
+            leaders.append(source)
+    if len(leaders) > 2:
+        named = ", ".join(f"{x.what} {x.number}" for x in leaders)
+        raise InputError(
+            f"Robot: the wheels lock the chassis: {named} allow no motion together. Put wheels "
+            "that are steered together into one `Steering`, or set skids=True on wheels that "
+            "slide sideways"
+        )
+    for source in sources:
+        if max(_rank(robot, [*leaders, source], b) for b in angles) > len(leaders):
+            raise InputError(
+                f"Robot: {source.what} {source.number} contradicts the others at some steering; "
+                "put wheels that are steered together into one `Steering`"
+            )
+    steered = [x for x in leaders if x.what == "steering"]
+    if len(leaders) == 2 and len(steered) == 2:
+        leaders.sort(key=lambda x: _place(robot, x)[0])  # the second is ahead
+    trailing = tuple(_trailing(robot, k) for k in range(1, len(robot.bodies)))
+    places = np.array([np.asarray(w.position) for w in robot.wheels if w.body == 0])
+    support = 1 + int(np.linalg.matrix_rank(places - places[0], tol=1e-6))
+    return Arrangement(3 - len(leaders), len(steered), tuple(leaders), trailing, support)
+
+
+def _sources(robot: Robot) -> list[Leader]:
+    """All rows of the chassis; fixed wheels first."""
+    out = [
+        Leader("wheel", i, _is_backward(wheel))
+        for i, wheel in enumerate(robot.wheels)
+        if wheel.body == 0 and wheel.kind == "fixed" and not wheel.skids
+    ]
+    if any(wheel.body == 0 and wheel.skids for wheel in robot.wheels):
+        out.append(Leader("skidding"))
+    firsts = [robot.wheels[steering.wheels[0]] for steering in robot.steerings]
+    return out + [Leader("steering", j, _is_backward(wheel)) for j, wheel in enumerate(firsts)]
+
+
+def _is_backward(wheel: Wheel) -> bool:
+    """Whether a wheel's heading is behind its left and right."""
+    return bool(np.cos(float(wheel.heading)) < -1e-6)
+
+
+def _place(robot: Robot, source: Leader) -> np.ndarray:
+    if source.what == "skidding":
+        return np.array([float(robot.turn_center), 0.0])
+    numbers = (source.number,) if source.what == "wheel" else robot.steerings[source.number].wheels
+    return np.mean([np.asarray(robot.wheels[i].position) for i in numbers], 0)
+
+
+def _row(robot: Robot, source: Leader, angles: np.ndarray) -> np.ndarray:
+    x, y = _place(robot, source)
+    heading = 0.0
+    if source.what == "wheel":
+        heading = float(robot.wheels[source.number].heading)
+    elif source.what == "steering":
+        first = robot.wheels[robot.steerings[source.number].wheels[0]]
+        heading = float(first.heading) + angles[source.number]
+    c, s = np.cos(heading), np.sin(heading)
+    return np.array([-s, c, c * x + s * y])
+
+
+def _rank(robot: Robot, sources: list[Leader], angles: np.ndarray) -> int:
+    rows = np.array([_row(robot, source, angles) for source in sources])
+    reach = max(1e-3, max(float(np.hypot(*np.asarray(w.position))) for w in robot.wheels))
+    values: Any = np.linalg.svd(rows / [1, 1, reach], compute_uv=False)
+    return int((values > _zero(robot) * values.max()).sum())
+
+
+def _zero(robot: Robot) -> float:
+    """What is zero beside 1: a heading of pi is off by 1e-7 in f32."""
+    dtype = jnp.result_type(float, robot.wheels[0].heading.dtype)
+    return max(RANK, ROUNDINGS * float(jnp.finfo(dtype).eps))
+
+
+def _trailing(robot: Robot, k: int) -> int:
+    """The wheel that leads a trailer; others must follow from it."""
+    body = robot.bodies[k]
+    wheels = [
+        i for i, w in enumerate(robot.wheels) if w.body == k and w.kind == "fixed" and not w.skids
+    ]
+    if not wheels:
+        raise InputError(
+            f"Robot: bodies[{k}] is a trailer without a fixed wheel; give it one that does not skid"
+        )
+    axles = []
+    for i in wheels:
+        heading, p = float(robot.wheels[i].heading), np.asarray(robot.wheels[i].position)
+        e = np.array([np.cos(heading), np.sin(heading)])
+        # lateral rates for the velocity of the coupling, and for turning about it
+        axles.append([-e[1], e[0], e @ (p - [float(body.drawbar), 0.0])])
+    rows = np.array(axles)
+    if abs(rows[0, 2]) < _zero(robot) * (1 + np.abs(rows).max()):
+        raise InputError(
+            f"Robot: the axle of wheels[{wheels[0]}] goes through the coupling of bodies[{k}], "
+            "which leaves the angle of the trailer open; give a `drawbar`"
+        )
+    if np.linalg.matrix_rank(rows, tol=_zero(robot)) > 1:
+        raise InputError(
+            f"Robot: the axles of bodies[{k}] contradict each other; set skids=True on the wheels "
+            "of all but one"
+        )
+    return wheels[0]

@@ -1,0 +1,1 @@
+"""Tyres: force laws, relaxation, rolling resistance, and a force element for any model."""

@@ -1,0 +1,175 @@
+"""A tyre as a force element: a wheel of a model on a plane.
+
+The plane is through A's origin, across its z, n; it may move with a body. The wheel's centre c is
+B's origin, its axle e B's z. With cos(lean) = n . e, h the height of c, and m the steepest way down
+in the wheel's plane, the tyre touches at p, as far from c as the plane is:
+
+    p = c + D m,    D = h / sin(lean),    m = (cos(lean) e - n) / sin(lean)
+
+u is the velocity of the wheel's material at p against that of the ground. The tyre is a spring and
+a damper along m, behind a short onset (`forces.joint_limits.stop_force`), and never pulls:
+
+    depth = r - D,   depth' = -n . u / sin(lean),   N = stop_force(depth, depth') / sin(lean)
+
+As depth' has no other part, N works on the spring and the damper and on nothing else, however the
+wheel leans. At rest under m g the depth is m g / k + onset / 2. In the plane, x = e x n / sin(lean)
+is where the wheel rolls for a positive spin about e, and y = n x x is across; the tyre law gives
+
+    F = N (n + mu_x x + mu_y y)   at p on the wheel,     -F at p on the ground
+
+from the sliding velocity (u . x, u . y) and the speed D spin at which the rim comes round; spin is
+about e, less what turning of the wheel's plane about n makes of it. So F . u is what the spring
+stores less what is lost: power has no other way out. As k and the law's slope grow, the motion
+becomes that of the constraint `RollingDisc`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints.rows.geometry import Z, opposed
+from rbjax.constraints.rows.place import Place, check_places
+from rbjax.errors import InputError
+from rbjax.forces import Element, Instant, Loads
+from rbjax.forces.element import Shapes
+from rbjax.forces.joints.limits import stop_energy, stop_force
+from rbjax.lanes import Lane, Vec3
+from rbjax.model import Model
+from rbjax.model.record import check_number, floats
+from rbjax.wheeled.tyres.relaxation import Relaxing
+from rbjax.wheeled.tyres.rolling_resistance import RollingResistance
+from rbjax.wheeled.tyres.tyre import Pair, Tyre, check_above, check_at_least
+
+
+class Contact(NamedTuple):
+    """A tyre at an instant: p, where it touches; n, x, y, the directions there (all in world axes);
+    depth, m; load N, in newtons; lever D, m; the sliding velocity, m/s, the traction mu, and the
+    rates of the state, along x and y; spin, rad/s about the axle; roll_speed, m/s, at which the rim
+    comes round."""
+
+    p: Vec3
+    n: Vec3
+    x: Vec3
+    y: Vec3
+    depth: Lane
+    load: Lane
+    lever: Lane
+    sliding: Pair
+    mu: Pair
+    rates: Any
+    spin: Lane
+    roll_speed: Lane
+
+
+class TyreOnGround(Element):
+    """The tyre of a wheel on a plane: load, traction, and rolling resistance if it has any.
+
+        F = N (n + mu_x x + mu_y y),    N = stop_force(r - D, ...) / sin(lean)
+
+    Its own state is that of a `Relaxing` tyre. What a leaning tyre does by itself (camber thrust,
+    the torques about n and x) is no part of it.
+
+    Fields: a, a `Place`, its origin in the plane and its z the normal on the wheel's side; b, a
+    `Place`, its origin the wheel's centre and its z the axle, about which a positive spin rolls
+    towards axle x normal; tyre, a law or `Relaxing`; radius r (), m; stiffness k (), N/m; damping
+    (), N s/m; onset (), m, over which the spring sets in; resistance, a `RollingResistance` or
+    None. The axle must not stand across the plane.
+
+    Source: Rill & Castro, *Road Vehicle Dynamics*, 2nd ed. 2020, 3.1 and 3.2.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax.constraints import Place
+        >>> ground, wheel = Place.on(), Place.on(body="box", axis=[0, 1, 0])
+        >>> tyre = rb.wheeled.TyreOnGround(ground, wheel, rb.wheeled.Fiala(10.0, 0.8), 0.3, 1e4)
+        >>> model = rb.load("free_body").with_forces(tyre)
+        >>> state = model.default_state()
+        >>> state = state.replace(q=state.q.at[2].set(0.29), v=state.v.at[0].set(1.0))
+        >>> [round(x, 2) for x in rb.applied_forces(model, state)[:3].tolist()]  # locked, 1 cm deep
+        [-79.6, 0.0, 99.5]
+    """
+
+    a: Place
+    b: Place
+    tyre: Tyre | Relaxing
+    radius: jax.Array = eqx.field(converter=floats)
+    stiffness: jax.Array = eqx.field(converter=floats)
+    damping: jax.Array = eqx.field(converter=floats, default=0.0)
+    onset: jax.Array = eqx.field(converter=floats, default=1e-4)
+    resistance: RollingResistance | None = None
+
+    def __check_init__(self) -> None:
+        check_places(self)
+        for name, kind in (("tyre", Tyre | Relaxing), ("resistance", RollingResistance | None)):
+            got = getattr(self, name)
+            if not isinstance(got, kind):
+                expected = "a tyre law or Relaxing" if name == "tyre" else "RollingResistance, None"
+                raise InputError(
+                    f"TyreOnGround({name}=...): got {type(got).__name__}, expected {expected} (of "
+                    "rbjax.wheeled)"
+                )
+        for name in ("radius", "stiffness", "damping", "onset"):
+            check_number(self, name)
+        check_above(self, radius=0.0, stiffness=0.0, onset=0.0)
+        check_at_least(self, damping=0.0)
+
+    def may_be_endless(self, name: str) -> bool:
+        return False
+
+    def shapes(self, model: Model) -> Shapes:
+        return dict.fromkeys(("radius", "stiffness", "damping", "onset"), ())
+
+    @property
+    def size(self) -> int:
+        return self.tyre.size
+
+    def contact(self, now: Instant) -> Contact:
+        """Where and how it touches, at an instant."""
+        A, B, own = self.a.frame(now), self.b.frame(now), self._in(now)
+        n, e = A.rotation @ Z, B.rotation @ Z
+        away = B.position - A.position
+        x, cosine = e.cross(n), n.dot(e)
+        sine: Any = x.norm()
+        flat = 1 / sine
+        x = x * flat
+        y = n.cross(x)
+        lever: Any = n.dot(away) * flat
+        arm = (e * cosine - n) * (lever * flat)
+
+        turning = B.angular_velocity - A.angular_velocity
+        u = B.velocity - A.velocity - A.angular_velocity.cross(away) + turning.cross(arm)
+        spin: Any = turning.dot(e)
+        heading: Any = (turning.dot(n) - cosine * spin) * (flat * flat)
+        depth = own.radius - lever
+        onset = own.stiffness, own.damping, own.onset
+        load = stop_force(depth, -n.dot(u) * flat, *onset) * flat
+        vx, vy = u.dot(x), u.dot(y)
+        rolls = lever * (spin - cosine * heading)
+        mu, rates = own.tyre.response(vx + rolls, vy, rolls, now.x)
+        p = B.position + arm
+        return Contact(p, n, x, y, depth, load, lever, (vx, vy), mu, rates, spin, rolls)
+
+    def loads(self, now: Instant) -> Loads:
+        at, A, B = now.once(self, lambda: self.contact(now)), self.a.frame(now), self.b.frame(now)
+        F = (at.n + at.x * at.mu[0] + at.y * at.mu[1]) * at.load
+        torque, resistance = Vec3.zero(), self._in(now).resistance
+        if resistance is not None:
+            drag = resistance.torque(at.load, at.lever, at.lever * at.spin)
+            torque = (B.rotation @ Z) * drag
+        return opposed(B.push(F, torque, at=at.p), A.push(-F, -torque, at=at.p))
+
+    def rate(self, now: Instant) -> Any:
+        return now.once(self, lambda: self.contact(now)).rates
+
+    def energy(self, now: Instant) -> Lane:
+        """What the spring stores, and the carcass of a `Relaxing` tyre under its load now."""
+        at, own = now.once(self, lambda: self.contact(now)), self._in(now)
+        return stop_energy(at.depth, own.stiffness, own.onset) + at.load * own.tyre.stored(now.x)
+
+    def _in(self, now: Instant) -> TyreOnGround:
+        """The same, in the precision of the motion."""
+        return jax.tree.map(lambda x: jnp.asarray(x, now.q.dtype), self)

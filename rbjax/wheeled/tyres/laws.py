@@ -1,0 +1,276 @@
+"""Five tyre laws: Coulomb, linear, Fiala's brush, the magic formula, TMeasy.
+
+Each gives the secants G_i of `Tyre`, from the curve f of pure slip that its class names; sigma_i is
+the slip of an axis by which that is measured, rho = |sigma| (see `tyres`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.lanes import Lane
+from rbjax.model.record import floats
+from rbjax.wheeled.tyres.tyre import Pair, Tyre, check_above, check_up_to, pair
+
+#: v_n where none is given, m/s
+SMOOTH_SPEED = 0.05
+
+
+def _number(**given: Any) -> Any:
+    return eqx.field(converter=floats, **given)
+
+
+class Linear(Tyre):
+    """Traction in proportion to slip, up to a limit if it has one.
+
+        mu_i = -c_i s_i,    with a limit    mu_i = -mu_i* sigma_i / sqrt(1 + rho^2),
+                                            sigma_i = c_i s_i / mu_i*
+
+    Fields, () or (2,): stiffness c; friction mu*, or None for no limit; smooth_speed v_n (), m/s.
+
+    Source: Jazar, *Vehicle Dynamics*, 3.5.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rubber = rb.wheeled.Linear([12.0, 10.0])
+        >>> [round(float(x), 3) for x in rubber.traction(-0.02, 0.01)]
+        [0.24, -0.1]
+    """
+
+    stiffness: jax.Array = _number()
+    friction: jax.Array | None = _number(default=None)
+    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
+
+    def check_ranges(self) -> None:
+        check_above(self, stiffness=0.0, friction=0.0)
+
+    @property
+    def slopes(self) -> Pair:
+        return pair(self.stiffness)
+
+    @property
+    def limits(self) -> Pair:
+        return super().limits if self.friction is None else pair(self.friction)
+
+    def secants(self, sx: Lane, sy: Lane) -> Pair:
+        if self.friction is None:
+            return self.slopes
+        return _saturated(self.slopes, pair(self.friction), sx, sy)
+
+
+class Coulomb(Tyre):
+    """Friction of one size at any slip, regularised.
+
+        mu_i = -mu_i* sigma_i / sqrt(1 + rho^2),    sigma_i = s_i / w_i
+
+    Fields, () or (2,): friction mu*; width w, the slip at which it has 0.71 of its size;
+    smooth_speed v_n (), m/s.
+
+    Example:
+        >>> import rbjax as rb
+        >>> [round(float(x), 3) for x in rb.wheeled.Coulomb(0.8).traction(3.0, 4.0)]
+        [-0.48, -0.64]
+    """
+
+    friction: jax.Array = _number()
+    width: jax.Array = _number(default=0.02)
+    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
+
+    def check_ranges(self) -> None:
+        check_above(self, friction=0.0, width=0.0)
+
+    @property
+    def slopes(self) -> Pair:
+        return pair(self.friction / self.width)
+
+    @property
+    def limits(self) -> Pair:
+        return pair(self.friction)
+
+    def secants(self, sx: Lane, sy: Lane) -> Pair:
+        return _saturated(self.slopes, pair(self.friction), sx, sy)
+
+
+def _root(square: Lane) -> Lane:
+    """The square root, zero with its derivatives where those of the third order would overflow."""
+    some = square > jnp.finfo(jnp.result_type(square)).tiny ** (1 / 3)
+    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
+
+
+def _saturated(slopes: Pair, limits: Pair, sx: Lane, sy: Lane) -> Pair:
+    (cx, cy), (mx, my) = slopes, limits
+    x, y = cx / mx * sx, cy / my * sy
+    less = 1 / jnp.sqrt(1 + x * x + y * y)
+    return cx * less, cy * less
+
+
+class Fiala(Tyre):
+    """The brush model: bristles on a parabola of pressure, which adhere or slide.
+
+        f(rho) = mu* (3 rho - 3 rho^2 + rho^3)   for rho < 1,   mu* beyond
+        sigma_i = c_i s_i / (3 mu_i*)
+
+    Fields, () or (2,): stiffness c, the slope at no slip; friction mu*; smooth_speed v_n (), m/s.
+
+    Source: Fiala 1954; Pacejka, *Tire and Vehicle Dynamics*, eq. 3.7, 3.10 and 3.25.
+
+    Example:
+        >>> import rbjax as rb
+        >>> [round(float(x), 3) for x in rb.wheeled.Fiala(12.0, 0.8).traction(0.1, 0.0)]
+        [-0.7, -0.0]
+    """
+
+    stiffness: jax.Array = _number()
+    friction: jax.Array = _number()
+    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
+
+    def check_ranges(self) -> None:
+        check_above(self, stiffness=0.0, friction=0.0)
+
+    @property
+    def slopes(self) -> Pair:
+        return pair(self.stiffness)
+
+    @property
+    def limits(self) -> Pair:
+        return pair(self.friction)
+
+    def secants(self, sx: Lane, sy: Lane) -> Pair:
+        cx, cy = self.slopes
+        third = self.stiffness / (3 * self.friction)
+        x, y = (k * s for k, s in zip(pair(third), (sx, sy), strict=True))
+        rho = _root(x * x + y * y)
+        adheres = rho < 1
+        slides = jnp.where(adheres, 1.0, rho)
+        share = jnp.where(adheres, 1 - rho + rho * rho / 3, 1 / (3 * slides))
+        return cx * share, cy * share
+
+
+class Pacejka(Tyre):
+    """The magic formula.
+
+        f(rho) = D sin(C atan(rho - E (rho - atan rho))),      sigma_i = B_i s_i
+
+    Fields, () or (2,): stiffness_factor B; shape C, above 0 and up to 2; peak D; curvature E, up to
+    1; smooth_speed v_n (), m/s. Beyond these ranges the force would turn round. A C and an E that
+    serve both axes save half of the work.
+
+    Source: Pacejka, *Tire and Vehicle Dynamics*, eq. 4.49, without shifts, load and camber;
+    combined slip after 4.3.1.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rubber = rb.wheeled.Pacejka(10.0, 1.6, 1.0, 0.5)
+        >>> [round(float(x), 3) for x in rubber.traction(-0.1, 0.0)]
+        [0.919, -0.0]
+    """
+
+    stiffness_factor: jax.Array = _number()
+    shape: jax.Array = _number()
+    peak: jax.Array = _number()
+    curvature: jax.Array = _number(default=0.0)
+    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
+
+    def check_ranges(self) -> None:
+        check_above(self, stiffness_factor=0.0, shape=0.0, peak=0.0)
+        check_up_to(self, shape=2.0, curvature=1.0)
+
+    @property
+    def slopes(self) -> Pair:
+        return pair(self.stiffness_factor * self.shape * self.peak)
+
+    @property
+    def limits(self) -> Pair:
+        return pair(self.peak)
+
+    def secants(self, sx: Lane, sy: Lane) -> Pair:
+        bx, by = pair(self.stiffness_factor)
+        dx, dy = pair(self.stiffness_factor * self.peak)
+        x, y = bx * sx, by * sy
+        square = x * x + y * y
+        # f / rho is a series in rho^2, which has no 0 / 0; eps^(1/2) balances what both lose
+        near = square < jnp.finfo(square.dtype).eps ** 0.5
+        rho = jnp.sqrt(jnp.where(near, 1.0, square))
+        turned = jnp.arctan(rho)
+
+        def curve(c: Lane, e: Lane) -> Lane:
+            far = jnp.sin(c * jnp.arctan(rho - e * (rho - turned))) / rho
+            return jnp.where(near, c - c * ((1 + e) / 3 + c * c / 6) * square, far)
+
+        if jnp.ndim(self.shape) == jnp.ndim(self.curvature) == 0:
+            alike = curve(self.shape, self.curvature)
+            return dx * alike, dy * alike
+        fx, fy = map(curve, pair(self.shape), pair(self.curvature))
+        return dx * fx, dy * fy
+
+
+class TMeasy(Tyre):
+    """Rill's law, by the numbers that one reads from a measured curve.
+
+        f(rho) = c s_M rho / (1 + rho (c s_M / f_M - 2 + rho))      up to the peak, rho = 1
+        f(rho) = f_M - (f_M - f_S) x^2 (3 - 2 x)                    beyond
+        f(rho) = f_S                                                from x = 1 on
+
+    with sigma_i = s_i / s_M,i and x = (rho - 1) / (s_S / s_M - 1). Rill blends the numbers of both
+    axes by the direction of slip, which in between leaves the ellipse of friction. Here each axis
+    keeps its own curve. For tyres that are alike along and across, both are the same.
+
+    Fields, () or (2,): slope c, at no slip (2 f_M / s_M or more for a curve without inflection);
+    peak_slip s_M; peak f_M; sliding_slip s_S, above s_M; sliding f_S, up to f_M; smooth_speed v_n
+    (), m/s.
+
+    Source: Rill & Castro, *Road Vehicle Dynamics*, 2nd ed. 2020, 3.3; Rill, *TMeasy, the handling
+    tire model for all driving situations*, DINAME 2013.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rubber = rb.wheeled.TMeasy(25.0, 0.1, 1.0, 0.4, 0.8)
+        >>> [round(float(x), 3) for x in rubber.traction(-0.1, 0.0)]
+        [1.0, -0.0]
+    """
+
+    slope: jax.Array = _number()
+    peak_slip: jax.Array = _number()
+    peak: jax.Array = _number()
+    sliding_slip: jax.Array = _number()
+    sliding: jax.Array = _number()
+    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
+
+    def check_ranges(self) -> None:
+        check_above(self, slope=0.0, peak_slip=0.0, peak=0.0, sliding=0.0)
+        check_above(self, sliding_slip=self.peak_slip)
+        check_up_to(self, sliding=self.peak)
+
+    @property
+    def slopes(self) -> Pair:
+        return pair(self.slope)
+
+    @property
+    def limits(self) -> Pair:
+        return pair(self.peak)
+
+    def secants(self, sx: Lane, sy: Lane) -> Pair:
+        ix, iy = pair(1 / self.peak_slip)
+        x, y = ix * sx, iy * sy
+        rho = _root(x * x + y * y)
+        rising = rho < 1
+        beyond = jnp.where(rising, 1.0, rho)
+        bend = self.slope * self.peak_slip / self.peak - 2
+        ways = 1 / (self.sliding_slip / self.peak_slip - 1)
+
+        def secant(bend: Lane, ways: Lane, slope: Lane, peak: Lane, fall: Lane, i: Lane) -> Lane:
+            part = (beyond - 1) * ways
+            part = jnp.where(part < 1, part, 1.0)
+            falling = (peak - fall * part * part * (3 - 2 * part)) * i / beyond
+            return jnp.where(rising, slope / (1 + rho * (bend + rho)), falling)
+
+        columns = bend, ways, self.slope, self.peak, self.peak - self.sliding, 1 / self.peak_slip
+        if all(jnp.ndim(c) == 0 for c in columns):
+            alike = secant(*columns)
+            return alike, alike
+        along, across = zip(*map(pair, columns), strict=True)
+        return secant(*along), secant(*across)

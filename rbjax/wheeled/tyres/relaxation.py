@@ -1,0 +1,136 @@
+"""Tyres that relax: the carcass is a spring in series with the slip of the contact.
+
+zeta is how far the contact is deflected from the rim. For each newton of load the carcass pulls the
+wheel with c (zeta + tau zeta'), c = C / sigma, C being the law's slope and sigma the relaxation
+length. The contact slides on the ground at v_s + zeta', and grips with the secant G of the law:
+
+    c (zeta + tau zeta') = -G (v_s + zeta') / v,        v = sqrt((r phi')^2 + v_n^2)
+
+    zeta' = -(G v_s + c v zeta) / (G + c tau v)
+(Rill & Castro, *Road Vehicle Dynamics*, 3.4; Pacejka, *Tire and Vehicle Dynamics*, 7.2, is its
+linear part, zeta' = -v_s - v zeta / sigma.) Hence
+
+    steady      zeta' = 0 gives the law's own traction.
+    bounds      the traction is a mean, of weights G and c tau v, of the spring's pull and the law's
+                traction now. The spring's lies between tractions that the law had: within the
+                law's limits along and across. Where one length serves both axes, and the law one
+                curve, it is within the ellipse.
+    standing    v = v_n: a spring, which holds a car on a slope. It gives way at v_n C / (G sigma)
+                of its deflection a second, so make v_n small: 1e-4 m/s costs nothing here, since no
+                force changes faster than the spring and the damper c tau have it. As in Dahl's law
+                of friction, a load that comes and goes moves it a little each time.
+    locked      sliding at v_s, it forgets within mu / c of way, so nothing winds up.
+    power       mu . v_s = -d/dt (c zeta^2 / 2) - c tau zeta'^2 - mu^2 v / G, never gained.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+
+from rbjax.errors import InputError
+from rbjax.lanes import Lane
+from rbjax.model.record import Record, check_number, floats
+from rbjax.wheeled.tyres.tyre import (
+    Pair,
+    Tyre,
+    check_above,
+    check_at_least,
+    check_coefficients,
+    pair,
+)
+
+
+class Relaxing(Record):
+    """A tyre law behind an elastic carcass; its state is the deflection zeta (2,), in m.
+
+        zeta' = -(G v_s + c v zeta) / (G + c tau v),    mu = c (zeta + tau zeta'),  c = C / sigma
+
+    Fields: law, a `Tyre`; length sigma, () or (2,) along and across, m, above 0; damping_time tau
+    (), s: the carcass damps as c tau. The law's smooth_speed should be small.
+
+    Source: Rill & Castro, *Road Vehicle Dynamics*, 2nd ed. 2020, 3.4.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rubber = rb.wheeled.Relaxing(rb.wheeled.Linear(10.0, smooth_speed=1e-4), 0.3)
+        >>> mu, rate = rubber.response(1.9, 0.0, 2.0, (0.0, 0.0))  # it drives; mu grows to 0.5
+        >>> float(mu[0]), round(float(rate[0]), 3)
+        (0.0, 0.1)
+    """
+
+    law: Tyre
+    length: jax.Array = eqx.field(converter=floats)
+    damping_time: jax.Array = eqx.field(converter=floats, default=0.0)
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.law, Tyre):
+            raise InputError(
+                f"Relaxing(law=...): got {type(self.law).__name__}, expected a tyre law, as "
+                "rbjax.wheeled.TMeasy"
+            )
+        check_coefficients(self)
+        check_number(self, "damping_time")
+        check_above(self, length=0.0)
+        check_at_least(self, damping_time=0.0)
+
+    @property
+    def size(self) -> int:
+        """How many numbers of state it has."""
+        return 2
+
+    def response(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any) -> tuple[Pair, Pair]:
+        """The traction (mu_x, mu_y) and the rates (zeta_x', zeta_y'), m/s.
+
+        Args:
+            ux, uy: the velocity of the wheel's centre, m/s in the wheel's axes.
+            roll_speed: r phi', m/s.
+            z: (zeta_x, zeta_y), m.
+        """
+        v = self.law.reference_speed(roll_speed)
+        slides = ux - roll_speed, uy
+        secants = self.law.secants(slides[0] / v, slides[1] / v)
+        mu, rates = [], []
+        for c, G, vs, zeta in zip(self.carcass, secants, slides, z, strict=True):
+            cv = c * v
+            rate = -(G * vs + cv * zeta) / (G + cv * self.damping_time)
+            mu.append(c * (zeta + self.damping_time * rate))
+            rates.append(rate)
+        return (mu[0], mu[1]), (rates[0], rates[1])
+
+    def traction(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any) -> Pair:
+        """The first part of `response`."""
+        return self.response(ux, uy, roll_speed, z)[0]
+
+    def rate(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any) -> Pair:
+        """The second part of `response`."""
+        return self.response(ux, uy, roll_speed, z)[1]
+
+    def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
+        """c (h + t_d) G / (G + c v t_d), s/m: by how much more the traction at the end of a step h
+        opposes the sliding velocity, which the carcass then has taken up."""
+        v = self.law.reference_speed(roll_speed)
+        secants = self.law.secants(vx / v, vy / v)
+        along, across = (
+            c * (h + self.damping_time) * G / (G + c * v * self.damping_time)
+            for c, G in zip(self.carcass, secants, strict=True)
+        )
+        return along, across
+
+    def stored(self, z: Any) -> Lane:
+        """(c_x zeta_x^2 + c_y zeta_y^2) / 2, in metres: the energy for each newton of load."""
+        (cx, cy), (x, y) = self.carcass, z
+        return (cx * x * x + cy * y * y) / 2
+
+    @property
+    def limits(self) -> Pair:
+        """Those of the law."""
+        return self.law.limits
+
+    @property
+    def carcass(self) -> Pair:
+        """c = C / sigma along and across, 1/m."""
+        (ax, ay), (sx, sy) = self.law.slopes, pair(self.length)
+        return ax / sx, ay / sy
