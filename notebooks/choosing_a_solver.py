@@ -130,7 +130,7 @@ for scene in ("spring_1e2", "damping"):
 # state. It returns the deciding reason.
 
 # %%
-choice = rb.solvers.recommend(stiff, rb.State(jnp.array([0.5, 0.0]), jnp.zeros(2)), 1e-4)
+choice = rb.recommend.solver(stiff, rb.State(jnp.array([0.5, 0.0]), jnp.zeros(2)), 1e-4)
 print(choice.name, f"with steps of {choice.dt:.3g} s")
 print(choice.reason)
 path = rb.simulate(

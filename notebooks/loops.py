@@ -156,6 +156,6 @@ for axes in (left, right):
 
 # %%
 crank = model.keyframe("turning").replace(q=2.2 * jnp.array([1.0, -1.0, 1.0]), v=jnp.zeros(3))
-choice = rc.recommend(model, crank, 1e-6, horizon=0.5, dt=0.01, progress=False)
+choice = rb.recommend.formulation(model, crank, 1e-6, horizon=0.5, dt=0.01, progress=False)
 print(choice.name, choice.dt)
 print(choice.reason)

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rbjax import wheeled
+from rbjax import recommend, wheeled
 from rbjax.plotting import STYLE, top_view
 
 jax.config.update("jax_enable_x64", True)
@@ -123,7 +123,7 @@ servo = wheeled.SpeedServo(0.2)
 driven = wheeled.kinds()["differential_drive"].make(caster=None, motor=servo)
 tyre = wheeled.Fiala(20.0, 0.9, smooth_speed=0.3)
 for accuracy in (0.1, 0.02, 1e-4):
-    found = wheeled.recommend(
+    found = recommend.fidelity(
         driven, [5.0, 6.0], accuracy, twist=[0.4, 0.0, 0.0], horizon=2.0, tyre=tyre, progress=False
     )
     print(f"{found.name}: {found.reason}", end="\n\n")

@@ -4,14 +4,12 @@ A robot file goes in. Fast, accurate and differentiable motion comes out, for on
 batch of a million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
 """
 
-import functools
 import importlib
 from typing import TYPE_CHECKING, Any
 
 import jax
 
 from rbjax import dynamics, joints, rotations, spatial
-from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
 from rbjax.compiler import compile, threads
 from rbjax.compiling import compiler_options
@@ -56,6 +54,7 @@ if TYPE_CHECKING:
         kinematics,
         planning,
         plotting,
+        recommend,
         sensors,
         solvers,
         stability,
@@ -78,7 +77,8 @@ __version__ = "0.1.0"
 #: several times as long as the rest
 _PACKAGES = (
     "body", "constraints", "control", "estimation", "forces", "kinematics", "loading", "motion",
-    "planning", "plotting", "sensors", "solvers", "stability", "sysid", "validation", "wheeled",
+    "planning", "plotting", "recommend", "sensors", "solvers", "stability", "sysid", "validation",
+    "wheeled",
 )  # fmt: skip
 _MODULES = {
     "Linear": "motion.linearise",
@@ -116,16 +116,6 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
-
-# These packages export `recommend` too, which is defined in modules that import the packages.
-for _package, _module in (
-    ("wheeled", "fidelity"), ("solvers", "solver"), ("control", "control"),
-    ("constraints", "formulation"),
-):  # fmt: skip
-    for _name in ("recommend", "Recommendation"):
-        names_from_above(f"rbjax.{_package}")[_name] = functools.partial(
-            _of, f"rbjax.recommend.{_module}", _name
-        )
 
 __all__ = [
     "InputError",
@@ -177,6 +167,7 @@ __all__ = [
     "planning",
     "plotting",
     "potential_energy",
+    "recommend",
     "rollout",
     "rotations",
     "scenes",

@@ -24,7 +24,6 @@ import pytest
 
 import rbjax as rb
 from rbjax.motion import field
-from rbjax.sysid import Unknown, fit
 
 SEED = 7
 MODEL, TOP = rb.load("cart_pole"), rb.load("spinning_top")
@@ -175,7 +174,7 @@ def bad_values(name: str, value: Any) -> dict[str, Any]:
         "model": MODELS, "state": STATES, "dt": STEPS, "dt0": STEPS, "steps": COUNTS,
         "save_every": COUNTS, "max_steps": COUNTS, "body": NAMES, "site": NAMES, "law": LAWS,
         "integrator": INTEGRATORS, "ctrls": POLICIES, "control": POLICIES, "ts": TIMES,
-        "solver": SOLVERS, "unknowns": UNKNOWNS, "source": SOURCES, "elements": ELEMENTS,
+        "solver": SOLVERS, "source": SOURCES, "elements": ELEMENTS,
         "name": NAMES, "kind": KINDS,
         "a": ELEMENTS, "joints": JOINTS, "bodies": JOINTS, "dtype": DTYPES, "number": COUNTS,
     } | OTHERS  # fmt: skip
@@ -206,12 +205,6 @@ def doors() -> Iterator[tuple[str, Callable, dict[str, Any]]]:
         "wrenches": np.zeros((2, 6)), "solver": diffrax.Euler(), "dt0": 0.01, "max_steps": 100,
         "stepsize_controller": diffrax.ConstantStepSize(), "constraints": None,
         "law": field.free_motion, "adjoint": diffrax.RecursiveCheckpointAdjoint(),
-    }  # fmt: skip
-    seen = np.zeros((6, 2))
-    yield "fit", fit, {
-        "model": MODEL, "state": STATE, "ctrls": row, "measured": seen, "dt": 0.01,
-        "unknowns": {"mass": Unknown("bodies.mass", 0, True)}, "save_every": 1, "max_steps": 1,
-        "integrator": "semi_implicit_euler",
     }  # fmt: skip
     yield "load", rb.load, {"source": "pendulum"}
     spring = F.PointSpring.of(F.Anchor.on(), F.Anchor.on(body="pole"))
@@ -302,15 +295,6 @@ def called(function: Callable, given: dict[str, Any]) -> Any:
 OF_OTHER_SHAPES = {"linearise(ctrl: None)", "rollout(state: batched)", "load(source: no joints)"}
 PYTHON = "inspect.py"  # which says that an argument is missing, or one too many
 CONTROL = lambda t, s: -s.v[:1]  # noqa: E731
-UNKNOWNS = {
-    "none": {}, "None": None, "a leaf's name": {"mass": "bodies.mass"}, "a list": ["bodies.mass"],
-    "misspelt": {"m": Unknown("bodies.mas", 0)}, "no number": {"m": Unknown("bodies.com", 0)},
-    "beyond": {"m": Unknown("bodies.mass", 7)}, "half": {"m": Unknown("bodies.mass", 0.5)},
-    "no leaf": {"m": Unknown("topology", 0)}, "no word": {"m": Unknown(3, 0)},
-    "not positive": {"m": Unknown("bodies.com", (0, 0), True)},
-    "a list in it": {"m": Unknown("bodies.com", [0, 0])},
-    "method": {"m": Unknown("bodies.replace", 0)},
-}  # fmt: skip
 SOURCES = {
     "misspelt": "pendulom", "None": None, "number": 3, "no XML": "<mujoco>", "no file": "a.xml",
     "a folder": "/tmp", "bytes": b"<mujoco/>", "empty": "", "a model": MODEL, "list": [],

@@ -30,9 +30,8 @@ def end(v):
     return rbjax.rollout(model, model.default_state().replace(v=v), None, 0.01, steps=2).q[-1]
 one = jax.jit(end)(jnp.ones(2))
 assert jnp.abs(one - end(jnp.ones(2))).max() < 1e-6
-assert rbjax.wheeled.recommend is not rbjax.solvers.recommend
 import rbjax.control
-assert rbjax.control.recommend
+assert rbjax.recommend.solver
 """
 
 

@@ -41,7 +41,7 @@ def test_a_smooth_motion_is_decided_by_accuracy(capfd: pytest.CaptureFixture) ->
         (0.0, 1.0), [0.5, 0.0], method="DOP853", t_eval=TS, rtol=1e-12, atol=1e-13,
     )  # fmt: skip
     for accuracy in (1e-4, 1e-8):
-        r = rb.solvers.recommend(model, state, accuracy)
+        r = rb.recommend.solver(model, state, accuracy)
         assert (r.name, type(r.solver)) == ("rk4", rb.solvers.RK4)
         path = rb.simulate(model, state, TS, solver=r.solver, dt0=jnp.asarray(r.dt))
         error = np.abs(path.q[:, 0] - found.y[0]).max()
@@ -62,7 +62,7 @@ def test_a_stiff_motion_is_decided_by_stability() -> None:
     fastest = np.sqrt(1e6 * np.linalg.inv(M)[1, 1])
     truth = fine(model, state)
     for accuracy in (1e-2, 1e-4):
-        r = rb.solvers.recommend(model, state, accuracy)
+        r = rb.recommend.solver(model, state, accuracy)
         assert r.name == ("ros34pw2" if accuracy > 1e-3 else "radau_iia3"), r.reason
         assert delivered(model, state, r, truth) < 10 * accuracy
         said = re.match(
@@ -81,7 +81,7 @@ def test_an_arm_falls(capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("FORCE_COLOR", "1")
     model = rb.load("arm7")
     state = model.default_state()
-    r = rb.solvers.recommend(model, state, 1e-5)
+    r = rb.recommend.solver(model, state, 1e-5)
     assert "recommend: rk4 with steps of" in capfd.readouterr().err
     assert r.name == "rk4"
     assert delivered(model, state, r, fine(model, state)) < 2e-5
@@ -94,7 +94,7 @@ def test_a_tumbling_body_stays_on_its_group() -> None:
     state = rb.State(model.default_state().q, np.array([0.1, 0.0, 0.3, 0.1, 6.0, 0.2]))
     truth = fine(model, state)
     for accuracy in (1e-3, 1e-6):
-        r = rb.solvers.recommend(model, state, accuracy)
+        r = rb.recommend.solver(model, state, accuracy)
         assert r.name == "rkmk4"
         assert delivered(model, state, r, truth) < 10 * accuracy
         assert "accuracy decides" in r.reason
@@ -105,7 +105,7 @@ def test_a_long_conservative_motion_is_decided_by_the_horizon() -> None:
     model = rb.load("pendulum")
     model = model.replace(joints=model.joints.replace(damping=jnp.zeros(1)))
     state = rb.State(np.array([0.5]), np.zeros(1))
-    r = rb.solvers.recommend(model, state, 1e-4, horizon=1000.0)
+    r = rb.recommend.solver(model, state, 1e-4, horizon=1000.0)
     assert r.name == "yoshida4"
     assert r.reason.startswith("the horizon decides: over 1000 s")
     assert "grows with t, that of rk4 with t^2" in r.reason
@@ -127,7 +127,7 @@ def test_what_cannot_be_had_is_refused_in_a_sentence() -> None:
         (1e-3, -1.0, r"horizon is -1.0, expected a positive time"),
     ):
         with pytest.raises(rb.InputError, match=words):
-            rb.solvers.recommend(model, state, accuracy, horizon=horizon)
+            rb.recommend.solver(model, state, accuracy, horizon=horizon)
     for start, accuracy, words in (
         (rb.State(np.array([np.nan]), np.zeros(1)), 1e-6, r"recommend: q\[0\] is nan"),
         ((np.zeros(1), np.zeros(1)), 1e-6, "state is tuple, expected rbjax.State"),
@@ -136,8 +136,4 @@ def test_what_cannot_be_had_is_refused_in_a_sentence() -> None:
         (state, None, "accuracy is None, expected a number"),
     ):
         with pytest.raises(rb.InputError, match=words):
-            rb.solvers.recommend(model, start, accuracy)
-    for room in (rb.solvers, rb.stability):
-        assert room.recommend is rb.recommend.recommend
-        with pytest.raises(AttributeError, match="no attribute 'recommended'"):
-            room.recommended  # noqa: B018
+            rb.recommend.solver(model, start, accuracy)

@@ -1,8 +1,5 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
-from typing import Any
-
-from rbjax.above import names_from_above
 from rbjax.constraints.analysis.assembly import Assembly, assemble
 from rbjax.constraints.analysis.rank import Mobility, mobility
 from rbjax.constraints.analysis.reactions import (
@@ -66,17 +63,6 @@ from rbjax.constraints.rows.place import Place, places
 from rbjax.constraints.rows.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.rows.row import Row
 
-#: names offered here whose module imports this package; `rbjax` fills this table
-FROM_ABOVE = names_from_above("rbjax.constraints")
-
-
-def __getattr__(name: str) -> Any:
-    """`recommend` runs motions, so its module imports this package; it is loaded on use."""
-    if name in FROM_ABOVE:
-        return FROM_ABOVE[name]()
-    raise AttributeError(f"module 'rbjax.constraints' has no attribute {name!r}")
-
-
 __all__ = [
     "Assembly",
     "AugmentedLagrangian",
@@ -119,7 +105,6 @@ __all__ = [
     "Projected",
     "QuaternionWeld",
     "Rack",
-    "Recommendation",
     "Recursive",
     "Revolute",
     "RollingDisc",
@@ -146,7 +131,6 @@ __all__ = [
     "mobility",
     "multipliers",
     "places",
-    "recommend",
     "residual",
     "time",
     "turn",

@@ -6,13 +6,10 @@ Rooms:
     linear: regulators, Riccati and Lyapunov equations, controllability, margins, Kalman gains.
     learning: environments, and policies trained through their dynamics.
 
-Inverse kinematics is `rbjax.kinematics`; its functions are available here too. `recommend` tries
-the methods of `solve` on a problem.
+Inverse kinematics is `rbjax.kinematics`; its functions are available here too.
+`rbjax.recommend.control_method` tries the methods of `solve` on a problem.
 """
 
-from typing import Any
-
-from rbjax.above import names_from_above
 from rbjax.control import laws, learning, linear, optimal
 from rbjax.control.laws import (
     Controller,
@@ -62,17 +59,6 @@ from rbjax.control.optimal import (
     solve,
 )
 from rbjax.kinematics import Goal, differential_inverse_kinematics, inverse_kinematics
-
-#: names offered here whose module imports this package; `rbjax` fills this table
-FROM_ABOVE = names_from_above("rbjax.control")
-
-
-def __getattr__(name: str) -> Any:
-    """`recommend` solves problems, so its module imports this package; it is loaded on use."""
-    if name in FROM_ABOVE:
-        return FROM_ABOVE[name]()
-    raise AttributeError(f"module 'rbjax.control' has no attribute {name!r}")
-
 
 __all__ = [
     # optimal control

@@ -70,7 +70,7 @@ def step(
         integrator: as in `rollout`.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
+            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
 
     Returns:
         `State`.
@@ -118,7 +118,7 @@ def linearise(
         integrator: of the discrete form, as in `rollout`.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
+            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
 
     Returns:
         `Linear` with A (n, n), B (n, nu) and the acceleration (nv,) at the point, n = 2 nv + nx;

@@ -98,7 +98,7 @@ def rollout(
             of index 2 and 3 a fully implicit method (`rbjax.constraints.DifferentialAlgebraic`).
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
+            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
         save_every: keep every so many states; it must divide the number of steps.
         steps: the number of steps, where ctrls does not give it.
         kernel: whether a sample is a thread of a GPU or a lane of machine code (False: a scan under

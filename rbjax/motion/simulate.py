@@ -94,7 +94,7 @@ def simulate(
             diffrax.ForwardMode() for `jvp` and `jacfwd`, diffrax.DirectAdjoint() for both.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
+            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
         progress: show diffrax's meter.
         throw: raise if the solve fails; otherwise `result` and `ok` say so.
         max_steps: the largest number of steps.

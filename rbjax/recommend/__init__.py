@@ -1,10 +1,27 @@
-"""Which solver, step, formulation, fidelity or method of control fits a motion: measured on it,
-with a sentence that says why.
+"""Recommendations: which solver, formulation, fidelity or method of control fits a motion.
 
-`rb.solvers.recommend`, `rb.constraints.recommend`, `rb.wheeled.recommend` and
-`rb.control.recommend` are the names for users.
+    solver            a solver and its step, for a robot from a state
+    formulation       a formulation and its step, for a robot with constraints
+    fidelity          a fidelity and its step, for a wheeled robot on a manoeuvre
+    control_method    a method of `rb.control.solve`, for a problem
+Each measures its candidates on the motion itself and returns a `Recommendation`: the choice, its
+cost, the candidates with what was measured, and the reason in a sentence.
 """
 
-from rbjax.recommend.solver import Recommendation, recommend
+from rbjax.recommend.control_methods import MethodRecommendation, control_method
+from rbjax.recommend.fidelities import FidelityRecommendation, fidelity
+from rbjax.recommend.formulations import FormulationRecommendation, formulation
+from rbjax.recommend.recommendation import Recommendation
+from rbjax.recommend.solvers import SolverRecommendation, solver
 
-__all__ = ["Recommendation", "recommend"]
+__all__ = [
+    "FidelityRecommendation",
+    "FormulationRecommendation",
+    "MethodRecommendation",
+    "Recommendation",
+    "SolverRecommendation",
+    "control_method",
+    "fidelity",
+    "formulation",
+    "solver",
+]

@@ -1,7 +1,7 @@
 """Solvers of differential equations that diffrax lacks. Each is a diffrax solver.
 
 `diffrax.diffeqsolve` runs them on any vector field, `rbjax.simulate` on a robot. `all()` lists
-them. `recommend(model, state, accuracy)` chooses one.
+them. `rbjax.recommend.solver(model, state, accuracy)` chooses one.
 
     any vector field      RK4, implicit_midpoint, trapezoid, gauss_legendre, radau_iia,
                           lobatto_iiia, lobatto_iiic, SDIRK2, ros2, ros34pw2,
@@ -15,9 +15,6 @@ The last three rows take terms `OnGroup`. The first of these three also takes an
 `Compensated` wraps a solver of the first row and keeps what its additions round off.
 """
 
-from typing import Any
-
-from rbjax.above import names_from_above
 from rbjax.solvers.common.groups import SE3, SO3, AbstractGroup, OnGroup, Product, Vector
 from rbjax.solvers.common.newton import Settled, chord, newton, very_chord
 from rbjax.solvers.common.steps import AbstractGroupSolver
@@ -63,20 +60,8 @@ from rbjax.solvers.multistep.linear_multistep import (
 )
 from rbjax.solvers.registry import KINDS, Entry, all
 
-#: names offered here whose module imports this package; `rbjax` fills this table
-FROM_ABOVE = names_from_above("rbjax.solvers")
-
-
-def __getattr__(name: str) -> Any:
-    """`recommend` simulates motions, so its module imports this package; it is loaded on use."""
-    if name in FROM_ABOVE:
-        return FROM_ABOVE[name]()
-    raise AttributeError(f"module 'rbjax.solvers' has no attribute {name!r}")
-
-
 __all__ = [
     "all",
-    "recommend",
     "Entry",
     "KINDS",
     # any vector field

@@ -9,7 +9,6 @@
     order_by_conditions, measured_order   by rooted trees, and by halving the step
     state_matrix, reduced_linearisation, stable_step, measured_stable_step
                                           a robot's linearised motion, and its largest stable step
-    recommend                             a solver and a step for a robot; also rb.solvers.recommend
     drift, trend                          invariants over a million steps, and a test for drift
     lyapunov, gradient_growth             chaos, and the time after which a gradient is noise
     verdict, attempt, scenes              how a run failed; any solver on scenes built to break it
@@ -18,9 +17,6 @@
 `theory/` analyses a method by itself, `runs/` analyses motions.
 """
 
-from typing import Any
-
-from rbjax import solvers
 from rbjax.stability.pictures import plot_regions, plot_spectral_radius
 from rbjax.stability.runs.canonical import Hamiltonian, from_canonical, to_canonical
 from rbjax.stability.runs.drift import Invariants, Trend, drift, trend
@@ -69,14 +65,6 @@ from rbjax.stability.theory.regions import (
 )
 from rbjax.stability.theory.stability_function import StabilityFunction, stability_function
 
-
-def __getattr__(name: str) -> Any:
-    """`recommend` imports this package, so it is loaded on use, as for `rb.solvers`."""
-    if name in solvers.FROM_ABOVE:
-        return getattr(solvers, name)
-    raise AttributeError(f"module 'rbjax.stability' has no attribute {name!r}")
-
-
 __all__ = [
     # linear theory
     "LinearAnalysis",
@@ -113,8 +101,6 @@ __all__ = [
     "stable_step",
     "measured_stable_step",
     "ROLLOUT",
-    "Recommendation",
-    "recommend",
     # motions: drift, growth, failure
     "drift",
     "trend",

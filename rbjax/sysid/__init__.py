@@ -7,7 +7,7 @@ found: `identify`, by the error of simulated motions (`simulation_error`, `shoot
 `least_squares`), or by `many_starts` where that has many minima; its gradient, `squares`;
 `prediction_error`, where noise drives the motion, by a filter (`likelihood`); `regress`
 and `consistent`, by torques that are linear in the parameters (`regressor`, `torque_rows`,
-`equations`, `balances`), with the zeros of encoders (`encoder_zeros`). What the data can show:
+`equations`), with the zeros of encoders (`encoder_zeros`). What the data can show:
 `combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
 `whiteness`, `compare`, `select`, `free_run`, `held_out`, `monte_carlo`. What is wrong with them:
 `findings` before a fit, `diagnose` after it; `report` shows all. What to measure next: `design`
@@ -43,22 +43,17 @@ from rbjax.sysid.estimators.identification import identify
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.multi_start import Basin, ManyStarts, many_starts
 from rbjax.sysid.estimators.prediction import Predicted, prediction_error
-from rbjax.sysid.estimators.trajectory_fit import Fit, fit
 from rbjax.sysid.judgement.diagnosis import Cause, Diagnosis, diagnose
 from rbjax.sysid.judgement.repeated_fits import MonteCarlo, monte_carlo
 from rbjax.sysid.judgement.report_page import report
 from rbjax.sysid.parameters.inertia_metric import (
-    affine_invariant_distance,
     log_determinant_divergence,
     prior_residual,
-    pullback_distance,
-    pullback_metric,
 )
 from rbjax.sysid.parameters.log_cholesky import (
     from_log_cholesky,
     inertial_parameters_of,
     log_cholesky_parameters,
-    log_cholesky_volume,
     model_log_cholesky,
     nearest_pseudo_inertia,
     pseudo_inertia_of,
@@ -69,17 +64,10 @@ from rbjax.sysid.parameters.unknowns import Derived, FixedTotal, Inertia, Shared
 from rbjax.sysid.simulation.objective import Squares, squares
 from rbjax.sysid.simulation.setup import PD, Grid, Sensor, Setup
 from rbjax.sysid.simulation.traces import Trace
-from rbjax.sysid.statistics.channel_noise import ChannelNoise, noise_by_channel
 from rbjax.sysid.statistics.comparisons import Comparison, HeldOut, Scored, compare, held_out
-from rbjax.sysid.statistics.intervals import Estimates, Interval, crlb, estimates, information
+from rbjax.sysid.statistics.intervals import Estimates, Interval, estimates
 from rbjax.sysid.statistics.rank import Combinations, combinations
-from rbjax.sysid.statistics.whiteness_tests import Whiteness, sandwich, whiteness
-from rbjax.sysid.torque.balances import (
-    energy_balance,
-    energy_regressor,
-    momentum_balance,
-    momentum_regressor,
-)
+from rbjax.sysid.statistics.whiteness_tests import Whiteness, whiteness
 from rbjax.sysid.torque.base_combinations import base_parameters, random_motions
 from rbjax.sysid.torque.consistency import Consistent, consistent
 from rbjax.sysid.torque.encoder_zeros import WithZeros, regress_with_zeros, zeros_of
@@ -107,8 +95,6 @@ __all__ = [
     "prediction_error",
     "Predicted",
     "free_run",
-    "fit",
-    "Fit",
     "Unknown",
     "Inertia",
     "Shared",
@@ -165,10 +151,6 @@ __all__ = [
     "regress_with_zeros",
     "WithZeros",
     "zeros_of",
-    "energy_balance",
-    "energy_regressor",
-    "momentum_balance",
-    "momentum_regressor",
     # what data can show
     "combinations",
     "Combinations",
@@ -178,28 +160,19 @@ __all__ = [
     "to_log_cholesky",
     "from_log_cholesky",
     "log_cholesky_parameters",
-    "log_cholesky_volume",
     "pseudo_inertia_of",
     "inertial_parameters_of",
     "nearest_pseudo_inertia",
     "with_inertial_parameters",
     "model_log_cholesky",
     "log_determinant_divergence",
-    "affine_invariant_distance",
-    "pullback_distance",
-    "pullback_metric",
     "prior_residual",
     # statistics
     "estimates",
     "Estimates",
     "Interval",
-    "information",
-    "crlb",
-    "noise_by_channel",
-    "ChannelNoise",
     "whiteness",
     "Whiteness",
-    "sandwich",
     "compare",
     "Comparison",
     "monte_carlo",

@@ -1,23 +1,19 @@
 """Wheeled robots: rolling without slipping, and slipping when they must.
 
-parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
-robots         kinds, with_trailers; from_file, of MJCF and URDF
-fidelities     at(robot, name) -> a vehicle; fidelities
-as a Model     full_model, with rolling rows; full_model_state
-as a file      write_mjcf, with wheels that touch a plane
-motion         start, rates, rollout, simulate, contacts
-following      commands, pure_pursuit, stanley, tracking_gains
-control        controlled, the system of an rb.control.Problem
-odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
-motors         TorqueSource, SpeedServo, DCMotor
-tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
-on any model   TyreOnGround, a force element
-recommend      the cheapest fidelity that is accurate enough for a manoeuvre
+    parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
+    robots         kinds, with_trailers; from_file, of MJCF and URDF
+    fidelities     at(robot, name) -> a vehicle; fidelities
+    as a Model     full_model, with rolling rows; full_model_state
+    as a file      write_mjcf, with wheels that touch a plane
+    motion         start, rates, rollout, simulate, contacts
+    following      commands, pure_pursuit, stanley, tracking_gains
+    control        controlled, the system of an rb.control.Problem
+    odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
+    motors         TorqueSource, SpeedServo, DCMotor
+    tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
+    on any model   TyreOnGround, a force element
 """
 
-from typing import Any
-
-from rbjax.above import names_from_above
 from rbjax.wheeled.files.reading import from_file
 from rbjax.wheeled.files.writing import write_mjcf
 from rbjax.wheeled.kinematics.odometry import HeadingSlip, mean_twists, odometry, rolled_twists
@@ -47,17 +43,6 @@ from rbjax.wheeled.tyres.relaxation import Relaxing
 from rbjax.wheeled.tyres.rolling_resistance import RollingResistance
 from rbjax.wheeled.tyres.tyre import Tyre, traction_along
 
-#: names offered here whose module imports this package; `rbjax` fills this table
-FROM_ABOVE = names_from_above("rbjax.wheeled")
-
-
-def __getattr__(name: str) -> Any:
-    """`recommend` runs manoeuvres, so its module imports this package; it is loaded on use."""
-    if name in FROM_ABOVE:
-        return FROM_ABOVE[name]()
-    raise AttributeError(f"module 'rbjax.wheeled' has no attribute {name!r}")
-
-
 __all__ = [
     "Arrangement",
     "Body",
@@ -73,7 +58,6 @@ __all__ = [
     "Linear",
     "Motor",
     "Pacejka",
-    "Recommendation",
     "Relaxing",
     "Robot",
     "RollingResistance",
@@ -98,7 +82,6 @@ __all__ = [
     "odometry",
     "pure_pursuit",
     "rates",
-    "recommend",
     "rolled_twists",
     "rollout",
     "simulate",

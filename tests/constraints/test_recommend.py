@@ -12,6 +12,7 @@ import rbjax as rb
 from benchmarks.cases.mechanisms import four_bars, pendulum, spatial_slider_crank, tilted_four_bar
 from rbjax import constraints as rc
 from rbjax.constraints.registry import formulation_of
+from rbjax.recommend import FormulationRecommendation
 
 FIGURES = Path(__file__).parent.parent / "oracles" / "loops.json"
 slow = pytest.mark.slow
@@ -20,7 +21,7 @@ SOFT = """<mujoco><worldbody><body name="a"><joint name="x" type="slide"/><geom 
 LEFT = rb.State(jnp.array([-1.0, 0.0]), jnp.zeros(2))
 
 
-def delivered(model: rb.Model, state: rb.State, r: rc.Recommendation, horizon: float):
+def delivered(model: rb.Model, state: rb.State, r: FormulationRecommendation, horizon: float):
     """The path of the user, and the largest residual of rows and their rates on it."""
     steps = round(horizon / r.dt / 20) * 20
     path = rb.rollout(
@@ -31,9 +32,9 @@ def delivered(model: rb.Model, state: rb.State, r: rc.Recommendation, horizon: f
     return path, max(float(np.abs(x).max()) for each in off for x in each)
 
 
-def check(r: rc.Recommendation, accuracy: float) -> None:
+def check(r: FormulationRecommendation, accuracy: float) -> None:
     """The cheapest of the good ones, with its numbers in the sentence."""
-    best = min((x for x in r.trials if x.ok), key=lambda x: x.cost)
+    best = min((x for x in r.candidates if x.ok), key=lambda x: x.cost)
     assert (r.name, r.dt, r.gap, r.error) == (best.name, best.dt, best.gap, best.error)
     assert r.formulation is rc.formulations()[r.name]
     assert max(r.gap, r.error) <= accuracy
@@ -44,10 +45,10 @@ def check(r: rc.Recommendation, accuracy: float) -> None:
 
 def test_cost_decides_where_nothing_drifts(capfd: pytest.CaptureFixture) -> None:
     model = pendulum()
-    r = rc.recommend(model, LEFT, 1e-6)
+    r = rb.recommend.formulation(model, LEFT, 1e-6)
     check(r, 1e-6)
     assert r.reason.startswith("cost decides: ") and r.redundant == 0
-    assert {x.name for x in r.trials} >= {"multipliers", "projected", "null_space_qr"}
+    assert {x.name for x in r.candidates} >= {"multipliers", "projected", "null_space_qr"}
     assert delivered(model, LEFT, r, 1.0)[1] <= 1e-6
     assert capfd.readouterr() == ("", "")
 
@@ -56,7 +57,7 @@ def test_cost_decides_where_nothing_drifts(capfd: pytest.CaptureFixture) -> None
 def test_beyond_the_trial_run() -> None:
     """Ten seconds, of which two are run: against the closed form."""
     model = pendulum()
-    r = rc.recommend(model, LEFT, 1e-7, horizon=10.0)
+    r = rb.recommend.formulation(model, LEFT, 1e-7, horizon=10.0)
     check(r, 1e-7)
     path, gap = delivered(model, LEFT, r, 10.0)
     assert gap <= 1e-7
@@ -68,7 +69,7 @@ def test_beyond_the_trial_run() -> None:
 @slow
 def test_drift_decides() -> None:
     model, start = spatial_slider_crank()
-    r = rc.recommend(model, start, 1e-6, horizon=5.0)
+    r = rb.recommend.formulation(model, start, 1e-6, horizon=5.0)
     check(r, 1e-6)
     assert (r.name, r.redundant) == ("projected", 0) and r.reason.startswith("drift decides: ")
     assert delivered(model, start, r, 5.0)[1] <= 1e-6
@@ -77,10 +78,10 @@ def test_drift_decides() -> None:
 @slow
 def test_redundant_rows() -> None:
     model = tilted_four_bar("0.8 0.3 -0.2 0.4")
-    r = rc.recommend(model, model.default_state(), 1e-4)
+    r = rb.recommend.formulation(model, model.default_state(), 1e-4)
     check(r, 1e-4)
     assert r.reason.startswith("3 of 5 rows are redundant, so only proximal multipliers")
-    assert {x.name for x in r.trials} == {"multipliers", "baumgarte", "projected"}
+    assert {x.name for x in r.candidates} == {"multipliers", "baumgarte", "projected"}
 
 
 @slow
@@ -90,17 +91,17 @@ def test_a_singular_position_is_met(n: int) -> None:
     model, start = four_bars(n)
     c = 9.81 * ((n + 1) / 2 + n) / ((n + 1) / 3 + n)
     met = quad(lambda theta: 1 / np.sqrt(1 + 2 * c * (1 - np.cos(theta))), 0, np.pi / 2)[0]
-    r = rc.recommend(model, start, 1e-6)
+    r = rb.recommend.formulation(model, start, 1e-6)
     check(r, 1e-6)
     assert r.reason.startswith(f"a singular position is met at {met:.2g} s")
     assert r.closest < 5e-3 and r.redundant == n and r.name in ("baumgarte", "projected")
-    short = rc.recommend(model, start, 1e-6, horizon=0.5)
+    short = rb.recommend.formulation(model, start, 1e-6, horizon=0.5)
     assert short.reason.startswith(f"{n} of {3 * n} rows are redundant")
 
 
 def test_without_rows() -> None:
-    r = rc.recommend(rb.load("pendulum"), rb.load("pendulum").default_state(), 1e-6)
-    assert (r.formulation, r.name, r.trials) == (None, "none", ())
+    r = rb.recommend.formulation(rb.load("pendulum"), rb.load("pendulum").default_state(), 1e-6)
+    assert (r.formulation, r.name, r.candidates) == (None, "none", ())
     assert "the model has 0 rows" in r.reason
 
 
@@ -119,18 +120,18 @@ def test_without_rows() -> None:
 def test_wrong_inputs(given: dict, message: str) -> None:
     given = {"state": LEFT, "accuracy": 1e-6} | given
     with pytest.raises(rb.InputError, match=message):
-        rc.recommend(pendulum(), **given)
+        rb.recommend.formulation(pendulum(), **given)
 
 
 def test_the_default_is_the_one_of_any_motion() -> None:
     """That of `rollout` and `simulate`, with its reason."""
-    r = rc.recommend(pendulum())
+    r = rb.recommend.formulation(pendulum())
     assert r.formulation is formulation_of("simulate", pendulum(), None)
     assert r.name == "projected" and "decides no rank" in r.reason and np.isnan(r.gap)
     soft = rb.load(SOFT, compliant=True)
-    r = rc.recommend(soft)
+    r = rb.recommend.formulation(soft)
     assert r.formulation is formulation_of("simulate", soft, None)
     assert r.name == "compliant" and "yield" in r.reason
-    assert rc.recommend(rb.load("pendulum")).formulation is None
+    assert rb.recommend.formulation(rb.load("pendulum")).formulation is None
     with pytest.raises(rb.InputError, match="accuracy is given and state is not"):
-        rc.recommend(pendulum(), accuracy=1e-6)
+        rb.recommend.formulation(pendulum(), accuracy=1e-6)

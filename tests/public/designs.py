@@ -287,12 +287,9 @@ SYSID = {
     "regressor": Case(
         on(arm, lambda m, q, v, a: sysid.regressor(m, q, v, a, joint_terms=("viscous",))), TWO
     ),
-    "energy_regressor": Case(on(arm, lambda m, q, v: sysid.energy_regressor(m, q, v)), TWO[:2]),
-    "momentum_regressor": Case(on(arm, lambda m, q, v: sysid.momentum_regressor(m, q, v)), TWO[:2]),
     "to_log_cholesky": Case(same(sysid.to_log_cholesky), [PSEUDO]),
     "from_log_cholesky": Case(same(sysid.from_log_cholesky), [THETA]),
     "log_cholesky_parameters": Case(same(sysid.log_cholesky_parameters), [THETA]),
-    "log_cholesky_volume": Case(same(sysid.log_cholesky_volume), [THETA]),
     "pseudo_inertia_of": Case(same(sysid.pseudo_inertia_of), [THETA]),
     "inertial_parameters_of": Case(same(sysid.inertial_parameters_of), [PSEUDO]),
     "nearest_pseudo_inertia": Case(same(sysid.nearest_pseudo_inertia), [PSEUDO]),
@@ -314,13 +311,6 @@ SYSID = {
     ),
     "log_determinant_divergence": Case(
         same(sysid.log_determinant_divergence), [PSEUDO, PSEUDO[::-1]]
-    ),
-    "affine_invariant_distance": Case(
-        same(sysid.affine_invariant_distance), [PSEUDO, PSEUDO[::-1]]
-    ),
-    "pullback_distance": Case(same(sysid.pullback_distance), [PSEUDO, PSEUDO[::-1] + 1]),
-    "pullback_metric": Case(
-        same(lambda t: sysid.pullback_metric(sysid.log_cholesky_parameters(t))), [THETA]
     ),
     "prior_residual": Case(same(sysid.prior_residual), [THETA, THETA[::-1]]),
 }

@@ -1,6 +1,6 @@
 """Wrong arguments of every public function of identification, one at a time: an error of rbjax that
 names the argument, never a bare one of Python, never silence. `test_misuse.py` has the regressors,
-balances, filters, motions and designs, `test_bad_data.py` the readers."""
+filters, motions and designs, `test_bad_data.py` the readers."""
 
 import functools
 import inspect
@@ -99,18 +99,8 @@ CASES = {
         "t": ["x", None, T[::-1], T * NAN, T[:3]], "x": ["x", None, T[:3], T * NAN],
         "cutoff": ["x", 0, -1, NAN, 1e6], "order": [0, "x", 1.5],
     }),
-    "information": ({"jacobian": J}, {"jacobian": [*NUMBER, J * NAN], "noise": [0, "x", NAN]}),
-    "crlb": ({"jacobian": J}, {"jacobian": [*NUMBER, J * NAN], "noise": [0, "x", NAN]}),
-    "noise_by_channel": ({"residual": R, "jacobian": J, "channels": ["a"] * 20}, {
-        "residual": [*NUMBER, R[:3], R * NAN], "jacobian": [*NUMBER, J * NAN, J[:3]],
-        "channels": [5, None, ["a"]],
-    }),
     "whiteness": ({"residual": R}, {
         "residual": [*NUMBER, R[:3], 0 * R, R * NAN], "lags": [0, 20, "x", 1.5, NAN],
-    }),
-    "sandwich": ({"jacobians": J, "residuals": R}, {
-        "jacobians": [*NUMBER, J[:3], J[0], [J, 5], 0 * J, J * NAN],
-        "residuals": [*NUMBER, R[:3], [R, R], R * NAN], "lag": [-1, "x", 1.5],
     }),
     "compare": (
         {"smaller": y.Scored("a", 2.0, 1), "larger": y.Scored("b", 1.0, 2), "samples": 30},
@@ -143,33 +133,19 @@ CASES = {
         {"model": MODEL, "pi": rb.inertial_parameters(MODEL)},
         {"model": [5, None, "x"], "pi": [5, "x", None, np.zeros(10), np.ones(3)]},
     ),
-    "fit": (
-        {
-            "model": MODEL, "state": MODEL.default_state(), "ctrls": np.ones((5, 1)),
-            "measured": np.ones((6, 1)), "unknowns": MASS,
-        },
-        {
-            "model": [5, None], "state": [5, None], "ctrls": ["x", None, np.ones((5, 3))],
-            "measured": ["x", None, np.ones((3, 1))], "unknowns": [5, None, {}, {"a": 5}],
-            "dt": [0, "x", NAN], "integrator": ["x", 5], "save_every": [0, "x"],
-            "max_steps": [0, "x"],
-        },
-    ),
 }  # fmt: skip
 OF_A_FIT = {"monte_carlo", "diagnose", "report"}
 #: tables of other files, by function
 ELSEWHERE = {
     "read_csv", "read_npz", "regress", "consistent", "regress_with_zeros", "zeros_of",
     "select", "regressor", "observation_matrix", "parameter_names", "parameter_values",
-    "momentum_regressor", "energy_regressor", "momentum_balance", "energy_balance", "low_pass",
-    "base_parameters", "random_motions", "design", "torque_rows",
+    "low_pass", "base_parameters", "random_motions", "design", "torque_rows",
 }  # fmt: skip
 #: of arrays within traced code, in the grid of `tests/public`
 ARRAYS = {
-    "to_log_cholesky", "from_log_cholesky", "log_cholesky_parameters", "log_cholesky_volume",
+    "to_log_cholesky", "from_log_cholesky", "log_cholesky_parameters",
     "pseudo_inertia_of", "inertial_parameters_of", "model_log_cholesky",
-    "log_determinant_divergence", "affine_invariant_distance", "pullback_distance",
-    "pullback_metric", "prior_residual",
+    "log_determinant_divergence", "prior_residual",
 }  # fmt: skip
 
 

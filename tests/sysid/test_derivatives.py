@@ -131,48 +131,6 @@ def regression(method: str) -> Case:
     return Case(pi + 0.05 * np.abs(pi), loss, gradient, h=1e-5)
 
 
-def momentum() -> Case:
-    """Momenta M v by the mass matrix; their gradient by the regressor."""
-    seen = np.random.default_rng(1).normal(size=2)
-    Y = np.asarray(sysid.momentum_regressor(MODEL, Q[0], V[0]))
-
-    def loss(p: Any) -> jax.Array:
-        made = sysid.with_inertial_parameters(MODEL, p)
-        off = rb.mass_matrix(made, Q[0]) @ V[0] - seen
-        return off @ off
-
-    return Case(PI.copy(), jax.jit(loss), lambda p: 2 * Y.T @ (Y @ p - seen))
-
-
-def energy() -> Case:
-    Y = np.asarray(sysid.energy_regressor(MODEL, Q[0], V[0]))
-
-    def loss(p: Any) -> jax.Array:
-        made = sysid.with_inertial_parameters(MODEL, p)
-        kinetic = V[0] @ rb.mass_matrix(made, Q[0]) @ V[0] / 2
-        R, place = rb.forward_kinematics(made, Q[0])
-        com = place + (R @ made.bodies.com[..., None])[..., 0]
-        potential = -(made.bodies.mass * (com @ made.gravity)).sum()
-        return (kinetic + potential - 1.5) ** 2
-
-    return Case(PI.copy(), jax.jit(loss), lambda p: 2 * Y * (Y @ p - 1.5))
-
-
-def balances() -> Case:
-    """Momentum over windows: the loss of `regress`, whose gradient in the motion is JAX's."""
-    t = np.linspace(0.0, 1.0, 9)
-    q, v = np.stack([np.sin(3 * t), np.cos(2 * t)], 1), np.stack([3 * np.cos(3 * t), 0 * t], 1)
-    W, y = sysid.momentum_balance(MODEL, t, q, v, np.cos(v), window=4)
-    E, w = sysid.energy_balance(MODEL, t, q, v, np.cos(v), window=4)
-    X = np.concatenate([W.reshape(-1, len(PI)), E.reshape(-1, len(PI))])
-    b = np.concatenate([y.ravel(), w.ravel()])
-
-    def loss(p: Any) -> jax.Array:
-        return ((jnp.asarray(X) @ p - b) ** 2).sum()
-
-    return Case(PI.copy(), loss, lambda p: 2 * X.T @ (X @ p - b))
-
-
 def consistent() -> Case:
     tau = measured()[1]
     terms = ("armature", "viscous")
@@ -362,9 +320,6 @@ def levels() -> Case:
 
 QUICK: dict[str, Callable[[], Case]] = {
     **{f"torques, {method}": functools.partial(regression, method) for method in METHODS},
-    "balance of momentum": momentum,
-    "balance of energy": energy,
-    "balances over windows": balances,
     "consistent": consistent,
     "torque rows": torque_filter,
     "encoder zeros": encoder_zeros,
@@ -383,7 +338,7 @@ MOTIONS: dict[str, Callable[[], Case]] = {
 CASES = QUICK | MOTIONS
 LONG = [*MOTIONS, "prediction error"]
 #: whose loss is JAX's
-TRACED = [*(n for n in QUICK if n.startswith(("torques", "balance"))), "log-determinant prior"]
+TRACED = [*(n for n in QUICK if n.startswith("torques")), "log-determinant prior"]
 
 
 @functools.cache

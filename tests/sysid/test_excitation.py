@@ -7,7 +7,7 @@ import pytest
 from scipy import interpolate
 
 import rbjax as rb
-from rbjax.sysid import Fourier, Spline, crlb
+from rbjax.sysid import Fourier, Spline, estimates
 from rbjax.sysid.design.experiments import CRITERIA
 from tests.oracles import load
 from tests.sysid.two_link import regressor
@@ -88,7 +88,7 @@ def test_criteria_and_their_gradients(name):
 
 def test_bound_of_the_base_parameters():
     W = np.asarray(regressor(*SERIES(TIMES)))
-    bound = crlb(W, np.tile([0.1, 0.05], 1000))
+    bound = estimates(list("abcdef"), np.zeros(6), W, np.tile([0.1, 0.05], 1000)).covariance
     case, truth = ORACLE["crlb"], ORACLE["truth"]
     assert relative_error(np.sqrt(np.diag(bound)), case["sigma_of_p"], floor=1e-9) < 1e-12
     assert relative_error(bound, case["covariance"], floor=1e-9) < 1e-12

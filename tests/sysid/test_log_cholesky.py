@@ -45,9 +45,8 @@ def test_coordinates_to_body():
 def test_jacobian_and_its_determinant():
     J = np.asarray(parameter_jacobian(CASES["theta"]))
     assert relative_error(J, CASES["jacobian_dphi_dtheta"], batch_dims=1).max() < EXACT
-    volume = np.asarray(sysid.log_cholesky_volume(CASES["theta"]))
-    np.testing.assert_allclose(np.exp(volume), CASES["abs_det_jacobian"], rtol=EXACT)
-    np.testing.assert_allclose(np.linalg.slogdet(J)[1], volume, rtol=EXACT, atol=EXACT)
+    sign_and_log = np.linalg.slogdet(J)
+    np.testing.assert_allclose(np.exp(sign_and_log[1]), CASES["abs_det_jacobian"], rtol=EXACT)
 
 
 def test_gradient_and_hessian_of_a_scalar():
@@ -122,7 +121,6 @@ FUNCTIONS = {
     "from_log_cholesky": (sysid.from_log_cholesky, [THETA]),
     "to_log_cholesky": (sysid.to_log_cholesky, [CASES["pseudo_inertia"][:3]]),
     "log_cholesky_parameters": (sysid.log_cholesky_parameters, [THETA]),
-    "log_cholesky_volume": (sysid.log_cholesky_volume, [THETA]),
     "pseudo_inertia_of": (sysid.pseudo_inertia_of, [PHI[:3]]),
     "inertial_parameters_of": (sysid.inertial_parameters_of, [CASES["pseudo_inertia"][:3]]),
     "nearest_pseudo_inertia": (

@@ -1,4 +1,4 @@
-"""Bad arguments of regressors, balances, filters, motions and designs: an error of rbjax each."""
+"""Bad arguments of regressors, filters, motions and designs: an error of rbjax each."""
 
 import jax
 import jax.numpy as jnp
@@ -43,24 +43,6 @@ CALLS = {
     "names t": lambda: y.parameter_names(m, "viscous"),
     "values": lambda: y.parameter_values(None),
     "values t": lambda: y.parameter_values(m, ["x"]),
-    "mr": lambda: y.momentum_regressor(5, q[0], q[0]),
-    "mr q": lambda: y.momentum_regressor(m, q[0], "x"),
-    "mr v": lambda: y.momentum_regressor(m, q[0], None),
-    "mr shape": lambda: y.momentum_regressor(m, q[0], np.ones(5)),
-    "er": lambda: y.energy_regressor(5, q[0], q[0]),
-    "er v": lambda: y.energy_regressor(m, q[0], np.ones(3)),
-    "er v2": lambda: y.energy_regressor(m, q[0], "x"),
-    "er v3": lambda: y.energy_regressor(m, q[0], None),
-    "mb window": lambda: y.momentum_balance(m, T, q, q, q, window=0),
-    "mb window f": lambda: y.momentum_balance(m, T, q, q, q, window=1.5),
-    "mb t": lambda: y.momentum_balance(m, T[::-1], q, q, q, window=2),
-    "mb t nan": lambda: y.momentum_balance(m, T * nan, q, q, q, window=2),
-    "mb terms": lambda: y.momentum_balance(m, T, q, q, q, window=2, joint_terms="x"),
-    "mb terms2": lambda: y.momentum_balance(m, T, q, q, q, window=2, joint_terms=["x"]),
-    "mb smoothing": lambda: y.momentum_balance(m, T, q, q, q, window=2, smoothing=-1),
-    "eb held": lambda: y.energy_balance(m, T, q, q, q, window=2, held="x"),
-    "mb held": lambda: y.momentum_balance(m, T, q, q, q, window=2, held=5),
-    "eb none": lambda: y.energy_balance(m, None, q, q, q, window=2),
     "lp": lambda: y.low_pass("x", q, 1.0),
     "lp c": lambda: y.low_pass(np.arange(50.0), np.arange(50.0), "x"),
     "lp c2": lambda: y.low_pass(np.arange(50.0), np.arange(50.0), None),

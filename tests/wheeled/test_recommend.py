@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax import wheeled
+from rbjax import recommend, wheeled
 from rbjax.errors import InputError, UnknownName
 from rbjax.recommend.manoeuvre import Manoeuvre
 from rbjax.wheeled import DCMotor, Fiala, SpeedServo
@@ -28,9 +28,9 @@ def bicycle(**numbers):
     return KINDS["bicycle"].make(motor=SpeedServo(2000.0, 4000.0), lag=0.1, **numbers)
 
 
-def check(r: wheeled.Recommendation, accuracy: float) -> None:
+def check(r: recommend.FidelityRecommendation, accuracy: float) -> None:
     """The cheapest of the good ones, with its numbers in the sentence."""
-    best = min((x for x in r.trials if x.ok), key=lambda x: x.cost)
+    best = min((x for x in r.candidates if x.ok), key=lambda x: x.cost)
     assert (r.name, r.dt, r.error, r.cost) == (best.name, best.dt, best.error, best.cost)
     assert r.vehicle.name == r.name and r.error <= accuracy
     assert f"{r.name} with steps of {r.dt:.2g} s is off by {r.error:.1e}" in r.reason
@@ -44,17 +44,17 @@ def test_inertia_decides_by_the_lag_of_the_servo(steady_clock) -> None:
     lag = mass * r**2 / (2 * 0.05)
     behind = speed * r * lag * (1 - np.exp(-1 / lag))
     rolls = ["kinematic", "kinematical", "dynamical"]
-    coarse = wheeled.recommend(robot, [speed, speed], 1.1 * behind, among=rolls)
+    coarse = recommend.fidelity(robot, [speed, speed], 1.1 * behind, among=rolls)
     check(coarse, 1.1 * behind)
     assert coarse.name == "kinematic"
     assert coarse.reason.startswith("cost decides: kinematical would take 2e+02 us; kinematic with")
     np.testing.assert_allclose(coarse.error, behind, rtol=1e-3)
     assert np.isnan(coarse.share) and np.isnan(coarse.lifts)
-    fine = wheeled.recommend(robot, [speed, speed], 0.9 * behind, among=rolls)
+    fine = recommend.fidelity(robot, [speed, speed], 0.9 * behind, among=rolls)
     check(fine, 0.9 * behind)
     assert fine.name == "kinematical"
     assert fine.reason.startswith(f"inertia decides: kinematic is off by {behind:.1e}")
-    equal = [x for x in fine.trials if x.name != "kinematic"]
+    equal = [x for x in fine.candidates if x.name != "kinematic"]
     assert {x.name for x in equal} == set(rolls[1:])
     np.testing.assert_allclose(equal[0].error, equal[1].error, atol=1e-12)
 
@@ -65,7 +65,7 @@ def test_slip_decides_where_a_corner_needs_more_friction_than_there_is() -> None
     robot, tyre, controls = bicycle(), Fiala(15.0, friction), [speed / 0.3, angle]
     twist = [speed, 0.0, 0.0]
     among = ["kinematic", "kinematical", "slipping"]
-    r = wheeled.recommend(robot, controls, 0.05, twist=twist, horizon=2.0, tyre=tyre, among=among)
+    r = recommend.fidelity(robot, controls, 0.05, twist=twist, horizon=2.0, tyre=tyre, among=among)
     check(r, 0.05)
     assert r.name == "slipping"
     # of the corner at rest; the centre of mass is ahead of the rear axle
@@ -73,7 +73,7 @@ def test_slip_decides_where_a_corner_needs_more_friction_than_there_is() -> None
     due = turn * speed / (9.81 * friction)
     np.testing.assert_allclose(r.share, due, rtol=0.05)
     assert due > 1 and f"rolling needs {r.share:.2g} of the traction" in r.reason
-    rolling = next(x for x in r.trials if x.name == "kinematical")
+    rolling = next(x for x in r.candidates if x.name == "kinematical")
     assert r.reason.startswith(f"slip decides: kinematical is off by {rolling.error:.1e}")
     finest = wheeled.at(robot, "slipping", tyre=tyre)
     start = wheeled.start(finest, twist=twist)
@@ -94,7 +94,7 @@ def test_a_slow_manoeuvre_is_kinematic(steady_clock) -> None:
     """Ideal servos on wheels that grip: an arc in closed form."""
     robot, u = cart(SpeedServo(5.0)), [5.2, 5.0]  # the right one first
     v, w = 0.08 * 5.1, 0.08 * 0.2 / 0.4
-    r = wheeled.recommend(robot, u, 0.02, twist=[v, 0.0, w], horizon=4.0)
+    r = recommend.fidelity(robot, u, 0.02, twist=[v, 0.0, w], horizon=4.0)
     check(r, 0.02)
     assert r.name == "kinematic" and r.share < 0.1 and r.lifts == np.inf
     steps = round(4.0 / r.dt)
@@ -114,11 +114,11 @@ def test_torques_and_a_table_of_them() -> None:
     t = np.arange(100) * 0.02
     table = 0.1 * np.stack([np.sin(t), np.cos(t)], -1)
     rolls = ["kinematic", "kinematical", "dynamical", "quasi_velocities", "constrained"]
-    r = wheeled.recommend(robot, table, 1e-4, dt=0.02, among=rolls)
+    r = recommend.fidelity(robot, table, 1e-4, dt=0.02, among=rolls)
     check(r, 1e-4)
     assert r.reason.startswith("kinematic is not tried, because drives[0] is a TorqueSource")
-    assert [x.name for x in r.trials] == rolls[1:]
-    np.testing.assert_allclose([x.error for x in r.trials], r.error, rtol=0, atol=1e-11)
+    assert [x.name for x in r.candidates] == rolls[1:]
+    np.testing.assert_allclose([x.error for x in r.candidates], r.error, rtol=0, atol=1e-11)
     assert r.name != "constrained"
     found = wheeled.rollout(r.vehicle, r.state, jnp.repeat(table, round(0.02 / r.dt), 0), r.dt)
     fine = wheeled.rollout(r.vehicle, r.state, jnp.repeat(table, 40, 0), 0.0005)
@@ -132,7 +132,7 @@ def test_a_wheel_lifts() -> None:
     lifts = []
     for height in (0.9, 2.4):
         robot = KINDS["car"].make(drive="all", motor=SpeedServo(1e4), height=height)
-        r = wheeled.recommend(
+        r = recommend.fidelity(
             robot, [0.0, 0.0, 0.0], 0.2, twist=[10.0, 0.0, 0.0], horizon=0.5, dt=0.005,
             tyre=Fiala(30.0, 0.8), among=["slipping"],
         )  # fmt: skip
@@ -148,7 +148,7 @@ def test_controls_of_a_function_and_motors_with_a_free_speed() -> None:
     def volts(t, state):
         return jnp.stack([2.0 + jnp.sin(t), 2.0 - state.q[2]])
 
-    r = wheeled.recommend(robot, volts, 1e-3, horizon=0.5, among=["kinematic"])
+    r = recommend.fidelity(robot, volts, 1e-3, horizon=0.5, among=["kinematic"])
     check(r, 1e-3)
     steps = round(0.5 / r.dt)
     found = wheeled.rollout(r.vehicle, r.state, volts, r.dt, steps=steps).q[-1, :3]
@@ -175,11 +175,9 @@ def test_controls_of_a_function_and_motors_with_a_free_speed() -> None:
 def test_wrong_inputs(given: dict, message: str) -> None:
     given = {"robot": cart(), "controls": [0.0, 0.0], "accuracy": 1e-3} | given
     with pytest.raises(InputError, match=message):
-        wheeled.recommend(**given)
+        recommend.fidelity(**given)
 
 
 def test_unknown_names() -> None:
     with pytest.raises(UnknownName, match="slipping"):
-        wheeled.recommend(cart(), [0.0, 0.0], 1e-3, among=["sliding"])
-    with pytest.raises(AttributeError, match="no attribute 'recommended'"):
-        wheeled.recommended  # noqa: B018
+        recommend.fidelity(cart(), [0.0, 0.0], 1e-3, among=["sliding"])

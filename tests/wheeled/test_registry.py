@@ -22,7 +22,7 @@ from tests.wheeled.laws import LAWS, numbers
 
 # those that take no arrays, or only known ones (an arrangement of wheels depends on them), and the
 # adaptive solution, whose steps are no smooth function
-ELSEWHERE = {"at", "controlled", "fidelities", "from_file", "kinds", "recommend", "simulate",
+ELSEWHERE = {"at", "controlled", "fidelities", "from_file", "kinds", "simulate",
              "with_trailers", "write_mjcf"}  # fmt: skip
 
 CART = wheeled.kinds()["differential_drive"].make(caster=None)

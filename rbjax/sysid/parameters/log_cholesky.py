@@ -18,7 +18,6 @@ as in `rbjax.inertial_parameters`. Rucker & Wensing, IEEE RA-L 7(2), 2022.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import jax
@@ -169,25 +168,6 @@ def upper_factor(theta: jax.Array) -> jax.Array:
     e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
     rows = [e1, s12, s13, t1, o, e2, s23, t2, o, o, e3, t3, o, o, o, one]
     return jnp.exp(a)[..., None, None] * stacked(rows, 4, 4)
-
-
-@takes(theta="inertial")
-def log_cholesky_volume(theta: jax.Array) -> jax.Array:
-    """log |det d phi / d theta| (...): how a density over theta becomes one over phi.
-
-        log 32 + 20 a + 2 d1 + 3 d2 + 4 d3
-
-    Source: the product of the Cholesky map's derivative (Muirhead 1982, theorem 2.1.9) and the
-    exponentials'.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import log_cholesky_volume
-        >>> round(float(jnp.exp(log_cholesky_volume(jnp.zeros(10)))), 3)
-        32.0
-    """
-    a, d1, d2, d3 = entries(theta)[:4]
-    return math.log(32) + 20 * a + 2 * d1 + 3 * d2 + 4 * d3
 
 
 def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:

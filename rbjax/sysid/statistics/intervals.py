@@ -41,8 +41,8 @@ class Estimates:
 
     Fields: names; values (n,); covariance (n, n), within what the data show; free (n, k), columns
     of length 1, the directions of which the data say nothing; dof, of the noise's estimate, inf if
-    the noise is known; bounds, name -> (low, high). For another covariance, such as `sandwich`'s,
-    use `dataclasses.replace`.
+    the noise is known; bounds, name -> (low, high). For another covariance use
+    `dataclasses.replace`.
     """
 
     names: tuple[str, ...]
@@ -234,41 +234,6 @@ def _check_positive(name: str, x: Any, below: float = np.inf) -> None:
 def tolerance_for(jacobian: Any) -> float:
     """The rank tolerance of a Jacobian's dtype."""
     return tolerance_of(jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
-
-
-def information(jacobian: Any, noise: Any = 1.0) -> np.ndarray:
-    """Fisher's information F = J^T S^-1 J (n, n), of rows with these standard deviations.
-
-    Example:
-        >>> import numpy as np
-        >>> from rbjax.sysid import information
-        >>> information(np.ones((4, 1)), noise=2.0).tolist()
-        [[1.0]]
-    """
-    J = checked_rows("information", "jacobian", jacobian, 2)
-    J = J / _deviations("information", noise, len(J))[:, None]
-    return J.T @ J
-
-
-def crlb(jacobian: Any, noise: Any = 1.0) -> np.ndarray:
-    """The Cramer-Rao bound F^-1 (n, n): no unbiased estimate has a smaller covariance.
-
-    A parameter that the data do not show has inf on the diagonal and nan beside it.
-
-    Example:
-        >>> import numpy as np
-        >>> from rbjax.sysid import crlb
-        >>> crlb(np.ones((4, 1)), noise=2.0).tolist()
-        [[1.0]]
-    """
-    J = checked_rows("crlb", "jacobian", jacobian, 2)
-    names = [str(k) for k in range(J.shape[1])]
-    tolerance = tolerance_for(jacobian)
-    found = estimates(names, np.zeros(len(names)), J, noise, rank_tolerance=tolerance)
-    bound, hidden = found.covariance.copy(), np.isinf(found.sigma)
-    bound[hidden] = bound[:, hidden] = np.nan
-    bound[hidden, hidden] = np.inf
-    return bound
 
 
 def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:

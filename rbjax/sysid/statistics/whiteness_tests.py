@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg, signal, stats
+from scipy import signal, stats
 
 from rbjax.errors import InputError
 from rbjax.solvers.common.arguments import check_whole
@@ -89,71 +89,6 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
             "something"
         )
     return Whiteness(statistic, p, rho, float(effective), white, sentence)
-
-
-def sandwich(jacobians: Any, residuals: Any, *, lag: int | None = None) -> np.ndarray:
-    """The covariance of parameters when residuals are correlated in time, or of uneven size.
-
-    Args:
-        jacobians: one (samples, n) or (samples, channels, n), or a list with one for each
-            recording, rows divided by the noise; correlations end with a recording.
-        residuals: one (samples,) or (samples, channels), or a list, divided by the noise.
-        lag: L, in samples; 0 for noise that is independent but uneven. If None, Andrews' choice
-            for a first-order process.
-
-    Returns:
-        (n, n).
-
-    Raises:
-        InputError: shapes that do not fit; parameters that the data do not show.
-
-    Source: Newey & West 1987; Andrews 1991, equations 6.2 and 6.4.
-
-    Example:
-        >>> import numpy as np
-        >>> from rbjax.sysid import sandwich
-        >>> noise = np.random.default_rng(0).normal(size=400)
-        >>> slow = np.convolve(noise, np.ones(20), "valid")
-        >>> mean = sandwich(np.ones((381, 1)), slow - slow.mean())
-        >>> bool(mean[0, 0] > 5 * slow.var() / 381)
-        True
-    """
-    many = isinstance(jacobians, list | tuple)
-    Js: Sequence[np.ndarray] = [
-        floats("sandwich", "jacobians", J) for J in (jacobians if many else [jacobians])
-    ]
-    rs = [floats("sandwich", "residuals", r) for r in (residuals if many else [residuals])]
-    if lag is not None:
-        check_whole("sandwich", "lag", lag, 0)
-    fits = len(Js) == len(rs) > 0 and all(
-        J.ndim in (2, 3) and J.size and J.shape[:-1] == r.shape for J, r in zip(Js, rs, strict=True)
-    )
-    for name, each in (("jacobians", Js), ("residuals", rs)):
-        if not all(np.isfinite(x).all() for x in each):
-            raise InputError(f"sandwich: {name} are not finite, expected finite values")
-    if not fits:
-        raise InputError(
-            f"sandwich: jacobians have shapes {[J.shape for J in Js]} and residuals "
-            f"{[r.shape for r in rs]}, expected (samples, [channels,] n) and the same without n"
-        )
-    n = Js[0].shape[-1]
-    rows = np.concatenate([J.reshape(-1, n) for J in Js])
-    lengths = np.maximum(linalg.norm(rows, axis=0), 1e-300)
-    R = linalg.qr(rows / lengths, mode="r")[0][:n]
-    if len(R) < n or np.linalg.cond(R) > 1e10:
-        raise InputError(
-            "sandwich: the data do not show all parameters, expected a jacobian of full rank; "
-            "`estimates(...).in_words()` names the free directions"
-        )
-    scores = [
-        np.einsum("tcn,tc->tn", J.reshape(len(J), -1, n), r.reshape(len(r), -1)) / lengths
-        for J, r in zip(Js, rs, strict=True)
-    ]
-    meat = meat_of(scores, lag)
-    bread = linalg.inv(R.T @ R)
-    samples = len(rows)
-    cov = bread @ meat @ bread * (samples / max(samples - n, 1))
-    return cov / np.outer(lengths, lengths)
 
 
 def meat_of(scores: Sequence[np.ndarray], lag: int | None = None) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +15,7 @@ from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.status import CONVERGED, SENTENCES
 from rbjax.errors import InputError, UnknownName
 from rbjax.progress import progress_line
+from rbjax.recommend.recommendation import Recommendation
 from rbjax.recommend.request import fastest
 from rbjax.solvers.common.arguments import check_whole
 
@@ -21,33 +23,38 @@ SAME = 1e-6  # relative: costs that count as equal
 
 
 class Trial(NamedTuple):
-    """A method. Fields: name; status, how it ended from the plain first guess; cost; iterations;
-    ms, of a solution once compiled; solved, the share of all first guesses from which it converged;
-    failed, the indices of the others, 0 being the plain one."""
+    """A method. Fields: name; status, how it ended from the plain first guess; objective, the cost
+    of the motion; iterations; cost, milliseconds of a solution once compiled; solved, the share of
+    all first guesses from which it converged; failed, the indices of the others, 0 being the plain
+    one."""
 
     name: str
     status: str
-    cost: float
+    objective: float
     iterations: int
-    ms: float
+    cost: float
     solved: float
     failed: tuple[int, ...]
 
+    @property
+    def ok(self) -> bool:
+        return self.status == SENTENCES[CONVERGED]
 
-class Recommendation(NamedTuple):
-    """A method of `solve`: name; ms, what a solution costs; cost, of the motion; trials, of all
-    candidates; guesses (G, N, nu), the first guesses of the controls; reason, a sentence with the
-    deciding numbers."""
 
-    name: str
-    ms: float
-    cost: float
-    trials: tuple[Trial, ...]
+@dataclass(frozen=True)
+class MethodRecommendation(Recommendation):
+    """A method of `rb.control.solve`.
+
+    Fields, besides those of `Recommendation`, whose cost is in milliseconds of a solution:
+        objective: the cost of the motion.
+        guesses: (G, N, nu), the first guesses of the controls.
+    """
+
+    objective: float
     guesses: jax.Array
-    reason: str
 
 
-def recommend(
+def control_method(
     problem: Problem,
     start: Any,
     *,
@@ -57,8 +64,8 @@ def recommend(
     iterations: int = 200,
     seed: int = 0,
     progress: bool = True,
-) -> Recommendation:
-    """A method for a problem, and why: each is tried from the plain first guess and random ones.
+) -> MethodRecommendation:
+    """Recommend a method for a problem: each is run from the plain first guess and random ones.
 
     Of those that converge to the least cost the fastest is taken.
 
@@ -75,7 +82,7 @@ def recommend(
         progress: show a line on a terminal.
 
     Returns:
-        `Recommendation`. `print(r.reason)` says why; `r.trials` what was measured.
+        `MethodRecommendation`.
 
     Raises:
         InputError: not a problem, no candidate. UnknownName: no such method.
@@ -88,8 +95,9 @@ def recommend(
         >>> C = rb.control
         >>> cart = C.Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
         >>> problem = C.Problem(cart, 10, 0.1, running=[lambda t, x, u: x, C.Control()])
-        >>> r = C.recommend(problem, jnp.ones(2), candidates=["ddp"], guesses=2, progress=False)
-        >>> r.name, r.trials[0].solved
+        >>> start, how = jnp.ones(2), dict(candidates=["ddp"], guesses=2, progress=False)
+        >>> r = rb.recommend.control_method(problem, start, **how)
+        >>> r.name, r.candidates[0].solved
         ('ddp', 1.0)
     """
     if not isinstance(problem, Problem):
@@ -118,8 +126,9 @@ def recommend(
             say(f"{name}: {guesses} first guesses")
             trials.append(_trial(problem, start, name, every, iterations))
     best = _best(trials)
-    return Recommendation(
-        best.name, best.ms, best.cost, tuple(trials), every, _reason(best, trials, guesses)
+    why = _reason(best, trials, guesses)
+    return MethodRecommendation(
+        best.name, best.cost, tuple(trials), why, best.objective, every
     )
 
 
@@ -142,26 +151,29 @@ def _trial(
 
 def _best(trials: Sequence[Trial]) -> Trial:
     """The fastest of those that converge to the least cost; where none does, that of least cost."""
-    done = [t for t in trials if t.status == SENTENCES[CONVERGED]]
+    done = [t for t in trials if t.ok]
     if not done:
-        return min(trials, key=lambda t: t.cost)
-    least = min(t.cost for t in done)
-    equal = [t for t in done if t.cost <= least + SAME * max(abs(least), 1.0)]
-    return min(equal, key=lambda t: t.ms)
+        return min(trials, key=lambda t: t.objective)
+    least = min(t.objective for t in done)
+    equal = [t for t in done if t.objective <= least + SAME * max(abs(least), 1.0)]
+    return min(equal, key=lambda t: t.cost)
 
 
 def _reason(best: Trial, trials: Sequence[Trial], guesses: int) -> str:
     said = f"{best.name!r}: {best.status}"
-    if best.status == SENTENCES[CONVERGED]:
+    if best.ok:
         said += (
-            f" in {best.iterations} iterations and {best.ms:.3g} ms to a cost of {best.cost:.6g}; "
-            f"it converges from {guesses - len(best.failed)} of {guesses} first guesses"
+            f" in {best.iterations} iterations and {best.cost:.3g} ms to a cost of "
+            f"{best.objective:.6g}; it converges from {guesses - len(best.failed)} of {guesses} "
+            "first guesses"
         )
     else:
-        said += f" after {best.iterations} iterations at a cost of {best.cost:.6g}; none converges"
+        said += (
+            f" after {best.iterations} iterations at a cost of {best.objective:.6g}; none converges"
+        )
     rest = [
-        f"{t.name!r} {t.status} ({t.iterations} iterations, {t.ms:.3g} ms, cost {t.cost:.6g}, "
-        f"{guesses - len(t.failed)} of {guesses})"
+        f"{t.name!r} {t.status} ({t.iterations} iterations, {t.cost:.3g} ms, cost "
+        f"{t.objective:.6g}, {guesses - len(t.failed)} of {guesses})"
         for t in trials
         if t is not best
     ]

@@ -46,8 +46,8 @@ class Trial(NamedTuple):
 
 
 class Rank(NamedTuple):
-    """Of the rows along a run. Fields: rows, how many there are; redundant, how many of them say
-    nothing new; closest, the least singular value of the scaled others; at, its time in seconds;
+    """Of the rows along a run. Fields: rows, how many there are; redundant, how many of them
+    are redundant; closest, the least singular value of the scaled others; at, its time in seconds;
     median, of the least singular values along the way."""
 
     rows: int

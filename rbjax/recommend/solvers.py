@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -34,6 +34,7 @@ from rbjax.forces.inputs import Source
 from rbjax.model import Model, State, made_ahead
 from rbjax.motion.simulate import simulate
 from rbjax.progress import Say, progress_line
+from rbjax.recommend.recommendation import Recommendation
 from rbjax.recommend.request import check_request, double
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.stability.runs.linearisation import motion_matrices
@@ -49,21 +50,33 @@ ROLLED_ABOVE = 6  # velocity coordinates above which a rolled program compiles i
 BRIEF = 1e4  # radians of the fastest mode up to which this saves more than it costs
 
 
+class Trial(NamedTuple):
+    """A candidate. Fields: name; dt in seconds, the largest step that was accurate enough; error at
+    this step; cost, evaluations of forward dynamics per second of motion; ok, whether there is such
+    a step."""
+
+    name: str
+    dt: float
+    error: float
+    cost: float
+    ok: bool
+
+
 @dataclass(frozen=True)
-class Recommendation:
+class SolverRecommendation(Recommendation):
     """A solver and a step for `rb.simulate(model, state, ts, solver=r.solver, dt0=r.dt)`.
 
-    Fields: solver; name, in `rb.solvers.all()`; dt in seconds; predicted_error, the largest
-    deviation of a configuration coordinate over the horizon (m, rad); evaluations of forward
-    dynamics a second of motion; reason, a sentence with the deciding number.
+    Fields, besides those of `Recommendation`, whose cost is in evaluations of forward dynamics per
+    second of motion:
+        solver: its name is in `rb.solvers.all()`.
+        dt: seconds.
+        predicted_error: the largest deviation of a configuration coordinate over the horizon, m or
+            rad.
     """
 
     solver: diffrax.AbstractSolver
-    name: str
     dt: float
     predicted_error: float
-    evaluations: float
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -156,7 +169,7 @@ def _symplectic(nv: int, free_of_v: bool) -> Candidate:
     return Candidate("variational_midpoint", solvers.VariationalMidpoint(), 2, 10.0 + 3 * nv)
 
 
-def recommend(
+def solver(
     model: Model,
     state: State,
     accuracy: float,
@@ -164,8 +177,8 @@ def recommend(
     horizon: float = 1.0,
     control: Source | None = None,
     progress: bool = True,
-) -> Recommendation:
-    """A solver and a constant step for this robot from this state, and why.
+) -> SolverRecommendation:
+    """Recommend a solver and a constant step for this robot from this state.
 
     error(h) ~ C h^p is fitted and confirmed by a run. Of the stable steps that are accurate enough,
     the one with the fewest evaluations a second is chosen.
@@ -180,7 +193,7 @@ def recommend(
         progress: show the progress on the terminal.
 
     Returns:
-        `Recommendation`: solver, name, dt, predicted_error, evaluations, reason.
+        `SolverRecommendation`.
 
     Raises:
         InputError: a state of the wrong type or shape, or not finite; an accuracy or a horizon that
@@ -195,7 +208,7 @@ def recommend(
     Example:
         >>> import rbjax as rb, numpy as np
         >>> model = rb.load("pendulum")
-        >>> r = rb.solvers.recommend(model, rb.State(np.array([0.5]), np.zeros(1)), 1e-6)
+        >>> r = rb.recommend.solver(model, rb.State(np.array([0.5]), np.zeros(1)), 1e-6)
         >>> r.name, "accuracy decides" in r.reason, r.predicted_error <= 1e-6
         ('rk4', True, True)
     """
@@ -218,7 +231,7 @@ def _light(model: Model) -> Model:
 
 def _recommended(
     model: Model, state: State, accuracy: float, horizon: float, control: Source | None, say: Say
-) -> Recommendation:
+) -> SolverRecommendation:
     light = _light(model)
     say("linearising the motion")
     start = State(*(jnp.tile(x, (LOOKS, 1)) for x in (state.q, state.v)))
@@ -284,9 +297,18 @@ def _recommended(
             "accuracy or a shorter horizon"
         )
     h, e, best = min(good, key=lambda x: x[2].evaluations / x[0])
-    cost = best.evaluations / h
+    trials = tuple(_trial(name, x) for name, x in found.items())
     why = _reason(best, h, e, accuracy, horizon, explicit, held, limit, abs(fastest), by_stability)
-    return Recommendation(best.solver, best.name, h, e, cost, why)
+    return SolverRecommendation(
+        best.name, best.evaluations / h, trials, why, best.solver, h, e
+    )
+
+
+def _trial(name: str, found: tuple[float, float, Candidate] | None) -> Trial:
+    if found is None:
+        return Trial(name, math.nan, math.inf, math.inf, False)
+    h, error, candidate = found
+    return Trial(name, h, error, candidate.evaluations / h, True)
 
 
 def _fastest(A: np.ndarray) -> complex:

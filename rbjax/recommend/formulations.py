@@ -31,8 +31,9 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
 from rbjax.model import Model, State
 from rbjax.progress import Say, progress_line
+from rbjax.recommend.constrained_runs import RESTORING, Rank, Runs, Trial
+from rbjax.recommend.recommendation import Recommendation
 from rbjax.recommend.request import check_request, double
-from rbjax.recommend.trials import RESTORING, Rank, Runs, Trial
 
 HALVINGS = 8  # of the step
 MOST_STEPS = 200_000
@@ -49,29 +50,29 @@ WHY = {
 
 
 @dataclass(frozen=True)
-class Recommendation:
+class FormulationRecommendation(Recommendation):
     """A formulation and a step: `rb.rollout(model, state, None, r.dt, constraints=r.formulation)`.
-    Numbers of a motion are nan where none was given.
+    Measured values are nan if no motion was given.
 
-    Fields: formulation, None where there are no rows; name; dt in seconds; gap, the largest
-    residual of a row (m, rad) or of its rate over the horizon; error, the largest deviation of a
-    configuration coordinate; redundant, how many rows say nothing new; closest, the least singular
-    value of the others along the way, of rows scaled to length one; trials, of all candidates;
-    reason, a sentence with the deciding number.
+    Fields, besides those of `Recommendation`, whose cost is in microseconds per second of motion:
+        formulation: None if the model has no rows.
+        dt: seconds.
+        gap: the largest residual of a row (m, rad) or of its rate over the horizon.
+        error: the largest deviation of a configuration coordinate.
+        redundant: the number of redundant rows.
+        closest: the least singular value of the other rows on the motion, each scaled to length
+            one.
     """
 
     formulation: Formulation | None
-    name: str
     dt: float
     gap: float
     error: float
     redundant: int | None
     closest: float
-    trials: tuple[Trial, ...]
-    reason: str
 
 
-def recommend(
+def formulation(
     model: Model,
     state: State | None = None,
     accuracy: float | None = None,
@@ -81,8 +82,8 @@ def recommend(
     integrator: str = "rk4",
     control: Source | None = None,
     progress: bool = True,
-) -> Recommendation:
-    """A formulation of the model's constraints for its motion from a state, and why.
+) -> FormulationRecommendation:
+    """Recommend a formulation of the model's constraints for its motion from a state.
 
     Of the formulations with steps dt, dt/2, dt/4, ... whose gap and error over the horizon are at
     most the accuracy: the one that is cheapest per second of motion, by this machine's clock.
@@ -100,7 +101,7 @@ def recommend(
         progress: show the progress on the terminal.
 
     Returns:
-        `Recommendation`: formulation, name, dt, gap, error, redundant, closest, trials, reason.
+        `FormulationRecommendation`.
 
     Raises:
         InputError: a state of the wrong type or shape, not finite, or off the constraints; an
@@ -114,7 +115,7 @@ def recommend(
     Example:
         >>> import rbjax as rb
         >>> model = rb.load("double_pendulum")
-        >>> r = rb.constraints.recommend(model, model.default_state(), 1e-6)
+        >>> r = rb.recommend.formulation(model, model.default_state(), 1e-6)
         >>> r.name, r.reason
         ('none', 'nothing decides: the model has 0 rows, its motion is free')
     """
@@ -134,7 +135,9 @@ def recommend(
         model, state = jax.tree.map(double, (model, state))
         largest = float(model.timestep if dt is None else dt)
         if not model.constraints:
-            return Recommendation(None, "none", largest, 0.0, 0.0, 0, math.inf, (), FREE)
+            return FormulationRecommendation(
+                "none", 0.0, (), FREE, None, largest, 0.0, 0.0, 0, math.inf
+            )
         off = max(float(np.abs(x).max()) for x in residual(model, state))
         if not off <= CLOSED:
             raise InputError(
@@ -146,17 +149,21 @@ def recommend(
             return _recommended(runs, float(accuracy), float(horizon), say)
 
 
-def _of_any_motion(model: Model, dt: float | None) -> Recommendation:
+def _of_any_motion(model: Model, dt: float | None) -> FormulationRecommendation:
     found = formulation_of("recommend", model, None)
     why = FREE
     if found is not None:
         why = f"no motion is given, so nothing is measured: {found.name} {WHY[found.name]}"
     step, unknown = float(model.timestep if dt is None else dt), math.nan
     name = "none" if found is None else found.name
-    return Recommendation(found, name, step, unknown, unknown, None, unknown, (), why)
+    return FormulationRecommendation(
+        name, unknown, (), why, found, step, unknown, unknown, None, unknown
+    )
 
 
-def _recommended(runs: Runs, accuracy: float, horizon: float, say: Say) -> Recommendation:
+def _recommended(
+    runs: Runs, accuracy: float, horizon: float, say: Say
+) -> FormulationRecommendation:
     truth = _truth(runs, accuracy, say)
     say("the rank of the rows")
     rank = runs.rank(truth)
@@ -172,9 +179,9 @@ def _recommended(runs: Runs, accuracy: float, horizon: float, say: Say) -> Recom
         )
     best = min(good, key=lambda x: x.cost)
     why = _reason(best, trials, rank, accuracy, horizon)
-    return Recommendation(
-        formulations()[best.name], best.name, best.dt, best.gap, best.error, rank.redundant,
-        rank.closest, tuple(trials), why,
+    return FormulationRecommendation(
+        best.name, best.cost, tuple(trials), why, formulations()[best.name], best.dt, best.gap,
+        best.error, rank.redundant, rank.closest,
     )  # fmt: skip
 
 

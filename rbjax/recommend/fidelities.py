@@ -25,6 +25,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.progress import Say, progress_line
 from rbjax.recommend.manoeuvre import MOST_STEPS, Demand, Manoeuvre, apart, demand, first_lift
+from rbjax.recommend.recommendation import Recommendation
 from rbjax.recommend.request import check_request, double
 from rbjax.wheeled import Fidelity, Robot, at, fidelities
 from rbjax.wheeled.models.rolling import Rolling
@@ -56,30 +57,30 @@ class Trial(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Recommendation:
+class FidelityRecommendation(Recommendation):
     """A fidelity and a step: `rb.wheeled.rollout(r.vehicle, r.state, controls, r.dt)`.
 
-    Fields: vehicle; state, its start; name; dt in seconds; error, the largest deviation of the
-    chassis' place, m, or heading, rad, from the motion at the finest fidelity; cost, microseconds
-    per second of motion; share, how much of the tyres' traction rolling needs at least, with the
-    loads of the robot at rest: above 1 it cannot roll; lifts, s, when the ground would first have
-    to pull a wheel, inf for never; trials, of all fidelities that were run; reason, a sentence with
-    the deciding number. share and lifts are nan where "slipping" is not among the fidelities.
+    Fields, besides those of `Recommendation`, whose cost is in microseconds per second of motion:
+        vehicle: the robot at the fidelity.
+        state: its start.
+        dt: seconds.
+        error: the largest deviation of the chassis' place, m, or heading, rad, from the motion at
+            the finest fidelity.
+        share: the part of the tyres' traction that rolling needs at least, with the loads of the
+            robot at rest; above 1 it cannot roll. nan without "slipping" among the fidelities.
+        lifts: the time in seconds at which the load of a wheel first becomes negative; inf for
+            never, nan without "slipping".
     """
 
     vehicle: Fidelity
     state: State
-    name: str
     dt: float
     error: float
-    cost: float
     share: float
     lifts: float
-    trials: tuple[Trial, ...]
-    reason: str
 
 
-def recommend(
+def fidelity(
     robot: Robot,
     controls: Any,
     accuracy: float,
@@ -91,8 +92,8 @@ def recommend(
     tyre: Any = None,
     among: Sequence[str] | None = None,
     progress: bool = True,
-) -> Recommendation:
-    """The cheapest fidelity, with its step, whose motion is accurate enough, and why.
+) -> FidelityRecommendation:
+    """Recommend the cheapest fidelity, with its step, whose motion is accurate enough.
 
     Of the fidelities with stable steps dt, dt/2, dt/4, ... (rk4) whose chassis stays within the
     accuracy of the motion at the finest fidelity: the one that is cheapest per second of motion, by
@@ -114,7 +115,7 @@ def recommend(
         progress: show the progress on the terminal.
 
     Returns:
-        `Recommendation`: vehicle, state, name, dt, error, cost, share, lifts, trials, reason.
+        `FidelityRecommendation`.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite; a robot that cannot slip; a
@@ -129,7 +130,7 @@ def recommend(
         >>> from rbjax.wheeled import SpeedServo
         >>> make = rb.wheeled.kinds()["differential_drive"].make
         >>> cart, rolls = make(caster=None, motor=SpeedServo(5.0)), ["kinematic", "kinematical"]
-        >>> r = rb.wheeled.recommend(cart, [5.0, 5.2], 0.05, twist=[0.4, 0.0, 0.0], among=rolls)
+        >>> r = rb.recommend.fidelity(cart, [5.0, 5.2], 0.05, twist=[0.4, 0.0, 0.0], among=rolls)
         >>> r.name, r.error < 0.05
         ('kinematic', True)
     """
@@ -223,7 +224,7 @@ class _Choice:
         self._paths: dict[tuple[str, int], State] = {}
         self._least: dict[str, int] = {}  # halvings with which steps are stable
 
-    def made(self) -> Recommendation:
+    def made(self) -> FidelityRecommendation:
         ends = [self._converged(vehicle) for vehicle in self.vehicles]
         paths = [self._path(v, k) for v, k in zip(self.vehicles, ends, strict=True)]
         trials: list[Trial] = []
@@ -242,9 +243,9 @@ class _Choice:
             vehicle = equal[best.name]
         needed, lifts = self._contacts(paths)
         why = self._reason(best, trials, needed, lifts)
-        return Recommendation(
-            vehicle, self.run.start(vehicle), best.name, best.dt, best.error, best.cost,
-            needed.share, lifts, tuple(trials), why,
+        return FidelityRecommendation(
+            best.name, best.cost, tuple(trials), why, vehicle, self.run.start(vehicle), best.dt,
+            best.error, needed.share, lifts,
         )  # fmt: skip
 
     def _path(self, vehicle: Fidelity, k: int) -> State:
