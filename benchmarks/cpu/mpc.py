@@ -66,7 +66,7 @@ def run(iterations: int, ticks: int) -> dict[str, Any]:
         begin = time.process_time()
         u = act(t, x)
         cpu.append(1e3 * (time.process_time() - begin))
-        assert act.result == 0, act.result
+        assert act.status == 0, act.status
         x = jax.block_until_ready(move(t, x, u, DT))
         w = 2 * np.pi / PERIOD
         goal = centre + RADIUS * np.array([np.cos(w * (t + DT)) - 1, np.sin(w * (t + DT)), 0])

@@ -28,7 +28,7 @@ import numpy as np
 
 import rbjax as rb
 from benchmarks.shared.timing import markdown_table, save
-from rbjax.control import Gains, LinearQuadratic, backward, parallel_backward
+from rbjax.control.linear import Gains, LinearQuadratic, backward, parallel_backward
 
 COLUMNS = ("precision", "batch", "horizon", "method", "compile_s", "ms", "us a step", "difference")
 HORIZONS = (16, 64, 256, 1024, 4096)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.control import (
+from rbjax.control.linear import (
     backward,
     constant_problem,
     lqr_finite,

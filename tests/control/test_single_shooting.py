@@ -36,7 +36,7 @@ def test_bounded_controls(method, budget, near):
     )
     best = solve(problem, jnp.zeros(2), tolerance=1e-12)
     found = solve(problem, jnp.zeros(2), method=method, iterations=budget, tolerance=1e-8)
-    assert found.converged and found.gap == 0
+    assert found.success and found.gap == 0
     assert abs(found.cost - best.cost) < near * best.cost
     assert np.abs(found.ctrls).max() <= 3
 
@@ -48,7 +48,7 @@ def test_an_end_is_reached():
     # a violation changes the cost by the multiplier, about 12, times as much
     best = solve(problem, jnp.zeros(2), violation=1e-8)
     found = solve(problem, jnp.zeros(2), method="levenberg_marquardt", violation=1e-8)
-    assert found.converged and found.violation <= 1e-8
+    assert found.success and found.violation <= 1e-8
     assert abs(found.cost - best.cost) < 1e-6 * best.cost
 
 
