@@ -202,7 +202,9 @@ TABLE = {
     "parallel_backward": (C.linear.parallel_backward, {"problem": BAND}, {
         "problem": [3, "x", PROBLEM], "by": name(),
     }),
-    "roll": (C.linear.roll, {"problem": BAND, "gains": C.linear.backward(BAND), "start": np.zeros(2)}, {
+    "roll": (C.linear.roll, {
+        "problem": BAND, "gains": C.linear.backward(BAND), "start": np.zeros(2),
+    }, {
         "problem": [3, PROBLEM], "gains": [3, "x"], "start": array(2),
     }),
     "parallel_roll": (C.linear.parallel_roll, {

@@ -133,7 +133,7 @@ def test_a_start_that_is_nan_is_rejected_and_an_outcome_in_traced_code():
     ("shape", lambda: solve(problem(), jnp.zeros(2))),
     ("states", lambda: solve(problem(), START, states=jnp.zeros((3, 1)))),
     ("ctrls", lambda: solve(problem(), START, ctrls=jnp.zeros((4, 1)))),
-    ("numbers", lambda: solve(problem(), START, parameters=jnp.zeros(1))),
+    ("parameters", lambda: solve(problem(), START, parameters=jnp.zeros(1))),
     ("iterations", lambda: solve(problem(), START, iterations=0)),
     ("problem", lambda: solve(system(), START)),
     ("shape", lambda: solve(problem(terminal=[lambda t, x, u: jnp.ones((2, 2))]), START)),

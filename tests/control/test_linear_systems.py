@@ -19,6 +19,7 @@ from rbjax.control.linear import (
     observability,
     observability_gramian,
     poles,
+    unreachable_directions,
 )
 from rbjax.errors import InputError
 from tests.composing import check_composes

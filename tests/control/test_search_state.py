@@ -124,7 +124,8 @@ def test_a_cost_that_falls_by_rounding_only_ends_as_stuck(dtype):
         low = jnp.asarray(1.0 - 100 * eps)
         reference, stalled = count_stalled(reference, stalled, low, one)
         assert (reference, int(stalled)) == (low, 0)
-        reference, stalled = count_stalled(reference, stalled, jnp.asarray(5.0), ~one)  # gaps are being closed
+        # gaps are being closed
+        reference, stalled = count_stalled(reference, stalled, jnp.asarray(5.0), ~one)
         assert (float(reference), int(stalled)) == (5.0, 0)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax import control, estimation, stability, sysid
+from rbjax.control import linear
 from tests.composing import cast
 from tests.public.grid import Case, same
 from tests.robots import robot
