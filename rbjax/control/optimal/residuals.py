@@ -4,7 +4,7 @@ Each is a `Term`: a vector r of a state and controls that a cost squares or a co
 A reference is a value, or a function t -> value of the time in s: a moving reference.
 
     state          dx = x (-) x_ref on the tangent space
-    pose           log(T_ref^-1 T): translation part first, then the rotation vector
+    pose           log(T_ref^-1 T): the rotation vector, then the translation part
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class CenterOfMass(Term):
 
 
 class Pose(Term):
-    """log(T_ref^-1 T) of a site or body, (6,): the translation part in m, then the rotation vector.
+    """log(T_ref^-1 T) of a site or body, (6,): the rotation vector, then the translation part in m.
 
     Fields: rotation (3, 3) and position (3,) of the reference in the world, or functions of t that
     return these; site or body, a name.
@@ -162,8 +162,7 @@ class Pose(Term):
             jnp.asarray(at_time("Pose", x, t), p.dtype) for x in (self.rotation, self.position)
         )
         relative = (R_ref[:, :, None] * R[:, None, :]).sum(0)
-        xi = se3.log(se3.pose(relative, (R_ref * (p - p_ref)[:, None]).sum(0)))
-        return jnp.concatenate([xi[3:], xi[:3]])
+        return se3.log(se3.pose(relative, (R_ref * (p - p_ref)[:, None]).sum(0)))
 
 
 class Point(Term):
