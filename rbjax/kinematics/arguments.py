@@ -39,7 +39,7 @@ def check_at_least(
 
 
 def check_bound(where: str, name: str, value: Any, *shapes: tuple[int, ...]) -> jax.Array:
-    """Numbers of one of the shapes, infinite where there is no bound."""
+    """Numbers of one of the shapes, infinite without a bound."""
     expected = " or ".join(map(str, shapes)) or "of numbers"
     try:
         x = jnp.asarray(value, float)
@@ -64,7 +64,7 @@ def check_rotation(where: str, R: Any) -> None:
     det = np.linalg.det(known).min()
     if off > 1e-4 or det < 0:
         raise InputError(
-            f"{where}: rotation is no rotation matrix (R R^T - 1 has an entry {off:.2g}, det "
+            f"{where}: rotation is not a rotation matrix (R R^T - 1 has an entry {off:.2g}, det "
             f"{det:.2g}); rbjax.rotations.so3.project gives the nearest"
         )
 

@@ -4,7 +4,7 @@
 The damping is proportional to the error itself (Sugihara, *Solvability-unconcerned inverse
 kinematics by the Levenberg-Marquardt method*, 2011): far from the goal, or where it is out of
 reach, the step is short; near it the method is Newton's. The residuals and rows of J are weighted.
-s is a wish for the motion that the goals leave free (a way to a posture). The pair is the solution
+s is a desired step in the null space of the goals (towards a posture). The pair is the solution
 of  min |dq - s|^2 + |e - J dq|^2 / (c E).
 
 Coordinates at the end of their range that would be driven out of it are held: their columns are
@@ -59,7 +59,7 @@ def held(
     q: Sequence[Lane], J: Sequence[Sequence[Lane]], wish: Sequence[Lane] | None, ranges: Ranges,
     toward: Sequence[Lane],
 ) -> tuple[Sequence[Sequence[Lane]], Sequence[Lane] | None]:
-    """J and the wish without what would leave the ranges."""
+    """J and the desired step without the coordinates at active limits."""
     free, outward = ranges.free(q, toward), ranges.outward(q, toward)
 
     def row(x: Sequence[Lane]) -> list[Lane]:

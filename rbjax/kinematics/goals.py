@@ -1,4 +1,4 @@
-"""What a frame shall reach, how far it is from there, and how that changes with the coordinates.
+"""Goals of frames: a pose, position, rotation or direction, with its error and Jacobian.
 
     pose         e = [log(R_d R^T); p_d - p]           J = [J_w; J_v]
     rotation     e = log(R_d R^T)                       J = J_w
@@ -37,7 +37,7 @@ OPPOSITE = 1e-14
 
 
 class Goal(Record):
-    """What one frame shall reach: a position, an attitude, both, or a direction of one of its axes.
+    """The goal of a frame: a position, an attitude, both, or a direction of one of its axes.
 
     Args:
         site, body: the name of the frame; exactly one of the two.
@@ -46,7 +46,7 @@ class Goal(Record):
         direction: (3,), where its `axis` shall point, in the world; not with a rotation.
         axis: (3,), an axis in the frame; its z if None.
         point: (3,) m, a point in the frame; its origin if None.
-        weight: how much its error counts beside those of other goals that cannot all be met.
+        weight: the weight of its error relative to other goals, if not all can be met.
 
     Raises:
         InputError: no or both names, nothing to reach, a wrong shape, a direction of no length.
@@ -100,7 +100,7 @@ class Goal(Record):
 
     @property
     def arrays(self) -> list[jax.Array]:
-        """What is to be reached."""
+        """The references."""
         return [x for x in (self.position, self.rotation, self.direction) if x is not None]
 
     @property

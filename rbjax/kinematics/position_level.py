@@ -46,7 +46,7 @@ from rbjax.model.record import Record
 from rbjax.solvers.common.arguments import check_whole
 
 WHERE = "inverse_kinematics"
-#: a row of J is redundant if the square of what no other row has is below this share of its own,
+#: a row of J is redundant if the squared part outside of the other rows is below this share of it,
 #: in units of rounding
 REDUNDANT = 1e3
 
@@ -121,9 +121,9 @@ def inverse_kinematics(
         site, body: the name of the frame.
         start: (nq,) the first start; the middle of the ranges if None (of a joint without a range
             the model's reference).
-        posture: (nq,) of all solutions, the one nearest to it is sought.
+        posture: (nq,), to select the nearest of all solutions.
         seeds: how many starts there are at most; those after the first are random.
-        side_by_side: how many searches run beside each other, each a thread or a lane, with the
+        side_by_side: how many searches run in parallel, each a thread or a lane, with the
             starts shared out among them; the one that converges in the fewest steps counts. 8 or
             more suit one target, or a small batch on a GPU, which waits for its last target.
         key: of the random starts; `jax.random.key(0)` if None.
@@ -137,7 +137,7 @@ def inverse_kinematics(
         `success` false.
 
     Raises:
-        UnknownName: no such site or body. InputError: no frame, a wrong shape, what is no rotation,
+        UnknownName: no such site or body. InputError: no frame, a wrong shape, not a rotation,
         a frame that no joint moves.
 
     Source: Sugihara 2011 (damping); Beeson & Ames 2015 (restarts).
@@ -180,11 +180,11 @@ def inverse_kinematics(
 
 
 def _goals(target: Any, site: str | None, body: str | None) -> tuple[Goal, ...]:
-    """What the caller asks for, as goals."""
+    """The goals of a target."""
     several = target if isinstance(target, (list, tuple)) else (target,)
     if several and all(isinstance(g, Goal) for g in several):
         if site is not None or body is not None:
-            raise InputError(f"{WHERE}: got site or body beside goals, which name their own frames")
+            raise InputError(f"{WHERE}: got site or body with goals, which name their own frames")
         return tuple(several)
     frame = {"site": site, "body": body}
     if (site is None) == (body is None):
@@ -304,8 +304,8 @@ def _middle(model: Model, dtype: Any) -> jax.Array:
 
 
 def _conditions(model: Model, goals: Any, posture: Any, q: jax.Array) -> Any:
-    """What is zero at a solution q, apart from multipliers: e, and with a posture also the parts
-    s = p - q and J of s - J^T y."""
+    """The conditions that are zero at a solution q, without multipliers: e, and with a posture
+    also the parts s = p - q and J of s - J^T y."""
     e, J = errors(model, goals, q)
     if posture is None:
         return e

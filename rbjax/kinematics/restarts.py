@@ -6,8 +6,8 @@ step. So a search costs what its own starts cost, and many searches run side by 
 of a GPU or a lane of machine code, with no difference between a lane that steps and one that
 starts again.
 
-If no start succeeds, the best configuration of all is improved for `POLISH` more turns, so that
-what is out of reach ends at the nearest pose.
+If no start succeeds, the best configuration is improved for `POLISH` more iterations, so that a
+target out of reach ends at the nearest pose.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ LONGEST = 1.0
 
 
 class Settings(NamedTuple):
-    """What is part of the program: turns of one start, whether joints keep their ranges."""
+    """Compile-time settings: iterations of one start, whether joints keep their ranges."""
 
     iterations: int
     limits: bool

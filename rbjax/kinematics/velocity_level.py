@@ -45,7 +45,7 @@ STEPS = 8
 
 
 class DifferentialInverseKinematics(Record):
-    """Fields: v (nv,) within the limits; residual (m,), what is left of the velocities asked for,
+    """Fields: v (nv,) within the limits; residual (m,), the requested minus the actual velocities,
     goal by goal, rotation before position; optimal, the largest entry of the projected gradient."""
 
     v: jax.Array
@@ -76,7 +76,7 @@ def differential_inverse_kinematics(
         rate: 1/s, how fast errors are to fall; 1 / dt takes a Newton step.
         speed: the largest speed of each coordinate, rad/s or m/s, a number or (nv,).
         dt: s, the step within which no joint passes the end of its range; None looks at no range.
-        rest: (nv,) the velocity of what the goals leave free; zero if None.
+        rest: (nv,) the velocity of the coordinates that the goals leave free; zero if None.
         damping: d, which also bounds v near singular configurations.
 
     Returns:
@@ -100,7 +100,7 @@ def differential_inverse_kinematics(
     check_moves(WHERE, model)
     goals = check_several(WHERE, "goals", (goals,) if isinstance(goals, Goal) else goals, "Goal")
     if not goals or not all(isinstance(g, Goal) for g in goals):
-        raise InputError(f"{WHERE}: goals hold what is no Goal, expected a Goal or a list of them")
+        raise InputError(f"{WHERE}: goals has entries of other types, expected Goals")
     check_frames(WHERE, model, goals)
     q = check_array(WHERE, "q", q, (model.nq,))
     check_quaternions(WHERE, "q", model, q)
@@ -148,7 +148,7 @@ def _solved(
 
 
 class _Set(NamedTuple):
-    """A point within the bounds, what is held at its bound, and whether it is optimal."""
+    """A point within the bounds, the entries at active bounds, and whether it is optimal."""
 
     x: jax.Array
     held: jax.Array

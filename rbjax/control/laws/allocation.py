@@ -29,15 +29,15 @@ from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, sub
 from rbjax.model import Model, State
 
-#: what to do with forces that the actuators cannot give
+#: reactions to forces that the actuators cannot give
 UNDRIVEN = ("refuse", "least_squares")
 #: a pivot of B^T B or B B^T below this share of its diagonal counts as zero
 RANK = 1e-11
 
 
 class Allocation(NamedTuple):
-    """ctrl (nu,), within the control ranges; residual (nv,) N m or N, what the actuators leave of
-    the forces that were asked for: of coordinates that nothing drives, and at limits."""
+    """ctrl (nu,), within the control ranges; residual (nv,) N m or N, the requested forces minus
+    those of the actuators: of coordinates without an actuator, and at limits."""
 
     ctrl: jax.Array
     residual: jax.Array

@@ -38,7 +38,7 @@ class ComputedTorque(Controller):
         return actuator_forces(self.model, state, self.acceleration(t, state))
 
     def acceleration(self, t: Any, state: State) -> jax.Array:
-        """(nv,) what the law asks for."""
+        """The desired accelerations (nv,)."""
         wanted = configuration(self.model, self.reference, t, state.q.dtype)
         return tracking_acceleration(self.model, state, wanted, self.stiffness, self.damping)
 
@@ -56,12 +56,13 @@ def computed_torque(
     tau = M a + b - other forces, a = a_d + D (v_d - v) + K e for coordinates that add.
 
     Args:
-        model: the robot, a tree. What other force elements give is compensated too.
+        model: the robot, a tree. Forces of other elements are compensated too.
         reference: (nq,) a configuration; or a function of t that returns one, whose velocity and
             acceleration are its derivatives; or one that returns (q, v, a).
         stiffness: K, 1/s^2, a number or (nv,).
-        damping: D, 1/s, likewise; 2 sqrt(K), critical, if None.
-        undriven: "refuse" a robot with coordinates that no actuator drives, or "least_squares".
+        damping: D, 1/s, a number or one a coordinate; 2 sqrt(K), critical, if None.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
 
     Returns:
         A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,) for

@@ -2,8 +2,8 @@
 
     tau = g(q) - sum of J_b^T w_b - other forces at rest
 w_b are wrenches that the surroundings are known to give, as at the feet of a standing robot. A
-robot on a floating base has no actuators at its base: the wrenches must carry what is asked for
-there, and `law.allocated(t, state).residual` is what they leave.
+robot on a floating base has no actuators at its base: the wrenches must balance the forces there,
+and `law.allocated(t, state).residual` is the rest.
 
 (Siciliano et al., *Robotics*, 8.5.1; for floating bases Righetti et al. 2011.)
 """
@@ -38,7 +38,7 @@ class GravityCompensation(Controller):
 def gravity_compensation(
     model: Model, *, wrenches: Any = None, undriven: str = "refuse"
 ) -> GravityCompensation:
-    """The law that balances gravity, and what other force elements give at rest.
+    """The controller that balances gravity and the other forces at rest.
 
     tau = g(q) - sum of J_b^T w_b - other forces at v = 0.
 
@@ -46,8 +46,9 @@ def gravity_compensation(
         model: the robot, a tree.
         wrenches: (nb, 6) [moment N m; force N] on bodies, world axes, at each body's frame origin,
             that the surroundings give; or a function (t, state) that returns them.
-        undriven: "refuse" a robot with coordinates that no actuator drives, or "least_squares":
-            the actuated joints get their forces, `law.allocated(t, state)` says what is left.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares":
+            the actuated joints get their forces, `law.allocated(t, state)` has the residual.
 
     Returns:
         A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).

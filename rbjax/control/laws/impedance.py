@@ -34,7 +34,7 @@ from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.model import Model, State
 
-#: what is balanced besides the impedance
+#: forces that are compensated in addition to the impedance
 COMPENSATE = ("rest", "motion")
 
 
@@ -102,9 +102,10 @@ def joint_impedance(
         model: the robot, a tree.
         reference: (nq,) a configuration, or a function of t that returns one.
         stiffness: K, N m/rad or N/m, a number or (nv,).
-        damping: D, N m s/rad or N s/m, likewise.
-        compensate: "rest", gravity and what acts at rest; "motion", the velocity terms too.
-        undriven: "refuse" a robot with coordinates that no actuator drives, or "least_squares".
+        damping: D, N m s/rad or N s/m, a number or one a coordinate.
+        compensate: "rest", gravity and the other forces at rest; "motion", the velocity terms too.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
 
     Returns:
         A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
@@ -157,11 +158,12 @@ def cartesian_impedance(
         site, body: the name of the frame.
         task: "pose", "position" or "rotation": which motions of the frame count, m in number.
         stiffness: K, N m/rad and N/m, a number, (m,) or a matrix (m, m); angular first, world axes.
-        damping: D, N m s/rad and N s/m, likewise.
+        damping: D, N m s/rad and N s/m, as the stiffness.
         posture: (nq,), or a function of t, that the rest of the motion tends to.
         posture_stiffness, posture_damping: K_0 and D_0, numbers or (nv,).
-        compensate: "rest", gravity and what acts at rest; "motion", the velocity terms too.
-        undriven: "refuse" a robot with coordinates that no actuator drives, or "least_squares".
+        compensate: "rest", gravity and the other forces at rest; "motion", the velocity terms too.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
 
     Returns:
         A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).

@@ -1,4 +1,4 @@
-"""A task: what a frame of the robot does, and the inertia that it feels.
+"""Tasks of a frame: error, velocity, Jacobian, and the operational-space inertia.
 
     e = [log(R_d R^T); p_d - p],   V = J v,   V' = J a + J' v          (world axes, angular first)
     Lambda = (J M^-1 J^T)^-1                                             the task's inertia
@@ -32,7 +32,7 @@ from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.rotations import so3
 
-#: what a task may move, and its rows among [angular; linear]
+#: kinds of tasks: the controlled motions, and their rows in [angular; linear]
 KINDS = {
     "pose": (("rotation", "position"), slice(0, 6)),
     "position": (("position",), slice(3, 6)),
@@ -96,7 +96,7 @@ def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> Task:
 
 
 def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Motion:
-    """A task at a state, and what is asked of it."""
+    """A task and its reference at a state."""
     q, v = state.q, state.v
     wanted = pose(reference, t, task.what, q.dtype)
     if task.site is not None:
@@ -119,7 +119,7 @@ class Inertia(NamedTuple):
 
 
 def inertia(model: Model, state: State, J: jax.Array) -> Inertia:
-    """The inertia that a task with the Jacobian J feels, damped near singular configurations."""
+    """The inertia of a task with the Jacobian J, damped near singular configurations."""
     M, m = mass_matrix(model, state.q), J.shape[0]
     factors = ldlt([list(row) for row in M])
     columns = [factors.solve(list(row)) for row in J]

@@ -38,10 +38,12 @@ GROUPS = 32  # of samples, whose gradients are computed side by side
 
 
 class Trained(Record):
-    """What training leaves.
+    """The result of a training.
 
-    Fields: policy; value, a `Network`, or None; costs (iterations,), the mean of a step's cost over
-    batch and horizon; skipped (), the updates that were left out: their gradients were not finite.
+    policy: trained.
+    value: the value function, a `Network`; None for `through_time`.
+    costs: (iterations,), the mean cost of a step over batch and horizon.
+    skipped: (), the updates that were skipped because their gradients were not finite.
     """
 
     policy: Any
@@ -59,7 +61,7 @@ class Samples(NamedTuple):
 
 
 class Training(NamedTuple):
-    """What an iteration leaves to the next."""
+    """The state between two iterations."""
 
     policy: Any
     value: Any
@@ -165,7 +167,7 @@ def actor_critic(
         return policy_loss(segment.costs, worth(values, last), discount), segment
 
     def fit(values: Any, memory: Any, states: State, targets: jax.Array) -> tuple:
-        # samples that are lost have no weight; what stands for them is finite
+        # failed samples have no weight; their substitutes are finite
         good = jnp.isfinite(targets)
         for x in jax.tree.leaves(states):
             good = good & jnp.isfinite(x).all(-1)

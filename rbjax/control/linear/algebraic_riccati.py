@@ -14,7 +14,7 @@
 3. Newton's method (Kleinman, Hewer) from that gain: P of a closed loop by a Lyapunov equation, the
    gain of that P. It converges quadratically, to rounding, and stays stabilising.
 4. Two turns of refinement: the remainder for that gain with 1.5 times the digits (`double_words`),
-   and what it does to P by a Lyapunov equation. P ends within rounding of itself.
+   and the correction of P by a Lyapunov equation. P is accurate to rounding.
 
 The derivative solves one Lyapunov equation of the closed loop, by the implicit function theorem.
 Source: Chu, Fan, Lin & Wang, *Structure-preserving algorithms for periodic discrete-time algebraic
@@ -100,7 +100,7 @@ def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax
 
 
 def remainder(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """What is left over of the equation (n, n), and the size of its largest term."""
+    """The residual (n, n) of the equation, and the size of its largest term."""
     A, B, Q, R, S = problem
     PA, PB = product(P, A), product(P, B)
     H = R + product(B.T, PB) if discrete else R
@@ -274,8 +274,8 @@ def _refined(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
 
 
 def _rounding(discrete: bool, problem: Problem, P: jax.Array, K: jax.Array) -> jax.Array:
-    """What rounding can leave of P's error, relative to P: the square of what rounding of the
-    equation's terms does to it."""
+    """A bound of the relative error of P by rounding: the square of the effect of rounding the
+    terms of the equation."""
     A, B, Q, R, _ = problem
     closed, size = A - product(B, K), jnp.abs
     H = R + product(B.T, product(P, B)) if discrete else R

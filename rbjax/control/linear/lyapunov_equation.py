@@ -29,7 +29,7 @@ from rbjax.control.status import LinearStatus, first_of, raise_failure
 from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError, UnknownName
 
-#: so many squarings see a spectral radius of 1 - 1e-15
+#: squarings that resolve a spectral radius of 1 - 1e-15
 SQUARINGS = 56
 METHODS = ("doubling", "kronecker")
 

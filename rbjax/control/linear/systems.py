@@ -4,8 +4,8 @@
 
 The reachable space is the range of [B, AB, ..., A^(n-1) B]. Its powers lose digits, so an
 orthonormal basis is built instead: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal
-to all before (the staircase, or block Arnoldi). What is left over is out of reach of every control.
-A state is unobservable where it is uncontrollable for (A', C').
+to all before (the staircase, or block Arnoldi). The rest of the space is uncontrollable.
+A state is unobservable if it is uncontrollable for (A', C').
 
 The Gramian W of a stable system says how much effort that takes: x'W^-1 x is the least integral of
 u^2 that leads from rest to x. A control held over a step makes the discrete system
@@ -37,7 +37,7 @@ from rbjax.solvers.common.arguments import check_between
 
 class Reach(NamedTuple):
     """A subspace of states. Fields: rank (), its dimension; inside (n, n), the orthogonal projector
-    onto it; outside (n, n), an orthonormal basis of what it lacks, in its first n - rank columns,
+    onto it; outside (n, n), an orthonormal basis of its complement, in its first n - rank columns,
     the others 0; weakest (), the smallest singular value that was counted, of a matrix of unit
     columns or of norm 1: about the distance to a smaller rank."""
 
@@ -52,7 +52,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
 
     Args:
         A: (n, n). B: (n, m).
-        tolerance: singular values up to so much, relative to the norm of A, and for B to that of
+        tolerance: singular values up to this, relative to the norm of A, and for B to that of
             its column, count as zero; n times the rounding unit times 100 if None.
 
     Returns:
@@ -74,7 +74,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
 
 
 def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
-    """The states that readings y = C x tell apart; `outside` is what they do not see.
+    """The observable subspace of readings y = C x; `outside` spans the unobservable states.
 
     Args:
         A: (n, n). C: (l, n).
@@ -115,7 +115,7 @@ def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
     def turn(carry, _):
         P, new, weakest = carry
         left = new - product(P, new)
-        left = left - product(P, left)  # once more: what is nearly inside loses its digits
+        left = left - product(P, left)  # once more: vectors nearly inside lose their digits
         U, s, _ = jnp.linalg.svd(left, full_matrices=False)
         kept = s > least
         U = jnp.where(kept, U, 0.0)
@@ -134,7 +134,7 @@ def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
 
 
 def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
-    """What a subspace lacks, one sentence a direction, by the names of a model's joints.
+    """Describe the directions outside of a subspace by the names of a model's joints.
 
     Args:
         model: the robot whose states dq, dv, dx_e are meant.

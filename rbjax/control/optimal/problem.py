@@ -1,10 +1,10 @@
-"""A problem of optimal control, said once and solved by any method.
+"""A problem of optimal control, for any method.
 
-    min  sum_k h L_i(t_k, x_k, u_k) + sum Phi_j(x_N)        over u, and what of x_0, p, T is free
+    min  sum_k h L_i(t_k, x_k, u_k) + sum Phi_j(x_N)        over u and the free parts of x_0, p, T
     x_{k+1} = f(t_k, x_k, u_k, h; p),   low <= u_k <= high,   low <= c(t_k, x_k, u_k) <= high
 
-p are numbers that a `Design` puts into the model, T = N h the final time. Both are constant states
-beside the robot's: a knot is (x, p, T), and its tangent (dx, dp, dT).
+p are parameters of the model (`Design`), T = N h is the final time. Both are constant states: a
+knot is (x, p, T), and its tangent (dx, dp, dT).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rbjax.motion.field import free_motion
 
 
 class Design(Record):
-    """Numbers of the model that are optimised with the motion.
+    """Parameters of the model that are optimised with the motion.
 
     Fields: apply, a function (model, p (n,)) -> model; start, low, high (n,): first guess and
     bounds.
@@ -59,7 +59,7 @@ class Design(Record):
 
 
 class Knot(NamedTuple):
-    """A state of the system, and numbers (p,) that are constant along the motion."""
+    """A state of the system, and the parameters (p,), which are constant along the motion."""
 
     state: Any
     parameters: jax.Array
@@ -69,7 +69,7 @@ BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, and those a
 
 
 class Problem(Record):
-    """What is to be found: controls, and with them what is free of start, model and time.
+    """A problem: find controls, and the free parts of the start, the model and the time.
 
     Args:
         model: an `rb.Model`; `Equations`; or a robot of `rb.wheeled.at`.
@@ -83,7 +83,7 @@ class Problem(Record):
         bounds: "model" for the control ranges of the model, None for none, or (low, high), each a
             number or (nu,).
         integral: whether running costs are rates, times dt. False: they are summed as they are.
-        design: a `Design`, numbers of the model to be found too.
+        design: a `Design`, parameters of the model that are found too.
         free_time: (low, high), bounds of the final time in s, which is then found too; horizon * dt
             is its first guess.
         start_time: t_0, the time in s of the first knot, for costs, constraints and systems that
@@ -163,7 +163,7 @@ class Problem(Record):
 
     @property
     def parameter_count(self) -> int:
-        """How many numbers are constant along the motion: of the design, and the final time."""
+        """The number of parameters: of the design, and the final time."""
         design = 0 if self.design is None else self.design.start.shape[0]
         return design + (self.times is not None)
 
@@ -188,17 +188,17 @@ class Problem(Record):
         """Whether dq+ = dq + h dv+ of a knot's tangent (dq, dv)."""
         return self.system.by_velocities and not self.parameter_count
 
-    # what depends on the numbers of a knot
+    # functions of the parameters of a knot
 
     def first_parameters(self, dtype: Any) -> jax.Array:
-        """The first guess (p,) of what is constant along the motion."""
+        """The first guess (p,) of the parameters."""
         parts = [] if self.design is None else [self.design.start]
         if self.times is not None:
             parts.append(jnp.atleast_1d(jnp.clip(self.dt * self.horizon, *self.times)))
         return jnp.concatenate(parts).astype(dtype) if parts else jnp.zeros(0, dtype)
 
     def start_bounds(self, dtype: Any) -> tuple[jax.Array, jax.Array]:
-        """Bounds (n,) of the first knot: of the numbers; the state has none."""
+        """Bounds (n,) of the first knot: of the parameters; the state has none."""
         low, high = [jnp.full(self.system.n, -jnp.inf)], [jnp.full(self.system.n, jnp.inf)]
         if self.design is not None:
             low.append(self.design.low)
@@ -209,7 +209,7 @@ class Problem(Record):
         return jnp.concatenate(low).astype(dtype), jnp.concatenate(high).astype(dtype)
 
     def at(self, parameters: jax.Array) -> tuple[System, jax.Array]:
-        """The system and the step that numbers say."""
+        """The system and the step for the parameters."""
         system, dt = self.system, self.dt.astype(parameters.dtype)
         if self.times is not None:
             dt = parameters[-1] / self.horizon
@@ -235,7 +235,7 @@ class Problem(Record):
         return jnp.concatenate(parts)
 
     def off_start(self, start: Any, first: Knot) -> jax.Array:
-        """From the first knot to the start (n,), 0 where it is free."""
+        """start (-) first knot (n,), 0 in free coordinates."""
         off = jnp.where(jnp.asarray(self.free), 0.0, self.system.minus(start, first.state))
         return jnp.concatenate([off, jnp.zeros(self.parameter_count, off.dtype)])
 
@@ -320,7 +320,7 @@ def _array(term: Term, value: Any, dtype: Any) -> jax.Array:
 
 
 def _root(w: jax.Array) -> jax.Array:
-    """The root of a weight, whose derivative is 0 where it is 0."""
+    """The root of a weight; its derivative at 0 is 0."""
     positive = w > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, w, 1.0)), 0.0)
 

@@ -1,7 +1,7 @@
 """A controller with a clock: one call a tick, and how long the calls took.
 
-A control loop at a period h needs the worst call below h, not the mean: what counts is the
-distribution of the time of a call (Liu, *Real-Time Systems*, 2000, 3.2: jitter).
+A control loop with a period h needs the worst call, not the mean, below h. So the distribution of
+the duration of a call is recorded (Liu, *Real-Time Systems*, 2000, 3.2: jitter).
 """
 
 from __future__ import annotations

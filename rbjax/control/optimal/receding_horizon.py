@@ -183,12 +183,12 @@ class PredictiveController:
         return u, memory._replace(pending=pending), now.status
 
     def closed_loop(self, state: Any, steps: int, plant: Any = None) -> Run:
-        """The closed loop of so many ticks, one program.
+        """Run the closed loop, as one program.
 
         Args:
-            state: where it begins.
-            steps: ticks.
-            plant: what is controlled: an `rb.Model`, a `System`, or a function
+            state: at the beginning.
+            steps: the number of ticks.
+            plant: the controlled system: an `rb.Model`, a `System`, or a function
                 (t, state, ctrl, dt) -> state; None for the system of the problem.
         """
         check_whole("closed_loop", "steps", steps, 1)
@@ -271,7 +271,7 @@ class PredictiveController:
         return picked._replace(search_status=found.status)
 
     def _shifted(self, problem: Problem, memory: Memory) -> Memory:
-        """The plan one tick on: its last control is held for a tick more."""
+        """The plan shifted by a tick; its last control is repeated."""
         ctrls = jnp.concatenate([memory.ctrls[1:], memory.ctrls[-1:]])
         K = jnp.concatenate([memory.K[1:], memory.K[-1:]])
         last = jax.tree.map(lambda a: a[-1], memory.knots)
@@ -284,7 +284,7 @@ class PredictiveController:
         return memory._replace(knots=knots, ctrls=ctrls, K=K, multipliers=multipliers)
 
     def _entry(self, memory: Memory, k: int) -> PlannedControl:
-        """The control that the plan decides for its tick k."""
+        """The control of the plan for its tick k."""
         # if the states do not follow the dynamics, they do not show that constraints are met
         off = jnp.maximum(memory.violation, memory.gap)
         broken = (off > self.violation) if self.problem.constraints else False
@@ -295,7 +295,7 @@ class PredictiveController:
         return PlannedControl(memory.ctrls[k], memory.K[k], state, status)
 
     def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:
-        """The control of a tick: what was decided, with feedback, or the fallback's."""
+        """The control of a tick: the planned one with feedback, or that of the fallback."""
         u = entry.u
         if self.feedback:
             back = product(entry.K, problem.system.minus(state, entry.state))

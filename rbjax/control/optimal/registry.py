@@ -96,7 +96,7 @@ METHODS: dict[str, Method] = {
     "gauss_legendre_4": collocation(gauss(2), "the same with two stages, of order 4"),
     "gauss_legendre_8": collocation(gauss(4), "the same with four stages, of order 8"),
     "radau": collocation(
-        radau_iia(3), "the same of order 5; damps what is stiff, and holds constraints at knots"
+        radau_iia(3), "the same of order 5; damps stiff modes, and enforces constraints at knots"
     ),
     "adam": Method(
         functools.partial(by_shooting, inner=by_adam), True, True,

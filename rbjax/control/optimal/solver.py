@@ -42,21 +42,21 @@ def solve(
     seed: Any = 0,
     progress: bool = False,
 ) -> Solution:
-    """The controls that cost least from a start.
+    """Minimise the cost of a problem from a start.
 
-    min  sum_k h L(t_k, x_k, u_k) + Phi(x_N)   as `Problem` says.
+    min  sum_k h L(t_k, x_k, u_k) + Phi(x_N)   with the constraints of the `Problem`.
 
     Args:
         problem: `Problem`.
         start: `State` of a model or a wheeled robot, (n,) of `Equations`; the first guess where it
             is free.
-        method: one of `rb.control.methods()`; or a `Sampling` or `SampledStart` with numbers of its
-            own.
+        method: one of `rb.control.methods()`; or a `Sampling` or `SampledStart` with other
+            parameters.
         states: a first guess of the states, with a leading axis N + 1. It need not obey the
             dynamics. None: the start, at all knots; or, if ctrls are given, the motion by these if
             it costs less.
         ctrls: a first guess (N, nu) of the controls; None for zeros.
-        numbers: a first guess of the design and, last, of the final time.
+        parameters: a first guess of the design and, last, of the final time.
         guess: instead of these three, the `Solution` of a similar problem. The search starts from
             its motion, rolled out with its gains from the new start, and from its multipliers.
         iterations: at most.
@@ -67,11 +67,11 @@ def solve(
         progress: show the iterations on a terminal; within a program it is ignored.
 
     Returns:
-        `Solution`. `status` says whether it converged; `status` says so in words. Its states,
-        controls, numbers, cost and multipliers have derivatives, forward and reverse, by all arrays
-        of the problem, by what its functions close over, and by the start, those of active bounds
-        and constraints included (`implicit`). Its gains and the account of the iterations are
-        constants to derivatives.
+        `Solution`. `success` is true if it converged; `summary()` explains its `status`. Its
+        states, controls, parameters, cost and multipliers have derivatives, forward and reverse,
+        by all arrays of the problem, by arrays that its functions close over, and by the start,
+        also with active bounds and constraints (`derivatives`). Its gains and the record of the
+        iterations are constants to derivatives.
 
     Raises:
         InputError: wrong types or shapes; outside of traced code also numbers that are not finite.
@@ -92,7 +92,7 @@ def solve(
     instance("solve", "problem", problem, Problem, "an rb.control.Problem")
     if problem.constraints and not method_of(method).constraints:
         able = [name for name, m in METHODS.items() if m.constraints]
-        raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
+        raise InputError(f"solve: method {method!r} does not support constraints; these do: {able}")
     check_whole("solve", "iterations", iterations, 1)
     for name, value in (("tolerance", tolerance), ("violation", violation)):
         check_between("solve", name, value, 0.0, np.inf)
@@ -111,7 +111,7 @@ def solve(
     )
     began = began._replace(multipliers=None)
     if not all(map(eqx.is_array_like, jax.tree.leaves(start))):
-        start = problem.system.checked("solve", start)  # says what is wrong
+        start = problem.system.checked("solve", start)  # raises
     leaves, tree = jax.tree.flatten(problem)
     places = [i for i, x in enumerate(leaves) if callable(x)]
     program, robot = (_solve if inside else _compiled), len(jax.tree.leaves(problem.system))
@@ -145,7 +145,7 @@ def _check_finite(name: str, value: Any) -> None:
     """`InputError` if a number is not finite. Traced values and arrays on a GPU are not read; then
     the status is `NOT_FINITE`."""
     for x in jax.tree.leaves(value):
-        if name != "start" and isinstance(x, str | bytes):  # `checked` says what a start must be
+        if name != "start" and isinstance(x, str | bytes):  # `checked` raises for a start
             raise InputError(f"solve: {name} is {x!r}, expected numbers")
         if isinstance(x, jax.core.Tracer) or (isinstance(x, jax.Array) and not _on_host(x)):
             continue
@@ -189,7 +189,7 @@ def _plain(x: Any) -> Any:
 def _solve(
     numeric: Any, start: Any, guess: Guess, options: Options, key: tuple, method: Any, history: int
 ) -> tuple[SearchResult, jax.Array, jax.Array, jax.Array]:
-    """What was found, the violation of each constraint, the times and the numbers."""
+    """The result, the violation of each constraint, the times and the parameters."""
     tree, constants, other_tree, *others = key
     parts = eqx.combine(numeric, jax.tree.unflatten(other_tree, others))
     if constants is not None:
@@ -208,7 +208,8 @@ def _judged(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, method: Any,
     history: int,
 ) -> tuple[SearchResult, jax.Array]:  # fmt: skip
-    """What a method finds, with the status that its states and constraints show."""
+    """The result of a method, its status corrected by violated constraints and values not
+    finite."""
     search = functools.partial(_searched, method, history)
     if method_of(method).differentiable:
         found = differentiable(search, problem, start, knots, ctrls, options)
@@ -227,7 +228,7 @@ def _judged(
 
 @jax.custom_jvp
 def _without_derivative(found: SearchResult) -> SearchResult:
-    """What a method found whose equations are not steps of the system."""
+    """The result of a method whose equations are not steps of the system."""
     return found
 
 

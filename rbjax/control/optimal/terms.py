@@ -1,4 +1,4 @@
-"""What costs and constraints look at: functions of a robot's state and controls.
+"""Terms of costs and constraints: functions of a robot's state and controls.
 
 A term is a function (model, t, state, ctrl) -> a number, or a vector of residuals r. As a cost a
 number counts as it is, a vector as sum w r^2 / 2 (`Cost`). Any function (t, state, ctrl) or
@@ -28,7 +28,7 @@ class Term(Record):
 
     @property
     def label(self) -> str:
-        """How messages name it."""
+        """The name in messages."""
         return type(self).__name__
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
@@ -74,7 +74,7 @@ class Cost(Record):
 class Constraint(Record):
     """low <= term <= high; an equation where both are equal.
 
-    Fields: term; low and high, () or as the term, infinite where there is no bound; where, at which
+    Fields: term; low and high, () or as the term, infinite without a bound; where: at which
     knots: "path" (those with controls), "end" or "all"; name.
     """
 

@@ -35,12 +35,12 @@ class Bounded(NamedTuple):
 
     @property
     def below(self) -> jax.Array:
-        """v - low; 1 where there is no bound."""
+        """v - low; 1 without a bound."""
         return jnp.where(jnp.isfinite(self.low), self.v - self.low, 1.0)
 
     @property
     def above(self) -> jax.Array:
-        """high - v; 1 where there is no bound."""
+        """high - v; 1 without a bound."""
         return jnp.where(jnp.isfinite(self.high), self.high - self.v, 1.0)
 
 

@@ -8,7 +8,7 @@ of sequential quadratic programming: the Lagrangian to second order with its sta
     mu <- min(0.2 mu, mu^1.5)   where the problem with the barrier mu is solved; then, too,
     centre <- y,  soft <- mu    of the constraints, down to the root of a rounding
     reg <- 8 reg    where a control Hessian is not positive definite, or no step is taken
-    where the filter takes no step and gaps are left, steps that close them are taken for a while
+    if the filter accepts no step and there are gaps, the next steps close them
 
 The motion need not obey the dynamics before the end, so that a guess of only the states is enough
 to begin with. Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter &
@@ -66,7 +66,7 @@ SOFT = 0.5  # equations are soft to eps^0.5 times the change of their multiplier
 
 
 class Iterate(NamedTuple):
-    """What an iteration leaves to the next."""
+    """The state between two iterations."""
 
     point: Point
     multipliers: Multipliers
@@ -105,7 +105,7 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
     low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
     knots = Knot(knots.state, barrier.push_inside(knots.parameters, low, high))
     inner = chords(problem, t.table, knots, ctrls)
-    us = t.us(Point(knots, inner, inner.us, inner.us))  # whose slacks are not looked at
+    us = t.us(Point(knots, inner, inner.us, inner.us))  # whose slacks are not read
     inner = inner._replace(us=barrier.push_inside(us.v, us.low, us.high))
     body = jax.tree.map(lambda x: x[BODY], knots)
     ks = jnp.arange(N, dtype=dtype)

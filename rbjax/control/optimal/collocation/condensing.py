@@ -3,9 +3,9 @@
     E dK = -miss - e_x dx - e_u du       gives   dK = Z (dx, du) + offset
     dx+ = A dx + B du + gap,      Z' H Z the Hessian of the Lagrangian in (dx, du)
 
-What is left has the form of a discrete problem whose controls are those of all stages of a step: a
-Riccati recursion solves it, in time linear in the horizon. Constraints at the stages enter as
-their slacks and multipliers say (`row_terms`), equations by the method of multipliers.
+The condensed problem is a discrete problem whose controls are those of all stages of a step: a
+Riccati recursion solves it, in time linear in the horizon. Constraints at the stages enter by their
+slacks and multipliers (`row_terms`), equations by the method of multipliers.
 
 lambda follows from the stationarity of K: E' lambda = -(cost + y.rows + p.x+)_K.
 """

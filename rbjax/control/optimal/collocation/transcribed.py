@@ -1,4 +1,4 @@
-"""A problem at its stages: what the iterations of a collocation ask of it.
+"""The collocation transcription of a problem: values, expansion and steps.
 
 Unknown are the knots, the stages and their controls, and a slack for each constraint
 (`transcription`). `Transcribed` measures a point, expands it, and steps from it: rows and bounds by
@@ -40,7 +40,7 @@ from rbjax.solvers.common.tableau import Tableau
 
 
 class Point(NamedTuple):
-    """The unknowns: knots, what is between them, slacks (N, s, c) of the path, (e,) of the end."""
+    """The unknowns: knots, stages (inner), slacks (N, s, c) of the path, (e,) of the end."""
 
     knots: Knot
     inner: Inner
@@ -101,7 +101,7 @@ class Transcribed(NamedTuple):
         return Bounded(us, low, high)
 
     def parameters(self, point: Point) -> Bounded:
-        """What is constant along the motion."""
+        """The parameters, which are constant along the motion."""
         parameters = point.knots.parameters[0]
         bounds = self.problem.start_bounds(parameters.dtype)
         low, high = (x[self.problem.system.n :] for x in bounds)
@@ -138,14 +138,14 @@ class Transcribed(NamedTuple):
         slacks = slacks[0], slacks[1]
         return self.none(point)._replace(us=us, parameters=parameters, slacks=slacks)
 
-    # what the unknowns give
+    # functions of the unknowns
 
     def off_start(self, knots: Knot) -> jax.Array:
-        """From the first knot to the start (n,), 0 where it is free."""
+        """start (-) first knot (n,), 0 in free coordinates."""
         return self.problem.off_start(self.start, jax.tree.map(lambda x: x[0], knots))
 
     def measured(self, point: Point, l: Multipliers) -> Measured:
-        """Cost, barrier and what is off."""
+        """Cost, barrier and infeasibility."""
         problem, knots, dtype = self.problem, point.knots, point.inner.us.dtype
         body, following = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
 

@@ -32,8 +32,8 @@ class Inner(NamedTuple):
 
 
 class Stages(NamedTuple):
-    """What a step's unknowns give: miss (s, n), rates less f; the knot after; its cost (); and
-    rows (s, c) of the constraints."""
+    """The values of a step: miss (s, n), rates minus f; the knot after; its cost (); and the rows
+    (s, c) of the constraints."""
 
     miss: jax.Array
     after: Knot

@@ -7,10 +7,9 @@ multipliers) is zero whatever the numbers p of the problem are (`optimality`), s
 
 (Fiacco 1983; Amos et al., *Differentiable MPC*, 2018). `riccati_solve` solves it in O(N). Forward
 and reverse mode solve with the same K, and nothing of the iterations is kept. The derivative of the
-optimal cost is that of L by p, for no first-order move of the unknowns changes L.
+optimal cost is that of L by p, because L is stationary in the unknowns.
 
-Where a search has not converged the derivative is finite, and `status` says that it is not one of
-an optimum.
+If the search failed, the derivative is finite but meaningless: check `success`.
 """
 
 from __future__ import annotations
@@ -148,7 +147,7 @@ def _evaluator(traced: Any, tree: Any, places: list[int], at: int) -> Callable:
 def _solution_tangent(
     functions: Functions, whole: Callable, out: SearchResult, parameters: tuple, directions: tuple
 ) -> SearchResult:
-    """The tangents of what was found."""
+    """The tangent of a result."""
     kkt_system = KKTSystem(functions, whole, parameters)
     point = PrimalDualPoint(out.knots, out.ctrls, out.path, out.end)
     kkt = kkt_system.polished(point, out.status == CONVERGED)
@@ -161,7 +160,7 @@ def _solution_tangent(
         return jax.vmap(kkt_system.problem.plus)(out.knots, x)
 
     knots = jax.jvp(moved, (jnp.zeros_like(dz.x),), (dz.x,))[1]
-    # nothing that the unknowns may do changes L: its own change is that of the cost
+    # L is stationary in the unknowns: its derivative by the parameters is that of the cost
     L = jax.jvp(lambda x: kkt_system.lagrangian(x, kkt), (parameters,), (directions,))[1]
     zero = jax.tree.map(_no_tangent, out)
     return zero._replace(knots=knots, ctrls=du, cost=L, path=dz.path, end=dz.end)

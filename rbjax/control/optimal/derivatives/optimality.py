@@ -41,8 +41,8 @@ POLISH = 1  # Newton steps before the derivative is taken: a search ends at a fi
 
 
 class KnotValues(NamedTuple):
-    """Of a knot, beside it by d: residuals r, what costs beside them, the next knot less the one
-    that follows (n,), and constraints c with their bounds."""
+    """The values at a knot (+) d: residuals r; rest, the sum of the costs that are numbers; after,
+    the state after the step minus the next knot (n,); constraints c with their bounds."""
 
     r: jax.Array
     rest: jax.Array
@@ -53,8 +53,8 @@ class KnotValues(NamedTuple):
 
 
 class Functions(NamedTuple):
-    """What is needed of a problem. Each takes first what hoisting found, then the arrays of the
-    problem. run: the search; path and end: `KnotValues` of a knot."""
+    """The functions of a problem. Their first arguments are the closed-over tracers and the arrays
+    of the problem. run: the search; path and end: `KnotValues` of a knot."""
 
     run: Callable[..., Any]
     path: Callable[..., KnotValues]
@@ -71,7 +71,7 @@ class PrimalDualPoint(NamedTuple):
 
 
 class KKTPoint(NamedTuple):
-    """A point, what is active there, the gradient of L by the unknowns, and the equations."""
+    """A point, its active bounds, the gradient of L by the unknowns, and the equations."""
 
     point: PrimalDualPoint
     l: jax.Array
@@ -99,7 +99,7 @@ def solution(kkt: KKTPoint, r: Unknowns) -> Unknowns:
 
 
 class KKTSystem:
-    """A problem with its numbers, near points."""
+    """The KKT conditions of a problem with its parameters."""
 
     def __init__(self, functions: Functions, whole: Callable, parameters: tuple) -> None:
         self.functions, self.whole, self.parameters = functions, whole, parameters
@@ -230,13 +230,13 @@ class KKTSystem:
     # L, where unknowns stay and numbers move
 
     def controls(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
-        """The controls, those at a bound as functions of it."""
+        """The controls; an entry at a bound is replaced by the bound."""
         low, high = self._bounds(parameters)
         u = jnp.where(kkt.at_low, low, kkt.point.ctrls)
         return jnp.where(kkt.at_high, high, u)
 
     def first_row(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
-        """What is fixed of the first knot less where it is."""
+        """The residual of the fixed coordinates of the first knot."""
         system = self.whole(parameters[1]).system
         first = jax.tree.map(lambda x: x[0], kkt.point.knots)
         low, high = self._first_bounds(parameters)
@@ -270,7 +270,7 @@ class KKTSystem:
         return Unknowns(gx, e.free * g[:, n:], gaps, e.path * off, e.end * off_N)
 
     def lagrangian(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
-        """L, without what is zero at the point whatever the numbers are."""
+        """L, without the terms that are zero for all parameters."""
         point = kkt.point
         (ks, body, _, following), last = self.knots(point)
 
@@ -298,14 +298,14 @@ def _cost(s: KnotValues) -> jax.Array:
 
 
 def _active_residual(s: KnotValues, nu: jax.Array) -> jax.Array:
-    """Rows less the bound that holds them."""
+    """Rows minus their active bounds."""
     return s.c - jnp.where((nu < 0) & jnp.isfinite(s.low), s.low, s.high)
 
 
 def _active_bounds(
     x: jax.Array, low: jax.Array, high: jax.Array, slope: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Whether x lies at the low and at the high bound, and the cost presses it there."""
+    """Whether x lies at its low and its high bound, with a gradient towards the outside."""
     kkt_system = BOUND_ROUNDING * jnp.finfo(x.dtype).eps
     at_low = (x <= low + kkt_system * (1 + jnp.abs(low))) & (slope > 0)
     return at_low, (x >= high - kkt_system * (1 + jnp.abs(high))) & (slope < 0)

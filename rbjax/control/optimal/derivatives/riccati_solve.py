@@ -40,8 +40,8 @@ class Unknowns(NamedTuple):
 
 class Saddle(NamedTuple):
     """Blocks of the matrix, and masks of 0 and 1: fixed (n,), of x_0; free (N, m), of controls;
-    path (N, c) and end (e,), the active rows. What is not free is zero, what is not active has no
-    multiplier."""
+    path (N, c) and end (e,), the active rows. Controls that are not free are zero, rows that are
+    not active have no multiplier."""
 
     A: jax.Array
     B: jax.Array
@@ -59,7 +59,8 @@ class Saddle(NamedTuple):
 
 class Factor(NamedTuple):
     """K (N, m, n) and the inverses (N, m, m) of control Hessians; V (N + 1, n, n); the inverse of
-    V_0 in what is not fixed; rho (); ok (), whether the inverted were positive definite."""
+    V_0 in what is not fixed; rho (); ok (), whether all inverted matrices were positive
+    definite."""
 
     K: jax.Array
     inverse: jax.Array

@@ -24,8 +24,8 @@ class Feedback(NamedTuple):
     """du = k + K dx at each knot: K (N, m, n), k (N, m); the value function's V (N + 1, n, n) and
     v (N + 1, n), gap included; first dx0 (n,); slope () and curvature () of the cost along the
     step; square (), the squared norm of the gradient of the cost by the controls and by the free
-    coordinates of the first knot, without regularisation and without entries that press against a
-    bound; ok (), whether all control Hessians were positive definite."""
+    coordinates of the first knot, projected onto the bounds and without
+    regularisation; ok (), whether all control Hessians were positive definite."""
 
     K: jax.Array
     k: jax.Array
@@ -49,12 +49,16 @@ def backward_pass(
     A: jax.Array, B: jax.Array, gaps: jax.Array, path: Quadratic, end: Quadratic,
     bounds: Bounds | None, first: tuple | None, reg: jax.Array, h: Any = None,
 ) -> Feedback:  # fmt: skip
-    """The gains.
+    """The gains and the value function.
 
-    A: (N, n, n). B: (N, n, m). gaps: (N + 1, n), the first from the first knot to the start.
-    path: (N, ...). end. bounds: of du, None for none. first: of what is free of the first knot:
-    free (n,) of 0 and 1, low and high (n,) of dx0; None for nothing. reg: added to the diagonals of
-    control Hessians and of V. h: the step, where dq+ = dq + h dv+; None where it is not so.
+    A: (N, n, n). B: (N, n, m).
+    gaps: (N + 1, n), the first from the first knot to the start.
+    path: (N, ...), and end: the costs.
+    bounds: of du; None for none.
+    first: of the free coordinates of the first knot: free (n,) of 0 and 1, low and high (n,) of
+        dx0; None if there are none.
+    reg: added to the diagonals of control Hessians and of V.
+    h: the step, if dq+ = dq + h dv+; None for other systems.
     """
     m, n = path.r.shape[-1], end.q.shape[0]
     eye_u, eye_x = jnp.eye(m, dtype=reg.dtype), jnp.eye(n, dtype=reg.dtype)
@@ -111,7 +115,8 @@ def backward_pass(
 
 
 def projected_gradient(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """A gradient without the entries that press against a bound. low, high: bounds of the step."""
+    """The projected gradient: 0 in entries whose descent leaves the bounds low, high of the
+    step."""
     pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     return jnp.where(pressed, 0.0, gradient)
 

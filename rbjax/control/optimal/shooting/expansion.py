@@ -57,8 +57,8 @@ def quadratic(
     problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
     where: str,
 ) -> Quadratic:  # fmt: skip
-    """The cost of a knot to second order: the sum over its costs, each differentiated by what it
-    reads only."""
+    """The cost of a knot to second order: the sum over its costs, each differentiated by the
+    coordinates that it reads only."""
     n, m, dtype = problem.n, problem.nu, ctrl.dtype
     total = jnp.zeros((), dtype)
     gradient, H = jnp.zeros(n + m, dtype), jnp.zeros((n + m, n + m), dtype)
@@ -150,7 +150,7 @@ def second_order(
     problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
     where: str, costate: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
-    """What Gauss and Newton leave out of Q, R and S: sum of r_i r_i'' of the residuals, and of
+    """The parts of Q, R and S that Gauss-Newton omits: sum of r_i r_i'' of the residuals, and of
     costate_i f_i'' of the step."""
     n, m = problem.n, problem.nu
     zero = jnp.zeros(n + m, ctrl.dtype)

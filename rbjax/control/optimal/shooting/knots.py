@@ -2,8 +2,8 @@
 
     gap_0 = start (-) x_0,      gap_{k+1} = f(x_k, u_k) (-) x_{k+1}
 
-States are unknowns beside the controls (multiple shooting, Bock & Plitt 1984), so a step need not
-end where the next knot lies. Each knot is a program of one sample (`rb.threads`).
+States and controls are unknowns (multiple shooting, Bock & Plitt 1984), so a step need not end at
+the next knot. Each knot is a program of one sample (`rb.threads`).
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def columns(
 
 
 def knot_indices(N: int, dtype: Any) -> jax.Array:
-    """The numbers of the knots with controls, as a constant of the program."""
+    """The indices of the knots with controls, as a constant of the program."""
     return jnp.asarray(np.arange(N, dtype=dtype))
 
 
@@ -129,7 +129,7 @@ def knots_at(knots: Any, k: jax.Array) -> tuple[Any, Any]:
 def add_curvature(
     problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
 ) -> Expanded:
-    """All knots with what Gauss and Newton leave out."""
+    """All knots with the second derivatives that Gauss-Newton omits."""
     N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
     body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
 

@@ -11,8 +11,8 @@ bounds, rolls every motion, and moves m by the costs J_i:
 round (Xue et al. 2024). lambda is the temperature times the distance from the best cost to the
 costliest of the best tenth. No derivative is taken. Constraints cost
 penalty / 2 times their squared violation. A sample is a lane or a GPU thread of which only the cost
-is kept; the best motion is rolled again. Numbers of a design, the final time and a free start are
-drawn too.
+is kept; the best motion is rolled again. Parameters of a design, the final time and a free start
+are sampled too.
 """
 
 from __future__ import annotations
@@ -131,8 +131,8 @@ class SampledStart:
 
 
 class Draw(NamedTuple):
-    """What is drawn, each with a deviation: points (K, m) of the spline, numbers (p,) of the
-    design and the time, and dx0 (n,) of the start."""
+    """A sample: points (K, m) of the spline, parameters (p,) of the design and the time, and dx0
+    (n,) of the start."""
 
     points: jax.Array
     parameters: jax.Array
@@ -140,7 +140,7 @@ class Draw(NamedTuple):
 
 
 class Round(NamedTuple):
-    """What a round leaves to the next."""
+    """The state between two rounds."""
 
     mean: Draw
     deviation: Draw

@@ -58,7 +58,7 @@ SHORTER, SHORTEST = 0.25, 1e-6  # the factor of its steps if it does not, and th
 
 
 class Unknowns(NamedTuple):
-    """us (N, m) in the coordinates without bounds; dx (n,) of the first knot, numbers likewise."""
+    """us (N, m) in the coordinates without bounds; dx (n,) of the first knot and the parameters."""
 
     us: jax.Array
     dx: jax.Array
@@ -371,7 +371,7 @@ def by_bfgs(problem: Problem) -> Inner:
 
 
 def by_levenberg_marquardt(problem: Problem) -> Inner:
-    """Levenberg and Marquardt's method of optimistix; refuses costs that are numbers."""
+    """Levenberg and Marquardt's method of optimistix; raises for costs that are numbers."""
     knot, ctrl = example(problem)
     for where, costs in (("path", problem.running), ("end", problem.terminal)):
         for cost in costs:
