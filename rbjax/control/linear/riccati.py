@@ -93,6 +93,12 @@ def _definite_factor_jvp(primals, tangents):
     return (L, ok), (jnp.where(ok, dL, 0.0), jnp.zeros(ok.shape, jax.dtypes.float0))
 
 
+def propagate_hessian(V: jax.Array, A: jax.Array, B: jax.Array) -> tuple[jax.Array, ...]:
+    """A'VA, B'VB and B'VA: the Hessian of the cost to go before a step."""
+    VA = product(V, A)
+    return product(A.T, VA), product(B.T, product(V, B)), product(B.T, VA)
+
+
 def backward(problem: LinearQuadratic) -> Gains:
     """The gains and the cost to go of every knot, one after the other.
 
@@ -126,16 +132,15 @@ def backward(problem: LinearQuadratic) -> Gains:
     def back(carry, given):
         P, p, ok = carry
         z = given
-        PA, PB = product(P, z.A), product(P, z.B)
+        APA, BPB, BPA = propagate_hessian(P, z.A, z.B)
         ahead = p + product(P, z.d)
-        H = z.R + product(z.B.T, PB)
-        G = z.S.T + product(PB.T, z.A)
+        H, G = z.R + BPB, z.S.T + BPA
         L, good = definite_factor((H + H.T) / 2)
         both = jnp.concatenate([G, (z.r + product(z.B.T, ahead))[:, None]], 1)
         half = solve_triangular(L, both, lower=True)
         K = solve_triangular(L, half, lower=True, trans=1)
         Y, y = half[:, :-1], half[:, -1]
-        new = z.Q + product(z.A.T, PA) - product(Y.T, Y)
+        new = z.Q + APA - product(Y.T, Y)
         new, slope = (new + new.T) / 2, z.q + product(z.A.T, ahead) - product(Y.T, y)
         good &= jnp.isfinite(new).all() & jnp.isfinite(slope).all() & jnp.isfinite(K).all()
         P, p = jnp.where(good, new, P), jnp.where(good, slope, p)

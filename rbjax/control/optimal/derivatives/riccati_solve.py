@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.linear.riccati import propagate_hessian
 from rbjax.control.products import product
 
 TURNS = 4  # of refinement
@@ -104,12 +105,12 @@ def factorise(e: Saddle) -> Factor:
     def back(carry: tuple, knot: tuple) -> tuple:
         V, ok = carry
         A, B, Q, S, R, C, D, free = knot
-        VA, VB = product(V, A), product(V, B)
-        Quu = R + transpose_product(B, VB) + rho * transpose_product(D, D) + jnp.diag(1 - free)
-        Qux = S.T + product(B.T, VA) + rho * transpose_product(D, C)
+        AVA, BVB, BVA = propagate_hessian(V, A, B)
+        Quu = R + BVB + rho * transpose_product(D, D) + jnp.diag(1 - free)
+        Qux = S.T + BVA + rho * transpose_product(D, C)
         inverse, fine = _inverse(Quu)
         K = -product(inverse, Qux)
-        W = Q + transpose_product(A, VA) + rho * transpose_product(C, C) + transpose_product(Qux, K)
+        W = Q + AVA + rho * transpose_product(C, C) + transpose_product(Qux, K)
         W = 0.5 * (W + W.T)
         return (W, ok & fine), (K, inverse, W)
 

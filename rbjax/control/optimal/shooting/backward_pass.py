@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.linear.riccati import propagate_hessian
 from rbjax.control.optimal.shooting.box_qp import box_gains, box_qp, gains
 from rbjax.control.optimal.shooting.expansion import Quadratic
 from rbjax.control.products import in_registers, product
@@ -123,11 +124,7 @@ def projected_gradient(gradient: jax.Array, low: jax.Array, high: jax.Array) -> 
 
 def propagate_value(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
     """A'VA, B'VB, B'VA, A'v and B'v."""
-    VA = product(V, A)
-    return (
-        product(A.T, VA), product(B.T, product(V, B)), product(B.T, VA), product(A.T, v),
-        product(B.T, v),
-    )  # fmt: skip
+    return *propagate_hessian(V, A, B), product(A.T, v), product(B.T, v)
 
 
 def propagate_value_by_velocities(
