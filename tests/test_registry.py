@@ -86,6 +86,7 @@ REGISTRY = {
     "frame_bias_acceleration": Entry(
         _at_a_point(rb.frame_bias_acceleration), ("q", "v", "point"), {"body": "hand"}
     ),
+    "frame_pose": Entry(_at_a_point(rb.frame_pose), ("q", "point"), {"body": "hand"}),
     "frame_velocity": Entry(rb.frame_velocity, ("q", "v"), {"site": "tip"}),
     "generalized_forces": Entry(rb.dynamics.generalized_forces, ("q", "wrenches")),
     "gravity_forces": Entry(rb.gravity_forces, ("q",)),

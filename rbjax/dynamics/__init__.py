@@ -15,7 +15,12 @@ from rbjax.dynamics.algorithms.energy import (
     potential_energy,
 )
 from rbjax.dynamics.algorithms.forward import forward_dynamics, inverse_mass_matrix
-from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_velocity, site_pose
+from rbjax.dynamics.algorithms.frames import (
+    frame_bias_acceleration,
+    frame_pose,
+    frame_velocity,
+    site_pose,
+)
 from rbjax.dynamics.algorithms.jacobians import generalized_forces, jacobian, jacobian_rate
 from rbjax.dynamics.algorithms.kinematics import Poses, body_velocities, forward_kinematics
 from rbjax.dynamics.algorithms.manifold import difference, integrate
@@ -36,6 +41,7 @@ __all__ = [
     "forward_dynamics_derivatives",
     "forward_kinematics",
     "frame_bias_acceleration",
+    "frame_pose",
     "frame_velocity",
     "generalized_forces",
     "gravity_forces",

@@ -24,15 +24,15 @@ from rbjax.loading.meshes import without_missing_mesh
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuator_kinds import reflected
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
-from rbjax.loading.mjcf.constraints import constraints_of, mimicking
+from rbjax.loading.mjcf.constraints import constraints_of
 from rbjax.loading.mjcf.finite import refuse_nan_in, within_range
 from rbjax.loading.mjcf.forces import elements
 from rbjax.loading.motors import with_motors
 from rbjax.loading.singular import joints_that_cancel
-from rbjax.loading.urdf.floating import add_floats
 from rbjax.loading.urdf.inertials import write_inertials
 from rbjax.loading.urdf.mimics import Mimics
-from rbjax.loading.urdf.prepare import is_urdf, prepare_urdf
+from rbjax.loading.urdf.reader import read_urdf
+from rbjax.loading.urdf.tree import is_urdf
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
 
@@ -130,7 +130,7 @@ def load(
         warnings.warn(text, stacklevel=2)
     model = from_compiled(compiled, dropped, **taken, compliant=compliant)
     if constraints:
-        model = model.with_constraints(*mimicking(mimics))
+        model = model.with_constraints(*mimics.couplings)
     undone = joints_that_cancel(compiled)
     if undone:
         warnings.warn(
@@ -167,13 +167,15 @@ def _compile_source(
             f"mujoco.MjSpec, mujoco.MjModel or one of the scenes {', '.join(scenes())}"
         )
     text, path = _read(source)
-    name, urdf = _describe(source), None
+    name = _describe(source)
     if is_urdf(text, name):
         folder = Path() if path is None else path.parent
         floats = floating_base is not False
-        urdf = prepare_urdf(text, name, floating_base=floats, shapes=shapes, folder=folder)
-        text, path = urdf.text, None  # what is outside the file has absolute paths
-    elif floating_base:
+        urdf = read_urdf(text, name, floating_base=floats, shapes=shapes, folder=folder)
+        compiled = _compile(urdf.spec, name)
+        odd = write_inertials(compiled, urdf.inertials, name)
+        return compiled, odd, urdf.mimics, urdf.left_out
+    if floating_base:
         raise ModelError(
             f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
         )
@@ -184,13 +186,7 @@ def _compile_source(
     except Exception as error:
         message = sentence(error)
         raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{fix_of(message)}") from error
-    if urdf is not None:
-        add_floats(spec, urdf.floats)
-    compiled = _compile(spec, name)
-    if urdf is None:
-        return compiled, "", Mimics(), ()
-    odd = write_inertials(compiled, urdf.inertials, name)
-    return compiled, odd, urdf.mimics, urdf.left_out
+    return _compile(spec, name), "", Mimics(), ()
 
 
 def _read(source: str | Path) -> tuple[str, Path | None]:

@@ -20,7 +20,7 @@ from rbjax.constraints.methods.formulation import Formulation
 from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.algorithms.link_forces import LinkForces
-from rbjax.dynamics.algorithms.manifold import increment_rate, moved
+from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import forces_of
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.errors import InputError
@@ -120,9 +120,9 @@ class Field:
 
         return of_samples(acting, t, state, u)
 
-    def moved(self, q: jax.Array, dq: jax.Array) -> jax.Array:
+    def retract(self, q: jax.Array, dq: jax.Array) -> jax.Array:
         """q (+) dq."""
-        return moved(self.precomputed, q, dq)
+        return retract(self.precomputed, q, dq)
 
     def chord(self, t: Any, state: State, u: Inputs, dt: Any) -> dict:
         """What forces at the middle of a step add to the diagonal of the mass matrix, lanes (...)

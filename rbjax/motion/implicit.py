@@ -144,7 +144,7 @@ class ByStages:
             found = stages(self.formulation, self.tableau, model, forces, t, state, dt)
             du = increment(model, mixed(self.tableau.b, found.k))
             x = None if state.x is None or du.x is None else state.x + du.x
-            after = State(field.moved(state.q, du.q), state.v + du.v, x)
+            after = State(field.retract(state.q, du.q), state.v + du.v, x)
             return jax.tree.map(lambda x: jnp.where(found.ok, x, jnp.nan), after)
 
         return of_samples(one, t, state, u)

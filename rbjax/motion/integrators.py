@@ -52,7 +52,7 @@ def semi_implicit_euler(field: Field, t: Any, state: State, u: Inputs, dt: Any) 
     mass matrix is constant and no force depends on v, not for a mass matrix that moves with q."""
     a, x = field.pushed(t, state, u, dt)
     v = state.v + dt * a
-    return State(field.moved(state.q, dt * v), v, x)
+    return State(field.retract(state.q, dt * v), v, x)
 
 
 def runge_kutta(
@@ -66,7 +66,7 @@ def runge_kutta(
     begun = t
 
     def staged(t, dq, dv, x):
-        return field.staged(t, State(field.moved(q0, dq), v0 + dv, x), begun, state)
+        return field.staged(t, State(field.retract(q0, dq), v0 + dv, x), begun, state)
 
     def rate(t, k):
         at = staged(t, k[0], k[1], None if x0 is None else x0 + k[2])

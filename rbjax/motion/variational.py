@@ -76,13 +76,13 @@ class VariationalMidpoint:
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
         model, q0, v0, x0 = field.precomputed, state.q, state.v, state.x
         p0, half = momentum_of(model, q0, v0), dt / 2
-        middle = field.moved(q0, half * v0)
+        middle = field.retract(q0, half * v0)
         extra = field.chord(t + half, State(middle, v0, x0), u, dt)
         correction = nearby_velocity(model, middle, jax.lax.stop_gradient(extra))
 
         def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
             """R(w), F and x' at the midpoint."""
-            at = State(field.moved(q0, half * w), w, x)
+            at = State(field.retract(q0, half * w), w, x)
             tau, pushes, rate = field.forces(t + half, at, u)
             p, dp = momentum_and_rate(model, at.q, w, tau, pushes)
             force = with_spin(model.topology, w, p, dp)
@@ -105,7 +105,7 @@ class VariationalMidpoint:
             again = jax.checkpoint(once, prevent_cse=False)
             at, _ = jax.lax.scan(again, at, None, length=more)
         w, _, force, rate, last = at
-        q = field.moved(q0, dt * w)
+        q = field.retract(q0, dt * w)
         v = velocity_of(model, q, carried(model.topology, half, w, p0, force))
         digits = float(jnp.finfo(q.dtype).eps) ** 0.5 * (1 + largest(q0)) / dt
         kept = jnp.maximum(largest(first) / 2, LOST * largest(w))

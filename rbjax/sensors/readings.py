@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.algorithms.frames import frame_velocity, site_pose
+from rbjax.dynamics.algorithms.frames import frame_pose, frame_velocity
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.errors import UnknownName
@@ -169,7 +169,7 @@ class Position(_AtSite):
     """p (3,) of a site in the world: a marker of motion capture."""
 
     def __call__(self, now: Moment) -> jax.Array:
-        return site_pose(now.model, now.state.q, self.site)[1]
+        return frame_pose(now.model, now.state.q, site=self.site)[1]
 
     def unit(self, model: Model) -> str:
         return "m"
@@ -179,7 +179,7 @@ class Gyro(_AtSite):
     """The angular velocity R^T w (3,) of a site, in its own axes."""
 
     def __call__(self, now: Moment) -> jax.Array:
-        R, _ = site_pose(now.model, now.state.q, self.site)
+        R, _ = frame_pose(now.model, now.state.q, site=self.site)
         return R.T @ frame_velocity(now.model, now.state.q, now.state.v, site=self.site)[:3]
 
     def unit(self, model: Model) -> str:
@@ -199,7 +199,7 @@ class Accelerometer(_AtSite):
             return frame_velocity(model, at, v + s * a, site=self.site)[3:]
 
         _, rate = jax.jvp(velocity, (jnp.zeros((), q.dtype),), (jnp.ones((), q.dtype),))
-        R, _ = site_pose(model, q, self.site)
+        R, _ = frame_pose(model, q, site=self.site)
         return R.T @ (rate - jnp.asarray(model.gravity, q.dtype))
 
     def unit(self, model: Model) -> str:
@@ -262,7 +262,7 @@ def reading_of(sensor: str) -> Reading:
 def _pose(now: Moment, name: str) -> tuple[jax.Array, jax.Array]:
     model, q = now.model, now.state.q
     if name not in model.body_names:
-        return site_pose(model, q, name)
+        return frame_pose(model, q, site=name)
     poses, k = forward_kinematics(model, q), model.body(name)
     return poses.R[k], poses.p[k]
 

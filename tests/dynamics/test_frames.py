@@ -229,14 +229,17 @@ def test_structure_costs_nothing() -> None:
     assert upper.total == 0 < lower.total  # it turns about its own origin
 
 
-ASK = (rb.jacobian, rb.jacobian_rate, rb.frame_velocity, rb.frame_bias_acceleration)
+ASK = (
+    rb.frame_pose, rb.jacobian, rb.jacobian_rate, rb.frame_velocity, rb.frame_bias_acceleration,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("function", ASK)
 def test_what_is_refused(function: Any) -> None:
     model = robot("small").model
     state = model.default_state()
-    given = (model, state.q) if function is rb.jacobian else (model, state.q, state.v)
+    at_rest = function in (rb.frame_pose, rb.jacobian)
+    given = (model, state.q) if at_rest else (model, state.q, state.v)
     name = function.__name__
     with pytest.raises(rb.InputError, match=f"{name}: got neither of body and site"):
         function(*given)
@@ -314,3 +317,27 @@ def test_the_pose_of_a_site_asks_for_its_path_alone(name: str, driver: str) -> N
     every = rb.operation_count(rb.forward_kinematics, model, q)
     least = {"arm7": 1.1, CHAIN: 1.1}.get(name, 1 / 3)  # they have one path, and all bodies on it
     assert asked.total < least * every.total
+
+
+def test_the_pose_of_a_point_of_a_body_or_site() -> None:
+    """A point moves p and leaves R; the world and what is welded to it stay."""
+    model = sample("everything").model
+    q = sample("everything").q[0]
+
+    @jax.jit
+    def found(q):
+        of_bodies = [rb.frame_pose(model, q, body, POINT) for body in model.body_names]
+        sites = [(rb.frame_pose(model, q, site=s), rb.frame_pose(model, q, None, POINT, site=s))
+                 for s in model.site_names]  # fmt: skip
+        return of_bodies, sites, rb.frame_pose(model, q, "world", POINT)
+
+    of_bodies, sites, (R, p) = found(q)
+    poses = rb.forward_kinematics(model, q)
+    for i, (R_body, p_body) in enumerate(of_bodies):
+        assert relative_error(R_body, poses.R[i]) <= F64_IDENTITY
+        assert relative_error(p_body, poses.p[i] + poses.R[i] @ POINT) <= F64_IDENTITY
+    for (R_site, origin), (same, p_site) in sites:
+        chex.assert_trees_all_equal(R_site, same)
+        assert relative_error(p_site, origin + R_site @ POINT) <= F64_IDENTITY
+    np.testing.assert_array_equal(R, np.eye(3))
+    np.testing.assert_array_equal(p, POINT)

@@ -670,7 +670,7 @@ def test_laws_integrators_and_forces_are_read_too():
 
         def euler(field, t, state, inputs, dt):
             a, _ = field.rates(t, state, inputs)
-            return rb.State(field.moved(state.q, dt * state.v), state.v + k * dt * a)
+            return rb.State(field.retract(state.q, dt * state.v), state.v + k * dt * a)
 
         tau = lambda t, s: jnp.array([k, 1.0])  # noqa: E731
         return rb.rollout(scene(), S, None, 0.01, tau=tau, law=law, integrator=euler, steps=2).v[1]

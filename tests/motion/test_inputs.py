@@ -121,7 +121,7 @@ def test_a_law_and_an_integrator_of_a_user(kernel):
 
     def explicit(field, t, state, inputs, dt):
         a, _ = field.rates(t, state, inputs)
-        return State(field.moved(state.q, dt * state.v), state.v + dt * a)
+        return State(field.retract(state.q, dt * state.v), state.v + dt * a)
 
     one = rb.rollout(model, state, None, DT, steps=1, integrator=explicit, kernel=kernel)
     np.testing.assert_array_equal(one.q[:, 1], state.q)

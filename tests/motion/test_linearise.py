@@ -55,7 +55,7 @@ def test_a_step_takes_what_a_rollout_takes():
 
     def euler(field, t, state, inputs, dt):
         a, _ = field.rates(t, state, inputs)
-        return rb.State(field.moved(state.q, dt * state.v), state.v + dt * a)
+        return rb.State(field.retract(state.q, dt * state.v), state.v + dt * a)
 
     def held(model, t, state, tau, pushes):
         return jnp.zeros(2)

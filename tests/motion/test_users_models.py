@@ -38,7 +38,7 @@ def heavy_step(field, t, state, inputs, dt):
     field = Field(heavier(field.model), field.law, field.dt)
     a, _ = field.rates(t, state, inputs)
     v = state.v + dt * a
-    return rb.State(field.moved(state.q, dt * v), v, state.x)
+    return rb.State(field.retract(state.q, dt * v), v, state.x)
 
 
 class Lifted(rb.forces.Element):
@@ -125,7 +125,7 @@ class Clipped(rb.forces.Element):
 def explicit_euler(field, t, state, inputs, dt):
     a, x = field.rates(t, state, inputs)
     x = None if x is None else state.x + dt * x
-    return rb.State(field.moved(state.q, dt * state.v), state.v + dt * a, x)
+    return rb.State(field.retract(state.q, dt * state.v), state.v + dt * a, x)
 
 
 @pytest.mark.parametrize("integrator", [

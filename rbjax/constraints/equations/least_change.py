@@ -20,7 +20,7 @@ import numpy as np
 
 from rbjax.constraints.equations.system import gradient_matrix, rows_of, with_multipliers
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.manifold import moved
+from rbjax.dynamics.algorithms.manifold import retract
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.packing import pack
@@ -102,7 +102,7 @@ def off(
     d: Driver, model: Model, t: Any, q: jax.Array, u: jax.Array, v: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """g and G v + g_t (rows,) at q + u."""
-    now = Instant.of(model, t, State(moved(model, q, u), v), None, d=d)
+    now = Instant.of(model, t, State(retract(model, q, u), v), None, d=d)
     return off_of(rows_of(model, now), v)
 
 

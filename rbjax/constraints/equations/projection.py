@@ -33,7 +33,7 @@ from rbjax.constraints.equations.least_change import (
 )
 from rbjax.constraints.equations.system import response, rows_of
 from rbjax.dynamics.algorithms.aba import factorize
-from rbjax.dynamics.algorithms.manifold import moved
+from rbjax.dynamics.algorithms.manifold import retract
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.instant import Instant
 from rbjax.model import Model, State
@@ -58,7 +58,7 @@ def projected(
         return _projection(d, model, t, q, v, many, positions)
 
     dq, dv = least_changes(method, model, t, t, q, jnp.zeros_like(v), v)
-    return State(moved(model, q, dq) if positions else q, v + dv, state.x)
+    return State(retract(model, q, dq) if positions else q, v + dv, state.x)
 
 
 def _projection(

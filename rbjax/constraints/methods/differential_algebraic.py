@@ -31,7 +31,7 @@ from rbjax.constraints.equations.system import as_free_bodies, rows_of, with_mul
 from rbjax.constraints.methods.formulation import Formulation, Projected
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.link_forces import LinkForces
-from rbjax.dynamics.algorithms.manifold import increment_rate, moved
+from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.packing import pack
@@ -96,7 +96,7 @@ class DifferentialAlgebraic(Formulation):
 
         def f(t: Any, y: jax.Array, rate: jax.Array, w: jax.Array) -> jax.Array:
             (u, v, x), (du, a, dx) = (jnp.split(z, (nv, 2 * nv)) for z in (y, rate))
-            at = State(moved(model, q, u), v, x if model.nx else None)
+            at = State(retract(model, q, u), v, x if model.nx else None)
             tau, pushes, x_rate = forces(t, at)
             d = driver(model, dtype)
             now = Instant.of(model, t, at, None, d=d)

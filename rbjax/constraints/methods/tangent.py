@@ -36,7 +36,7 @@ from rbjax.constraints.methods.formulation import Formulation, Multipliers
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import factorize
 from rbjax.dynamics.algorithms.aba import solve as solved
-from rbjax.dynamics.algorithms.manifold import difference_lanes, moved, velocity_lanes
+from rbjax.dynamics.algorithms.manifold import difference_lanes, retract, velocity_lanes
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.instant import Instant
@@ -102,7 +102,7 @@ def across(
         return _newton(d, model, t0, t, q, u, v, many)
 
     du, dv = least_changes(method, model, t0, t, q, u, v)
-    return State(moved(model, q, u + du), v + dv, state.x)
+    return State(retract(model, q, u + du), v + dv, state.x)
 
 
 def _newton(
@@ -116,7 +116,7 @@ def _newton(
     many: int,
 ) -> Changes:
     def seen(t: Any, u: jax.Array, v: jax.Array) -> tuple[Instant, list[Row]]:
-        now = Instant.of(model, t, State(moved(model, q, u), v), None, d=d)
+        now = Instant.of(model, t, State(retract(model, q, u), v), None, d=d)
         return now, rows_of(model, now)
 
     first, rows = seen(t0, jnp.zeros_like(u), v)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 
 from rbjax.control.laws.references import Pose, pose
 from rbjax.dynamics.algorithms.crba import mass_matrix
-from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, site_pose
+from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_pose
 from rbjax.dynamics.algorithms.jacobians import jacobian
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_static
@@ -100,7 +100,7 @@ def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Mo
     q, v = state.q, state.v
     wanted = pose(reference, t, task.what, q.dtype)
     if task.site is not None:
-        R, p = site_pose(model, q, task.site)
+        R, p = frame_pose(model, q, site=task.site)
     else:
         poses, b = forward_kinematics(model, q), model.body(task.body or "")
         R, p = poses.R[b], poses.p[b]

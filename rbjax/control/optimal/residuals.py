@@ -21,7 +21,7 @@ from rbjax.control.optimal.system import Controlled
 from rbjax.control.optimal.terms import Term
 from rbjax.dynamics.algorithms.energy import center_of_mass
 from rbjax.dynamics.algorithms.forward import forward_dynamics
-from rbjax.dynamics.algorithms.frames import frame_velocity, site_pose
+from rbjax.dynamics.algorithms.frames import frame_pose, frame_velocity
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
@@ -246,7 +246,7 @@ def pose_of(
 ) -> tuple[jax.Array, jax.Array]:
     """R (3, 3) and p (3,) of a site or body in the world."""
     if site is not None:
-        return site_pose(model, q, site)
+        return frame_pose(model, q, site=site)
     k = model.body(body or "")
     poses = forward_kinematics(model, q)
     return poses.R[k], poses.p[k]

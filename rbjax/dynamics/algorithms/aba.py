@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 import jax
 
+from rbjax.dynamics.algorithms.kinematics import velocity_bias
 from rbjax.dynamics.algorithms.link_forces import LinkForces, per_link
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.errors import ModelError
-from rbjax.joints import JointMotion
 from rbjax.lanes import Lane, Sym3, Vec3, add, is_zero, mul, sub
 from rbjax.model import LinkConstants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
@@ -40,20 +40,6 @@ class Factor(NamedTuple):
     S: Motion
     U: Force
     inverse_D: Lane
-
-
-def velocity_step(
-    x: tuple[LinkConstants, JointMotion], w_parent: Vec3
-) -> tuple[Vec3, VelocityStep]:
-    """Outward step: angular velocity and bias acceleration (centripetal, Coriolis, gyroscopic)."""
-    link, joint = x
-    X = joint.transform(link)
-    carried = X.E @ w_parent
-    w = carried + joint.rate
-    centripetal = X.E @ w_parent.cross(w_parent.cross(X.p))
-    coriolis = carried.cross(joint.twist.lin) * 2.0
-    c = Motion(carried.cross(joint.rate), centripetal + coriolis) + joint.bias
-    return w, VelocityStep(X, w, c)
 
 
 def bias_force(inertia: RigidInertia, w: Vec3) -> Force:
@@ -102,7 +88,10 @@ def aba(
     links."""
 
     def outward(x, w_parent):
-        return velocity_step(x[:2], w_parent)
+        link, joint, *_ = x
+        X = joint.transform(link)
+        w, c = velocity_bias(joint, X, w_parent)
+        return w, VelocityStep(X, w, c)
 
     def inward(x, message):
         (link, joint, tau, push), motion = x

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from rbjax.dynamics.algorithms.kinematics import world_poses
+from rbjax.dynamics.algorithms.kinematics import POSE, sweep
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.joint_lanes import axes, own_axes
 from rbjax.lanes import Mat3, Sym3, Vec3, add, mul, total
@@ -18,7 +18,7 @@ from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 def tree_poses(d: Driver, joints: Any) -> Any:
     """Each link's pose in world axes, from the origin of its tree's first link."""
-    poses = d.whole(world_poses(d, joints))
+    poses = d.whole(*sweep(d, joints, POSE))
     origins = d.take(poses, [chain[0] for chain in d.topology.ancestors])
     return d.each(lambda pose, origin: Transform(pose.R, pose.p - origin.p), poses, origins)
 

@@ -9,7 +9,12 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.algorithms.kinematics import body_velocities, forward_kinematics, link_twists
+from rbjax.dynamics.algorithms.kinematics import (
+    TWIST,
+    body_velocities,
+    forward_kinematics,
+    sweep,
+)
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.lanes import add, matmat, matvec, mul
@@ -33,7 +38,7 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     """
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
-    twists = link_twists(d, joints)
+    (twists,) = sweep(d, joints, TWIST)
 
     def step(x, children):
         link, joint, V = x

@@ -1,4 +1,4 @@
-"""The pose of a site, and the twist and bias acceleration of a point of a frame.
+"""The pose of a frame, and the twist and bias acceleration of a point of it.
 
     V = J v = [w; u + w x r],        dV/dt = J a + J' v,
     J' v = [w'; u' + w' x r + w x (w x r)]  with w', u' of the link at constant v
@@ -14,8 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.algorithms.aba import velocity_step
-from rbjax.dynamics.algorithms.kinematics import link_motions
+from rbjax.dynamics.algorithms.kinematics import ACCELERATION, POSE, ROTATION, TWIST, sweep
 from rbjax.dynamics.algorithms.link_motion import LinkMotion
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.packing import pack
@@ -25,20 +24,18 @@ from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD, Model, prepare
 from rbjax.model.leaves import site_transform
-from rbjax.spatial import Motion
+from rbjax.spatial import Motion, Transform
 
 #: a longer path to a site runs on the model's driver. An unrolled link takes 0.06 s to compile, its
 #: gradient 0.3 s in a chain of 60; a robot's path has 16 links at most
 PATH_UNROLLED_UP_TO = 24
 
 
-def carried_point(
-    where: str, model: Model, d: Driver, like: jax.Array, body: Any, site: Any, point: Any
-) -> tuple[int, Vec3]:
-    """The link that carries a frame (or WORLD), and the point in that link's axes.
-
-    `where` names the caller in messages; `like` has the dtype of the lanes.
-    """
+def located(
+    where: str, model: Model, like: jax.Array, body: Any, site: Any, point: Any
+) -> tuple[int, Transform]:
+    """The body of a frame (or WORLD), and the frame's pose in it: axes of the body or of the site,
+    origin at the point. `where` is the caller in messages; `like` has the dtype of the lanes."""
     if (body is None) == (site is None):
         got = "neither" if body is None else "both"
         raise InputError(f"{where}: got {got} of body and site, expected exactly one")
@@ -47,39 +44,81 @@ def carried_point(
         i = model.site(site)
         placed = site_transform(model, i, like.dtype)
         at = placed.p + placed.R @ at
-        b = model.topology.site_bodies[i]
-    elif body == "world" and body not in model.body_names:  # MuJoCo's name for the fixed frame
-        b = WORLD
-    else:
-        b = model.body(body)
+        return model.topology.site_bodies[i], Transform(placed.R, at)
+    fixed = body == "world" and body not in model.body_names  # MuJoCo's name for the fixed frame
+    return WORLD if fixed else model.body(body), Transform(Mat3.identity(), at)
+
+
+def carried_point(
+    where: str, model: Model, d: Driver, like: jax.Array, body: Any, site: Any, point: Any
+) -> tuple[int, Vec3]:
+    """The link that carries a frame (or WORLD), and the frame's origin in that link's axes.
+    Arguments as for `located`."""
+    b, frame = located(where, model, like, body, site, point)
     if b == WORLD:
-        return WORLD, at
+        return WORLD, frame.p
     weld = d.prepared.weld(b)
-    return model.topology.body_links[b], weld.p + weld.R @ at
+    return model.topology.body_links[b], weld.p + weld.R @ frame.p
 
 
-def _row(d: Driver, values: Any, link: int, f: Any, like: jax.Array) -> jax.Array:
-    """The Motion f(values of one link) as an array (6,)."""
-    chosen = d.each(f, d.take(d.whole(values), [link]))
+def _row(d: Driver, values: tuple, link: int, f: Any, like: jax.Array) -> jax.Array:
+    """The Motion f(*values of one link) as an array (6,)."""
+    chosen = d.each(f, *(d.take(d.whole(x), [link]) for x in values))
     return d.stack(chosen, lambda m: m, like)[0]
 
 
-@algorithm("q")
-def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Array]:
-    """Pose of a named site in the world: R (3, 3), p (3,).
+@algorithm("q", "point")
+def frame_pose(
+    model: Model,
+    q: jax.Array,
+    body: str | None = None,
+    point: jax.Array | None = None,
+    *,
+    site: str | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """Pose in the world of the frame of a body or site: R (3, 3), p (3,).
 
-    Only the links from the base to the site are computed. Up to `PATH_UNROLLED_UP_TO` of them are
+    Only the links from the base to the frame are computed. Up to `PATH_UNROLLED_UP_TO` of them are
     unrolled with any driver.
 
     Args:
         model: the robot.
         q: (nq,) configuration.
-        site: its name in the file.
+        body: the name of a body; "world" is the frame that does not move.
+        point: (3,) m in the frame of the body or site: p is its position; the origin if None.
+        site: the name of a site, instead of a body.
+
+    Returns:
+        R (3, 3), from the axes of the body or site to world axes, and p (3,) m.
 
     Raises:
-        UnknownName: no such site; the message lists the names.
+        UnknownName: no such body or site; the message lists the names. InputError: both or neither
+            given; a wrong shape.
 
     Source: Featherstone, 4.4.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("arm7")
+        >>> R, p = rb.frame_pose(model, model.default_state().q, site="tool")
+        >>> p.shape
+        (3,)
+    """
+    top = model.topology
+    b, pose = located("frame_pose", model, q, body, site, point)
+    link = WORLD if b == WORLD else top.body_links[b]
+    path = () if link == WORLD else top.ancestors[link]
+    few = len(path) <= PATH_UNROLLED_UP_TO
+    d = Unrolled(model, prepare(model, q.dtype)) if few else driver(model, q.dtype)
+    if b != WORLD:
+        pose = LinkMotion(d, q, None).pose(link).then(d.prepared.weld(b)).then(pose)
+    found = pack([*pose.R, *pose.p], jnp.zeros(12, q.dtype))
+    return found[:9].reshape(3, 3), found[9:]
+
+
+@algorithm("q")
+def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Array]:
+    """The pose of a site in the world: `frame_pose(model, q, site=site)`.
 
     Example:
         >>> import rbjax as rb
@@ -88,16 +127,7 @@ def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Arr
         >>> p.shape
         (3,)
     """
-    i, top = model.site(site), model.topology
-    pose, body = site_transform(model, i, q.dtype), top.site_bodies[i]
-    link = WORLD if body == WORLD else top.body_links[body]
-    path = () if link == WORLD else top.ancestors[link]
-    few = len(path) <= PATH_UNROLLED_UP_TO
-    d = Unrolled(model, prepare(model, q.dtype)) if few else driver(model, q.dtype)
-    if body != WORLD:
-        pose = LinkMotion(d, q, None).pose(link).then(d.prepared.weld(body)).then(pose)
-    found = pack([*pose.R, *pose.p], jnp.zeros(12, q.dtype))
-    return found[:9].reshape(3, 3), found[9:]
+    return frame_pose(model, q, site=site)
 
 
 @algorithm("q", "v", "point")
@@ -142,11 +172,10 @@ def frame_velocity(
     if link == WORLD:
         return jnp.zeros(6, q.dtype)
 
-    def at_point(x):
-        pose, V = x
+    def at_point(pose, V):
         return Motion(pose.R @ V.ang, pose.R @ (V.lin + V.ang.cross(r)))
 
-    return _row(d, link_motions(d, d.joints(q, v)), link, at_point, q)
+    return _row(d, sweep(d, d.joints(q, v), POSE, TWIST), link, at_point, q)
 
 
 @algorithm("q", "v", "point")
@@ -194,17 +223,9 @@ def frame_bias_acceleration(
     if link == WORLD:
         return jnp.zeros(6, q.dtype)
 
-    def step(x, parent):
-        R, w_parent, a_parent = parent
-        w, moved = velocity_step(x, w_parent)
-        here = R @ moved.X.R, w, moved.X(a_parent) + moved.c
-        return here, here
-
-    def at_point(x):
-        R, w, a = x
+    def at_point(R, motion):
+        w, a = motion
         lin = a.lin + a.ang.cross(r) + w.cross(w.cross(r))
         return Motion(R @ a.ang, R @ lin)
 
-    root = Mat3.identity(), Vec3.zero(), Motion.zero()
-    swept = d.outward(step, root, d.zip(d.constants, d.joints(q, v)))
-    return _row(d, swept, link, at_point, q)
+    return _row(d, sweep(d, d.joints(q, v), ROTATION, ACCELERATION), link, at_point, q)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.algorithms.frames import carried_point
-from rbjax.dynamics.algorithms.kinematics import link_motions, world_poses
+from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.link_forces import generalized, on_links
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.joint_lanes import axes, own_axes
@@ -68,7 +68,7 @@ def jacobian(
     if link == WORLD:
         return jnp.zeros((6, model.nv), q.dtype)
     joints = d.joints(q, None)
-    poses = d.whole(world_poses(d, joints))
+    poses = d.whole(*sweep(d, joints, POSE))
     here = d.each(lambda pose: pose.p + pose.R @ r, d.take(poses, [link]))
 
     def column(pose, at, S, moves):
@@ -124,8 +124,7 @@ def jacobian_rate(
     if link == WORLD:
         return jnp.zeros((6, model.nv), q.dtype)
 
-    def in_world(x):
-        pose, V = x
+    def in_world(pose, V):
         return pose, Motion(pose.R @ V.ang, pose.R @ V.lin)
 
     def moving(x):
@@ -134,7 +133,7 @@ def jacobian_rate(
         return pose.p + arm, V.lin + V.ang.cross(arm)
 
     joints = d.joints(q, v)
-    links = d.each(in_world, d.whole(link_motions(d, joints)))
+    links = d.each(in_world, *map(d.whole, sweep(d, joints, POSE, TWIST)))
     here = d.each(moving, d.take(links, [link]))
     carriers = d.take(links, [x.node[-1] for x in d.topology.links])
 

@@ -1,11 +1,13 @@
-"""Forward kinematics: poses of links and bodies, and twists of bodies.
+"""Forward kinematics: poses, twists and accelerations of links and bodies, by one outward sweep.
 
     R_WC = R_WP R_PC,   p_WC = p_WP + R_WP p_PC,   w_C = w_P + z qd,   v_C = v_P + w_P x r + z qd
+    a_C = a_P + w_P' x r + w_P x (w_P x r) + 2 w_P x z qd + z qdd      (classical accelerations)
 (Featherstone, 4.4; Lynch & Park, *Modern Robotics*, ch. 4-5.)
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +16,8 @@ import numpy as np
 
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.lanes import Mat3, Vec3
+from rbjax.joints import JointMotion
+from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Motion, Transform
 
@@ -26,16 +29,66 @@ class Poses(NamedTuple):
     p: jax.Array
 
 
-def world_poses(d: Driver, joints: Any) -> Any:
-    """The pose of each link in the world, per link."""
+class Hop(NamedTuple):
+    """One outward step: the pose X of a link in its parent, its joint's motion, its acceleration.
+    `qdd` is a lane, 0.0 if the sweep has no accelerations."""
 
-    def step(x, parent):
-        link, joint = x
-        pose = parent.then(joint.transform(link))
-        return pose, pose
+    X: Transform
+    joint: JointMotion
+    qdd: Lane = 0.0
 
-    root = Transform(Mat3.identity(), Vec3.zero())
-    return d.outward(step, root, d.zip(d.constants, joints))
+
+class Quantity(NamedTuple):
+    """A quantity of a link that follows from that of its parent: `root`, its value in the world,
+    and `step(hop, value of the parent)`."""
+
+    root: Any
+    step: Callable[[Hop, Any], Any]
+
+
+def velocity_bias(joint: JointMotion, X: Transform, w_parent: Vec3) -> tuple[Vec3, Motion]:
+    """The angular velocity of a link, and its bias acceleration (centripetal, Coriolis,
+    gyroscopic)."""
+    turned = X.E @ w_parent
+    w = turned + joint.rate
+    centripetal = X.E @ w_parent.cross(w_parent.cross(X.p))
+    coriolis = turned.cross(joint.twist.lin) * 2.0
+    return w, Motion(turned.cross(joint.rate), centripetal + coriolis) + joint.bias
+
+
+def _acceleration(hop: Hop, parent: tuple[Vec3, Motion]) -> tuple[Vec3, Motion]:
+    w_parent, a_parent = parent
+    w, bias = velocity_bias(hop.joint, hop.X, w_parent)
+    return w, hop.X(a_parent) + bias + hop.joint.S * hop.qdd
+
+
+#: the attitude of a link in the world
+ROTATION = Quantity(Mat3.identity(), lambda hop, R: R @ hop.X.R)
+#: its pose in the world
+POSE = Quantity(Transform(Mat3.identity(), Vec3.zero()), lambda hop, pose: pose.then(hop.X))
+#: its twist in its own axes, at its origin
+TWIST = Quantity(Motion.zero(), lambda hop, V: hop.X(V) + hop.joint.twist)
+#: its angular velocity, and its angular acceleration with the classical acceleration of its origin,
+#: in its own axes
+ACCELERATION = Quantity((Vec3.zero(), Motion.zero()), _acceleration)
+
+
+def accelerated_base(a: Motion) -> Quantity:
+    """`ACCELERATION` on a base with the acceleration a; -g acts as gravity g does."""
+    return ACCELERATION._replace(root=(Vec3.zero(), a))
+
+
+def sweep(d: Driver, joints: Any, *quantities: Quantity, a: Any = None) -> tuple[Any, ...]:
+    """The outward recursion over the tree: each quantity, per link. a: accelerations per link."""
+
+    def step(x, parents):
+        link, joint, *qdd = x
+        hop = Hop(joint.transform(link), joint, *qdd)
+        here = tuple(y.step(hop, parent) for y, parent in zip(quantities, parents, strict=True))
+        return here, here
+
+    xs = d.zip(d.constants, joints) if a is None else d.zip(d.constants, joints, a)
+    return d.unzip(d.outward(step, tuple(y.root for y in quantities), xs), len(quantities))
 
 
 def body_transforms(d: Driver, poses: Any) -> Any:
@@ -87,35 +140,9 @@ def forward_kinematics(model: Model, q: jax.Array) -> Poses:
     if not model.nv:
         made = d.prepared
         return Poses(jnp.asarray(made.body_R, q.dtype), jnp.asarray(made.body_p, q.dtype))
-    poses = body_transforms(d, d.whole(world_poses(d, d.joints(q, None))))
+    poses = body_transforms(d, d.whole(*sweep(d, d.joints(q, None), POSE)))
     R, p = d.stack(poses, lambda pose: pose.R, q), d.stack(poses, lambda pose: pose.p, q)
     return Poses(R.reshape(-1, 3, 3), p)
-
-
-def link_twists(d: Driver, joints: Any) -> Any:
-    """Each link's twist in its own axes at its own origin."""
-
-    def step(x, V_parent):
-        link, joint = x
-        V = joint.transform(link)(V_parent) + joint.twist
-        return V, V
-
-    return d.outward(step, Motion.zero(), d.zip(d.constants, joints))
-
-
-def link_motions(d: Driver, joints: Any) -> Any:
-    """Each link's pose in the world, and its twist in its own axes at its own origin."""
-
-    def step(x, parent):
-        link, joint = x
-        pose, V = parent
-        X = joint.transform(link)
-        V = X(V) + joint.twist
-        here = pose.then(X), V
-        return here, here
-
-    root = Transform(Mat3.identity(), Vec3.zero()), Motion.zero()
-    return d.outward(step, root, d.zip(d.constants, joints))
 
 
 @algorithm("q", "v")
@@ -144,7 +171,7 @@ def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     d = driver(model, q.dtype)
     if not model.nv:
         return jnp.zeros((model.nb, 6), q.dtype)
-    poses, twists = d.unzip(link_motions(d, d.joints(q, v)), 2)
+    poses, twists = sweep(d, d.joints(q, v), POSE, TWIST)
     poses, twists = d.whole(poses), d.whole(twists)
     link = [max(k, 0) for k in model.topology.body_links]
     moves = d.known([0.0 if k == WORLD else 1.0 for k in model.topology.body_links])

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.dynamics.algorithms.kinematics import ROTATION, sweep
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD
@@ -64,21 +65,10 @@ def generalized(d: Driver, joints: Any, pushes: LinkForces) -> Any:
     return d.inward(inward, Force.zero(), d.zip(d.constants, joints, per_link(d, pushes)))
 
 
-def world_rotations(d: Driver, joints: Any) -> Any:
-    """The attitude of each link in the world, per link."""
-
-    def step(x, parent):
-        link, joint = x
-        R = parent @ joint.transform(link).R
-        return R, R
-
-    return d.outward(step, Mat3.identity(), d.zip(d.constants, joints))
-
-
 def on_links(d: Driver, joints: Any, wrenches: jax.Array) -> LinkForces:
     """Wrenches (nb, 6) on bodies, in world axes at the bodies' origins, as forces on links."""
     top = d.topology
-    rotations = d.whole(world_rotations(d, joints))
+    rotations = d.whole(*sweep(d, joints, ROTATION))
     if not d.listed:
         bodies = np.array([b for b, k in enumerate(top.body_links) if k != WORLD], int)
         links = [top.body_links[b] for b in bodies]

@@ -15,12 +15,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.aba import velocity_step
-from rbjax.dynamics.algorithms.kinematics import link_motions
+from rbjax.dynamics.algorithms.kinematics import (
+    ACCELERATION,
+    POSE,
+    TWIST,
+    Hop,
+    Quantity,
+    sweep,
+)
 from rbjax.dynamics.algorithms.link_forces import over_links
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.joint_lanes import axes
-from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier
+from rbjax.lanes import Lane, fusion_barrier
 from rbjax.model import WORLD
 from rbjax.spatial import Force, Motion, Transform
 
@@ -33,55 +39,46 @@ class LinkMotion:
         self, d: Driver, q: jax.Array, v: jax.Array | None, a: jax.Array | None = None
     ):
         self.driver, self._q, self._v, self._a = d, q, v, a
-        self._poses = {WORLD: Transform(Mat3.identity(), Vec3.zero())}
-        self._twists = {WORLD: Motion.zero()}
-        self._accelerations = {WORLD: Motion.zero()}
+        #: quantity -> its value of each link that was asked for, or its columns
+        self._found: dict[Quantity, Any] = {}
 
     def accelerating(self, a: jax.Array) -> LinkMotion:
         """The same motion, with the accelerations a (nv,)."""
         out = copy.copy(self)
-        out._a, out._accelerations = a, {WORLD: Motion.zero()}
-        out.__dict__.pop("_acceleration_columns", None)
+        out._a, out._found = a, {k: x for k, x in self._found.items() if k is not ACCELERATION}
         return out
 
     def pose(self, link: int) -> Transform:
         """The pose of the link in the world."""
-        if not self.driver.listed:
-            return self._poses[link] if link == WORLD else _row(self._columns[0], link)
-        for i in self._missing(link, self._poses):
-            parent = self._poses[self.driver.topology.links[i].parent]
-            joint, constants = self._links[i]
-            pose = parent.then(joint.transform(constants))
-            self._poses[i] = fusion_barrier(pose, known=(parent, joint, constants))
-        return self._poses[link]
+        return self._of(POSE, link)
 
     def twist(self, link: int) -> Motion:
         """The twist of the link in its own axes, at its origin."""
-        if not self.driver.listed:
-            return self._twists[link] if link == WORLD else _row(self._columns[1], link)
-        for i in self._missing(link, self._twists):
-            parent = self._twists[self.driver.topology.links[i].parent]
-            joint, constants = self._links[i]
-            twist = joint.transform(constants)(parent) + joint.twist
-            self._twists[i] = fusion_barrier(twist, known=(parent, joint, constants))
-        return self._twists[link]
+        return self._of(TWIST, link)
 
     def acceleration(self, link: int) -> Motion:
         """The angular acceleration of the link and the classical acceleration of its origin, in its
         own axes; gravity has no part in it."""
+        return self._of(ACCELERATION, link)[1]
+
+    def _of(self, quantity: Quantity, link: int) -> Any:
+        """A quantity of a link: the recursion along the links from the base to it."""
+        if link == WORLD:
+            return quantity.root
         if not self.driver.listed:
-            still = self._accelerations
-            return still[link] if link == WORLD else _row(self._acceleration_columns, link)
-        for i in self._missing(link, self._accelerations):
-            parent = self.driver.topology.links[i].parent
+            return _row(self._columns(quantity), link)
+        found = self._found.setdefault(quantity, {WORLD: quantity.root})
+        for i in self.driver.topology.ancestors[link]:
+            if i in found:
+                continue
+            parent = found[self.driver.topology.links[i].parent]
             joint, constants = self._links[i]
-            _, step = velocity_step((constants, joint), self.twist(parent).ang)
-            found = step.X(self._accelerations[parent]) + step.c
-            if self._a is not None:
-                found = found + joint.S * self._a[i]
-            known = (self._accelerations[parent], joint, constants)
-            self._accelerations[i] = fusion_barrier(found, known=known)
-        return self._accelerations[link]
+            hop = Hop(joint.transform(constants), joint)
+            if quantity is ACCELERATION and self._a is not None:
+                hop = hop._replace(qdd=self._a[i])
+            known = (parent, joint, constants)
+            found[i] = fusion_barrier(quantity.step(hop, parent), known=known)
+        return found[link]
 
     def to_parent(self, link: int) -> tuple[Transform, Motion]:
         """The pose of a link in its parent, and the axis of its joint."""
@@ -103,7 +100,7 @@ class LinkMotion:
         """For bodies that can move, as columns over them: the pose and the twist of the links that
         carry them, and their poses in these links."""
         links = np.array(self.driver.topology.body_links)[bodies]
-        pose, twist = (_row(x, links) for x in self._columns)
+        pose, twist = (_row(self._columns(x), links) for x in (POSE, TWIST))
         welds = self.driver.prepared.welds
         return pose, twist, jax.tree.map(lambda column: self.column(column, bodies), welds)
 
@@ -120,10 +117,6 @@ class LinkMotion:
         links = np.array(self.driver.topology.body_links)[bodies]
         return over_links(self.driver, links, forces, self._q.dtype)
 
-    def _missing(self, link: int, found: dict) -> list[int]:
-        path = () if link == WORLD else self.driver.topology.ancestors[link]
-        return [i for i in path if i not in found]
-
     @cached_property
     def joints(self) -> Any:
         """The joint motion of each link, per link."""
@@ -134,24 +127,15 @@ class LinkMotion:
         d = self.driver
         return list(zip(d.whole(self.joints), d.whole(d.constants), strict=True))
 
-    @cached_property
-    def _columns(self) -> tuple[Any, Any]:
-        d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
-        poses, twists = d.unzip(link_motions(d, self.joints), 2)
-        return d.columns(poses, like), d.columns(twists, like)
-
-    @cached_property
-    def _acceleration_columns(self) -> Any:
-        d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
-
-        def step(x, parent):
-            link, joint, qdd = x
-            w, moved = velocity_step((link, joint), parent[0])
-            a = moved.X(parent[1]) + moved.c + joint.S * qdd
-            return (w, a), a
-
-        given = d.zip(d.constants, self.joints, d.lanes(self._a))
-        return d.columns(d.outward(step, (Vec3.zero(), Motion.zero()), given), like)
+    def _columns(self, quantity: Quantity) -> Any:
+        """A quantity of all links, as columns. Pose and twist share one sweep."""
+        if quantity not in self._found:
+            d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
+            some = (ACCELERATION,) if quantity is ACCELERATION else (POSE, TWIST)
+            a = d.lanes(self._a) if quantity is ACCELERATION else None
+            for one, values in zip(some, sweep(d, self.joints, *some, a=a), strict=True):
+                self._found[one] = d.columns(values, like)
+        return self._found[quantity]
 
     @cached_property
     def _axes(self) -> Any:

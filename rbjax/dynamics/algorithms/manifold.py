@@ -82,8 +82,8 @@ def _with_attitudes(
     return out
 
 
-def moved(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
-    """q + dq of arrays (nq, ...) and (nv, ...), computed once."""
+def retract(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
+    """`integrate` of checked arrays (nq, ...) and (nv, ...), which may have the batch last."""
     if not model.nv:
         return q
     return jnp.stack(fusion_barrier(integrate_lanes(model.topology, list(q), list(dq))))
@@ -133,9 +133,7 @@ def integrate(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
         >>> rb.integrate(model, state.q, 0.1 + state.v).shape
         (7,)
     """
-    if not model.nq:
-        return q
-    return jnp.stack(integrate_lanes(model.topology, list(q), list(dq)))
+    return retract(model, q, dq)
 
 
 @algorithm("q0", "q1")
@@ -156,11 +154,6 @@ def difference(model: Model, q0: jax.Array, q1: jax.Array) -> jax.Array:
         >>> rb.difference(model, q, q).shape
         (6,)
     """
-    out = [jnp.zeros(0, q0.dtype)]
-    for span in spans(model.topology):
-        out.append(q1[span.q] - q0[span.q])
-        if span.attitude:
-            a, b = (x[span.attitude[0]] for x in (q0, q1))
-            turn = quaternion.multiply(quaternion.conjugate(a), b)
-            out.append(quaternion.log(quaternion.normalize(turn)))
-    return jnp.concatenate(out)
+    if not model.nv:
+        return jnp.zeros(0, q0.dtype)
+    return jnp.stack(fusion_barrier(difference_lanes(model.topology, list(q0), list(q1))))

@@ -11,10 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiler import side_by_side, threaded
-from rbjax.dynamics.algorithms.aba import velocity_step
 from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
 from rbjax.dynamics.algorithms.jacobians import ancestor_mask
-from rbjax.dynamics.algorithms.kinematics import body_transforms
+from rbjax.dynamics.algorithms.kinematics import accelerated_base, body_transforms, sweep
 from rbjax.dynamics.arguments import check_model
 from rbjax.dynamics.drivers.choice import driver, on_threads
 from rbjax.dynamics.tracing.algorithm import algorithm
@@ -31,16 +30,8 @@ def regressor_factors(
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     poses = tree_poses(d, joints)
-
-    def step(x, parent):
-        w_parent, a_parent = parent
-        constants, joint, qdd = x
-        w, moved = velocity_step((constants, joint), w_parent)
-        acc = moved.X(a_parent) + moved.c + joint.S * qdd
-        return (w, acc), (w, acc)
-
-    root = (Vec3.zero(), Motion(Vec3.zero(), -d.prepared.gravity))
-    motions = d.whole(d.outward(step, root, d.zip(d.constants, joints, d.lanes(a))))
+    base = accelerated_base(Motion(Vec3.zero(), -d.prepared.gravity))
+    motions = d.whole(*sweep(d, joints, base, a=d.lanes(a)))
     carriers = [max(link, 0) for link in model.topology.body_links]
     wrenches = d.each(
         parameter_wrenches,

@@ -13,7 +13,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.algorithms.aba import bias_force, velocity_step
+from rbjax.dynamics.algorithms.aba import bias_force
+from rbjax.dynamics.algorithms.kinematics import ACCELERATION, Hop, accelerated_base
 from rbjax.dynamics.algorithms.link_forces import LinkForces, on_links, per_link
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
@@ -24,11 +25,10 @@ from rbjax.spatial import Force, Motion
 
 def newton_euler(x: Any, parent: tuple[Vec3, Motion]) -> tuple[tuple[Vec3, Motion], Any]:
     """Outward step: a link's pose, and the force that its motion needs beyond its push."""
-    w_parent, a_parent = parent
     link, joint, qdd, push = x
-    w, moved = velocity_step((link, joint), w_parent)
-    a = moved.X(a_parent) + moved.c + joint.S * qdd
-    return (w, a), (moved.X, link.inertia(a) + bias_force(link.inertia, w) - push)
+    X = joint.transform(link)
+    w, a = ACCELERATION.step(Hop(X, joint, qdd), parent)
+    return (w, a), (X, link.inertia(a) + bias_force(link.inertia, w) - push)
 
 
 def rnea(
@@ -56,7 +56,7 @@ def forces_on_links(
 
 
 def _root(gravity: Vec3) -> tuple[Vec3, Motion]:
-    return Vec3.zero(), Motion(Vec3.zero(), -gravity)
+    return accelerated_base(Motion(Vec3.zero(), -gravity)).root
 
 
 def _run(

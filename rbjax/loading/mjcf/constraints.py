@@ -1,9 +1,8 @@
-"""The constraints of a compiled MuJoCo model: its equalities, and the joints that mimic in a URDF.
+"""The constraints of a compiled MuJoCo model: its equalities.
 
     connect                   Spherical
     weld                      Weld; Spherical where torquescale is zero
     joint                     JointPolynomial
-    mimic of a URDF           JointPolynomial, q1 = offset + multiplier q2
 They hold exactly. MuJoCo's are soft, as `solref` and `solimp` say: so are these if `compliant` is
 asked for, with the same accelerations (`Soft`, of a weld `QuaternionWeld`). torquescale only weighs
 rotation against translation there.
@@ -28,7 +27,6 @@ from rbjax.constraints import (
     Weld,
 )
 from rbjax.errors import ModelError
-from rbjax.loading.urdf.mimics import Mimics
 
 _KIND = mujoco.mjtEq
 _LOADED = {int(_KIND.mjEQ_CONNECT), int(_KIND.mjEQ_WELD), int(_KIND.mjEQ_JOINT)}
@@ -44,14 +42,6 @@ def constraints_of(m: mujoco.MjModel, *, compliant: bool = False) -> tuple[Const
                 _refuse_nan(m, i)
                 found.append(_soft(m, i) if compliant else _constraint(m, i))
     return tuple(found)
-
-
-def mimicking(mimics: Mimics) -> tuple[Constraint, ...]:
-    """The couplings of a URDF's joints, which are zero where the file draws the robot."""
-    return tuple(
-        JointPolynomial(x.joint, None if x.held else x.driver, _array([x.offset, x.multiplier]))
-        for x in mimics.coupled
-    )
 
 
 def equalities_are_on(m: mujoco.MjModel) -> bool:

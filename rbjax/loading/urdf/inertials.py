@@ -1,28 +1,28 @@
 """The inertials of a URDF, as the file has them.
 
-MuJoCo's compiler refuses what every other reader takes: placeholders of zeros, rounded or guessed
-inertias that no rigid body has, massless links that move. So it compiles the same body for every
-link, and the file's own numbers are written into what it compiled.
+MuJoCo's compiler rejects inertials that every other reader takes: placeholders of zeros, rounded or
+guessed inertias that no rigid body has, massless links that move. So it compiles a placeholder for
+every link, and the file's numbers are written into the compiled model.
 """
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, listed
 from rbjax.loading.singular import data_of, joints_that_cancel, mass_matrix
+from rbjax.loading.urdf.numbers import origin, read_numbers
 
 #: a moment beyond the sum of the other two by less than this part of it is the file's rounding
 ROUNDING = 1e-6
 _SHOWN = 8  # names listed before "and N more"
 # At an angle and off the link's origin, so that MuJoCo takes no short cuts from its zeros.
-_PLACEHOLDER = """<inertial><origin xyz="1 2 3" rpy="1 1 1"/><mass value="1"/>
-    <inertia ixx="1" iyy="1.1" izz="1.2" ixy="0" ixz="0" iyz="0"/></inertial>"""
+_TURNED = (0.7, 0.1, 0.5, 0.5)
 
 
 @dataclass(frozen=True)
@@ -51,15 +51,10 @@ class Inertial:
         return ""
 
 
-def take_inertials(links: dict[str, ET.Element], name: str) -> dict[str, Inertial]:
-    """The inertial of each link, which has a placeholder afterwards."""
-    found = {}
-    for link_name, link in links.items():
-        found[link_name] = _read(link, f"{name}: link {link_name!r}")
-        for inertial in link.findall("inertial"):
-            link.remove(inertial)
-        link.append(ET.fromstring(_PLACEHOLDER))
-    return found
+def add_placeholder(body: Any) -> None:
+    """Give a body of a spec an inertial that MuJoCo compiles."""
+    body.mass, body.ipos, body.inertia = 1.0, (1.0, 2.0, 3.0), (1.0, 1.1, 1.2)
+    body.iquat, body.explicitinertial = _TURNED, True
 
 
 def write_inertials(m: mujoco.MjModel, inertials: dict[str, Inertial], name: str) -> str:
@@ -112,45 +107,22 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
         )
 
 
-def _read(link: ET.Element, where: str) -> Inertial:
-    """An absent element counts as zeros; one that is there has all its numbers."""
-    found = link.find("inertial")
-    inertial = ET.Element("inertial") if found is None else found
-    mass = _numbers(inertial.find("mass"), "value", 1, where)
-    com = _numbers(inertial.find("origin"), "xyz", 3, where)
-    angles = _numbers(inertial.find("origin"), "rpy", 3, where)
+def read_inertial(link: ET.Element, where: str) -> Inertial:
+    """The inertial of a link. An absent element counts as zeros; one that is there has all its
+    numbers."""
+    inertial = link.find("inertial")
+    inertial = ET.Element("inertial") if inertial is None else inertial
+    mass = read_numbers(inertial.find("mass"), "value", 1, where)
+    com, quat = origin(inertial, where)
     element = inertial.find("inertia")
     xx, yy, zz, xy, xz, yz = (
-        _numbers(element, key, 1, where)[0] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        read_numbers(element, key, 1, where)[0]
+        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     )
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if angles.any():
-        turn = _rotation(angles)
+    if quat[0] != 1:
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, quat)
+        turn = turn.reshape(3, 3)
         inertia = turn @ inertia @ turn.T
     return Inertial(float(mass[0]), com, inertia)
-
-
-def _numbers(element: ET.Element | None, key: str, count: int, where: str) -> np.ndarray:
-    text = None if element is None else element.get(key)
-    if element is None or (text is None and element.tag == "origin"):
-        return np.zeros(count)
-    if text is None:
-        raise ModelError(f"{where}: <{element.tag}> has no {key}, expected a number; add it")
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
-        expected = "one finite number" if count == 1 else f"{count} finite numbers"
-        raise ModelError(
-            f"{where}: <{element.tag} {key}={text!r}>, expected {expected}; correct it"
-        )
-    return np.array(values)
-
-
-def _rotation(rpy: np.ndarray) -> np.ndarray:
-    """Rz(yaw) Ry(pitch) Rx(roll)."""
-    quat, matrix = np.empty(4), np.empty(9)
-    mujoco.mju_euler2Quat(quat, rpy, "XYZ")
-    mujoco.mju_quat2Mat(matrix, quat)
-    return matrix.reshape(3, 3)

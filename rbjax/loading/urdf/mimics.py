@@ -2,73 +2,54 @@
 
 from __future__ import annotations
 
-import math
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
+import jax.numpy as jnp
+
+from rbjax.constraints import JointPolynomial
 from rbjax.errors import ModelError
+from rbjax.loading.urdf.numbers import number
+from rbjax.loading.urdf.tree import Tree
 
 _MOVING = ("revolute", "continuous", "prismatic")  # of one coordinate
-_USUAL = {"multiplier": 1.0, "offset": 0.0}
-
-
-@dataclass(frozen=True)
-class Mimic:
-    """A joint that follows a driver; `held` where that is fixed: then q = offset."""
-
-    joint: str
-    driver: str
-    held: bool
-    multiplier: float
-    offset: float
 
 
 @dataclass(frozen=True)
 class Mimics:
-    """Those of a file: of joints of one coordinate; and in words of joints of several, which
-    cannot."""
+    """The mimics of a file.
 
-    coupled: tuple[Mimic, ...] = ()
+    couplings: the constraints of joints of one coordinate; one on a fixed joint is held.
+    names: of the couplings, "joint of driver".
+    others: of joints of several coordinates, which are not modelled.
+    """
+
+    couplings: tuple[JointPolynomial, ...] = ()
+    names: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
 
     def left_out(self, *, constraints: bool) -> tuple[str, ...]:
-        """What the model has not of them, for `Model.dropped`."""
-        named = () if constraints else tuple(f"{x.joint} of {x.driver}" for x in self.coupled)
-        names = ", ".join((*named, *self.others))
+        """The entries of `Model.dropped`."""
+        names = ", ".join((*(() if constraints else self.names), *self.others))
         return (f"mimic joints, which move on their own ({names})",) if names else ()
 
 
-def take_mimics(robot: ET.Element, name: str) -> Mimics:
-    """The mimics of a robot, of which no joint has one afterwards. A fixed joint has nothing to
-    mimic with."""
-    kinds = {joint.get("name", ""): joint.get("type", "") for joint in robot.findall("joint")}
-    found, others = [], []
-    for joint in robot.findall("joint"):
-        for mimic in joint.findall("mimic"):
-            joint.remove(mimic)
-            own, driver = joint.get("name", ""), mimic.get("joint", "")
-            if driver not in kinds or driver == own:
+def read_mimics(tree: Tree, name: str) -> Mimics:
+    """The mimics of a robot. A fixed joint has nothing to mimic with."""
+    kinds = {joint.name: joint.kind for joint in tree.joints}
+    couplings, names, others = [], [], []
+    for joint in tree.joints:
+        for mimic in () if joint.element is None else joint.element.findall("mimic"):
+            driver, where = mimic.get("joint", ""), f"{name}: joint {joint.name!r}"
+            if driver not in kinds or driver == joint.name:
                 raise ModelError(
-                    f"{name}: joint {own!r} mimics {driver!r}, expected another one of the joints "
+                    f"{where} mimics {driver!r}, expected another one of the joints "
                     f"{', '.join(sorted(kinds))}"
                 )
-            numbers = [_number(mimic, key, x, own, name) for key, x in _USUAL.items()]
-            pair = kinds[own], kinds[driver]
-            if pair[0] in _MOVING and pair[1] in (*_MOVING, "fixed"):
-                found.append(Mimic(own, driver, pair[1] == "fixed", *numbers))
-            elif pair[0] != "fixed":
-                others.append(f"{own} of {driver}")
-    return Mimics(tuple(found), tuple(others))
-
-
-def _number(mimic: ET.Element, key: str, usual: float, joint: str, name: str) -> float:
-    text = mimic.get(key, str(usual))
-    try:
-        x = float(text)
-    except ValueError:
-        x = math.nan
-    if not math.isfinite(x):
-        raise ModelError(
-            f"{name}: joint {joint!r} mimics with the {key} {text!r}, expected a finite number"
-        )
-    return x
+            line = [number(mimic, "offset", where), number(mimic, "multiplier", where, 1.0)]
+            if joint.kind in _MOVING and kinds[driver] in (*_MOVING, "fixed"):
+                leader = None if kinds[driver] == "fixed" else driver
+                couplings.append(JointPolynomial(joint.name, leader, jnp.asarray(line, float)))
+                names.append(f"{joint.name} of {driver}")
+            elif joint.kind != "fixed":
+                others.append(f"{joint.name} of {driver}")
+    return Mimics(tuple(couplings), tuple(names), tuple(others))

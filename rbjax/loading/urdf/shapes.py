@@ -1,4 +1,4 @@
-"""The shapes of a URDF that MuJoCo can read: cylinders, spheres, capsules, and meshes it finds.
+"""The shapes of a URDF as geoms: cylinders, spheres, capsules, and meshes.
 
 `package://name/path` is looked for in the folders above the file, as no search path is known here:
 in one that is named so, and beneath each.
@@ -10,34 +10,49 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from urllib.parse import unquote
 
-ROUND = ("cylinder", "sphere", "capsule")
+import mujoco
+
+from rbjax.loading.urdf.numbers import number, origin, read_numbers
+
+_ROUND = {
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+}
 READ = (".stl", ".obj", ".msh")
 
 
-def take_shapes(link: ET.Element, folder: Path | None) -> None:
-    """Remove a link's shapes; with the folder of the file only those that MuJoCo cannot read, and
-    those that are only seen if others stay.
-
-    Names of meshes that stay are absolute paths afterwards.
-    """
-    stay = False
-    for shape in (*link.findall("collision"), *link.findall("visual")):
-        if folder is None or (stay and shape.tag == "visual") or not _stays(shape, folder):
-            link.remove(shape)
-        else:
-            for material in shape.findall("material"):
-                shape.remove(material)
-            stay = True
+def add_shapes(spec: mujoco.MjSpec, body: object, link: ET.Element, folder: Path, at: str) -> None:
+    """Give a body the collision shapes of its link or, if it has none, the visual ones. Shapes that
+    MuJoCo cannot read are left out. at: the place in the file, for messages."""
+    for tag in ("collision", "visual"):
+        added = [_add(spec, body, shape, folder, at) for shape in link.findall(tag)]
+        if any(added):
+            return
 
 
-def _stays(shape: ET.Element, folder: Path) -> bool:
+def _add(spec: mujoco.MjSpec, body: object, shape: ET.Element, folder: Path, at: str) -> bool:
     mesh = shape.find("geometry/mesh")
-    if mesh is None:
-        return any(shape.find(f"geometry/{kind}") is not None for kind in ROUND)
-    path = find_mesh(mesh.get("filename", ""), folder)
-    if path is not None:
-        mesh.set("filename", str(path))
-    return path is not None
+    found = [(kind, shape.find(f"geometry/{kind}")) for kind in _ROUND]
+    given = dict(zip(("pos", "quat"), origin(shape, at), strict=True))
+    if shape.tag == "visual":
+        given |= {"contype": 0, "conaffinity": 0, "group": 1}
+    if mesh is not None:
+        path = find_mesh(mesh.get("filename", ""), folder)
+        if path is None:
+            return False
+        scale = read_numbers(mesh, "scale", 3, at, 1.0)
+        name = f"{path} {scale}"
+        if spec.mesh(name) is None:
+            spec.add_mesh(name=name, file=str(path), scale=scale)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **given)
+        return True
+    for kind, element in found:
+        if element is not None:
+            size = [number(element, "radius", at), number(element, "length", at) / 2, 0.0]
+            body.add_geom(type=_ROUND[kind], size=size, **given)
+            return True
+    return False
 
 
 def find_mesh(name: str, folder: Path) -> Path | None:

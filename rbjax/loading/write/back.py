@@ -18,7 +18,7 @@ from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, ModelError
 from rbjax.forces import JointFriction
 from rbjax.loading.loader import _compile_source, _read, from_compiled
-from rbjax.loading.urdf.prepare import is_urdf
+from rbjax.loading.urdf.tree import is_urdf
 from rbjax.loading.write.draft import text
 from rbjax.model import Model
 

@@ -1,0 +1,189 @@
+"""A URDF as a `mujoco.MjSpec`.
+
+Bodies, joints and frames go straight into the spec. Inertials do not: MuJoCo's compiler rejects
+placeholders of zeros and rounded inertias, so every body is compiled with the same one, and
+`inertials` writes the file's numbers into the compiled model. Shapes are left out unless a caller
+asks for those of some links.
+
+A floating joint is a free joint if its parent is the ground or a root at rest. Further down, where
+MuJoCo has no free joint, it is three slides and a ball, whose coordinates
+
+    q = [position; quaternion] of the child in the joint's frame,   v = [its rate; angular velocity]
+
+have position and velocity in the axes of the joint's frame, angular velocity in those of the child.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rbjax.errors import ModelError
+from rbjax.loading.complaints import fix_of, sentence
+from rbjax.loading.urdf.inertials import Inertial, add_placeholder, read_inertial
+from rbjax.loading.urdf.mimics import Mimics, read_mimics
+from rbjax.loading.urdf.numbers import number, origin, read_numbers
+from rbjax.loading.urdf.shapes import add_shapes
+from rbjax.loading.urdf.tree import GROUND, Joint, Tree, left_out, read_tree
+
+_FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
+_SLIDE, _HINGE = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+_TYPES = {
+    "revolute": _HINGE, "continuous": _HINGE, "prismatic": _SLIDE, "spherical": _BALL,
+}  # fmt: skip
+_AXES = {"TX": (1, 0, 0), "TY": (0, 1, 0), "TZ": (0, 0, 1)}
+#: settings of MuJoCo's compiler that change inertials, or that concern MJCF files
+_IGNORED = (
+    "balanceinertia", "boundmass", "boundinertia", "settotalmass", "meshdir", "texturedir",
+    "assetdir", "angle", "eulerseq",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A URDF as a spec, and the parts that MuJoCo does not get.
+
+    spec: the tree, with placeholders as inertials.
+    inertials: by link.
+    mimics: the mimic joints.
+    left_out: entries of `Model.dropped`.
+    """
+
+    spec: mujoco.MjSpec
+    inertials: dict[str, Inertial]
+    mimics: Mimics
+    left_out: tuple[str, ...]
+
+
+def read_urdf(
+    text: str, name: str, *, floating_base: bool, shapes: Collection[str] = (),
+    folder: Path = Path(),
+) -> Urdf:  # fmt: skip
+    """The robot of a URDF, with the shapes of the links named in `shapes`; `folder` is the file's.
+
+    Raises:
+        ModelError: the joints make no tree, or a number is missing or wrong.
+    """
+    robot = ET.fromstring(text)
+    tree = read_tree(robot, name)
+    dropped = left_out(tree, name, floating_base=floating_base)
+    inertials = {x: read_inertial(e, f"{name}: link {x!r}") for x, e in tree.links.items()}
+    if floating_base and tree.root == GROUND:
+        _free_ground(tree, inertials, name)
+    spec = _settings(robot, name)
+    bodies = {GROUND: spec.worldbody}
+    for joint in _from_the_ground(tree, floating_base=floating_base):
+        at = f"{name}: joint {joint.name!r}"
+        position, quat = origin(joint.element, at)
+        body = bodies[joint.parent].add_body(name=joint.child, pos=position, quat=quat)
+        bodies[joint.child] = body
+        add_placeholder(body)
+        _add_joints(body, joint, at)
+    for link, element in tree.links.items():
+        if link in shapes:
+            add_shapes(spec, bodies[link], element, folder, f"{name}: link {link!r}")
+    inertials = {x: inertials[x] for x in inertials if x in tree.links}
+    return Urdf(spec, inertials, read_mimics(tree, name), dropped)
+
+
+def _free_ground(tree: Tree, inertials: dict[str, Inertial], name: str) -> None:
+    """Make the root 'world' a link that can move, unless something floats on it already."""
+    if any(x.kind == "floating" and x.parent == GROUND for x in tree.joints):
+        return
+    children, front, mass = tree.children(), [GROUND], False
+    while front:
+        mass |= any(inertials[link].mass > 0 for link in front)
+        front = [x.child for link in front for x in children[link] if x.kind == "fixed"]
+    if not mass:
+        raise ModelError(
+            f"{name}: floating_base=True, but the root link 'world' and the links that are "
+            f"fixed to it have no mass, and nothing floats without: the link named 'world' is "
+            f"the ground; load without floating_base, or give it an <inertial>"
+        )
+    own = inertials.pop(GROUND)
+    tree.rename_ground()
+    inertials[tree.root] = own
+
+
+def _from_the_ground(tree: Tree, *, floating_base: bool) -> list[Joint]:
+    """The joints, parents before children, from the ground on. What floats on a root at rest
+    floats on the ground."""
+    children, root = tree.children(), tree.root
+    if root != GROUND and floating_base:
+        children[GROUND] = [Joint("floating_base", "floating", GROUND, root)]
+    elif root != GROUND:
+        floating = [x for x in children[root] if x.kind == "floating"]
+        children[root] = [x for x in children[root] if x.kind != "floating"]
+        children[GROUND] = [*floating, Joint("", "fixed", GROUND, root)]
+        for joint in floating:
+            joint.parent = GROUND
+    out, front = [], [GROUND]
+    while front:
+        joints = [joint for link in front for joint in children[link]]
+        out += joints
+        front = [joint.child for joint in joints]
+    return out
+
+
+def _settings(robot: ET.Element, name: str) -> mujoco.MjSpec:
+    """An empty spec with the options of the URDF's <mujoco> extension."""
+    root = ET.Element("mujoco", model=robot.get("name", "robot"))
+    extension = robot.find("mujoco")
+    for element in () if extension is None else extension:
+        if element.tag in ("option", "size", "compiler"):
+            root.append(element)
+    compiler = root.find("compiler")
+    compiler = ET.SubElement(root, "compiler") if compiler is None else compiler
+    for attribute in _IGNORED:
+        compiler.attrib.pop(attribute, None)
+    compiler.attrib |= {"fusestatic": "false", "inertiafromgeom": "false", "angle": "radian"}
+    compiler.attrib |= {"strippath": "false", "discardvisual": "false"}
+    try:
+        return mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+    except ValueError as error:
+        message = sentence(error)
+        raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{fix_of(message)}") from error
+
+
+def _add_joints(body: Any, joint: Joint, at: str) -> None:
+    """The joints of a body that move it as a joint of the file does."""
+    element = ET.Element("joint") if joint.element is None else joint.element
+    limit, dynamics, axis = (element.find(tag) for tag in ("limit", "dynamics", "axis"))
+    ends = [number(limit, key, at) for key in ("lower", "upper")]
+    effort = abs(number(limit, "effort", at))
+    passive = {
+        "damping": [number(dynamics, "damping", at), 0.0, 0.0],
+        "frictionloss": number(dynamics, "friction", at),
+    }
+    limits: dict[str, Any] = {}
+    if effort:
+        limits["actfrcrange"] = [-effort, effort]
+    if ends[0] != ends[1] and joint.kind != "continuous":
+        limits["range"] = ends
+    along = [1.0, 0.0, 0.0] if axis is None else read_numbers(axis, "xyz", 3, at)
+    if joint.kind == "floating" and joint.parent == GROUND:
+        body.add_joint(name=joint.name, type=_FREE, **passive)
+    elif joint.kind == "floating":
+        for suffix, direction in _AXES.items():
+            body.add_joint(name=f"{joint.name}_{suffix}", type=_SLIDE, axis=direction)
+        body.add_joint(name=f"{joint.name}_R", type=_BALL)
+    elif joint.kind == "planar":
+        quat, turned = np.empty(4), np.empty(3)
+        mujoco.mju_quatZ2Vec(quat, np.asarray(along, float))
+        for suffix, given in (("TX", limits), ("TY", {})):
+            mujoco.mju_rotVecQuat(turned, np.array(_AXES[suffix], float), quat)
+            given = {"type": _SLIDE, "axis": turned} | given | passive
+            body.add_joint(name=f"{joint.name}_{suffix}", **given)
+        body.add_joint(name=f"{joint.name}_RZ", type=_HINGE, axis=along, **passive)
+    elif joint.kind == "spherical":
+        limits.pop("actfrcrange", None)
+        body.add_joint(name=joint.name, type=_BALL, **limits, **passive)
+    elif joint.kind != "fixed":
+        kind = _TYPES[joint.kind]
+        body.add_joint(name=joint.name, type=kind, axis=along, **limits, **passive)
