@@ -1,5 +1,6 @@
 """Constraints by the augmented Lagrangian: closed forms, limits along the path, obstacles."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -152,3 +153,21 @@ def test_spheres_move_with_their_bodies():
 def test_wrong_obstacles_are_refused(make):
     with pytest.raises(InputError, match="expected"):
         make()
+
+
+def test_residuals_of_a_pose_have_their_angular_part_first():
+    """About its reference, the rate of `Pose` is the twist of the frame in its own axes."""
+    model = rb.load("arm7")
+    state = model.random_state(jax.random.key(3))
+    R, p = rb.frame_pose(model, state.q, site="tool")
+    term, u = rb.control.Pose(R, p, site="tool"), jnp.zeros(model.nu)
+
+    def error(h):
+        q = rb.integrate(model, state.q, h * state.v)
+        return term(model, 0.0, rb.State(q, state.v), u)
+
+    zero = jnp.zeros(())
+    rate = jax.jvp(error, (zero,), (zero + 1,))[1]
+    twist = rb.control.FrameVelocity(site="tool")(model, 0.0, state, u)
+    due = jnp.concatenate([R.T @ twist[:3], R.T @ twist[3:]])
+    np.testing.assert_allclose(rate, due, atol=1e-12)

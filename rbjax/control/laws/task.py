@@ -23,7 +23,6 @@ from rbjax.control.laws.references import Pose, pose
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_pose
 from rbjax.dynamics.algorithms.jacobians import jacobian
-from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_static
 from rbjax.errors import InputError
 from rbjax.kinematics.goals import Goal, body_of
@@ -99,11 +98,7 @@ def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Mo
     """A task and its reference at a state."""
     q, v = state.q, state.v
     wanted = pose(reference, t, task.what, q.dtype)
-    if task.site is not None:
-        R, p = frame_pose(model, q, site=task.site)
-    else:
-        poses, b = forward_kinematics(model, q), model.body(task.body or "")
-        R, p = poses.R[b], poses.p[b]
+    R, p = frame_pose(model, q, **task.frame)
     turn = (wanted.R[:, None, :] * R[None, :, :]).sum(-1)
     e = jnp.concatenate([so3.log(turn), wanted.p - p])[task.rows]
     J = jacobian(model, q, **task.frame)[task.rows]

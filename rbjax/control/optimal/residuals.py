@@ -22,7 +22,6 @@ from rbjax.control.optimal.terms import Term
 from rbjax.dynamics.algorithms.energy import center_of_mass
 from rbjax.dynamics.algorithms.forward import forward_dynamics
 from rbjax.dynamics.algorithms.frames import frame_pose, frame_velocity
-from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
@@ -157,7 +156,7 @@ class Pose(Term):
             check_rotation("Pose", self.rotation)
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
-        R, p = pose_of(model, state.q, self.site, self.body)
+        R, p = frame_pose(model, state.q, self.body, site=self.site)
         R_ref, p_ref = (
             jnp.asarray(at_time("Pose", x, t), p.dtype) for x in (self.rotation, self.position)
         )
@@ -181,7 +180,7 @@ class Point(Term):
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         position = at_time("Point", self.position, t)
-        return pose_of(model, state.q, self.site, self.body)[1] - position
+        return frame_pose(model, state.q, self.body, site=self.site)[1] - position
 
 
 class FrameVelocity(Term):
@@ -239,14 +238,3 @@ def check_frame(where: str, site: Any, body: Any) -> None:
         raise InputError(f"{where}: got site={site!r} and body={body!r}, expected one of them")
     if not isinstance(body if site is None else site, str):
         raise InputError(f"{where}: got site={site!r} and body={body!r}, expected a name")
-
-
-def pose_of(
-    model: Model, q: jax.Array, site: str | None, body: str | None
-) -> tuple[jax.Array, jax.Array]:
-    """R (3, 3) and p (3,) of a site or body in the world."""
-    if site is not None:
-        return frame_pose(model, q, site=site)
-    k = model.body(body or "")
-    poses = forward_kinematics(model, q)
-    return poses.R[k], poses.p[k]
