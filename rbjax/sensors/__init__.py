@@ -1,33 +1,35 @@
 """Sensors of a robot: what an ideal sensor measures at an instant of a motion."""
 
+from rbjax.sensors.accelerometer import Accelerometer
 from rbjax.sensors.columns import Columns
-from rbjax.sensors.readings import (
-    Accelerations,
-    Accelerometer,
-    Currents,
-    Gyro,
-    Moment,
-    Pose,
-    Position,
-    Positions,
-    Reading,
-    Reads,
-    Torques,
-    Velocities,
-)
+from rbjax.sensors.custom import CustomSensor
+from rbjax.sensors.gyro import Gyro
+from rbjax.sensors.joint_accelerations import Accelerations
+from rbjax.sensors.joint_positions import Positions
+from rbjax.sensors.joint_torques import Torques
+from rbjax.sensors.joint_velocities import Velocities
+from rbjax.sensors.motor_currents import Currents
+from rbjax.sensors.pose import Pose
+from rbjax.sensors.position import Position
+from rbjax.sensors.protocol import Context, Sensor
+from rbjax.sensors.registry import Kind, kinds, register, sensor_of
 
 __all__ = [
-    "Moment",
-    "Reading",
-    "Columns",
-    "Positions",
-    "Velocities",
     "Accelerations",
-    "Torques",
+    "Accelerometer",
+    "Columns",
+    "Context",
     "Currents",
+    "CustomSensor",
+    "Gyro",
+    "Kind",
     "Pose",
     "Position",
-    "Gyro",
-    "Accelerometer",
-    "Reads",
+    "Positions",
+    "Sensor",
+    "Torques",
+    "Velocities",
+    "kinds",
+    "register",
+    "sensor_of",
 ]

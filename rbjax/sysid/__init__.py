@@ -2,8 +2,8 @@
 
 What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings`, `splits`),
 filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
-(`unknowns`) of a `Model` or a `Setup` (`simulation`), whose sensors are `readings`. How it is
-found: `identify`, by the error of simulated motions (`simulation_error`, `shooting`,
+(`unknowns`) of a `Model` or a `Setup` (`simulation`), whose sensors are in `rbjax.sensors`.
+How it is found: `identify`, by the error of simulated motions (`simulation_error`, `shooting`,
 `least_squares`), or by `many_starts` where that has many minima; its gradient, `squares`;
 `prediction_error`, where noise drives the motion, by a filter (`likelihood`); `regress`
 and `consistent`, by torques that are linear in the parameters (`regressor`, `torque_rows`,
@@ -15,21 +15,6 @@ and `consistent`, by torques that are linear in the parameters (`regressor`, `to
 """
 
 from rbjax.callable_modules import make_modules_callable
-from rbjax.sensors.columns import Columns
-from rbjax.sensors.readings import (
-    Accelerations,
-    Accelerometer,
-    Currents,
-    Gyro,
-    Moment,
-    Pose,
-    Position,
-    Positions,
-    Reading,
-    Reads,
-    Torques,
-    Velocities,
-)
 from rbjax.sysid.data.filtering import Filtered, differentiate, low_pass
 from rbjax.sysid.data.readers import Column, read_csv, read_npz
 from rbjax.sysid.data.recording import Channel, Recording
@@ -62,7 +47,7 @@ from rbjax.sysid.parameters.log_cholesky import (
 )
 from rbjax.sysid.parameters.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
 from rbjax.sysid.simulation.objective import Squares, squares
-from rbjax.sysid.simulation.setup import PD, Grid, Sensor, Setup
+from rbjax.sysid.simulation.setup import PD, Calibration, Grid, Setup
 from rbjax.sysid.simulation.traces import Trace
 from rbjax.sysid.statistics.comparisons import Comparison, HeldOut, Scored, compare, held_out
 from rbjax.sysid.statistics.intervals import Estimates, Interval, estimates
@@ -102,20 +87,7 @@ __all__ = [
     "Tilt",
     "Derived",
     "Setup",
-    "Sensor",
-    "Reading",
-    "Reads",
-    "Moment",
-    "Columns",
-    "Positions",
-    "Velocities",
-    "Accelerations",
-    "Torques",
-    "Currents",
-    "Pose",
-    "Position",
-    "Gyro",
-    "Accelerometer",
+    "Calibration",
     "PD",
     "Grid",
     # recordings

@@ -38,7 +38,7 @@ ELSEWHERE: dict[str, set[str]] = {
               "regress_with_zeros", "report", "select", "split", "squares", "torque_rows",
               "whiteness", "zeros_of"},
     "estimation": set(),
-    "sensors": set(),
+    "sensors": {"kinds", "register", "sensor_of"},
     # theory by polynomials in NumPy, runs of a million steps, pictures
     "stability": {"adams", "alpha_degrees", "attempt", "backward_differentiation", "characteristic",
                   "dissipation", "drift", "equilibrium", "gradient_growth", "growth_factors",

@@ -7,13 +7,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.sensors import Columns, Context, Currents, CustomSensor
 from rbjax.sysid import (
     Channel,
-    Columns,
-    Currents,
     Grid,
-    Moment,
-    Reads,
     Recording,
     Setup,
     Unknown,
@@ -59,7 +56,8 @@ def test_readings_are_those_of_mujoco(xml, body):
     state = model.random_state(jax.random.key(0))
     state = state.replace(v=jnp.asarray(rng.normal(size=model.nv)))
     ctrl = jnp.asarray(rng.normal(size=model.nu))
-    read = jax.jit(lambda s, u: {n: setup.reads(n)(Moment(0.0, s, u, setup)) for n in names})
+    at = lambda s, u: Context(0.0, s, u, model)  # noqa: E731
+    read = jax.jit(lambda s, u: {n: setup.sensor(n)(at(s, u)) for n in names})
     found = read(state, ctrl)
     d.qpos[:], d.qvel[:], d.ctrl[:] = state.q, state.v, ctrl
     mujoco.mj_forward(m, d)
@@ -106,9 +104,9 @@ def test_bad_sensors_are_named():
         setup.with_sensors("gyro:hand")
     with pytest.raises(rb.UnknownName, match="body or site 'hand'"):
         setup.with_sensors("pose:hand")
-    with pytest.raises(rb.UnknownName, match="needs no reading of its own 'other:x'"):
+    with pytest.raises(rb.UnknownName, match="unknown sensor kind 'other:x'"):
         setup.with_sensors("other:x")
-    two = setup.with_sensors({"other:x": Reads(lambda t, s, setup: s.q, 2)})
+    two = setup.with_sensors({"other:x": CustomSensor(lambda context: context.state.q, 2)})
     t = np.arange(5) * T
     run = Recording("x", first(t, np.zeros(2), np.zeros(2)) | {"other:x": Channel(t, t)})
     with pytest.raises(rb.InputError, match="other:x of recording x has 1 columns, expected 2"):
@@ -125,8 +123,8 @@ def test_a_function_of_a_user_and_a_reading_that_nothing_moves():
     run = Recording("seen", first(t, start.q, start.v) | channels)
     setup = Setup.of(model.replace(joints=model.joints.replace(damping=jnp.array([0.1]))))
     setup = setup.with_sensors({
-        "other:height": Reads(lambda t, s, setup: -jnp.cos(s.q + 0.4), 1, "m"),
-        "other:clock": Reads(lambda t, s, setup: t[None], 1, "s"),
+        "other:height": CustomSensor(lambda context: -jnp.cos(context.state.q + 0.4), 1, "m"),
+        "other:clock": CustomSensor(lambda context: context.t[None], 1, "s"),
     })  # fmt: skip
     sought = {"mass": Unknown("bodies.mass", 0, positive=True),
               "damping": Unknown("joints.damping", 0, positive=True),
@@ -149,7 +147,8 @@ def test_sensors_of_one_recording_at_several_rates(more):
     biased = Channel(gyro.t, gyro.values + np.array([0.02, -0.01, 0.03]))
     clock = Channel(gyro.t[::7], gyro.t[::7])
     run = Recording("all", run.channels | {"gyro:imu": biased, "other:clock": clock})
-    setup = guessed(*sensors, {"other:clock": Reads(lambda t, s, setup: jnp.array([t]), 1, "s")})
+    time = CustomSensor(lambda context: jnp.array([context.t]), 1, "s")
+    setup = guessed(*sensors, {"other:clock": time})
     found = identify(setup, run, LINK | {"bias": Unknown("sensors.gyro:imu.bias")}, grid=GRID)
     np.testing.assert_allclose([*found.values.values()], [*TRUTH, 0.02, -0.01, 0.03], atol=1e-8)
     assert found.ok and found.unmoved == ("other:clock",) and found.left_out == ()

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Grid, Inertia, Reads, Setup, Tilt, Unknown, base_parameters
+from rbjax.sensors import CustomSensor
+from rbjax.sysid import Grid, Inertia, Setup, Tilt, Unknown, base_parameters
 from rbjax.sysid.parameters.unknowns import Unknowns
 from rbjax.sysid.simulation import grouping
 from rbjax.sysid.simulation.grouping import grouped
@@ -67,7 +68,7 @@ def test_where_numbers_are_not_known_to_group(setup):
     assert grouped(Setup.of(floating), of()) is None
     few = Unknowns.of("test", {"upper": Inertia("upper")}, setup)
     assert grouped(setup, few) is None
-    mass = Reads(lambda t, state, setup: setup.model.bodies.mass, 2)  # looks at the bodies itself
+    mass = CustomSensor(lambda context: context.model.bodies.mass, 2)  # looks at the bodies itself
     reads = setup.with_sensors({"other:mass": mass})
     assert directions(reads, of(), 0, {"q", "other:mass"}) is None
     assert directions(reads, of(), 0, {"q"}) is not None

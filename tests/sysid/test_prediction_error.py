@@ -11,8 +11,9 @@ from scipy import stats
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, estimates, identify
 from rbjax.sysid import prediction_error as fitted
+from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.estimators.likelihood import series_of
-from rbjax.sysid.estimators.prediction import _maximised
+from rbjax.sysid.estimators.prediction import OF_LIKELIHOOD, PRIOR_WEIGHT
 from rbjax.sysid.parameters.divergence import Divergence
 
 T, PUSH, SIGMA = 0.02, 0.3, 1e-3
@@ -283,14 +284,16 @@ class Thin(Normal):
     [
         (Normal(), 60, "converged"),
         (Slow(), 3, "not converged in 7 evaluations"),
-        (Uphill(), 60, "stalled: no step raises the likelihood"),
-        (Endless(), 60, "the likelihood of the first guess is not finite"),
+        (Uphill(), 60, "stalled: no step lowers the error"),
+        (Endless(), 60, "the cost of the first guess is not finite"),
         (Thin(), 60, "the first guess is at the border of what is possible"),
     ],
 )
 def test_each_end_of_a_search(of, steps, said):
     start = np.array([3.0 if steps == 60 else 200.0])
-    found = _maximised(of, start, steps, lambda text: None)
-    assert found.message.startswith(said) and found.ok == (said == "converged")
-    if found.ok:
+    found = minimise(
+        of, start, prior_weights=(PRIOR_WEIGHT,), max_evaluations=steps, tolerances=OF_LIKELIHOOD
+    )
+    assert found.message.startswith(said) and found.success == (said == "converged")
+    if found.success:
         assert abs(found.x[0] - 2) < 1e-6

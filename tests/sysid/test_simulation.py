@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import PD, Grid, Sensor, Setup
+from rbjax.sysid import PD, Calibration, Grid, Setup
 from rbjax.sysid.simulation.setup import motion, reading
 
 MODEL = rb.load("cart_pole")
@@ -79,7 +79,7 @@ def test_readings_between_instants_are_cubic():
 
 
 def test_a_sensor_has_a_scale_a_bias_and_a_delay():
-    seen = Sensor(jnp.array([0.1, 0.2]), jnp.array([2.0, 1.0]), jnp.asarray(T))
+    seen = Calibration(jnp.array([0.1, 0.2]), jnp.array([2.0, 1.0]), jnp.asarray(T))
     setup = Setup.of(MODEL)
     setup = setup.replace(sensors=setup.sensors | {"q": seen})
     path = jax.jit(moved)()

@@ -23,6 +23,7 @@ import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
+from rbjax.sensors import kinds
 from rbjax.sysid.data.resampling import interpolated, quaternion_columns
 from rbjax.sysid.data.units import in_si
 
@@ -188,9 +189,12 @@ class Recording:
                     f"Recording {self.name}: channel {sensor} is {type(channel).__name__}, "
                     "expected a Channel"
                 )
-            if sensor not in JOINT_SENSORS and not (where and kind in (*PLACED_SENSORS, "other")):
-                placed = [f"{kind}:NAME" for kind in (*PLACED_SENSORS, "other")]
-                raise UnknownName("sensor", sensor, [*JOINT_SENSORS, *placed])
+            added = kinds()
+            known = [*JOINT_SENSORS, *(k for k, of in added.items() if not of.placed)]
+            placed = [*PLACED_SENSORS, *(k for k, of in added.items() if of.placed), "other"]
+            if sensor not in known and not (where and kind in placed):
+                names = dict.fromkeys([*known, *(f"{kind}:NAME" for kind in placed)])
+                raise UnknownName("sensor", sensor, [*names])
             columns = PLACED_SENSORS.get(kind, len(channel.names))
             if len(channel.names) != columns:
                 raise InputError(
@@ -251,7 +255,7 @@ class Recording:
             elif kind == "pose" and where not in (*model.body_names, *model.site_names):
                 known = [*model.body_names, *model.site_names]
                 raise UnknownName(f"body or site of channel {sensor}", where, known)
-            elif kind not in ("pose", "other") and where not in model.site_names:
+            elif where and kind not in ("pose", "other") and where not in model.site_names:
                 raise UnknownName(f"site of channel {sensor}", where, model.site_names)
 
     def on_clock(

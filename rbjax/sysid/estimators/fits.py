@@ -23,7 +23,7 @@ from rbjax.sensors.columns import root_mean_square
 from rbjax.sysid.data.recording import Recording, says_its_noise
 from rbjax.sysid.estimators.fit_file import write_fit
 from rbjax.sysid.estimators.fit_rows import samples_of
-from rbjax.sysid.estimators.least_squares import PULLS, Minimum, minimise
+from rbjax.sysid.estimators.least_squares import PRIOR_WEIGHTS, Minimum, minimise
 from rbjax.sysid.estimators.step_length import halved, over_noise, step_error
 from rbjax.sysid.estimators.verdict import NORMAL, is_poor
 from rbjax.sysid.parameters.guesses import drawn
@@ -37,8 +37,8 @@ from rbjax.sysid.statistics.precision import still_tolerance
 
 #: an rms below this fraction of a channel's spread is no noise
 NOISELESS = 1e-7
-#: pulls of the fit to short pieces, which is only a start
-FIRST_PULLS = (1e-4, 1e-7)
+#: prior weights of a fit to short pieces, which is only a start
+FIRST_WEIGHTS = (1e-4, 1e-7)
 #: parts of all recordings that a growing fit takes, one after the other
 PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 #: evaluations at most of a fit that is only a start
@@ -80,7 +80,8 @@ class Fits:
     def pieces(self, x: np.ndarray, seconds: float) -> np.ndarray:
         """Numbers that suit pieces of this length."""
         short = [piece for run in self.recordings for piece in run.pieces(seconds)]
-        return self._fit(self._error(short), x, last=False, pulls=FIRST_PULLS).x[: self.shared]
+        least = self._fit(self._error(short), x, last=False, prior_weights=FIRST_WEIGHTS)
+        return least.x[: self.shared]
 
     def shooting(self, x: np.ndarray, seconds: float) -> np.ndarray:
         """Numbers, and corrections of starts where these are sought, that suit pieces of this
@@ -88,8 +89,8 @@ class Fits:
         single = [run_of(self.setup, run, self.grid) for run in self.recordings]
         tied = Shooting(self.setup, self.sought, single, self.grid, seconds, loss=self.loss)
         for tied.tie in TIES:  # stiff ties must not make the prior's pull stronger
-            pulls = tuple(w / max(tied.tie, 1.0) ** 2 for w in FIRST_PULLS)
-            x = self._fit(tied, x, last=False, pulls=pulls).x
+            weights = tuple(w / max(tied.tie, 1.0) ** 2 for w in FIRST_WEIGHTS)
+            x = self._fit(tied, x, last=False, prior_weights=weights).x
         if not self._error(self.recordings).own:
             return x[: self.shared]
         # one chaotic motion is so steep that any pull to the first guess would lose it
@@ -118,7 +119,8 @@ class Fits:
             some = of.on(of.runs._replace(weights=weights))
             if samples_of(some) <= 2 * some.size:
                 continue
-            x = self._fit(some, x, last=False, pulls=FIRST_PULLS, steps=FEW_STEPS).x
+            how = {"prior_weights": FIRST_WEIGHTS, "max_evaluations": FEW_STEPS}
+            x = self._fit(some, x, last=False, **how).x
         return x
 
     def improved(self, fitted: Fitted, restarts: int) -> Fitted:
@@ -207,12 +209,12 @@ class Fits:
         for _ in range(REFINED):
             other = self._finer(best)
             error, matters = step_error(best, other)
-            if not matters and best.least.ok:
+            if not matters and best.least.success:
                 break
             found = self._refitted(other, best.least.x)
             if found.least.cost > 2 * best.least.cost:  # recordings were made with these steps
                 break
-            worst, needed = max(worst, error), needed or matters or found.least.ok
+            worst, needed = max(worst, error), needed or matters or found.least.success
             best = found._replace(estimated=fitted.estimated)
         if not needed:
             return fitted
@@ -243,7 +245,7 @@ class Fits:
     def _refitted(self, of: SimulationError, x: np.ndarray) -> Fitted:
         """A fit from x, the minimum of a residual that is nearly the same: numbers that the data
         leave open are where they belong, and any pull to the first guess could only lose it."""
-        return self._fitted(of, x, prior=x, pulls=PULLS[-1:])
+        return self._fitted(of, x, prior=x, prior_weights=PRIOR_WEIGHTS[-1:])
 
     def _fit(
         self, of: SimulationError | Shooting, x: np.ndarray, *, last: bool = True,
@@ -256,17 +258,19 @@ class Fits:
         if last:
             check_moves(self.sought, slopes[:, : self.shared])
         least_cost = np.inf
-        steps = how.pop("steps", self.steps)
+        most = how.pop("max_evaluations", self.steps)
 
         def watch(k: int, cost: float, x: np.ndarray) -> None:
             nonlocal least_cost
-            self.say(f"evaluation {k} of at most {steps}, squares {cost:.4g}")
+            self.say(f"evaluation {k} of at most {most}, squares {cost:.4g}")
             if self.save is not None and cost < least_cost:
                 least_cost = cost
                 kept = x if last else x[: self.shared]  # the starts of pieces serve no other fit
                 write_fit(self.save, self.sought.names, kept, ok=False, message="not ended")
 
-        least = minimise(of, x, near, triangle=slopes, steps=steps, watch=watch, **how)
+        least = minimise(
+            of, x, near, triangle=slopes, max_evaluations=most, watch=watch, **how
+        )
         self.evaluations += least.evaluations
         return least
 

@@ -172,10 +172,10 @@ def _said(fits: Fits, best: Fitted, how: Options, dtype: Any) -> Identified:
         setup=cast(fits.sought.write(fits.setup, jnp.asarray(p)), dtype),
         values=values, guess=guess, found=combinations(beside_others(least.triangle, n), names),
         estimates=said.estimates, recordings=tuple(fits.recordings), traces=best.traces,
-        evaluations=fits.evaluations, ok=least.ok, message=least.message, grid=of.grid, error=of,
-        noisy=best.estimated or len(stated) == len(of.runs.values), statistics=said,
+        evaluations=fits.evaluations, ok=least.success, message=least.message, grid=of.grid,
+        error=of, noisy=best.estimated or len(stated) == len(of.runs.values), statistics=said,
         verdict=judged(
-            least.ok, least.message, best.traces, fits.recordings, said.coloured,
+            least.success, least.message, best.traces, fits.recordings, said.coloured,
             robust=how.loss == "huber",
         ),
         notes=tuple(fits.notes), options=how,

@@ -1,11 +1,11 @@
-"""Nonlinear least squares over numbers that must stay possible, with a prior that may be weak.
+"""Nonlinear least squares with bounds and a weak prior: the minimiser of all estimators.
 
-    min |r(x)|^2 + w D(x, x_0)
-D is convex and infinite where x is impossible (`divergence`). Each step solves a convex problem, r
-made linear and D as it is, with a second divergence that holds the step short (a proximal
-Gauss-Newton method). The prior decides only what the data leave open: its weight is lowered to
-almost nothing, and at the end steps without it, in the directions that the data show, take its last
-pull away.
+    min f(x) + w D(x, x_0),     f = |r(x)|^2, or -2 log p with the scores r
+D is a convex divergence that is infinite for impossible x (`divergence`): it is the barrier, the
+metric of the step length, and the prior. Each step minimises the linearised residual plus D and a
+second divergence from the current x (proximal Gauss-Newton). The Jacobian enters as the triangular
+factor R of [J r]. The weight of the prior is reduced in stages. The last steps have no prior: they
+remove its bias in the identifiable directions.
 """
 
 from __future__ import annotations
@@ -20,20 +20,13 @@ from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.statistics.precision import rank_tolerance
 
 #: weights of the prior, relative to the largest curvature of |r|^2, of successive minimisations
-PULLS = (1e-4, 1e-7, 1e-10)
+PRIOR_WEIGHTS = (1e-4, 1e-7, 1e-10)
 #: a step of this divergence ends a minimisation
 SMALL = 1e-18
-#: a damping up to which a step is as long as Gauss and Newton would have it
+#: the damping of the first step, and the largest one with which a search may end
 CALM = 1e-6
-#: a decrease of this fraction ends one that is not the last
-COARSE = 1e-2
-#: an expected decrease of this fraction ends the last: less than noise can tell
-FLAT = 1e-8
-#: x is a minimum if the Gauss-Newton step is expected to lower the cost by less than this fraction:
-#: then the residual is orthogonal to all columns of J to within 3e-4 rad
-OPTIMAL = 1e-7
-#: or that step has such a divergence: it changes no number by more than 5e-8 of its size. Of exact
-#: data the residual is rounding, whose share that a step expects to take off says nothing
+#: the divergence of a step that changes no number by more than 5e-8 of its size. The residual of
+#: exact data is rounding, so the share of it that a step removes has no meaning
 ROUNDING = 1e-15
 #: slopes from here on are those of a motion that ran away
 HUGE = 1e100
@@ -41,10 +34,33 @@ HUGE = 1e100
 NEWTON = 60
 
 
-class Residual(Protocol):
-    """What is minimised: r (any shape), R (p + 1, p + 1) with R^T R = [J r]^T [J r], and D."""
+class Tolerances(NamedTuple):
+    """When a search ends, by the decrease of the cost that the next step is expected to give.
 
-    def residuals(self, x: np.ndarray, /) -> np.ndarray: ...
+    Fields:
+        flat: the expected decrease that ends the last stage: less than noise can tell.
+        coarse: the one that ends a stage before the last.
+        optimal: x is a minimum if the Gauss-Newton step is expected to decrease the cost by less.
+        relative: whether these are fractions of the cost, which then is |r|^2.
+        calm: the largest damping with which a search may end.
+    """
+
+    flat: float
+    coarse: float
+    optimal: float
+    relative: bool
+    calm: float = CALM
+
+
+#: at a minimum the residual is orthogonal to all columns of J to within 3e-4 rad
+OF_SQUARES = Tolerances(flat=1e-8, coarse=1e-2, optimal=1e-7, relative=True)
+
+
+class Objective(Protocol):
+    """What is minimised: the cost, inf where it is not finite; the triangle R (p + 1, p + 1) with
+    R^T R = [J r]^T [J r]; and D. Half of the cost's gradient is J^T r."""
+
+    def cost(self, x: np.ndarray, /) -> float: ...
 
     def triangle(self, x: np.ndarray, /) -> np.ndarray: ...
 
@@ -55,190 +71,204 @@ class Residual(Protocol):
 class Minimum:
     """The end of a minimisation.
 
-    x: (p,).
-    triangle: (p + 1, p + 1), R of [J r] at x.
-    cost: |r|^2.
-    evaluations: of the residual.
-    ok: whether x is a minimum by the scaled gradient.
-    message: "converged", "stalled: ...", "not converged ...", or why the first guess is invalid.
+    Fields:
+        x: (p,).
+        triangle: (p + 1, p + 1), R of [J r] at x.
+        cost: at x.
+        evaluations: of the cost.
+        success: whether x is a minimum by the scaled gradient.
+        message: "converged", "stalled: ...", "not converged ...", or why the first guess is
+            invalid.
     """
 
     x: np.ndarray
     triangle: np.ndarray
     cost: float
     evaluations: int
-    ok: bool
+    success: bool
     message: str
 
 
 def minimise(
-    of: Residual,
+    objective: Objective,
     start: np.ndarray,
     prior: np.ndarray | None = None,
     *,
     triangle: np.ndarray | None = None,
-    pulls: tuple[float, ...] = PULLS,
-    steps: int = 100,
+    prior_weights: tuple[float, ...] = PRIOR_WEIGHTS,
+    max_evaluations: int = 100,
+    tolerances: Tolerances = OF_SQUARES,
     watch: Callable[[int, float, np.ndarray], None] = lambda evaluation, cost, x: None,
 ) -> Minimum:
-    """The minimum near a start.
+    """Find the minimum near a start.
 
     Args:
-        of: the residual.
+        objective: the cost and its derivative.
         start: (p,).
         prior: x_0; the start if None.
-        triangle: that of the residual at the start, where it is known.
-        pulls: weights w, one after the other.
-        steps: evaluations of the residual in all.
-        watch: called with the number of evaluations, |r|^2 and x, for progress.
+        triangle: R at the start, if it is known.
+        prior_weights: w of the stages.
+        max_evaluations: of the cost, in all stages together.
+        tolerances: when the search ends.
+        watch: called with the number of evaluations, the cost and x, for progress.
 
     Source: Nielsen, *Damping parameter in Marquardt's method*, IMM-REP-1999-05 (the damping).
     """
-    search = searching(
-        of.divergence, start, prior, triangle=triangle, pulls=pulls, steps=steps, watch=watch
-    )
-    asked = next(search)
-    while not isinstance(asked, Minimum):
-        asked = search.send(answered(of, asked))
-    return asked
+    steps = search(
+        objective.divergence, start, prior, triangle=triangle, prior_weights=prior_weights,
+        max_evaluations=max_evaluations, tolerances=tolerances, watch=watch,
+    )  # fmt: skip
+    request = next(steps)
+    while not isinstance(request, Minimum):
+        x = request.x
+        request = steps.send(objective.triangle(x) if request.slopes else objective.cost(x))
+    return request
 
 
-class Asked(NamedTuple):
-    """What a search has to know next: |r|^2 at x, or the triangle there."""
+class Request(NamedTuple):
+    """What a search needs next: the cost at x, or the triangle there."""
 
     x: np.ndarray
     slopes: bool
 
 
-def answered(of: Residual, asked: Asked) -> Any:
-    """|r|^2, inf where it is not finite, or the triangle."""
-    return of.triangle(asked.x) if asked.slopes else sum_of_squares(of.residuals(asked.x))
-
-
-def sum_of_squares(r: np.ndarray) -> float:
-    """|r|^2, inf where it is not finite: a motion that went to infinity."""
-    r = np.asarray(r).ravel()
-    with np.errstate(over="ignore"):
-        found = float(r @ r)
-    return found if np.isfinite(found) else np.inf
-
-
-def searching(
+def search(
     D: Callable[[np.ndarray, np.ndarray], Divergence],
     start: np.ndarray,
     prior: np.ndarray | None = None,
     *,
     triangle: np.ndarray | None = None,
-    pulls: tuple[float, ...] = PULLS,
-    steps: int = 100,
+    prior_weights: tuple[float, ...] = PRIOR_WEIGHTS,
+    max_evaluations: int = 100,
+    tolerances: Tolerances = OF_SQUARES,
     watch: Callable[[int, float, np.ndarray], None] = lambda evaluation, cost, x: None,
-) -> Generator[Asked | Minimum, Any, None]:
-    """`minimise` that asks for what it has to know, so that many can be answered at once. The last
-    that it yields is the minimum."""
+) -> Generator[Request | Minimum, Any, None]:
+    """Run `minimise` as a generator of requests, so that many searches can be answered as one
+    batch. The last value that it yields is the minimum."""
     x = np.array(start, float)
     prior = x if prior is None else np.asarray(prior, float)
     count = 0
 
-    def cost(x: np.ndarray) -> Generator[Asked, Any, float]:
+    def cost(x: np.ndarray) -> Generator[Request, Any, float]:
         nonlocal count
         count += 1
-        found = yield Asked(x, False)
-        watch(count, found, x)
-        return found
+        value = yield Request(x, False)
+        watch(count, value, x)
+        return value
 
-    R = (yield Asked(x, True)) if triangle is None else triangle
-    ended, half = False, half_of(D, x)
+    R = (yield Request(x, True)) if triangle is None else triangle
+    ended, factor = False, metric_factor(D, x)
     if not _has_squares(R):
         message = "the motion of the first guess is not finite"
         yield Minimum(x, R, np.inf, count, False, message)
         return
-    now = float(R[:, -1] @ R[:, -1])
-    if half is None:
+    now = float(R[:, -1] @ R[:, -1]) if tolerances.relative else (yield from cost(x))
+    if not np.isfinite(now):
+        yield Minimum(x, R, now, count, False, "the cost of the first guess is not finite")
+        return
+    if factor is None:
         message = "the first guess is at the border of what is possible"
         yield Minimum(x, R, now, count, False, message)
         return
     damping = CALM
-    for w in pulls:  # a weaker pull goes on with the damping of the last
-        last, damping, growth, ended = w == pulls[-1], min(damping, CALM), 2.0, False
-        while not ended and count < steps:
-            size = float(np.linalg.norm(np.linalg.solve(half, R[:, :-1].T), 2)) ** 2
-            terms = ((w * size, prior), (damping * size, x))
-            trial = convex_step(R, x, D, terms)
+    for w in prior_weights:  # a weaker prior starts with the damping of the last
+        last, damping, growth, ended = w == prior_weights[-1], min(damping, CALM), 2.0, False
+        enough = tolerances.flat if last else tolerances.coarse
+        while not ended and count < max_evaluations:
+            size = _largest_curvature(factor, R)
+            trial = regularised_step(R, x, D, ((w * size, prior), (damping * size, x)))
             near = D(trial, x).value <= SMALL
-            linear = R[:, :-1] @ (trial - x) + R[:, -1]
             pull = w * size * (D(x, prior).value - D(trial, prior).value)
-            expected = now - float(linear @ linear) + pull
-            calm = damping <= CALM and expected < (FLAT if last else COARSE) * now
-            if calm and not last:  # the next pull's first step does what this one would
+            expected = _expected_decrease(R, trial - x, now, tolerances) + pull
+            scale = now if tolerances.relative else 1.0
+            calm = damping <= tolerances.calm and expected < enough * scale
+            if calm and not last:  # the next stage's first step does what this one would
                 break
             after = yield from cost(trial)
             gain = (now - after + pull) / max(expected, 1e-300)
-            # where slopes have no squares, or the metric no root, no step could begin: such a point
-            # is refused
-            root = half_of(D, trial) if gain > 0 else None
-            there = np.array(np.nan) if root is None else (yield Asked(trial, True))
+            # a point whose slopes have no squares, or whose metric has no factor, is rejected: no
+            # step could begin there
+            root = metric_factor(D, trial) if gain > 0 else None
+            there = np.array(np.nan) if root is None else (yield Request(trial, True))
             if root is not None and _has_squares(there):
-                x, now, R, half = trial, after, there, root
+                x, now, R, factor = trial, after, there, root
                 damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
                 ended = calm or (near and damping <= CALM)
             else:
                 damping, growth = damping * growth, growth * 2
-                ended = near or damping > 1e9
+                ended = near or damping > 1e9 or (calm and not tolerances.relative)
     for k in range(4):  # without the prior
-        trial = x + shown(R, half)
+        trial = x + identifiable_step(R, factor)
         after = np.inf
         if np.isfinite(D(trial, x).value):
             after = yield from cost(trial)
-        # the first takes the pull away; what later ones change by less is rounding, or hidden by
-        # noise
-        if k and after > now / 10:
+        # the first step removes the prior's bias; of squares, what later ones change by less than
+        # this is rounding, or hidden by noise
+        hidden = tolerances.relative and after > now / 10
+        if k and hidden:
             break
-        root = half_of(D, trial) if after < now else None
-        there = np.array(np.nan) if root is None else (yield Asked(trial, True))
+        root = metric_factor(D, trial) if after < now else None
+        there = np.array(np.nan) if root is None else (yield Request(trial, True))
         if root is None or not _has_squares(there):
             break
-        ends = after > now / 10
-        x, now, R, half = trial, after, there, root
-        if ends:
+        x, now, R, factor = trial, after, there, root
+        if hidden:
             break
-    best = _is_minimum(D, x, R, pulls[-1], now)
-    if best:
+    success = _is_minimum(D, x, R, prior_weights[-1], now, tolerances)
+    if success:
         message = "converged"
     elif ended:
         message = f"stalled: no step lowers the error, but its slope is not 0 ({count} evaluations)"
     else:
         message = f"not converged in {count} evaluations"
-    yield Minimum(x, R, now, count, best, message)
+    yield Minimum(x, R, now, count, success, message)
 
 
-def _is_minimum(D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float) -> bool:
-    """Whether the step of Gauss and Newton, within what is possible, expects no decrease that
-    noise could tell, or is no longer than rounding: a gradient that is 0 on the scale of the
-    columns and the residual. A prior has no part in it."""
-    half = half_of(D, x)
-    if half is None:
+def _largest_curvature(factor: np.ndarray, R: np.ndarray) -> float:
+    """The largest eigenvalue of J^T J in the metric."""
+    return float(np.linalg.norm(np.linalg.solve(factor, R[:, :-1].T), 2)) ** 2
+
+
+def _expected_decrease(
+    R: np.ndarray, step: np.ndarray, now: float, tolerances: Tolerances
+) -> float:
+    """The decrease of |r|^2 by the linear model."""
+    linear = R[:, :-1] @ step + R[:, -1]
+    squares = now if tolerances.relative else float(R[:, -1] @ R[:, -1])
+    return squares - float(linear @ linear)
+
+
+def _is_minimum(
+    D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float, tolerances: Tolerances
+) -> bool:
+    """Whether the Gauss-Newton step, within what is possible, expects no decrease that noise could
+    tell, or is no longer than rounding: a gradient that is 0 on the scale of the columns and the
+    residual. The prior has no part in it."""
+    factor = metric_factor(D, x)
+    if factor is None:
         return False
     if not R[:, -1].any():
         return True
+    enough = tolerances.optimal * (now if tolerances.relative else 1.0)
 
     def ends(y: np.ndarray) -> bool:
-        linear = R[:, :-1] @ (y - x) + R[:, -1]
-        expected = now - float(linear @ linear)
-        return bool(expected <= OPTIMAL * now or D(y, x).value <= ROUNDING)
+        expected = _expected_decrease(R, y - x, now, tolerances)
+        return bool(expected <= enough or D(y, x).value <= ROUNDING)
 
     # without limits a step is at least as long and expects at least as large a decrease
-    if ends(x + shown(R, half)):
+    if ends(x + identifiable_step(R, factor)):
         return True
-    size = float(np.linalg.norm(np.linalg.solve(half, R[:, :-1].T), 2)) ** 2
-    return ends(convex_step(R, x, D, ((w * size, x),)))
+    return ends(regularised_step(R, x, D, ((w * _largest_curvature(factor, R), x),)))
 
 
 def _has_squares(R: np.ndarray) -> bool:
-    """Whether slopes are finite, and their squares too, whatever their scale."""
+    """Whether slopes and their squares are finite."""
     return bool((np.abs(R) < HUGE).all())
 
 
-def half_of(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> np.ndarray | None:
+def metric_factor(
+    D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray
+) -> np.ndarray | None:
     """The Cholesky factor of the metric at x; None if rounding leaves none, as for a thin body."""
     curvature = D(x, x).curvature
     if not np.isfinite(curvature).all():
@@ -250,7 +280,7 @@ def half_of(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) ->
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of trial steps, which the line search rejects
-def convex_step(
+def regularised_step(
     R: np.ndarray,
     x: np.ndarray,
     D: Callable[[np.ndarray, np.ndarray], Divergence],
@@ -287,8 +317,8 @@ def convex_step(
     return y
 
 
-def shown(R: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """The shortest Gauss-Newton step in the directions that the data show; L L^T is the metric."""
+def identifiable_step(R: np.ndarray, L: np.ndarray) -> np.ndarray:
+    """The shortest Gauss-Newton step in the identifiable directions; L L^T is the metric."""
     tolerance = rank_tolerance(R.dtype)
     A = np.linalg.solve(L, R[:, :-1].T).T
     moves = A.any(0)  # rounding of the decomposition must not move what nothing depends on

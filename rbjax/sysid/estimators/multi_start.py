@@ -23,16 +23,20 @@ from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.fits import Fits
 from rbjax.sysid.estimators.identification import identify
 from rbjax.sysid.estimators.identified import Identified
-from rbjax.sysid.estimators.least_squares import Asked, Minimum, searching, sum_of_squares
+from rbjax.sysid.estimators.least_squares import Minimum, Request, search
 from rbjax.sysid.estimators.step_length import start_grid
 from rbjax.sysid.parameters.guesses import drawn
 from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
 from rbjax.sysid.simulation.runs import batch_of
 from rbjax.sysid.simulation.setup import Grid, Setup
-from rbjax.sysid.simulation.simulation_error import Programs, SimulationError
+from rbjax.sysid.simulation.simulation_error import (
+    Programs,
+    SimulationError,
+    sum_of_squares,
+)
 from rbjax.sysid.statistics.precision import cast, in_double
 
-#: pulls of a guess to itself: of all for a few steps, and of the best until they converge
+#: prior weights of a guess: of all for a few steps, and of the best until they converge
 SHORT, LONG = (1e-4,), (1e-4, 1e-7)
 #: motions that are as near as this share of what was recorded are one
 ONE_MOTION = 1e-2
@@ -155,7 +159,7 @@ def many_starts(
     beginnings = [np.append(p, np.zeros(of.size - len(p))) for p in points]
     with progress_line("many_starts", progress) as say:
         say(f"{len(points)} guesses")
-        first = together(of, beginnings, pulls=SHORT, steps=first_steps)
+        first = together(of, beginnings, prior_weights=SHORT, max_evaluations=first_steps)
         costs = np.array([least.cost for least in first])
         if not np.isfinite(costs).any():
             raise InputError(
@@ -164,7 +168,7 @@ def many_starts(
             )
         order = [int(k) for k in np.argsort(costs)[:finalists] if np.isfinite(costs[k])]
         say(f"the best {len(order)} go on")
-        ends = together(of, [first[k].x for k in order], pulls=LONG, steps=100)
+        ends = together(of, [first[k].x for k in order], prior_weights=LONG, max_evaluations=100)
     basins = _basins(of, dict(zip(order, ends, strict=True)))
     best = identify(
         given, runs, unknowns, resume=basins[0].values, starts=starts, loss=loss,
@@ -174,15 +178,17 @@ def many_starts(
 
 
 def together(of: SimulationError, beginnings: Sequence[np.ndarray], **how: Any) -> list[Minimum]:
-    """A search (`least_squares.searching`) from each x, all of them answered as one batch."""
-    searches = [searching(of.divergence, x, **how) for x in beginnings]
-    asked: list[Asked | Minimum] = [next(search) for search in searches]
+    """Search from each x; the requests of all searches are answered as one batch."""
+    searches = [search(of.divergence, x, **how) for x in beginnings]
+    asked: list[Request | Minimum] = [next(one) for one in searches]
     residuals, slopes = _batched(of.programs)
     each = of.runs.commands.shape[0] * of.by_run(beginnings[0]).shape[-1]
     rows = sum(int(np.prod(w.shape[1:])) for w in of.runs.weights.values())
     width = int(np.clip(MEMORY // (8 * rows * each), 1, len(searches)))
 
-    def answers(asked: dict[int, Asked], f: Callable, read: Callable[[Any], Any]) -> dict[int, Any]:
+    def answers(
+        asked: dict[int, Request], f: Callable, read: Callable[[Any], Any]
+    ) -> dict[int, Any]:
         which = list(asked)
         found: dict[int, Any] = {}
         for k in range(0, len(which), width):
@@ -194,7 +200,7 @@ def together(of: SimulationError, beginnings: Sequence[np.ndarray], **how: Any) 
         return found
 
     while True:
-        waiting = {i: a for i, a in enumerate(asked) if isinstance(a, Asked)}
+        waiting = {i: a for i, a in enumerate(asked) if isinstance(a, Request)}
         if not waiting:
             return [a for a in asked if isinstance(a, Minimum)]
         steep = {i: a for i, a in waiting.items() if a.slopes}

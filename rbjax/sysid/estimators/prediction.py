@@ -28,7 +28,7 @@ from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identified import Identified
-from rbjax.sysid.estimators.least_squares import Minimum, convex_step, half_of, shown
+from rbjax.sysid.estimators.least_squares import Tolerances, minimise
 from rbjax.sysid.estimators.likelihood import DRIVES, Levels, Likelihood, Series, series_of
 from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
 from rbjax.sysid.simulation.runs import ordered
@@ -40,11 +40,10 @@ from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.statistics.rank import Combinations, beside_others, combinations
 
 #: weight of the guess relative to the largest curvature; the last steps are without it
-PULL = 1e-10
-#: an expected decrease of -2 log p below it ends: a step of about 3e-5 standard deviations
-CALM = 1e-9
-#: below this expected decrease x is a maximum: a step of a hundredth of a standard deviation
-OPTIMAL = 1e-4
+PRIOR_WEIGHT = 1e-10
+#: decreases of -2 log p: one that ends the search is a step of about 3e-5 standard deviations, that
+#: of a maximum a hundredth of one
+OF_LIKELIHOOD = Tolerances(flat=1e-9, coarse=1e-9, optimal=1e-4, relative=False, calm=1e-3)
 #: first guesses of the drive, as parts of what moves the recording
 TRIALS = 10.0 ** np.arange(-4, 2)
 
@@ -225,7 +224,12 @@ def prediction_error(
         trials = np.tile(start, (len(TRIALS), 1))
         trials[:, n : n + k] += np.log(TRIALS)[:, None]
         x = min(trials, key=of.cost) if k else start
-        best = _maximised(of, x, steps, say)
+        best = minimise(
+            of, x, prior_weights=(PRIOR_WEIGHT,), max_evaluations=steps, tolerances=OF_LIKELIHOOD,
+            watch=lambda k, value, x: say(
+                f"evaluation {k} of at most {steps}, -2 log p {value:.6g}"
+            ),
+        )  # fmt: skip
     x = best.x
     names = [*sought.names, *_level_names(setup.model, of, drive)]
     scale = np.concatenate([np.ones(n), np.exp(x[n:])])  # d log s = d s / s
@@ -239,64 +243,8 @@ def prediction_error(
         found, values, first, combinations(beside_others(best.triangle, n), sought.names),
         said.estimates,
         Levels(*(np.asarray(a) for a in of.levels_of(x))), tuple(runs), -best.cost / 2,
-        best.evaluations + len(TRIALS), best.ok, best.message, grid, of, x, setup, said,
+        best.evaluations + len(TRIALS), best.success, best.message, grid, of, x, setup, said,
     )  # fmt: skip
-
-
-def _maximised(of: Likelihood, start: np.ndarray, steps: int, say: Any) -> Minimum:
-    """Fisher scoring with damping, each step that of a convex problem (`least_squares`)."""
-    x, R, now, count = start, of.triangle(start), of.cost(start), 1
-    if not (np.isfinite(R).all() and np.isfinite(now)):
-        message = "the likelihood of the first guess is not finite"
-        return Minimum(x, R, np.inf, count, False, message)
-    D, damping, growth, ended = of.divergence, 1e-6, 2.0, False
-    curved = half_of(D, x)
-    if curved is None:
-        message = "the first guess is at the border of what is possible"
-        return Minimum(x, R, now, count, False, message)
-
-    def there(trial: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
-        """The metric and the triangle, if a step could begin at a trial."""
-        half = half_of(D, trial)
-        slopes = np.array(np.nan) if half is None else of.triangle(trial)
-        return (half if np.isfinite(slopes).all() else None), slopes
-
-    while not ended and count < steps:
-        size = float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
-        trial = convex_step(R, x, D, ((PULL * size, start), (damping * size, x)))
-        linear = R[:, :-1] @ (trial - x) + R[:, -1]
-        pull = PULL * size * (D(x, start).value - D(trial, start).value)
-        expected = float(R[:, -1] @ R[:, -1] - linear @ linear) + pull
-        after, count = of.cost(trial), count + 1
-        say(f"evaluation {count} of at most {steps}, -2 log p {min(now, after):.6g}")
-        calm = damping <= 1e-3 and expected < CALM
-        gain = (now - after + pull) / max(expected, 1e-300)
-        half, slopes = there(trial) if gain > 0 else (None, R)
-        if half is not None:
-            x, now, R, curved = trial, after, slopes, half
-            damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
-        else:
-            damping, growth = damping * growth, growth * 2
-        ended = calm or damping > 1e9
-    for _ in range(4):  # without the guess
-        trial = x + shown(R, curved)
-        after = of.cost(trial) if np.isfinite(D(trial, x).value) else np.inf
-        count += 1
-        half, slopes = there(trial) if after < now else (None, R)
-        if half is None:
-            break
-        x, now, R, curved = trial, after, slopes, half
-    size = PULL * float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
-    trial = convex_step(R, x, D, ((size, x),))
-    linear = R[:, :-1] @ (trial - x) + R[:, -1]
-    flat = float(R[:, -1] @ R[:, -1] - linear @ linear) < OPTIMAL
-    if flat:
-        message = "converged"
-    elif ended:
-        message = f"stalled: no step raises the likelihood ({count} evaluations)"
-    else:
-        message = f"not converged in {count} evaluations"
-    return Minimum(x, R, now, count, flat, message)
 
 
 def _setup(model: Any, grid: Grid | None) -> tuple[Setup, Grid | None]:

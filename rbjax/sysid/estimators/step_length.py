@@ -9,12 +9,11 @@ import numpy as np
 
 from rbjax.sysid.data.recording import Recording, says_its_noise
 from rbjax.sysid.estimators.fit_rows import samples_of
-from rbjax.sysid.estimators.least_squares import sum_of_squares
 from rbjax.sysid.estimators.verdict import roughness
 from rbjax.sysid.parameters.unknowns import Unknown, Unknowns
 from rbjax.sysid.simulation.runs import grid_of
 from rbjax.sysid.simulation.setup import Grid, Setup
-from rbjax.sysid.simulation.simulation_error import SimulationError
+from rbjax.sysid.simulation.simulation_error import SimulationError, sum_of_squares
 
 if TYPE_CHECKING:
     from rbjax.sysid.estimators.fits import Fitted

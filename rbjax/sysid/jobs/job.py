@@ -18,7 +18,7 @@ import numpy as np
 from rbjax.errors import InputError, UnknownName, UnsupportedFeature, listed
 from rbjax.loading import load, scenes, write_back, write_mjcf
 from rbjax.model import Model
-from rbjax.sensors.readings import Currents
+from rbjax.sensors import Currents
 from rbjax.sysid.data.readers import Column, read_csv, read_npz
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identification import identify
@@ -208,7 +208,7 @@ def _with_sensors(setup: Setup, given: Mapping[str, Any], columns: Mapping[str, 
                 f"identify: sensor {sensor} is not one that a job file can simulate, expected q, "
                 "v, a, tau, current, ctrl, pose:NAME, position:SITE, gyro:SITE or "
                 "accelerometer:SITE; leave its columns out, or call `rb.sysid.identify` with "
-                "`Setup.with_sensors` and a `Reads`"
+                "`Setup.with_sensors` and a `CustomSensor`"
             )
         if sensor != "current":
             setup = setup.with_sensors(sensor)

@@ -25,7 +25,7 @@ from rbjax.sysid.arguments import check_kind
 from rbjax.sysid.data.corrections import Lost, Mend, flip, stretch, swap, without
 from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.data.recording_checks import FAR, hampel
-from rbjax.sysid.estimators.fits import FIRST_PULLS
+from rbjax.sysid.estimators.fits import FIRST_WEIGHTS
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.judgement.clocks import rate_of
@@ -274,8 +274,8 @@ class _Bench:
         n = len(self.guess)
         rest = np.zeros(of.size - n)
         least = minimise(
-            of, np.append(x[:n], rest), np.append(self.guess, rest), pulls=FIRST_PULLS,
-            steps=self.steps,
+            of, np.append(x[:n], rest), np.append(self.guess, rest), prior_weights=FIRST_WEIGHTS,
+            max_evaluations=self.steps,
         )  # fmt: skip
         return least.x
 

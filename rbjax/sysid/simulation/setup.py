@@ -5,7 +5,7 @@
 Commands come with a period and are held. A delay of any length is continuous and differentiable:
 the period in which a command takes over is integrated in two parts. Between two instants of the
 grid the motion is a cubic through both states (Hermite); states of force elements are linear
-between them. What h is for each sensor, `readings` says.
+between them. h is the ideal sensor (`rbjax.sensors`).
 """
 
 from __future__ import annotations
@@ -25,15 +25,14 @@ from rbjax.model.links import known_zeros, made_ahead
 from rbjax.model.record import Record
 from rbjax.motion.integrators import Integrator
 from rbjax.motion.linearise import step
-from rbjax.sensors.columns import Columns
-from rbjax.sensors.readings import Moment, Reading, reading_of
+from rbjax.sensors import Columns, Context, Sensor, sensor_of
 from rbjax.sysid.simulation.segments import in_segments
 
 #: (t, reading, command (n,)) -> ctrl (nu,), called once for each command
 Controller = Callable[[Any, State, jax.Array], jax.Array]
 
 
-class Sensor(Record):
+class Calibration(Record):
     """reading = scale * value(t - delay) + bias, a number for each channel; delay in s."""
 
     bias: jax.Array
@@ -41,8 +40,8 @@ class Sensor(Record):
     delay: jax.Array
 
     @classmethod
-    def ideal(cls, channels: int) -> Sensor:
-        """One that reads what is."""
+    def ideal(cls, channels: int) -> Calibration:
+        """The calibration of an ideal sensor."""
         return cls(jnp.zeros(channels), jnp.ones(channels), jnp.zeros(()))
 
 
@@ -62,7 +61,7 @@ class Setup(Record):
 
     Fields: model; sensors by name: "q" (nq channels), "v" (nv), and those of `with_sensors`;
     controller, None where commands are the controls; delay of the controls in s, None for none;
-    readings, what sensors read whose names do not say it.
+    readings, the ideal sensors of names that are not registered.
 
     Example:
         >>> import rbjax as rb
@@ -72,7 +71,7 @@ class Setup(Record):
     """
 
     model: Model
-    sensors: dict[str, Sensor]
+    sensors: dict[str, Calibration]
     controller: Any = None
     delay: Any = None
     readings: dict[str, Any] = eqx.field(default_factory=dict)
@@ -80,17 +79,18 @@ class Setup(Record):
     @classmethod
     def of(cls, model: Model, controller: Controller | None = None, delay: Any = None) -> Setup:
         """With ideal sensors."""
-        sensors = {"q": Sensor.ideal(model.nq), "v": Sensor.ideal(model.nv)}
+        sensors = {"q": Calibration.ideal(model.nq), "v": Calibration.ideal(model.nv)}
         return cls(model, sensors, controller, None if delay is None else jnp.asarray(delay))
 
-    def with_sensors(self, *added: str | Mapping[str, Reading]) -> Setup:
+    def with_sensors(self, *added: str | Mapping[str, Sensor]) -> Setup:
         """The set-up with more ideal sensors, each on its own clock; bias, scale and delay are
         leaves, which can be unknown: `Unknown("sensors.gyro:imu.bias")`.
 
         Args:
             added: names of sensors: "a", "tau", "pose:BODY", "pose:SITE", "position:SITE",
-                "gyro:SITE", "accelerometer:SITE"; or a dict name -> `Reading` of others, such as
-                {"current": Currents(constant)}, {"other:height": Reads(...)}.
+                "gyro:SITE", "accelerometer:SITE"; or a dict name ->
+                sensor of `rbjax.sensors`, such as {"current": Currents(constant)} or
+                {"other:height": CustomSensor(...)}.
 
         Raises:
             UnknownName: a sensor, body or site that is not known.
@@ -104,23 +104,23 @@ class Setup(Record):
         readings = dict(self.readings)
         sensors = dict(self.sensors)
         for one in added:
-            given = {one: reading_of(one)} if isinstance(one, str) else dict(one)
+            given = {one: sensor_of(one)} if isinstance(one, str) else dict(one)
             readings |= {} if isinstance(one, str) else given
-            for name, reads in given.items():
-                sensors[name] = Sensor.ideal(reads.columns(self.model).size)
+            for name, sensor in given.items():
+                sensors[name] = Calibration.ideal(sensor.columns(self.model).size)
         return Setup(self.model, sensors, self.controller, self.delay, readings)
 
-    def reads(self, sensor: str) -> Reading:
-        """What a sensor reads."""
-        return self.readings[sensor] if sensor in self.readings else reading_of(sensor)
+    def sensor(self, name: str) -> Sensor:
+        """The ideal sensor of a name."""
+        return self.readings[name] if name in self.readings else sensor_of(name)
 
     def columns(self, sensor: str) -> Columns:
         """The columns of a sensor."""
-        return self.reads(sensor).columns(self.model)
+        return self.sensor(sensor).columns(self.model)
 
     def unit(self, sensor: str) -> str:
         """The unit of a sensor, in SI."""
-        return self.reads(sensor).unit(self.model)
+        return self.sensor(sensor).unit(self.model)
 
 
 class Grid(NamedTuple):
@@ -300,19 +300,19 @@ def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) ->
 
 def reading(setup: Setup, path: Path, grid: Grid, kind: str, times: jax.Array) -> jax.Array:
     """What a sensor reads (T, n) at times (T,) after the start."""
-    sensor, shows = setup.sensors[kind], setup.reads(kind)
-    read = jax.vmap(lambda t: shows(_moment(setup, path, grid, t)))(times - sensor.delay)
+    sensor, shows = setup.sensors[kind], setup.sensor(kind)
+    read = jax.vmap(lambda t: shows(_context(setup, path, grid, t)))(times - sensor.delay)
     return sensor.scale * read + sensor.bias
 
 
-def _moment(setup: Setup, path: Path, grid: Grid, t: Any) -> Moment:
+def _context(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
     """An instant between two of the grid. A sample within a thousandth of a period before a command
     sees it."""
     T, last = grid.period, path.q.shape[0] - 2
     delayed = setup.delay is not None and grid.longest_delay > 0
     late = jnp.clip(setup.delay, 0.0, grid.longest_delay * T) if delayed else 0.0
     ctrl = path.ctrls[jnp.clip(jnp.floor((t - late) / T + 1e-3).astype(int), 0, last)]
-    return Moment(t, _between(setup.model, path, T, t), ctrl, setup, T / grid.substeps)
+    return Context(t, _between(setup.model, path, T, t), ctrl, setup.model, T / grid.substeps)
 
 
 def _between(model: Model, path: Path, T: float, t: Any) -> State:

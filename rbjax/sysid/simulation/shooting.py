@@ -28,7 +28,7 @@ from rbjax.sysid.parameters.unknowns import Unknowns
 from rbjax.sysid.simulation.programs import kept
 from rbjax.sysid.simulation.runs import Run, batch
 from rbjax.sysid.simulation.setup import Grid, Setup
-from rbjax.sysid.simulation.simulation_error import SimulationError, triangle_of
+from rbjax.sysid.simulation.simulation_error import SimulationError, sum_of_squares, triangle_of
 from rbjax.sysid.simulation.simulation_error import programs as pieces_programs
 
 #: ties, one after the other: at 1 a gap counts as much as a piece that is off by it throughout
@@ -139,6 +139,10 @@ class Shooting:
         """(rows,)"""
         r, gaps = self._shot(self.pieces.by_run(x), self.pieces.runs, self.weight)
         return np.concatenate([np.ravel(r), self.tie * np.ravel(gaps)])
+
+    def cost(self, x: np.ndarray) -> float:
+        """|r|^2."""
+        return sum_of_squares(self.residuals(x))
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""

@@ -18,7 +18,7 @@ from rbjax.model import WORLD, Model, State, Topology
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.motion.integrators import looped
 from rbjax.sysid.simulation.islands import islands_of
-from rbjax.sysid.simulation.setup import PD, Grid, Path, Sensor, Setup, motion, ready, stepped
+from rbjax.sysid.simulation.setup import PD, Calibration, Grid, Path, Setup, motion, ready, stepped
 
 
 class Part(NamedTuple):
@@ -100,7 +100,7 @@ def cut(setup: Setup, part: Part) -> Setup:
         ),
     )  # fmt: skip
     sensors = {
-        k: Sensor(_taken(s.bias, at), _taken(s.scale, at), s.delay)
+        k: Calibration(_taken(s.bias, at), _taken(s.scale, at), s.delay)
         for k, s in setup.sensors.items() if k in ("q", "v")
     }  # fmt: skip
     servo = setup.controller

@@ -190,6 +190,10 @@ class SimulationError:
         """(runs, rows)"""
         return np.asarray(self.programs.residuals(self.by_run(x), self.runs))
 
+    def cost(self, x: np.ndarray) -> float:
+        """|r|^2."""
+        return sum_of_squares(self.residuals(x))
+
     @property
     def directions(self) -> Directions | None:
         """Those of the programs' slopes."""
@@ -266,6 +270,14 @@ def began(setup: Setup, first: State, v_was_read: bool) -> State:
     elif first.v.shape == q.scale.shape:  # with attitudes v is read, or the state is known
         speed = first.v / q.scale
     return State((first.q - q.bias) / q.scale, speed, first.x)
+
+
+def sum_of_squares(r: np.ndarray) -> float:
+    """|r|^2, inf where it is not finite: a motion that went to infinity."""
+    r = np.asarray(r).ravel()
+    with np.errstate(over="ignore"):
+        total = float(r @ r)
+    return total if np.isfinite(total) else np.inf
 
 
 def triangle_of(rows: np.ndarray) -> np.ndarray:

@@ -1,0 +1,92 @@
+"""The kinds of sensors by name. A new one is a class with `@register`, in a file of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+from rbjax.arguments import flag
+from rbjax.errors import InputError, UnknownName
+from rbjax.sensors.protocol import Sensor
+
+C = TypeVar("C", bound=type)
+
+
+class Kind(NamedTuple):
+    """A kind of sensor: its class, and whether a sensor of this kind is at a body or a site, as in
+    "gyro:imu"."""
+
+    sensor: Any
+    placed: bool
+
+
+_KINDS: dict[str, Kind] = {}
+
+
+def kinds() -> dict[str, Kind]:
+    """All kinds of sensors, by name.
+
+    Example:
+        >>> import rbjax as rb
+        >>> [name for name, kind in rb.sensors.kinds().items() if kind.placed]
+        ['accelerometer', 'gyro', 'pose', 'position']
+    """
+    return dict(sorted(_KINDS.items()))
+
+
+def register(name: str, *, placed: bool = False) -> Callable[[C], C]:
+    """Add a kind of sensor: a decorator of its class.
+
+    Args:
+        name: of the kind; recordings and `Setup.with_sensors` use it.
+        placed: whether the sensor is at a body or a site. Its name is then "name:PLACE", and the
+            class is called with the place. Otherwise the class is called without arguments.
+
+    A class that is defined again, as in a notebook, replaces the earlier one of the same name.
+
+    Raises:
+        InputError: a name that is not a word, or that belongs to another class.
+
+    Example:
+        >>> import rbjax as rb
+        >>> @rb.sensors.register("speed")
+        ... class Speed(rb.sensors.CustomSensor):
+        ...     def __init__(self):
+        ...         super().__init__(lambda context: abs(context.state.v[:1]), 1, "rad/s")
+        >>> rb.sysid.Setup.of(rb.load("pendulum")).with_sensors("speed").unit("speed")
+        'rad/s'
+    """
+    placed = flag("register", "placed", placed)
+    if not isinstance(name, str) or not name.isidentifier():
+        raise InputError(f'register: name is {name!r}, expected a word such as "gyro"')
+
+    def add(cls: C) -> C:
+        old = _KINDS.get(name)
+        if old is not None and old.sensor.__qualname__ != cls.__qualname__:
+            raise InputError(
+                f"register: {name} is the name of {old.sensor.__qualname__}, expected a new name"
+            )
+        _KINDS[name] = Kind(cls, placed)
+        return cls
+
+    return add
+
+
+def sensor_of(name: str) -> Sensor:
+    """The ideal sensor of a name, such as "q" or "gyro:imu".
+
+    Raises:
+        UnknownName: no registered kind has this name.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.sensors.sensor_of("gyro:tool").unit(rb.load("arm7"))
+        'rad/s'
+    """
+    word, _, place = str(name).partition(":")
+    kind = _KINDS.get(word)
+    if kind is not None and kind.placed == bool(place) and (kind.placed or name == word):
+        sensor: Sensor = kind.sensor(place) if kind.placed else kind.sensor()
+        return sensor
+    known = [f"{name}:NAME" if kind.placed else name for name, kind in kinds().items()]
+    raise UnknownName("sensor kind", name, known)

@@ -1,0 +1,87 @@
+"""A sensor is added by one class: it is simulated, recorded and calibrated by its name."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax import sensors
+from rbjax.sensors.registry import _KINDS
+from rbjax.sensors.site_sensors import SiteSensor
+from rbjax.sysid import Channel, Recording, Setup, Unknown, identify
+
+
+@pytest.fixture
+def compass():
+    """A sensor of one axis of a site, as a user adds it."""
+
+    @sensors.register("compass", placed=True)
+    class Compass(SiteSensor):
+        def __call__(self, context):
+            return rb.site_pose(context.model, context.state.q, self.site)[0].T[:, 0]
+
+        def unit(self, model):
+            return "1"
+
+    yield Compass
+    del _KINDS["compass"]
+
+
+def test_a_sensor_is_added_by_one_class(compass):
+    model = rb.load("arm7")
+    setup = Setup.of(model).with_sensors("compass:tool")
+    state = model.random_state(jax.random.key(0))
+    context = sensors.Context(0.0, state, jnp.zeros(model.nu), model)
+    R = rb.site_pose(model, state.q, "tool")[0]
+    np.testing.assert_array_equal(setup.sensor("compass:tool")(context), R.T[:, 0])
+    assert setup.sensors["compass:tool"].bias.shape == (3,)
+    assert Recording("a", {"compass:tool": Channel([0.0, 1.0], np.zeros((2, 3)))}).channels
+
+
+def test_a_registered_sensor_is_fitted():
+    """The bias of a sensor that a user adds."""
+
+    @sensors.register("cosine")
+    class Cosine(sensors.CustomSensor):
+        def __init__(self):
+            super().__init__(lambda context: jnp.cos(context.state.q), 1)
+
+    try:
+        model, t = rb.load("pendulum"), np.arange(41) * 0.02
+        seen = rb.rollout(model, rb.State(jnp.array([0.5]), jnp.zeros(1)), np.zeros((40, 1)), 0.02)
+        q = np.asarray(seen.q)
+        channels = {"q": Channel(t, q), "cosine": Channel(t, np.cos(q) + 0.25)}
+        setup = Setup.of(model).with_sensors("cosine")
+        found = identify(
+            setup, Recording("swing", channels), {"bias": Unknown("sensors.cosine.bias", 0)},
+            restarts=0,
+        )  # fmt: skip
+        assert abs(found.values["bias"] - 0.25) < 0.01
+    finally:
+        del _KINDS["cosine"]
+
+
+@pytest.mark.parametrize("name", [*sensors.kinds()])
+def test_names_are_as_many_as_values(name):
+    for scene in ("arm7", "free_body"):
+        model = rb.load(scene)
+        if sensors.kinds()[name].placed and not model.site_names:
+            continue
+        place = f":{model.site_names[0]}" if sensors.kinds()[name].placed else ""
+        sensor = sensors.sensor_of(name + place)
+        assert len(sensor.names(model)) == sensor.columns(model).size
+        assert isinstance(sensor, sensors.Sensor) and sensor.unit(model)
+
+
+def test_wrong_names_are_errors():
+    for name in ("gyro", "q:tool", "nope", "nope:tool", 5):
+        with pytest.raises(rb.UnknownName, match="sensor kind"):
+            sensors.sensor_of(name)
+    for name in (5, "a b", "gyro:x"):
+        with pytest.raises(rb.InputError, match="register: name is"):
+            sensors.register(name)
+    with pytest.raises(rb.InputError, match="placed is 5"):
+        sensors.register("x", placed=5)
+    with pytest.raises(rb.InputError, match="gyro is the name of Gyro"):
+        sensors.register("gyro")(int)
