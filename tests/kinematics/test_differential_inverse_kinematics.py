@@ -102,7 +102,7 @@ def test_bad_arguments(arm):
         velocity(arm, Q, goal, speed=-1.0)
     with pytest.raises(InputError, match="speed has shape"):
         velocity(arm, Q, goal, speed=np.ones(3))
-    with pytest.raises(InputError, match="no Goal"):
+    with pytest.raises(InputError, match="expected Goals"):
         velocity(arm, Q, [np.zeros(3)])
     with pytest.raises(InputError, match="q has shape"):
         velocity(arm, Q[:3], goal)

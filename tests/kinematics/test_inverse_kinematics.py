@@ -206,7 +206,7 @@ def test_bad_arguments(planar):
         (dict(target=[1.0, 0.0]), "target has shape"),
         (dict(target=[1.0, 0.0, 0.0], site=None), "neither"),
         (dict(target=[1.0, 0.0, 0.0], seeds=0), "seeds"),
-        (dict(target=(2 * np.eye(3), np.zeros(3))), "no rotation matrix"),
+        (dict(target=(2 * np.eye(3), np.zeros(3))), "not a rotation matrix"),
         (dict(target=[1.0, 0.0, 0.0], start=[0.0]), "start has shape"),
         (dict(target=[1.0, 0.0, 0.0], tolerance=-1.0), "above zero"),
         (dict(target=[Goal(site="hand", position=[1.0, 0.0, 0.0])]), "own frames"),
