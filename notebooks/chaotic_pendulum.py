@@ -30,18 +30,8 @@ from scipy.io import loadmat
 
 import rbjax as rb
 from rbjax.plotting import STYLE
-from rbjax.sysid import (
-    Channel,
-    Grid,
-    Recording,
-    Scored,
-    Setup,
-    Unknown,
-    compare,
-    free_run,
-    identify,
-    whiteness,
-)
+from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, free_run, identify
+from rbjax.sysid.statistics import Scored, compare, whiteness
 
 jax.config.update("jax_enable_x64", True)
 plt.rcParams.update(STYLE)

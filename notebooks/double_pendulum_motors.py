@@ -74,7 +74,7 @@ for design in DESIGNS:
     run = runs[design][4 if design == "A.0" else 0]
     figure, axes = plt.subplots(1, 3, figsize=(12, 2.6), layout="constrained")
     cut = run.piece(3.0, 4.5)
-    speed = sysid.differentiate(run["q"].t, run["q"].values, 100.0).values
+    speed = sysid.data.differentiate(run["q"].t, run["q"].values, 100.0).values
     near = (run["q"].t > 3.0) & (run["q"].t < 4.5)
     for k, (joint, color) in enumerate(zip(JOINTS, (BLUE, ORANGE), strict=True)):
         axes[0].plot(cut["q"].t, cut["q"].values[:, k], color=color, label=joint)
@@ -108,7 +108,7 @@ MJCF = """
 </worldbody><actuator><motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/>
 </actuator></mujoco>
 """
-sysid.JOINT_TERMS["stribeck"] = lambda v, a, tau, v_0: jnp.tanh(v / v_0) * jnp.exp(-(v**2))
+sysid.torque.JOINT_TERMS["stribeck"] = lambda v, a, tau, v_0: jnp.tanh(v / v_0) * jnp.exp(-(v**2))
 TERMS = ("armature", "viscous", "coulomb", "gear_loss", "bias", "stribeck")
 CUTOFF, SIGNALS, FIRST, SMOOTHING = 4.0, 40.0, 3.0, 0.016  # Hz, Hz, s, rad/s
 
@@ -128,8 +128,8 @@ def published(design):
     dry = np.pi / 2 * np.array([x["cf1"], x["cf2"]])
     friction = rb.forces.JointFriction.of(model, JOINTS, dry, smoothing=np.pi / 200)
     model = model.replace(joints=joints).with_forces(friction)
-    values = np.array(sysid.parameter_values(model, TERMS))
-    names = sysid.parameter_names(model, TERMS)
+    values = np.array(sysid.torque.parameter_values(model, TERMS))
+    names = sysid.torque.parameter_names(model, TERMS)
     values[[names.index(f"{joint}.coulomb") for joint in JOINTS]] = dry
     return model, values
 
@@ -137,7 +137,7 @@ def published(design):
 def equations(design, runs, cutoff=CUTOFF):
     how = {"signal_cutoff": SIGNALS, "joint_terms": TERMS, "smoothing": SMOOTHING}
     model, _ = published(design)
-    return {r.name: sysid.torque_rows(model, r, cutoff, **how) for r in runs}
+    return {r.name: sysid.torque.torque_rows(model, r, cutoff, **how) for r in runs}
 
 
 rows = {design: equations(design, runs[design]) for design in DESIGNS}
@@ -175,25 +175,27 @@ FURTHER = {
 }
 for design in DESIGNS:
     each = list(rows[design].values())
-    full = sysid.regress_with_zeros([r.only(USED) for r in each])
+    full = sysid.torque.regress_with_zeros([r.only(USED) for r in each])
     left = [r.only(USED).residual(full.parameters, full.zeros[r.name]) for r in each]
-    samples = sum(sysid.whiteness(x).effective_samples for off in left for x in off.T)
+    samples = sum(sysid.statistics.whiteness(x).effective_samples for off in left for x in off.T)
 
     def scored(name, names, spread, each=each, noise=full.noise):
-        found = sysid.regress_with_zeros([r.only(names) for r in each], noise=noise, spread=spread)
+        few = [r.only(names) for r in each]
+        found = sysid.torque.regress_with_zeros(few, noise=noise, spread=spread)
         fixed = 2 * len(each) if spread == NONE else 0
         rank = found.regression.combinations.rank - fixed
-        return sysid.Scored(name, found.squares, rank)
+        return sysid.statistics.Scored(name, found.squares, rank)
 
     steps = [scored(name, *how) for name, how in LADDER.items()]
     print(f"design {design}, {samples:.0f} effective samples")
     for small, large in itertools.pairwise(steps):
-        print("  ", sysid.compare(small, large, samples).sentence)
+        print("  ", sysid.statistics.compare(small, large, samples).sentence)
     for name, names in FURTHER.items():
         large = scored(name, names, ZEROS)
         gain = 100 * (1 - large.squares / steps[-1].squares)
         if gain > 0:
-            print("  ", sysid.compare(steps[-1], large, samples).sentence, f"({gain:.1f} %)")
+            compared = sysid.statistics.compare(steps[-1], large, samples)
+            print("  ", compared.sentence, f"({gain:.1f} %)")
         else:
             print("  ", f"{name} does not earn its place: the squares do not fall")
 
@@ -222,12 +224,12 @@ def simulated(model, values, names):
 def fit(design, train):
     """Parameters, the model that moves so, the noise."""
     model, _ = published(design)
-    linear = sysid.regress_with_zeros([r.only(USED) for r in train])
+    linear = sysid.torque.regress_with_zeros([r.only(USED) for r in train])
     names, some = train[0].names, TERMS[:4]
-    kept = sysid.parameter_names(model, some)
+    kept = sysid.torque.parameter_names(model, some)
     W = np.concatenate([r.only(kept).at(linear.zeros[r.name]) for r in train])
     tau = np.concatenate([r.tau for r in train])
-    found = sysid.consistent(model, W, tau, joint_terms=some, noise=linear.noise)
+    found = sysid.torque.consistent(model, W, tau, joint_terms=some, noise=linear.noise)
     whole = np.zeros(len(names))
     whole[: len(kept)] = found.values
     return whole, simulated(found.model, found.values, kept), linear
@@ -236,7 +238,7 @@ def fit(design, train):
 def predicted(r, values, noise, zeros=True):
     """Equations after the first seconds, and the torque that the parameters say."""
     first, rest = r.piece(end=r.t[0] + FIRST), r.piece(start=r.t[0] + FIRST)
-    z = sysid.zeros_of(first, values, noise=noise, spread=ZEROS) if zeros else np.zeros(2)
+    z = sysid.torque.zeros_of(first, values, noise=noise, spread=ZEROS) if zeros else np.zeros(2)
     return rest, rest.tau - rest.residual(values, z), z
 
 
@@ -299,7 +301,8 @@ def free_run(model, run, zeros, seconds=1.0, h=0.002):
     """Angles simulated and measured, (windows, samples, 2)."""
     t = run.start + h * np.arange(int((run.end - run.start) / h))
     seen = run.on_clock(t)
-    q, v = (sysid.differentiate(t, seen["q"].values, f, times=k) for k, f in ((0, 40.0), (1, 15.0)))
+    slope = sysid.data.differentiate
+    q, v = (slope(t, seen["q"].values, f, times=k) for k, f in ((0, 40.0), (1, 15.0)))
     q, v, n = q.values + zeros, v.values, int(seconds / h)
     at = np.linspace((FIRST + 0.5) / h, len(t) - n - 51, 20).astype(int)
     ctrl = jnp.asarray(np.stack([seen["tau"].values[k : k + n] for k in at]))
@@ -354,15 +357,15 @@ for design in DESIGNS:
         links = []
         for run in some:
             t, q = run["q"].t, run["q"].values
-            tau, v = (sysid.differentiate(t, x, 25.0, times=k).values
+            tau, v = (sysid.data.differentiate(t, x, 25.0, times=k).values
                       for k, x in ((0, run["tau"].values), (1, q)))  # fmt: skip
             T = tau - dry * np.tanh(v / 0.1)
-            link = q - sysid.low_pass(t, np.tanh(T / 0.3), 25.0).values * [c, 0.0]
+            link = q - sysid.data.low_pass(t, np.tanh(T / 0.3), 25.0).values * [c, 0.0]
             channels = run.channels | {"q": sysid.Channel(t, link, JOINTS)}
             links.append(sysid.Recording(run.name, channels))
         for cutoff in (4.0, 8.0):
             each = [r.only(USED) for r in equations(design, links, cutoff).values()]
-            found = sysid.regress_with_zeros(each)
+            found = sysid.torque.regress_with_zeros(each)
             off = [r.residual(found.parameters, found.zeros[r.name]) for r in each]
             tau = np.concatenate([r.tau for r in each])[:, 0]
             there = ((tau - tau.mean()) ** 2).sum()

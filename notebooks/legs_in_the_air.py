@@ -32,17 +32,8 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.plotting import STYLE
-from rbjax.sysid import (
-    Channel,
-    Grid,
-    Recording,
-    Setup,
-    Shared,
-    Unknown,
-    differentiate,
-    identify,
-    low_pass,
-)
+from rbjax.sysid import Channel, Grid, Recording, Setup, Shared, Unknown, identify
+from rbjax.sysid.data import differentiate, low_pass
 
 jax.config.update("jax_enable_x64", True)
 plt.rcParams.update(STYLE)

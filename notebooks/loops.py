@@ -81,7 +81,7 @@ def with_length(length):
 
 def angles(length):
     longer = with_length(length)
-    begin = rc.Projected(iterations=8).settled(longer, 0.0, start)
+    begin = rc.Projection(iterations=8).project(longer, 0.0, start)
     return rb.rollout(longer, begin, None, 2e-3, steps=250, integrator="rk4").q[::10, 0]
 
 

@@ -267,5 +267,5 @@ plt.show()
 
 # %% [markdown]
 # Errors of the simulation are alike for some tenths of a second: they are a motion that the model
-# does not have. Those of the one-step prediction are white, as noise should be. `sysid.whiteness`
-# says the same as a test.
+# does not have. Those of the one-step prediction are white, as noise should be.
+# `sysid.statistics.whiteness` says the same as a test.

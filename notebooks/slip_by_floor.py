@@ -32,7 +32,8 @@ import numpy as np
 import rbjax
 from rbjax import wheeled
 from rbjax.plotting import STYLE
-from rbjax.sysid import Channel, Recording, select
+from rbjax.sysid import Channel, Recording
+from rbjax.sysid.torque import select
 from rbjax.wheeled.robot.catalogue import omnidirectional
 
 jax.config.update("jax_enable_x64", True)

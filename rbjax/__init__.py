@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from rbjax import loading as loading
     from rbjax import motion as motion
     from rbjax.forces import applied_forces
-    from rbjax.loading import load, scenes, write_back, write_mjcf
+    from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
     from rbjax.motion.linearise import Linear, linearise, step
     from rbjax.motion.rollout import rollout
     from rbjax.motion.simulate import simulate
@@ -82,6 +82,7 @@ _PACKAGES = (
     "wheeled",
 )  # fmt: skip
 _MODULES = {
+    "ModelBuilder": "loading",
     "Linear": "motion.linearise",
     "Trajectory": "motion.trajectory",
     "applied_forces": "forces",
@@ -121,6 +122,7 @@ def __dir__() -> list[str]:
 __all__ = [
     "InputError",
     "Model",
+    "ModelBuilder",
     "ModelError",
     "Poses",
     "Linear",

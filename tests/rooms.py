@@ -166,8 +166,8 @@ CONSTRAINTS: Room = {
     "Baumgarte": (rc.Baumgarte, {"alpha": 20.0, "beta": 20.0}),
     "Penalty": (rc.Penalty, {"stiffness": 1e6, "damping": 1e3}),
     "AugmentedLagrangian": (rc.AugmentedLagrangian, {"alpha": 1e3, "iterations": 10}),
-    "Projected": (rc.Projected, {"of": rc.Multipliers(), "iterations": 2}),
-    "TangentSpace": (rc.TangentSpace, {"of": rc.Multipliers(), "iterations": 2}),
+    "Projection": (rc.Projection, {"iterations": 2}),
+    "TangentSpace": (rc.TangentSpace, {"iterations": 2}),
     "Spherical.between": (rc.Spherical.between, ELBOW),
     "Revolute.between": (rc.Revolute.between, {**ELBOW, "axis": [0.0, 1.0, 0.0]}),
     "Distance.between": (rc.Distance.between, {

@@ -75,7 +75,9 @@ def published(design: str, name: str | None = None) -> Published:
     dry = np.pi / 2 * np.array([x["cf1"], x["cf2"]])
     friction = rb.forces.JointFriction.of(model, JOINTS, dry, smoothing=np.pi / 200)
     model = model.replace(joints=joints).with_forces(friction)
-    values, names = (f(model, TERMS) for f in (sysid.parameter_values, sysid.parameter_names))
+    values, names = (
+        f(model, TERMS) for f in (sysid.torque.parameter_values, sysid.torque.parameter_names)
+    )
     values = np.array(values, float)
     for k in (0, 1):  # moments about y; some files hold none that a body can have
         at = 10 * k + 6
@@ -99,10 +101,10 @@ def recordings(design: str) -> list[sysid.Recording]:
 
 def rows(
     model: rb.Model, runs: Any, cutoff: float = CUTOFF, terms: Any = TERMS, **how: Any
-) -> list[sysid.TorqueRows]:
+) -> list[sysid.torque.TorqueRows]:
     """The equations of each run."""
     how = {"signal_cutoff": SIGNALS, "smoothing": SMOOTHING, **how}
-    return [sysid.torque_rows(model, r, cutoff, joint_terms=terms, **how) for r in runs]
+    return [sysid.torque.torque_rows(model, r, cutoff, joint_terms=terms, **how) for r in runs]
 
 
 def driven(run: sysid.Recording) -> np.ndarray:
@@ -134,7 +136,7 @@ def score(
     left, there, by_run = np.zeros(2), np.zeros(2), {}
     for run, r in zip(runs, rows, strict=True):
         first, rest = r.piece(end=r.t[0] + FIRST), r.piece(start=r.t[0] + FIRST)
-        z = sysid.zeros_of(first, parameters, noise=noise) if zeros else np.zeros(2)
+        z = sysid.torque.zeros_of(first, parameters, noise=noise) if zeros else np.zeros(2)
         off = (rest.residual(parameters, z) ** 2).sum(0)
         all_of_it = ((rest.tau - rest.tau.mean(0)) ** 2).sum(0)
         moved = driven(run)
@@ -146,23 +148,23 @@ def score(
 class Fitted(NamedTuple):
     """A fit: zeros and noise by regression, and a model that bodies can have."""
 
-    linear: sysid.WithZeros
+    linear: sysid.torque.WithZeros
     values: np.ndarray
     model: rb.Model
 
 
 def fit(model: rb.Model, rows: Any) -> Fitted:
     """Regression with zeros, then physically consistent parameters at these zeros."""
-    linear = sysid.regress_with_zeros([r.only(COLUMNS) for r in rows])
+    linear = sysid.torque.regress_with_zeros([r.only(COLUMNS) for r in rows])
     W = np.concatenate([r.at(linear.zeros[r.name]) for r in rows])
     tau = np.concatenate([r.tau for r in rows])
-    found = sysid.consistent(model, W, tau, joint_terms=TERMS, noise=linear.noise)
+    found = sysid.torque.consistent(model, W, tau, joint_terms=TERMS, noise=linear.noise)
     return Fitted(linear, found.values, simulated(found.model, found.values))
 
 
 def simulated(model: rb.Model, values: np.ndarray) -> rb.Model:
     """The model with its dry friction and the losses of its gears as forces."""
-    x = dict(zip(sysid.parameter_names(model, TERMS), values, strict=True))
+    x = dict(zip(sysid.torque.parameter_names(model, TERMS), values, strict=True))
     dry, lost = ([x[f"{j}.{term}"] for j in JOINTS] for term in ("coulomb", "gear_loss"))
     friction = rb.forces.JointFriction.of(model, JOINTS, jnp.array(dry), smoothing=SMOOTHING)
     gear = rb.forces.GearLoss.of(model, JOINTS, jnp.array(lost), smoothing=SMOOTHING)
@@ -180,8 +182,8 @@ def free_run(
     t = run.start + h * np.arange(int((run.end - run.start) / h))
     seen = run.on_clock(t)
     q, tau = seen["q"].values, seen["tau"].values
-    v = sysid.differentiate(t, q, 15.0).values
-    q = sysid.low_pass(t, q, SIGNALS).values + zeros
+    v = sysid.data.differentiate(t, q, 15.0).values
+    q = sysid.data.low_pass(t, q, SIGNALS).values + zeros
     n = int(seconds / h)
     begins = np.arange(int((FIRST + 0.5) / h), len(t) - n - 50, int(every / h))
     count = len(begins)
@@ -194,16 +196,18 @@ def free_run(
     return (np.asarray(path.q) - want)[:count]
 
 
-def ladder(rows: Any, models: Any, full: sysid.WithZeros) -> tuple[list[sysid.Scored], float]:
+def ladder(
+    rows: Any, models: Any, full: sysid.torque.WithZeros
+) -> tuple[list[sysid.statistics.Scored], float]:
     """Sums of squares of nested models (name, columns, spread of zeros), all in the noise of the
     full one, and the effective number of samples of its residuals."""
     rows, scored = list(rows), []
     for name, columns, spread in models:
         few = [r.only(columns) for r in rows]
-        found = sysid.regress_with_zeros(few, noise=full.noise, spread=spread)
+        found = sysid.torque.regress_with_zeros(few, noise=full.noise, spread=spread)
         count = found.regression.combinations.rank - (2 * len(rows) if spread < 1e-3 else 0)
-        scored.append(sysid.Scored(name, found.squares, count))
+        scored.append(sysid.statistics.Scored(name, found.squares, count))
     few = [r.only(COLUMNS) for r in rows]
     left = [r.residual(full.parameters, full.zeros[r.name]) for r in few]
-    effective = sum(sysid.whiteness(x).effective_samples for off in left for x in off.T)
+    effective = sum(sysid.statistics.whiteness(x).effective_samples for off in left for x in off.T)
     return scored, effective

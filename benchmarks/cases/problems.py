@@ -11,14 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from rbjax.sysid import (
-    PD,
-    Channel,
-    Grid,
-    Inertia,
-    Recording,
-    Setup,
-    Unknown,
+from rbjax.sysid import PD, Channel, Grid, Inertia, Recording, Setup, Unknown
+from rbjax.sysid.parameters import (
     from_log_cholesky,
     inertial_parameters_of,
     pseudo_inertia_of,

@@ -13,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import wheeled
-from rbjax.sysid import Channel, Comparison, Recording, select
+from rbjax.sysid import Channel, Recording
+from rbjax.sysid.statistics import Comparison
+from rbjax.sysid.torque import select
 from rbjax.wheeled import HeadingSlip, Robot
 from rbjax.wheeled.robot.catalogue import omnidirectional
 

@@ -59,7 +59,7 @@ def table(design: str, cutoff: float) -> list[dict[str, Any]]:
             scores.append(dfki.score(values, [run], [r], noise=noise, zeros=zeros))
             if cutoff == dfki.CUTOFF and model is not None:
                 first = r.piece(end=r.t[0] + dfki.FIRST)
-                z = sysid.zeros_of(first, values, noise=noise) if zeros else np.zeros(2)
+                z = sysid.torque.zeros_of(first, values, noise=noise) if zeros else np.zeros(2)
                 up = dfki.swings_up(run)
                 off = dfki.free_run(model, run, z, seconds=0.3 if up else 1.0)
                 errors[up].append(np.sqrt((off**2).mean(1)))

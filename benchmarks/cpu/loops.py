@@ -31,8 +31,8 @@ def states(model: rb.Model, q0: np.ndarray, batch: int) -> tuple[jax.Array, ...]
     """q and v on the loops, near q0, and tau."""
     moved, v, tau = np.random.default_rng(0).normal(size=(3, batch, model.nv))
     near = jax.vmap(lambda dq: rb.integrate(model, q0, dq))(0.02 * moved)
-    exact = rb.constraints.Projected(iterations=20)
-    on = jax.jit(jax.vmap(lambda q, v: exact.settled(model, 0.0, rb.State(q, v))))(near, v)
+    exact = rb.constraints.Projection(iterations=20)
+    on = jax.jit(jax.vmap(lambda q, v: exact.project(model, 0.0, rb.State(q, v))))(near, v)
     return on.q, on.v, jnp.asarray(tau)
 
 

@@ -41,9 +41,9 @@ def start(m: mujoco.MjModel, model: rb.Model, batch: int) -> rb.State:
     """States on the loops: the file's own, turned and moved a little, put back by projection."""
     q = jnp.asarray(m.key_qpos[0] if m.nkey else m.qpos0)
     q, v = jnp.tile(q, (batch, 1)), jax.random.normal(jax.random.key(0), (batch, model.nv)) * 0.1
-    exact = rb.constraints.Projected(iterations=8)
+    exact = rb.constraints.Projection(iterations=8)
     state = rb.State(q.astype(jnp.float32), v.astype(jnp.float32))
-    return jax.jit(jax.vmap(lambda s: exact.settled(model, 0.0, s)))(state)
+    return jax.jit(jax.vmap(lambda s: exact.project(model, 0.0, s)))(state)
 
 
 def rows(name: str, batch: int, parts: Collection[str]) -> Iterator[dict]:

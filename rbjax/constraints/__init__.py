@@ -9,6 +9,7 @@ from rbjax.constraints.analysis.reactions import (
     multipliers,
 )
 from rbjax.constraints.equations.residuals import jacobian, residual
+from rbjax.constraints.formulation import Baumgarte, Formulation, Projection, TangentSpace
 from rbjax.constraints.lagrange import LagrangeSystem
 from rbjax.constraints.methods.compliant import Compliant
 from rbjax.constraints.methods.differential_algebraic import (
@@ -17,12 +18,11 @@ from rbjax.constraints.methods.differential_algebraic import (
     Index2,
     Index3,
 )
-from rbjax.constraints.methods.formulation import Baumgarte, Formulation, Multipliers, Projected
+from rbjax.constraints.methods.method import Method, Multipliers
 from rbjax.constraints.methods.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.methods.recursive import Recursive
 from rbjax.constraints.methods.redundant import KKT
 from rbjax.constraints.methods.soft import QuaternionWeld, Soft
-from rbjax.constraints.methods.tangent import TangentSpace
 from rbjax.constraints.methods.unconstrained import (
     AugmentedLagrangian,
     ForceProjection,
@@ -86,6 +86,7 @@ __all__ = [
     "KKT",
     "KnifeEdge",
     "LagrangeSystem",
+    "Method",
     "Mobility",
     "Multipliers",
     "NullSpaceQR",
@@ -102,7 +103,7 @@ __all__ = [
     "PointOnSurface",
     "Prescribed",
     "Prismatic",
-    "Projected",
+    "Projection",
     "QuaternionWeld",
     "Rack",
     "Recursive",

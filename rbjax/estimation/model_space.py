@@ -17,7 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_model, check_step, check_takes
 from rbjax.estimation.kalman import StateSpace
 from rbjax.model import Model, State

@@ -27,6 +27,8 @@ from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of
 from rbjax.loading.mjcf.finite import refuse_nan_in, within_range
 from rbjax.loading.mjcf.forces import elements
+from rbjax.loading.mjcf.geoms import geoms_of
+from rbjax.loading.mjcf.names import names_of
 from rbjax.loading.motors import with_motors
 from rbjax.loading.singular import joints_that_cancel
 from rbjax.loading.urdf.inertials import write_inertials
@@ -105,7 +107,9 @@ def load(
         flag("load", name, given)
     for name, given in (("motors", motors), ("constraints", constraints), ("compliant", compliant)):
         flag("load", name, given)
-    compiled, odd, mimics, lost = _compile_source(source, floating_base=bool(floating_base))
+    compiled, odd, mimics, lost = _compile_source(
+        source, floating_base=bool(floating_base), shapes=None
+    )
     if floating_base is False:
         lost = tuple(x for x in lost if not x.startswith(features.FIXED))
     if odd:
@@ -117,6 +121,8 @@ def load(
         )
     taken = {"limits": limits, "friction": friction, "constraints": constraints}
     dropped = features.dropped_features(compiled, **taken) + features.unread_features(compiled)
+    if any(x.startswith(features.COLLISION) for x in lost):  # of a URDF, which names the links
+        dropped = tuple(x for x in dropped if not x.startswith(features.CONTACTS))
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
     texts = [
@@ -153,14 +159,31 @@ def compile_model(
 
 
 def _compile_source(
-    source: Any, *, floating_base: bool | None, shapes: Collection[str] = ()
+    source: Any, *, floating_base: bool | None, shapes: Collection[str] | None = ()
 ) -> tuple[mujoco.MjModel, str, Mimics, tuple[str, ...]]:
     """The compiled model. Of a URDF also a text about impossible inertials, its mimic joints, and
-    its entries of `Model.dropped`."""
+    its entries of `Model.dropped`. shapes None: the shapes of a URDF that are no meshes."""
     if isinstance(source, mujoco.MjModel):
         return source, "", Mimics(), ()
+    name, spec = _describe(source), spec_of(source)
+    if spec is not None:
+        if floating_base and not isinstance(source, mujoco.MjSpec):
+            raise ModelError(
+                f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
+            )
+        return _compile(spec, name), "", Mimics(), ()
+    text, path = _read(source)
+    folder, floats = Path() if path is None else path.parent, floating_base is not False
+    urdf = read_urdf(text, name, floating_base=floats, shapes=shapes, folder=folder)
+    compiled = _compile(urdf.spec, name)
+    odd = write_inertials(compiled, urdf.inertials, name)
+    return compiled, odd, urdf.mimics, urdf.left_out
+
+
+def spec_of(source: Any) -> mujoco.MjSpec | None:
+    """The spec of an MJCF source; None for a URDF."""
     if isinstance(source, mujoco.MjSpec):
-        return _compile(source, "MjSpec"), "", Mimics(), ()
+        return source
     if not isinstance(source, (str, Path)):
         raise ModelError(
             f"load: source is {type(source).__name__}, expected a path, an XML string, "
@@ -169,24 +192,13 @@ def _compile_source(
     text, path = _read(source)
     name = _describe(source)
     if is_urdf(text, name):
-        folder = Path() if path is None else path.parent
-        floats = floating_base is not False
-        urdf = read_urdf(text, name, floating_base=floats, shapes=shapes, folder=folder)
-        compiled = _compile(urdf.spec, name)
-        odd = write_inertials(compiled, urdf.inertials, name)
-        return compiled, odd, urdf.mimics, urdf.left_out
-    if floating_base:
-        raise ModelError(
-            f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
-        )
+        return None
     try:
-        spec = (
-            mujoco.MjSpec.from_string(text) if path is None else mujoco.MjSpec.from_file(str(path))
-        )
+        read = mujoco.MjSpec
+        return read.from_string(text) if path is None else read.from_file(str(path))
     except Exception as error:
         message = sentence(error)
         raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{fix_of(message)}") from error
-    return _compile(spec, name), "", Mimics(), ()
 
 
 def _read(source: str | Path) -> tuple[str, Path | None]:
@@ -316,6 +328,7 @@ def from_compiled(
             numbers=array(np.zeros(0)),
         ),
         actuators=jax.tree.map(array, to_columns(affine, m.nu)),
+        geoms=geoms_of(m, array),
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
         keyframes=_keyframes(m, array),
         gravity=array(unless(bit.mjDSBL_GRAVITY, m.opt.gravity)),
@@ -324,13 +337,6 @@ def from_compiled(
         dropped=tuple(dropped),
         forces=(*elements(m, limits=limits, friction=friction), *others),
         constraints=constraints_of(m, compliant=compliant) if constraints else (),
-    )
-
-
-def names_of(m: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> tuple[str, ...]:
-    """The names of joints, bodies, ...; one without a name is named by its index, as joint0."""
-    return tuple(
-        mujoco.mj_id2name(m, kind, i) or f"{kind.name[6:].lower()}{i}" for i in range(count)
     )
 
 

@@ -20,6 +20,7 @@ from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import literals
 from rbjax.model.execution import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.execution import EXECUTION, Execution
+from rbjax.model.geoms import Geoms
 from rbjax.model.random_state import random_coordinates
 from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
@@ -142,12 +143,12 @@ class Model(Record):
     topology: Topology = eqx.field(static=True)
     timestep: float = eqx.field(static=True)
     dropped: tuple[str, ...] = eqx.field(static=True)
-    #: how algorithms run on it
     execution: Execution = Execution()
-    #: force elements (`rbjax.forces.Element`) beside the joints' springs and the actuators
+    #: force elements (`rbjax.forces.Element`) other than the joints' springs and the actuators
     forces: tuple = ()
-    #: constraints (`rbjax.constraints.Constraint`) on its motion
+    #: `rbjax.constraints.Constraint`s on its motion
     constraints: tuple = ()
+    geoms: Geoms | None = None  # None: not from a file
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)
@@ -259,6 +260,10 @@ class Model(Record):
     def site(self, name: str | int) -> int:
         """The index of a site."""
         return _index("site", name, self.site_names)
+
+    def geom(self, name: str | int) -> int:
+        """The index of a geom."""
+        return _index("geom", name, () if self.geoms is None else self.geoms.names)
 
     def fix_zeros(self) -> Model:
         """The same model with the zeros of its numbers declared part of the program.

@@ -16,7 +16,7 @@ from typing import Any, Protocol, TypeGuard
 
 import jax
 
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation, TangentSpace
 from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.algorithms.link_forces import LinkForces
@@ -140,7 +140,7 @@ class Field:
             return state
 
         def stage(t: Any, state: State, start: State) -> State:
-            return law.staged(self.precomputed, t, state, t0, start)
+            return law.stage_state(self.precomputed, t, state, t0, start)
 
         return of_samples(stage, t, state, start)
 
@@ -149,7 +149,7 @@ class Field:
         constraints."""
         if not isinstance(self.law, Formulation):
             return state
-        return of_samples(functools.partial(self.law.settled, self.precomputed), t, state)
+        return of_samples(functools.partial(self.law.project, self.precomputed), t, state)
 
     def within(self, x: jax.Array | None) -> jax.Array | None:
         """The states (nx, ...) of force elements, clipped to their ranges."""
@@ -162,7 +162,7 @@ class Field:
 
 def moves_stages(law: Law) -> TypeGuard[Formulation]:
     """Whether a law takes the rates of a stage at another state."""
-    return isinstance(law, Formulation) and type(law).staged is not Formulation.staged
+    return isinstance(law, Formulation) and isinstance(law.projection, TangentSpace)
 
 
 def law_of(where: str, model: Model, law: Any, constraints: Any) -> Law:

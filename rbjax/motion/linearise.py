@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.algorithms.derivatives import accelerated_derivatives
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.dynamics.tracing.algorithm import algorithm

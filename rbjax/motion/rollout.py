@@ -22,7 +22,7 @@ import jax.numpy as jnp
 
 from rbjax.compiler import wanted
 from rbjax.compiling import compiled, inside_jit
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
 from rbjax.dynamics.tracing.batching import chunks
 from rbjax.dynamics.tracing.custom_rules import split_tracers

@@ -10,8 +10,8 @@ import diffrax
 import equinox as eqx
 import jax
 
+from rbjax.constraints.formulation import Formulation
 from rbjax.constraints.methods.differential_algebraic import stepped
-from rbjax.constraints.methods.formulation import Formulation
 from rbjax.model import Model, State
 from rbjax.motion.field import Law, moves_stages
 from rbjax.motion.implicit import StagesSolver, stepped_by
@@ -23,8 +23,8 @@ from rbjax.solvers.common.wrapped import Wrapped
 
 
 class Settling(Wrapped):
-    """The solver, with the stages of its steps `formulation.staged`, and what they end with too;
-    after each step `formulation.settled`.
+    """A solver with the projections of a formulation: `stage_state` at the stages and at the end of
+    each step, `project` after it.
 
     The estimate of the error is that of the step before it. A solver that keeps the slope at the
     end of a step for the next one keeps that of the unsettled state, which differs by less than the
@@ -43,8 +43,8 @@ class Settling(Wrapped):
         )
         t = self.start + t1
         if stages:
-            y1 = self.formulation.staged(model, t, y1, *begun)
-        y1 = self.formulation.settled(model, t, y1)
+            y1 = self.formulation.stage_state(model, t, y1, *begun)
+        y1 = self.formulation.project(model, t, y1)
         return y1, error, dense | ({"y1": y1} if "y1" in dense else {}), solver_state, result
 
 
@@ -78,6 +78,6 @@ def settling(
     solver: diffrax.AbstractSolver, law: Law, model: Callable[[Any], Model], start: Any
 ) -> diffrax.AbstractSolver:
     """The solver, with what the law does to states after steps, if it does anything."""
-    if not isinstance(law, Formulation) or type(law).settled is Formulation.settled:
+    if not isinstance(law, Formulation) or law.projection is None:
         return solver
     return Settling(solver, law, model, start)

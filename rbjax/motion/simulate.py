@@ -15,7 +15,7 @@ import numpy as np
 
 from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import (
     check_array,
     check_arrays,

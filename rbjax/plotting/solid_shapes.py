@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,9 @@ import mujoco
 import numpy as np
 
 from rbjax.loading import compile_model
+from rbjax.loading.mjcf.geoms import geoms_of
+from rbjax.model import Model
+from rbjax.model.geoms import Geoms
 
 Array = np.ndarray
 #: more points than this add nothing that is seen
@@ -34,10 +38,10 @@ class Solid:
 
 
 def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
-    """The visible geoms of a robot file, floors left out.
+    """The visible geoms of a robot, floors left out.
 
     Args:
-        source: what `rbjax.load` takes.
+        source: what `rbjax.load` takes, or a model, which has no meshes.
         floating_base: as in `rbjax.load`, for a URDF.
 
     Returns:
@@ -51,19 +55,29 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
         >>> len(solids("pendulum"))
         3
     """
+    if isinstance(source, Model):
+        return [] if source.geoms is None else _of_geoms(source.geoms)
     m = compile_model(source, floating_base=floating_base)
+    k = m.geom_dataid
+    hulls = {
+        i: _outermost(m.mesh_vert[m.mesh_vertadr[k[i]] :][: m.mesh_vertnum[k[i]]])
+        for i in np.flatnonzero(m.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH))
+    }
+    return _of_geoms(geoms_of(m, np.asarray), hulls)
+
+
+def _of_geoms(geoms: Geoms, hulls: Mapping[int, Array] | None = None) -> list[Solid]:
+    """The solids of geoms. hulls: points of the geoms that are meshes, which are left out else."""
     out = []
-    for i in range(m.ngeom):
-        surface = _surface(m, i)
-        if surface is None or m.geom_group[i] > 2:
+    for i, (kind, body) in enumerate(zip(geoms.types, geoms.bodies, strict=True)):
+        points = (hulls or {}).get(i) if kind == "mesh" else _surface(kind, *geoms.size[i])
+        *color, alpha = geoms.rgba[i]
+        if points is None or geoms.group[i] > 2 or alpha <= 0:
             continue
         R = np.zeros(9)
-        mujoco.mju_quat2Mat(R, m.geom_quat[i])
-        rgba = m.geom_rgba[i] if m.geom_matid[i] < 0 else m.mat_rgba[m.geom_matid[i]]
-        color = (float(rgba[0]), float(rgba[1]), float(rgba[2]))
-        points = surface @ R.reshape(3, 3).T + m.geom_pos[i]
-        if rgba[3] > 0:
-            out.append(Solid(points, int(m.geom_bodyid[i]) - 1, color, float(rgba[3])))
+        mujoco.mju_quat2Mat(R, np.asarray(geoms.orientation[i], np.float64))
+        placed = points @ R.reshape(3, 3).T + np.asarray(geoms.position[i])
+        out.append(Solid(placed, body, (color[0], color[1], color[2]), alpha))
     return out
 
 
@@ -89,24 +103,19 @@ def cylinder(radius: float, half: float) -> Array:
     return np.concatenate([ring + up, ring - up])
 
 
-def _surface(m: mujoco.MjModel, i: int) -> Array | None:
+def _surface(kind: str, a: float, b: float, c: float) -> Array | None:
     """Points of a geom's surface in its own frame; None for planes and the like."""
-    a, b, c = m.geom_size[i]
-    kind, shape = mujoco.mjtGeom(m.geom_type[i]), mujoco.mjtGeom
-    if kind == shape.mjGEOM_SPHERE:
+    if kind == "sphere":
         return sphere(a)
-    if kind == shape.mjGEOM_ELLIPSOID:
+    if kind == "ellipsoid":
         return ellipsoid(a, b, c)
-    if kind == shape.mjGEOM_CAPSULE:
+    if kind == "capsule":
         return capsule(np.array([0, 0, b]), np.array([0, 0, -b]), a)
-    if kind == shape.mjGEOM_CYLINDER:
+    if kind == "cylinder":
         return cylinder(a, b)
-    if kind == shape.mjGEOM_BOX:
+    if kind == "box":
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return corners * [a, b, c]
-    if kind == shape.mjGEOM_MESH:
-        k = m.geom_dataid[i]
-        return _outermost(m.mesh_vert[m.mesh_vertadr[k] : m.mesh_vertadr[k] + m.mesh_vertnum[k]])
     return None
 
 

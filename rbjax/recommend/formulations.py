@@ -151,11 +151,11 @@ def formulation(
 
 def _of_any_motion(model: Model, dt: float | None) -> FormulationRecommendation:
     found = formulation_of("recommend", model, None)
-    why = FREE
+    name, why = "none", FREE
     if found is not None:
-        why = f"no motion is given, so nothing is measured: {found.name} {WHY[found.name]}"
+        name = next(key for key, x in formulations().items() if x == found)
+        why = f"no motion is given, so nothing is measured: {name} {WHY[name]}"
     step, unknown = float(model.timestep if dt is None else dt), math.nan
-    name = "none" if found is None else found.name
     return FormulationRecommendation(
         name, unknown, (), why, found, step, unknown, unknown, None, unknown
     )

@@ -28,8 +28,8 @@ def on_loops(scene: str) -> tuple[rb.Model, rb.State]:
     rng = np.random.default_rng(3)
     q = model.default_state().q + 0.1 * rng.normal(size=(3, model.nq))
     state = rb.State(jnp.asarray(q), jnp.asarray(rng.normal(size=(3, model.nv))))
-    exact = rc.Projected(iterations=20)
-    return model, jax.jit(jax.vmap(lambda s: exact.settled(model, 0.0, s)))(state)
+    exact = rc.Projection(iterations=20)
+    return model, jax.jit(jax.vmap(lambda s: exact.project(model, 0.0, s)))(state)
 
 
 def step_of(model: rb.Model, name: str):

@@ -51,14 +51,16 @@ MADE: dict[str, Callable] = {
         MODEL, "upper", "lower", other=[0, 0, 0]
     ),
     "pitch=...): got 0, expected": lambda: rc.Screw(HERE, LOWER, 0.0),
-    "of=...): got 'kkt', expected a Formulation": lambda: rc.Projected(of="kkt"),
-    "TangentSpace(of=...): got 'kkt'": lambda: rc.TangentSpace(of="kkt"),
+    "method=...): got 'kkt', expected Method": lambda: rc.Formulation("kkt"),
+    "feedback=...): got 5.0, expected Baumgarte or None": lambda: rc.Formulation(feedback=5.0),
+    "projection=...): got True, expected Projection": lambda: rc.Formulation(projection=True),
+    "Index3 has no feedback": lambda: rc.Formulation(rc.Index3(), rc.Baumgarte()),
     "Baumgarte: alpha is nan": lambda: rc.Baumgarte(np.nan),
     "Baumgarte: beta is '3'": lambda: rc.Baumgarte(1.0, "3"),
     "Baumgarte.for_step: dt is 0": lambda: rc.Baumgarte.for_step(0),
     "Penalty: stiffness is -1.0": lambda: rc.Penalty(-1.0),
-    "Projected(iterations=...): got 0": lambda: rc.Projected(iterations=0),
-    "AugmentedLagrangian(iterations=...): got 1.5": lambda: rc.AugmentedLagrangian(
+    "Projection: iterations is 0": lambda: rc.Projection(iterations=0),
+    "AugmentedLagrangian: iterations is 1.5": lambda: rc.AugmentedLagrangian(
         iterations=1.5
     ),
     "ratio=...): got nan": lambda: rc.Gear("elbow", "shoulder", np.nan),

@@ -355,7 +355,7 @@ def test_steps_that_are_not_solved() -> None:
 def test_projection_after_steps() -> None:
     """Velocities of index 3, put back on the constraints."""
     model, start = four_bars(1)
-    both = rc.Projected(of=rc.Index3())
+    both = rc.Formulation(rc.Index3(), projection=rc.Projection())
     path = rb.rollout(model, start, None, 0.01, steps=10, constraints=both)
     adaptive = rb.simulate(model, start, path.ts[::5], constraints=both)
     np.testing.assert_allclose(adaptive.q, path.q[::5], rtol=0, atol=1e-7)

@@ -17,13 +17,15 @@ from rbjax.constraints import Constraint, Row, coordinate
 from rbjax.constraints.equations.law import constrained_motion
 from rbjax.constraints.equations.projection import projected
 from rbjax.constraints.equations.system import least_norm
+from rbjax.constraints.formulation import as_formulation
 from rbjax.constraints.methods.dense import Dense
 from rbjax.constraints.methods.recursive import by_clusters
+from rbjax.constraints.registry import METHODS
 from tests.oracles import load
 from tests.tolerances import GRADIENT
 
 LAWS = load("constraint_identities")
-DENSE = {name: one for name, one in rc.formulations().items() if isinstance(one, Dense)}
+DENSE = {name: one for name, one in rc.formulations().items() if isinstance(one.method, Dense)}
 
 
 def of_xml(bodies: str) -> rb.Model:
@@ -144,15 +146,15 @@ def test_one_motion(name: str, mechanism: str) -> None:
     np.testing.assert_allclose(total, slope, rtol=GRADIENT)
 
 
-def test_projected_takes_the_motion_of_another() -> None:
-    """In `rollout`, the state is put back after each step, whatever the formulation."""
-    one = rc.Projected(of=rc.NullSpaceQR())
+def test_a_projection_combines_with_any_method() -> None:
+    """In `rollout`, the state is projected after each step, by any method."""
+    one = rc.Formulation(rc.NullSpaceQR(), projection=rc.Projection())
     assert (one.family, one.index) == ("minimal", 0)
     model = pendulum()
     start = rb.State(jnp.array([0.6, -0.8]), jnp.array([1.04, 0.78]))
     ends = [
         rb.rollout(model, start, None, 0.01, steps=20, constraints=given).q[-1]
-        for given in (one, rc.Projected(), "null_space_qr")
+        for given in (one, rc.Projection(), "null_space_qr")
     ]
     np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-12)
     off = [abs(float(q @ q) - 1.0) for q in ends]
@@ -253,6 +255,30 @@ def test_baumgarte_residual() -> None:
     for case, g in zip(cases.values(), [residuals(one) for one in ways], strict=True):
         want = [sample["g_exact"] for sample in case["samples"].values()]
         np.testing.assert_allclose(g, want, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("method", [x for x in METHODS if x.has_feedback] + [rc.Compliant()],
+                         ids=lambda x: x.name)  # fmt: skip
+def test_feedback_combines_with_any_method(method: rc.Method) -> None:
+    """Off the constraint g = q q - 1, at g' != 0: g'' = -2 alpha g' - beta^2 g, of every method."""
+    model, alpha, beta = pendulum(), 3.0, 5.0
+    q, v = jnp.array([0.7, -0.9]), jnp.array([0.4, 0.3])
+    form = rc.Formulation(method, rc.Baumgarte(alpha, beta))
+    a = jax.jit(lambda q, v: form(model, 0.0, rb.State(q, v), 0 * v, {}))(q, v)
+    second = 2 * (v @ v + q @ a)
+    want = -2 * alpha * 2 * (q @ v) - beta**2 * (q @ q - 1.0)
+    np.testing.assert_allclose(second, want, rtol=1e-9)
+    assert form.name == f"{method.name}+baumgarte" and form.family == method.family
+
+
+def test_names_of_the_registry() -> None:
+    """Each entry is the product that its name says; a factor stands for itself."""
+    for name, one in rc.formulations().items():
+        assert one.name in (name, f"{name}+projected")
+    for factor in (rc.KKT(), rc.Baumgarte(1.0, 2.0), rc.Projection(3), rc.TangentSpace()):
+        one = as_formulation(factor)
+        assert factor in (one.method, one.feedback, one.projection) and one.name == factor.name
+    assert as_formulation("kkt") is None
 
 
 def test_penalty_is_a_singular_perturbation() -> None:

@@ -288,7 +288,7 @@ def test_a_cluster_of_many_rows_is_solved_on_matrices() -> None:
     assert off(own, a) < 1e-10
 
 
-def operations(model: rb.Model, one: rc.Formulation) -> int:
+def operations(model: rb.Model, one: rc.Method) -> int:
     start = model.default_state()
     v = jnp.ones(model.nv)
     return rb.operation_count(lambda v: one(model, 0.0, rb.State(start.q, v), v, {}), v).total

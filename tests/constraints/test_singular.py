@@ -218,12 +218,12 @@ def test_derivative_across_a_flat_position() -> None:
 
 IMPLICIT = ["index_2", "index_3", "ggl"]
 OTHERS = [
-    rc.Projected(of=of)
-    for of in (
+    rc.Formulation(method, projection=rc.Projection())
+    for method in (
         rc.KKT(), rc.NullSpaceQR(), rc.NullSpaceSVD(), rc.Partitioning(), rc.UdwadiaKalaba(),
         rc.ForceProjection(), rc.AugmentedLagrangian(),
     )
-] + [rc.TangentSpace()]  # fmt: skip
+] + [rc.Formulation(projection=rc.TangentSpace())]  # fmt: skip
 
 
 @pytest.mark.slow
@@ -288,7 +288,7 @@ def test_derivatives_of_implicit_steps_across_a_flat_position(name: str) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype, most", [(jnp.float64, 2e-9), (jnp.float32, 2e-2)])
-@pytest.mark.parametrize("formulation", OTHERS, ids=lambda x: getattr(x, "of", x).name)
+@pytest.mark.parametrize("formulation", OTHERS, ids=lambda x: x.name)
 def test_formulations_on_arrays_keep_energy(formulation: rc.Formulation, dtype, most) -> None:
     """As the first test of 10 s."""
     path, off = rolled(1, dtype, "rk4", 10.0, STARTS, constraints=formulation)

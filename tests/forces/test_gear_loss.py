@@ -51,12 +51,12 @@ def test_inverse_dynamics_of_the_motion_is_the_column_of_the_regressor():
         MODEL, q, v, rb.applied_forces(MODEL.with_forces(gear), state, u)
     )  # fmt: skip
     terms = ["armature", "viscous", "gear_loss"]
-    pi = np.array(sysid.parameter_values(MODEL, terms))
+    pi = np.array(sysid.torque.parameter_values(MODEL, terms))
     pi[-2:] = [0.1, 0.2]
-    Y = sysid.regressor(MODEL, q, v, a, joint_terms=terms, smoothing=0.5, tau=motors)
+    Y = sysid.torque.regressor(MODEL, q, v, a, joint_terms=terms, smoothing=0.5, tau=motors)
     np.testing.assert_allclose(Y @ pi, motors, rtol=2e-5)
     with pytest.raises(InputError, match="gear_loss"):
-        sysid.regressor(MODEL, q, v, a, joint_terms=terms)
+        sysid.torque.regressor(MODEL, q, v, a, joint_terms=terms)
 
 
 KINDS = {

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Inertia, log_cholesky_parameters, pseudo_inertia_of, to_log_cholesky
+from rbjax.sysid import Inertia
+from rbjax.sysid.parameters import log_cholesky_parameters, pseudo_inertia_of, to_log_cholesky
 
 MJCF = """
 <mujoco model="mine">

@@ -286,34 +286,35 @@ TWO = [RNG.normal(size=(3, 2)) for _ in range(3)]
 MASSES = np.abs(RNG.normal(size=(3, 2))) + 1
 SYSID = {
     "regressor": Case(
-        on(arm, lambda m, q, v, a: sysid.regressor(m, q, v, a, joint_terms=("viscous",))), TWO
+        on(arm, lambda m, q, v, a: sysid.torque.regressor(m, q, v, a, joint_terms=("viscous",))),
+        TWO,
     ),
-    "to_log_cholesky": Case(same(sysid.to_log_cholesky), [PSEUDO]),
-    "from_log_cholesky": Case(same(sysid.from_log_cholesky), [THETA]),
-    "log_cholesky_parameters": Case(same(sysid.log_cholesky_parameters), [THETA]),
-    "pseudo_inertia_of": Case(same(sysid.pseudo_inertia_of), [THETA]),
-    "inertial_parameters_of": Case(same(sysid.inertial_parameters_of), [PSEUDO]),
-    "nearest_pseudo_inertia": Case(same(sysid.nearest_pseudo_inertia), [PSEUDO]),
+    "to_log_cholesky": Case(same(sysid.parameters.to_log_cholesky), [PSEUDO]),
+    "from_log_cholesky": Case(same(sysid.parameters.from_log_cholesky), [THETA]),
+    "log_cholesky_parameters": Case(same(sysid.parameters.log_cholesky_parameters), [THETA]),
+    "pseudo_inertia_of": Case(same(sysid.parameters.pseudo_inertia_of), [THETA]),
+    "inertial_parameters_of": Case(same(sysid.parameters.inertial_parameters_of), [PSEUDO]),
+    "nearest_pseudo_inertia": Case(same(sysid.parameters.nearest_pseudo_inertia), [PSEUDO]),
     "with_inertial_parameters": Case(
         on(
             arm,
             lambda m, t: (
-                sysid.with_inertial_parameters(
-                    m, jnp.stack([sysid.log_cholesky_parameters(t)] * 2)
+                sysid.parameters.with_inertial_parameters(
+                    m, jnp.stack([sysid.parameters.log_cholesky_parameters(t)] * 2)
                 ).bodies
             ),
         ),
         [THETA],
     ),
-    "model_log_cholesky": Case(heavier(sysid.model_log_cholesky), [MASSES]),
-    "parameter_values": Case(heavier(sysid.parameter_values), [MASSES]),
+    "model_log_cholesky": Case(heavier(sysid.parameters.model_log_cholesky), [MASSES]),
+    "parameter_values": Case(heavier(sysid.torque.parameter_values), [MASSES]),
     "observation_matrix": Case(
-        on(arm, lambda m, q, v, a: sysid.observation_matrix(m, q, v, a)), LONG
+        on(arm, lambda m, q, v, a: sysid.torque.observation_matrix(m, q, v, a)), LONG
     ),
     "log_determinant_divergence": Case(
-        same(sysid.log_determinant_divergence), [PSEUDO, PSEUDO[::-1]]
+        same(sysid.parameters.log_determinant_divergence), [PSEUDO, PSEUDO[::-1]]
     ),
-    "prior_residual": Case(same(sysid.prior_residual), [THETA, THETA[::-1]]),
+    "prior_residual": Case(same(sysid.parameters.prior_residual), [THETA, THETA[::-1]]),
 }
 
 # ---------------------------------------------------------------- stability

@@ -10,6 +10,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import sysid as y
+from rbjax.sysid.statistics import Scored
 from tests.sysid import test_bad_data, test_misuse, test_regression_statistics
 
 NAN = float("nan")
@@ -26,6 +27,10 @@ NUMBER = [None, "x", NAN, [], object(), np.ones((3, 3, 3))]
 def fit():
     return y.identify(MODEL, RUN, MASS, grid=y.Grid(0.01), restarts=0)
 
+
+ROOMS = (y, y.data, y.parameters, y.statistics, y.torque, y.design)
+#: public names of identification and of its rooms
+PUBLIC = {name: getattr(room, name) for room in ROOMS for name in room.__all__}
 
 # function: (its good arguments, {argument: wrong values})
 WRONG_MODEL = [5, "x", None, RUN, {}]
@@ -103,11 +108,11 @@ CASES = {
         "residual": [*NUMBER, R[:3], 0 * R, R * NAN], "lags": [0, 20, "x", 1.5, NAN],
     }),
     "compare": (
-        {"smaller": y.Scored("a", 2.0, 1), "larger": y.Scored("b", 1.0, 2), "samples": 30},
+        {"smaller": Scored("a", 2.0, 1), "larger": Scored("b", 1.0, 2), "samples": 30},
         {
-            "smaller": [5, "x", None, y.Scored("a", NAN, 1), y.Scored("a", "x", 1),
-                        y.Scored("a", 2.0, 2), ("a", 2.0, 1)],
-            "larger": [5, "x", None, y.Scored("a", 5.0, 2), y.Scored("a", 1.0, None)],
+            "smaller": [5, "x", None, Scored("a", NAN, 1), Scored("a", "x", 1),
+                        Scored("a", 2.0, 2), ("a", 2.0, 1)],
+            "larger": [5, "x", None, Scored("a", 5.0, 2), Scored("a", 1.0, None)],
             "samples": ["x", None, NAN, 2, [30]],
         },
     ),
@@ -139,7 +144,7 @@ OF_A_FIT = {"monte_carlo", "diagnose", "report"}
 ELSEWHERE = {
     "read_csv", "read_npz", "regress", "consistent", "regress_with_zeros", "zeros_of",
     "select", "regressor", "observation_matrix", "parameter_names", "parameter_values",
-    "low_pass", "base_parameters", "random_motions", "design", "torque_rows",
+    "low_pass", "base_parameters", "random_motions", "design_experiment", "torque_rows",
 }  # fmt: skip
 #: of arrays within traced code, in the grid of `tests/public`
 ARRAYS = {
@@ -163,15 +168,12 @@ def test_a_wrong_argument_is_named(name, argument, value, tmp_path, monkeypatch)
     if name in OF_A_FIT and argument != "found":
         good["found"] = fit()
     with pytest.raises(rb.RbjaxError) as caught:
-        getattr(y, name)(**(good | {argument: value}))
+        PUBLIC[name](**(good | {argument: value}))
     assert 25 < len(str(caught.value)) < 1500
 
 
 def test_every_public_function_has_a_table():
-    functions = {
-        name for name in y.__all__
-        if callable(getattr(y, name)) and not inspect.isclass(getattr(y, name))
-    }  # fmt: skip
+    functions = {name for name, x in PUBLIC.items() if callable(x) and not inspect.isclass(x)}
     assert functions - {*CASES} - ELSEWHERE - ARRAYS == set()
     said = "".join(
         inspect.getsource(m) for m in (test_bad_data, test_misuse, test_regression_statistics)

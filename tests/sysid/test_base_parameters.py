@@ -30,7 +30,8 @@ ARMS = [
 def ranks(model, **options):
     """Without and with a rotor inertia at each joint, and sure: ten decades at least."""
     both = [
-        sysid.base_parameters(model, joint_terms=terms, **options) for terms in ((), ("armature",))
+        sysid.torque.base_parameters(model, joint_terms=terms, **options)
+        for terms in ((), ("armature",))
     ]
     for found in both:
         assert found.gap[0] > 1e-2 and found.gap[1] < 1e-13
@@ -48,7 +49,7 @@ def test_what_can_be_found_of_the_55():
     """The five-joint arm: bodies and armatures, by name."""
     want = ORACLE["arm_5"]["what_can_be_found_of_the_55"]
     model = load_quietly(ORACLE["arm_5"]["mjcf"])
-    base = sysid.base_parameters(model, joint_terms=["armature"])
+    base = sysid.torque.base_parameters(model, joint_terms=["armature"])
     assert base.rank == want["rank_random_states"] == 32 and len(base.names) == 55
 
     def name(entry):
@@ -67,7 +68,7 @@ def test_what_can_be_found_of_the_55():
     ):
         assert f"{group} is found; none of them by itself." in words
     # with the inertia held, the armature is what is found; it can be asked for
-    preferred = sysid.base_parameters(
+    preferred = sysid.torque.base_parameters(
         model, joint_terms=["armature"], first=["joint1.armature", "joint2.armature"]
     )
     kept = [preferred.names[k] for k in preferred.kept]
@@ -77,13 +78,13 @@ def test_what_can_be_found_of_the_55():
 def test_one_motion_and_some_of_the_torques():
     """A motion of one joint shows less than random ones; so does one torque of two."""
     model = load_quietly("double_pendulum")
-    every = sysid.base_parameters(model)
+    every = sysid.torque.base_parameters(model)
     t = np.linspace(0.0, 3.0, 50)[:, None]
     still = np.zeros_like(t)
     xs = [np.concatenate([still, x], 1) for x in (np.sin(t), np.cos(t), -np.sin(t))]
-    one = sysid.base_parameters(model, *xs)
+    one = sysid.torque.base_parameters(model, *xs)
     assert one.rank < every.rank
-    lower = sysid.base_parameters(model, rows=[model.joint_names[1]])
+    lower = sysid.torque.base_parameters(model, rows=[model.joint_names[1]])
     assert lower.rank < every.rank
     assert all(model.body_names[1] in x for x in (*lower.found, *lower.terms()))
 
@@ -91,12 +92,12 @@ def test_one_motion_and_some_of_the_torques():
 def test_bad_arguments():
     model = load_quietly("double_pendulum")
     with pytest.raises(InputError, match="all of q, v and a"):
-        sysid.base_parameters(model, np.zeros((3, 2)))
+        sysid.torque.base_parameters(model, np.zeros((3, 2)))
     with pytest.raises(InputError, match="samples = 0"):
-        sysid.base_parameters(model, samples=0)
+        sysid.torque.base_parameters(model, samples=0)
     still = '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>'
     with pytest.raises(InputError, match="nothing moves"):
-        sysid.base_parameters(load_quietly(still))
+        sysid.torque.base_parameters(load_quietly(still))
 
 
 def humanoid(*, held: bool, split: bool, gravity: bool) -> rb.Model:
@@ -153,7 +154,7 @@ def test_humanoid(case, rows, bodies):
     model = humanoid(
         held="base_held" in case, split=bodies == "every_joint_frame", gravity="on" in case
     )
-    found = sysid.base_parameters(model, rows=ROWS[rows], samples=150)
+    found = sysid.torque.base_parameters(model, rows=ROWS[rows], samples=150)
     assert found.rank == BASE["humanoid"][case][rows][bodies]
     assert found.gap[0] > 1e-2 and found.gap[1] < 1e-13
 
@@ -167,7 +168,7 @@ def test_go2_with_its_base_held(gravity):
         compiled.opt.gravity[:] = 0.0
     model = load_quietly(compiled)
     assert ranks(model, samples=150) == BASE["go2_base_held"][gravity]
-    base = sysid.base_parameters(model, joint_terms=["armature"], samples=150)
+    base = sysid.torque.base_parameters(model, joint_terms=["armature"], samples=150)
     armatures = [x for x in base.found if "armature" in x]
     assert len(armatures) == 4 and all("calf" in x for x in armatures)
     assert all(f"base.{x}" in base.hidden for x in ("m", "hx", "Izz"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Scored, compare, held_out, whiteness
+from rbjax.sysid.statistics import Scored, compare, held_out, whiteness
 
 RNG = np.random.default_rng(0)
 RUNS = {f"run {k}": RNG.normal(size=(200, 2)) for k in range(6)}

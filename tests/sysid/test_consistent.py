@@ -20,15 +20,17 @@ TERMS = ("armature", "viscous", "coulomb", "bias")
 
 def eigenvalues(model):
     pi = rb.inertial_parameters(model).reshape(-1, 10)
-    return np.linalg.eigvalsh(sysid.pseudo_inertia_of(pi))
+    return np.linalg.eigvalsh(sysid.parameters.pseudo_inertia_of(pi))
 
 
 def other_bodies(model, seed, spread=0.2):
     """The same robot with inertias that are off: by about 20 % of log-Cholesky coordinates."""
-    theta = np.asarray(sysid.model_log_cholesky(model))
+    theta = np.asarray(sysid.parameters.model_log_cholesky(model))
     off = spread * np.random.default_rng(seed).normal(size=theta.shape)
     off[:, 4:] *= 0.1
-    return sysid.with_inertial_parameters(model, sysid.log_cholesky_parameters(theta + off))
+    return sysid.parameters.with_inertial_parameters(
+        model, sysid.parameters.log_cholesky_parameters(theta + off)
+    )
 
 
 @functools.cache
@@ -37,16 +39,20 @@ def arm5():
     cad = load_quietly(ORACLE["arm_5"]["mjcf"])
     truth = other_bodies(cad, 0)
     truth = truth.replace(joints=truth.joints.replace(armature=1.5 * cad.joints.armature))
-    W = np.asarray(sysid.observation_matrix(cad, *sysid.random_motions(cad, 60), joint_terms=TERMS))
-    pi = np.array(sysid.parameter_values(truth, TERMS))
+    W = np.asarray(
+        sysid.torque.observation_matrix(
+            cad, *sysid.torque.random_motions(cad, 60), joint_terms=TERMS
+        )
+    )
+    pi = np.array(sysid.torque.parameter_values(truth, TERMS))
     pi[-10:] = [0.3, 0.2, 0.1, 0.4, 0.2, 0.1, -0.1, 0.2, 0.0, -0.3]
-    base = sysid.combinations(W, sysid.parameter_names(cad, TERMS))
+    base = sysid.statistics.combinations(W, sysid.torque.parameter_names(cad, TERMS))
     return cad, W, pi, base
 
 
 def test_without_noise_base_parameters_are_exact_and_the_rest_stays_at_the_prior():
     cad, W, pi, base = arm5()
-    found = sysid.consistent(cad, W, W @ pi, joint_terms=TERMS, noise=1e-6, base=base)
+    found = sysid.torque.consistent(cad, W, W @ pi, joint_terms=TERMS, noise=1e-6, base=base)
     assert found.ok and (eigenvalues(found.model) > 0).all()
     beta = base.combine(pi)
     np.testing.assert_allclose(found.beta, beta, rtol=1e-8, atol=1e-9)
@@ -54,10 +60,14 @@ def test_without_noise_base_parameters_are_exact_and_the_rest_stays_at_the_prior
     # what never shows is at the prior, or follows from it
     assert found.values[0] > 0 and found.divergence.max() < 5
     pair = (x.reshape(-1, 10) for x in (pi[:50], rb.inertial_parameters(cad)))
-    before = sysid.log_determinant_divergence(*map(sysid.pseudo_inertia_of, pair))
+    before = sysid.parameters.log_determinant_divergence(
+        *map(sysid.parameters.pseudo_inertia_of, pair)
+    )
     # the truth explains the data too: the bodies found are nearer to the prior, in sum
     assert found.divergence.sum() < np.asarray(before).sum()
-    np.testing.assert_allclose(sysid.parameter_values(found.model, TERMS[:2]), found.values[:60])
+    np.testing.assert_allclose(
+        sysid.torque.parameter_values(found.model, TERMS[:2]), found.values[:60]
+    )
     assert (found.values[50:65] > 0).all()
 
 
@@ -68,8 +78,8 @@ def test_the_prior_pulls_only_what_is_open():
     cad, W, pi, base = arm5()
     noise = 0.02
     tau = W @ pi + noise * np.random.default_rng(1).normal(size=W.shape[:2])
-    found = sysid.consistent(cad, W, tau, joint_terms=TERMS, base=base)
-    linear = sysid.regress(W, tau, base.names, base=base)
+    found = sysid.torque.consistent(cad, W, tau, joint_terms=TERMS, base=base)
+    linear = sysid.torque.regress(W, tau, base.names, base=base)
     assert found.ok and (eigenvalues(found.model) > 0).all()
     np.testing.assert_allclose(found.noise[0], noise, rtol=0.25)
     pull = np.abs(found.beta - linear.beta) / linear.errors
@@ -79,7 +89,7 @@ def test_the_prior_pulls_only_what_is_open():
     truth = base.combine(pi)
     assert (np.abs(found.beta - truth) / base_errors).max() < 4.5
     # tighter priors pull more
-    tight = sysid.consistent(cad, W, tau, joint_terms=TERMS, base=base, spread=0.02)
+    tight = sysid.torque.consistent(cad, W, tau, joint_terms=TERMS, base=base, spread=0.02)
     assert tight.divergence.sum() < 0.5 * found.divergence.sum()
 
 
@@ -90,12 +100,12 @@ def test_always_a_body_where_least_squares_gives_none():
     t = np.linspace(0, 2, 80)[:, None]
     w = np.array([1.0, 1.3, 0.7, 1.9, 2.3])
     q, v, a = 0.3 * np.sin(w * t), 0.3 * w * np.cos(w * t), -0.3 * w**2 * np.sin(w * t)
-    W = np.asarray(sysid.observation_matrix(cad, q, v, a))
+    W = np.asarray(sysid.torque.observation_matrix(cad, q, v, a))
     tau = W @ np.asarray(rb.inertial_parameters(cad)) + 0.1 * rng.normal(size=v.shape)
-    names = sysid.parameter_names(cad)
-    linear = sysid.regress(W, tau, names).parameters(rb.inertial_parameters(cad))
-    assert np.linalg.eigvalsh(sysid.pseudo_inertia_of(linear.reshape(-1, 10))).min() < 0
-    found = sysid.consistent(cad, W, tau)
+    names = sysid.torque.parameter_names(cad)
+    linear = sysid.torque.regress(W, tau, names).parameters(rb.inertial_parameters(cad))
+    assert np.linalg.eigvalsh(sysid.parameters.pseudo_inertia_of(linear.reshape(-1, 10))).min() < 0
+    found = sysid.torque.consistent(cad, W, tau)
     assert found.ok and (eigenvalues(found.model) > 0).all() and found.divergence.max() < 3
     rms = np.sqrt((found.residual**2).mean())
     assert rms < 0.11
@@ -104,22 +114,22 @@ def test_always_a_body_where_least_squares_gives_none():
 def test_outliers_by_the_weights_of_a_robust_regression():
     model = planar_2R(ARM)
     q, v, a = fourier(ARM, np.arange(300) / 30)
-    W = np.asarray(sysid.observation_matrix(model, q, v, a))
+    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
     rng = np.random.default_rng(5)
     pi = np.asarray(rb.inertial_parameters(other_bodies(model, 2)))
     tau = W @ pi + 0.05 * rng.normal(size=(300, 2)) + 30.0 * (rng.uniform(size=(300, 2)) < 0.05)
-    names = sysid.parameter_names(model)
-    robust = sysid.regress(W, tau, names, method="robust", loss="bisquare")
+    names = sysid.torque.parameter_names(model)
+    robust = sysid.torque.regress(W, tau, names, method="robust", loss="bisquare")
     noise = np.full((300, 2), np.inf)
     np.divide(robust.noise, np.sqrt(robust.weights), out=noise, where=robust.weights > 0)
-    found = sysid.consistent(model, W, tau, noise=noise)
+    found = sysid.torque.consistent(model, W, tau, noise=noise)
     errors = np.sqrt(np.diag(found.base_covariance))
     assert (np.abs(found.beta - found.combinations.combine(pi)) / errors).max() < 4
 
 
 def test_the_jacobian_is_exact():
     cad, W, pi, base = arm5()
-    eq = sysid.equations(W, W @ pi, base.names, base=base, noise=0.1)
+    eq = sysid.torque.equations(W, W @ pi, base.names, base=base, noise=0.1)
     linear = sysid.torque.regression.weighted(eq)
     R = np.linalg.qr((W / 0.1).reshape(-1, len(pi)), mode="r")
     problem = _Problem(cad, TERMS, R, R @ pi, np.asarray(0.5), linear)
@@ -138,7 +148,7 @@ def test_intervals_hold():
     rng, inside = np.random.default_rng(8), []
     for _ in range(100):
         tau = W @ pi + 0.05 * rng.normal(size=W.shape[:2])
-        low, up = sysid.consistent(cad, W, tau, joint_terms=TERMS, base=base).intervals().T
+        low, up = sysid.torque.consistent(cad, W, tau, joint_terms=TERMS, base=base).intervals().T
         inside.append((low < base.combine(pi)) & (base.combine(pi) < up))
     assert 0.93 < np.mean(inside) < 0.975
 
@@ -146,10 +156,10 @@ def test_intervals_hold():
 def test_bad_arguments():
     cad, W, pi, _ = arm5()
     with pytest.raises(InputError, match="spread is 0"):
-        sysid.consistent(cad, W, W @ pi, joint_terms=TERMS, spread=0.0)
+        sysid.torque.consistent(cad, W, W @ pi, joint_terms=TERMS, spread=0.0)
     with pytest.raises(InputError, match="names, expected"):
-        sysid.consistent(cad, W, W @ pi)
+        sysid.torque.consistent(cad, W, W @ pi)
     inertia = cad.bodies.inertia.at[2].set(np.diag([1.0, 1.0, 3.0]))
     wrong = cad.replace(bodies=cad.bodies.replace(inertia=inertia))
     with pytest.raises(InputError, match="link3"):
-        sysid.consistent(wrong, W, W @ pi, joint_terms=TERMS)
+        sysid.torque.consistent(wrong, W, W @ pi, joint_terms=TERMS)

@@ -36,9 +36,9 @@ from tests.sysid.test_torque_rows import TERMS, run, truth
 
 RELATIVE = 1e-6  # of the largest entry; differences are good to 1e-9
 MODEL = rb.load("double_pendulum")
-NAMES = sysid.parameter_names(MODEL)
+NAMES = sysid.torque.parameter_names(MODEL)
 PI = np.asarray(rb.inertial_parameters(MODEL), float)
-Q, V, A = (np.asarray(x) for x in sysid.random_motions(MODEL, 20))
+Q, V, A = (np.asarray(x) for x in sysid.torque.random_motions(MODEL, 20))
 
 
 @dataclasses.dataclass
@@ -82,7 +82,7 @@ def torques() -> Callable[[Any], jax.Array]:
     """Torques (40,) by inverse dynamics of a model with these parameters: no regressor."""
 
     def at(pi: Any) -> jax.Array:
-        made = sysid.with_inertial_parameters(MODEL, pi)
+        made = sysid.parameters.with_inertial_parameters(MODEL, pi)
         return jax.vmap(lambda q, v, a: rb.inverse_dynamics(made, q, v, a))(Q, V, A).ravel()
 
     return jax.jit(at)
@@ -90,7 +90,7 @@ def torques() -> Callable[[Any], jax.Array]:
 
 @functools.cache
 def measured() -> tuple[np.ndarray, np.ndarray]:
-    W = np.asarray(sysid.observation_matrix(MODEL, Q, V, A))
+    W = np.asarray(sysid.torque.observation_matrix(MODEL, Q, V, A))
     tau = W @ PI + 0.1 * np.random.default_rng(0).normal(size=W.shape[:2])
     tau[3, 0] += 5.0  # an outlier
     return W, tau
@@ -101,7 +101,7 @@ def regression(method: str) -> Case:
     W, tau = measured()
     options = {"instruments": W} if method == "instrumental" else {}
     noise = np.array([0.1, 0.2])
-    found = sysid.regress(W, tau, NAMES, method=method, noise=noise, **options)
+    found = sysid.torque.regress(W, tau, NAMES, method=method, noise=noise, **options)
     pi = found.parameters(PI)
     X, y, sd = W.reshape(-1, len(PI)), tau.ravel(), np.tile(noise, len(Q))
     sd = np.ones(y.size) if method == "ordinary" else sd
@@ -134,8 +134,8 @@ def regression(method: str) -> Case:
 def consistent() -> Case:
     tau = measured()[1]
     terms = ("armature", "viscous")
-    W = np.asarray(sysid.observation_matrix(MODEL, Q, V, A, joint_terms=terms))
-    eq = sysid.equations(W, tau, sysid.parameter_names(MODEL, terms), noise=0.3)
+    W = np.asarray(sysid.torque.observation_matrix(MODEL, Q, V, A, joint_terms=terms))
+    eq = sysid.torque.equations(W, tau, sysid.torque.parameter_names(MODEL, terms), noise=0.3)
     X = W.reshape(-1, W.shape[-1]) / 0.3
     problem = _Problem(MODEL, terms, X, tau.ravel() / 0.3, np.asarray(0.5), weighted(eq))
     x = problem.start + 0.1 * np.random.default_rng(0).normal(size=problem.start.size)
@@ -158,7 +158,7 @@ def torque_filter() -> Case:
     def made(*z: float) -> Any:
         recorded = run("zeros", (0.05, -0.03), rate=100.0, seconds=3.0)
         how = {"signal_cutoff": 30.0, "joint_terms": TERMS, "smoothing": 0.5}
-        return sysid.torque_rows(ARM, recorded, 4.0, zeros=z, **how)
+        return sysid.torque.torque_rows(ARM, recorded, 4.0, zeros=z, **how)
 
     def rows(z: Any) -> Any:
         return made(*map(float, z))
@@ -185,7 +185,7 @@ def encoder_zeros() -> Case:
         run("b", (0.0, 0.02), rate=100.0, seconds=3.0, seed=1),
     ]
     how = {"signal_cutoff": 30.0, "joint_terms": TERMS, "smoothing": 0.5}
-    rows = [sysid.torque_rows(ARM, r, 4.0, **how) for r in made]
+    rows = [sysid.torque.torque_rows(ARM, r, 4.0, **how) for r in made]
     p, w = len(truth()), 0.05
     tau = np.concatenate([r.tau for r in rows])
 
@@ -212,13 +212,15 @@ def encoder_zeros() -> Case:
 
 def prior() -> Case:
     """The log-determinant divergence of a body, by its ten squares."""
-    theta = np.asarray(sysid.model_log_cholesky(MODEL))[0]
-    P0 = sysid.from_log_cholesky(theta)
+    theta = np.asarray(sysid.parameters.model_log_cholesky(MODEL))[0]
+    P0 = sysid.parameters.from_log_cholesky(theta)
 
     def loss(x: Any) -> jax.Array:
-        return sysid.log_determinant_divergence(sysid.from_log_cholesky(x), P0)
+        return sysid.parameters.log_determinant_divergence(
+            sysid.parameters.from_log_cholesky(x), P0
+        )
 
-    residual = jax.jit(lambda x: sysid.prior_residual(x, theta))
+    residual = jax.jit(lambda x: sysid.parameters.prior_residual(x, theta))
     jacobian = jax.jit(jax.jacfwd(residual))
 
     def gradient(x: Any) -> Any:
@@ -237,7 +239,7 @@ def divergence() -> Case:
         "bias": Unknown("joints.springref", scale=0.1),
     }  # fmt: skip
     fat = [2.0, 0.1, 0.0, 0.2, 1.0, 0.05, 1.2, 0.02, 0.03, 0.9]
-    model = sysid.with_inertial_parameters(MODEL, np.tile(fat, 2))
+    model = sysid.parameters.with_inertial_parameters(MODEL, np.tile(fat, 2))
     of = Unknowns.of("test", unknowns, model)
     p0 = np.asarray(of.read(model), float)
     x = p0 * (1 + 0.02 * np.random.default_rng(3).normal(size=p0.size)) + 1e-3 * (p0 == 0)

@@ -7,8 +7,9 @@ import pytest
 from scipy import interpolate
 
 import rbjax as rb
-from rbjax.sysid import Fourier, Spline, estimates
+from rbjax.sysid.design import Fourier, Spline
 from rbjax.sysid.design.experiments import CRITERIA
+from rbjax.sysid.statistics import estimates
 from tests.oracles import load
 from tests.sysid.two_link import regressor
 from tests.tolerances import GRADIENT, relative_error

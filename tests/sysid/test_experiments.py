@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Fourier, MotionLimits, Spline, design
+from rbjax.sysid.design import Fourier, MotionLimits, Spline, design_experiment
 from tests.sysid.two_link import regressor
 
-quiet = functools.partial(design, progress=False)
+quiet = functools.partial(design_experiment, progress=False)
 ONE = Fourier(jnp.array([0.3]), jnp.array([[0.2]]), jnp.array([[0.1]]), period=4.0)
 
 

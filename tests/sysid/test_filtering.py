@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import differentiate, low_pass
+from rbjax.sysid.data import differentiate, low_pass
 
 RATE, CUTOFF = 500.0, 20.0
 EVEN = np.arange(3000) / RATE

@@ -9,13 +9,14 @@ import pytest
 
 import rbjax as rb
 from rbjax.sensors import CustomSensor
-from rbjax.sysid import Grid, Inertia, Setup, Tilt, Unknown, base_parameters
+from rbjax.sysid import Grid, Inertia, Setup, Tilt, Unknown
 from rbjax.sysid.parameters.unknowns import Unknowns
 from rbjax.sysid.simulation import grouping
 from rbjax.sysid.simulation.grouping import grouped
 from rbjax.sysid.simulation.islands import directions
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.simulation_error import SimulationError
+from rbjax.sysid.torque import base_parameters
 
 SOUGHT = {
     "armature": Unknown("joints.armature", positive=True), "bias": Unknown("sensors.q.bias"),

@@ -8,13 +8,8 @@ import pytest
 
 import rbjax as rb
 from benchmarks.cases.problems import GO2, ORACLES, arm, quadruped
-from rbjax.sysid import (
-    Channel,
-    Recording,
-    Unknown,
-    identify,
-    pseudo_inertia_of,
-)
+from rbjax.sysid import Channel, Recording, Unknown, identify
+from rbjax.sysid.parameters import pseudo_inertia_of
 
 MODEL = rb.load("pendulum")
 MASS = Unknown("bodies.mass", 0, positive=True)

@@ -17,7 +17,7 @@ P_OF = {f"case{i}": np.array(c["pseudo_inertia"]) for i, c in enumerate(BODIES["
 P_OF |= {name: np.array(b["pseudo_inertia"]) for name, b in BODIES["from_bodies"].items()}
 THETA = np.array([c["theta"] for c in BODIES["cases"]])
 EXACT = 1e-12
-DISTANCES = {"logdet_divergence": sysid.log_determinant_divergence}
+DISTANCES = {"logdet_divergence": sysid.parameters.log_determinant_divergence}
 
 
 @pytest.mark.parametrize("name", DISTANCES)
@@ -39,7 +39,9 @@ def test_invariance(name):
 
 def test_gradient_and_hessian_in_log_cholesky_coordinates():
     def divergence(theta, prior):
-        return sysid.log_determinant_divergence(sysid.from_log_cholesky(theta), prior)
+        return sysid.parameters.log_determinant_divergence(
+            sysid.parameters.from_log_cholesky(theta), prior
+        )
 
     want = ORACLE["gradient_in_theta"]
     found = jax.jit(jax.value_and_grad(divergence))(THETA[0], P_OF["case1"])
@@ -50,12 +52,15 @@ def test_gradient_and_hessian_in_log_cholesky_coordinates():
 
 
 def test_residual_squares_to_the_divergence():
-    r = sysid.prior_residual(THETA[0], THETA[1:])
-    want = [sysid.log_determinant_divergence(P_OF["case0"], P_OF[f"case{k}"]) for k in range(1, 5)]
+    r = sysid.parameters.prior_residual(THETA[0], THETA[1:])
+    want = [
+        sysid.parameters.log_determinant_divergence(P_OF["case0"], P_OF[f"case{k}"])
+        for k in range(1, 5)
+    ]
     assert r.shape == (4, 10)
     np.testing.assert_allclose((r**2).sum(-1), want, rtol=EXACT)
     # Gauss-Newton on it has the exact Hessian at the prior: J^T J = H / 2
-    J = jax.jit(jax.jacfwd(sysid.prior_residual))(THETA[0], THETA[0])
+    J = jax.jit(jax.jacfwd(sysid.parameters.prior_residual))(THETA[0], THETA[0])
     assert relative_error(2 * J.T @ J, ORACLE["hessian_at_the_prior"]["hessian"]) < EXACT
 
 
@@ -77,8 +82,8 @@ def test_what_is_no_body_is_an_error():
 
 
 FUNCTIONS = {
-    "divergence": (sysid.log_determinant_divergence, "PQ"),
-    "residual": (sysid.prior_residual, "theta"),
+    "divergence": (sysid.parameters.log_determinant_divergence, "PQ"),
+    "residual": (sysid.parameters.prior_residual, "theta"),
 }
 
 
@@ -95,5 +100,7 @@ def test_composes(name):
 
 def test_gradients_at_equal_bodies_are_finite():
     for f in DISTANCES.values():
-        slope = jax.grad(lambda x, f=f: f(sysid.from_log_cholesky(x), P_OF["case0"]))(THETA[0])
+        slope = jax.grad(lambda x, f=f: f(sysid.parameters.from_log_cholesky(x), P_OF["case0"]))(
+            THETA[0]
+        )
         assert np.isfinite(slope).all()

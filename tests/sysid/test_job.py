@@ -9,9 +9,10 @@ from typer.testing import CliRunner
 
 import rbjax as rb
 from rbjax.cli import app
-from rbjax.sysid import Grid, Inertia, Tilt, estimates
+from rbjax.sysid import Grid, Inertia, Tilt
 from rbjax.sysid.jobs.example import CONFIGURATION, TRUTH, write_example
 from rbjax.sysid.jobs.job import Job, Results
+from rbjax.sysid.statistics import estimates
 
 
 def run(*args, code=0):

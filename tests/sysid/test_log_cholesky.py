@@ -29,13 +29,18 @@ PHI = np.stack(list(map(phi_of, CASES["mass"], CASES["h"], CASES["I_origin"])))
 
 
 def test_coordinates_to_body():
-    P = sysid.from_log_cholesky(CASES["theta"])
+    P = sysid.parameters.from_log_cholesky(CASES["theta"])
     assert relative_error(P, CASES["pseudo_inertia"], batch_dims=1).max() < EXACT
-    phi = sysid.log_cholesky_parameters(CASES["theta"])
+    phi = sysid.parameters.log_cholesky_parameters(CASES["theta"])
     assert relative_error(phi, PHI, batch_dims=1).max() < EXACT
-    assert relative_error(sysid.inertial_parameters_of(P), PHI, batch_dims=1).max() < EXACT
-    assert relative_error(sysid.pseudo_inertia_of(PHI), P, batch_dims=1).max() < EXACT
-    assert relative_error(sysid.to_log_cholesky(P), CASES["theta"], batch_dims=1).max() < EXACT
+    assert (
+        relative_error(sysid.parameters.inertial_parameters_of(P), PHI, batch_dims=1).max() < EXACT
+    )
+    assert relative_error(sysid.parameters.pseudo_inertia_of(PHI), P, batch_dims=1).max() < EXACT
+    assert (
+        relative_error(sysid.parameters.to_log_cholesky(P), CASES["theta"], batch_dims=1).max()
+        < EXACT
+    )
     mass, com, inertia = rb.spatial.from_pseudo_inertia(P)
     assert relative_error(mass, CASES["mass"]) < EXACT
     assert relative_error(com, CASES["com"]) < EXACT
@@ -54,7 +59,7 @@ def test_gradient_and_hessian_of_a_scalar():
     theta, weights = CASES["theta"][scalar["theta_case"]], np.array(scalar["weights"])
 
     def f(x):
-        return weights @ sysid.log_cholesky_parameters(x)
+        return weights @ sysid.parameters.log_cholesky_parameters(x)
 
     value, gradient, hessian = jax.jit(lambda x: (f(x), jax.grad(f)(x), jax.hessian(f)(x)))(theta)
     np.testing.assert_allclose(value, scalar["value"], rtol=EXACT)
@@ -67,7 +72,7 @@ def test_bodies_to_coordinates():
         mass, com, inertia = body["mass"], np.array(body["com"]), np.array(body["I_com"])
         P = rb.spatial.pseudo_inertia(mass, com, inertia)
         assert relative_error(P, body["pseudo_inertia"]) < EXACT, name
-        theta = sysid.to_log_cholesky(P)
+        theta = sysid.parameters.to_log_cholesky(P)
         assert relative_error(theta, body["theta"]) < EXACT, name
         np.testing.assert_allclose(
             np.linalg.eigvalsh(P)[0], body["smallest_eigenvalue"], rtol=1e-10
@@ -77,54 +82,59 @@ def test_bodies_to_coordinates():
 def test_a_body_that_cannot_exist_is_an_error_that_says_so():
     P = np.array(ORACLE["not_physical"]["pseudo_inertia"])
     with pytest.raises(InputError, match=r"eigenvalue -0\.00698.*nearest_pseudo_inertia"):
-        sysid.to_log_cholesky(P)
+        sysid.parameters.to_log_cholesky(P)
     with pytest.raises(InputError, match="of body 1 "):
-        sysid.to_log_cholesky(np.stack([np.eye(4), P]))
-    inside = jax.jit(sysid.to_log_cholesky)(P)
+        sysid.parameters.to_log_cholesky(np.stack([np.eye(4), P]))
+    inside = jax.jit(sysid.parameters.to_log_cholesky)(P)
     assert np.isnan(inside).any()  # a value in traced code
-    lifted = sysid.nearest_pseudo_inertia(P, 1e-4)
+    lifted = sysid.parameters.nearest_pseudo_inertia(P, 1e-4)
     w = np.linalg.eigvalsh(lifted)
     np.testing.assert_allclose(w[0], 1e-4 * w[-1], rtol=1e-9)
     np.testing.assert_allclose(w[1:], np.linalg.eigvalsh(P)[1:], rtol=1e-12)
-    assert np.isfinite(sysid.to_log_cholesky(lifted)).all()
+    assert np.isfinite(sysid.parameters.to_log_cholesky(lifted)).all()
     fine = np.asarray(CASES["pseudo_inertia"])
-    np.testing.assert_array_equal(sysid.nearest_pseudo_inertia(fine), fine)
+    np.testing.assert_array_equal(sysid.parameters.nearest_pseudo_inertia(fine), fine)
     with pytest.raises(InputError, match="margin"):
-        sysid.nearest_pseudo_inertia(fine, 0.0)
+        sysid.parameters.nearest_pseudo_inertia(fine, 0.0)
 
 
 def test_any_ten_numbers_are_a_body_and_come_back():
     theta = np.random.default_rng(0).normal(size=(200, 10))
-    P = np.asarray(sysid.from_log_cholesky(theta))
+    P = np.asarray(sysid.parameters.from_log_cholesky(theta))
     assert (np.linalg.eigvalsh(P)[:, 0] > 0).all()
     # the condition number of P is up to 1e5 here
-    assert relative_error(sysid.to_log_cholesky(P), theta, batch_dims=1).max() < 1e-10
+    assert relative_error(sysid.parameters.to_log_cholesky(P), theta, batch_dims=1).max() < 1e-10
 
 
 def test_a_model_and_its_parameters():
     model = rb.load("arm7")
     pi = np.asarray(rb.inertial_parameters(model)) * 1.3
-    changed = sysid.with_inertial_parameters(model, pi)
+    changed = sysid.parameters.with_inertial_parameters(model, pi)
     assert relative_error(rb.inertial_parameters(changed), pi) < EXACT
-    theta = sysid.model_log_cholesky(changed)
-    phi = sysid.log_cholesky_parameters(theta)
+    theta = sysid.parameters.model_log_cholesky(changed)
+    phi = sysid.parameters.log_cholesky_parameters(theta)
     assert relative_error(phi.reshape(-1), pi) < EXACT
     with pytest.raises(InputError, match=rf"mass of {model.body_names[2]} is -1"):
-        sysid.with_inertial_parameters(model, jnp.asarray(pi).at[20].set(-1.0))
+        sysid.parameters.with_inertial_parameters(model, jnp.asarray(pi).at[20].set(-1.0))
     flat = model.bodies.inertia.at[1].set(jnp.diag(jnp.array([1.0, 1.0, 2.5])))
     with pytest.raises(InputError, match=rf"inertia of {model.body_names[1]} \("):
-        sysid.model_log_cholesky(model.replace(bodies=model.bodies.replace(inertia=flat)))
+        sysid.parameters.model_log_cholesky(
+            model.replace(bodies=model.bodies.replace(inertia=flat))
+        )
 
 
 THETA = CASES["theta"][:3]
 FUNCTIONS = {
-    "from_log_cholesky": (sysid.from_log_cholesky, [THETA]),
-    "to_log_cholesky": (sysid.to_log_cholesky, [CASES["pseudo_inertia"][:3]]),
-    "log_cholesky_parameters": (sysid.log_cholesky_parameters, [THETA]),
-    "pseudo_inertia_of": (sysid.pseudo_inertia_of, [PHI[:3]]),
-    "inertial_parameters_of": (sysid.inertial_parameters_of, [CASES["pseudo_inertia"][:3]]),
+    "from_log_cholesky": (sysid.parameters.from_log_cholesky, [THETA]),
+    "to_log_cholesky": (sysid.parameters.to_log_cholesky, [CASES["pseudo_inertia"][:3]]),
+    "log_cholesky_parameters": (sysid.parameters.log_cholesky_parameters, [THETA]),
+    "pseudo_inertia_of": (sysid.parameters.pseudo_inertia_of, [PHI[:3]]),
+    "inertial_parameters_of": (
+        sysid.parameters.inertial_parameters_of,
+        [CASES["pseudo_inertia"][:3]],
+    ),
     "nearest_pseudo_inertia": (
-        functools.partial(sysid.nearest_pseudo_inertia, margin=0.3),
+        functools.partial(sysid.parameters.nearest_pseudo_inertia, margin=0.3),
         [CASES["pseudo_inertia"][:3]],
     ),
 }

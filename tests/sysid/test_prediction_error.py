@@ -9,12 +9,13 @@ import pytest
 from scipy import stats
 
 import rbjax as rb
-from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, estimates, identify
+from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, identify
 from rbjax.sysid import prediction_error as fitted
 from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.estimators.likelihood import series_of
 from rbjax.sysid.estimators.prediction import OF_LIKELIHOOD, PRIOR_WEIGHT
 from rbjax.sysid.parameters.divergence import Divergence
+from rbjax.sysid.statistics import estimates
 
 T, PUSH, SIGMA = 0.02, 0.3, 1e-3
 EULER = "semi_implicit_euler"  # of one stage, whose program is small

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.sysid import combinations, estimates
+from rbjax.sysid.statistics import combinations, estimates
 from rbjax.sysid.statistics.rank import beside_others
 
 RNG = np.random.default_rng(0)

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import rbjax as rb
-from rbjax.sysid import Channel, Recording, in_si, split
+from rbjax.sysid import Channel, Recording, split
+from rbjax.sysid.data import in_si
 from rbjax.sysid.data.units import UNITS
 
 T = np.arange(200) / 100

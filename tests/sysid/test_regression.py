@@ -24,26 +24,26 @@ def experiment(n=1000):
     """Names, W, exact torques and base parameters of the 2R arm on the oracle's excitation."""
     model = planar_2R(ARM)
     q, v, a = fourier(ARM, np.arange(n) * ARM["T"] / n)
-    W = np.asarray(sysid.observation_matrix(model, q, v, a))
-    names, pi = sysid.parameter_names(model), np.asarray(rb.inertial_parameters(model))
-    base = sysid.combinations(W, names)
+    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
+    names, pi = sysid.torque.parameter_names(model), np.asarray(rb.inertial_parameters(model))
+    base = sysid.statistics.combinations(W, names)
     return names, W, W @ pi, base, base.combine(pi)
 
 
 def test_a_weighted_line_in_exact_fractions():
     X, sd, y = np.array(LINE["X"], float), np.sqrt(LINE["S"])[:, None], np.array(LINE["y"])[:, None]
-    found = sysid.regress(X, y, ["offset", "slope"], noise=sd)
+    found = sysid.torque.regress(X, y, ["offset", "slope"], noise=sd)
     np.testing.assert_allclose(found.beta, [484 / 509, 1032 / 509], rtol=1e-14)
     want = np.array([[324, -100], [-100, 56]]) / 509
     np.testing.assert_allclose(found.covariance, want, rtol=1e-13)
     np.testing.assert_allclose(((found.residual / sd) ** 2).sum(), 251 / 509, rtol=1e-13)
     half = (found.intervals()[:, 1] - found.intervals()[:, 0]) / 2
     np.testing.assert_allclose(half, LINE["normal_975"] * np.sqrt(np.diag(want)), rtol=1e-12)
-    plain = sysid.regress(X, y, ["offset", "slope"], method="ordinary", noise=sd)
+    plain = sysid.torque.regress(X, y, ["offset", "slope"], method="ordinary", noise=sd)
     np.testing.assert_allclose(plain.beta, [4 / 5, 21 / 10], rtol=1e-14)
     want = [[18 / 25, -1 / 5], [-1 / 5, 13 / 100]]
     np.testing.assert_allclose(plain.covariance, want, rtol=1e-13)
-    unknown = sysid.regress(X, y, ["offset", "slope"], method="ordinary")
+    unknown = sysid.torque.regress(X, y, ["offset", "slope"], method="ordinary")
     assert unknown.dof == 3
     half = (unknown.intervals()[:, 1] - unknown.beta) / unknown.errors
     np.testing.assert_allclose(half, LINE["student_t_975_3_degrees"], rtol=1e-12)
@@ -52,7 +52,7 @@ def test_a_weighted_line_in_exact_fractions():
 def test_the_bound_of_the_oracle():
     """Covariance of the six base parameters with the noise known."""
     names, W, tau, base, _ = experiment()
-    found = sysid.regress(W, tau, names, noise=NOISE)
+    found = sysid.torque.regress(W, tau, names, noise=NOISE)
     order = ["link1.Izz", "link2.Izz", "link2.hx", "link2.hy", "link1.hx", "link1.hy"]
     at = [[base.names[k] for k in base.kept].index(x) for x in order]
     want = ARM["crlb"]
@@ -65,7 +65,7 @@ def test_the_bound_of_the_oracle():
 def test_without_noise_the_truth_comes_back(method):
     names, W, tau, _, beta = experiment(100)
     options = {"instruments": W} if method == "instrumental" else {}
-    found = sysid.regress(W, tau, names, method=method, **options)
+    found = sysid.torque.regress(W, tau, names, method=method, **options)
     assert found.ok
     np.testing.assert_allclose(found.beta, beta, rtol=1e-9)
     assert np.abs(found.residual).max() < 1e-10 and found.noise.max() < 1e-10
@@ -85,7 +85,7 @@ def test_intervals_hold(method):
     inside = []
     for _ in range(200):
         seen = tau + noise * rng.normal(size=tau.shape)
-        low, up = sysid.regress(W, seen, names, method=method, base=base).intervals().T
+        low, up = sysid.torque.regress(W, seen, names, method=method, base=base).intervals().T
         inside.append((low < beta) & (beta < up))
     rate = np.mean(inside)
     # six correlated figures of 200 experiments: standard deviation below 0.0154 = sqrt(.05 .95/200)
@@ -95,8 +95,8 @@ def test_intervals_hold(method):
 def test_channels_have_noise_of_their_own():
     names, W, tau, base, beta = experiment()
     seen = tau + np.array([3.0, 0.01]) * np.random.default_rng(1).normal(size=tau.shape)
-    plain = sysid.regress(W, seen, names, method="ordinary", base=base)
-    found = sysid.regress(W, seen, names, base=base)
+    plain = sysid.torque.regress(W, seen, names, method="ordinary", base=base)
+    found = sysid.torque.regress(W, seen, names, base=base)
     np.testing.assert_allclose(found.noise, [3.0, 0.01], rtol=0.1)
     k = [base.names[j] for j in base.kept].index("link2.hx")
     assert abs(found.beta[k] - beta[k]) < 0.1 * abs(plain.beta[k] - beta[k])
@@ -109,7 +109,7 @@ def test_noise_of_many_decades():
     W[:, 1, 2:] = 0.0  # the second channel shows a and b only
     noise = np.array([1.0, 1e-7])
     tau = W @ beta + noise * rng.normal(size=(50, 2))
-    found = sysid.regress(W, tau, "abcd", noise=noise)
+    found = sysid.torque.regress(W, tau, "abcd", noise=noise)
     np.testing.assert_allclose(found.beta[:2], beta[:2], atol=1e-6)
     assert (found.errors[:2] < 1e-7).all() and (found.errors[2:] > 0.05).all()
     rest = np.linalg.lstsq(W[:, 0, 2:], tau[:, 0] - W[:, 0, :2] @ found.beta[:2], rcond=None)[0]
@@ -126,8 +126,8 @@ def test_outliers(loss):
     seen = tau + NOISE * rng.normal(size=tau.shape)
     wild = rng.uniform(size=tau.shape) < 0.05
     seen = seen + 20.0 * wild
-    plain = sysid.regress(W, seen, names, base=base)
-    found = sysid.regress(W, seen, names, method="robust", base=base, loss=loss)
+    plain = sysid.torque.regress(W, seen, names, base=base)
+    found = sysid.torque.regress(W, seen, names, method="robust", base=base, loss=loss)
     assert found.ok
     off, off_robust = (np.abs(x.beta - beta) / found.errors for x in (plain, found))
     assert off.max() > 100
@@ -153,7 +153,7 @@ def test_noisy_regressors_bias_least_squares_but_not_instruments():
         tau = exact @ beta + 0.05 * rng.normal(size=len(X))
         by_method = {"weighted": {}, "instrumental": {"instruments": exact[:, None]}}
         for method, options in by_method.items():
-            found = sysid.regress(X, tau, "abcd", method=method, **options)
+            found = sysid.torque.regress(X, tau, "abcd", method=method, **options)
             errors[method].append((found.beta - beta) / found.errors)
     bias = {m: np.abs(np.mean(e, axis=0)) for m, e in errors.items()}
     assert bias["weighted"].max() > 5  # 0.03^2 / (0.2^2 / 2): 4 % of the third number
@@ -172,10 +172,12 @@ def test_instruments_of_the_last_estimate():
         return exact[:, None] * (1 + 0.1 * (found.beta[0] - 1.0))  # depends on it, as a motion does
 
     tau = exact @ beta
-    found = sysid.regress(X, tau, "abcd", method="instrumental", instruments=simulated)
+    found = sysid.torque.regress(X, tau, "abcd", method="instrumental", instruments=simulated)
     assert found.ok and found.steps == len(seen) < 8
     assert np.abs((found.beta - beta) / found.errors).max() < 4
-    tired = sysid.regress(X, tau, "abcd", method="instrumental", instruments=simulated, max_steps=1)
+    tired = sysid.torque.regress(
+        X, tau, "abcd", method="instrumental", instruments=simulated, max_steps=1
+    )
     assert not tired.ok
 
 
@@ -201,15 +203,15 @@ def test_instruments_of_the_simulated_arm():
         return path.q, path.v, a, tau
 
     def observed(q, v, a):
-        return np.asarray(sysid.observation_matrix(model, q, v, a))
+        return np.asarray(sysid.torque.observation_matrix(model, q, v, a))
 
     q, v, a, tau = map(np.asarray, loop(model))
-    names, pi = sysid.parameter_names(model), np.asarray(rb.inertial_parameters(model))
+    names, pi = sysid.torque.parameter_names(model), np.asarray(rb.inertial_parameters(model))
     np.testing.assert_allclose(observed(q, v, a) @ pi, tau, atol=1e-9)
-    base = sysid.combinations(observed(q, v, a), names)
+    base = sysid.statistics.combinations(observed(q, v, a), names)
 
     def simulated(found):
-        now = sysid.with_inertial_parameters(model, found.parameters(pi))
+        now = sysid.parameters.with_inertial_parameters(model, found.parameters(pi))
         return observed(*loop(now)[:3])
 
     rng, off = np.random.default_rng(6), {"weighted": [], "instrumental": []}
@@ -222,7 +224,7 @@ def test_instruments_of_the_simulated_arm():
             ("weighted", {}),
             ("instrumental", {"instruments": lambda found: simulated(found)[5:-5]}),
         ):
-            found = sysid.regress(W, y, names, method=method, base=base, **options)
+            found = sysid.torque.regress(W, y, names, method=method, base=base, **options)
             assert found.ok and found.steps <= 8
             off[method].append((found.beta - base.combine(pi)) / found.errors)
     biased, free = (np.abs(np.mean(off[m], 0)) for m in ("weighted", "instrumental"))
@@ -231,45 +233,47 @@ def test_instruments_of_the_simulated_arm():
 
 def test_the_method_is_one_of_a_dict():
     names, W, tau, _, beta = experiment(100)
-    sysid.METHODS["half"] = lambda eq: sysid.torque.regression.weighted(eq)
+    sysid.torque.METHODS["half"] = lambda eq: sysid.torque.regression.weighted(eq)
     try:
-        assert np.allclose(sysid.regress(W, tau, names, method="half").beta, beta)
+        assert np.allclose(sysid.torque.regress(W, tau, names, method="half").beta, beta)
     finally:
-        del sysid.METHODS["half"]
+        del sysid.torque.METHODS["half"]
 
 
 def test_bad_arguments():
     names, W, tau, base, _ = experiment(100)
     with pytest.raises(UnknownName, match=r"regression method 'best'.*ordinary"):
-        sysid.regress(W, tau, names, method="best")
+        sysid.torque.regress(W, tau, names, method="best")
     with pytest.raises(UnknownName, match=r"loss 'cauchy'.*huber"):
-        sysid.regress(W, tau, names, method="robust", loss="cauchy")
+        sysid.torque.regress(W, tau, names, method="robust", loss="cauchy")
     with pytest.raises(InputError, match=r"W has shape \(100, 2, 20\), tau \(99, 2\)"):
-        sysid.regress(W, tau[1:], names)
+        sysid.torque.regress(W, tau[1:], names)
     with pytest.raises(InputError, match=r"tau\[3, 1\] is nan.*missing"):
-        sysid.regress(W, np.where(np.arange(200).reshape(100, 2) == 7, np.nan, tau), names)
+        sysid.torque.regress(W, np.where(np.arange(200).reshape(100, 2) == 7, np.nan, tau), names)
     with pytest.raises(InputError, match="2 torques for"):
-        sysid.regress(W[:1], tau[:1], names, base=base)
+        sysid.torque.regress(W[:1], tau[:1], names, base=base)
     with pytest.raises(InputError, match=r"noise has shape \(3,\), expected \(\), \(2,\) or"):
-        sysid.regress(W, tau, names, noise=[0.1, 0.1, 0.1])
+        sysid.torque.regress(W, tau, names, noise=[0.1, 0.1, 0.1])
     with pytest.raises(InputError, match=r"noise\[1\] is 0.0, expected standard deviations above"):
-        sysid.regress(W, tau, names, noise=[0.1, 0.0])
+        sysid.torque.regress(W, tau, names, noise=[0.1, 0.0])
     with pytest.raises(InputError, match=r"noise\[3, 1\] is nan"):
-        sysid.regress(W, tau, names, noise=np.where(np.arange(200) == 7, np.nan, 1).reshape(100, 2))
+        sysid.torque.regress(
+            W, tau, names, noise=np.where(np.arange(200) == 7, np.nan, 1).reshape(100, 2)
+        )
     with pytest.raises(InputError, match=r"noise is -1\.0"):
-        sysid.regress(W, tau, names, noise=-1.0)
+        sysid.torque.regress(W, tau, names, noise=-1.0)
     with pytest.raises(InputError, match="0 torques have finite noise"):
-        sysid.regress(W, tau, names, noise=np.inf)
+        sysid.torque.regress(W, tau, names, noise=np.inf)
     with pytest.raises(InputError, match="noise is inf for some torques"):
-        sysid.regress(
+        sysid.torque.regress(
             W, tau, names, noise=np.where(np.arange(200) == 7, np.inf, 1).reshape(100, 2),
             method="ordinary",
         )  # fmt: skip
     with pytest.raises(InputError, match="instruments have shape"):
-        sysid.regress(W, tau, names, method="instrumental", instruments=W[1:])
+        sysid.torque.regress(W, tau, names, method="instrumental", instruments=W[1:])
     with pytest.raises(InputError, match="do not show"):
-        sysid.regress(W, tau, names, method="instrumental", instruments=0 * W)
+        sysid.torque.regress(W, tau, names, method="instrumental", instruments=0 * W)
     with pytest.raises(InputError, match="level is 2"):
-        sysid.regress(W, tau, names).intervals(2)
+        sysid.torque.regress(W, tau, names).intervals(2)
     with pytest.raises(InputError, match="prior has shape"):
-        sysid.regress(W, tau, names).parameters(np.zeros(3))
+        sysid.torque.regress(W, tau, names).parameters(np.zeros(3))

@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.errors import InputError, UnknownName
-from rbjax.sysid import regress, select
+from rbjax.sysid.torque import regress, select
 from rbjax.sysid.torque.encoder_zeros import regress_with_zeros, zeros_of
 
 NAMES = ["offset", "slope", "wave"]
@@ -112,13 +112,13 @@ def test_consistent_intervals_follow_coloured_residuals():
     rng = np.random.default_rng(0)
     t = np.arange(400) * 0.02
     q, v, a = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
-    W = sysid.observation_matrix(model, q[:, None], v[:, None], a[:, None])
+    W = sysid.torque.observation_matrix(model, q[:, None], v[:, None], a[:, None])
     tau = np.asarray(W @ rb.inertial_parameters(model))
     size = 0.05 * np.abs(tau).max()
     found = {}
     for name, rho in (("white", 0.0), ("coloured", 0.9)):
         noisy = tau + size * correlated(rng, 400, rho)[:, None]
-        found[name] = sysid.consistent(model, W, noisy)
+        found[name] = sysid.torque.consistent(model, W, noisy)
         assert found[name].ok and found[name].linear.white == (name == "white")
     wide, narrow = (
         np.sqrt(np.diag(found[k].base_covariance)) for k in ("coloured", "white")
@@ -150,19 +150,21 @@ def test_an_instrumental_regression_says_whether_it_converged():
 
 def test_a_consistent_fit_says_whether_it_converged():
     model = rb.load("double_pendulum")
-    W = sysid.observation_matrix(model, *sysid.random_motions(model, 50))
+    W = sysid.torque.observation_matrix(model, *sysid.torque.random_motions(model, 50))
     tau = W @ rb.inertial_parameters(model) * 1.5
-    assert sysid.consistent(model, W, tau, noise=0.1).ok
-    assert not sysid.consistent(model, W, tau, noise=0.1, max_steps=2).ok
+    assert sysid.torque.consistent(model, W, tau, noise=0.1).ok
+    assert not sysid.torque.consistent(model, W, tau, noise=0.1, max_steps=2).ok
 
 
 @functools.cache
 def rows():
     model, t = rb.load("pendulum"), np.arange(0.0, 4.0, 0.005)
     q, v, a = np.sin(3 * t)[:, None], 3 * np.cos(3 * t)[:, None], -9 * np.sin(3 * t)[:, None]
-    tau = np.asarray(sysid.observation_matrix(model, q, v, a) @ rb.inertial_parameters(model))
+    tau = np.asarray(
+        sysid.torque.observation_matrix(model, q, v, a) @ rb.inertial_parameters(model)
+    )
     channels = {"q": sysid.Channel(t, q - 0.03), "tau": sysid.Channel(t, tau)}
-    made = sysid.torque_rows(model, sysid.Recording("swing", channels), 5.0)
+    made = sysid.torque.torque_rows(model, sysid.Recording("swing", channels), 5.0)
     return made.only(["rod.hz", "rod.Iyy"])
 
 

@@ -23,7 +23,7 @@ ALL = ("armature", "viscous", "coulomb", "bias")
 
 
 def motions(model, n, seed=0):
-    return sysid.random_motions(model, n, seed=seed)
+    return sysid.torque.random_motions(model, n, seed=seed)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_torques_of_inverse_dynamics(name):
     """On trees with free and ball joints, several joints on a body, welded bodies."""
     model = robot(name).model
     q, v, a = motions(model, 4)
-    W = np.asarray(sysid.observation_matrix(model, q, v, a))
+    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
     tau = np.asarray(jax.vmap(functools.partial(rb.inverse_dynamics, model))(q, v, a))
     given = W @ np.asarray(rb.inertial_parameters(model)) + np.asarray(model.joints.armature) * a
     assert relative_error(given, tau, batch_dims=1).max() < EXACT
@@ -44,8 +44,8 @@ def test_joint_columns():
     """Armature, friction and bias on the coordinates of all but free joints."""
     model = robot("small").model
     q, v, a = (x[0] for x in motions(model, 1))
-    names = sysid.parameter_names(model, ALL)
-    Y = np.asarray(sysid.regressor(model, q, v, a, joint_terms=ALL, smoothing=0.5))
+    names = sysid.torque.parameter_names(model, ALL)
+    Y = np.asarray(sysid.torque.regressor(model, q, v, a, joint_terms=ALL, smoothing=0.5))
     assert Y.shape == (5, len(names)) and len(set(names)) == len(names)
     want = {"armature": a, "viscous": v, "coulomb": np.tanh(v / 0.5), "bias": np.ones(5)}
     joints = ["slide", "hinge", "ball", "ball", "ball"]
@@ -54,9 +54,9 @@ def test_joint_columns():
         places[2:] = [f"ball.{term}[{k}]" for k in range(3)]
         columns = Y[:, [names.index(x) for x in places]]
         np.testing.assert_allclose(columns, np.diag(entries), rtol=1e-15)
-    hard = sysid.regressor(model, q, v, a, joint_terms=["coulomb"], smoothing=0)
+    hard = sysid.torque.regressor(model, q, v, a, joint_terms=["coulomb"], smoothing=0)
     np.testing.assert_array_equal(hard[:, 40:], np.diag(np.sign(v)))
-    values = np.asarray(sysid.parameter_values(model, ALL))
+    values = np.asarray(sysid.torque.parameter_values(model, ALL))
     for term, leaf in (("armature", model.joints.armature), ("viscous", model.joints.damping)):
         at = [k for k, x in enumerate(names) if f".{term}" in x]
         np.testing.assert_array_equal(values[at], leaf)
@@ -65,18 +65,18 @@ def test_joint_columns():
 
 def test_a_free_joint_has_no_motor():
     model = rb.load("free_body")
-    assert sysid.parameter_names(model, ALL) == sysid.parameter_names(model)
+    assert sysid.torque.parameter_names(model, ALL) == sysid.torque.parameter_names(model)
     assert joint_coordinates(model).size == 0
     q, v, a = motions(model, 2)
-    assert sysid.observation_matrix(model, q, v, a, joint_terms=ALL).shape == (2, 6, 10)
+    assert sysid.torque.observation_matrix(model, q, v, a, joint_terms=ALL).shape == (2, 6, 10)
 
 
 def test_rows_by_name_and_place():
     model = robot("small").model
     q, v, a = motions(model, 3)
-    W = np.asarray(sysid.observation_matrix(model, q, v, a))
+    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
     for rows, want in [(["ball", 0], [2, 3, 4, 0]), (slice(1, 3), [1, 2]), ([4], [4])]:
-        part = sysid.observation_matrix(model, q, v, a, rows=rows)
+        part = sysid.torque.observation_matrix(model, q, v, a, rows=rows)
         np.testing.assert_array_equal(part, W[:, want])
     np.testing.assert_array_equal(coordinate_rows(model, None), np.arange(5))
 
@@ -86,9 +86,9 @@ def test_the_2R_arm_of_the_textbook():
     oracle = load("identification")["fourier_excitation"]
     model = planar_2R(oracle)
     q, v, a = fourier(oracle, np.arange(1000) / 100)
-    base = sysid.base_parameters(model, q, v, a)
+    base = sysid.torque.base_parameters(model, q, v, a)
     assert base.rank == 6
-    W = np.asarray(sysid.observation_matrix(model, q, v, a))
+    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
     names = [f"link{k}.{x}" for k, x in ((1, "Izz"), (2, "Izz"), (2, "hx"), (2, "hy"))]
     names += ["link1.hx", "link1.hy"]  # p1 to p6 of the oracle
     kept = [base.names[k] for k in base.kept]
@@ -140,7 +140,7 @@ def test_pinocchio():
         pin.computeJointTorqueRegressor(theirs, data, *x).copy()
         for x in zip(there, v, a, strict=True)
     ]
-    W = sysid.observation_matrix(model, q, v, a)
+    W = sysid.torque.observation_matrix(model, q, v, a)
     assert relative_error(W, np.stack(want), batch_dims=1).max() < EXACT
 
 
@@ -148,28 +148,28 @@ def test_bad_arguments():
     model = rb.load("double_pendulum")
     z = np.zeros((3, 2))
     with pytest.raises(UnknownName, match=r"joint term 'friction'.*armature"):
-        sysid.regressor(model, z[0], z[0], z[0], joint_terms=["friction"])
+        sysid.torque.regressor(model, z[0], z[0], z[0], joint_terms=["friction"])
     with pytest.raises(InputError, match="expected a list such as"):
-        sysid.parameter_names(model, "viscous")
+        sysid.torque.parameter_names(model, "viscous")
     with pytest.raises(InputError, match="none twice"):
-        sysid.parameter_names(model, ["bias", "bias"])
+        sysid.torque.parameter_names(model, ["bias", "bias"])
     with pytest.raises(InputError, match="smoothing is -1"):
-        sysid.regressor(model, z[0], z[0], z[0], joint_terms=["coulomb"], smoothing=-1)
+        sysid.torque.regressor(model, z[0], z[0], z[0], joint_terms=["coulomb"], smoothing=-1)
     with pytest.raises(InputError, match=r"v has shape \(2, 2\), expected \(3, 2\)"):
-        sysid.observation_matrix(model, z, z[:2], z)
+        sysid.torque.observation_matrix(model, z, z[:2], z)
     with pytest.raises(InputError, match="one row a sample"):
-        sysid.observation_matrix(model, z[0], z, z)
+        sysid.torque.observation_matrix(model, z[0], z, z)
     with pytest.raises(InputError, match=r"q\[1, 0\] is nan"):
-        sysid.observation_matrix(model, z + np.array([[0.0], [np.nan], [0]]), z, z)
+        sysid.torque.observation_matrix(model, z + np.array([[0.0], [np.nan], [0]]), z, z)
     for rows in (["knee"], [2], [], [0, 0], [1.5], "elbow"):
         with pytest.raises((InputError, UnknownName)):
-            sysid.observation_matrix(model, z, z, z, rows=rows)
+            sysid.torque.observation_matrix(model, z, z, z, rows=rows)
 
 
 def test_composes():
     model = robot("small").model
     xs = list(motions(model, 3))
-    function = functools.partial(sysid.regressor, model, joint_terms=ALL, smoothing=1.0)
+    function = functools.partial(sysid.torque.regressor, model, joint_terms=ALL, smoothing=1.0)
     check_composes(function, xs)
     check_axes(function, xs)
 
@@ -183,7 +183,7 @@ def test_ten_seconds_at_800_hertz_of_12_joints_take_a_second_or_two():
     )
     model = rb.load(f"<mujoco><worldbody>{text}{'</body>' * 12}</worldbody></mujoco>")
     xs = [jnp.asarray(x) for x in motions(model, 8000)]
-    run = functools.partial(sysid.observation_matrix, model, joint_terms=ALL)
+    run = functools.partial(sysid.torque.observation_matrix, model, joint_terms=ALL)
     run(*xs).block_until_ready()
     start = time.process_time()
     run(*xs).block_until_ready()

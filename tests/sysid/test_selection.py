@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rbjax.errors import InputError
-from rbjax.sysid import select
+from rbjax.sysid.torque import select
 
 T = np.linspace(-1, 1, 60)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import rbjax as rb
-from rbjax.sysid import estimates
+from rbjax.sysid.statistics import estimates
 from tests.oracles import load
 from tests.tolerances import F64_ROUNDING, relative_error
 

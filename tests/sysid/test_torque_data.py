@@ -12,7 +12,8 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.errors import InputError, UnknownName
-from rbjax.sysid import Channel, Recording, regress, torque_rows
+from rbjax.sysid import Channel, Recording
+from rbjax.sysid.torque import regress, torque_rows
 
 DRIVE = """<mujoco><option gravity="0 0 0"/><worldbody><body name="rotor">
 <joint name="motor" axis="0 0 1"/><inertial pos="0 0 0" mass="1" diaginertia="1e-2 1e-2 2e-2"/>
@@ -123,7 +124,7 @@ def test_a_term_that_is_defined_again_has_the_new_column(monkeypatch):
     run = drive(seconds=4.0)
     for value in (3.0, 7.0):
         f = functools.partial(lambda value, v, a, tau, s: 0 * v + value, value)
-        monkeypatch.setitem(sysid.JOINT_TERMS, "mine", f)
+        monkeypatch.setitem(sysid.torque.JOINT_TERMS, "mine", f)
         rows = torque_rows(MODEL, run, 5.0, joint_terms=["mine"])
         np.testing.assert_allclose(rows.W[:, 0, -1], value, rtol=1e-6)
 

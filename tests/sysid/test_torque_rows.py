@@ -12,13 +12,15 @@ from rbjax.errors import InputError, UnknownName
 MODEL = rb.load("double_pendulum")
 TERMS = ("armature", "viscous", "coulomb", "gear_loss")
 SMOOTHING = 0.5
-STRAIGHT = tuple(n for n in sysid.parameter_names(MODEL, TERMS) if not n.endswith((".hx", ".hy")))
+STRAIGHT = tuple(
+    n for n in sysid.torque.parameter_names(MODEL, TERMS) if not n.endswith((".hx", ".hy"))
+)
 LOST = np.array([0.15, 0.1])
 
 
 @functools.cache
 def truth():
-    pi = np.array(sysid.parameter_values(MODEL, TERMS), float)
+    pi = np.array(sysid.torque.parameter_values(MODEL, TERMS), float)
     pi[20:] = [0.02, 0.01, 0.1, 0.05, 0.3, 0.2, *LOST]
     return pi
 
@@ -32,7 +34,7 @@ def run(name, zeros=(0.0, 0.0), seed=0, rate=250.0, seconds=6.0):
     A, phase = rng.uniform(0.2, 0.6, (3, 2)), rng.uniform(0, 6, (3, 2))
     angle = w * t[:, None, None] + phase
     q, v, a = ((A * x).sum(1) for x in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)))
-    W = sysid.observation_matrix(
+    W = sysid.torque.observation_matrix(
         MODEL, q, v, a, joint_terms=TERMS, smoothing=SMOOTHING, tau=np.zeros_like(q)
     )
     rest = np.asarray(W, float) @ truth()
@@ -44,7 +46,7 @@ def run(name, zeros=(0.0, 0.0), seed=0, rate=250.0, seconds=6.0):
 @functools.cache
 def rows(name, zeros=(0.0, 0.0), seed=0, about=(0.0, 0.0)):
     made = run(name, zeros, seed)
-    return sysid.torque_rows(
+    return sysid.torque.torque_rows(
         MODEL, made, 5.0, signal_cutoff=60.0, joint_terms=TERMS, smoothing=SMOOTHING, zeros=about
     )
 
@@ -62,7 +64,7 @@ def test_slopes_are_those_of_other_zeros():
     r, made, h = rows("still"), run("still"), 1e-2
     for k, e in enumerate(np.eye(2)):
         a, b = (
-            sysid.torque_rows(
+            sysid.torque.torque_rows(
                 MODEL, made, 5.0, signal_cutoff=60.0, joint_terms=TERMS, smoothing=SMOOTHING,
                 zeros=s * h * e,
             ).W
@@ -80,19 +82,19 @@ def test_zeros_and_parameters_together():
     The first pass is right to second order in the zeros, a second one from there to fourth."""
     zeros = {"a": (0.03, -0.05), "b": (-0.02, 0.04)}
     both = [rows(n, z, seed).only(STRAIGHT) for seed, (n, z) in enumerate(zeros.items(), 1)]
-    first = sysid.regress_with_zeros(both, noise=1e-3, spread=1.0)
+    first = sysid.torque.regress_with_zeros(both, noise=1e-3, spread=1.0)
     for name, z in zeros.items():
         np.testing.assert_allclose(first.zeros[name], z, atol=8e-3)
     both = [
         rows(n, z, seed, tuple(first.zeros[n])).only(STRAIGHT)
         for seed, (n, z) in enumerate(zeros.items(), 1)
     ]
-    found = sysid.regress_with_zeros(both, noise=1e-3, spread=1.0)
+    found = sysid.torque.regress_with_zeros(both, noise=1e-3, spread=1.0)
     assert found.ok and found.steps < 15
     for name, z in zeros.items():
         np.testing.assert_allclose(found.zeros[name], z, atol=2e-3)
     W = np.concatenate([r.at((0.0, 0.0)) for r in both])
-    plain = sysid.regress(W, np.concatenate([r.tau for r in both]), both[0].names)
+    plain = sysid.torque.regress(W, np.concatenate([r.tau for r in both]), both[0].names)
     left = np.sqrt(np.mean(np.concatenate(
         [r.residual(found.parameters, found.zeros[r.name]) for r in both]) ** 2
     ))  # fmt: skip
@@ -104,7 +106,7 @@ def test_zeros_and_parameters_together():
 def test_zeros_of_a_run_that_was_not_fitted():
     """From its first three seconds."""
     r = rows("c", (0.02, 0.03), 5)
-    z = sysid.zeros_of(r.piece(end=3.0), truth(), noise=1e-3)
+    z = sysid.torque.zeros_of(r.piece(end=3.0), truth(), noise=1e-3)
     np.testing.assert_allclose(z, (0.02, 0.03), atol=3e-3)
 
 
@@ -122,10 +124,10 @@ def test_fewer_columns():
 def test_what_is_refused():
     made = run("still")
     with pytest.raises(InputError, match="hinges and slides only"):
-        sysid.torque_rows(rb.load("free_body"), made, 5.0)
+        sysid.torque.torque_rows(rb.load("free_body"), made, 5.0)
     with pytest.raises(InputError, match="the filters disturb"):
-        sysid.torque_rows(MODEL, made.piece(0.0, 0.3), 1.0)
+        sysid.torque.torque_rows(MODEL, made.piece(0.0, 0.3), 1.0)
     with pytest.raises(InputError, match="different names"):
-        sysid.regress_with_zeros([rows("still"), rows("still")])
+        sysid.torque.regress_with_zeros([rows("still"), rows("still")])
     with pytest.raises(InputError, match="spread"):
-        sysid.regress_with_zeros([rows("still")], spread=0.0)
+        sysid.torque.regress_with_zeros([rows("still")], spread=0.0)

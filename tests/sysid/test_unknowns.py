@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import (
-    PD,
-    Derived,
-    FixedTotal,
-    Inertia,
-    Setup,
-    Shared,
-    Tilt,
-    Unknown,
-    log_determinant_divergence,
-    pseudo_inertia_of,
-)
+from rbjax.sysid import PD, Derived, FixedTotal, Inertia, Setup, Shared, Tilt, Unknown
+from rbjax.sysid.parameters import log_determinant_divergence, pseudo_inertia_of
 from rbjax.sysid.parameters.guesses import drawn
 from rbjax.sysid.parameters.unknowns import Unknowns
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Channel, Recording, Trace, Unknown, held_out, identify
+from rbjax.sysid import Channel, Recording, Trace, Unknown, identify
 from rbjax.sysid.estimators.verdict import constant_columns, is_poor, judged, without_outliers
+from rbjax.sysid.statistics import held_out
 from rbjax.sysid.statistics.variance import explained, varies
 
 RNG = np.random.default_rng(0)

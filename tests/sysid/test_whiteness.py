@@ -5,7 +5,7 @@ import pytest
 from scipy import signal, stats
 
 import rbjax as rb
-from rbjax.sysid import whiteness
+from rbjax.sysid.statistics import whiteness
 from rbjax.sysid.statistics.whiteness_tests import meat_of
 
 
@@ -14,9 +14,7 @@ def sandwich(X, r, lag=None):
     Xs, rs = (X, r) if isinstance(X, list) else ([X], [r])
     n, rows = Xs[0].shape[-1], sum(r.size for r in rs)
     bread = np.linalg.inv(sum(x.reshape(-1, n).T @ x.reshape(-1, n) for x in Xs))
-    scores = [
-        (x * e[..., None]).reshape(len(x), -1, n).sum(1) for x, e in zip(Xs, rs, strict=True)
-    ]
+    scores = [(x * e[..., None]).reshape(len(x), -1, n).sum(1) for x, e in zip(Xs, rs, strict=True)]
     return bread @ meat_of(scores, lag) @ bread * (rows / (rows - n))
 
 

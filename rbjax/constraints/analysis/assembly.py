@@ -65,7 +65,7 @@ def assemble(
     Returns:
         `Assembly`. It is made outside of traced code and is not differentiated; for the derivative
         of a state that depends on numbers of the model put the result through
-        `rb.constraints.Projected(iterations=8).settled`.
+        `rb.constraints.Projection(iterations=8).project`.
 
     Raises:
         InputError: no such state, with the rows that conflict. UnknownName: no such joint.

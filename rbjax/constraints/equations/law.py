@@ -44,8 +44,8 @@ Method = Callable[
     [Driver, Instant, jax.Array, LinkForces], tuple[jax.Array | None, jax.Array | None, System]
 ]
 
-#: (instant, rows, l or None for zero) -> what is left of the rows' equations
-Left = Callable[[Instant, Sequence[Row], jax.Array | None], Sequence[Lane]]
+#: (instant, rows, l or None for zero, alpha, beta) -> residuals of the rows' equations
+Left = Callable[[Instant, Sequence[Row], jax.Array | None, Any, Any], Sequence[Lane]]
 
 
 def range_space(
@@ -79,7 +79,7 @@ def constrained_motion(
 
     def left_at(now, rows, l, alpha, beta):
         if left_of is not None:
-            return list(left_of(now, rows, l))
+            return list(left_of(now, rows, l, alpha, beta))
         return [asked(row, alpha, beta) for row in rows]
 
     def run(changed, q, v, tau, values=False):

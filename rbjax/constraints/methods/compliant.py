@@ -20,9 +20,8 @@ from typing import Any, ClassVar
 import jax
 
 from rbjax.constraints.equations.law import Solve, System, constrained_motion
-from rbjax.constraints.equations.projection import projected
 from rbjax.constraints.equations.system import OnMatrices
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.methods.method import Method
 from rbjax.constraints.methods.soft import Soft, softness
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import aba
@@ -34,12 +33,13 @@ from rbjax.model import Model, State
 
 
 @dataclass(frozen=True)
-class Compliant(Formulation):
-    """Index 0 in soft rows, by MuJoCo's law; 1 in others, which are put back on their constraints
-    after each step.
+class Compliant(Method):
+    """Index 0 in soft rows, by MuJoCo's law; 1 in others. Feedback and projection apply to others
+    only.
 
-    Enforces the models of `rb.load(file, compliant=True)`, and those with a `Soft` if no other
-    formulation is named. An explicit step needs T well above it, as MuJoCo's own (twice there).
+    With a projection it is "compliant" of `rb.constraints.formulations()`, which enforces the
+    models of `rb.load(file, compliant=True)`, and those with a `Soft` if no other formulation is
+    given. An explicit step needs T well above it, as MuJoCo's own (twice there).
 
     Source: MuJoCo, *Computation*, constraint model.
     """
@@ -48,19 +48,23 @@ class Compliant(Formulation):
     family: ClassVar[str] = "unconstrained"
     index: ClassVar[int] = 0
 
-    def __call__(self, model, t, state, tau, pushes):
-        return compliant_motion(model, t, state, tau, pushes)[0]
 
-    def settled(self, model: Model, t: Any, state: State) -> State:
-        held = tuple(x for x in model.constraints if not isinstance(x, Soft))
-        return projected(model.replace(constraints=held), t, state) if held else state
+    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
+        return compliant_motion(model, t, state, tau, pushes, alpha, beta)[0]
+
+    def projected_rows(self, model: Model) -> Model:
+        rigid = tuple(x for x in model.constraints if not isinstance(x, Soft))
+        return model.replace(constraints=rigid)
 
 
 def compliant_motion(
-    model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
-) -> tuple[jax.Array, jax.Array]:
+    model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces,
+    alpha: Any = 0.0, beta: Any = 0.0,
+) -> tuple[jax.Array, jax.Array]:  # fmt: skip
     """a (nv,) and the forces f (rows,) on the rows, of a sample."""
-    return constrained_motion(model, t, state, tau, pushes, method=yielding, left_of=left_of)
+    return constrained_motion(
+        model, t, state, tau, pushes, alpha, beta, method=yielding, left_of=left_of
+    )
 
 
 def yielding(
@@ -75,7 +79,9 @@ def yielding(
     return d.pack(qdd, tau), None, system
 
 
-def left_of(now: Instant, rows: Sequence[Row], f: jax.Array | None) -> Sequence[Lane]:
-    """(what is asked) - g'' - R f."""
-    R, left = softness(now, rows)
+def left_of(
+    now: Instant, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
+) -> Sequence[Lane]:
+    """The right-hand side - g'' - R f."""
+    R, left = softness(now, rows, alpha, beta)
     return list(left if f is None else left - R * f)

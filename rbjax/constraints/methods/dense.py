@@ -11,7 +11,7 @@ for those that are zero beside the others. What then is below the root of the ro
 
 Singular positions. A row that vanishes with the arms of its forces stays short, against what it is
 of free bodies (`as_free_bodies`): below 1e-5 of that in f64. In f32 all rows are measured by it,
-and what is below 1e-2 is zero (`system` says why): put back after steps (`Projected(of=...)`), ten
+and what is below 1e-2 is zero (`system` says why): with a `Projection` after steps, ten
 seconds of a parallelogram keep their energy to 2e-3 J of 20. With rows of length one, and the root
 of the rounding unit, they were lost. By itself none of these formulations passes many such
 positions: rows drift, and the other branch is then as near.
@@ -29,7 +29,7 @@ import numpy as np
 
 from rbjax.constraints.equations.law import Solve, System, constrained_motion
 from rbjax.constraints.equations.system import as_free_bodies, gradient_matrix
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.crba import crba
 from rbjax.dynamics.algorithms.link_forces import LinkForces
@@ -50,15 +50,17 @@ Solution = tuple[jax.Array, jax.Array]
 
 
 @dataclass(frozen=True)
-class Dense(Formulation):
-    """A formulation on arrays. Its method `solution` is the equation of a textbook."""
+class Dense(Method):
+    """A method on arrays. Its `solution` is the equation of a textbook."""
 
     def solution(self, M: jax.Array, G: jax.Array, f: jax.Array, c: jax.Array) -> Solution:
         """a and l of M a = f + G^T l, G a = c, linear in f and c; G may have redundant rows."""
         raise NotImplementedError(f"{type(self).__name__} has no method solution(M, G, f, c)")
 
-    def __call__(self, model, t, state, tau, pushes):
-        return constrained_motion(model, t, state, tau, pushes, method=self._method)[0]
+    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
+        return constrained_motion(
+            model, t, state, tau, pushes, alpha, beta, method=self._method
+        )[0]
 
     def _method(
         self, d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces

@@ -28,7 +28,8 @@ import jax.numpy as jnp
 
 from rbjax.constraints.equations.law import constrained_motion
 from rbjax.constraints.equations.system import as_free_bodies, rows_of, with_multipliers
-from rbjax.constraints.methods.formulation import Formulation, Projected
+from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
@@ -44,13 +45,13 @@ Forces = Callable[[Any, State], tuple[jax.Array, LinkForces, jax.Array | None]]
 
 
 @dataclass(frozen=True)
-class DifferentialAlgebraic(Formulation):
+class DifferentialAlgebraic(Method):
     """A formulation whose equations an implicit method steps: Radau IIA of three stages, or another
     one given as `integrator=` of `rollout` or `solver=` of `simulate`.
 
     As a law it gives the accelerations of index 1, which are those of consistent states. A step
     whose equations are not solved is a value: `Trajectory.ok` is False, and adaptive steps become
-    shorter. `Projected(of=...)` puts states back on all levels after steps.
+    shorter. `Projection` puts states back on all levels after steps.
 
     Example:
         >>> import rbjax as rb
@@ -59,12 +60,14 @@ class DifferentialAlgebraic(Formulation):
     """
 
     family: ClassVar[str] = "redundant"
+    has_feedback: ClassVar[bool] = False
 
-    def __call__(self, model, t, state, tau, pushes):
+    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
         return constrained_motion(model, t, state, tau, pushes)[0]
 
     def held(self, row: Row) -> tuple[Lane, int]:
-        """What of a row is zero, and after how many integrations of accelerations it comes."""
+        """The quantity that is zero (g or g'), and the number of integrations from acceleration to
+        it (2 or 1)."""
         raise NotImplementedError(f"{type(self).__name__} has no method held(row)")
 
     def held_by_mu(self, rows: Sequence[Row]) -> list[Row]:
@@ -79,8 +82,8 @@ class DifferentialAlgebraic(Formulation):
     def algebraic(
         self, model: Model, t: Any, state: State
     ) -> tuple[tuple[int, ...], jax.Array, int]:
-        """After how many integrations each of the algebraic equations comes, what a unit of its
-        multiplier does to it, of free bodies (`as_free_bodies`), and how many of them mu holds."""
+        """The depth of each algebraic equation (integrations from acceleration), the scale of its
+        diagonal (`as_free_bodies`), and the number of GGL rows."""
         d = driver(model, state.q.dtype)
         now = Instant.of(model, t, state, None, d=d)
         _ = now.links.joints  # a driver learns from them what its lanes are
@@ -118,11 +121,9 @@ class DifferentialAlgebraic(Formulation):
 
 
 def stepped(law: Any) -> DifferentialAlgebraic | None:
-    """The formulation whose equations are stepped where this is the law, if any: itself, or that
-    whose states it projects."""
-    while isinstance(law, Projected):
-        law = law.of
-    return law if isinstance(law, DifferentialAlgebraic) else None
+    """The method whose equations an implicit integrator steps, if the law has such a method."""
+    method = law.method if isinstance(law, Formulation) else law
+    return method if isinstance(method, DifferentialAlgebraic) else None
 
 
 def _pushed(

@@ -40,7 +40,7 @@ from rbjax.constraints.equations.system import (
     triangle,
 )
 from rbjax.constraints.methods.clusters import Cluster, clusters
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
 from rbjax.dynamics.algorithms.link_forces import LinkForces
@@ -55,7 +55,7 @@ from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 
 @dataclass(frozen=True)
-class Recursive(Formulation):
+class Recursive(Method):
     """Index 0, by recursion over clusters of joints that share loops:
 
         I = I_f + W A^-1 W^T,     A = G_c H_c^-1 G_c^T of one cluster
@@ -66,9 +66,8 @@ class Recursive(Formulation):
 
     Recursion is for trees that are written out link by link (`driver="unrolled"`, small trees, and
     values on a CPU up to 40 coordinates), and for clusters of up to 24 rows. Others are solved as
-    by `Multipliers`. `Projected(of=Recursive())` also puts states back on the constraints. A row
-    whose gradient has pushes of your own counts as held to the world unless its `Loads` are
-    `internal`.
+    by `Multipliers`. A row whose gradient has pushes of your own counts as held to the world unless
+    its `Loads` are `internal`.
 
     Source: Jain 2012; Chignoli, Adrian, Kim & Wensing 2023.
 
@@ -85,8 +84,10 @@ class Recursive(Formulation):
     family: ClassVar[str] = "minimal"
     index: ClassVar[int] = 0
 
-    def __call__(self, model, t, state, tau, pushes):
-        return constrained_motion(model, t, state, tau, pushes, method=by_clusters)[0]
+    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
+        return constrained_motion(
+            model, t, state, tau, pushes, alpha, beta, method=by_clusters
+        )[0]
 
 
 def by_clusters(

@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.constraints.equations.law import asked
 from rbjax.constraints.equations.residuals import jacobian
 from rbjax.constraints.equations.system import gradient_matrix
 from rbjax.constraints.rows.constraint import Constraint
@@ -35,7 +36,7 @@ from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.instant import Frame, Instant
-from rbjax.lanes import Lane, neg, sub
+from rbjax.lanes import Lane, sub
 from rbjax.lanes.products import matvec
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
@@ -181,9 +182,12 @@ class QuaternionWeld(Pair):
         return [*displacement(A, B), *(row * turned * scale for row in turn(A, B))]
 
 
-def softness(now: Instant, rows: Sequence[Row]) -> tuple[jax.Array, jax.Array]:
+def softness(
+    now: Instant, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
+) -> tuple[jax.Array, jax.Array]:
     """R (rows,), zero where a constraint is not soft, and what is left of the rows' equations at
-    the accelerations of the instant without forces on them: asked - g''; of rigid ones -g''."""
+    the accelerations of the instant without forces on them: asked - g''; of rigid ones those of
+    Baumgarte's feedback."""
     R: list[Any] = []
     left: list[Any] = []
     a = now.a
@@ -192,11 +196,11 @@ def softness(now: Instant, rows: Sequence[Row]) -> tuple[jax.Array, jax.Array]:
         at = slice(len(R), len(R) + constraint.size)
         has = [row.acceleration for row in rows[at]]
         if isinstance(constraint, Soft):
-            own, asked = constraint.yielding(rows[at], a.dtype)
+            own, wanted = constraint.yielding(rows[at], a.dtype)
             R += own
             has = has if constraint.bias else list(done[at])
-            left += [sub(x, y) for x, y in zip(asked, has, strict=True)]
+            left += [sub(x, y) for x, y in zip(wanted, has, strict=True)]
         else:
             R += [jnp.zeros((), a.dtype)] * constraint.size
-            left += [neg(x) for x in has]
+            left += [asked(row, alpha, beta) for row in rows[at]]
     return jnp.stack(R), pack(left, a)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from rbjax.constraints.equations.system import rows_of, with_multipliers
 from rbjax.constraints.methods.dense import Dense, Solution, pseudo_inverse, solve_positive
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.drivers.choice import driver
@@ -104,7 +104,7 @@ class AugmentedLagrangian(Dense):
 
 
 @dataclass(frozen=True)
-class Penalty(Formulation):
+class Penalty(Method):
     """Index 0, by stiff springs and dampers in the place of constraints:
 
         M a + b = tau - G^T (k g + d g')
@@ -121,8 +121,9 @@ class Penalty(Formulation):
     name: ClassVar[str] = "penalty"
     family: ClassVar[str] = "unconstrained"
     index: ClassVar[int] = 0
+    has_feedback: ClassVar[bool] = False
 
-    def __call__(self, model, t, state, tau, pushes):
+    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
         d = driver(model, state.q.dtype)
         now = Instant.of(model, t, state, None, d=d)
         _ = now.links.joints  # a driver learns from them what its lanes are

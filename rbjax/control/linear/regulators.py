@@ -23,7 +23,7 @@ import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.compiling import compiled
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation
 from rbjax.control.linear.algebraic_riccati import riccati
 from rbjax.control.linear.riccati import Gains, backward, constant_problem
 from rbjax.control.status import LinearStatus, raise_failure

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiling import compiled
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation
 from rbjax.control.linear.regulators import weights
 from rbjax.control.linear.riccati import Gains, LinearQuadratic, backward
 from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of

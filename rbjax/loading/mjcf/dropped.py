@@ -14,6 +14,8 @@ _SHOWN = 4  # names listed before "and N more"
 INVERTED = "joint limits whose lower end is above the upper one"
 #: the beginning of an entry about the root of a URDF
 FIXED = "fixed root link"
+#: the beginnings of entries about what may touch
+CONTACTS, COLLISION = "contacts (", "collision shapes"
 #: the beginning of an entry -> how to keep the feature
 _CURES = {
     INVERTED: "swap them in the file",
@@ -57,7 +59,7 @@ def dropped_features(
         joints_of_dofs[m.dof_jntid[m.dof_frictionloss > 0]] = True
     solved = enabled(bit.mjDSBL_CONSTRAINT)
     if solved and enabled(bit.mjDSBL_CONTACT) and _may_collide(m):
-        out.append(f"contacts ({m.ngeom} geoms)")
+        out.append(f"{CONTACTS}{m.ngeom} geoms)")
     inverted = inverted_limits(m)
     if solved and enabled(bit.mjDSBL_LIMIT) and not limits:
         note("joint limits", m.jnt_limited & ~inverted, obj.mjOBJ_JOINT)

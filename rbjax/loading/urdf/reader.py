@@ -2,8 +2,7 @@
 
 Bodies, joints and frames go straight into the spec. Inertials do not: MuJoCo's compiler rejects
 placeholders of zeros and rounded inertias, so every body is compiled with the same one, and
-`inertials` writes the file's numbers into the compiled model. Shapes are left out unless a caller
-asks for those of some links.
+`inertials` writes the file's numbers into the compiled model.
 
 A floating joint is a free joint if its parent is the ground or a root at rest. Further down, where
 MuJoCo has no free joint, it is three slides and a ball, whose coordinates
@@ -29,7 +28,7 @@ from rbjax.loading.complaints import fix_of, sentence
 from rbjax.loading.urdf.inertials import Inertial, add_placeholder, read_inertial
 from rbjax.loading.urdf.mimics import Mimics, read_mimics
 from rbjax.loading.urdf.numbers import number, origin, read_numbers
-from rbjax.loading.urdf.shapes import add_shapes
+from rbjax.loading.urdf.shapes import add_primitives, add_shapes
 from rbjax.loading.urdf.tree import GROUND, Joint, Tree, left_out, read_tree
 
 _FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
@@ -62,10 +61,11 @@ class Urdf:
 
 
 def read_urdf(
-    text: str, name: str, *, floating_base: bool, shapes: Collection[str] = (),
+    text: str, name: str, *, floating_base: bool, shapes: Collection[str] | None = (),
     folder: Path = Path(),
 ) -> Urdf:  # fmt: skip
-    """The robot of a URDF, with the shapes of the links named in `shapes`; `folder` is the file's.
+    """The robot of a URDF, with the shapes of the links named in `shapes`, or, if that is
+    None, those of all links that are no meshes; `folder` is the file's.
 
     Raises:
         ModelError: the joints make no tree, or a number is missing or wrong.
@@ -86,8 +86,11 @@ def read_urdf(
         add_placeholder(body)
         _add_joints(body, joint, at)
     for link, element in tree.links.items():
-        if link in shapes:
-            add_shapes(spec, bodies[link], element, folder, f"{name}: link {link!r}")
+        where = f"{name}: link {link!r}"
+        if shapes is None:
+            add_primitives(bodies[link], element, where)
+        elif link in shapes:
+            add_shapes(spec, bodies[link], element, folder, where)
     inertials = {x: inertials[x] for x in inertials if x in tree.links}
     return Urdf(spec, inertials, read_mimics(tree, name), dropped)
 

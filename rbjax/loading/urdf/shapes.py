@@ -1,4 +1,4 @@
-"""The shapes of a URDF as geoms: cylinders, spheres, capsules, and meshes.
+"""The shapes of a URDF as geoms: boxes, cylinders, spheres, capsules, and meshes.
 
 `package://name/path` is looked for in the folders above the file, as no search path is known here:
 in one that is named so, and beneath each.
@@ -6,51 +6,74 @@ in one that is named so, and beneath each.
 
 from __future__ import annotations
 
+import contextlib
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import mujoco
 
+from rbjax.errors import ModelError
 from rbjax.loading.urdf.numbers import number, origin, read_numbers
 
-_ROUND = {
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-}
+#: how many numbers the size of a shape has
+_SIZES = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2}
+_KINDS = {name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}") for name in _SIZES}
 READ = (".stl", ".obj", ".msh")
 
 
-def add_shapes(spec: mujoco.MjSpec, body: object, link: ET.Element, folder: Path, at: str) -> None:
-    """Give a body the collision shapes of its link or, if it has none, the visual ones. Shapes that
-    MuJoCo cannot read are left out. at: the place in the file, for messages."""
+def add_shapes(spec: mujoco.MjSpec, body: Any, link: ET.Element, folder: Path, at: str) -> None:
+    """Give a body the round shapes and meshes of its link for collisions or, if there are none, the
+    visual ones. Meshes that MuJoCo cannot read are left out. at: the place in the file."""
     for tag in ("collision", "visual"):
-        added = [_add(spec, body, shape, folder, at) for shape in link.findall(tag)]
-        if any(added):
+        found = [
+            _add_mesh(spec, body, shape, folder, at) or _add_primitive(body, shape, at, box=False)
+            for shape in link.findall(tag)
+        ]
+        if any(found):
             return
 
 
-def _add(spec: mujoco.MjSpec, body: object, shape: ET.Element, folder: Path, at: str) -> bool:
-    mesh = shape.find("geometry/mesh")
-    found = [(kind, shape.find(f"geometry/{kind}")) for kind in _ROUND]
+def add_primitives(body: Any, link: ET.Element, at: str) -> None:
+    """Give a body all shapes of its link but meshes, and those without a size."""
+    for shape in (*link.findall("collision"), *link.findall("visual")):
+        with contextlib.suppress(ModelError):  # the dynamics does not need shapes
+            _add_primitive(body, shape, at)
+
+
+def _given(shape: ET.Element, at: str) -> dict[str, Any]:
+    """Pose and masks of a shape, which are MuJoCo's for a URDF."""
     given = dict(zip(("pos", "quat"), origin(shape, at), strict=True))
-    if shape.tag == "visual":
-        given |= {"contype": 0, "conaffinity": 0, "group": 1}
-    if mesh is not None:
-        path = find_mesh(mesh.get("filename", ""), folder)
-        if path is None:
-            return False
-        scale = read_numbers(mesh, "scale", 3, at, 1.0)
-        name = f"{path} {scale}"
-        if spec.mesh(name) is None:
-            spec.add_mesh(name=name, file=str(path), scale=scale)
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **given)
-        return True
-    for kind, element in found:
-        if element is not None:
-            size = [number(element, "radius", at), number(element, "length", at) / 2, 0.0]
-            body.add_geom(type=_ROUND[kind], size=size, **given)
+    seen = {"contype": 0, "conaffinity": 0, "group": 1}
+    return given | (seen if shape.tag == "visual" else {})
+
+
+def _add_mesh(spec: mujoco.MjSpec, body: Any, shape: ET.Element, folder: Path, at: str) -> bool:
+    mesh = shape.find("geometry/mesh")
+    path = None if mesh is None else find_mesh(mesh.get("filename", ""), folder)
+    if path is None:
+        return False
+    scale = read_numbers(mesh, "scale", 3, at, 1.0)
+    name = f"{path} {scale}"
+    if spec.mesh(name) is None:
+        spec.add_mesh(name=name, file=str(path), scale=scale)
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **_given(shape, at))
+    return True
+
+
+def _add_primitive(body: Any, shape: ET.Element, at: str, *, box: bool = True) -> bool:
+    for name, kind in _KINDS.items():
+        element = shape.find(f"geometry/{name}")
+        if element is not None and (box or name != "box"):
+            if name == "box":
+                size = read_numbers(element, "size", 3, at) / 2
+            else:
+                radius, length = (number(element, key, at) for key in ("radius", "length"))
+                size = [radius, length / 2, 0.0]
+            if min(size[: _SIZES[name]]) <= 0 and box:
+                return False
+            body.add_geom(type=kind, size=size, **_given(shape, at))
             return True
     return False
 

@@ -11,7 +11,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from rbjax.errors import ModelError, listed
-from rbjax.loading.mjcf.dropped import FIXED, INVERTED
+from rbjax.loading.mjcf.dropped import COLLISION, FIXED, INVERTED
 from rbjax.loading.urdf.numbers import number
 
 #: bodies of a file, which MuJoCo reads in half a minute; it takes at most 1023 in a chain
@@ -204,7 +204,7 @@ def left_out(tree: Tree, name: str, *, floating_base: bool) -> tuple[str, ...]:
         out.append(f"{INVERTED} ({listed(inverted, _SHOWN)})")
     colliding = [link for link, x in tree.links.items() if x.find("collision") is not None]
     if colliding:
-        out.append(f"collision shapes of links ({listed(colliding, _SHOWN)})")
+        out.append(f"{COLLISION} of links ({listed(colliding, _SHOWN)})")
     floats = any(x.kind == "floating" and x.parent == tree.root for x in tree.joints)
     mass = tree.links[tree.root].find("inertial/mass")
     moves = floating_base or floats or tree.root == GROUND

@@ -29,7 +29,7 @@ import equinox as eqx
 import jax
 
 from rbjax.compiling import inside_jit
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation
 from rbjax.motion.closures.reading import (
     FLOATS,
     TRACERS,

@@ -72,7 +72,7 @@ def low_pass(t: Any, x: Any, cutoff: float, *, order: int = 4) -> Filtered:
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import low_pass
+        >>> from rbjax.sysid.data import low_pass
         >>> t = np.arange(1000) / 500
         >>> smooth = low_pass(t, np.sin(2 * np.pi * t), cutoff=20.0)
         >>> bool(abs(smooth.values - np.sin(2 * np.pi * t))[smooth.settled].max() < 1e-3)
@@ -101,7 +101,7 @@ def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int =
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import differentiate
+        >>> from rbjax.sysid.data import differentiate
         >>> t = np.arange(1000) / 500
         >>> rate = differentiate(t, np.sin(2 * np.pi * t), cutoff=30.0)
         >>> error = abs(rate.values - 2 * np.pi * np.cos(2 * np.pi * t))[rate.settled]

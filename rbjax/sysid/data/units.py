@@ -55,7 +55,7 @@ def in_si(unit: str) -> float:
     Source: BIPM, *The International System of Units*, 9th edition, 2019.
 
     Example:
-        >>> from rbjax.sysid import in_si
+        >>> from rbjax.sysid.data import in_si
         >>> round(60 * in_si("rpm"), 4)
         6.2832
     """

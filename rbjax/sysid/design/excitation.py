@@ -53,7 +53,7 @@ class Fourier(eqx.Module):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import Fourier
+        >>> from rbjax.sysid.design import Fourier
         >>> swing = Fourier(jnp.zeros(1), jnp.ones((1, 1)), jnp.zeros((1, 1)), period=2 * jnp.pi)
         >>> q, v, a = swing(jnp.array([0.0]))
         >>> q.tolist(), v.tolist(), abs(a).tolist()
@@ -115,7 +115,7 @@ class Spline(eqx.Module):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import Spline
+        >>> from rbjax.sysid.design import Spline
         >>> reach = Spline(jnp.array([[0.0, 0.5, 1.0]]), duration=2.0)
         >>> q, v, a = reach(jnp.array([0.0, 1.0, 2.0]))
         >>> q.ravel().round(4).tolist(), v[0].tolist(), a[0].tolist()

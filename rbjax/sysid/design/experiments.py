@@ -1,4 +1,4 @@
-"""`design`: the motion that says most of the unknowns, within the limits of the robot.
+"""`design_experiment`: the motion that says most of the unknowns, within the limits of the robot.
 
     min over the coefficients of  loss(F),   F = F_known + J^T J,   subject to  g(q, v, a) <= 0
 J (rows, n) is what the samples of the motion say of the n unknowns: a regressor over the torque's
@@ -77,7 +77,7 @@ class MotionLimits(eqx.Module):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import MotionLimits
+        >>> from rbjax.sysid.design import MotionLimits
         >>> limits = MotionLimits(speed=2.0)
         >>> q = jnp.zeros((1, 1))
         >>> limits(q, q + 3.0, q)["speed"].tolist()
@@ -133,7 +133,7 @@ class MotionLimits(eqx.Module):
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """The result of `design`.
+    """The result of `design_experiment`.
 
     Fields: motion; criterion; value and start_value, of what is minimised; information (n, n), with
     that of the experiments before; worst, limit -> the largest value of g on the fine grid; ok,
@@ -150,7 +150,7 @@ class Experiment:
     sentence: str
 
 
-def design(
+def design_experiment(
     start: Fourier | Spline,
     information: Callable[..., jax.Array],
     limits: MotionLimits | None = None,
@@ -189,29 +189,33 @@ def design(
 
     Example:
         >>> import jax, jax.numpy as jnp
-        >>> from rbjax.sysid import Fourier, MotionLimits, design
+        >>> from rbjax.sysid.design import Fourier, MotionLimits, design_experiment
         >>> def spring_and_mass(q, v, a):
         ...     return jnp.concatenate([q, a], 1)  # tau = k q + m a
         >>> start = Fourier.random(jax.random.key(0), jnp.zeros(1), 2, period=6.0)
-        >>> found = design(start, spring_and_mass, MotionLimits(speed=1.0), rounds=3, steps=20)
+        >>> limits = MotionLimits(speed=1.0)
+        >>> found = design_experiment(start, spring_and_mass, limits, rounds=3, steps=20)
         >>> found.ok, found.value < found.start_value
         (True, True)
     """
     if criterion not in CRITERIA:
         raise UnknownName("criterion", criterion, CRITERIA)
     for name, number in (("samples", samples), ("rounds", rounds), ("steps", steps)):
-        check_whole("design", name, number, 1)
+        check_whole("design_experiment", name, number, 1)
     if not isinstance(start, (Fourier, Spline)):
         raise InputError(
-            f"design: start is {type(start).__name__}, expected a motion: Fourier or Spline"
+            f"design_experiment: start is {type(start).__name__}, expected a motion: Fourier or "
+            "Spline"
         )
     if not callable(information):
         raise InputError(
-            f"design: information is {type(information).__name__}, expected a function (q, v, a) "
-            "-> J (rows, unknowns)"
+            f"design_experiment: information is {type(information).__name__}, expected a function "
+            "(q, v, a) -> J (rows, unknowns)"
         )
     if not (limits is None or isinstance(limits, MotionLimits)):
-        raise InputError(f"design: limits is {type(limits).__name__}, expected MotionLimits")
+        raise InputError(
+            f"design_experiment: limits is {type(limits).__name__}, expected MotionLimits"
+        )
     limits = MotionLimits() if limits is None else limits
     _check_joints(start, limits)
     times, fine = _times(start, samples), _times(start, FINE * samples)
@@ -253,7 +257,7 @@ def design(
     x: jax.Array = flat
     penalty, margin, last = 10.0, MARGIN, np.inf
     best = (float(loss(jnp.asarray(before))), flat) if excess_of(flat) <= 0 else None
-    with progress_line("design", progress) as say:
+    with progress_line("design_experiment", progress) as say:
         for k in range(2 * rounds):
             if k >= rounds and best is not None:
                 break
@@ -292,7 +296,8 @@ def _check_joints(start: Fourier | Spline, limits: MotionLimits) -> None:
         shape = np.shape(getattr(limits, name)) if getattr(limits, name) is not None else ()
         if shape not in ((), (1,), (joints,)):
             raise InputError(
-                f"design: limit {name} has shape {shape}, expected one number, or {joints}, one "
+                f"design_experiment: limit {name} has shape {shape}, expected one number, or "
+                f"{joints}, one "
                 "for each joint of the motion"
             )
 
@@ -321,7 +326,7 @@ def _start_information(
     J = np.asarray(information(*start(times)), float)
     if J.ndim != 2 or not np.isfinite(J).all():
         raise InputError(
-            f"design: information gave an array of shape {J.shape}"
+            f"design_experiment: information gave an array of shape {J.shape}"
             f"{'' if np.isfinite(J).all() else ' with numbers that are not finite'}, expected "
             "finite (rows, unknowns)"
         )
@@ -329,13 +334,16 @@ def _start_information(
     F = J.T @ J
     if known is not None:
         if np.shape(known) != (n, n):
-            raise InputError(f"design: known has shape {np.shape(known)}, expected {(n, n)}")
+            raise InputError(
+                f"design_experiment: known has shape {np.shape(known)}, expected {(n, n)}"
+            )
         F = F + np.asarray(known, float)
     lengths = np.sqrt(np.maximum(np.diag(F), np.finfo(float).tiny))
     rank = int(np.linalg.matrix_rank(F / np.outer(lengths, lengths), hermitian=True))
     if rank < n:
         raise InputError(
-            f"design: the start says something of {rank} combinations of {n} unknowns, expected "
+            f"design_experiment: the start says something of {rank} combinations of {n} unknowns, "
+            "expected "
             "all of them: start from a random motion, take base parameters as unknowns, or give "
             "`known` information"
         )

@@ -268,9 +268,7 @@ class Fits:
                 kept = x if last else x[: self.shared]  # the starts of pieces serve no other fit
                 write_fit(self.save, self.sought.names, kept, ok=False, message="not ended")
 
-        least = minimise(
-            of, x, near, triangle=slopes, max_evaluations=most, watch=watch, **how
-        )
+        least = minimise(of, x, near, triangle=slopes, max_evaluations=most, watch=watch, **how)
         self.evaluations += least.evaluations
         return least
 

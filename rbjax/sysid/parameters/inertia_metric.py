@@ -45,7 +45,7 @@ def log_determinant_divergence(P: jax.Array, Q: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import log_determinant_divergence
+        >>> from rbjax.sysid.parameters import log_determinant_divergence
         >>> round(float(log_determinant_divergence(2 * jnp.eye(4), jnp.eye(4))), 4)
         1.2274
     """
@@ -67,7 +67,7 @@ def prior_residual(theta: jax.Array, prior: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import prior_residual
+        >>> from rbjax.sysid.parameters import prior_residual
         >>> prior_residual(jnp.zeros(10), jnp.zeros(10)).tolist()
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     """

@@ -48,7 +48,7 @@ def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import pseudo_inertia_of
+        >>> from rbjax.sysid.parameters import pseudo_inertia_of
         >>> ball = jnp.array([2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
         >>> jnp.diag(pseudo_inertia_of(ball)).tolist()
         [0.5, 0.5, 0.5, 2.0]
@@ -65,7 +65,7 @@ def inertial_parameters_of(P: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import inertial_parameters_of
+        >>> from rbjax.sysid.parameters import inertial_parameters_of
         >>> inertial_parameters_of(jnp.diag(jnp.array([0.5, 0.5, 0.5, 2.0]))).tolist()
         [2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0]
     """
@@ -86,7 +86,7 @@ def from_log_cholesky(theta: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import from_log_cholesky
+        >>> from rbjax.sysid.parameters import from_log_cholesky
         >>> from_log_cholesky(jnp.zeros(10)).diagonal().tolist()
         [1.0, 1.0, 1.0, 1.0]
     """
@@ -105,7 +105,7 @@ def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import log_cholesky_parameters
+        >>> from rbjax.sysid.parameters import log_cholesky_parameters
         >>> log_cholesky_parameters(jnp.zeros(10)).tolist()
         [1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 2.0, 0.0, 0.0, 2.0]
     """
@@ -128,7 +128,7 @@ def to_log_cholesky(P: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import to_log_cholesky
+        >>> from rbjax.sysid.parameters import to_log_cholesky
         >>> to_log_cholesky(jnp.eye(4)).tolist()
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
@@ -184,7 +184,7 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import nearest_pseudo_inertia
+        >>> from rbjax.sysid.parameters import nearest_pseudo_inertia
         >>> nearest_pseudo_inertia(jnp.diag(jnp.array([-0.1, 0.5, 0.5, 2.0])), 1e-3).shape
         (4, 4)
     """
@@ -210,7 +210,7 @@ def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.sysid import with_inertial_parameters
+        >>> from rbjax.sysid.parameters import with_inertial_parameters
         >>> model = rb.load("double_pendulum")
         >>> heavier = with_inertial_parameters(model, 2 * rb.inertial_parameters(model))
         >>> (heavier.bodies.mass / model.bodies.mass).round(3).tolist()
@@ -238,7 +238,7 @@ def model_log_cholesky(model: Model) -> jax.Array:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.sysid import model_log_cholesky
+        >>> from rbjax.sysid.parameters import model_log_cholesky
         >>> model_log_cholesky(rb.load("double_pendulum")).shape
         (2, 10)
     """

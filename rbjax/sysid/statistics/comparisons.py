@@ -72,7 +72,7 @@ def held_out(
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import held_out
+        >>> from rbjax.sysid.statistics import held_out
         >>> print(held_out({"a": [1.0, -1.0]}, {"b": [3.0, -3.0]}, unit="mrad").sentence)
         the model fails: on 1 recording outside of the fit its error is 3 mrad RMS, 3 times the
         error on fitted data; failed: the error is 3 times the error on fitted data, above 1.25
@@ -216,7 +216,7 @@ def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
     Source: Seber & Wild, *Nonlinear Regression*, 5.3; Akaike 1974; Schwarz 1978.
 
     Example:
-        >>> from rbjax.sysid import Scored, compare
+        >>> from rbjax.sysid.statistics import Scored, compare
         >>> plain, rubbed = Scored("viscous", 10.0, 3), Scored("viscous + Coulomb", 4.0, 4)
         >>> print(compare(plain, rubbed, 100).sentence)
         viscous + Coulomb earns its place beside viscous: F = 144, p = 8e-21, BIC falls by 87

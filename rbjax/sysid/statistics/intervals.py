@@ -176,7 +176,7 @@ def estimates(
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import estimates
+        >>> from rbjax.sysid.statistics import estimates
         >>> t = np.arange(5.0)
         >>> line = estimates(["offset", "slope"], [1.0, 2.0], np.stack([t**0, t], 1), noise=0.1)
         >>> [round(x, 3) for x in line.interval("slope")]

@@ -158,7 +158,7 @@ def combinations(
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import combinations
+        >>> from rbjax.sysid.statistics import combinations
         >>> t = np.linspace(0.0, 1.0, 9)
         >>> seen = combinations(np.stack([t, 2 * t, t**2, 0 * t], 1), ["a", "b", "c", "d"])
         >>> print("\\n".join(seen.words().splitlines()[1:]))

@@ -57,7 +57,7 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import whiteness
+        >>> from rbjax.sysid.statistics import whiteness
         >>> noise = np.random.default_rng(0).normal(size=500)
         >>> whiteness(noise).white, whiteness(np.cumsum(noise)).white
         (True, False)

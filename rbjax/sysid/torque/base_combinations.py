@@ -65,7 +65,7 @@ def base_parameters(
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.sysid import base_parameters
+        >>> from rbjax.sysid.torque import base_parameters
         >>> base = base_parameters(rb.load("double_pendulum"), joint_terms=["armature"])
         >>> base.rank
         7
@@ -96,7 +96,7 @@ def random_motions(
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.sysid import random_motions
+        >>> from rbjax.sysid.torque import random_motions
         >>> q, v, a = random_motions(rb.load("free_body"), 5)
         >>> q.shape, a.shape
         ((5, 7), (5, 6))

@@ -137,7 +137,7 @@ def consistent(
 
     Example:
         >>> import jax, rbjax as rb
-        >>> from rbjax.sysid import consistent, observation_matrix, random_motions
+        >>> from rbjax.sysid.torque import consistent, observation_matrix, random_motions
         >>> model = rb.load("double_pendulum")
         >>> W = observation_matrix(model, *random_motions(model, 50))
         >>> heavier = model.replace(bodies=model.bodies.replace(mass=1.2 * model.bodies.mass))

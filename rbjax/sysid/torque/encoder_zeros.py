@@ -76,10 +76,11 @@ def regress_with_zeros(
 
     Example:
         >>> import numpy as np, rbjax as rb
-        >>> from rbjax.sysid import Channel, Recording, regress_with_zeros, torque_rows
+        >>> from rbjax.sysid import Channel, Recording
+        >>> from rbjax.sysid.torque import regress_with_zeros, torque_rows
         >>> model, t = rb.load("pendulum"), np.arange(0.0, 4.0, 0.002)
         >>> q, a = np.sin(3 * t)[:, None], -9 * np.sin(3 * t)[:, None]
-        >>> W = rb.sysid.observation_matrix(model, q, 3 * np.cos(3 * t)[:, None], a)
+        >>> W = rb.sysid.torque.observation_matrix(model, q, 3 * np.cos(3 * t)[:, None], a)
         >>> tau = np.asarray(W @ rb.inertial_parameters(model))
         >>> run = Recording("swing", {"q": Channel(t, q - 0.03), "tau": Channel(t, tau)})
         >>> rows = torque_rows(model, run, 5.0).only(["rod.hz", "rod.Iyy"])  # no offset centre
@@ -151,7 +152,8 @@ def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: flo
 
     Example:
         >>> import numpy as np, rbjax as rb
-        >>> from rbjax.sysid import Channel, Recording, torque_rows, zeros_of
+        >>> from rbjax.sysid import Channel, Recording
+        >>> from rbjax.sysid.torque import torque_rows, zeros_of
         >>> model, t = rb.load("pendulum"), np.arange(0.0, 4.0, 0.002)
         >>> still = Recording("still", {"q": Channel(t, 0 * t), "tau": Channel(t, 0 * t)})
         >>> zeros_of(torque_rows(model, still, 5.0), rb.inertial_parameters(model)).tolist()

@@ -140,7 +140,7 @@ def regress(
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import regress
+        >>> from rbjax.sysid.torque import regress
         >>> t = np.linspace(0.0, 1.0, 20)
         >>> line = np.stack([np.ones(20), t], 1)
         >>> found = regress(line, line @ [2.0, -1.0], ["offset", "slope"])

@@ -81,7 +81,7 @@ def regressor(
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.sysid import regressor
+        >>> from rbjax.sysid.torque import regressor
         >>> model = rb.load("double_pendulum")
         >>> s = model.default_state()
         >>> regressor(model, s.q, s.v, s.v, joint_terms=["viscous"]).shape
@@ -136,7 +136,7 @@ def observation_matrix(
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> from rbjax.sysid import observation_matrix
+        >>> from rbjax.sysid.torque import observation_matrix
         >>> model = rb.load("double_pendulum")
         >>> q, v, a = jnp.linspace(0.0, 1.0, 30).reshape(3, 5, 2)
         >>> observation_matrix(model, q, v, a, rows=[1]).shape
@@ -165,7 +165,7 @@ def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str,
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.sysid import parameter_names
+        >>> from rbjax.sysid.torque import parameter_names
         >>> parameter_names(rb.load("pendulum"), ["viscous"])[-2:]
         ('rod.Izz', 'hinge.viscous')
     """
@@ -194,7 +194,7 @@ def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.sysid import parameter_values
+        >>> from rbjax.sysid.torque import parameter_values
         >>> parameter_values(rb.load("double_pendulum"), ["armature"]).shape
         (22,)
     """

@@ -141,7 +141,8 @@ def torque_rows(
 
     Example:
         >>> import numpy as np, rbjax as rb
-        >>> from rbjax.sysid import Channel, Recording, torque_rows
+        >>> from rbjax.sysid import Channel, Recording
+        >>> from rbjax.sysid.torque import torque_rows
         >>> model, t = rb.load("pendulum"), np.arange(0.0, 4.0, 0.002)
         >>> run = Recording("swing", {"q": Channel(t, np.sin(t)), "tau": Channel(t, np.cos(t))})
         >>> rows = torque_rows(model, run, 5.0, joint_terms=["viscous"])

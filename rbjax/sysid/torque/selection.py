@@ -49,7 +49,7 @@ def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Sel
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import select
+        >>> from rbjax.sysid.torque import select
         >>> t, noise = np.linspace(0, 1, 50), np.random.default_rng(1).normal(size=50)
         >>> powers = [t**k for k in range(4)]
         >>> lines = {f"degree {n}": (np.stack(powers[: n + 1], 1), "abcd"[: n + 1])

@@ -106,7 +106,7 @@ def equations(
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import equations
+        >>> from rbjax.sysid.torque import equations
         >>> t = np.linspace(0.0, 1.0, 20)
         >>> line = equations(np.stack([np.ones(20), t], 1), 2.0 - t, ["offset", "slope"])
         >>> line.fit(0.1).beta.round(6).tolist()

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints import Formulation, Multipliers
+from rbjax.constraints import Formulation
 from rbjax.constraints.equations.law import constrained_motion
 from rbjax.constraints.equations.projection import projected
 from rbjax.dynamics.arguments import check_array
@@ -61,14 +61,14 @@ class Constrained(Fidelity):
         6
     """
 
-    formulation: Formulation = eqx.field(static=True, default=Multipliers())
+    formulation: Formulation = eqx.field(static=True, default=Formulation())
     name: ClassVar[str] = "constrained"
 
     def __check_init__(self) -> None:
         if not isinstance(self.formulation, Formulation):
             raise InputError(
                 f"Constrained: formulation is {type(self.formulation).__name__}, expected one of "
-                "rbjax.constraints.formulations(), such as Multipliers()"
+                "rbjax.constraints.formulations(), such as Formulation()"
             )
 
     @property

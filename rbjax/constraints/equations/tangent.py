@@ -10,13 +10,12 @@ of Runge and Kutta makes z from u' and s from v' as Z^T M_0 makes them, and what
 is found again: it never enters. So u and v are integrated as they are, and Z is never made.
 
 (Mani, Haug & Atkinson 1985; Potra & Rheinboldt 1991; Hairer, Lubich & Wanner, *Geometric Numerical
-Integration*, IV.5.3; Masarati, *Multibody System Dynamics*, ch. 8)
+Integration*, IV.5.3; Masarati 7.1.3)
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -30,9 +29,7 @@ from rbjax.constraints.equations.least_change import (
     off,
     off_of,
 )
-from rbjax.constraints.equations.projection import projected
 from rbjax.constraints.equations.system import OnMatrices, gradient_matrix, least_norm, rows_of
-from rbjax.constraints.methods.formulation import Formulation, Multipliers
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import factorize
 from rbjax.dynamics.algorithms.aba import solve as solved
@@ -44,48 +41,8 @@ from rbjax.lanes.products import matmat, matvec
 from rbjax.lanes.proximal import least
 from rbjax.model import Model, State
 
-MULTIPLIERS = Multipliers()
 #: of Newton's method, by bytes of a number: from the error of a stage, below 0.1, to rounding
 ITERATIONS = {4: 3, 8: 5}
-
-
-@dataclass(frozen=True)
-class TangentSpace(Formulation):
-    """Index 0: each stage of a step stands on the constraints, in positions and velocities, and
-    its forces and accelerations are those of that state.
-
-    `Projected` puts states back only where steps end; its stages are off by the square of the step.
-    The two agree to the order of the method. This one is for forces, rows or functions that have no
-    meaning off the constraints, and where a step is to be that of a method in minimal coordinates.
-    It takes a Newton iteration a stage, on arrays of the rows. It acts in `simulate` and in the
-    Runge-Kutta methods of `rollout`; the other integrators see it as `Projected`.
-
-    Fields: of, the formulation that gives the accelerations; iterations, of Newton's method: by the
-    dtype if None, 5 in f64 and 3 in f32.
-
-    Source: Mani, Haug & Atkinson 1985; Hairer, Lubich & Wanner, IV.5.3.
-
-    Example:
-        >>> import rbjax as rb
-        >>> one = rb.constraints.TangentSpace(of=rb.constraints.NullSpaceQR())
-        >>> one.family, one.index
-        ('minimal', 0)
-    """
-
-    of: Formulation = MULTIPLIERS
-    iterations: int | None = None
-    name: ClassVar[str] = "tangent_space"
-    family: ClassVar[str] = "minimal"
-    index: ClassVar[int] = 0
-
-    def __call__(self, model, t, state, tau, pushes):
-        return self.of(model, t, state, tau, pushes)
-
-    def staged(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        return across(model, t, state, t0, start, self.iterations)
-
-    def settled(self, model: Model, t: Any, state: State) -> State:
-        return projected(model, t, self.of.settled(model, t, state))
 
 
 def across(

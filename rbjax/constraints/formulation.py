@@ -1,0 +1,188 @@
+"""Formulations: how the constraints of a model are enforced.
+
+A formulation is the product of three factors, which combine freely:
+
+    method        solves the equations of constrained motion for the accelerations
+    feedback      none, or Baumgarte's: the rows ask for g'' = -2 alpha g' - beta^2 g
+    projection    none; after each step (`Projection`); or at each stage too (`TangentSpace`)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax
+
+from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.tangent import across
+from rbjax.constraints.methods.method import Factor, Method, Multipliers
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.errors import InputError
+from rbjax.model import Model, State
+
+MULTIPLIERS = Multipliers()
+
+
+@dataclass(frozen=True)
+class Baumgarte(Factor):
+    """Feedback of the residual: g'' + 2 alpha g' + beta^2 g = 0, exactly.
+
+    Fields: alpha, beta in 1/s. alpha = beta is critically damped. Large ones make the equations
+    stiff: an explicit step dt needs alpha dt well below 1.
+
+    Source: Baumgarte 1972; Masarati 8.4.
+    """
+
+    alpha: float = 20.0
+    beta: float = 20.0
+    name: ClassVar[str] = "baumgarte"
+
+    @classmethod
+    def for_step(cls, dt: float) -> Baumgarte:
+        """The best feedback for steps dt of semi-implicit Euler without projection:
+        alpha = 1 / (2 dt), beta = 0.3 / dt, by which G v+ = -0.09 g / dt. Three steps of ten take
+        away two thirds of a residual; each adds about |G' v| dt^2 / 2. Other integrators, with
+        stages, want alpha and beta well below 1 / dt.
+
+        Source: Anitescu & Potra 1997 (constraints on the velocity after a step).
+        """
+        if not (isinstance(dt, int | float) and 0 < dt < math.inf):
+            raise InputError(f"Baumgarte.for_step: dt is {dt!r}, expected a positive step, s")
+        return cls(0.5 / dt, 0.3 / dt)
+
+
+@dataclass(frozen=True)
+class Projection(Factor):
+    """Projection after each step: positions and velocities return to the constraints by the least
+    change in the norm of the mass matrix.
+
+    Fields: iterations, of positions and of velocities each; 2 in f64 and 1 in f32 if None.
+
+    Source: Masarati 9.3.3 (drift eliminated at position level).
+    """
+
+    iterations: int | None = None
+    name: ClassVar[str] = "projected"
+
+    def project(self, model: Model, t: Any, state: State) -> State:
+        """The state on the constraints. It is differentiable."""
+        return projected(model, t, state, self.iterations)
+
+    def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
+        """The state at which the rates of a stage are taken, of a step that began at t0 in
+        `start`."""
+        return state
+
+
+@dataclass(frozen=True)
+class TangentSpace(Factor):
+    """Projection at each stage of a step, in positions and velocities, across the tangent space at
+    the start of the step. The forces and accelerations of a stage are those of a consistent state.
+
+    `Projection` acts only at the end of steps; stages are then off the constraints by the square of
+    the step. The two agree to the order of the method. This one is for forces, rows or functions
+    that are undefined off the constraints, and for steps equal to those of a method in minimal
+    coordinates. It takes a Newton iteration per stage, on arrays of the rows. It acts in `simulate`
+    and in the Runge-Kutta methods of `rollout`; with other integrators it acts as `Projection`.
+
+    Fields: iterations, of Newton's method; 5 in f64 and 3 in f32 if None.
+
+    Source: Mani, Haug & Atkinson 1985; Hairer, Lubich & Wanner, IV.5.3; Masarati 7.1.3.
+    """
+
+    iterations: int | None = None
+    name: ClassVar[str] = "tangent_space"
+
+    def project(self, model: Model, t: Any, state: State) -> State:
+        return projected(model, t, state)
+
+    def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
+        return across(model, t, state, t0, start, self.iterations)
+
+
+@dataclass(frozen=True)
+class Formulation:
+    """How constraints are enforced: a method, a feedback and a projection.
+
+    It is a law of motion, (model, t, state, tau, pushes) -> v' (nv,), which `rb.rollout` and
+    `rb.simulate` take as `constraints=`. They also take one factor: the others are then the
+    defaults here.
+
+    Example:
+        >>> from rbjax.constraints import KKT, Baumgarte, Formulation, Projection
+        >>> both = Formulation(KKT(), Baumgarte(10.0, 10.0), Projection())
+        >>> both.name, both.family, both.index
+        ('kkt+baumgarte+projected', 'redundant', 1)
+    """
+
+    method: Method = MULTIPLIERS
+    feedback: Baumgarte | None = None
+    projection: Projection | TangentSpace | None = None
+
+    def __post_init__(self) -> None:
+        for name, kinds in (
+            ("method", (Method,)),
+            ("feedback", (Baumgarte, type(None))),
+            ("projection", (Projection, TangentSpace, type(None))),
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, kinds):
+                known = " or ".join(x.__name__ for x in kinds).replace("NoneType", "None")
+                raise InputError(f"Formulation({name}=...): got {value!r}, expected {known}")
+        if self.feedback is not None and not self.method.has_feedback:
+            raise InputError(
+                f"Formulation: {type(self.method).__name__} has no feedback of residuals; leave "
+                "feedback out"
+            )
+
+    @property
+    def name(self) -> str:
+        """The factors that are not the default, joined by "+"."""
+        factors = () if self.method == MULTIPLIERS else (self.method,)
+        factors += tuple(x for x in (self.feedback, self.projection) if x is not None)
+        return "+".join(x.name for x in factors or (self.method,))
+
+    @property
+    def family(self) -> str:
+        """That of the method; "minimal" (Masarati 7) with `TangentSpace`."""
+        return "minimal" if isinstance(self.projection, TangentSpace) else self.method.family
+
+    @property
+    def index(self) -> int:
+        """That of the method; 0 with `TangentSpace`."""
+        return 0 if isinstance(self.projection, TangentSpace) else self.method.index
+
+    def __call__(
+        self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
+    ) -> jax.Array:
+        """v' (nv,), as `rbjax.motion.field.Law`."""
+        x = self.feedback
+        gains = () if x is None else (x.alpha, x.beta)
+        return self.method(model, t, state, tau, pushes, *gains)
+
+    def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
+        """The state at which the rates of a stage are taken, of a step that began at t0 in `start`;
+        and the state at the end of the step, before it is projected."""
+        if self.projection is None:
+            return state
+        return self.projection.stage_state(model, t, state, t0, start)
+
+    def project(self, model: Model, t: Any, state: State) -> State:
+        """The state after a step, from which the next one starts."""
+        if self.projection is None:
+            return state
+        model = self.method.projected_rows(model)
+        return self.projection.project(model, t, state) if model.constraints else state
+
+
+def as_formulation(x: Any) -> Formulation | None:
+    """A formulation from itself or from one of its factors; None if it is neither."""
+    if isinstance(x, Formulation):
+        return x
+    if isinstance(x, Method):
+        return Formulation(x)
+    if isinstance(x, Baumgarte):
+        return Formulation(feedback=x)
+    return Formulation(projection=x) if isinstance(x, Projection | TangentSpace) else None

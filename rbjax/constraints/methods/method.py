@@ -1,0 +1,83 @@
+"""Methods: how the equations of constrained motion are solved for the accelerations.
+
+A method is one factor of a `Formulation`. It is hashable and a compile-time constant.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax
+
+from rbjax.arguments import integer, real_number
+from rbjax.constraints.equations.law import constrained_motion
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.errors import InputError
+from rbjax.model import Model, State
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A factor of a formulation: a frozen dataclass of parameters, which are checked."""
+
+    def __post_init__(self) -> None:
+        """Reject parameters that are not numbers of at least 0, or integers of at least 1."""
+        name = type(self).__name__
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.type == "float" and not isinstance(value, jax.core.Tracer):
+                if isinstance(value, bool):
+                    raise InputError(
+                        f"{name}: {field.name} is {value!r}, expected a number of at least 0"
+                    )
+                real_number(name, field.name, value, least=0.0)
+            if field.type == "int" or (field.type == "int | None" and value is not None):
+                integer(name, field.name, value, least=1)
+
+
+@dataclass(frozen=True)
+class Method(Factor):
+    """A method for the accelerations of constrained motion. Make a frozen dataclass of it.
+
+    Class fields:
+        name: in `rb.constraints.formulations()`.
+        family: "minimal", "redundant" or "unconstrained" (Masarati 7, 8, 9).
+        index: of the differential-algebraic equations that it solves, 0 without multipliers.
+        has_feedback: whether `Baumgarte` applies to it.
+    """
+
+    name: ClassVar[str]
+    family: ClassVar[str]
+    index: ClassVar[int]
+    has_feedback: ClassVar[bool] = True
+
+    def __call__(
+        self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces,
+        alpha: Any = 0.0, beta: Any = 0.0,
+    ) -> jax.Array:  # fmt: skip
+        """v' (nv,) with g'' = -2 alpha g' - beta^2 g."""
+        raise NotImplementedError(f"{type(self).__name__} has no accelerations")
+
+    def projected_rows(self, model: Model) -> Model:
+        """The model with the constraints that a projection enforces."""
+        return model
+
+
+@dataclass(frozen=True)
+class Multipliers(Method):
+    """Index 1, by the range space of the rows: A l = c - G a_f, with the factors of ABA.
+
+    Without feedback and projection the residual after a time t is g_0 + g'_0 t, plus the error of
+    the integrator.
+
+    Source: Masarati 8.3; Carpentier, Budhiraja & Mansard 2021.
+    """
+
+    name: ClassVar[str] = "multipliers"
+    family: ClassVar[str] = "redundant"
+    index: ClassVar[int] = 1
+
+    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
+        return constrained_motion(model, t, state, tau, pushes, alpha, beta)[0]

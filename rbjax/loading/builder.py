@@ -1,0 +1,280 @@
+"""Robots built by calls: bodies, joints, shapes, sites, motors, and other robots attached to them.
+
+The robot is a `mujoco.MjSpec`, which `build` loads as any file.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rbjax.arguments import choice, real_array
+from rbjax.errors import InputError, UnknownName
+from rbjax.loading.loader import load, spec_of
+from rbjax.loading.write.mjcf import write_mjcf
+from rbjax.model import Model
+
+_JOINTS = {
+    "hinge": mujoco.mjtJoint.mjJNT_HINGE, "slide": mujoco.mjtJoint.mjJNT_SLIDE,
+    "ball": mujoco.mjtJoint.mjJNT_BALL, "free": mujoco.mjtJoint.mjJNT_FREE,
+}  # fmt: skip
+_GEOMS = {
+    name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}")
+    for name in ("sphere", "capsule", "ellipsoid", "cylinder", "box", "plane")
+}
+
+
+class ModelBuilder:
+    """A robot that is built step by step. Positions and orientations (quaternions) are in the frame
+    of the body that is named, or of the world if that is None.
+
+    Args:
+        source: a robot to begin with, of any kind that `attach` takes; None for an empty world.
+        gravity: (3,) m/s^2. timestep: s. None keeps those of the source.
+
+    Example:
+        >>> import rbjax as rb
+        >>> builder = rb.ModelBuilder()
+        >>> builder.add_body("arm", mass=1.0, com=[0, 0, -0.5], inertia=[0.1, 0.1, 0.01])
+        >>> builder.add_joint("shoulder", "arm", axis=[0, 1, 0], damping=0.1)
+        >>> builder.add_site("tip", "arm", position=[0, 0, -1.0])
+        >>> builder.add_motor("motor", "shoulder", gear=5.0)
+        >>> model = builder.build()
+        >>> model.nv, model.nu, model.site_names
+        (1, 1, ('tip',))
+    """
+
+    def __init__(self, source: Any = None, *, gravity: Any = None, timestep: float | None = None):
+        self.spec = mujoco.MjSpec() if source is None else _spec(source)
+        if source is None:
+            self.spec.compiler.degree = False
+        if gravity is not None:
+            self.spec.option.gravity = _vector("ModelBuilder", "gravity", gravity, 3)
+        if timestep is not None:
+            self.spec.option.timestep = timestep
+
+    def add_body(
+        self, name: str, parent: str | None = None, *, position: Any = (0, 0, 0),
+        orientation: Any = (1, 0, 0, 0), mass: float | None = None, com: Any = (0, 0, 0),
+        inertia: Any = None,
+    ) -> None:  # fmt: skip
+        """Add a body, welded to its parent until it has joints.
+
+        Args:
+            name: of the body.
+            parent: a body; None for the world.
+            position: (3,) m. orientation: (4,).
+            mass: kg; None takes mass and inertia from the body's geoms.
+            com: (3,) m.
+            inertia: kg m^2 about the com in the body's axes: (3,) diagonal, or (3, 3).
+        """
+        where = "ModelBuilder.add_body"
+        body = self._body(parent).add_body(name=name, **_pose(where, position, orientation))
+        if mass is None:
+            return
+        body.mass, body.ipos = float(mass), _vector(where, "com", com, 3)
+        I = np.asarray(np.zeros(3) if inertia is None else inertia, float)
+        I = np.diag(_vector(where, "inertia", I, 3)) if I.ndim == 1 else I
+        if I.shape != (3, 3):
+            raise InputError(f"{where}: inertia has shape {I.shape}, expected (3,) or (3, 3)")
+        body.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
+        body.explicitinertial = True
+
+    def add_joint(
+        self, name: str, body: str, kind: str = "hinge", *, axis: Any = (0, 0, 1),
+        position: Any = (0, 0, 0), range: Any = None, **numbers: float,
+    ) -> None:  # fmt: skip
+        """Add a joint between a body and its parent, after those that the body has.
+
+        Args:
+            name: of the joint.
+            body: the body that it moves.
+            kind: "hinge", "slide", "ball" or "free".
+            axis: (3,) of a hinge or slide, in the body's frame.
+            position: (3,) m, the anchor in the body's frame.
+            range: (2,) rad or m, least and largest coordinate.
+            numbers: damping, stiffness, springref, armature, frictionloss, ref, in MuJoCo's words.
+        """
+        choice("kind of joint", kind, _JOINTS)
+        given: dict[str, Any] = {"name": name, "type": _JOINTS[kind]}
+        if kind in ("hinge", "slide"):
+            given["axis"] = _vector("ModelBuilder.add_joint", "axis", axis, 3)
+        if kind != "free":
+            given["pos"] = _vector("ModelBuilder.add_joint", "position", position, 3)
+        if range is not None:
+            given["range"] = _vector("ModelBuilder.add_joint", "range", range, 2)
+        known = ("damping", "stiffness", "springref", "armature", "frictionloss", "ref")
+        for key, x in numbers.items():
+            choice("number of a joint", key, known)
+            polynomial = key in ("damping", "stiffness")
+            given[key] = [x, 0.0, 0.0] if polynomial else x
+        joint = self._body(body).add_joint(**given)
+        if joint.compiler.degree and kind in ("hinge", "ball"):
+            joint.range = np.rad2deg(joint.range)
+            joint.ref, joint.springref = np.rad2deg([joint.ref, joint.springref])
+
+    def add_geom(
+        self, name: str, body: str | None, kind: str, size: Any, *, position: Any = (0, 0, 0),
+        orientation: Any = (1, 0, 0, 0), **numbers: Any,
+    ) -> None:  # fmt: skip
+        """Add a shape to a body.
+
+        Args:
+            name: of the geom.
+            body: None for the world.
+            kind: "sphere", "capsule", "ellipsoid", "cylinder", "box" or "plane".
+            size: one to three numbers in m, as `model.geoms.size` has them.
+            position: (3,) m. orientation: (4,).
+            numbers: MuJoCo's, such as friction, density, mass, contype, conaffinity, rgba.
+        """
+        choice("kind of geom", kind, _GEOMS)
+        sizes = np.zeros(3)
+        given = np.atleast_1d(np.asarray(size, float))
+        sizes[: given.size] = given
+        pose = _pose("ModelBuilder.add_geom", position, orientation)
+        self._body(body).add_geom(name=name, type=_GEOMS[kind], size=sizes, **pose, **numbers)
+
+    def add_site(
+        self, name: str, body: str | None, *, position: Any = (0, 0, 0),
+        orientation: Any = (1, 0, 0, 0),
+    ) -> None:  # fmt: skip
+        """Add a frame to a body. position: (3,) m. orientation: (4,)."""
+        pose = _pose("ModelBuilder.add_site", position, orientation)
+        self._body(body).add_site(name=name, **pose)
+
+    def add_motor(self, name: str, joint: str, *, gear: float = 1.0, ctrlrange: Any = None) -> None:
+        """Add a motor to a joint: gear times its control, in N m or N."""
+        self._joint(joint)
+        given: dict[str, Any] = {} if ctrlrange is None else {"ctrlrange": ctrlrange}
+        self.spec.add_actuator(
+            name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gear=[gear, 0, 0, 0, 0, 0], **given,
+        )  # fmt: skip
+
+    def attach(
+        self, source: Any, parent: str | None = None, *, prefix: str = "",
+        position: Any = (0, 0, 0), orientation: Any = (1, 0, 0, 0),
+    ) -> None:  # fmt: skip
+        """Attach another robot to a body, with its joints, actuators, sites and shapes.
+
+        Args:
+            source: what `load` takes, a `Model`, or another builder. A model and a URDF come
+                without shapes, every robot without its floor.
+            parent: a body; None for the world.
+            prefix: for all names of the robot. Names must differ from those that are here.
+            position: (3,) m. orientation: (4,).
+        """
+        pose = _pose("ModelBuilder.attach", position, orientation)
+        other = _spec(source)
+        floors = [x for x in other.worldbody.geoms if x.type == mujoco.mjtGeom.mjGEOM_PLANE]
+        for x in (*other.keys, *floors):
+            other.delete(x)
+        frame = self._body(parent).add_frame(**pose)
+        self.spec.attach(other, prefix=prefix, frame=frame)
+        self._forget_keyframes()
+
+    def lock(self, joint: str, q: Any = None) -> None:
+        """Remove a joint, at the coordinates q; None for those in which the robot is drawn.
+
+        Its actuators, equalities and sensors go too, and the keyframes of the robot. A robot with
+        a tendon over the joint cannot be built any more.
+        """
+        own = self._joint(joint)
+        body, kind = own.parent, mujoco.mjtJoint(own.type).name[6:].lower()
+        n = {"ball": 4, "free": 7}.get(kind, 1)
+        if q is not None:
+            _move(body, own, kind, _vector("ModelBuilder.lock", "q", q, n))
+        spec = self.spec
+        for x in (*spec.actuators, *spec.equalities, *spec.sensors):
+            ends = [getattr(x, end, "") for end in ("target", "name1", "name2", "objname")]
+            if joint in ends:
+                spec.delete(x)
+        spec.delete(own)
+        self._forget_keyframes()
+
+    def build(self, **options: Any) -> Model:
+        """The model. options: those of `load`."""
+        return load(self.spec.copy(), **options)
+
+    def _forget_keyframes(self) -> None:
+        for key in list(self.spec.keys):
+            self.spec.delete(key)
+
+    def _body(self, name: str | None) -> Any:
+        if name is None:
+            return self.spec.worldbody
+        found = self.spec.body(name)
+        if found is None:
+            raise UnknownName("body", name, [b.name for b in self.spec.bodies])
+        return found
+
+    def _joint(self, name: str) -> Any:
+        found = self.spec.joint(name)
+        if found is None:
+            raise UnknownName("joint", name, [j.name for j in self.spec.joints])
+        return found
+
+
+def _spec(source: Any) -> mujoco.MjSpec:
+    """A spec of its own for what `ModelBuilder.attach` takes."""
+    if isinstance(source, ModelBuilder):
+        return source.spec.copy()
+    if isinstance(source, Model):
+        return mujoco.MjSpec.from_string(write_mjcf(source))
+    spec = spec_of(source)
+    return mujoco.MjSpec.from_string(write_mjcf(load(source))) if spec is None else spec
+
+
+def _vector(where: str, name: str, value: Any, size: int) -> np.ndarray:
+    """Numbers (size,)."""
+    found = real_array(where, name, value, f"({size},) numbers", ndim=1)
+    if found.size != size:
+        raise InputError(f"{where}: {name} has {found.size} numbers, expected {size}")
+    return found
+
+
+def _pose(where: str, position: Any, orientation: Any) -> dict[str, np.ndarray]:
+    quat = _vector(where, "orientation", orientation, 4)
+    return {"pos": _vector(where, "position", position, 3), "quat": quat}
+
+
+def _move(body: Any, joint: Any, kind: str, q: np.ndarray) -> None:
+    """Move a body as a joint at q would. Joints before it, whose axes are in the body's frame, keep
+    their place in the parent's."""
+    turn, identity = np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    shift = np.zeros(3)
+    if kind in ("ball", "free"):
+        turn = q[-4:] / np.linalg.norm(q[-4:])
+    else:
+        turning = kind == "hinge"
+        ref = np.deg2rad(joint.ref) if turning and joint.compiler.degree else joint.ref
+        axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
+        if turning:
+            mujoco.mju_axisAngle2Quat(turn, axis, float(q[0] - ref))
+        else:
+            shift = axis * (q[0] - ref)
+    if kind == "free":
+        body.pos, body.quat = q[:3], turn
+        return
+    R = _matrix(turn)
+    shift = shift + np.asarray(joint.pos) - R @ np.asarray(joint.pos)
+    for other in body.joints[: [x.name for x in body.joints].index(joint.name)]:
+        if other.type == mujoco.mjtJoint.mjJNT_BALL and (turn != identity).any():
+            raise InputError(
+                f"ModelBuilder.lock: {joint.name!r} turns after the ball {other.name!r} of its "
+                "body, whose coordinates would change; lock the ball first"
+            )
+        other.pos = R.T @ (np.asarray(other.pos) - shift)
+        other.axis = R.T @ np.asarray(other.axis)
+    old = np.array(body.quat, float)
+    body.pos = np.asarray(body.pos) + _matrix(old) @ shift
+    mujoco.mju_mulQuat(turn, old, turn.copy())
+    body.quat = turn
+
+
+def _matrix(quat: np.ndarray) -> np.ndarray:
+    out = np.empty(9)
+    mujoco.mju_quat2Mat(out, quat)
+    return out.reshape(3, 3)

@@ -1,0 +1,47 @@
+"""The geometry of a robot: shapes fixed to its bodies."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+
+from rbjax.model.record import Record
+
+
+class Geoms(Record):
+    """Shapes fixed to bodies, with the numbers and names of MuJoCo's geoms. Nothing collides yet.
+
+    Fields:
+        size: (ng, 3) m. A sphere's radius; radius and half length of a capsule or cylinder;
+            semi-axes of an ellipsoid; half sides of a box; half sides of a plane, 0 if it is
+            infinite; half sides of the box about a mesh.
+        position: (ng, 3) m, in the frame of the body.
+        orientation: (ng, 4) quaternion, in the frame of the body.
+        friction: (ng, 3) sliding, torsional (m) and rolling (m).
+        solref: (ng, 2) reference of the contact.
+        solimp: (ng, 5) impedance of the contact.
+        margin, gap: (ng,) m, distance from which a contact counts, and acts.
+        names, types: of each geom; a type is MuJoCo's, such as "box"; static.
+        bodies: the body of each geom, -1 for the world; static.
+        contype, conaffinity: bit masks of what may collide; static.
+        condim, priority, group: as in MuJoCo; static.
+        rgba: colour and opacity; static.
+    """
+
+    size: jax.Array
+    position: jax.Array
+    orientation: jax.Array
+    friction: jax.Array
+    solref: jax.Array
+    solimp: jax.Array
+    margin: jax.Array
+    gap: jax.Array
+    names: tuple[str, ...] = eqx.field(static=True)
+    types: tuple[str, ...] = eqx.field(static=True)
+    bodies: tuple[int, ...] = eqx.field(static=True)
+    contype: tuple[int, ...] = eqx.field(static=True)
+    conaffinity: tuple[int, ...] = eqx.field(static=True)
+    condim: tuple[int, ...] = eqx.field(static=True)
+    priority: tuple[int, ...] = eqx.field(static=True)
+    group: tuple[int, ...] = eqx.field(static=True)
+    rgba: tuple[tuple[float, ...], ...] = eqx.field(static=True)
