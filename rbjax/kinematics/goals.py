@@ -115,7 +115,7 @@ def _check_length(name: str, x: jax.Array | None) -> None:
         raise InputError(f"Goal: {name} is the zero vector, expected one with a direction")
 
 
-class Miss:
+class GoalErrors:
     """The errors of all goals at a configuration, and the Jacobian, row by row on lanes.
 
     errors: the lanes of e; rows: of each the lanes of J, nv in number, zero where a coordinate does
@@ -209,16 +209,16 @@ def body_of(model: Model, goal: Goal) -> int:
     return model.body(goal.body or "")
 
 
-def written_out(model: Model, dtype: Any) -> Unrolled:
-    """The driver for `Miss`, made once and used at many configurations."""
+def unrolled_driver(model: Model, dtype: Any) -> Unrolled:
+    """The driver for `GoalErrors`, made once and used at many configurations."""
     return Unrolled(model, prepare(model, dtype))
 
 
 def errors(model: Model, goals: Sequence[Goal], q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """e (m,) and J (m, nv) as arrays, without weights."""
-    miss = Miss(model, written_out(model, q.dtype), goals, q)
-    e = jnp.stack([jnp.asarray(x, q.dtype) for x in miss.errors])
-    rows = [jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in miss.rows]
+    goal_errors = GoalErrors(model, unrolled_driver(model, q.dtype), goals, q)
+    e = jnp.stack([jnp.asarray(x, q.dtype) for x in goal_errors.errors])
+    rows = [jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in goal_errors.rows]
     return e, jnp.stack(rows)
 
 

@@ -228,12 +228,12 @@ def _inlined(
     tolerance: Any, *, searches: tuple[int, int], how: Settings,
 ) -> InverseKinematics:  # fmt: skip
     """searches: how many run side by side, and the starts of each."""
-    dtype, limits, (beside, each) = tolerance[0].dtype, how.limits, searches
+    dtype, limits, (side, each) = tolerance[0].dtype, how.limits, searches
     if start is None:
         start = _middle(model, dtype) if limits else model.joints.reference.astype(dtype)
     ranges = Ranges(model, dtype, limits)
     start = jnp.stack([jnp.asarray(x, dtype) for x in ranges.within(list(start))])
-    others = random_configurations(model, key, beside * each - 1, start, limits)
+    others = random_configurations(model, key, side * each - 1, start, limits)
     moving, closed = split_tracers((model, goals, start, others, posture, weights, tolerance))
 
     def one(start: jax.Array, others: jax.Array, moving: list) -> Found:
@@ -244,9 +244,9 @@ def _inlined(
 
     def found(moving: list) -> Found:
         _, _, start, others, _, weights, _ = closed(moving)
-        if beside == 1:
+        if side == 1:
             return run(start, others, moving)
-        starts = jnp.concatenate([start[None], others]).reshape(beside, each, -1)
+        starts = jnp.concatenate([start[None], others]).reshape(side, each, -1)
         return _best(jax.vmap(run, (0, 0, None))(starts[:, 0], starts[:, 1:], moving), weights)
 
     ruled = jax.custom_jvp(found)
@@ -256,11 +256,11 @@ def _inlined(
 
         def at(moving: list, rate: Any) -> jax.Array:
             model, goals, _, _, posture, _, _ = closed(moving)
-            return _rate(model, goals, posture, limits, out, rate)
+            return _configuration_rate(model, goals, posture, limits, out, rate)
 
         def known(moving: list) -> Any:
             model, goals, _, _, posture, _, _ = closed(moving)
-            return _conditions(model, goals, posture, out.q)
+            return _stationarity_conditions(model, goals, posture, out.q)
 
         _, rate = jax.jvp(known, primals, tangents)
         still = jax.tree.map(_no_tangent, out)
@@ -278,14 +278,14 @@ _program = compiled(_inlined, static_argnames=("searches", "how"))
 
 def _best(found: Found, weights: Any) -> Found:
     """Of searches side by side, the one that converged in the fewest steps, else the nearest."""
-    beside = found.converged.shape[0]
+    side = found.converged.shape[0]
     off = jnp.hypot(weights[0] * found.rotation, weights[1] * found.position)
     last = jnp.where(jnp.isfinite(off), off, jnp.inf)
     turns = found.iterations.astype(off.dtype)
     first = jnp.where(found.converged, turns - 1 - turns.max(), last)  # those that did are below 0
     i = jnp.argmin(first)
     out = jax.tree.map(lambda x: x[i], found)
-    return out._replace(iterations=found.iterations.sum(), start=out.start * beside + i)
+    return out._replace(iterations=found.iterations.sum(), start=out.start * side + i)
 
 
 def _no_tangent(x: jax.Array) -> Any:
@@ -303,79 +303,79 @@ def _middle(model: Model, dtype: Any) -> jax.Array:
     return jnp.stack(q)
 
 
-def _conditions(model: Model, goals: Any, posture: Any, q: jax.Array) -> Any:
+def _stationarity_conditions(model: Model, goals: Any, posture: Any, q: jax.Array) -> Any:
     """The conditions that are zero at a solution q, without multipliers: e, and with a posture
     also the parts s = p - q and J of s - J^T y."""
     e, J = errors(model, goals, q)
     if posture is None:
         return e
-    return e, _wish(model, q, posture), J
+    return e, _posture_step(model, q, posture), J
 
 
-def _wish(model: Model, q: jax.Array, posture: jax.Array) -> jax.Array:
+def _posture_step(model: Model, q: jax.Array, posture: jax.Array) -> jax.Array:
     lanes = difference_lanes(model.topology, list(q), list(posture))
     return jnp.stack([jnp.asarray(x, q.dtype) for x in lanes])
 
 
-def _moved(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
+def _retract(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
     return jnp.stack(integrate_lanes(model.topology, list(q), list(u)))
 
 
-def _rate(
+def _configuration_rate(
     model: Model, goals: Any, posture: Any, limits: bool, found: Found, rate: Any
 ) -> jax.Array:
     """The rate of q (nq,) at a solution, from those of its conditions at constant q."""
     q = found.q
     _, J = errors(model, goals, q)
     ranges = Ranges(model, q.dtype, limits)
-    free = _free(model, ranges, q, None if posture is None else _wish(model, q, posture))
+    free = _free(model, ranges, q, None if posture is None else _posture_step(model, q, posture))
     if posture is None:
-        held = J * free
-        rows = [list(r) for r in matmat(held, held.T)]
+        J = J * free
+        rows = [list(r) for r in matmat(J, J.T)]
         least = REDUNDANT * float(jnp.finfo(q.dtype).eps)
         y = jnp.stack(ldlt(rows, least=least).solve(list(rate)))
-        dq = matvec(held.T, y)
+        dq = matvec(J.T, y)
     else:
-        dq = _rate_with_posture(model, goals, posture, q, J, free, rate)
+        dq = _configuration_rate_with_posture(model, goals, posture, q, J, free, rate)
     dq = jnp.where(found.converged, dq, 0.0)
-    return jax.jvp(lambda u: _moved(model, q, u), (jnp.zeros_like(dq),), (dq,))[1]
+    return jax.jvp(lambda u: _retract(model, q, u), (jnp.zeros_like(dq),), (dq,))[1]
 
 
-def _rate_with_posture(
+def _configuration_rate_with_posture(
     model: Model, goals: Any, posture: jax.Array, q: jax.Array, J: jax.Array, free: jax.Array,
     rate: Any,
 ) -> jax.Array:  # fmt: skip
     """dq of  H dq + J^T dy = dF,  J dq = de,  for coordinates that are free."""
     de, ds, dJ = rate
     n, m = J.shape[1], J.shape[0]
-    held = J * free
-    square = matmat(held, held.T)
+    J = J * free
+    square = matmat(J, J.T)
     least = 8 * jnp.finfo(q.dtype).eps * jnp.trace(square)
     rows = [list(r) for r in square + least * jnp.eye(m, dtype=q.dtype)]
-    y = jnp.stack(ldlt(rows).solve(list(matvec(held, _wish(model, q, posture)))))
+    y = jnp.stack(ldlt(rows).solve(list(matvec(J, _posture_step(model, q, posture)))))
 
     def F(u: jax.Array) -> jax.Array:
-        there = _moved(model, q, u)
-        return _wish(model, there, posture) - matvec(errors(model, goals, there)[1].T, y)
+        there = _retract(model, q, u)
+        return _posture_step(model, there, posture) - matvec(errors(model, goals, there)[1].T, y)
 
     H = -jax.jacfwd(F)(jnp.zeros(n, q.dtype))
     both = free[:, None] * free[None, :]
     H = H * both + jnp.diag(1 - free)
     corner = -least * jnp.eye(m, dtype=q.dtype)
-    system = jnp.block([[H, held.T], [held, corner]])
+    system = jnp.block([[H, J.T], [J, corner]])
     dF = free * (ds - matvec(dJ.T, y))
     return jnp.linalg.solve(system, jnp.concatenate([dF, de]))[:n]
 
 
-def _free(model: Model, ranges: Ranges, q: jax.Array, wish: jax.Array | None) -> jax.Array:
+def _free(model: Model, ranges: Ranges, q: jax.Array, step: jax.Array | None) -> jax.Array:
     """1 for each velocity coordinate, and 0 for one that stays at the end of its range: with a
     posture where that lies beyond it."""
     out = [jnp.ones((), q.dtype)] * model.nv
     for at in ranges.bounded:
         x = q[at.q]
         low, high = x <= at.lower, x >= at.upper
-        if wish is not None:
-            low, high = low & (wish[at.v] < 0), high & (wish[at.v] > 0)
+        if step is not None:
+            low, high = low & (step[at.v] < 0), high & (step[at.v] > 0)
         out[at.v] = jnp.where(low | high, 0.0, 1.0).astype(q.dtype)
     return jnp.stack(out)
 

@@ -45,12 +45,16 @@ STEPS = 8
 
 
 class DifferentialInverseKinematics(Record):
-    """Fields: v (nv,) within the limits; residual (m,), the requested minus the actual velocities,
-    goal by goal, rotation before position; optimal, the largest entry of the projected gradient."""
+    """The result of `differential_inverse_kinematics`.
+
+    v: (nv,), within the limits.
+    residual: (m,), the requested minus the actual velocities, goal by goal, rotation first.
+    optimality: (), the largest entry of the projected gradient.
+    """
 
     v: jax.Array
     residual: jax.Array
-    optimal: jax.Array
+    optimality: jax.Array
 
 
 def differential_inverse_kinematics(
@@ -143,8 +147,8 @@ def _solved(
     weights = jnp.stack([jnp.asarray(g.weight, q.dtype) for g in goals for _ in range(g.rows)])
     A, b = J * weights[:, None], rate * e * weights
     H = matmat(A.T, A) + damping * jnp.eye(model.nv, dtype=q.dtype)
-    v, optimal = bounded_quadratic(H, matvec(A.T, b) + damping * v0, low, high)
-    return DifferentialInverseKinematics(v, rate * e - matvec(J, v), optimal)
+    v, optimality = bounded_quadratic(H, matvec(A.T, b) + damping * v0, low, high)
+    return DifferentialInverseKinematics(v, rate * e - matvec(J, v), optimality)
 
 
 class _Set(NamedTuple):
@@ -160,7 +164,11 @@ def bounded_quadratic(
     H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """x of min x^T H x / 2 - g^T x, low <= x <= high, H positive definite, and the largest entry of
-    the projected gradient there."""
+    the projected gradient there.
+
+    An active set method. The projected Newton steps of `box_qp` stall on ill-conditioned H: with
+    damping 1e-6 a third of random problems of 20 joints and 6 rows ended away from the optimum.
+    """
     n, dtype = g.shape[0], g.dtype
 
     def solved(H: jax.Array, free: jax.Array, down: jax.Array) -> jax.Array:

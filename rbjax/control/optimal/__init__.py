@@ -8,9 +8,10 @@ of the methods (`registry`): those of `shooting` or of `collocation`. A solution
 """
 
 from rbjax.control.optimal.clearances import Capsule, Clearance, HalfSpace, Sphere
+from rbjax.control.optimal.controller_memory import TickStatus
 from rbjax.control.optimal.problem import Design, Problem
 from rbjax.control.optimal.real_time import RealTime
-from rbjax.control.optimal.receding_horizon import PredictiveController, TickStatus, mpc
+from rbjax.control.optimal.receding_horizon import PredictiveController, mpc
 from rbjax.control.optimal.registry import Method, methods
 from rbjax.control.optimal.residuals import (
     Acceleration,
