@@ -123,7 +123,7 @@ tree = rb.load(
     f"""<mujoco><option gravity="0 0 0"/><worldbody>{"".join(bodies)}</worldbody>
     <actuator><motor joint="K1"/></actuator></mujoco>"""
 )
-on = rb.forces.Anchor.on
+on = rb.forces.Place.on
 ends = on(point=[0.014, 0.072, 0]), on(body="K3", point=[0.02, -0.018, 0])
 spring = rb.forces.PointSpring.of(*ends, stiffness=4530.0, length=0.07785)
 E = {"K2": [-0.028, 0, 0], "K3": [0, -0.035, 0], "K4": [0, -0.02, 0], "K6": [0.02, 0, 0]}

@@ -87,14 +87,26 @@ def compiled(
     options: Callable[[], dict[str, Any]] = compiler_options,
     **how: Any,
 ) -> Callable:
-    """`jit(f, **how)`, with `options` for calls outside of any trace: JAX accepts options only at
-    the outermost `jit`."""
+    """`jit(f, **how)`, with `options` for calls outside of any trace."""
+    program = jitted(f, jit, options, **how)
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        return program()(*args, **kwargs)
+
+    return call
+
+
+def jitted(
+    f: Callable,
+    jit: Callable = jax.jit,
+    options: Callable[[], dict[str, Any]] = compiler_options,
+    **how: Any,
+) -> Callable[[], Callable]:
+    """A function that returns `jit(f, **how)`: with `options` outside of any trace, without them
+    inside. JAX accepts options only at the outermost `jit`."""
 
     @functools.cache
     def program(with_options: bool) -> Callable:
         return jit(f, compiler_options=options() if with_options else None, **how)
 
-    def call(*args: Any, **kwargs: Any) -> Any:
-        return program(alone())(*args, **kwargs)
-
-    return call
+    return lambda: program(alone())

@@ -27,9 +27,18 @@ def automatic(f: F) -> F:
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
+        if not on_explicit_axes(args, kwargs):
+            return f(*args, **kwargs)
         return on_auto_axes(lambda args, kwargs: f(*args, **kwargs), args, kwargs)
 
     return cast(F, call)
+
+
+def on_explicit_axes(*args: Any) -> bool:
+    """Whether arrays among the arguments, or the traced program, are on explicit axes."""
+    if jax.sharding.get_abstract_mesh().explicit_axes:
+        return True
+    return any(_on(x).mesh.explicit_axes for x in jax.tree.leaves(args))
 
 
 def on_auto_axes(f: Callable, *args: Any, along: Sequence[jax.Array] = ()) -> Any:

@@ -99,6 +99,8 @@ WHEELED: Room = {
         "path": POSES, "pose": [0.1, 0.1, 0], "speed": 1.0, "wheelbase": 0.5, "gain": 1.0,
         "soft": 0.5,
     }),
+    "reduced": (wheeled.reduced, {"vehicle": ON, "state": REST, "controls": [0.1, 0.1]}),
+    "undetermined": (wheeled.undetermined, {"vehicle": ON, "state": REST, "controls": [0.1, 0.1]}),
     "rates": (wheeled.rates, {"vehicle": ON, "state": REST, "controls": [0.1, 0.1]}),
     "contacts": (wheeled.contacts, {
         "vehicle": HELD, "state": wheeled.start(HELD), "controls": [0.1, 0.1],

@@ -207,7 +207,7 @@ def doors() -> Iterator[tuple[str, Callable, dict[str, Any]]]:
         "law": field.free_motion, "adjoint": diffrax.RecursiveCheckpointAdjoint(),
     }  # fmt: skip
     yield "load", rb.load, {"source": "pendulum"}
-    spring = F.PointSpring.of(F.Anchor.on(), F.Anchor.on(body="pole"))
+    spring = F.PointSpring.of(F.Place.on(), F.Place.on(body="pole"))
     yield "with_forces", MODEL.with_forces, {"elements": spring}
     for leaf in ("mass", "inertia", "orientation"):
         yield "bodies.replace", MODEL.bodies.replace, {leaf: getattr(MODEL.bodies, leaf)}
@@ -220,7 +220,7 @@ def doors() -> Iterator[tuple[str, Callable, dict[str, Any]]]:
     for kind, given in numbers_of_elements().items():
         yield kind, functools.partial(pushed, getattr(F, kind)), given
     yield "PointSpring.of", spring_of, {"stiffness": 1.0, "damping": [1.0, 2.0], "length": 0.5}
-    yield "Anchor.on", anchored, {"point": [0.0, 0.0, 1.0], "body": "pole"}
+    yield "Place.on", anchored, {"point": [0.0, 0.0, 1.0], "body": "pole"}
     for name, good in {"bdf": 2, "rkmk": 2, "gauss_legendre": 2, "generalized_alpha": 0.5}.items():
         yield f"solvers.{name}", getattr(rb.solvers, name), {"number": good}
 
@@ -228,7 +228,7 @@ def doors() -> Iterator[tuple[str, Callable, dict[str, Any]]]:
 def numbers_of_elements() -> dict[str, dict[str, Any]]:
     """Good fields of the elements that are made of numbers and names."""
     names, two = MODEL.joint_names, jnp.ones(2)
-    anchors = {"a": F.Anchor.on(), "b": F.Anchor.on(body="pole")}
+    anchors = {"a": F.Place.on(), "b": F.Place.on(body="pole")}
     limits = dict.fromkeys(("stiffness", "damping", "margin", "width"), two)
     friction = ("coulomb", "breakaway", "stribeck", "smoothing", "viscous")
     return {
@@ -252,13 +252,13 @@ def pushed(kind: type, **fields: Any) -> jax.Array:
 
 
 def spring_of(**numbers: Any) -> jax.Array:
-    ends = F.Anchor.on(), F.Anchor.on(body="pole")
+    ends = F.Place.on(), F.Place.on(body="pole")
     made = F.PointSpring.of(*ends, **numbers)
     return rb.applied_forces(MODEL.with_forces(made), rb.State(GOOD["q"], GOOD["v"]))
 
 
 def anchored(**given: Any) -> jax.Array:
-    made = F.PointSpring.of(F.Anchor.on(), F.Anchor.on(**given), stiffness=3.0)
+    made = F.PointSpring.of(F.Place.on(), F.Place.on(**given), stiffness=3.0)
     return rb.applied_forces(MODEL.with_forces(made), rb.State(GOOD["q"], GOOD["v"]))
 
 
@@ -310,7 +310,7 @@ DTYPES = {"int": int, "complex": complex, "a word": "flot", "None": None, "a num
           "bool": bool, "object": object, "an array": np.ones(2), "half": jnp.float16}  # fmt: skip
 ELEMENTS = {
     "None": None, "a word": "spring", "a class": F.PointSpring, "a function": lambda now: 0.0,
-    "a list": [F.Anchor.on()], "an anchor": F.Anchor.on(), "a number": 3.0,
+    "a list": [F.Place.on()], "an anchor": F.Place.on(), "a number": 3.0,
 }  # fmt: skip
 
 

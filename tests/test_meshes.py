@@ -14,13 +14,12 @@ from jax.tree_util import Partial
 
 import rbjax as rb
 from rbjax.compiler.jax.function import threaded
-from rbjax.dynamics.tracing import batching
 from tests.eight_devices import check, on_eight_devices
 from tests.test_registry import MODEL, REGISTRY, samples
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 BATCH = P("batch")
-SIZE = 8 * 40  # three chunks of 16 a device, the last of which overlaps
+SIZE = 8 * 40
 
 
 def line():
@@ -51,7 +50,6 @@ def act(w, t, x):
 
 
 def child_algorithms():
-    batching.CPU_CHUNK = 16
     mesh = line()
     model, q, v = cart_pole(mesh)
     where = NamedSharding(mesh, BATCH)
@@ -87,7 +85,6 @@ def child_algorithms():
 
 
 def child_rollouts(kernel):
-    batching.CPU_CHUNK = 16
     mesh = line()
     model, q, v, us = cart_pole(mesh, (SIZE, 4, 1))
     mass, where = model.bodies.mass, NamedSharding(mesh, BATCH)
@@ -136,7 +133,6 @@ def child_simulate():
 
 def child_registry():
     """Every algorithm in one program."""
-    batching.CPU_CHUNK = 16
     mesh = line()
     names = sorted({name for entry in REGISTRY.values() for name in entry.arrays} - {"mass", "com"})
 

@@ -108,7 +108,7 @@ def andrews(p: dict, q0: list, loop: type = rc.Spherical) -> tuple[rb.Model, rb.
       {body("K5", 5, (p["xa"], p["ya"]), (p["ta"], p["tb"]), k4)}
       {body("K7", 7, (p["xa"], p["ya"]), (p["ua"], p["ub"]), k6)}
     </worldbody></mujoco>""")
-    on = rb.forces.Anchor.on
+    on = rb.forces.Place.on
     ends = on(point=[p["xc"], p["yc"], 0]), on(body="K3", point=[p["sd"], -p["sc"], 0])
     spring = rb.forces.PointSpring.of(*ends, stiffness=p["c0"], length=p["l0"])
     E = {"K2": (-p["d"], 0), "K3": (0, -p["ss"]), "K4": (0, -p["e"]), "K6": (p["zf"], 0)}

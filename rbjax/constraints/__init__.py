@@ -59,9 +59,10 @@ from rbjax.constraints.rows.pairs import (
     Universal,
     Weld,
 )
-from rbjax.constraints.rows.place import Place, places
+from rbjax.constraints.rows.place import places
 from rbjax.constraints.rows.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.rows.row import Row
+from rbjax.forces.place import Place
 
 __all__ = [
     "Assembly",

@@ -2,7 +2,6 @@
 
 from rbjax.forces.acting import applied_forces, elastic_energy
 from rbjax.forces.actuators.gear_loss import GearLoss
-from rbjax.forces.anchor import Anchor
 from rbjax.forces.bushing import Bushing
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.fluid.ellipsoid import EllipsoidFluid
@@ -14,10 +13,11 @@ from rbjax.forces.joints.friction import JointFriction
 from rbjax.forces.joints.limits import JointLimits
 from rbjax.forces.joints.polynomials import JointPolynomials
 from rbjax.forces.many import on_each
+from rbjax.forces.place import Place
 from rbjax.forces.point_spring import PointSpring
 
 __all__ = [
-    "Anchor",
+    "Place",
     "Bushing",
     "Element",
     "EllipsoidFluid",

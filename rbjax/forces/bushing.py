@@ -19,9 +19,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import check_array
-from rbjax.forces.anchor import Anchor, check_anchors
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.instant import Instant
+from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Mat3, Vec3, inner, is_zero, mul
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -35,9 +35,9 @@ class Bushing(Element):
 
     f = -K_l d - D_l d', n = -J_l^-T K_a phi - D_a w on b, in the axes of a.
 
-    Fields: a, b, `Anchor`s with their frames; stiffness (6,), about the axes of a in N m/rad and
-    along them in N/m; damping (6,) in N m s/rad and N s/m. Give both frames by sites to turn the
-    axes, or to rest elsewhere.
+    Fields: a, b, `Place`s with their frames; stiffness (6,), about the axes of a in N m/rad and
+    along them in N/m; damping (6,) in N m s/rad and N s/m. Orientations of the
+    frames turn the axes, or the attitude at rest.
 
     Source: Ambrosio & Verissimo, *Improved bushing models for general multibody systems*, Multibody
     Syst. Dyn. 22, 2009, 341-365; the torque's Jacobian is Sola's, arXiv:1812.01537, eq. 146.
@@ -45,7 +45,7 @@ class Bushing(Element):
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> model = rb.load("free_body")
-        >>> A = rb.forces.Anchor
+        >>> A = rb.forces.Place
         >>> mount = rb.forces.Bushing.of(A.on(), A.on(body=0), stiffness=[5, 5, 5, 100, 100, 100])
         >>> state = model.default_state()
         >>> state = state.replace(q=state.q.at[:3].set(jnp.array([0.1, 0.0, 0.0])))
@@ -53,20 +53,20 @@ class Bushing(Element):
         [-10.0]
     """
 
-    a: Anchor
-    b: Anchor
+    a: Place
+    b: Place
     stiffness: jax.Array
     damping: jax.Array
 
     @classmethod
-    def of(cls, a: Anchor, b: Anchor, *, stiffness: Any = 0.0, damping: Any = 0.0) -> Bushing:
+    def of(cls, a: Place, b: Place, *, stiffness: Any = 0.0, damping: Any = 0.0) -> Bushing:
         """The bushing with these six numbers of each kind, or one for all."""
         given = {"stiffness": stiffness, "damping": damping}
         k, d = (check_array("Bushing.of", n, x, (), (6,)) for n, x in given.items())
         return cls(a, b, *(jnp.broadcast_to(x.astype(float), (6,)) for x in (k, d)))
 
     def __check_init__(self) -> None:
-        check_anchors(self)
+        check_places(self)
 
     def may_be_endless(self, name: str) -> bool:
         return False

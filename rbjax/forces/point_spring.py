@@ -24,10 +24,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import check_array, shape_of
-from rbjax.forces.anchor import Anchor, check_anchors
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.instant import Instant
 from rbjax.forces.joints.polynomials import polynomial
+from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Vec3, add, is_literal, is_zero, mul, sub
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -40,7 +40,7 @@ class PointSpring(Element):
 
     F = x (k_0 + k_1 x + ...) + l' (d_0 + d_1 |l'| + ...), x beyond the slack [l_low, l_high].
 
-    Fields: a, b, its ends, `Anchor`s; stiffness k (s,) N/m, N/m^2, ...; damping d (c,) N s/m,
+    Fields: a, b, its ends, `Place`s; stiffness k (s,) N/m, N/m^2, ...; damping d (c,) N s/m,
     N s^2/m^2, ...; slack (2,) m, the lengths between which the spring is slack. `PointSpring.of`
     makes it from single numbers.
 
@@ -50,7 +50,7 @@ class PointSpring(Element):
         >>> import rbjax as rb
         >>> model = rb.load("quadrotor")
         >>> tether = rb.forces.PointSpring.of(
-        ...     rb.forces.Anchor.on(point=[0.0, 0.0, 10.0]), rb.forces.Anchor.on(body=0),
+        ...     rb.forces.Place.on(point=[0.0, 0.0, 10.0]), rb.forces.Place.on(body=0),
         ...     stiffness=3.0, length=9.0,
         ... )
         >>> model, state = model.with_forces(tether), model.default_state()
@@ -59,15 +59,15 @@ class PointSpring(Element):
         True
     """
 
-    a: Anchor
-    b: Anchor
+    a: Place
+    b: Place
     stiffness: jax.Array
     damping: jax.Array
     slack: jax.Array
 
     @classmethod
     def of(
-        cls, a: Anchor, b: Anchor, *, stiffness: Any = 0.0, damping: Any = 0.0, length: Any = 0.0
+        cls, a: Place, b: Place, *, stiffness: Any = 0.0, damping: Any = 0.0, length: Any = 0.0
     ) -> PointSpring:
         """The spring of this length at rest, or slack between two lengths."""
         where, given = "PointSpring.of", {"stiffness": stiffness, "damping": damping}
@@ -78,7 +78,7 @@ class PointSpring(Element):
         return cls(a, b, jnp.atleast_1d(k), jnp.atleast_1d(d), jnp.broadcast_to(slack, (2,)))
 
     def __check_init__(self) -> None:
-        check_anchors(self)
+        check_places(self)
 
     def may_be_endless(self, name: str) -> bool:
         return name == "slack"
@@ -87,7 +87,7 @@ class PointSpring(Element):
         return {"stiffness": (None,), "damping": (None,), "slack": (2,)}
 
     def loads(self, now: Instant) -> Loads:
-        a, b = self.a.frame(now), self.b.frame(now)
+        a, b = self.a.point(now), self.b.point(now)
         k, d = self._numbers(self.stiffness, now), self._numbers(self.damping, now)
         springy, damped = (not all(map(is_zero, c)) for c in (k, d))
         if not (springy or damped):
@@ -110,7 +110,7 @@ class PointSpring(Element):
         k = self._numbers(self.stiffness, now)
         if all(map(is_zero, k)):
             return 0.0
-        line = self.b.frame(now).position - self.a.frame(now).position
+        line = self.b.point(now).position - self.a.point(now).position
         length, inverse = _distance(line, now.q.dtype)
         x, _ = self._stretch(length, inverse, now)
         shares = [mul(1 / n, c) for n, c in enumerate(k, 2)]

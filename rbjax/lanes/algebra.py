@@ -98,7 +98,10 @@ def total(terms: Any) -> Lane:
 
 def inner(a: Any, b: Any) -> Lane:
     """Sum of products of two equally long sequences of lanes."""
-    return total(mul(x, y) for x, y in zip(a, b, strict=True))
+    out: Lane = 0.0
+    for x, y in zip(a, b, strict=True):
+        out = add(out, mul(x, y))
+    return out
 
 
 class Lanes:
@@ -213,9 +216,10 @@ class Mat3(Lanes):
 
     def __matmul__(self, other):
         if isinstance(other, Vec3):
-            return Vec3(*(row.dot(other) for row in self.rows))
+            return Vec3(*map(inner, self.rows, (other,) * 3))
         columns = (other.dense if isinstance(other, Sym3) else other).columns
-        return Mat3(*(row.dot(column) for row in self.rows for column in columns))
+        rows = [row for row in self.rows for _ in columns]
+        return Mat3(*map(inner, rows, columns * 3))
 
 
 class Sym3(Lanes):

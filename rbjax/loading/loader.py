@@ -134,7 +134,8 @@ def load(
         raise UnsupportedFeature(f"{'. '.join(texts)}. Load with strict=False to get a warning.")
     for text in texts:
         warnings.warn(text, stacklevel=2)
-    model = from_compiled(compiled, dropped, **taken, compliant=compliant)
+    with jax.ensure_compile_time_eval():  # within jit too, numbers of a file are constants
+        model = from_compiled(compiled, dropped, **taken, compliant=compliant)
     if constraints:
         model = model.with_constraints(*mimics.couplings)
     undone = joints_that_cancel(compiled)

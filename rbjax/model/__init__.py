@@ -4,10 +4,8 @@ from rbjax.model.limbs import Group, Partition, partition
 from rbjax.model.links import (
     LinkConstants,
     Prepared,
-    as_declared,
-    known_zeros,
-    made_ahead,
     prepare,
+    with_constants,
     without_constants,
 )
 from rbjax.model.model import (
@@ -38,9 +36,7 @@ __all__ = [
     "Sites",
     "State",
     "Topology",
-    "as_declared",
-    "known_zeros",
-    "made_ahead",
+    "with_constants",
     "partition",
     "prepare",
     "spans",

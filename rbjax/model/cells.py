@@ -92,16 +92,20 @@ class Sparse:
         self.pattern, self.others = pattern, others
 
     @classmethod
-    def of(cls, column: np.ndarray, dtype: Any, *, units: bool = False) -> Sparse:
-        """Of numbers, or of cells."""
+    def of(cls, column: Any, dtype: Any, *, units: bool = False) -> Sparse:
+        """Of numbers, of cells, or of a traced column, of which nothing is known."""
+        if isinstance(column, jax.Array):
+            return cls((None,) * column.shape[0], column.astype(dtype))
         pattern = literals(column, units=units)
         others = [lane_of(x) for x, known in zip(column, pattern, strict=True) if known is None]
         if all(map(is_literal, others)):
             return cls(pattern, np.array(others, dtype))
         return cls(pattern, jnp.stack([jnp.asarray(x, dtype) for x in others]))
 
-    def column(self) -> np.ndarray:
-        """The column, of literals and cells."""
+    def column(self) -> Any:
+        """The column, of literals and cells; the array itself if no entry is known."""
+        if all(x is None for x in self.pattern):
+            return self.others
         others = iter(self.others)
         return np.array([Cell(next(others)) if x is None else x for x in self.pattern], object)
 

@@ -17,14 +17,15 @@ DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
 class Execution(Record):
     """The driver of the recursions, and what programs know of a model's numbers.
 
-    Fields: driver, one of `DRIVER_NAMES`; zeros, the entries of leaves that are part of the program
-    (`Model.fix_zeros`), or None; prepared, the links' numbers where they have been made before a
-    loop (`made_ahead`), or None.
+    Fields:
+        driver: one of `DRIVER_NAMES`.
+        zeros: the entries of leaves that are part of the program (`Model.fix_zeros`), or None.
+        constants: the link constants, if they were computed before a loop (`with_constants`).
     """
 
     driver: str = eqx.field(static=True, default="auto")
     zeros: tuple | None = eqx.field(static=True, default=None)
-    prepared: Any = None
+    constants: Any = None
 
     def __check_init__(self) -> None:
         if self.driver not in DRIVER_NAMES:

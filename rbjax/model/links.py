@@ -7,7 +7,6 @@ are structural and vanish from the program; where they are traced the columns ar
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -16,17 +15,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.lanes import Lane, Mat3, Sym3, Vec3, matmat, matrix_transpose, matvec, quaternion_matrix
+from rbjax.lanes import (
+    Lane,
+    Mat3,
+    Sym3,
+    Vec3,
+    is_literal,
+    matmat,
+    matrix_transpose,
+    matvec,
+    quaternion_matrix,
+)
 from rbjax.model.cells import (
     Cell,
     Sparse,
     all_literal,
     cast_cells,
     cells,
-    declared,
     lane_of,
     stacked,
 )
+from rbjax.model.constant_leaves import constant_leaves
 from rbjax.model.model import Model
 from rbjax.model.topology import WORLD, Topology
 from rbjax.spatial import RigidInertia, Transform
@@ -85,81 +94,50 @@ def prepare(model: Model, dtype: Any) -> Prepared:
     its body's frame, A z = s. With B the body's frame in its carrier's and F a link's frame in its
     body, the pose of a link in its parent link is F_parent^-1 B F.
     """
-    if model.execution.prepared is not None:
-        return _again(model.execution.prepared)
-    leaves = (model.bodies, model.joints, model.gravity)
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(leaves)):
-        if model.execution.zeros is None:
-            bodies, joints, gravity = leaves
-            return _prepare(model.topology, bodies, joints, gravity, jnp, dtype)
-        bodies, joints, gravity = _as_cells(leaves, dict(model.execution.zeros))
-        return _prepare(model.topology, bodies, joints, gravity, np, dtype)
-    model = as_declared(model)
-    leaves = (model.bodies, model.joints, model.gravity)
-    bodies, joints, gravity = jax.tree.map(lambda x: np.asarray(x, np.float64), leaves)
-    return _prepare(model.topology, bodies, joints, gravity, np, np.float64)
+    if model.execution.constants is not None:
+        return _columns(model.execution.constants)
+    leaves, zeros = constant_leaves(model), dict(model.execution.zeros or ())
+    traced = [isinstance(x, jax.core.Tracer) for x in leaves.values()]
+    if not any(traced):
+        known = {name: np.asarray(x, np.float64) for name, x in leaves.items()}
+        return _prepare(model.topology, known, np, np.float64)
+    if all(traced) and not zeros:
+        return _prepare(model.topology, leaves, jnp, dtype)
+    # some entries are known: entry by entry
+    entries = {
+        name: cells(x, zeros.get(name, (None,) * x.size), known=not moves)
+        for (name, x), moves in zip(leaves.items(), traced, strict=True)
+    }
+    return _prepare(model.topology, entries, np, dtype)
 
 
-def as_declared(model: Model) -> Model:
-    """The model whose leaves hold what `fix_zeros` declared, whatever they were given since."""
-    if model.execution.zeros is None:
+def with_constants(model: Model, dtype: Any) -> Model:
+    """Precompute the link constants and store them in the model, so that a program which has the
+    model as an argument neither recomputes them nor loses their structural zeros."""
+    if model.execution.constants is not None:
         return model
-    zeros = dict(model.execution.zeros)
-
-    def record(r):
-        names = [f.name for f in dataclasses.fields(r) if f.name in zeros]
-        return dataclasses.replace(r, **{n: declared(getattr(r, n), zeros[n]) for n in names})
-
-    return dataclasses.replace(
-        model,
-        bodies=record(model.bodies),
-        joints=record(model.joints),
-        gravity=declared(model.gravity, zeros["gravity"]),
-    )
-
-
-def made_ahead(model: Model, dtype: Any) -> Model:
-    """The model with the numbers of its links made, for programs of which it is an argument: they
-    need not make them wherever they use them, and know the zeros that are known here."""
-    if model.execution.prepared is not None:
-        return model
-    leaves = jax.tree.leaves((model.bodies, model.joints, model.gravity))
-    unknown = any(isinstance(x, jax.core.Tracer) for x in leaves) and model.execution.zeros is None
 
     def sparse(columns: Any, units: bool = False) -> Any:
         return jax.tree.map(lambda x: Sparse.of(x, dtype, units=units), columns)
 
     made = prepare(model, dtype)
-    if unknown:
-        g = model.gravity.astype(dtype)
-        return model.replace(prepared=(made.columns, made.body_R, made.body_p, g))
     c, gravity = made.columns, np.array([_cell(x) for x in made.gravity], object)
     columns = LinkConstants(
         sparse(c.R, units=True),
         *map(sparse, (c.p, c.inertia, c.armature, c.reference, c.numbers)),
     )
     body_R, body_p = (x.astype(dtype) for x in (made.body_R, made.body_p))
-    return model.replace(prepared=(columns, body_R, body_p, sparse(gravity)))
+    return model.replace(constants=(columns, body_R, body_p, sparse(gravity)))
 
 
 def without_constants(model: Model) -> Model:
-    """The model without the link constants that `made_ahead` precomputed. For user code, which may
-    change the leaves from which they were computed."""
-    return model if model.execution.prepared is None else model.replace(prepared=None)
+    """The model without precomputed link constants. For user code, which may change the leaves from
+    which they were computed."""
+    return model if model.execution.constants is None else model.replace(constants=None)
 
 
-def known_zeros(model: Model) -> Model:
-    """The model with the zeros of its known leaves declared, where some are traced and some not: a
-    gradient by masses then keeps the structure of placements and axes."""
-    leaves = jax.tree.leaves((model.bodies, model.joints, model.gravity))
-    traced = [isinstance(x, jax.core.Tracer) for x in leaves]
-    partly = any(traced) and not all(traced)
-    declared = model.execution.zeros is not None or model.execution.prepared is not None
-    return model.fix_zeros() if partly and not declared else model
-
-
-def _again(made: Any) -> Prepared:
-    """What `prepare` returns for a model of `made_ahead`."""
+def _columns(made: Any) -> Prepared:
+    """The constants that `with_constants` has stored, as `prepare` returns them."""
     columns, body_R, body_p, gravity = jax.tree.map(
         lambda x: x.column() if isinstance(x, Sparse) else x, made,
         is_leaf=lambda x: isinstance(x, Sparse),
@@ -171,17 +149,18 @@ def _cell(x: Lane) -> Any:
     return x if isinstance(x, float) else Cell(x)
 
 
-def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
+def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
+    given = SimpleNamespace(**leaves)
     links, n = top.links, top.nv
-    weld_R, weld_p, body_R = _welds(top, bodies, xp)
+    weld_R, weld_p, body_R = _welds(top, given, xp)
 
     # each link's frame in its body, before (own) and after (moved) a motion that turns the body
     joint = np.array([link.joint for link in links], int)
-    numbers = _own_numbers(top, joints.numbers, xp)
-    moved_R = _link_axes(top, joints.axis, joints.numbers, xp)
+    numbers = _own_numbers(top, given.numbers, xp)
+    moved_R = _link_axes(top, given.axis, given.numbers, xp)
     starts = np.array([link.form.turns_body for link in links], bool)[:, None, None]
     own_R = xp.where(starts, np.eye(3), moved_R)
-    anchor = joints.placement[joint]
+    anchor = given.placement[joint]
 
     # the pose of the body in the carrier of its parent body, where the link is the body's first
     body = np.array([link.body for link in links], int)
@@ -191,7 +170,7 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
     at_world = (parent_body == WORLD)[:, None, None]
     carry_R = xp.where(at_world, np.eye(3), weld_R[parent_body])
     carry_p = xp.where(at_world[..., 0], np.zeros(3), weld_p[parent_body])
-    base_p = carry_p + matvec(carry_R, bodies.position[body])
+    base_p = carry_p + matvec(carry_R, given.position[body])
     base_R = xp.where(first[:, None, None], matmat(carry_R, body_R[body]), np.eye(3))
     base_p = xp.where(first[:, None], base_p, np.zeros(3))
 
@@ -209,9 +188,9 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
     frame_p = xp.concatenate([anchor, np.zeros((1, 3))])[own]
     to_link_R = matmat(matrix_transpose(frame_R), weld_R)
     to_link_p = matvec(matrix_transpose(frame_R), weld_p - frame_p)
-    com = to_link_p + matvec(to_link_R, bodies.com)
-    central = matmat(matmat(to_link_R, bodies.inertia), matrix_transpose(to_link_R))
-    mass = bodies.mass
+    com = to_link_p + matvec(to_link_R, given.com)
+    central = matmat(matmat(to_link_R, given.inertia), matrix_transpose(to_link_R))
+    mass = given.mass
     square = (com * com).sum(-1)[:, None, None] * np.eye(3) - com[:, :, None] * com[:, None, :]
     J = _gather(central + mass[:, None, None] * square, carrier_link, n, xp)
     h = _gather(mass[:, None] * com, carrier_link, n, xp)
@@ -219,9 +198,10 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
 
     q_of = np.array([link.q[0] if len(link.q) else 0 for link in links], int)
     scalar = np.array([link.form.from_reference for link in links], bool)
-    reference = xp.where(scalar, joints.reference[q_of], 0.0) if n else np.zeros(0)
-    if R.dtype != object and xp is np:
+    reference = xp.where(scalar, given.reference[q_of], 0.0) if n else np.zeros(0)
+    if xp is np:
         R, to_link_R = _snap(R), _snap(to_link_R)
+    if xp is np and J.dtype != object:
         J, h = _snap_relative(J), _snap_relative(h)
 
     def cast(x):
@@ -238,26 +218,12 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
             Vec3(*(cast(h[:, i]) for i in range(3))),
             Sym3(*(cast(J[:, i, j]) for i, j in _SYM)),
         ),
-        armature=cast(joints.armature),
+        armature=cast(given.armature),
         reference=cast(reference),
         numbers=tuple(cast(numbers[:, k]) for k in range(numbers.shape[1])),
     )
-    lanes = Vec3(*(lane(cast(gravity), i) for i in range(3)))
+    lanes = Vec3(*(lane(cast(given.gravity), i) for i in range(3)))
     return Prepared(columns, whole(to_link_R), whole(to_link_p), lanes)
-
-
-def _as_cells(leaves, zeros: dict):
-    """The leaves as object arrays with the declared zeros literal."""
-    bodies, joints, gravity = leaves
-
-    def convert(name, x):
-        return cells(x, zeros[name], known=not isinstance(x, jax.core.Tracer))
-
-    def record(r):
-        fields = {f.name: getattr(r, f.name) for f in dataclasses.fields(r) if f.name in zeros}
-        return SimpleNamespace(**{name: convert(name, x) for name, x in fields.items()})
-
-    return record(bodies), record(joints), convert("gravity", gravity)
 
 
 _SYM = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -366,6 +332,12 @@ def _gather(x, index: np.ndarray, n: int, xp):
 
 
 def _snap(x: np.ndarray) -> np.ndarray:
+    """0, 1 and -1 where a known entry is one of them but for rounding."""
+    if x.dtype == object:
+        known = np.array([is_literal(lane_of(v)) for v in x.ravel()], bool).reshape(x.shape)
+        x = x.copy()
+        x[known] = _snap(np.array([lane_of(v) for v in x[known]], float))
+        return x
     x = np.where(np.abs(x) < SNAP, 0.0, x)
     return np.where(np.abs(np.abs(x) - 1) < SNAP, np.sign(x), x)
 

@@ -6,7 +6,6 @@ masses, gains and gravity can be differentiated, and changed without recompilati
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import numbers
 from typing import Any
@@ -17,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError, ModelError, UnknownName
-from rbjax.model.cells import literals
+from rbjax.model.constant_leaves import known_entries, with_fixed_entries
 from rbjax.model.execution import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.execution import EXECUTION, Execution
 from rbjax.model.geoms import Geoms
@@ -161,10 +160,14 @@ class Model(Record):
 
     def replace(self, **changes: Any) -> Model:
         """A copy with the given fields changed, those of `execution` too; shapes of arrays must
-        stay. What was made ahead of numbers that change is made again."""
+        stay. Entries that `fix_zeros` has fixed keep their values; precomputed constants of leaves
+        that change are dropped."""
         how = {name: changes.pop(name) for name in EXECUTION if name in changes}
         if changes.keys() & {"bodies", "joints", "gravity"} or "zeros" in how:
-            how = {"prepared": None} | how
+            how = {"constants": None} | how
+        zeros = how.get("zeros", self.execution.zeros)
+        if zeros is not None:
+            changes |= with_fixed_entries(changes, dict(zeros))
         if how:
             changes["execution"] = changes.get("execution", self.execution).replace(**how)
         return super().replace(**changes)
@@ -271,23 +274,9 @@ class Model(Record):
         Zeros of masses, centres, inertias, placements, armatures, references and gravity, and
         zeros and ones of axes and attitudes, then cost no arithmetic although the leaves stay
         inputs: for a batch of robots that differ in masses and lengths. A fixed entry is no
-        longer a parameter: the value that a leaf holds there is ignored, whether the model is an
-        argument or closed over, and its derivative is zero.
+        longer a parameter: `replace` keeps its value, and its derivative is zero.
         """
-        j = self.joints
-        leaves = {**_numbers(self.bodies), "gravity": self.gravity}
-        leaves |= {"placement": j.placement, "axis": j.axis}
-        leaves |= {"reference": j.reference, "armature": j.armature, "numbers": j.numbers}
-        zeros = tuple(
-            (
-                name,
-                (None,) * x.size  # of what is traced nothing is known
-                if isinstance(x, jax.core.Tracer)
-                else literals(x, units=name in ("axis", "orientation")),
-            )
-            for name, x in leaves.items()
-        )
-        return self.replace(zeros=zeros)
+        return self.replace(zeros=known_entries(self))
 
     def astype(self, dtype: Any) -> Model:
         """The same model with its numbers in a floating dtype.
@@ -314,7 +303,7 @@ class Model(Record):
             return jnp.asarray(x, dtype) if floating else x
 
         # numbers of links that were made ahead are of the old dtype
-        return jax.tree.map(cast, self.replace(prepared=None))
+        return jax.tree.map(cast, self.replace(constants=None))
 
     def default_state(self) -> State:
         """The configuration in which the file draws the robot, at rest."""
@@ -381,10 +370,6 @@ class Model(Record):
         joints' ranges. Attitudes are uniform; the angle of a ball joint with a range is scaled into
         it. Velocities have a standard deviation of 1."""
         return State(*random_coordinates(self, key), self.start(self.joints.reference.dtype))
-
-
-def _numbers(record: Record) -> dict[str, jax.Array]:
-    return {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
 
 
 def _described(x: Any) -> str:

@@ -69,7 +69,7 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
             numbers=_spliced(joints.numbers, slice(before, before + len(old.defaults)), own),
         ),
         keyframes=dataclasses.replace(keys, q=along_q(keys.q), v=along_v(keys.v)),
-        execution=model.execution.replace(zeros=None, prepared=None),
+        execution=model.execution.replace(zeros=None, constants=None),
     )
     return changed if model.execution.zeros is None else changed.fix_zeros()
 

@@ -26,7 +26,6 @@ from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied, chord, within
 from rbjax.forces.inputs import Inputs
-from rbjax.lanes import is_literal
 from rbjax.model import Model, State, without_constants
 
 
@@ -51,8 +50,8 @@ def free_motion(
 
 @dataclass(frozen=True)
 class Field:
-    """The motion of a model under a law, for states of one sample or with the batch last. dt: the
-    step that force elements read; None if no step is fixed.
+    """The motion of a model under a law. dt: the step that force elements read; None if no step is
+    fixed.
 
     `model` has no precomputed link constants, so a user's law or integrator that changes its leaves
     (`eqx.tree_at`, `jax.tree.map`) changes the motion. `precomputed` is the same model with its
@@ -84,15 +83,13 @@ class Field:
         return applied(self.precomputed, t, state, u, self.dt)
 
     def _found(self, forces: Callable, t: Any, state: State, u: Inputs) -> tuple:
-        tau, pushes, x = of_samples(forces, t, state, u)
-        if self.law is free_motion:  # takes lanes with a batch as they are
-            return self._accelerated(t, state, tau, pushes), x
-        return of_samples(self._accelerated, t, state, tau, pushes), x
+        tau, pushes, x = forces(t, state, u)
+        return self._accelerated(t, state, tau, pushes), x
 
     def _accelerated(
         self, t: Any, state: State, tau: jax.Array, pushes: LinkForces
     ) -> jax.Array:
-        """v' by the law, of one sample where it is not free motion."""
+        """v' by the law."""
         a = self.law(self._of_law, t, state, tau, pushes)
         if self.law is free_motion:
             return a
@@ -111,14 +108,11 @@ class Field:
         """Generalized forces (nv, ...), forces on links, and x' (nx, ...). Those of a law other
         than free motion are what gives its acceleration: with the forces of a constraint."""
 
-        def acting(t: Any, state: State, u: Inputs) -> tuple:
-            tau, pushes, x = self.applied(t, state, u)
-            if self.law is not free_motion:
-                a = self._accelerated(t, state, tau, pushes)
-                tau = forces_of(self.precomputed, state.q, state.v, a, pushes)
-            return tau, pushes, x
-
-        return of_samples(acting, t, state, u)
+        tau, pushes, x = self.applied(t, state, u)
+        if self.law is not free_motion:
+            a = self._accelerated(t, state, tau, pushes)
+            tau = forces_of(self.precomputed, state.q, state.v, a, pushes)
+        return tau, pushes, x
 
     def retract(self, q: jax.Array, dq: jax.Array) -> jax.Array:
         """q (+) dq."""
@@ -128,28 +122,20 @@ class Field:
         """What forces at the middle of a step add to the diagonal of the mass matrix, lanes (...)
         by velocity coordinate."""
 
-        def added(t: Any, state: State, u: Inputs) -> dict:
-            return chord(self.precomputed, t, state, u.ctrl, dt)
-
-        return of_samples(added, t, state, u)
+        return chord(self.precomputed, t, state, u.ctrl, dt)
 
     def staged(self, t: Any, state: State, t0: Any, start: State) -> State:
         """The state at which a stage's rates are taken, of a step that began at t0 in `start`."""
-        law = self.law
-        if not moves_stages(law):
+        if not moves_stages(self.law):
             return state
-
-        def stage(t: Any, state: State, start: State) -> State:
-            return law.stage_state(self.precomputed, t, state, t0, start)
-
-        return of_samples(stage, t, state, start)
+        return self.law.stage_state(self.precomputed, t, state, t0, start)
 
     def settled(self, t: Any, state: State) -> State:
         """The state after a step, as the law leaves it: a formulation may put it back on its
         constraints."""
         if not isinstance(self.law, Formulation):
             return state
-        return of_samples(functools.partial(self.law.project, self.precomputed), t, state)
+        return self.law.project(self.precomputed, t, state)
 
     def within(self, x: jax.Array | None) -> jax.Array | None:
         """The states (nx, ...) of force elements, clipped to their ranges."""
@@ -178,26 +164,3 @@ def law_of(where: str, model: Model, law: Any, constraints: Any) -> Law:
             "is a law"
         )
     return law
-
-
-def of_samples(f: Callable, t: Any, state: State, *rest: Any) -> Any:
-    """f(t, state, *rest), f of one sample: of this one, or of each where the batch is last."""
-    return f(t, state, *rest) if state.q.ndim == 1 else batch_last(f, t, state, *rest)
-
-
-def batch_last(f: Callable, t: Any, *args: Any) -> Any:
-    """f(t, *args) of each sample, where the batch is the last axis of arguments and results;
-    literals among either stay literals."""
-    kept: dict[str, Any] = {}
-    given, tree = jax.tree.flatten(args)
-    axes = [None if is_literal(x) else -1 for x in given]
-
-    def arrays(moving: list) -> list:
-        lanes = [y if is_literal(y) else x for x, y in zip(moving, given, strict=True)]
-        leaves, kept["tree"] = jax.tree.flatten(f(t, *jax.tree.unflatten(tree, lanes)))
-        kept["literals"] = [x if is_literal(x) else None for x in leaves]
-        return [x for x in leaves if not is_literal(x)]
-
-    found = iter(jax.vmap(arrays, in_axes=(axes,), out_axes=-1)(given))
-    leaves = [next(found) if x is None else x for x in kept["literals"]]
-    return jax.tree.unflatten(kept["tree"], leaves)

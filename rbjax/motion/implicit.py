@@ -22,7 +22,7 @@ from rbjax.constraints.methods.differential_algebraic import DifferentialAlgebra
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, evaluated
 from rbjax.model import Model, State
-from rbjax.motion.field import Field, of_samples
+from rbjax.motion.field import Field
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
 from rbjax.solvers.common.groups import unwrapped
@@ -136,18 +136,15 @@ class ByStages:
     tableau: Tableau
 
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
-        def one(t: Any, state: State, u: Inputs) -> State:
-            def forces(t: Any, state: State) -> tuple:
-                return field.applied(t, state, u)
+        def forces(t: Any, state: State) -> tuple:
+            return field.applied(t, state, u)
 
-            model = field.precomputed
-            found = stages(self.formulation, self.tableau, model, forces, t, state, dt)
-            du = increment(model, mixed(self.tableau.b, found.k))
-            x = None if state.x is None or du.x is None else state.x + du.x
-            after = State(field.retract(state.q, du.q), state.v + du.v, x)
-            return jax.tree.map(lambda x: jnp.where(found.ok, x, jnp.nan), after)
-
-        return of_samples(one, t, state, u)
+        model = field.precomputed
+        found = stages(self.formulation, self.tableau, model, forces, t, state, dt)
+        du = increment(model, mixed(self.tableau.b, found.k))
+        x = None if state.x is None or du.x is None else state.x + du.x
+        after = State(field.retract(state.q, du.q), state.v + du.v, x)
+        return jax.tree.map(lambda x: jnp.where(found.ok, x, jnp.nan), after)
 
 
 class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):

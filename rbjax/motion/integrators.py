@@ -1,4 +1,4 @@
-"""Steps of fixed length on the manifold of configurations, for `rollout`. Batch last.
+"""Steps of fixed length on the manifold of configurations, for `rollout`.
 
     semi-implicit Euler   v+ = v + h a(q, v),   q+ = q (+) h v+
     variational midpoint  of momenta: `variational`
@@ -42,7 +42,7 @@ TABLEAUS = {
 
 
 class Integrator(Protocol):
-    """A step: the state after dt, of one sample or with the batch last. Inputs are held over it."""
+    """A step: the state after dt. Inputs are held over it."""
 
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State: ...
 

@@ -1,8 +1,7 @@
 """`rollout`: fixed steps for throughput.
 
 All steps of a sample are one program (`march`): a thread on a GPU, a lane of machine code on a CPU.
-Under XLA the batch is the last axis of everything inside, so that a lane is contiguous, and on the
-CPU time runs inside a chunk of the batch (`dynamics.tracing.batching`).
+Without either, XLA maps the loop of one sample over the batch.
 
 Memory of the reverse gradient under XLA: the scan over saved states keeps one state
 each; between two saved states only the first is kept and the steps are run again. So a sample keeps
@@ -24,7 +23,6 @@ from rbjax.compiler import wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
-from rbjax.dynamics.tracing.batching import chunks
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.dynamics.tracing.devices import memory_share
 from rbjax.errors import InputError
@@ -32,7 +30,7 @@ from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
 from rbjax.motion.closures.captured import Captured, with_captured
-from rbjax.motion.field import Field, Law, batch_last, free_motion, law_of
+from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.integrators import Integrator, advanced, integrator_of
 from rbjax.motion.not_finite import warn_if_not_finite
 from rbjax.motion.sources import Sources, check_sources
@@ -189,7 +187,7 @@ def integrated(
 
 def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
     rest = jax.tree.unflatten(key[0], key[1:])
-    march = functools.partial(on_threads, memory=memory) if threads else _on_lanes
+    march = functools.partial(on_threads, memory=memory) if threads else _under_xla
 
     def moved(model: Model, state: State, numbers: Any, dt: jax.Array) -> State:
         given, law, advance = eqx.combine(numbers, rest)
@@ -214,55 +212,36 @@ def _compiled(*key: Any) -> Callable:
     return compiled(run, static_argnames=("key", "how", "threads", "memory"))
 
 
-def _on_lanes(model: Model, state: State, sources: Sources, dt: jax.Array, how: Steps) -> State:
-    """The states (..., T, nq), (..., T, nv) and (..., T, nx), under XLA."""
+def _under_xla(model: Model, state: State, sources: Sources, dt: jax.Array, how: Steps) -> State:
+    """The states (..., T, nq), (..., T, nv) and (..., T, nx) by a loop under XLA, mapped over the
+    batch."""
     rows = sources.rows
-    if how.batched:
-        state = jax.tree.map(lambda x: x.T, state)
-        rows = jnp.moveaxis(rows, 0, -1) if rows is not None and rows.ndim == 3 else rows
 
-    def march(state: State, rows: Any) -> State:
-        return _march(model, state, rows, sources, dt, how)
+    def one(state: State, rows: Any) -> State:
+        return _states(model, state, rows, sources, dt, how)
 
-    if how.batched and jax.default_backend() == "cpu":
-        leaves, treedef = jax.tree.flatten(state)
-        axes = [*[-1] * len(leaves), -1 if rows is not None and rows.ndim == 3 else None]
-
-        def chunk(x: list) -> list:
-            return jax.tree.leaves(march(jax.tree.unflatten(treedef, x[:-1]), x[-1]))
-
-        found = chunks(chunk, [*leaves, rows], axes, state.q.shape[-1], -1)
-        states = jax.tree.unflatten(treedef, found)
-    else:
-        states = march(state, rows)
-    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), states) if how.batched else states
+    if not how.batched:
+        return one(state, rows)
+    each = 0 if rows is not None and rows.ndim == 3 else None
+    return jax.vmap(one, in_axes=(0, each))(state, rows)
 
 
-def _march(
+def _states(
     model: Model, state: State, rows: Any, sources: Sources, dt: jax.Array, how: Steps
 ) -> State:
-    """States (T, nq, ...), (T, nv, ...) and (T, nx, ...) from the first one on. Batch last."""
+    """The states of one sample from the first one on."""
     field = Field(model, how.law, dt)
-    batch = state.q.shape[1:]
 
     def once(state: State, i: jax.Array) -> tuple[State, None]:
-        given = []
-        if rows is not None:
-            row = rows[i]
-            same = batch and row.ndim == 1  # for all samples
-            given.append(jnp.broadcast_to(row[:, None], (*row.shape, *batch)) if same else row)
+        given = [] if rows is None else [rows[i]]
         if sources.asks:
-            ask = functools.partial(sources.asked, model)
-            given.append(batch_last(ask, i * dt, state) if batch else ask(i * dt, state))
+            given.append(sources.asked(model, i * dt, state))
         inputs = sources.inputs(model, *given)
         return advanced(how.integrator, field, i * dt, state, inputs, dt), None
 
     def segment(state: State, start: jax.Array) -> tuple[State, State]:
-        if how.save_every == 1:
-            state, _ = once(state, start)
-        else:
-            steps = start + jnp.arange(how.save_every)
-            state, _ = jax.lax.scan(jax.checkpoint(once), state, steps)
+        steps = start + jnp.arange(how.save_every)
+        state, _ = jax.lax.scan(jax.checkpoint(once), state, steps)
         return state, state
 
     starts = jnp.arange(0, how.count, how.save_every)

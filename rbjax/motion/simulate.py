@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -25,15 +24,15 @@ from rbjax.dynamics.arguments import (
     shape_of,
 )
 from rbjax.dynamics.drivers.choice import on_threads
-from rbjax.dynamics.tracing.custom_rules import split_tracers
+from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
-from rbjax.model import Model, State, made_ahead
+from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.settling import settling, solver_of
-from rbjax.motion.term import check_takes_robots, itself, motion, unit
+from rbjax.motion.term import check_takes_robots, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
 from rbjax.solvers.common.arguments import check_whole
 
@@ -129,13 +128,10 @@ def simulate(
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt0 is not None:
         _advances(check_step("simulate", "dt0", dt0, state.q.dtype), elapsed)
-    # Inside a caller's jit diffrax would trace what the caller holds constant.
-    # Outside, the model is an argument: a number that changes compiles nothing again.
     if wanted():
         model = on_threads(model, state.q.dtype)
-    if not inside_jit() or split_tracers(model)[0]:
-        model = made_ahead(model, state.q.dtype)
-    args, of_args = split_tracers(model) if inside_jit() else (model, itself)
+    if not inside_jit() or is_traced(model):
+        model = with_constants(model, state.q.dtype)
     if stepsize_controller is None:
         if dt0 is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
             raise InputError(
@@ -145,40 +141,25 @@ def simulate(
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
-    # A program of one robot, which takes its own steps. It cannot raise: that is done after it.
-    by_threads = wanted() and inside_jit() and not progress
-    solve = functools.partial(
-        diffrax.diffeqsolve if by_threads else _diffeqsolve,
-        dt0=dt0,
-        stepsize_controller=stepsize_controller,
-        adjoint=diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
-        max_steps=max_steps,
-        throw=throw and not by_threads,
-        progress_meter=diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter(),
-    )
+    by_kernel = wanted() and not progress
+    how = _How(
+        solver, dt0, stepsize_controller,
+        diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
+        max_steps, throw and not by_kernel, progress, by_kernel,
+    )  # fmt: skip
+    # Inside a caller's jit what the caller holds constant stays constant. Outside, the model is an
+    # argument: a number that changes compiles nothing again.
+    run = _solved if inside_jit() else _compiled
+
     def solved(*functions: Any) -> tuple:
-        *given, law = functions
-
-        def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-            term, state = motion(model, state, solver, Inputs(*given), of_args, law, start)
-            saveat = diffrax.SaveAt(ts=elapsed, fn=_Saved(of_args, law, start))
-            out = solve(
-                term,
-                solver=settling(solver, law, of_args, start),
-                t0=elapsed[0],
-                t1=elapsed[-1],
-                y0=state,
-                args=args,
-                saveat=saveat,
-            )
-            return out.ys, out.result, out.stats
-
-        return (threaded if by_threads else itself)(solved_from)(state, ts[0], elapsed, args)
+        return run(model, state, ts[0], elapsed, functions, how)
 
     with _only_reverse():
         path, result, stats = with_captured(solved, *inputs, law)
-    q = path.q
-    ok = all_finite(path) & (result == diffrax.RESULTS.successful)
+    q, failed = path.q, result != diffrax.RESULTS.successful
+    ok = all_finite(path) & ~failed
+    if throw and not inside_jit():
+        q = result.error_if(q, failed)  # with the reason
     if throw:
         q = eqx.error_if(
             q,
@@ -191,7 +172,54 @@ def simulate(
     return Trajectory(ts, q, path.v, ok, result, stats, path.x)
 
 
-_diffeqsolve = compiled(diffrax.diffeqsolve, jit=eqx.filter_jit)
+class _How(NamedTuple):
+    """How diffrax solves. by_kernel: as one program of one robot, which takes its own steps and
+    cannot raise, so `throw` is False."""
+
+    solver: diffrax.AbstractSolver
+    dt0: Any
+    stepsize_controller: diffrax.AbstractStepSizeController
+    adjoint: diffrax.AbstractAdjoint
+    max_steps: int | None
+    throw: bool
+    progress: bool
+    by_kernel: bool
+
+
+def _solved(
+    model: Model, state: State, start: jax.Array, elapsed: jax.Array, functions: tuple, how: _How
+) -> tuple:
+    """The saved states, the result and the statistics of diffrax."""
+    *given, law = functions
+    args, of_args = split_tracers(model)
+
+    def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
+        term, state = motion(
+            of_args(args), state, how.solver, Inputs(*given), of_args, law, start
+        )
+        out = diffrax.diffeqsolve(
+            term,
+            solver=settling(how.solver, law, of_args, start),
+            t0=elapsed[0],
+            t1=elapsed[-1],
+            dt0=how.dt0,
+            y0=state,
+            args=args,
+            saveat=diffrax.SaveAt(ts=elapsed, fn=_Saved(of_args, law, start)),
+            stepsize_controller=how.stepsize_controller,
+            adjoint=how.adjoint,
+            max_steps=how.max_steps,
+            throw=how.throw,
+            progress_meter=(
+                diffrax.TextProgressMeter() if how.progress else diffrax.NoProgressMeter()
+            ),
+        )
+        return out.ys, out.result, out.stats
+
+    return (threaded(solved_from) if how.by_kernel else solved_from)(state, start, elapsed, args)
+
+
+_compiled = compiled(_solved, jit=eqx.filter_jit)
 
 
 class _Saved(eqx.Module):

@@ -42,8 +42,8 @@ class Sources(eqx.Module):
         return joined(found)
 
     def inputs(self, model: Model, *given: Any) -> Inputs:
-        """The inputs of a step: of its row and of what the functions return, whichever there are,
-        of one sample or with the batch last."""
+        """The inputs of a step: of its row and of what the functions return, whichever there
+        are."""
         answered = tuple(k for k, f in enumerate(self.functions) if f is not None)
         out: list[Any] = [None, None, None]
         for numbers, which in zip(given, filter(None, (self.listed, answered)), strict=True):
@@ -51,7 +51,7 @@ class Sources(eqx.Module):
             for k in which:
                 shape = shapes(model)[k]
                 n = math.prod(shape)
-                out[k] = numbers[at : at + n].reshape(*shape, *numbers.shape[1:])
+                out[k] = numbers[at : at + n].reshape(shape)
                 at += n
         return Inputs(*out)
 

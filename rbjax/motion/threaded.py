@@ -15,12 +15,12 @@ from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program
 from rbjax.compiler.jax.uniform import divided
 from rbjax.dynamics.drivers import choice
-from rbjax.dynamics.tracing.ahead import made_by_threads
+from rbjax.dynamics.tracing.constants import with_compiled_constants
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.dynamics.tracing.devices import on_each_device
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import joined, shapes
-from rbjax.model import Model, State, known_zeros
+from rbjax.model import Model, State
 from rbjax.motion.field import Field, Law
 from rbjax.motion.integrators import Integrator, advanced
 from rbjax.motion.march import March, keep_every
@@ -54,8 +54,8 @@ def on_threads(
     """
     dtype = state.q.dtype
     model = choice.on_threads(model, dtype)
-    made = made_by_threads(known_zeros(model), dtype)  # structural zeros only for the constants
-    model = model.replace(prepared=made.execution.prepared)
+    made = with_compiled_constants(model, dtype)
+    model = model.replace(constants=made.execution.constants)
     batched, steps, save_every = how.batched, how.count, how.save_every
     given, treedef = jax.tree.flatten(state)
     one = [x[0] if batched else x for x in given]

@@ -1,4 +1,4 @@
-"""The variational midpoint method with a fixed number of evaluations, for `rollout`. Batch last.
+"""The variational midpoint method with a fixed number of evaluations, for `rollout`.
 
 The discrete Euler-Lagrange equations of L_d = h L(m, w), q1 = q0 (+) h w, m = q0 (+) h w / 2. With
 p = M(m) w, its rate p' at the midpoint, forces included (the discrete d'Alembert principle), and

@@ -31,7 +31,7 @@ from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
-from rbjax.model import Model, State, made_ahead
+from rbjax.model import Model, State, with_constants
 from rbjax.motion.simulate import simulate
 from rbjax.progress import Say, progress_line
 from rbjax.recommend.recommendation import Recommendation
@@ -217,7 +217,7 @@ def solver(
         state = check_arrays("recommend", model, {"state": state})["state"]
         if not model.nv:
             raise InputError("recommend: the model has no joints, so nothing moves")
-        model = made_ahead(jax.tree.map(double, model), jnp.float64)
+        model = with_constants(jax.tree.map(double, model), jnp.float64)
         state = State(*(jnp.asarray(x, jnp.float64) for x in (state.q, state.v)))
         with progress_line("recommend", progress) as say:
             return _recommended(model, state, float(accuracy), float(horizon), control, say)

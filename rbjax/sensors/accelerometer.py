@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics import frame_velocity, integrate, site_pose
+from rbjax.dynamics import frame_pose, frame_velocity, integrate
 from rbjax.model import Model
 from rbjax.sensors.protocol import Context
 from rbjax.sensors.registry import register
@@ -26,7 +26,7 @@ class Accelerometer(SiteSensor):
             return frame_velocity(model, at, v + s * a, site=self.site)[3:]
 
         _, rate = jax.jvp(velocity, (jnp.zeros((), q.dtype),), (jnp.ones((), q.dtype),))
-        R, _ = site_pose(model, q, self.site)
+        R, _ = frame_pose(model, q, site=self.site)
         return R.T @ (rate - jnp.asarray(model.gravity, q.dtype))
 
     def unit(self, model: Model) -> str:

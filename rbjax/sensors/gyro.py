@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 
-from rbjax.dynamics import frame_velocity, site_pose
+from rbjax.dynamics import frame_pose, frame_velocity
 from rbjax.model import Model
 from rbjax.sensors.protocol import Context
 from rbjax.sensors.registry import register
@@ -17,7 +17,7 @@ class Gyro(SiteSensor):
 
     def __call__(self, context: Context) -> jax.Array:
         model, state = context.model, context.state
-        R, _ = site_pose(model, state.q, self.site)
+        R, _ = frame_pose(model, state.q, site=self.site)
         return R.T @ frame_velocity(model, state.q, state.v, site=self.site)[:3]
 
     def unit(self, model: Model) -> str:

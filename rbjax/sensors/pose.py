@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics import forward_kinematics, site_pose
+from rbjax.dynamics import forward_kinematics, frame_pose
 from rbjax.errors import UnknownName
 from rbjax.model import Model
 from rbjax.model.record import Record
@@ -28,7 +28,7 @@ class Pose(Record):
             poses, k = forward_kinematics(model, q), model.body(self.name)
             R, p = poses.R[k], poses.p[k]
         else:
-            R, p = site_pose(model, q, self.name)
+            R, p = frame_pose(model, q, site=self.name)
         return jnp.concatenate([p, quaternion.from_matrix(R)])
 
     def columns(self, model: Model) -> Columns:

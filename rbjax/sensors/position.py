@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 
-from rbjax.dynamics import site_pose
+from rbjax.dynamics import frame_pose
 from rbjax.model import Model
 from rbjax.sensors.protocol import Context
 from rbjax.sensors.registry import register
@@ -16,7 +16,7 @@ class Position(SiteSensor):
     """p (3,) of a site in the world."""
 
     def __call__(self, context: Context) -> jax.Array:
-        return site_pose(context.model, context.state.q, self.site)[1]
+        return frame_pose(context.model, context.state.q, site=self.site)[1]
 
     def unit(self, model: Model) -> str:
         return "m"

@@ -9,6 +9,7 @@
     following      commands, pure_pursuit, stanley, tracking_gains
     control        controlled, the system of an rb.control.Problem
     odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
+    equations      reduced, undetermined: the terms S, M, C, B, f, and A with its multipliers
     motors         TorqueSource, SpeedServo, DCMotor
     tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
     on any model   TyreOnGround, a force element
@@ -20,6 +21,7 @@ from rbjax.wheeled.kinematics.odometry import HeadingSlip, mean_twists, odometry
 from rbjax.wheeled.models.constrained import full_model_state
 from rbjax.wheeled.models.contact_forces import Contacts, contacts
 from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.models.reduction import Reduced, Undetermined, reduced, undetermined
 from rbjax.wheeled.models.states import rates, start
 from rbjax.wheeled.motion.control_system import Vehicle, controlled
 from rbjax.wheeled.motion.following import (
@@ -58,6 +60,7 @@ __all__ = [
     "Linear",
     "Motor",
     "Pacejka",
+    "Reduced",
     "Relaxing",
     "Robot",
     "RollingResistance",
@@ -67,6 +70,7 @@ __all__ = [
     "TorqueSource",
     "Tyre",
     "TyreOnGround",
+    "Undetermined",
     "Vehicle",
     "Wheel",
     "at",
@@ -82,6 +86,7 @@ __all__ = [
     "odometry",
     "pure_pursuit",
     "rates",
+    "reduced",
     "rolled_twists",
     "rollout",
     "simulate",
@@ -89,6 +94,7 @@ __all__ = [
     "start",
     "tracking_gains",
     "traction_along",
+    "undetermined",
     "with_trailers",
     "write_mjcf",
 ]

@@ -14,6 +14,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
+from rbjax.constraints.methods.soft import SOLIMP, SOLREF
 
 GROUND = rc.Place.on(point=[0.1, -0.2, 0.05], axis=[1.0, 0.4, 2.0])
 HAND = rc.Place.on(body="hand", point=[0.05, 0.1, -0.1], axis=[0.3, 1.0, 0.2])
@@ -73,7 +74,7 @@ MADE = {
     "RollingSphere": lambda: rc.RollingSphere(*ENDS, 0.3),
     "RollingDisc": lambda: rc.RollingDisc(*ENDS, 0.3),
     "KnifeEdge": lambda: rc.KnifeEdge(*ENDS),
-    "Soft": lambda: rc.Soft(rc.Inplane(*ENDS), rc.soft.SOLREF, rc.soft.SOLIMP, [1.0]),
+    "Soft": lambda: rc.Soft(rc.Inplane(*ENDS), SOLREF, SOLIMP, [1.0]),
 }
 QUICK = ("JointPolynomial",)
 

@@ -12,13 +12,13 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
 import rbjax as rb
-from rbjax.dynamics.tracing import batching
+from rbjax.dynamics.tracing.devices import on_each_device
 from tests.eight_devices import check, mesh, on_eight_devices
 from tests.test_registry import MODEL, REGISTRY, samples
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 BOTH = P(("a", "b"))
-SIZE = 8 * 40  # three chunks of 16 a device, the last of which overlaps
+SIZE = 8 * 40
 
 
 def placed(xs, spec=BOTH):
@@ -31,7 +31,6 @@ def heavier(model, mass):
 
 def child_algorithms():
     """All of them in one program, and their gradient by shared masses."""
-    batching.CPU_CHUNK = 16
     names = sorted({name for entry in REGISTRY.values() for name in entry.arrays} - {"mass", "com"})
     xs = placed(samples(tuple(names), n=SIZE))
     mass, com = (np.asarray(x) for x in (MODEL.bodies.mass, MODEL.bodies.com))
@@ -69,7 +68,6 @@ def test_every_algorithm():
 
 def cart_poles():
     """A batch over eight devices: rollouts of it, a policy by weights, a loss by everything."""
-    batching.CPU_CHUNK = 16
     model = rb.load("cart_pole")
     rng = np.random.default_rng(0)
     W = jnp.asarray(rng.normal(size=(1, 4)))
@@ -156,9 +154,7 @@ def test_two_axes_and_gradients():
 def test_parts_are_the_batch(monkeypatch, size):
     """The same on one device, emulating eight."""
     monkeypatch.setattr("rbjax.dynamics.tracing.devices.devices", lambda: 8)
-    monkeypatch.setattr(batching, "CPU_CHUNK", 16)
-    x, y = np.arange(2.0 * size).reshape(2, size), np.array([3.0, 4.0])
-    got = batching.chunks(lambda a: a[0] * a[1][:, None], [x, y], [-1, None], size, -1)
-    np.testing.assert_array_equal(got, x * y[:, None])
-    got = batching.chunks(lambda a: a[0] * a[1], [x.T, y], [0, None], size)
-    np.testing.assert_array_equal(got, x.T * y)
+    x, y = np.arange(2.0 * size).reshape(size, 2), np.array([3.0, 4.0])
+    product = lambda a: a[0] * a[1]  # noqa: E731
+    got = on_each_device(product, [x, y], [0, None], size)([x, y])
+    np.testing.assert_array_equal(got, x * y)

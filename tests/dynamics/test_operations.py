@@ -14,7 +14,7 @@ from tests.forces.test_drivers import TWO_ARMED
 from tests.oracles.random_actuators import random_actuated
 from tests.robots import load_quietly
 
-NO_ELEMENTS = {"Anchor", "Element", "Frame", "Instant", "Joint", "Loads", "applied_forces",
+NO_ELEMENTS = {"Place", "Element", "Frame", "Instant", "Joint", "Loads", "applied_forces",
                "elastic_energy", "on_each"}  # fmt: skip
 
 ONCE = jax.ShapeDtypeStruct((), float)
@@ -89,7 +89,7 @@ def test_our_elements_have_counts(driver: str) -> None:
     fluid = """<mujoco><option density="1.2" viscosity="0.1"/><worldbody><body><freejoint/>
       <geom type="ellipsoid" size="0.1 0.2 0.3" fluidshape="{}"/></body></worldbody></mujoco>"""
     arms = load_quietly(mujoco.MjModel.from_xml_string(TWO_ARMED), limits=True, friction=True)
-    ends = (rb.forces.Anchor.on(body=name) for name in ("left", "right"))
+    ends = (rb.forces.Place.on(body=name) for name in ("left", "right"))
     one = [j for j in arms.joint_names if arms.q_slice(j).stop - arms.q_slice(j).start == 1][:1]
     sprung = arms.with_forces(
         rb.forces.Bushing.of(*ends, stiffness=3.0, damping=1.0),

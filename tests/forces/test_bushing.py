@@ -9,7 +9,7 @@ from tests.forces.against_mujoco import applied, costs_nothing, energy_slope, sl
 from tests.robots import robot
 from tests.tolerances import F64_IDENTITY, GRADIENT
 
-A = rb.forces.Anchor
+A = rb.forces.Place
 STIFF = [3.0, 1.0, 2.0, 30.0, 50.0, 20.0]
 
 

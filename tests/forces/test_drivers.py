@@ -29,7 +29,7 @@ TWO_ARMED = f"""
 
 def test_all_elements_on_all_drivers() -> None:
     m = mujoco.MjModel.from_xml_string(TWO_ARMED)
-    A, model = rb.forces.Anchor, load_quietly(m, limits=True, friction=True)
+    A, model = rb.forces.Place, load_quietly(m, limits=True, friction=True)
     assert model.dropped == () and partition(model.topology).groups
     assert {type(element).__name__ for element in model.forces} == {
         "GravityCompensation", "JointFriction", "JointLimits", "JointPolynomials", "PointSpring",

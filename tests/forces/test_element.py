@@ -9,7 +9,7 @@ import pytest
 import rbjax as rb
 from rbjax.forces import Element, Loads
 from rbjax.forces.instant import Instant
-from rbjax.model import made_ahead
+from rbjax.model import with_constants
 from tests.forces.elements import Lag, Wind
 from tests.tolerances import F64_IDENTITY, relative_error
 
@@ -53,7 +53,7 @@ def test_a_push_on_the_world_is_no_load():
     """It is no link's: its number, -1, would be the last link's among columns."""
     model = rb.load("cart_pole")
     now = Instant.of(model, 0.0, model.default_state(), None)
-    assert rb.forces.Anchor.on().frame(now).push(jnp.ones(3)) == Loads()
+    assert rb.forces.Place.on().frame(now).push(jnp.ones(3)) == Loads()
 
 
 def test_generalized_forces_act_as_they_are():
@@ -121,8 +121,8 @@ def test_loads_are_a_vector_space():
     assert (2.0 * a).tau == {0: 2.0, 1: 4.0}
 
 
-def test_a_model_made_ahead_follows_what_is_changed(key):
-    model = made_ahead(rb.load("cart_pole"), jnp.float64)
+def test_a_model_with_constants_follows_what_is_changed(key):
+    model = with_constants(rb.load("cart_pole"), jnp.float64)
     heavy = model.replace(bodies=model.bodies.replace(mass=2 * model.bodies.mass))
     q = model.random_state(key).q
     want = rb.load("cart_pole")

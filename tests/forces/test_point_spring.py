@@ -98,9 +98,9 @@ def test_slopes() -> None:
 def ball_on_a_spring(at: list[float], **numbers) -> tuple[rb.Model, rb.State]:
     """A free body held to a point of the world, the spring's other end at `at` from that."""
     model = rb.load("free_body")
-    here = rb.forces.Anchor.on(point=[0.3, 0.2, 0.1])
-    spring = rb.forces.PointSpring.of(here, rb.forces.Anchor.on(body=0), **numbers)
-    q = model.default_state().q.at[:3].set(here.point + jnp.array(at))
+    here = rb.forces.Place.on(point=[0.3, 0.2, 0.1])
+    spring = rb.forces.PointSpring.of(here, rb.forces.Place.on(body=0), **numbers)
+    q = model.default_state().q.at[:3].set(here.position + jnp.array(at))
     return model.with_forces(spring), rb.State(q, jnp.zeros(6))
 
 
@@ -139,13 +139,13 @@ def test_a_stretched_spring_whose_ends_meet_has_finite_slopes() -> None:
 def test_zeros_cost_nothing_and_other_models_have_none() -> None:
     model = rb.load("double_pendulum")
     assert model.forces == ()
-    ends = (rb.forces.Anchor.on(), rb.forces.Anchor.on(body=1))
+    ends = (rb.forces.Place.on(), rb.forces.Place.on(body=1))
     assert costs_nothing(rb.forces.PointSpring.of(*ends), model)
 
 
 def test_anchor_of_two_frames_or_of_what_is_no_name() -> None:
     with pytest.raises(rb.InputError, match="give one of them"):
-        rb.forces.Anchor.on(body="a", site="b")
+        rb.forces.Place.on(body="a", site="b")
     for wrong in (True, 1.5):
         with pytest.raises(rb.InputError, match=r"site is .*, expected its name, its index, or"):
-            rb.forces.Anchor.on(site=wrong)  # type: ignore[arg-type]
+            rb.forces.Place.on(site=wrong)  # type: ignore[arg-type]

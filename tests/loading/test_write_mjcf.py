@@ -120,7 +120,8 @@ def test_every_number_and_name_is_read_again(name: str) -> None:
     model = identified(load_quietly(name) if name in rb.scenes() else robot(name).model)
     if model.constraints:  # their ends on bodies are written as sites, which then stay
         model = load_quietly(written(model)).replace(dropped=model.dropped)
-    again = load_quietly(written(model)).replace(dropped=model.dropped)
+    model = model.replace(geoms=None)  # which are not written
+    again = load_quietly(written(model)).replace(dropped=model.dropped, geoms=None)
     assert jax.tree.structure(again) == jax.tree.structure(model)
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(model), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
@@ -129,10 +130,10 @@ def test_every_number_and_name_is_read_again(name: str) -> None:
 
 
 def test_single_precision_keeps_its_decimals() -> None:
-    model = load_quietly("arm7")
+    model = load_quietly("arm7").replace(geoms=None)
     single = rb.write_mjcf(model.astype(jnp.float32))
     assert single.count("999") <= rb.write_mjcf(model).count("999")
-    again = load_quietly(single).astype(jnp.float32)
+    again = load_quietly(single).astype(jnp.float32).replace(geoms=None)
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(model), strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-6, atol=1e-8)
 
@@ -235,7 +236,7 @@ def test_passive_elements(which: str) -> None:
 
 
 def test_springs_at_points_become_tendons() -> None:
-    A = rb.forces.Anchor
+    A = rb.forces.Place
     model = load_quietly(TWO.format(body="", joint="", ball="", extra=""))
     aside, above = A.on(site="s", point=[0.1, 0.2, 0.3]), A.on(body=1, point=[1.0, 0, 0])
     for ends in ((A.on(), aside), (above, A.on(site="s"))):
@@ -277,7 +278,7 @@ def noted(model: rb.Model, *words: str) -> str:
 def test_what_mjcf_does_not_have_is_named() -> None:
     model = load_quietly("double_pendulum")
     noted(model.with_forces(Wind(jnp.ones(3))), "force element Wind")
-    A = rb.forces.Anchor
+    A = rb.forces.Place
     noted(model.with_forces(rb.forces.Bushing.of(A.on(), A.on(body=0))), "force element Bushing")
     long = rb.forces.JointPolynomials(jnp.ones((1, 3)), jnp.zeros((1, 1)), ("elbow",))
     noted(model.with_forces(long), "JointPolynomials of more than 3 terms", "elbow")

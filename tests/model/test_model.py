@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.model.links import made_ahead
+from rbjax.model.links import with_constants
 from tests.robots import robot
 
 
@@ -72,9 +72,9 @@ def test_slices_of_joints(model: rb.Model) -> None:
 
 
 def test_astype(model: rb.Model) -> None:
-    single = made_ahead(model, jnp.float64).astype(np.float32)
+    single = with_constants(model, jnp.float64).astype(np.float32)
     assert all(x.dtype == np.float32 for x in jax.tree.leaves(single))
-    assert single.execution.prepared is None and single.topology is model.topology
+    assert single.execution.constants is None and single.topology is model.topology
     state = single.default_state()
     assert rb.mass_matrix(single, state.q).dtype == np.float32
     back = single.astype("float64")

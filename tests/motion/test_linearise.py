@@ -136,7 +136,7 @@ def test_the_closed_form_of_free_motion_is_the_derivative_of_its_rates(name: str
 
     model = rb.load(name)
     body = model.body_names[-1]
-    on = rb.forces.Anchor.on
+    on = rb.forces.Place.on
     spring = rb.forces.PointSpring.of(
         on(), on(body=body, point=[0.1, 0.0, 0.2]), stiffness=3.0, length=0.1
     )

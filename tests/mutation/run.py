@@ -160,7 +160,7 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
 
     rng, chosen = random.Random(given.seed), []
-    for name in given.files or found(*(f"rbjax/{room}/[!_]*.py" for room in ROOMS)):
+    for name in given.files or found(*(f"rbjax/{room}/**/[!_]*.py" for room in ROOMS)):
         file = name.partition(":")[0]
         of_file = mutants(file, (ROOT / file).read_text())
         rng.shuffle(of_file)

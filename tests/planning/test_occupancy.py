@@ -203,3 +203,16 @@ def test_a_field_is_a_pytree() -> None:
     field = OccupancyGrid(EMPTY, 0.1).distance_field()
     assert isinstance(jax.tree.map(lambda x: x, field), DistanceField)
     assert len(jax.tree.leaves(field)) == 3
+
+
+def test_a_known_map_computes_its_field_once() -> None:
+    """Also within a trace, without a tracer in it; a changed map computes its own."""
+    walls = np.zeros((6, 5), bool)
+    walls[3, 2] = True
+    grid = OccupancyGrid(walls, 0.1)
+    point = jnp.array([0.12, 0.2])
+    inside = jax.jit(lambda x: grid.distance_field().at(x))(point)
+    field = grid.distance_field()
+    assert field is grid.distance_field() and not isinstance(field.values, jax.core.Tracer)
+    np.testing.assert_allclose(inside, field.at(point), rtol=1e-6)
+    assert float(grid.replace(resolution=0.2).distance_field().resolution) == pytest.approx(0.2)

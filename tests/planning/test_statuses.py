@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rbjax import planning as p
+from rbjax.errors import InputError
 
 DTYPES = [jnp.float64, jnp.float32]
 CAR = p.Controls.car(radius=0.5, turn=np.deg2rad(20.0), reversal=2)
@@ -68,7 +69,7 @@ def test_plan_hands_every_status_on(dtype: type) -> None:
 
 
 def test_sizes_that_no_machine_holds_are_refused() -> None:
-    with pytest.raises(p.paths.InputError, match="take a larger cell"):
+    with pytest.raises(InputError, match="take a larger cell"):
         p.hybrid_a_star(grid(jnp.float64), DISC, A, B, CAR, headings=36, cell=1e-9)
-    with pytest.raises(p.paths.InputError, match="take a larger spacing"):
+    with pytest.raises(InputError, match="take a larger spacing"):
         p.Path([0, 0, 0], [[1e3, 0, 0]]).split(1e-9)

@@ -140,6 +140,8 @@ WHEELED: Calls = {
     "odometry": {"robot": ROBOT, "t": np.arange(3.0), "angles": np.zeros((3, 2)), "pose": ONE},
     "pure_pursuit": {"path": PATH, "pose": PATH[0], "speed": 0.5, "lookahead": 1.0},
     "rates": {"vehicle": VEHICLE, "state": STATE, "controls": np.zeros(2)},
+    "reduced": {"vehicle": VEHICLE, "state": STATE, "controls": np.zeros(2)},
+    "undetermined": {"vehicle": VEHICLE, "state": STATE, "controls": np.zeros(2)},
     "rolled_twists": {"robot": ROBOT, "rates": np.ones(2)},
     "rollout": {
         "vehicle": VEHICLE, "state": STATE, "controls": np.zeros((3, 2)), "dt": 0.01,

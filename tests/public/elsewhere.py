@@ -66,7 +66,7 @@ ELSEWHERE: dict[str, set[str]] = {
               "fusion_barrier", "horner", "inner", "inverse", "is_literal", "is_zero", "ldlt",
               "matmat", "matrix_transpose", "matvec", "mul", "neg", "outer", "polynomial_sincos",
               "quaternion_matrix", "rotation_z", "sincos", "sub", "total"},
-    "model": {"as_declared", "known_zeros", "made_ahead", "partition", "prepare", "spans",
+    "model": {"with_constants", "partition", "prepare", "spans",
               "without_constants"},
     "compiler": {"compile", "explain", "threads"},
 }  # fmt: skip

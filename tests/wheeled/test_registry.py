@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from rbjax import wheeled
-from rbjax.callable_modules import CallableModule
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, Fiala, Relaxing, RollingResistance, SpeedServo
 from tests.composing import cast, check_axes, check_composes
@@ -49,6 +48,13 @@ def rates(fidelity: str, robot: Any, **options: Any) -> Callable:
         made = changed(robot, mass, radius)
         vehicle = wheeled.at(made, fidelity, **cast(options, mass))
         return wheeled.rates(vehicle, State(q, v), u)
+
+    return found
+
+
+def terms(of: Callable, robot: Any) -> Callable:
+    def found(q, v, u, mass, radius):
+        return of(wheeled.at(changed(robot, mass, radius), "kinematical"), State(q, v), u)
 
     return found
 
@@ -164,6 +170,8 @@ ONE = np.asarray(1.0)
 ROLLS = np.array([2.1, 0.2, 2.0])  # the velocity of a wheel, and that of its rim
 REGISTRY: dict[str, tuple[Callable, list[np.ndarray]]] = {
     "rates": (rates("kinematical", TRICYCLE), drawn(q=7, v=1, u=2, **robot(TRICYCLE))),
+    "reduced": (terms(wheeled.reduced, CART), drawn(q=5, v=2, u=2, **robot(CART))),
+    "undetermined": (terms(wheeled.undetermined, CART), drawn(q=5, v=2, u=2, **robot(CART))),
     "rates, kinematic": (rates("kinematic", TRICYCLE), drawn(q=7, v=0, u=2, **robot(TRICYCLE))),
     "rates, slipping": (
         rates("slipping", CART, tyre=TYRE), drawn(q=5, v=5, u=2, **robot(CART)),
@@ -228,7 +236,7 @@ def test_a_batch_of_robots() -> None:
 
 
 def is_function(value: object) -> bool:
-    return inspect.isroutine(value) or isinstance(value, CallableModule)
+    return inspect.isroutine(value)
 
 
 def test_no_public_function_is_missing() -> None:

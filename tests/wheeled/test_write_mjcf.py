@@ -12,6 +12,7 @@ import pytest
 import rbjax as rb
 from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName, UnsupportedFeature
+from rbjax.wheeled.models.states import with_twist
 from rbjax.wheeled.multibody.full_model import BASES, full_model
 from rbjax.wheeled.robot.motors import limited
 from tests.tolerances import relative_error
@@ -281,7 +282,7 @@ def test_in_a_curve_wheels_slide_outwards_at_the_rate_that_mujoco_leaves_out():
     robot, T, d_w = KINDS["car"].make(), 0.01, 0.95
     vehicle = wheeled.at(robot, "kinematical")
     start = wheeled.start(vehicle)
-    start = wheeled.states.with_twist(vehicle, start.q.at[3].set(0.1), jnp.array([3.0, 0.0, 0.0]))
+    start = with_twist(vehicle, start.q.at[3].set(0.1), jnp.array([3.0, 0.0, 0.0]))
     full = wheeled.full_model_state(vehicle, start, base="free")
     m = opened(robot, timestep=T / 10, solref=(T, 1.0), solimp=(d_w, d_w, 0.001), impratio=1e3)
     d = mujoco.MjData(m)

@@ -16,7 +16,7 @@ from rbjax.compiler.jax.backend import gpu, wanted
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Program
 from rbjax.compiler.jax.tangents import tangent_p  # noqa: F401 (its rules)
-from rbjax.compiler.jax.uncollected import uncollected
+from rbjax.compiler.jax.uncollected import collection_paused
 from rbjax.compiler.jax.uniform import halves
 from rbjax.compiling import inside_jit
 from rbjax.meshes import automatic
@@ -137,12 +137,12 @@ def side_by_side(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> A
     return run(program, [*closed_over, *xs], (size,), ins, outs)
 
 
-@uncollected
 def trace(f: Callable, args: list[Any]) -> tuple[Program, list[Any]]:
     """The program of a flat function, whose inputs are the traced values that it closes over and
     its arguments; and these values."""
     avals = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in args]
-    closed = jax.make_jaxpr(f)(*avals)
+    with collection_paused():
+        closed = jax.make_jaxpr(f)(*avals)
     jaxpr, consts = closed.jaxpr, closed.consts
     traced = [isinstance(c, jax.core.Tracer) for c in consts]
     if not any(traced):

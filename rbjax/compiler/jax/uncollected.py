@@ -6,10 +6,11 @@ of the time of a trace.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import gc
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -29,13 +30,20 @@ def uncollected(f: F) -> F:
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
-        _begin()
-        try:
+        with collection_paused():
             return f(*args, **kwargs)
-        finally:
-            _end()
 
     return call  # type: ignore[return-value]
+
+
+@contextlib.contextmanager
+def collection_paused() -> Iterator[None]:
+    """`uncollected` of a block."""
+    _begin()
+    try:
+        yield
+    finally:
+        _end()
 
 
 def _begin() -> None:

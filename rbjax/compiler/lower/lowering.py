@@ -158,6 +158,8 @@ class Lowering:
 
     def _equation(self, eqn: Any, ins: list[Small], places: list[View | None]) -> list[Small]:
         name = eqn.primitive.name
+        if name == "custom_lin":  # what JAX makes of a custom_vjp under jvp
+            raise TypeError("forward-mode autodiff of a function that has only a reverse rule")
         for var in eqn.outvars:
             dtype = dtype_of(var.aval)
             fits = dtype is None or dtype in DTYPES

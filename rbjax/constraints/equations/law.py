@@ -74,7 +74,6 @@ def constrained_motion(
     """a (nv,) and l (rows,) of a sample, on checked arrays. `left_of`: of rows with another
     equation than that above, which `method` solves."""
     given, rebuilt = split_tracers((model, pushes, t, alpha, beta))
-    known_model = not split_tracers(model)[0]
     nv = model.nv
 
     def left_at(now, rows, l, alpha, beta):
@@ -82,9 +81,9 @@ def constrained_motion(
             return list(left_of(now, rows, l, alpha, beta))
         return [asked(row, alpha, beta) for row in rows]
 
-    def run(changed, q, v, tau, values=False):
+    def run(changed, q, v, tau):
         model, pushes, t, alpha, beta = rebuilt(changed)
-        d = driver(model, q.dtype, values=values)
+        d = driver(model, q.dtype)
         now = Instant.of(model, t, State(q, v), None, d=d)
         start, left, system = method(d, now, tau, pushes)
         now = now if start is None else now.accelerating(start)
@@ -95,7 +94,7 @@ def constrained_motion(
         return jnp.concatenate([a, l]), solve
 
     def plain(changed, q, v, tau):
-        return (run(changed, q, v, tau, values=known_model)[0],)
+        return (run(changed, q, v, tau)[0],)
 
     def solved(changed, q, v, tau):
         x, solve = run(changed, q, v, tau)

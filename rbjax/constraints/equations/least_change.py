@@ -54,16 +54,15 @@ def least_changes(
 ) -> tuple[jax.Array, jax.Array]:
     """dq and dv."""
     given, rebuilt = split_tracers((model, t0, t))
-    known_model = not split_tracers(model)[0]
     nv = model.nv
 
-    def found(changed, q, u, v, values=False):
+    def found(changed, q, u, v):
         model, t0, t = rebuilt(changed)
-        x = method(driver(model, q.dtype, values=values), model, t0, t, q, u, v)
+        x = method(driver(model, q.dtype), model, t0, t, q, u, v)
         return (_joined(x.dq, x.l), _joined(x.dv, x.m)), x
 
     def plain(changed, q, u, v):
-        return found(changed, q, u, v, known_model)[0]
+        return found(changed, q, u, v)[0]
 
     def solved(changed, q, u, v):
         values, x = found(changed, q, u, v)

@@ -31,7 +31,6 @@ import jax.numpy as jnp
 
 from rbjax.constraints.rows.constraint import Constraint
 from rbjax.constraints.rows.geometry import AXES, along
-from rbjax.constraints.rows.place import Place, check_places
 from rbjax.constraints.rows.row import Row, function_of
 from rbjax.constraints.rows.user_function import (
     arrays,
@@ -42,6 +41,7 @@ from rbjax.constraints.rows.user_function import (
 from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
 from rbjax.errors import InputError
 from rbjax.forces.instant import Instant
+from rbjax.forces.place import Place, check_places
 from rbjax.model.record import check_fields, floats
 
 #: of Newton's method, from the nearest point of the table; a table that is fine enough to be on the

@@ -41,11 +41,12 @@ from rbjax.constraints.rows.geometry import (
     distance,
     turn,
 )
-from rbjax.constraints.rows.place import Place, check_places, places
+from rbjax.constraints.rows.place import places
 from rbjax.constraints.rows.row import Row, angle
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.forces.instant import Frame, Instant
+from rbjax.forces.place import Place, check_places
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats

@@ -31,9 +31,9 @@ import jax.numpy as jnp
 
 from rbjax.constraints.rows.constraint import Constraint
 from rbjax.constraints.rows.geometry import X, Y, Z, along, cosine, opposed
-from rbjax.constraints.rows.place import Place, check_places
 from rbjax.constraints.rows.row import Row
 from rbjax.forces.instant import Frame, Instant
+from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Vec3, add
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats

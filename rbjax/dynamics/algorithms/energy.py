@@ -18,7 +18,7 @@ from rbjax.dynamics.algorithms.kinematics import (
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.lanes import add, matmat, matvec, mul
-from rbjax.model import Model, as_declared
+from rbjax.model import Model
 
 
 @algorithm("q", "v")
@@ -64,7 +64,7 @@ def potential_energy(model: Model, q: jax.Array) -> jax.Array:
         ()
     """
     _, com, mass = _centres(model, q)
-    return -(mass * (com * as_declared(model).gravity.astype(q.dtype)).sum(-1)).sum()
+    return -(mass * (com * model.gravity.astype(q.dtype)).sum(-1)).sum()
 
 
 @algorithm("q")
@@ -107,7 +107,7 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     twists = body_velocities(model, q, v)
     omega = twists[:, :3]
     speed = twists[:, 3:] + jnp.cross(omega, com - poses.p)
-    inertia = as_declared(model).bodies.inertia.astype(q.dtype)
+    inertia = model.bodies.inertia.astype(q.dtype)
     in_body = (poses.R * omega[:, :, None]).sum(-2)
     spin = matvec(matmat(poses.R, inertia), in_body)
     arm = com - (mass[:, None] * com).sum(0) / mass.sum()
@@ -118,6 +118,6 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 def _centres(model: Model, q: jax.Array):
     """Poses, positions of the centres of mass in the world (nb, 3), masses (nb,)."""
     poses = forward_kinematics(model, q)
-    bodies = as_declared(model).bodies
+    bodies = model.bodies
     com = poses.p + matvec(poses.R, bodies.com.astype(q.dtype))
     return poses, com, bodies.mass.astype(q.dtype)

@@ -16,15 +16,17 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
-from rbjax.compiler import wanted
 from rbjax.dynamics.algorithms.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.algorithms.columns import inverse_mass_by_columns
 from rbjax.dynamics.algorithms.link_forces import LinkForces, on_links
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
-from rbjax.model import Model, made_ahead
+from rbjax.dynamics.tracing.custom_rules import (
+    split_tracers,
+    with_implicit_jvp,
+)
+from rbjax.model import Model, with_constants
 
 #: the names of values that a derivative may read instead of recomputing them
 LEFT = ("acceleration", "factors")
@@ -58,20 +60,18 @@ def acceleration(
     known.
     """
     given, rebuilt = split_tracers((model, pushes))
-    known_model = not split_tracers(model)[0]
-
-    def run(changed, q, v, tau, values=False):
-        model, pushes = rebuilt(changed)
-        d = driver(model, q.dtype, values=values)
-        qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, pushes)
-        return d, d.pack(qdd, tau), factors
 
     def plain(changed, q, v, tau):
-        return (run(changed, q, v, tau, values=known_model)[1],)
+        model, pushes = rebuilt(changed)
+        d = driver(model, q.dtype)
+        qdd, _ = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, pushes)
+        return (d.pack(qdd, tau),)
 
     def solved(changed, q, v, tau):
-        d, a, factors = run(changed, q, v, tau)
-        a, factors = _left(a, factors)
+        model, pushes = rebuilt(changed)
+        d = driver(model, q.dtype)
+        qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, pushes)
+        a, factors = _left(d.pack(qdd, tau), factors)
         return (a,), [lambda change: d.pack(solve(d, factors, d.lanes(change)), tau)]
 
     def residual(changed, q, v, tau, a):
@@ -117,8 +117,7 @@ def forward_dynamics(
     """
     if not model.nv:
         return jnp.zeros(0, q.dtype)
-    if wanted():  # values that all samples share, outside of the derivative rule of a thread
-        model = made_ahead(model, q.dtype)
+    model = with_constants(model, q.dtype)  # all samples share them: outside of the derivative rule
     pushes = None
     if wrenches is not None:
         d = driver(model, q.dtype)

@@ -14,7 +14,6 @@ S' its rate in the link, which is zero except for joints whose axes depend on q.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import jax
 
@@ -22,7 +21,7 @@ from rbjax.dynamics.algorithms.aba import factorize, solve
 from rbjax.dynamics.algorithms.link_forces import LinkForces, per_link
 from rbjax.dynamics.algorithms.rnea import momentum
 from rbjax.dynamics.drivers.choice import driver
-from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp, with_values
+from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.lanes import Lane, Vec3, add, mul
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion
@@ -30,11 +29,7 @@ from rbjax.spatial import Force, Motion
 
 def momentum_of(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     """p = M(q) v (nv, ...), on checked arrays."""
-
-    def run(given: Any, q: jax.Array, v: jax.Array, values: bool) -> jax.Array:
-        return momentum(given[0], q, v, values=values)
-
-    return with_values(run, (model,), q, v)
+    return momentum(model, q, v)
 
 
 def momentum_and_rate(
@@ -63,16 +58,12 @@ def momentum_and_rate(
         rate = add(joint.S.dot(f - V.cross_force(h)), add(joint.S_rate.dot(h), tau))
         return (X.T(h), X.T(f)), (p, rate)
 
-    def run(given: Any, q: jax.Array, v: jax.Array, tau: jax.Array, values: bool) -> tuple:
-        model, pushes = given
-        d = driver(model, q.dtype, values=values)
-        xs = d.zip(d.constants, d.joints(q, v), d.lanes(tau), per_link(d, pushes))
-        root = (Motion.zero(), d.prepared.gravity)
-        found = d.out_and_in(outward, root, inward, (Force.zero(), Force.zero()), xs)
-        p, rate = d.unzip(found, 2)
-        return d.pack(p, v), d.pack(rate, v)
-
-    return with_values(run, (model, pushes), q, v, tau)
+    d = driver(model, q.dtype)
+    xs = d.zip(d.constants, d.joints(q, v), d.lanes(tau), per_link(d, pushes))
+    root = (Motion.zero(), d.prepared.gravity)
+    found = d.out_and_in(outward, root, inward, (Force.zero(), Force.zero()), xs)
+    p, rate = d.unzip(found, 2)
+    return d.pack(p, v), d.pack(rate, v)
 
 
 def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
@@ -81,14 +72,13 @@ def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
     dv = M^-1 (dp - d(M(q) v)),   v held constant.
     """
     given, rebuilt = split_tracers(model)
-    known_model = not given
 
-    def factors(changed, q, values=False):
-        d = driver(rebuilt(changed), q.dtype, values=values)
+    def factors(changed, q):
+        d = driver(rebuilt(changed), q.dtype)
         return d, factorize(d, d.joints(q, None))
 
     def plain(changed, q, p):
-        d, found = factors(changed, q, known_model)
+        d, found = factors(changed, q)
         return (d.pack(solve(d, found, d.lanes(p)), p),)
 
     def solved(changed, q, p):
@@ -113,6 +103,6 @@ def nearby_velocity(
     zero."""
     moving, closed = split_tracers(model)  # known leaves stay known
     still, q = closed(jax.lax.stop_gradient(moving)), jax.lax.stop_gradient(q)
-    d = driver(still, q.dtype, values=not moving)
+    d = driver(still, q.dtype)
     found = factorize(d, d.joints(q, None), d.scattered(extra or {}, 0.0))
     return lambda p: d.pack(solve(d, found, d.lanes(p)), p)

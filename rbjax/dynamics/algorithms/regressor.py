@@ -18,7 +18,7 @@ from rbjax.dynamics.arguments import check_model
 from rbjax.dynamics.drivers.choice import driver, on_threads
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.lanes import Mat3, Vec3, add, batch_first, mul
-from rbjax.model import Model, as_declared
+from rbjax.model import Model
 from rbjax.spatial import Force, Motion, Transform
 
 
@@ -128,7 +128,7 @@ def inertial_parameters(model: Model) -> jax.Array:
         (10,)
     """
     check_model("inertial_parameters", model)
-    bodies = as_declared(model).bodies
+    bodies = model.bodies
     m, c = bodies.mass, bodies.com
     one = np.eye(3, dtype=c.dtype)
     square = (c * c).sum(-1)[:, None, None] * one - c[:, :, None] * c[:, None, :]

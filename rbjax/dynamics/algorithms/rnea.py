@@ -60,11 +60,11 @@ def _root(gravity: Vec3) -> tuple[Vec3, Motion]:
 
 
 def _run(
-    model: Model, q, v, a, gravity: Vec3 | None = None, wrenches=None, pushes=None, values=False
+    model: Model, q, v, a, gravity: Vec3 | None = None, wrenches=None, pushes=None
 ) -> jax.Array:
     if not model.nv:
         return jnp.zeros(0, q.dtype)
-    d = driver(model, q.dtype, values=values)
+    d = driver(model, q.dtype)
     g = d.prepared.gravity if gravity is None else gravity
     joints = d.joints(q, v)
     pushes = pushes if wrenches is None else on_links(d, joints, wrenches)
@@ -72,10 +72,9 @@ def _run(
     return d.pack(tau, jnp.zeros((model.nv, *q.shape[1:]), q.dtype))
 
 
-def momentum(model: Model, q: jax.Array, v: jax.Array, *, values: bool = False) -> jax.Array:
-    """p = M(q) v (nv,): the forces that give the acceleration v from rest, without gravity.
-    `values`: as for `driver`."""
-    return _run(model, q, None, v, gravity=Vec3.zero(), values=values)
+def momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+    """p = M(q) v (nv,): the forces that give the acceleration v from rest, without gravity."""
+    return _run(model, q, None, v, gravity=Vec3.zero())
 
 
 def forces_of(

@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import numpy as np
 
 from rbjax.compiler.jax.backend import gpu
@@ -32,11 +31,6 @@ from rbjax.model import DRIVER_NAMES, Model, Prepared, partition, prepare
 #: times as fast, but its gradient compiles in 0.8 s a link; that of rolled code in 4 s for any
 #: length (benchmarks/results/cpu-thresholds-*.json: chains of 4 to 16).
 UNROLLED_UP_TO = 8
-
-#: the same on the CPU for values, if the model's numbers are constants of the program: a humanoid's
-#: forward dynamics runs ten times as fast (25 times for one sample in a loop) and compiles in 3 s
-#: instead of 2. If the model is an argument, it would be twice as fast and compile in 15 s
-VALUES_UNROLLED_UP_TO = 40
 
 #: the same in a GPU thread, by bytes of a number: up to about 8,000 statements, instruction fetches
 #: cost nothing. Numbers of 8 bytes take two registers each. ABA has 350 statements a coordinate,
@@ -58,14 +52,11 @@ DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
 )
 
 
-def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:
-    """The driver that the model names; "auto" unrolls small trees and rolls large ones.
-    `values`: the model's numbers are known while tracing, and the result is not differentiated."""
+def driver(model: Model, dtype: Any) -> Driver:
+    """The driver that the model names; "auto" unrolls small trees and rolls large ones."""
     name = model.driver
     if name == "auto":
-        few = values and jax.default_backend() == "cpu"
-        most = VALUES_UNROLLED_UP_TO if few else UNROLLED_UP_TO
-        name = "unrolled" if model.nv <= most else "rolled"
+        name = "unrolled" if model.nv <= UNROLLED_UP_TO else "rolled"
     if not model.nv or (name == "limbs" and not partition(model.topology).groups):
         name = "unrolled"
     return DRIVERS[name](model, prepare(model, dtype))

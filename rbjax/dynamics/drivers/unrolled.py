@@ -106,6 +106,11 @@ class Unrolled(Sweeps, Listed):
         """message_i, y_i = step(x_i, sum of the children's messages), from the tips in."""
         return inward(self.topology.parents, step, [zero] * len(xs), xs)[1]
 
+    def out_and_in(self, out: Step, root: Any, back: Step, zero: Any, xs: list) -> list:
+        """As `Sweeps.out_and_in`."""
+        ys = outward(self.topology.parents, out, root, xs)[1]
+        return self.inward(back, zero, list(zip(xs, ys, strict=True)))
+
 
 def outward(
     parents: Sequence[int], step: Step, root: Any, xs: list, known: Any = ()

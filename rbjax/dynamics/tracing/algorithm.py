@@ -4,12 +4,13 @@ Outside traced code an algorithm checks the values of its arguments and runs com
 numbers are arguments of the program, so changing one never recompiles. The same holds under a
 `vmap` or `grad` outside of any `jit`. Inside traced code it is inlined: a model that is closed over
 is constant, and its zeros vanish from the program. A batch runs as a program of one sample: a
-thread on a GPU, a lane of machine code on a CPU (`rbjax.compiler`). Under XLA on a CPU `batching`
-runs it.
+thread on a GPU, a lane of machine code on a CPU (`rbjax.compiler`). Without either it
+runs under XLA, as JAX maps it.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 from collections.abc import Callable
@@ -18,16 +19,17 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import wanted
 from rbjax.compiler.jax.backend import gpu
-from rbjax.compiling import compiled, inside_jit
+from rbjax.compiler.jax.function import trace
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiling import inside_jit, jitted
 from rbjax.dynamics.arguments import check_arrays, check_static
 from rbjax.dynamics.drivers.choice import THREADS_APART_ABOVE, on_threads
-from rbjax.dynamics.tracing.ahead import made_by_threads
-from rbjax.dynamics.tracing.batching import in_chunks
-from rbjax.dynamics.tracing.custom_rules import split_tracers
-from rbjax.meshes import automatic
-from rbjax.model import Model, known_zeros
+from rbjax.dynamics.tracing.constants import with_compiled_constants
+from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
+from rbjax.meshes import on_auto_axes, on_explicit_axes
+from rbjax.model import Model
 
 #: arguments that are part of the program
 STATIC = ("body", "site", "integrator", "law", "constraints")
@@ -51,31 +53,34 @@ def algorithm(
         static = [n for n in STATIC if n in signature.parameters]
         required = [n for n in names if signature.parameters[n].default is not None]
 
-        @automatic
         @functools.wraps(f)
         def inlined(*args: Any, **kwargs: Any) -> Any:
-            by_threads = wanted()
-            moving, closed = split_tracers((suited(args) if by_threads else args, kwargs))
-
-            def run(moving: list) -> Any:
-                args, kwargs = closed(moving)
+            if on_explicit_axes(args, kwargs):
+                return on_auto_axes(lambda args, kwargs: inlined(*args, **kwargs), args, kwargs)
+            kernels = wanted()
+            moving, closed = split_tracers((suited(args) if kernels else args, kwargs))
+            if not moving or not kernels:
                 return f(*args, **kwargs)
+            shape: list[Any] = []
 
-            if not moving:
-                return run(moving)
-            if not by_threads:
-                return in_chunks(run)(moving)
-            if apart is None or args[0].nv <= THREADS_APART_ABOVE:
-                return threaded(run)(moving)
-            as_given = split_tracers((args, kwargs))[1]
+            def flat(*moving: Any) -> list[jax.Array]:
+                args, kwargs = closed(list(moving))
+                leaves, tree = jax.tree.flatten(f(*args, **kwargs))
+                shape.append(tree)
+                return [jnp.asarray(x) for x in leaves]
 
-            def run_apart(moving: list) -> Any:
-                args, kwargs = as_given(moving)
-                return apart(*args, **kwargs)
+            program, closed_over = trace(flat, moving)
+            if apart is not None and args[0].nv > THREADS_APART_ABOVE:
+                as_given = split_tracers((args, kwargs))[1]
 
-            return threaded(run, run_apart)(moving)
+                def flat_apart(*moving: Any) -> list[jax.Array]:
+                    args, kwargs = as_given(list(moving))
+                    return jax.tree.leaves(apart(*args, **kwargs))
 
-        program = compiled(inlined, static_argnames=static)
+                program = dataclasses.replace(program, apart=flat_apart)
+            return jax.tree.unflatten(shape[0], run(program, [*closed_over, *moving]))
+
+        program = jitted(inlined, static_argnames=static)
 
         @functools.lru_cache(PROGRAMS_OF_FUNCTIONS)
         def program_with(**functions: Callable) -> Callable:
@@ -86,7 +91,7 @@ def algorithm(
 
             left = [p for n, p in signature.parameters.items() if n not in functions]
             own.__signature__ = signature.replace(parameters=left)  # type: ignore[attr-defined]
-            return compiled(own, static_argnames=[n for n in static if n not in functions])
+            return jitted(own, static_argnames=[n for n in static if n not in functions])
 
         @functools.wraps(f)
         def call(model: Model, *args: Any, **kwargs: Any) -> Any:
@@ -95,14 +100,14 @@ def algorithm(
             bound.arguments.update(check_arrays(f.__name__, model, given, (), required))
             for n in static:
                 check_static(f.__name__, n, bound.arguments.get(n))
-            if split_tracers((bound.args, bound.kwargs))[0] and inside_jit():
+            if is_traced((bound.args, bound.kwargs)) and inside_jit():
                 return inlined(*bound.args, **bound.kwargs)
             functions = {n: x for n in static if callable(x := bound.arguments.get(n))}
             if not functions:
-                return program(*bound.args, **bound.kwargs)
+                return program()(*bound.args, **bound.kwargs)
             for n in functions:
                 del bound.arguments[n]
-            return program_with(**functions)(*bound.args, **bound.kwargs)
+            return program_with(**functions)()(*bound.args, **bound.kwargs)
 
         return call
 
@@ -120,6 +125,6 @@ def for_threads(args: tuple, *, pairs: bool = False, long: bool = False) -> tupl
         return args
     model = on_threads(model, floats[0], pairs=pairs, long=long)
     if pairs and model.driver == "rolled" and not gpu():
-        made = made_by_threads(known_zeros(model), floats[0])
-        model = model.replace(prepared=made.execution.prepared)
+        made = with_compiled_constants(model, floats[0])
+        model = model.replace(constants=made.execution.constants)
     return (model, *rest)

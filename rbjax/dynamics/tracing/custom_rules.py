@@ -34,30 +34,17 @@ def split_tracers(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
     return [leaves[i] for i in where], closed
 
 
+def is_traced(tree: Any) -> bool:
+    """Whether a leaf of a pytree is traced."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
+
+
 def with_jvp(f: Callable, rule: Callable) -> Callable:
     """f, whose derivative is rule(primals, tangents) -> (value, rate). Tangents may be symbolic
     zeros. Under `vmap` both return the batch first, as JAX assumes."""
     ruled = jax.custom_jvp(lambda *args: batch_first(f(*args), args))
     ruled.defjvp(lambda at, *to: batch_first(rule(at, *to), at), symbolic_zeros=True)
     return lambda *args: ruled(*jax.tree.map(of_jax, args))
-
-
-def with_values(run: Callable, given: Any, *args: jax.Array) -> Any:
-    """run(given, *args, values=) with the driver for values; its derivative uses the driver for
-    derivatives. The first of `given` is the model."""
-    moving, rebuilt = split_tracers(given)
-    known = not split_tracers(given[0])[0]
-
-    def plain(changed: list, *args: jax.Array) -> Any:
-        return run(rebuilt(changed), *args, values=known)
-
-    def tangent(primals: tuple, tangents: tuple) -> tuple:
-        def f(changed: list, *args: jax.Array) -> Any:
-            return run(rebuilt(changed), *args, values=False)
-
-        return jvp_of(f, primals, tangents)
-
-    return with_jvp(plain, tangent)(moving, *args)
 
 
 def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -> Callable:

@@ -41,7 +41,9 @@ def on_each_device(
     Args:
         f: takes arguments in the given layout, with any number of samples.
         args: examples of its arguments.
-        axes, size, out_axis: as for `batching.chunks`.
+        axes: the axis of the batch in each argument, 0 or -1, or None.
+        size: of the batch.
+        out_axis: the batch axis of every result.
     """
     parts = math.gcd(size, devices())
     if parts == 1:

@@ -35,7 +35,10 @@ def from_columns(model: Model) -> tuple[Actuator, ...]:
     """The actuators of `model.actuators` as elements, without the rows that drive nothing."""
     own = model.actuators
     names = ("gear", "gain", "bias", "ctrlrange", "forcerange")
-    gear, gain, bias, ctrl, force = (table(x, x.dtype) for x in (getattr(own, n) for n in names))
+    columns = (getattr(own, n) for n in names)
+    gear, gain, bias, ctrl, force = (
+        x if isinstance(x, np.ndarray) else table(x, x.dtype) for x in columns
+    )
 
     def element(i: int) -> Actuator:
         joint, site = own.joints[i], own.sites[i]

@@ -30,7 +30,7 @@ from rbjax.forces.many import on_each
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_zero, mul, quaternion_matrix
 from rbjax.model import WORLD, Model
 from rbjax.model.leaves import table, tables
-from rbjax.model.links import as_declared, lane
+from rbjax.model.links import lane
 from rbjax.rotations import quaternion
 from rbjax.spatial import Force, Motion, Transform
 
@@ -94,7 +94,7 @@ class InertiaBoxFluid(Element):
 
     def loads(self, now: Instant) -> Loads:
         """The drag of each body's box."""
-        com = as_declared(now.model).bodies.com[np.array(self.bodies)]
+        com = now.model.bodies.com[np.array(self.bodies)]
         wind, axes = in_lanes(self.wind, now), rotations(table(self.orientation, now.q.dtype))
 
         def dragged(frame: Frame, axes: Mat3, com: Vec3, drag: _Drag) -> Loads:
@@ -107,7 +107,7 @@ class InertiaBoxFluid(Element):
 
     def _drag(self, now: Instant) -> _Drag:
         """The boxes' drag coefficients, columns over the bodies."""
-        bodies, index = as_declared(now.model).bodies, np.array(self.bodies)
+        bodies, index = now.model.bodies, np.array(self.bodies)
         own = bodies.mass[index], bodies.inertia[index], self.orientation
         xp, found = tables(now.q.dtype, *own, self.density, self.viscosity)
         mass, inertia, orientation, rho, mu = found

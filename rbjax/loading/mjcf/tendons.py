@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from rbjax.forces import Anchor, Element, PointSpring
+from rbjax.forces import Element, Place, PointSpring
 from rbjax.loading.mjcf.dropped import tendon_is_supported
 
 _BITS = mujoco.mjtDisableBit
@@ -22,7 +22,7 @@ def tendon_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
         damping *= not m.opt.disableflags & int(_BITS.mjDSBL_DAMPER)
         if tendon_is_supported(m, i) and (stiffness.any() or damping.any()):
             start = m.tendon_adr[i]
-            a, b = (Anchor.on(site=int(s)) for s in m.wrap_objid[start : start + 2])
+            a, b = (Place.on(site=int(s)) for s in m.wrap_objid[start : start + 2])
             numbers = (stiffness, damping, m.tendon_lengthspring[i])
             found.append(PointSpring(a, b, *map(jnp.asarray, numbers)))
     return tuple(found)

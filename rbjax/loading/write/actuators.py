@@ -203,7 +203,7 @@ def _gain_bias(law: GainBias) -> dict[str, str]:
         constant = len(law.gain.coefficients) == 1
         out |= {} if constant else {"gaintype": "affine"}
         if not (constant and law.gain.coefficients[0] == 1):
-            out["gainprm"] = text(law.gain.coefficients)
+            out["gainprm"] = _short(law.gain.coefficients)
     else:
         out |= {"gaintype": "muscle", "gainprm": text(law.gain.muscle.parameters)}
     if isinstance(law.bias, Affine):

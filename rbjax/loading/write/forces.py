@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from rbjax.forces import (
-    Anchor,
     Element,
     EllipsoidFluid,
     GravityCompensation,
@@ -18,6 +17,7 @@ from rbjax.forces import (
     JointFriction,
     JointLimits,
     JointPolynomials,
+    Place,
     PointSpring,
 )
 from rbjax.forces.actuators.actuator import Actuator
@@ -175,7 +175,7 @@ def _write_spring(draft: Draft, spring: PointSpring) -> Element:
     )  # fmt: skip
     for name in ends:
         ET.SubElement(tendon, "site", site=name)
-    at = Anchor(np.zeros(3), site=0)  # type: ignore[arg-type]
+    at = Place(np.zeros(3), np.eye(4)[0], site=0)  # type: ignore[arg-type]
     return PointSpring(at, at, k, d, spring.slack)  # type: ignore[arg-type]
 
 
@@ -185,10 +185,10 @@ def _padded(draft: Draft, x: Any) -> Array:
     return np.concatenate([x, np.zeros(1 + _TERMS)])[: 1 + _TERMS]
 
 
-def _site_of(draft: Draft, anchor: Anchor) -> str:
+def _site_of(draft: Draft, anchor: Place) -> str:
     """The name of the site at an anchor, made if there is none."""
     model = draft.model
-    point: Any = np.asarray(anchor.point, np.float64)
+    point: Any = np.asarray(anchor.position, np.float64)
     body = WORLD
     if anchor.site is not None:
         site = model.site(anchor.site)

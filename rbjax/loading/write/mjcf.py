@@ -25,7 +25,6 @@ from rbjax.loading.write.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.write.forces import box_axes, write_forces
 from rbjax.loading.write.read_back import differences
 from rbjax.model import WORLD, Model
-from rbjax.model.links import as_declared
 
 _KINDS = {"free", "ball", "slide", "hinge"}
 _DEEPEST = 490  # of nested bodies: MuJoCo's reader takes no more than about 500 nested elements
@@ -114,7 +113,7 @@ def _known(model: Model) -> Model:
             f"write_mjcf: MJCF has no such joints: {', '.join(others)}; expected {sorted(_KINDS)}; "
             "put one of these in their place, model.with_joint(name, kind)"
         )
-    model = jax.tree.map(np.asarray, as_declared(model).replace(prepared=None))
+    model = jax.tree.map(np.asarray, model.replace(constants=None))
     endless = ("forcerange", "range", "ctrlrange")  # where infinite means that there is no limit
     for at, leaf in jax.tree_util.tree_leaves_with_path(model.replace(forces=())):
         name = jax.tree_util.keystr(at).lstrip(".")

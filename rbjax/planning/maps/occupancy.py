@@ -16,6 +16,7 @@ what it calls free is free.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -130,9 +131,20 @@ class OccupancyGrid(Record):
     def distance_field(self, closed: bool = True) -> DistanceField:
         """The exact signed distances. closed: what is beyond the map counts as occupied.
 
-        A pure function of `occupied`, for `jit` and `vmap`. It takes nx^2 ny operations.
+        A pure function of `occupied`, for `jit` and `vmap`. It takes nx^2 ny operations. A map of
+        known values keeps the result, so that several searches on it compute the field once.
         """
-        return _distance_field(self, closed=closed)
+        if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(self)):
+            return _distance_field(self, closed=closed)
+        if closed not in self._fields:
+            with jax.ensure_compile_time_eval():
+                self._fields[closed] = _distance_field(self, closed=closed)
+        return self._fields[closed]
+
+    @functools.cached_property
+    def _fields(self) -> dict[bool, DistanceField]:
+        """The distance fields of a known map, by `closed`."""
+        return {}
 
 
 def _cells(occupied: Any) -> Any:

@@ -38,7 +38,7 @@ from rbjax.planning.search.holonomic import HolonomicDistance
 from rbjax.planning.search.swept_map import SweptMap
 
 #: the largest number of cells of a search: 4 GB of costs and indices
-_MOST_CELLS = 500_000_000
+MOST_CELLS = 500_000_000
 
 MOST = np.iinfo(np.int32).max
 FEW = 64  # nodes that are expanded at once, at least, from intervals one after the other
@@ -79,10 +79,10 @@ class Search:
         self.steps = controls.steps
         size = (np.array(distances.values.shape) - 2) * self.map.h
         count = np.ceil(size / cell * (1 - 1e-12))
-        if count.prod() * len(table.headings) > _MOST_CELLS:
+        if count.prod() * len(table.headings) > MOST_CELLS:
             raise InputError(
                 f"hybrid_a_star: cell is {cell}, which makes {count.prod():.3g} cells for each of "
-                f"{len(table.headings)} headings, expected at most {_MOST_CELLS:,} cells in all"
+                f"{len(table.headings)} headings, expected at most {MOST_CELLS:,} cells in all"
             )
         self.shape = (*count.astype(int), len(table.headings))
         self.size = size

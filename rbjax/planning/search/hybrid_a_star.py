@@ -25,14 +25,11 @@ from rbjax.errors import InputError
 from rbjax.planning.maps.footprint import Footprint, clear, clearance
 from rbjax.planning.maps.occupancy import OccupancyGrid
 from rbjax.planning.paths.path import Path, Plan
-from rbjax.planning.search.best_first import Search
+from rbjax.planning.search.best_first import MOST_CELLS, Search
 from rbjax.planning.search.controls import Controls, MotionTable
 from rbjax.planning.search.ending import Direct
 from rbjax.planning.search.grid_a_star import check_weight
 from rbjax.planning.search.grid_dijkstra import check_poses, check_problem
-
-#: the largest number of cells of a search times headings; each takes eight bytes
-MOST_CELLS = 1e9
 
 
 def hybrid_a_star(

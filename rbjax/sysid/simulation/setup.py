@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from rbjax.compiler import threads, wanted
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.model import Model, State
-from rbjax.model.links import known_zeros, made_ahead
+from rbjax.model.links import with_constants
 from rbjax.model.record import Record
 from rbjax.motion.integrators import Integrator
 from rbjax.motion.linearise import step
@@ -192,7 +192,7 @@ def ready(setup: Setup) -> Setup:
         return setup
     if model.driver == "auto":
         model = model.replace(driver="limbs")
-    return setup.replace(model=made_ahead(known_zeros(model), model.gravity.dtype))
+    return setup.replace(model=with_constants(model, model.gravity.dtype))
 
 
 def moved(

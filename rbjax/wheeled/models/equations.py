@@ -110,7 +110,7 @@ def project(
     """
     columns = columns_of(n, now.shape, velocities, len(nu))
     parts = [motion(n, now.shape, column) for column in columns]
-    moves, gains = _with_rates(n, now.turning(w), velocities, nu)
+    moves, gains = motion_and_rate(n, now.turning(w), velocities, nu)
     loads = [
         F - momentum(body, A) - _gyroscopic(body, V)
         for body, F, V, A in zip(n.rigid, forces, moves.twists, gains.twists, strict=True)
@@ -140,7 +140,7 @@ def project(
     return Equations(M, f, columns)
 
 
-def _with_rates(
+def motion_and_rate(
     n: Numbers, shape: Shape, velocities: Velocities, nu: Sequence[Lane]
 ) -> tuple[Motion, Motion]:
     """The motion at nu, and its rate at nu' = 0, by the shape with its rate."""

@@ -19,7 +19,6 @@ from rbjax.arguments import choice, integer
 from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_array, check_step, check_takes, shape_of
-from rbjax.dynamics.tracing.batching import in_chunks
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, fusion_barrier, mul
@@ -204,7 +203,7 @@ def _run(numbers: Any, state: State, dt: Any, key: Any, how: _How) -> State:
 
     mine, tree = jax.tree.flatten((state, rows))
     own, first = functools.partial(jax.tree.unflatten, tree), len(mine)
-    run = threaded(sample) if wanted() else in_chunks(sample)
+    run = threaded(sample) if wanted() else sample
     if not batched:
         return run([*mine, *shared])
     each = None if rows is None or rows.ndim < 3 else 0

@@ -22,10 +22,10 @@ import jax.numpy as jnp
 
 from rbjax.constraints import Constraint, Place, Row, along, coordinate
 from rbjax.constraints.rows.geometry import Y, Z
-from rbjax.constraints.rows.place import check_places
 from rbjax.constraints.rows.rolling import slip, swept
 from rbjax.errors import UnknownName
 from rbjax.forces.instant import Frame, Instant
+from rbjax.forces.place import check_places
 from rbjax.lanes import Lane, Vec3, add, mul, neg
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import check_number, floats

@@ -32,11 +32,11 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.rows.geometry import Z, opposed
-from rbjax.constraints.rows.place import Place, check_places
 from rbjax.errors import InputError
 from rbjax.forces import Element, Instant, Loads
 from rbjax.forces.element import Shapes
 from rbjax.forces.joints.limits import stop_energy, stop_force
+from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model
 from rbjax.model.record import check_number, floats

@@ -1,4 +1,4 @@
-"""The numbers of a model's links, made before the programs that read them."""
+"""Link constants, computed before the programs that read them."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import jax
 
 from rbjax.compiler.jax.function import trace
 from rbjax.compiler.jax.primitive import run
-from rbjax.model import Model, made_ahead
+from rbjax.model import Model, with_constants
 
 
-def made_by_threads(model: Model, dtype: Any) -> Model:
-    """`made_ahead` as a program of its own, which compiles sooner than the same under XLA."""
-    if model.execution.prepared is not None:
+def with_compiled_constants(model: Model, dtype: Any) -> Model:
+    """`with_constants` as a program of its own, which compiles sooner than under XLA."""
+    if model.execution.constants is not None:
         return model
     found: list[Any] = []
 
     def numbers() -> list[jax.Array]:
-        leaves, tree = jax.tree.flatten(made_ahead(model, dtype).execution.prepared)
+        leaves, tree = jax.tree.flatten(with_constants(model, dtype).execution.constants)
         found[:] = leaves, tree
         return [x for x in leaves if isinstance(x, jax.core.Tracer)]
 
@@ -28,4 +28,4 @@ def made_by_threads(model: Model, dtype: Any) -> Model:
     leaves, tree = found
     made = iter(run(program, operands) if operands else ())
     known = [next(made) if isinstance(x, jax.core.Tracer) else x for x in leaves]
-    return model.replace(prepared=jax.tree.unflatten(tree, known))
+    return model.replace(constants=jax.tree.unflatten(tree, known))

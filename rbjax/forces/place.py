@@ -1,0 +1,124 @@
+"""Where a force or a constraint acts: a frame fixed to a body, to a site, or to the world."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.arguments import check_array
+from rbjax.errors import InputError
+from rbjax.forces.instant import Frame, Instant
+from rbjax.lanes import Vec3, quaternion_matrix
+from rbjax.model import WORLD
+from rbjax.model.leaves import table
+from rbjax.model.links import lane
+from rbjax.model.record import Record, check_fields
+from rbjax.rotations import quaternion
+from rbjax.spatial import Transform
+
+
+class Place(Record):
+    """A frame fixed to a body, to a site, or to the world if neither is named. It is an end of a
+    spring or a bushing, or of a constraint, whose axis is its z.
+
+    Fields: position (3,) m and orientation (4,), a quaternion, in the frame of the body or site.
+    Static: `body`, `site`, its name or index.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.forces.Place.on(body="trunk", point=[0.1, 0.0, 0.0], axis=[0, 1, 0]).body
+        'trunk'
+    """
+
+    position: jax.Array
+    orientation: jax.Array
+    body: str | int | None = eqx.field(static=True, default=None)
+    site: str | int | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        _check_named(self)
+        for name, size in (("position", 3), ("orientation", 4)):
+            shape = jnp.shape(getattr(self, name))
+            if shape[-1:] != (size,):
+                raise InputError(f"Place({name}=...): got the shape {shape}, expected ({size},)")
+
+    @classmethod
+    def on(
+        cls,
+        *,
+        body: str | int | None = None,
+        site: str | int | None = None,
+        point: Any = (0.0, 0.0, 0.0),
+        axis: Any = (0.0, 0.0, 1.0),
+    ) -> Place:
+        """The frame at a point, its z along an axis; both in the frame of the body or site."""
+        point = check_array("Place.on", "point", point, (3,)).astype(float)
+        axis = check_array("Place.on", "axis", axis, (3,)).astype(float)
+        return cls(point, turn_z_to(axis), body, site)
+
+    def frame(self, now: Instant) -> Frame:
+        """The frame at an instant."""
+        quat = table(self.orientation, now.q.dtype)
+        turn = quaternion_matrix(*(lane(quat, k) for k in range(4)))
+        return _named_frame(self, now).then(Transform(turn, self._position(now)))
+
+    def point(self, now: Instant) -> Frame:
+        """A frame with the same origin, in the axes of the body or site."""
+        return _named_frame(self, now).at(self._position(now))
+
+    def _position(self, now: Instant) -> Vec3:
+        p = table(self.position, now.q.dtype)
+        return Vec3(*(lane(p, k) for k in range(3)))
+
+
+def _check_named(place: Any) -> None:
+    """Raise if a `body` and a `site` name no frame, or two."""
+    kind = type(place).__name__
+    if place.body is not None and place.site is not None:
+        raise InputError(
+            f"{kind}: got body {place.body!r} and site {place.site!r}; give one of them, or none "
+            "for the world"
+        )
+    for what, name in (("body", place.body), ("site", place.site)):
+        if isinstance(name, bool) or not isinstance(name, str | int | None):
+            raise InputError(f"{kind}: {what} is {name!r}, expected its name, its index, or None")
+
+
+def _named_frame(place: Any, now: Instant) -> Frame:
+    """The frame of the body or site of a place; of the world if it has neither."""
+    if place.site is not None:
+        return now.site(place.site)
+    return now.body(WORLD if place.body is None else place.body)
+
+
+def check_places(record: Any) -> None:
+    """Raise if the ends a and b of an element or a constraint are not places."""
+    for end in ("a", "b"):
+        got = getattr(record, end)
+        if not isinstance(got, Place):
+            raise InputError(
+                f"{type(record).__name__}: {end} is {type(got).__name__}, expected a Place: "
+                "rbjax.forces.Place.on(body=...), on(site=...) or on() for the world"
+            )
+
+
+def turn_z_to(axis: jax.Array) -> jax.Array:
+    """The quaternion (4,) of a rotation that takes z to an axis (3,) of any length.
+
+    If the axis's z is not negative, it is the shortest rotation. Otherwise it is a half turn about
+    x, followed by the shortest rotation of -z to the axis.
+    """
+    length = jnp.sqrt((axis * axis).sum())
+    if not isinstance(length, jax.core.Tracer) and not np.asarray(length) > 0:
+        raise InputError(f"an axis is {np.asarray(axis).tolist()}, expected a direction")
+    x, y, z = axis / length
+    down = z < 0  # then -z is turned to it, after a half turn about x
+    side = jnp.where(down, -1.0, 1.0)
+    q = jnp.stack([1.0 + jnp.abs(z), -side * y, side * x, jnp.zeros_like(x)])
+    half_turn = jnp.array([0.0, 1.0, 0.0, 0.0], q.dtype)
+    return quaternion.normalize(jnp.where(down, quaternion.multiply(q, half_turn), q))
