@@ -1,0 +1,47 @@
+"""Parts of inverse kinematics: weights of goals, random starts, lists of goals."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import rbjax as rb
+from rbjax.kinematics.goals import Goal, Miss, written_out
+from rbjax.kinematics.joint_ranges import random_configurations
+
+BALL_AND_SLIDE = """<mujoco><compiler angle="radian"/>
+  <default><geom contype="0" conaffinity="0" size="0.1" mass="1"/></default>
+  <worldbody><body><joint type="ball" range="0 0.8"/><geom/>
+    <body><joint type="slide" range="-0.2 0.3"/><geom/></body>
+  </body></worldbody></mujoco>"""
+ARM = rb.load("double_pendulum")
+TIP = Goal(body="lower", position=[0.1, 0.0, -1.5])
+
+
+def test_weights_of_rotations_and_of_positions():
+    both = Goal(body="lower", position=[0.1, 0.0, -1.5], rotation=np.eye(3), weight=3.0)
+    miss = Miss(ARM, written_out(ARM, jnp.float64), [both], jnp.array([0.3, 0.4]), (2.0, 5.0))
+    assert [float(x) for x in miss.weights] == [6.0] * 3 + [15.0] * 3
+    assert miss.turning == [True] * 3 + [False] * 3
+
+
+def test_random_configurations_stay_in_their_ranges():
+    model = rb.load(BALL_AND_SLIDE, limits=True)
+    near = jnp.asarray(model.default_state().q)
+    found = jax.jit(lambda key: random_configurations(model, key, 50, near))(jax.random.key(0))
+    assert found.shape == (50, model.nq)
+    np.testing.assert_allclose(np.linalg.norm(found[:, :4], axis=1), 1.0, rtol=1e-12)
+    high = float(model.joints.range[0, 1])
+    angles = Rotation.from_quat(found[:, :4], scalar_first=True).magnitude()
+    assert (angles <= high * (1 + 1e-9)).all() and np.ptp(angles) > 0.3 * high
+    slides = found[:, 4]
+    assert slides.min() >= -0.2 and slides.max() <= 0.3 and np.ptp(slides) > 0.3
+
+
+def test_one_goal_or_a_list_of_them():
+    for goals in (TIP, [TIP], (TIP, TIP)):
+        with pytest.raises(rb.InputError, match="q has shape"):  # the goals are right
+            rb.control.differential_inverse_kinematics(ARM, np.zeros(3), goals, rate=1.0)
+    with pytest.raises(rb.InputError, match="goals hold what is no Goal"):
+        rb.control.differential_inverse_kinematics(ARM, np.zeros(2), [TIP, 3.0], rate=1.0)
