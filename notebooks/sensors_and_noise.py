@@ -172,7 +172,7 @@ print("gyro bias:", [f"{found.values[n]:.4f}" for n in found.values if n.startsw
 
 # %%
 for label, found in fits.items():
-    print(f"{label}: {found.found.words()}")
+    print(f"{label}: {found.identifiable.summary()}")
 
 # %% [markdown]
 # ## A pendulum in gusts

@@ -292,7 +292,7 @@ def identify(
         out.print(sentence, soft_wrap=True, highlight=False, markup=False)
     for what, path in made.files.items():
         out.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True)
-    if not made.found.ok:
+    if not made.found.success:
         raise typer.Exit(1)
 
 

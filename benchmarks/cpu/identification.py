@@ -69,13 +69,14 @@ def ours(name: str, problem: Problem, other: Problem) -> dict[str, Any]:
     identify(other.setup, other.run, other.unknowns, **other.how)
     again, cpu = time.perf_counter() - start, time.process_time() - cpu
     p, truth = np.array([*found.values.values()]), problem.truth
-    off = np.abs(found.found.combine(p) - found.found.combine(truth))
+    off = np.abs(found.identifiable.combine(p) - found.identifiable.combine(truth))
     sigma = found.estimates.sigma
     row = {
-        "problem": name, "engine": "rbjax", "unknowns": len(truth), "found": found.found.rank,
+        "problem": name, "engine": "rbjax", "unknowns": len(truth),
+        "found": found.identifiable.rank,
         "evaluations": found.evaluations, "rollouts": found.evaluations * (1 + len(truth)),
         "first_s": first, "first_cpu_s": first_cpu, "again_s": again, "again_cpu_s": cpu,
-        "compiled": compilations[0] - before, "error": float(off.max()), "ok": found.ok,
+        "compiled": compilations[0] - before, "error": float(off.max()), "ok": found.success,
     }  # fmt: skip
     if max(map(np.max, found.rms.values())) > 1e-6:
         shown = np.isfinite(sigma)

@@ -53,7 +53,7 @@ def fitted(part: str, name: str, problem: Any, last: int, end: int) -> dict[str,
         "part": part, "model": name, "unknowns": n,
         "rollouts": found.evaluations * (1 + n),  # at most: some steps are refused
         "evaluations": found.evaluations, "seconds": seconds, "fitted": mrad(found.rms["q"]),
-        "unseen": 1e3 * found.on([go2.recording(model, last, end)]).rms, "ok": found.ok,
+        "unseen": 1e3 * found.on([go2.recording(model, last, end)]).rms, "ok": found.success,
     }  # fmt: skip
 
 

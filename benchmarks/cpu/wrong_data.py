@@ -61,7 +61,7 @@ def table(problem: Problem, wrongs: dict[str, Wrong], some: list[str]) -> list[d
         rows.append({"wrong": name, "loss": loss, "named": named or "nothing",
                      "error": error(found), "error_mended": error(mended),
                      "seconds": seconds})  # fmt: skip
-        print(rows[-1], said.words(), sep="\n", flush=True)
+        print(rows[-1], said.summary(), sep="\n", flush=True)
     return rows
 
 

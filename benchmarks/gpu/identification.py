@@ -76,7 +76,7 @@ def main() -> None:
     row: dict[str, Any] = {
         "problem": "quadruped", "engine": "rbjax", "unknowns": len(problem.truth),
         "evaluations": found.evaluations, "first_s": first, **stages,
-        "run_s": first - sum(stages.values()), "ok": found.ok,
+        "run_s": first - sum(stages.values()), "ok": found.success,
     }  # fmt: skip
     p, sigma = np.array([*found.values.values()]), found.estimates.sigma
     intervals = [found.estimates.interval(name) for name in found.values]

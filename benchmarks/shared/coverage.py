@@ -96,7 +96,7 @@ def coverage(setting: Setting, count: int, seed: int = 0) -> dict[str, Any]:
         spans = [found.estimates.interval(name) for name in found.values]
         inside.append([x.low <= y <= x.high for x, y in zip(spans, truth, strict=True)])
         ratio.append([(x.value - y) / x.sigma for x, y in zip(spans, truth, strict=True)])
-        failed += not found.ok
+        failed += not found.success
         good += found.verdict.good
     each, z = np.mean(inside, 0), np.array(ratio)
     return {

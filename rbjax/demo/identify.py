@@ -92,7 +92,7 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
         "which is larger than in the file. The first reading is noisy, too, so the state at the "
         "start is sought beside them.",
         f"The fit evaluated the simulation with its exact derivatives {found.evaluations} times. "
-        f"What remains, {rms:.2f} mrad, is the noise. {found.found.words()}",
+        f"What remains, {rms:.2f} mrad, is the noise. {found.identifiable.summary()}",
     )
     return Section(
         "Identify a robot: mass, centre of mass and damping at once",

@@ -6,8 +6,8 @@ by `split`. Unknowns: `Unknown`, `Inertia`, `Shared`, ... of a `Model`, or of a 
 
 Estimators: `identify` fits simulated motions to recordings; `many_starts` does so from many first
 guesses; `prediction_error` is for robots that noise drives; `squares` is the objective of
-`identify` with its gradient. Judgement: the result's `verdict`, `diagnose`, `report`, `free_run`,
-`monte_carlo`.
+`identify` with its gradient; `identifiability` finds, before a fit, which unknowns the recordings
+can identify. Judgement: the result's `verdict`, `diagnose`, `report`, `free_run`, `monte_carlo`.
 
 Rooms: `data` (filters, units), `parameters` (log-Cholesky coordinates of inertias), `statistics`
 (rank, intervals, whiteness, comparison of models), `torque` (regression on measured torques, which
@@ -20,6 +20,7 @@ from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.data.recording_checks import Finding, findings
 from rbjax.sysid.data.splits import Split, split
 from rbjax.sysid.estimators.free_running import free_run
+from rbjax.sysid.estimators.identifiable import identifiability
 from rbjax.sysid.estimators.identification import identify
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.multi_start import Basin, ManyStarts, many_starts
@@ -35,6 +36,7 @@ from rbjax.sysid.simulation.traces import Trace
 __all__ = [
     # estimators
     "identify",
+    "identifiability",
     "Identified",
     "many_starts",
     "ManyStarts",

@@ -29,8 +29,8 @@ ELSEWHERE: dict[str, set[str]] = {
     # recordings, fits and their statistics, which run in NumPy on the host
     "sysid": {"base_parameters", "combinations", "compare", "consistent", "design_experiment",
               "diagnose", "differentiate", "equations", "estimates", "findings", "free_run",
-              "held_out",
-              "identify", "in_si", "low_pass", "many_starts", "monte_carlo", "parameter_names",
+              "held_out", "identifiability", "identify", "in_si", "low_pass", "many_starts",
+              "monte_carlo", "parameter_names",
               "prediction_error", "random_motions", "read_csv", "read_npz", "regress",
               "regress_with_zeros", "report", "select", "split", "squares", "torque_rows",
               "whiteness", "zeros_of"},

@@ -132,7 +132,7 @@ def test_a_function_of_a_user_and_a_reading_that_nothing_moves():
     found = identify(setup, run, sought, grid=Grid(0.01))
     damping = float(model.joints.damping[0])
     np.testing.assert_allclose([*found.values.values()], [1.4, damping, 0.2], atol=1e-8)
-    assert found.ok and found.unmoved == ("other:clock",) and found.left_out == ()
+    assert found.success and found.unmoved == ("other:clock",) and found.left_out == ()
     assert found.judged == "other:height" and found.setup.unit(found.judged) == "m"
 
 
@@ -151,7 +151,7 @@ def test_sensors_of_one_recording_at_several_rates(more):
     setup = guessed(*sensors, {"other:clock": time})
     found = identify(setup, run, LINK | {"bias": Unknown("sensors.gyro:imu.bias")}, grid=GRID)
     np.testing.assert_allclose([*found.values.values()], [*TRUTH, 0.02, -0.01, 0.03], atol=1e-8)
-    assert found.ok and found.unmoved == ("other:clock",) and found.left_out == ()
+    assert found.success and found.unmoved == ("other:clock",) and found.left_out == ()
     trace = found.traces["all"]
     lengths = [len(trace[s].t) for s in (*sensors, "other:clock")]
     assert lengths == [78, 39, *[16 for _ in more], 12]  # until the last tick of the slowest
@@ -163,7 +163,7 @@ def test_sensors_of_one_recording_at_several_rates(more):
 def test_a_link_from_one_sensor_alone(sensor):
     """Its mass and its centre, from what MuJoCo's sensor showed."""
     found = identify(guessed(sensor), swung((sensor,)), LINK, grid=GRID)
-    assert found.ok and found.found.rank == 3
+    assert found.success and found.identifiable.rank == 3
     np.testing.assert_allclose([*found.values.values()], TRUTH, atol=1e-8)
 
 
@@ -196,7 +196,7 @@ def test_ratios_of_inertia_from_one_sensor_in_flight(sensor):
     """Without forces no motion shows their size."""
     found = identify(in_flight(sensor), thrown(sensor), SHAPE, grid=GRID)
     x = np.array([*found.values.values()])
-    assert found.ok and found.found.rank == 2
+    assert found.success and found.identifiable.rank == 2
     np.testing.assert_allclose(x / x[0], [1.0, 2.5, 1.5], rtol=1e-8)
 
 

@@ -22,7 +22,7 @@ def test_an_arm_with_dry_friction(seed):
     found = identify(guess(seed), recorded(seed), UNKNOWNS)
     spans = [found.estimates.interval(name) for name in found.values]
     p = np.array([x.value for x in spans])
-    assert found.ok and found.verdict.r_squared["q"] > 0.999
+    assert found.success and found.verdict.r_squared["q"] > 0.999
     np.testing.assert_allclose(p, TRUTH, rtol=0.03)
     inside = sum(x.low <= y <= x.high for x, y in zip(spans, TRUTH, strict=True))
     assert inside >= 6  # 7.6 of 8 are expected

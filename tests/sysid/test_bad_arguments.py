@@ -52,6 +52,7 @@ CASES = {
         "restarts": [-1, 1.5, "x", None, True], "save": [5, []],
         "resume": [5, {"nope": 1.0}, {"mass": "x"}, {"mass": NAN}, "nope.json"],
     }),
+    "identifiability": (FITTED, WRONG_FIT | {"starts": ["x", 5, NAN]}),
     "many_starts": (FITTED, WRONG_FIT | {
         "guesses": [0, "x", None, [[1.0, 2.0]], [[-1.0]], [[NAN]], 1.5],
         "spread": [0, -1, NAN, "x", None], "seed": [-1, "x", None, 1.5],

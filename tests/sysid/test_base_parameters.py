@@ -58,9 +58,9 @@ def test_what_can_be_found_of_the_55():
     by_itself = zip(range(1, 6), want["armature_found_alone"], strict=True)
     armatures = [f"joint{k}.armature" for k, yes in by_itself if yes]
     single = [name(x) for x in want["single_entries_found_alone"]]
-    assert sorted(base.found) == sorted([*single, *armatures])
+    assert sorted(base.single) == sorted([*single, *armatures])
     assert sorted(base.hidden) == sorted(name(x) for x in want["entries_that_never_show"])
-    words = base.words()
+    words = base.summary()
     for group in (
         "link1.Izz + link2.Izz + link3.Izz + joint1.armature",
         "link2.Iyy + 0.01 link3.m + 0.01 link4.m + 0.01 link5.m + joint2.armature",
@@ -86,7 +86,7 @@ def test_one_motion_and_some_of_the_torques():
     assert one.rank < every.rank
     lower = sysid.torque.base_parameters(model, rows=[model.joint_names[1]])
     assert lower.rank < every.rank
-    assert all(model.body_names[1] in x for x in (*lower.found, *lower.terms()))
+    assert all(model.body_names[1] in x for x in (*lower.single, *lower.terms()))
 
 
 def test_bad_arguments():
@@ -169,6 +169,6 @@ def test_go2_with_its_base_held(gravity):
     model = load_quietly(compiled)
     assert ranks(model, samples=150) == BASE["go2_base_held"][gravity]
     base = sysid.torque.base_parameters(model, joint_terms=["armature"], samples=150)
-    armatures = [x for x in base.found if "armature" in x]
+    armatures = [x for x in base.single if "armature" in x]
     assert len(armatures) == 4 and all("calf" in x for x in armatures)
     assert all(f"base.{x}" in base.hidden for x in ("m", "hx", "Izz"))

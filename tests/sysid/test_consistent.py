@@ -53,7 +53,7 @@ def arm5():
 def test_without_noise_base_parameters_are_exact_and_the_rest_stays_at_the_prior():
     cad, W, pi, base = arm5()
     found = sysid.torque.consistent(cad, W, W @ pi, joint_terms=TERMS, noise=1e-6, base=base)
-    assert found.ok and (eigenvalues(found.model) > 0).all()
+    assert found.success and (eigenvalues(found.model) > 0).all()
     beta = base.combine(pi)
     np.testing.assert_allclose(found.beta, beta, rtol=1e-8, atol=1e-9)
     assert np.abs(found.residual).max() < 1e-7
@@ -80,7 +80,7 @@ def test_the_prior_pulls_only_what_is_open():
     tau = W @ pi + noise * np.random.default_rng(1).normal(size=W.shape[:2])
     found = sysid.torque.consistent(cad, W, tau, joint_terms=TERMS, base=base)
     linear = sysid.torque.regress(W, tau, base.names, base=base)
-    assert found.ok and (eigenvalues(found.model) > 0).all()
+    assert found.success and (eigenvalues(found.model) > 0).all()
     np.testing.assert_allclose(found.noise[0], noise, rtol=0.25)
     pull = np.abs(found.beta - linear.beta) / linear.errors
     assert np.median(pull) < 0.1 and pull.max() < 0.8
@@ -106,7 +106,7 @@ def test_always_a_body_where_least_squares_gives_none():
     linear = sysid.torque.regress(W, tau, names).parameters(rb.inertial_parameters(cad))
     assert np.linalg.eigvalsh(sysid.parameters.pseudo_inertia_of(linear.reshape(-1, 10))).min() < 0
     found = sysid.torque.consistent(cad, W, tau)
-    assert found.ok and (eigenvalues(found.model) > 0).all() and found.divergence.max() < 3
+    assert found.success and (eigenvalues(found.model) > 0).all() and found.divergence.max() < 3
     rms = np.sqrt((found.residual**2).mean())
     assert rms < 0.11
 

@@ -52,7 +52,7 @@ def test_float32_is_fitted_in_float64():
         assert wide.model.bodies.mass.dtype == np.float64
     np.testing.assert_allclose(found.values["mass"], wide.values["mass"], rtol=1e-6)
     np.testing.assert_allclose(found.estimates.sigma, wide.estimates.sigma, rtol=1e-4)
-    assert found.found.rank == 1 and found.ok and 0.8 < unseen.ratio < 1.25
+    assert found.identifiable.rank == 1 and found.success and 0.8 < unseen.ratio < 1.25
     assert all(x.dtype == np.float64 for x in found.error.runs.values.values())
 
 

@@ -36,7 +36,7 @@ def test_torque_explained_on_test_runs(design):
     new = dfki.score(fit.values, parts.test, mine, noise=fit.linear.noise)
     was = dfki.score(old.parameters, parts.test, mine, noise=fit.linear.noise, zeros=False)
     also = dfki.score(old.parameters, parts.test, mine, noise=fit.linear.noise)
-    assert fit.linear.ok and (new.R2 >= 0.95).all(), new.R2
+    assert fit.linear.success and (new.R2 >= 0.95).all(), new.R2
     assert (new.R2 > was.R2).all() and (new.R2 > also.R2).all(), (was.R2, also.R2)
 
 

@@ -57,7 +57,7 @@ def test_right_data_have_no_cause():
     setup, run = leg(1.0)
     found = identify(setup, run, UNKNOWNS, grid=Grid(T))
     assert diagnose(found).causes == ()
-    assert "no flipped sign" in diagnose(found).words()
+    assert "no flipped sign" in diagnose(found).summary()
 
 
 @pytest.mark.slow

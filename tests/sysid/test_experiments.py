@@ -25,7 +25,7 @@ def test_the_best_swing_of_a_spring_and_a_mass():
     found = quiet(ONE, spring_and_mass, MotionLimits(low=-1.0, high=1.0), samples=40)
     w = np.pi / 2
     best = -np.log(40**2 * w**4 / 32) / 2
-    assert found.ok and found.value < found.start_value
+    assert found.success and found.value < found.start_value
     # between two of 400 times the peak may be higher by (pi/400)^2/2 = 3e-5
     assert best - 1e-4 < found.value < best + 5e-3
     assert abs(abs(found.motion.q0[0]) - 0.5) < 0.01
@@ -41,7 +41,7 @@ def test_the_next_best_experiment():
     limits = MotionLimits(low=-1.0, high=1.0)
     found = quiet(ONE, spring_and_mass, limits, known=known, criterion="A", samples=40)
     swing = np.max(np.abs(found.motion(jnp.linspace(0, 4, 400)).q))
-    assert found.ok and abs(found.motion.q0[0]) < 0.02 and abs(swing - 1) < 0.01
+    assert found.success and abs(found.motion.q0[0]) < 0.02 and abs(swing - 1) < 0.01
     exact = np.log(1e-6 + 1 / (40 * (np.pi / 2) ** 4 / 2))
     assert abs(found.value - exact) < 0.02
     q, v, a = (jnp.full((40, 1), 0.0),) * 3
@@ -69,7 +69,14 @@ def test_limits_of_every_kind_hold(arm):
         model=arm, own=own,
     )  # fmt: skip
     found = quiet(start(), regressor, limits, samples=50, rounds=8, steps=40)
-    assert found.ok and set(found.worst) == {"position", "speed", "acceleration", "torque", "own"}
+    assert found.success
+    assert set(found.worst) == {
+        "position",
+        "speed",
+        "acceleration",
+        "torque",
+        "own",
+    }
     assert found.value < found.start_value - 0.5
     q, v, a = found.motion(jnp.linspace(0, 6, 333))
     assert (q >= np.array([-1.5, -2.0]) - 1e-6).all() and (q <= np.array([1.2, 2.0]) + 1e-6).all()
@@ -102,7 +109,7 @@ def test_the_unknowns_of_a_fit_on_its_own_model(arm):
     found = quiet(start(), information, limits, criterion="A", samples=30, rounds=4, steps=30)
     J = np.asarray(information(*found.motion(jnp.arange(30) * 0.2)))
     variance = np.trace(np.linalg.inv(J.T @ J))
-    assert found.ok and abs(np.exp(found.value) / variance - 1) < 1e-9
+    assert found.success and abs(np.exp(found.value) / variance - 1) < 1e-9
     assert variance < 0.2 * np.exp(found.start_value)
 
 
@@ -110,14 +117,14 @@ def test_the_unknowns_of_a_fit_on_its_own_model(arm):
 def test_other_criteria(criterion):
     limits = MotionLimits(low=-1.5, high=1.5, speed=2.0)
     found = quiet(start(), regressor, limits, criterion=criterion, samples=40, rounds=4, steps=30)
-    assert found.ok and found.value < found.start_value - 0.3
+    assert found.success and found.value < found.start_value - 0.3
 
 
 def test_splines_from_rest_to_rest():
     first = Spline.random(jax.random.key(2), jnp.zeros(2), 6, duration=4.0, size=0.3)
     limits = MotionLimits(low=-1.5, high=1.5, speed=2.0)
     found = quiet(first, regressor, limits, samples=40, rounds=5, steps=40)
-    assert found.ok and found.value < found.start_value - 0.5
+    assert found.success and found.value < found.start_value - 0.5
     _, v, a = found.motion(jnp.array([0.0, 4.0]))
     np.testing.assert_allclose(np.stack([v, a]), 0, atol=1e-12)
 
@@ -127,15 +134,15 @@ def test_a_start_within_the_limits_gives_a_result_within_them():
     small = Fourier(ONE.q0, 0.1 * ONE.a, 0.1 * ONE.b, period=4.0)
     limits = MotionLimits(low=-1.0, high=1.0, speed=1.0)
     found = quiet(small, spring_and_mass, limits, samples=20, rounds=1, steps=8)
-    assert found.ok and found.value < found.start_value - 0.1
+    assert found.success and found.value < found.start_value - 0.1
     same = quiet(small, spring_and_mass, MotionLimits(speed=1e-1), samples=20, rounds=1, steps=1)
-    assert same.ok and same.value <= same.start_value
+    assert same.success and same.value <= same.start_value
 
 
 def test_limits_that_cannot_hold_are_said():
     limits = MotionLimits(own=lambda q, v, a: 0.1 + q**2)
     found = quiet(ONE, spring_and_mass, limits, samples=20, rounds=3, steps=20)
-    assert not found.ok and found.worst["own"] >= 0.1
+    assert not found.success and found.worst["own"] >= 0.1
     assert "limits are broken: own by" in found.sentence
 
 

@@ -16,11 +16,11 @@ def test_a_fit_that_was_cut_off_goes_on(tmp_path):
     run = seen(0, count=40)
     far = GUESS.replace(bodies=GUESS.bodies.replace(mass=np.array([40.0])))
     cut = identify(far, run, unknowns, steps=1, restarts=0, save=path)
-    assert not cut.ok
+    assert not cut.success
     left = json.loads(path.read_text())
     assert left["values"] == cut.values and not left["ok"]
     whole = identify(far, run, unknowns, resume=path, save=path)
-    assert whole.ok and json.loads(path.read_text())["ok"]
+    assert whole.success and json.loads(path.read_text())["ok"]
     np.testing.assert_allclose([*whole.values.values()], [1.4, 0.13], rtol=1e-8)
     assert whole.guess == cut.guess
     with pytest.raises(rb.InputError, match="only one of the two has: damping"):

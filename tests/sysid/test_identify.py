@@ -40,7 +40,7 @@ GUESS = MODEL.replace(joints=MODEL.joints.replace(damping=jnp.array([0.02])))
 def test_noise_free_recordings_give_the_numbers():
     runs = [seen(0), seen(1, count=90)]
     found = identify(GUESS, runs, {"mass": MASS, "damping": DAMPING})
-    assert found.ok and found.found.found == ("mass", "damping")
+    assert found.success and found.identifiable.single == ("mass", "damping")
     np.testing.assert_allclose([*found.values.values()], [1.4, 0.13], rtol=1e-9)
     np.testing.assert_allclose(found.model.bodies.mass, [1.4], rtol=1e-9)
     verdict = found.on([seen(2)])
@@ -55,7 +55,7 @@ def test_noise_is_estimated_and_intervals_are_those_of_the_slopes():
     runs = [seen(k, noise) for k in range(3)]
     runs = [Recording(r.name, {s: r[s] for s in ("q", "ctrl")}) for r in runs]
     found = identify(GUESS, runs, {"mass": MASS, "damping": DAMPING}, starts=True)
-    assert found.ok
+    assert found.success
     np.testing.assert_allclose(found.rms["q"], [noise], rtol=0.15)
     for name, truth in (("mass", 1.4), ("damping", 0.13)):
         interval = found.estimates.interval(name)
@@ -102,7 +102,7 @@ def test_outliers_count_less_with_huber():
 def test_short_pieces_find_a_motion_that_a_long_one_loses():
     model = GUESS.replace(bodies=GUESS.bodies.replace(mass=jnp.array([40.0])))
     found = identify(model, seen(0, count=400), {"mass": MASS}, pieces=0.2, steps=60)
-    assert found.ok or found.values["mass"] > 0
+    assert found.success or found.values["mass"] > 0
     truth = identify(GUESS, seen(0, count=400), {"mass": MASS})
     np.testing.assert_allclose(found.values["mass"], truth.values["mass"], rtol=1e-3)
 
@@ -130,12 +130,14 @@ def test_fifty_five_numbers_of_an_arm():
     setup, run, unknowns, truth, how = arm()
     found = identify(setup, run, unknowns, **how)
     p = np.array([*found.values.values()])
-    assert found.ok and found.found.rank == 32
-    np.testing.assert_allclose(found.found.combine(p), found.found.combine(truth), atol=1e-9)
-    assert {f"armature[{k}]" for k in (2, 3, 4)} <= set(found.found.found)
+    assert found.success and found.identifiable.rank == 32
+    np.testing.assert_allclose(
+        found.identifiable.combine(p), found.identifiable.combine(truth), atol=1e-9
+    )
+    assert {f"armature[{k}]" for k in (2, 3, 4)} <= set(found.identifiable.single)
     hidden = json.loads((ORACLES / "arm5.json").read_text())["never_show"]
-    assert set(found.found.hidden) == {f"{link}.{k}" for link, k in hidden}
-    assert found.found.term(0).startswith("armature[0] + link1.Izz")
+    assert set(found.identifiable.hidden) == {f"{link}.{k}" for link, k in hidden}
+    assert found.identifiable.term(0).startswith("armature[0] + link1.Izz")
     for k in range(5, 55, 10):
         assert np.linalg.eigvalsh(pseudo_inertia_of(p[k : k + 10])).min() > 0
 
@@ -147,7 +149,7 @@ def test_forty_nine_numbers_of_a_quadruped():
     and Rao), and intervals that hold."""
     setup, run, unknowns, truth, how = quadruped()
     found = identify(setup, run, unknowns, **how)
-    assert found.ok and found.found.rank == 49
+    assert found.success and found.identifiable.rank == 49
     off = np.abs(np.array([*found.values.values()]) - truth) / found.estimates.sigma
     assert off.max() < 4 and 42 <= (off < 1.96).sum() <= 49
     np.testing.assert_allclose(found.rms["q"], 5e-4, rtol=0.03)

@@ -126,7 +126,7 @@ def test_the_command_says_what_was_found(tmp_path, monkeypatch):
     said = estimates(["mass"], np.array([0.7]), J, 0.01, dof=39)
     found = types.SimpleNamespace(
         values={"mass": 0.7}, guess={"mass": 0.5}, estimates=said, message="100 evaluations",
-        ok=False,
+        success=False,
     )  # fmt: skip
     diagnosis = types.SimpleNamespace(causes=["the sign of joint elbow"])
     files = {"report": tmp_path / "report.html"}

@@ -46,19 +46,19 @@ def long_run(armature=0.9, count=400):
 def test_a_wrong_frequency_has_many_minima_and_many_starts_find_the_best():
     run, guess = long_run(), turning(0.05)
     single = identify(guess, run, ROTOR, restarts=0)
-    assert single.ok and single.rms["q"] > 0.1  # it ends, but not at the truth
+    assert single.success and single.rms["q"] > 0.1  # it ends, but not at the truth
     assert not single.verdict.good
     # by default a poor fit is tried from other starts, one of which grows to the truth
     np.testing.assert_allclose(identify(guess, run, ROTOR).values["armature"], 0.9, rtol=STEPS)
     found = many_starts(guess, run, ROTOR, guesses=12, spread=3.5, finalists=8)
     np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=STEPS)
-    assert found.best.guess["armature"] == pytest.approx(0.05) and found.best.ok
+    assert found.best.guess["armature"] == pytest.approx(0.05) and found.best.success
     assert found.guesses.shape == (12, 1) and found.guesses[0] == pytest.approx(0.05)
     assert np.argmin(found.costs) in found.basins[0].starts
     assert found.won in found.basins[0].starts
     assert 1 < len(found.basins) <= 8  # the others are other frequencies
     assert found.basins[1].cost > 1e3 * found.basins[0].cost
-    assert f"{len(found.basins)} basins" in found.words()
+    assert f"{len(found.basins)} basins" in found.summary()
 
 
 def test_guesses_that_are_given():

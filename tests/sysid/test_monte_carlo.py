@@ -100,7 +100,7 @@ def test_repetitions_that_fail_are_counted(monkeypatch, ok, good) -> None:
 
     found = swung()
     verdict = dataclasses.replace(found.verdict, good=good)
-    one = dataclasses.replace(found, ok=ok, verdict=verdict)
+    one = dataclasses.replace(found, success=ok, verdict=verdict)
     monkeypatch.setattr(repeated_fits, "fitted", lambda *x, **more: one)
     again = monte_carlo(found, 3)
     assert again.failed == 3 * (not ok) and again.good == 3 * good

@@ -72,7 +72,7 @@ def test_each_sample_belongs_to_one_piece():
 def test_a_noise_free_motion_gives_the_numbers():
     guess = chain(ONE._replace(centre=[0.08], viscous=[5e-3]))
     found = identify(guess, swing(ONE, 80), SOUGHT, shooting=0.3, starts=True, grid=Grid(T, 2))
-    assert found.ok
+    assert found.success
     np.testing.assert_allclose([*found.values.values()], [-0.1, 1e-3], rtol=1e-6)
 
 
@@ -125,7 +125,7 @@ def test_a_chaotic_triple_pendulum_from_a_poor_guess():
     }
     how = {"grid": Grid(0.01, 2), "starts": True}
     found = identify(chain(guess), run, sought, shooting=0.2, **how)
-    assert found.ok
+    assert found.success
     np.testing.assert_allclose(found.rms["q"], noise, rtol=0.1)
     want = np.array([-0.16, -0.2, -0.18, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])
     off = np.array([*found.values.values()]) - want

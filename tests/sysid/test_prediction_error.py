@@ -74,7 +74,11 @@ def near(found, sigmas=4.0):
 
 def test_numbers_and_the_size_of_pushes_are_found():
     found = first()
-    assert found.ok and found.found.found == ("mass", "damping") and found.likelihood.size == 3
+    assert (
+        found.success
+        and found.identifiable.single == ("mass", "damping")
+        and found.likelihood.size == 3
+    )
     near(found)
     np.testing.assert_allclose(found.levels.reading, [SIGMA])
     white = found.whitened()["run 0"]
@@ -129,7 +133,7 @@ def test_sensors_whose_noise_nobody_says_speeds_and_lost_samples():
     """Two recordings; noise of q and v is found with the numbers."""
     runs = recordings(2, 400, said=False, speeds=True, lost=True)
     found = fitted(GUESS, runs, UNKNOWNS, grid=GRID)
-    assert found.ok and found.likelihood.size == 5
+    assert found.success and found.likelihood.size == 5
     near(found)
     truth = np.array([MASS, DAMPING, *np.log([PUSH, SIGMA, 0.01])])
     excess = found.likelihood.cost(truth) - found.likelihood.cost(found.x)
@@ -141,7 +145,7 @@ def test_it_begins_where_a_simulation_ends():
     runs = recordings()[:1]
     simulated = identify(GUESS, runs, UNKNOWNS, grid=GRID, starts=True)
     found = fitted(simulated, runs, UNKNOWNS)
-    assert found.guess == simulated.values and found.ok
+    assert found.guess == simulated.values and found.success
     np.testing.assert_allclose([*found.values.values()], [*first().values.values()], rtol=1e-4)
 
 
@@ -150,7 +154,7 @@ def test_pushes_as_accelerations():
     """On a pendulum they are torques over the inertia, which is known here but for the mass."""
     found = fitted(GUESS, recordings(1, 400)[0], UNKNOWNS, grid=GRID, drive="acceleration")
     M = float(rb.mass_matrix(found.model, jnp.zeros(1))[0, 0])
-    assert found.ok
+    assert found.success
     np.testing.assert_allclose(found.levels.drive, PUSH / M, rtol=0.25)
     assert abs(found.estimates.interval("mass").value - MASS) < 0.05
 

@@ -17,8 +17,8 @@ def test_words():
     found = combinations(J, ["link1.Izz", "mass", "joint1.armature", "bias", "link2.m"])
     assert found.rank == 2
     assert found.terms() == ("link1.Izz + joint1.armature + 0.5 link2.m", "mass + 2e-05 link2.m")
-    assert found.hidden == ("bias",) and found.found == ()
-    text = found.words()
+    assert found.hidden == ("bias",) and found.single == ()
+    text = found.summary()
     assert text.startswith("2 of 5 can be found: 0 by themselves and 2 as combinations; 1 never")
     assert "link1.Izz + joint1.armature + 0.5 link2.m is found; none of them by itself." in text
     assert "mass + 2e-05 link2.m is found; neither by itself." in text
@@ -55,7 +55,7 @@ def test_exact_zeros_stay_zero():
     J = RNG.normal(size=(50, 6))
     J[:, 5] = J[:, 0] - 3 * J[:, 2]
     found = combinations(J, "abcdef")
-    assert found.found == ("b", "d", "e")
+    assert found.single == ("b", "d", "e")
     np.testing.assert_allclose(found.K[:, 0], [1, 0, -3, 0, 0], atol=1e-12)
     assert (found.K[[1, 3, 4], 0] == 0).all()
 
@@ -96,7 +96,7 @@ def test_single_precision():
 def test_nothing_moves():
     found = combinations(np.zeros((5, 2)), "ab")
     assert found.rank == 0 and found.hidden == ("a", "b") and found.terms() == ()
-    assert found.words().startswith("0 of 2 can be found") and found.gap == (0.0, 0.0)
+    assert found.summary().startswith("0 of 2 can be found") and found.gap == (0.0, 0.0)
     assert found.free_directions.tolist() == [[1.0, 0.0], [0.0, 1.0]]
 
 
@@ -124,7 +124,7 @@ def test_what_other_numbers_could_make_is_not_seen():
     R = np.linalg.qr(np.column_stack([J, others, rng.normal(size=40)]), mode="r")
     assert combinations(R[:, :3], ["a", "b", "c"]).rank == 3  # if the others were known
     found = combinations(beside_others(R, 3), ["a", "b", "c"])
-    assert found.rank == 2 and found.found == ("c",)
+    assert found.rank == 2 and found.single == ("c",)
     np.testing.assert_array_equal(beside_others(R[:, [0, 1, 2, 5]], 3), R[:, :3])
 
 

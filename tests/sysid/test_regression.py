@@ -66,12 +66,12 @@ def test_without_noise_the_truth_comes_back(method):
     names, W, tau, _, beta = experiment(100)
     options = {"instruments": W} if method == "instrumental" else {}
     found = sysid.torque.regress(W, tau, names, method=method, **options)
-    assert found.ok
+    assert found.success
     np.testing.assert_allclose(found.beta, beta, rtol=1e-9)
     assert np.abs(found.residual).max() < 1e-10 and found.noise.max() < 1e-10
     whole = found.parameters(rb.inertial_parameters(planar_2R(ARM)) * 1.2)
     np.testing.assert_allclose(W @ whole, tau, atol=1e-10)
-    assert found.words().count(" to ") == 6
+    assert found.summary().count(" to ") == 6
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_outliers(loss):
     seen = seen + 20.0 * wild
     plain = sysid.torque.regress(W, seen, names, base=base)
     found = sysid.torque.regress(W, seen, names, method="robust", base=base, loss=loss)
-    assert found.ok
+    assert found.success
     off, off_robust = (np.abs(x.beta - beta) / found.errors for x in (plain, found))
     assert off.max() > 100
     # Huber's bound of a one-sided pull leaves a bias: 5 % of 1.345 sd; bisquare leaves none
@@ -173,12 +173,12 @@ def test_instruments_of_the_last_estimate():
 
     tau = exact @ beta
     found = sysid.torque.regress(X, tau, "abcd", method="instrumental", instruments=simulated)
-    assert found.ok and found.steps == len(seen) < 8
+    assert found.success and found.steps == len(seen) < 8
     assert np.abs((found.beta - beta) / found.errors).max() < 4
     tired = sysid.torque.regress(
         X, tau, "abcd", method="instrumental", instruments=simulated, max_steps=1
     )
-    assert not tired.ok
+    assert not tired.success
 
 
 @pytest.mark.slow
@@ -225,7 +225,7 @@ def test_instruments_of_the_simulated_arm():
             ("instrumental", {"instruments": lambda found: simulated(found)[5:-5]}),
         ):
             found = sysid.torque.regress(W, y, names, method=method, base=base, **options)
-            assert found.ok and found.steps <= 8
+            assert found.success and found.steps <= 8
             off[method].append((found.beta - base.combine(pi)) / found.errors)
     biased, free = (np.abs(np.mean(off[m], 0)) for m in ("weighted", "instrumental"))
     assert biased.max() > 5 and free.max() < 1.5, (biased, free)

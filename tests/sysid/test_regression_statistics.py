@@ -119,7 +119,7 @@ def test_consistent_intervals_follow_coloured_residuals():
     for name, rho in (("white", 0.0), ("coloured", 0.9)):
         noisy = tau + size * correlated(rng, 400, rho)[:, None]
         found[name] = sysid.torque.consistent(model, W, noisy)
-        assert found[name].ok and found[name].linear.white == (name == "white")
+        assert found[name].success and found[name].linear.white == (name == "white")
     wide, narrow = (
         np.sqrt(np.diag(found[k].base_covariance)) for k in ("coloured", "white")
     )  # fmt: skip
@@ -135,8 +135,8 @@ def test_consistent_intervals_follow_coloured_residuals():
 def test_a_robust_regression_says_whether_it_converged(loss):
     W, rng = line(200), np.random.default_rng(1)
     tau = W @ BETA + rng.standard_t(1.5, size=200)
-    assert regress(W, tau, NAMES, method="robust", loss=loss).ok
-    assert not regress(W, tau, NAMES, method="robust", loss=loss, max_steps=1).ok
+    assert regress(W, tau, NAMES, method="robust", loss=loss).success
+    assert not regress(W, tau, NAMES, method="robust", loss=loss, max_steps=1).success
 
 
 def test_an_instrumental_regression_says_whether_it_converged():
@@ -144,16 +144,16 @@ def test_an_instrumental_regression_says_whether_it_converged():
     seen = W + 0.3 * rng.normal(size=W.shape)
     tau = W @ BETA + 0.1 * rng.normal(size=200)
     how = {"method": "instrumental", "instruments": lambda found: W[:, None] * found.beta[0]}
-    assert regress(seen, tau, NAMES, **how).ok
-    assert not regress(seen, tau, NAMES, max_steps=1, tolerance=1e-12, **how).ok
+    assert regress(seen, tau, NAMES, **how).success
+    assert not regress(seen, tau, NAMES, max_steps=1, tolerance=1e-12, **how).success
 
 
 def test_a_consistent_fit_says_whether_it_converged():
     model = rb.load("double_pendulum")
     W = sysid.torque.observation_matrix(model, *sysid.torque.random_motions(model, 50))
     tau = W @ rb.inertial_parameters(model) * 1.5
-    assert sysid.torque.consistent(model, W, tau, noise=0.1).ok
-    assert not sysid.torque.consistent(model, W, tau, noise=0.1, max_steps=2).ok
+    assert sysid.torque.consistent(model, W, tau, noise=0.1).success
+    assert not sysid.torque.consistent(model, W, tau, noise=0.1, max_steps=2).success
 
 
 @functools.cache
@@ -169,8 +169,8 @@ def rows():
 
 
 def test_a_regression_with_zeros_says_whether_it_converged():
-    assert regress_with_zeros([rows()], noise=1e-4).ok
-    assert not regress_with_zeros([rows()], noise=1e-4, max_steps=1).ok
+    assert regress_with_zeros([rows()], noise=1e-4).success
+    assert not regress_with_zeros([rows()], noise=1e-4, max_steps=1).success
 
 
 # -- misuse ---------------------------------------------------------------------------------------

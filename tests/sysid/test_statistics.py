@@ -84,7 +84,7 @@ def test_what_data_do_not_show_has_no_interval():
     assert abs(ratio.high - ratio.value - 1.959963984540054 * ratio.sigma) < 1e-14
     positive, _ = not_identifiable(bounds={"m": (0, np.inf)})
     assert positive.interval("m")[2:] == (0, np.inf)
-    words = found.in_words()
+    words = found.sentences()
     assert words[0] == "m: these data do not say it"
     assert words[-1].startswith("free: a change along (+0.97 m, +0.243 b)")
 

@@ -90,7 +90,7 @@ def test_zeros_and_parameters_together():
         for seed, (n, z) in enumerate(zeros.items(), 1)
     ]
     found = sysid.torque.regress_with_zeros(both, noise=1e-3, spread=1.0)
-    assert found.ok and found.steps < 15
+    assert found.success and found.steps < 15
     for name, z in zeros.items():
         np.testing.assert_allclose(found.zeros[name], z, atol=2e-3)
     W = np.concatenate([r.at((0.0, 0.0)) for r in both])

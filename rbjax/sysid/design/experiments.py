@@ -146,7 +146,7 @@ class Experiment:
     start_value: float
     information: np.ndarray
     worst: Mapping[str, float]
-    ok: bool
+    success: bool
     sentence: str
 
 
@@ -178,7 +178,7 @@ def design_experiment(
 
     Returns:
         `Experiment`: the best motion found that holds all limits. If the start holds them, so does
-        the result; else `ok` may be false.
+        the result; else `success` may be false.
 
     Raises:
         InputError: a start without full rank; wrong shapes.
@@ -195,7 +195,7 @@ def design_experiment(
         >>> start = Fourier.random(jax.random.key(0), jnp.zeros(1), 2, period=6.0)
         >>> limits = MotionLimits(speed=1.0)
         >>> found = design_experiment(start, spring_and_mass, limits, rounds=3, steps=20)
-        >>> found.ok, found.value < found.start_value
+        >>> found.success, found.value < found.start_value
         (True, True)
     """
     if criterion not in CRITERIA:

@@ -88,9 +88,9 @@ def identify(
 
     Returns:
         `Identified`. All is computed in float64, whatever JAX's default is; the set-up has the
-        dtype of the model. `ok` and `message`: whether the fit converged. `verdict`: whether it is
-        good. If a channel does not state its noise, it is estimated from the residuals, a number
-        for each column. Intervals follow the residuals: if these are correlated in time, the
+        dtype of the model. `success` and `message`: whether the fit converged. `verdict`: whether
+        it is good. If a channel does not state its noise, it is estimated from the residuals, a
+        number for each column. Intervals follow the residuals: if these are correlated in time, the
         covariance is the sandwich form (`fit_statistics`).
 
     Raises:
@@ -170,9 +170,10 @@ def _said(fits: Fits, best: Fitted, how: Options, dtype: Any) -> Identified:
     values, guess = (dict(zip(names, map(float, x), strict=True)) for x in (p, fits.first))
     return Identified(
         setup=cast(fits.sought.write(fits.setup, jnp.asarray(p)), dtype),
-        values=values, guess=guess, found=combinations(beside_others(least.triangle, n), names),
+        values=values, guess=guess,
+        identifiable=combinations(beside_others(least.triangle, n), names),
         estimates=said.estimates, recordings=tuple(fits.recordings), traces=best.traces,
-        evaluations=fits.evaluations, ok=least.success, message=least.message, grid=of.grid,
+        evaluations=fits.evaluations, success=least.success, message=least.message, grid=of.grid,
         error=of, noisy=best.estimated or len(stated) == len(of.runs.values), statistics=said,
         verdict=judged(
             least.success, least.message, best.traces, fits.recordings, said.coloured,

@@ -46,12 +46,12 @@ class Identified:
     Fields:
         setup: with the estimated numbers.
         values, guess: the estimates and the first guess, by name.
-        found: the combinations of the unknowns that the data identify; `found.words()`.
+        identifiable: the combinations of the unknowns that the data identify; `found.summary()`.
         estimates: values, covariance and intervals.
         recordings: those that were fitted.
         traces: recorded and simulated values.
         evaluations: of the residual.
-        ok, message: whether the fit converged.
+        success, message: whether the fit converged.
         grid: of the simulation.
         error: the simulation error, in float64.
         noisy: whether the noise of all channels is known.
@@ -64,12 +64,12 @@ class Identified:
     setup: Setup
     values: dict[str, float]
     guess: dict[str, float]
-    found: Combinations
+    identifiable: Combinations
     estimates: Estimates
     recordings: tuple[Recording, ...]
     traces: Traces
     evaluations: int
-    ok: bool
+    success: bool
     message: str
     grid: Grid
     error: SimulationError
@@ -89,7 +89,7 @@ class Identified:
         its 95 % interval, one sentence a line."""
         first = [f"{self.message} in {self.evaluations} evaluations", self.verdict.sentence]
         names = range(len(self.values))
-        return "\n".join([*first, *self.notes, *(self.estimates.in_words()[k] for k in names)])
+        return "\n".join([*first, *self.notes, *(self.estimates.sentences()[k] for k in names)])
 
     @property
     def rms(self) -> dict[str, np.ndarray]:
@@ -100,7 +100,7 @@ class Identified:
         """Writes values, intervals and errors as JSON; `identify(..., resume=path)` goes on."""
         intervals = {name: self.estimates.interval(name) for name in self.values}
         write_fit(
-            path, list(self.values), self.estimates.values, ok=self.ok, message=self.message,
+            path, list(self.values), self.estimates.values, ok=self.success, message=self.message,
             guess=self.guess, evaluations=self.evaluations,
             sigma={n: x.sigma if np.isfinite(x.sigma) else None for n, x in intervals.items()},
             rms={sensor: rms.tolist() for sensor, rms in self.rms.items()},

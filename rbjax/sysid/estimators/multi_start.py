@@ -68,7 +68,7 @@ class ManyStarts:
     guesses: np.ndarray
     costs: np.ndarray
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """A sentence."""
         first = self.basins[0]
         went = sum(len(b.starts) for b in self.basins)

@@ -55,13 +55,13 @@ class Predicted:
     Fields:
         setup: with the estimated numbers.
         values, guess: the estimates and the first guess, by name.
-        found: the combinations of the unknowns that the data identify; `found.words()`.
+        identifiable: the combinations of the unknowns that the data identify; `found.summary()`.
         estimates: of values and noise levels, with covariance and intervals.
         levels: of the noise: `drive` (nv,) N m (or rad/s^2) and `reading` (rows,).
         recordings: those that were fitted.
         log_likelihood: the maximum.
         evaluations: of the likelihood.
-        ok, message: whether the fit converged.
+        success, message: whether the fit converged.
         grid: of the filter.
         likelihood, x: the likelihood, and the point that maximises it.
         first: the set-up with the first guess, in float64.
@@ -71,13 +71,13 @@ class Predicted:
     setup: Setup
     values: dict[str, float]
     guess: dict[str, float]
-    found: Combinations
+    identifiable: Combinations
     estimates: Estimates
     levels: Levels
     recordings: tuple[Recording, ...]
     log_likelihood: float
     evaluations: int
-    ok: bool
+    success: bool
     message: str
     grid: Grid
     likelihood: Likelihood

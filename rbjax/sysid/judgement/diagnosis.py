@@ -66,7 +66,7 @@ class Diagnosis:
     causes: tuple[Cause, ...]
     recordings: tuple[Recording, ...]
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """A sentence for each cause."""
         none = "no flipped sign, swapped joint, wrong clock, outlier or dead sensor explains the "
         return "\n".join(map(str, self.causes)) or none + "error"

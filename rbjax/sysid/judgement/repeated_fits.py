@@ -138,7 +138,7 @@ def monte_carlo(
             say(f"{k} of {repetitions} repetitions")
             runs = [_repeated(found, j, rng) for j in range(len(found.recordings))]
             one = fitted(of.setup, of.unknowns, runs, how)
-            failed += not one.ok
+            failed += not one.success
             good += one.verdict.good
             spans = [one.estimates.interval(name, level) for name in names]
             values.append([*one.values.values()])

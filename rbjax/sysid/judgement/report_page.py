@@ -86,7 +86,7 @@ def _summary(found: Identified) -> list[str]:
         for sensors in found.traces.values()
         for trace in sensors.values()
     )
-    words = found.found.words().splitlines()[0]
+    words = found.identifiable.summary().splitlines()[0]
     rows = [
         ("recordings", ", ".join(found.traces)),
         ("samples", f"{samples:,}"),
@@ -106,7 +106,7 @@ def _summary(found: Identified) -> list[str]:
 def _causes(diagnosis: Diagnosis | None) -> list[str]:
     if diagnosis is None:
         return []
-    said = [_capital(line) for line in diagnosis.words().splitlines()]
+    said = [_capital(line) for line in diagnosis.summary().splitlines()]
     return [element("h2", "What is wrong with the data"), listed(said)]
 
 
@@ -177,7 +177,10 @@ def _parameters(found: Identified) -> list[str]:
 
 
 def _shown(found: Identified) -> list[str]:
-    body = [element("h2", "What the data show"), listed(found.found.words().splitlines()[1:])]
+    body = [
+        element("h2", "What the data show"),
+        listed(found.identifiable.summary().splitlines()[1:]),
+    ]
     if 1 < len(found.values) <= MANY:
         said = "Correlation of the estimates: pairs near 1 or -1 can hardly be told apart"
         body.append(picture(pictures.correlation(found), said))

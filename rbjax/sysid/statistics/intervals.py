@@ -99,7 +99,7 @@ class Estimates:
         sigma[sigma == 0] = 1.0
         return self.covariance / np.outer(sigma, sigma)
 
-    def in_words(self, level: float = 0.95) -> list[str]:
+    def sentences(self, level: float = 0.95) -> list[str]:
         """A sentence for each parameter, and one for each direction that stays free."""
         said = []
         for n in self.names:

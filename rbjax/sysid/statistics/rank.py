@@ -74,7 +74,7 @@ class Combinations:
         return tuple(self.names[j] for j, x in zip(self.dropped, silent, strict=True) if x)
 
     @cached_property
-    def found(self) -> tuple[str, ...]:
+    def single(self) -> tuple[str, ...]:
         """Parameters that can be found by themselves."""
         single = ~np.any(self.K, axis=1, keepdims=True)[:, 0]
         return tuple(self.names[j] for j, x in zip(self.kept, single, strict=True) if x)
@@ -113,17 +113,17 @@ class Combinations:
         """All combinations as sums."""
         return tuple(self.term(k, digits) for k in range(self.rank))
 
-    def words(self, digits: int = 4) -> str:
+    def summary(self, digits: int = 4) -> str:
         """What can be found and what cannot, one sentence a line."""
         n, (least, most) = len(self.names), self.gap
-        kinds = len(self.found), self.rank - len(self.found), len(self.hidden)
+        kinds = len(self.single), self.rank - len(self.single), len(self.hidden)
         lines = [
             f"{self.rank} of {n} can be found: {kinds[0]} by themselves and {kinds[1]} as "
             f"combinations; {kinds[2]} never show. Singular values that count end at "
             f"{least:.2g} of the largest; the next is {most:.2g}."
         ]
-        if self.found:
-            lines.append(f"Found by themselves: {', '.join(self.found)}.")
+        if self.single:
+            lines.append(f"Found by themselves: {', '.join(self.single)}.")
         for k in range(self.rank):
             if self.K[k].any():
                 partners = int((self.K[k] != 0).sum())
@@ -161,7 +161,7 @@ def combinations(
         >>> from rbjax.sysid.statistics import combinations
         >>> t = np.linspace(0.0, 1.0, 9)
         >>> seen = combinations(np.stack([t, 2 * t, t**2, 0 * t], 1), ["a", "b", "c", "d"])
-        >>> print("\\n".join(seen.words().splitlines()[1:]))
+        >>> print("\\n".join(seen.summary().splitlines()[1:]))
         Found by themselves: c.
         a + 2 b is found; neither by itself.
         Never show: d.

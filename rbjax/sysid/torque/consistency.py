@@ -60,7 +60,8 @@ class Consistent:
     Fields: model with them (Coulomb friction, bias and gear losses are only in values); names and
     values (p,); covariance (p, p), of data and prior; noise (N, k) standard deviations that were
     used; residual (N, k); divergence (nb,) of each body from its prior; combinations that the data
-    show; linear, the weighted least squares that it began with; steps; ok, whether it converged.
+    show; linear, the weighted least squares that it began with; steps; success, whether it
+    converged.
     """
 
     model: Model
@@ -73,7 +74,7 @@ class Consistent:
     combinations: Combinations
     linear: Regression
     steps: int
-    ok: bool
+    success: bool
 
     @property
     def errors(self) -> Array:
@@ -142,7 +143,7 @@ def consistent(
         >>> W = observation_matrix(model, *random_motions(model, 50))
         >>> heavier = model.replace(bodies=model.bodies.replace(mass=1.2 * model.bodies.mass))
         >>> found = consistent(model, W, W @ rb.inertial_parameters(heavier), noise=0.01)
-        >>> found.ok, bool((found.model.bodies.mass > 0).all())
+        >>> found.success, bool((found.model.bodies.mass > 0).all())
         (True, True)
     """
     where = "consistent"

@@ -37,7 +37,7 @@ class WithZeros:
     Fields: regression, of the parameters and of the last changes of the zeros, its residual that of
     the data and the zeros; parameters (p,), those of the prior where the data say nothing; zeros,
     name of the recording -> (nv,) rad or m; noise (nv,) standard deviation of the torques; squares,
-    the weighted sum of squares of the data; steps; ok, whether it converged.
+    the weighted sum of squares of the data; steps; success, whether it converged.
     """
 
     regression: Regression
@@ -46,7 +46,7 @@ class WithZeros:
     noise: Array
     squares: float
     steps: int
-    ok: bool
+    success: bool
 
 
 def regress_with_zeros(

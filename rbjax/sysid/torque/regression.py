@@ -57,7 +57,7 @@ class Regression:
         dof: degrees of freedom of Student's t; infinite if the noise was given and the residuals
             agree with it.
         steps: number of iterations.
-        ok: whether they converged.
+        success: whether they converged.
         white: whether the residuals of each channel are independent in time.
     """
 
@@ -69,7 +69,7 @@ class Regression:
     weights: Array
     dof: float
     steps: int = 1
-    ok: bool = True
+    success: bool = True
     white: bool = True
 
     @property
@@ -96,7 +96,7 @@ class Regression:
         out[list(c.kept)] = self.beta - c.K @ out[list(c.dropped)]
         return out
 
-    def words(self, level: float = 0.95) -> str:
+    def summary(self, level: float = 0.95) -> str:
         """Each base parameter with its interval, one a line."""
         rows = zip(self.combinations.terms(), self.beta, self.intervals(level), strict=True)
         return "\n".join(f"{term} = {x:.5g} ({low:.5g} to {up:.5g})" for term, x, (low, up) in rows)
@@ -130,7 +130,7 @@ def regress(
             max_steps.
 
     Returns:
-        `Regression`. `ok` is false where iterations did not converge.
+        `Regression`. `success` is false where iterations did not converge.
 
     Raises:
         UnknownName: no such method. InputError: shapes that do not match, values that are not
@@ -292,7 +292,7 @@ def instrumental(
             eq.combinations, beta, covariance, noise, residual, np.ones((N, k)), dof, step,
             bool(moved < tolerance) or not callable(instruments),
         )  # fmt: skip
-        if callable(instruments) and found.ok:
+        if callable(instruments) and found.success:
             break
     said = statistics_of(eq, found.residual / sd, np.ones((N, k)), np.broadcast_to(sd, (N, k)))
     if said.white or negligible(eq, found.residual):
