@@ -44,8 +44,20 @@ FLOORS |= dict.fromkeys(
 FLOORS |= {"control": "kinematics"}
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}
 FLOORS |= {"recommend": "stability wheeled control"}  # runs motions to choose how
-# Inside a room: what the first folder holds knows nothing of the second.
-STOREYS = {"stability/theory/": "rbjax.stability.runs"}
+# Inside a room: a folder, and the packages that its files may not import.
+STOREYS = {
+    "stability/theory/": ("rbjax.stability.runs",),
+    **{
+        f"compiler/{folder}/": tuple(f"rbjax.compiler.{name}" for name in above.split())
+        for folder, above in {
+            "ir": "passes lower cuda llvm jax",
+            "passes": "lower cuda llvm jax",
+            "lower": "cuda llvm jax",
+            "cuda": "lower llvm jax",
+            "llvm": "lower cuda jax",
+        }.items()
+    },
+}
 TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" is __init__.py
 GUESTS = {  # packages that only some files may import
     "mujoco": ("loading/", "validation/", "plotting", "cli"),
@@ -86,8 +98,8 @@ def allowed(path: Path, name: str) -> bool:
         if f"{name}.".startswith(f"{guest}."):
             return file.startswith(hosts)
     here, there = room_of(".".join(path.relative_to(ROOT).with_suffix("").parts)), room_of(name)
-    for below_it, above_it in STOREYS.items():
-        if file.startswith(below_it) and f"{name}.".startswith(f"{above_it}."):
+    for folder, above in STOREYS.items():
+        if file.startswith(folder) and f"{name}.".startswith(tuple(f"{x}." for x in above)):
             return False
     if here in TOP or not f"{name}.".startswith("rbjax."):
         return True

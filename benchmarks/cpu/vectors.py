@@ -15,7 +15,8 @@ import rbjax as rb
 from benchmarks.shared.robots import NAMES, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
 from benchmarks.shared.under_xla import under_xla
-from rbjax.compiler.lower.frame import batch_first, batch_last, write_program
+from rbjax.compiler.ir.program import batch_first, batch_last
+from rbjax.compiler.lower.write import write_program
 from rbjax.compiler.llvm.batch import parts
 from benchmarks.shared.part_function import part_function
 

@@ -12,6 +12,7 @@ sample; `explain` shows the program that a function becomes.
 """
 
 from rbjax.compiler.cuda.nvrtc import quickly as quickly
+from rbjax.compiler.ir.values import Unsupported as Unsupported
 from rbjax.compiler.jax.backend import wanted as wanted
 from rbjax.compiler.jax.explain import Explanation as Explanation
 from rbjax.compiler.jax.explain import explain as explain
@@ -20,6 +21,5 @@ from rbjax.compiler.jax.function import side_by_side as side_by_side
 from rbjax.compiler.jax.function import threaded as threaded
 from rbjax.compiler.jax.function import threads as threads
 from rbjax.compiler.jax.native import compile as compile
-from rbjax.compiler.lower.lowering import Unsupported as Unsupported
 
 __all__ = ["Explanation", "Unsupported", "compile", "explain", "threads"]

@@ -6,6 +6,7 @@ Where JAX has a GPU beside the CPU (`make test-gpu`), they run as its kernels.
 from __future__ import annotations
 
 import ctypes
+import math
 import shutil
 import subprocess
 import tempfile
@@ -18,24 +19,61 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.shared.part_function import part_function
-from rbjax.compiler.cuda.c_source import PREAMBLE
-from rbjax.compiler.ir.program import Loop, walk
+from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, offset, parameters, sample_index, table
+from rbjax.compiler.ir.c_text import c_type
+from rbjax.compiler.ir.program import Written, batch_first, batch_last
+from rbjax.compiler.ir.statements import Loop, walk
+from rbjax.compiler.ir.verify import verify
 from rbjax.compiler.jax.function import threaded
 from rbjax.compiler.jax.native import compile
 from rbjax.compiler.llvm.batch import parts
-from rbjax.compiler.lower.frame import (
-    HOST_HEAD,
-    Written,
-    batch_first,
-    batch_last,
-    host_source,
-    write_program,
-)
+from rbjax.compiler.lower.write import write_program
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
 FLAGS = ("-O1", "-ffp-contract=off")
 Case = tuple[Callable, tuple]  # a function of one sample, and its arguments, batch first
 GPU_ASKED = "cuda" in (jax.config.jax_platforms or "").split(",")
+
+
+HOST_HEAD = """
+#include <cmath>
+#include <math.h>
+#define QUALIFIED static inline
+#define RSQRTf(x) (1.0f/sqrtf(x))
+#define RSQRT(x) (1.0/sqrt(x))
+typedef float c_float;
+typedef double c_double;
+using std::isfinite;
+"""
+
+
+def host_source(program: Written, name: str = "run") -> str:
+    """A C++ function over the whole batch, for a host's compiler: name(pointers)."""
+    ops, outs = program.layouts
+    index = sample_index(program.batch)
+    names, body = {}, []
+    for k, (array, layout) in enumerate(zip(program.operands, ops, strict=True)):
+        names[array.id] = f"x{k}"
+        body.append(f"const {c_type(array.dtype)}* x{k}=p{k}+({offset(layout, index)});")
+    after = []
+    for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
+        names[array.id] = f"y{k}"
+        if program.summed[k]:
+            n = max(array.size, 1)
+            body.append(f"{c_type(array.dtype)} y{k}[{n}];")
+            after.append(f"for(int i=0;i<{array.size};i++)r{k}[i]+=y{k}[i];")
+        else:
+            body.append(f"{c_type(array.dtype)}* y{k}=r{k}+({offset(layout, index)});")
+    lines = Printer(names).lines(program.builder.block)
+    tables = [table(a, "static const") for a in program.builder.tables]
+    clear = [
+        f"for(int i=0;i<{a.size};i++)r{k}[i]=0;"
+        for k, a in enumerate(program.results) if program.summed[k]
+    ]  # fmt: skip
+    head = f'extern "C" void {name}({parameters(program, "")}){{'
+    loop = f"for(long long b=0;b<{math.prod(program.batch)}ll;b++){{"
+    parts = [HOST_HEAD, PREAMBLE, *tables, head, *clear, loop, *body, *lines, *after, "}}"]
+    return "\n".join(parts)
 
 
 def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
@@ -74,6 +112,7 @@ def written(
     ins = [layout(x.shape, (size,)) for x in one]
     outs = [layout(v.aval.shape, (size,)) for v in closed.jaxpr.outvars]
     program = write_program(closed, (size,), ins, outs, platform=platform, team=team)
+    verify(program)
     return program, shape[0], closed.out_avals
 
 

@@ -12,8 +12,9 @@ import pytest
 
 import rbjax as rb
 from rbjax.compiler.cuda.kernels import kernel
+from rbjax.compiler.ir.program import Layout
 from rbjax.compiler.jax.primitive import on_gpu
-from rbjax.compiler.lower.frame import Layout, write_program
+from rbjax.compiler.lower.write import write_program
 from rbjax.dynamics.algorithms import columns
 from rbjax.dynamics.algorithms.regressor import regressor_by_columns
 from rbjax.dynamics.drivers.choice import THREADS_APART_ABOVE

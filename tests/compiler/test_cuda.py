@@ -17,10 +17,11 @@ from rbjax.compiler.cuda import driver_cache, nvrtc, stores
 from rbjax.compiler.cuda import kernels as cuda
 from rbjax.compiler.cuda.c_source import Printer
 from rbjax.compiler.cuda.kernels import Kernel, kernel
-from rbjax.compiler.ir.program import Builder
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.program import Layout, Written, batch_first
 from rbjax.compiler.jax import launch, primitive
 from rbjax.compiler.jax.function import threaded
-from rbjax.compiler.lower.frame import Layout, Written, batch_first, write_program
+from rbjax.compiler.lower.write import write_program
 from tests.compiler.block import emulated
 from tests.compiler.host import COMPILER, many_on_host, written
 from tests.tolerances import F64_TRANSFORM, relative_error

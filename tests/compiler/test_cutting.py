@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rbjax.compiler.ir.program import batch_first
 from rbjax.compiler.jax import host_call
 from rbjax.compiler.llvm.xla_handler import handler
-from rbjax.compiler.lower.frame import batch_first, write_program
+from rbjax.compiler.lower.write import write_program
 from rbjax.compiler.passes import cutting
 
 

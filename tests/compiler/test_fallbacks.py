@@ -19,13 +19,14 @@ import pytest
 
 from rbjax.compiler import disk_cache
 from rbjax.compiler.cuda import device, driver_cache, nvrtc
+from rbjax.compiler.ir.program import batch_first
+from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.jax import backend, host_call, launch, primitive
 from rbjax.compiler.jax.function import threaded
 from rbjax.compiler.jax.uncollected import SEARCH_FROM, uncollected
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.llvm import xla_handler as llvm_xla
-from rbjax.compiler.lower.frame import batch_first, write_program
-from rbjax.compiler.lower.lowering import Unsupported
+from rbjax.compiler.lower.write import write_program
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 X = np.random.default_rng(0).normal(size=(40, 3))

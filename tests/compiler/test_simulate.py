@@ -10,8 +10,8 @@ import pytest
 from jax import lax
 
 import rbjax as rb
-from rbjax.compiler.ir.program import Loop, While, walk
-from rbjax.compiler.lower.frame import Written
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import Loop, While, walk
 from tests.compiler.host import COMPILER, many_on_host, on_host, written
 from tests.robots import QUICK
 from tests.tolerances import relative_error

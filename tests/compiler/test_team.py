@@ -12,10 +12,11 @@ from jax import lax
 from jax.scipy.linalg import solve_triangular
 
 from rbjax.compiler.cuda import team
-from rbjax.compiler.ir.program import Barrier, Loop, walk
+from rbjax.compiler.ir.program import batch_first, batch_last
+from rbjax.compiler.ir.statements import Barrier, Loop, walk
 from rbjax.compiler.jax import launch, primitive
 from rbjax.compiler.jax.function import threaded
-from rbjax.compiler.lower.frame import batch_first, batch_last, write_program
+from rbjax.compiler.lower.write import write_program
 from rbjax.control.optimal.shooting.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.optimal.shooting.expansion import Quadratic
 from tests.compiler.block import emulated

@@ -13,9 +13,10 @@ import pytest
 import scipy.special
 from jax import lax
 
-from rbjax.compiler.ir.program import Loop, Reserve, walk
+from rbjax.compiler.ir.program import Layout
+from rbjax.compiler.ir.statements import Loop, Reserve, walk
 from rbjax.compiler.llvm.batch import parts
-from rbjax.compiler.lower.frame import Layout, write_program
+from rbjax.compiler.lower.write import write_program
 from rbjax.compiler.passes.divergence import divergence
 from tests.compiler import random_programs
 from tests.compiler.host import by_vectors, by_xla, part_function, written

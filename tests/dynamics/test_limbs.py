@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.compiler.lower.frame import batch_first, write_program
+from rbjax.compiler.ir.program import batch_first
+from rbjax.compiler.lower.write import write_program
 from rbjax.dynamics.algorithms.aba import factorize
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.drivers.limbs import Limbs

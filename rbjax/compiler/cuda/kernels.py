@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rbjax.compiler.cuda import stores
-from rbjax.compiler.cuda.c_source import PREAMBLE, c_type, table
-from rbjax.compiler.lower.frame import Written, offset, parameters, sample_index
-from rbjax.compiler.lower.lowering import Unsupported
+from rbjax.compiler.cuda.c_source import PREAMBLE, offset, parameters, sample_index, table
+from rbjax.compiler.ir.c_text import c_type
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.values import Unsupported
 
 #: threads of a block: one warp, so that no warp waits for another
 BLOCK = 32

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.cuda.c_source import Printer, c_type
-from rbjax.compiler.ir.program import Block, Load, Loop, Op, Store, Var, walk
-from rbjax.compiler.lower.frame import Written
+from rbjax.compiler.cuda.c_source import Printer
+from rbjax.compiler.ir.c_text import c_type
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import Block, Load, Loop, Op, Statement, Store, walk
+from rbjax.compiler.ir.values import Var
 
 #: rows with more entries than about a sector, and at most this many, are staged whole
 SHORT, WHOLE = 8, 128
@@ -171,9 +172,9 @@ def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict
     return found, spots
 
 
-def _alike(program: Written) -> set[Any]:
+def _alike(program: Written) -> set[Var | None]:
     """The indices that are the same for all threads: those made from loop counters."""
-    found: set[Any] = {None}
+    found: set[Var | None] = {None}
     for s in walk(program.builder.block):
         if isinstance(s, Loop):
             found.add(s.counter)
@@ -227,9 +228,9 @@ class StorePrinter(Printer):
         super().__init__(names)
         self.tiles, self.spots, self.passing = tiles, spots, passing
 
-    def _lines(self, statement: Any) -> Iterator[str]:
+    def _lines(self, statement: Statement) -> Iterator[str]:
         spot = self.spots.get(id(statement))
-        if spot is not None:
+        if isinstance(statement, Store) and spot is not None:
             yield from self._through_tile(statement, spot)
         elif isinstance(statement, (Load, Store)) and statement.array.id in self.passing:
             at = f"&{self.place(statement.array, statement.base, statement.offset)}"

@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
-from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, c_type, table
+from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, offset, parameters, sample_index, table
 from rbjax.compiler.cuda.kernels import BASICS, STATEMENTS_UP_TO, Kernel
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.c_text import c_type
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import (
     Await,
     Barrier,
     Block,
@@ -26,10 +27,10 @@ from rbjax.compiler.ir.program import (
     Loop,
     Op,
     Reserve,
+    Statement,
     Store,
     walk,
 )
-from rbjax.compiler.lower.frame import Written, offset, parameters, sample_index
 
 #: threads of a team where there are fewer samples than this; a warp where there are more
 TEAMS = {600: 128, 1200: 64}
@@ -124,7 +125,7 @@ class TeamPrinter(Printer):
     def barrier(self) -> str:
         return "__syncwarp();" if self.team == WARP else "__syncthreads();"
 
-    def _lines(self, statement: Any) -> Iterator[str]:
+    def _lines(self, statement: Statement) -> Iterator[str]:
         match statement:
             case Barrier():
                 yield self.barrier

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rbjax.compiler.ir.program import BOOL, Builder, Value
+from rbjax.compiler.ir.values import BOOL, Value
+
+if TYPE_CHECKING:
+    from rbjax.compiler.ir.builder import Builder
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,52 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rbjax.compiler.ir.operations import OPERATIONS
+from rbjax.compiler.ir.values import BOOL, Value, is_number
+
 if TYPE_CHECKING:
-    from rbjax.compiler.ir.program import Builder
-
-BOOL = np.dtype(bool)
-Value = Any  # a numpy scalar where it is known, else a Var
-
-
-def _shift(f):
-    return lambda a, b: f(a, b) if 0 <= int(b) < a.dtype.itemsize * 8 else a.dtype.type(0)
-
-
-FOLD = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative,
-    "index_add": np.add, "index_mul": np.multiply,
-    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
-    "eq": np.equal, "ne": np.not_equal,
-    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert,
-    "shl": _shift(np.left_shift), "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "sin": np.sin,
-    "cos": np.cos, "tan": np.tan, "tanh": np.tanh, "floor": np.floor, "ceil": np.ceil,
-    "rint": np.rint, "abs": np.abs, "max": np.maximum, "min": np.minimum, "pow": np.power,
-    "atan2": np.arctan2, "isfinite": np.isfinite,
-}  # fmt: skip
-"""The numpy function of an operation on known values; others are left to the program."""
-
-COMMUTATIVE = {"add", "mul", "index_add", "index_mul", "and", "or", "xor", "eq", "ne"}
+    from rbjax.compiler.ir.builder import Builder
 
 
 def folded(name: str, dtype: np.dtype, args: tuple) -> Value | None:
     """The result of an operation on known values, or None if the program must compute it."""
+    operation = OPERATIONS[name]
+    if operation.fold is None or dtype.kind not in operation.fold_types:
+        return None
+    if name == "cast" and args[0].dtype.kind == "f" and dtype.kind != "f":
+        return None  # numpy's result for large numbers and nan is not XLA's
     with np.errstate(all="ignore"):
-        if name == "cast":
-            return dtype.type(args[0]) if args[0].dtype.kind in "biu" or dtype.kind == "f" else None
-        if name == "div" and dtype.kind == "f":
-            return dtype.type(np.divide(*args))
-        if name in FOLD:
-            return dtype.type(FOLD[name](*args))
-    return None
-
-
-def is_number(x: Value, number: int) -> bool:
-    """Whether a value is known to be this number."""
-    return isinstance(x, np.generic) and x.dtype != BOOL and x == number
+        return dtype.type(operation.fold(*args))
 
 
 def simpler(builder: Builder, name: str, args: tuple) -> Value | None:
@@ -92,10 +66,10 @@ def keys_of(name: str, args: Sequence[Value]) -> list:
     keys: list = [
         (a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args
     ]
-    if name in COMMUTATIVE and _order(keys[0]) > _order(keys[1]):
+    if OPERATIONS[name].commutes and _order(keys[0]) > _order(keys[1]):
         keys.reverse()
     return keys
 
 
-def _order(key: Any) -> tuple:
+def _order(key: tuple | int) -> tuple:
     return (1, *key) if isinstance(key, tuple) else (0, key)

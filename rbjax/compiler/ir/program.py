@@ -1,383 +1,95 @@
-"""The program of one thread: scalars in registers, arrays in memory, loops and branches.
+"""The program of one sample of a batch, and the layout of samples in memory.
 
-A traced function is rewritten into this form (`lowering`), and a back end prints it (`c_source`).
-A value is a `Var`, or a numpy scalar if it is known. The builder folds known values and computes
-equal expressions once.
+A batch has one or several axes, anywhere among those of an operand. A thread's pointer is moved to
+its sample, and entries are read in place.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-import numpy as np
-
-from rbjax.compiler.ir.folding import folded, is_number, keys_of, simpler
-
-BOOL, I32, I64 = np.dtype(bool), np.dtype(np.int32), np.dtype(np.int64)
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.statements import Array, Op, Reserve, walk
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Var:
-    """A scalar that is computed when the program runs."""
-
-    id: int
-    dtype: np.dtype
+def row_major(shape: Sequence[int]) -> tuple[int, ...]:
+    """Strides, in entries, of an array that is written row by row."""
+    return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
 
 
-Value = Any  # Var or np.generic
+@dataclass(frozen=True)
+class Layout:
+    """The layout of the samples in an array.
 
-
-@dataclass(slots=True, eq=False)
-class Array:
-    """Memory of one thread, addressed by element.
-
-    space: "local" (of the thread), "constant" (known numbers, `data`), "operand" (read only) or
-    "result" (what the thread returns). shared: local, of a team of threads.
+    shape: of the array in memory. axes: for each axis of the batch, its place in that shape, or
+    None if the array lacks it.
     """
 
-    id: int
-    dtype: np.dtype
-    size: int
-    space: str
-    data: np.ndarray | None = None
-    #: the type of its indices: int64 if int32 is too small
-    index: np.dtype = I32
-    #: live references while the program is written; an array without any may be updated in place
-    owners: int = 0
-    #: the `Builder` time of its last write
-    version: int = 0
-    shared: bool = False
-    #: each entry is written once (in a turn of a loop), by one of several statements
-    pieces: bool = False
+    shape: tuple[int, ...]
+    axes: tuple[int | None, ...]
 
     @property
-    def mutable(self) -> bool:
-        return self.space in ("local", "result")
-
-
-@dataclass(slots=True)
-class Op:
-    """dest = name(args)."""
-
-    dest: Var
-    name: str
-    args: tuple
-
-
-@dataclass(slots=True)
-class Load:
-    """dest = array[base + offset]; base is None for 0."""
-
-    dest: Var
-    array: Array
-    base: Value | None
-    offset: int
-
-
-@dataclass(slots=True)
-class Store:
-    """array[base + offset] = value."""
-
-    array: Array
-    base: Value | None
-    offset: int
-    value: Value
-
-
-@dataclass(slots=True)
-class Declare:
-    """A variable that is assigned later; its first value, or None."""
-
-    var: Var
-    value: Value | None
-
-
-@dataclass(slots=True)
-class Assign:
-    """var = value."""
-
-    var: Var
-    value: Value
-
-
-@dataclass(slots=True)
-class Reserve:
-    """The declaration of a local array."""
-
-    array: Array
-
-
-@dataclass(slots=True)
-class Loop:
-    """`counter` runs over 0 ... count - 1, or backwards.
-
-    team: its turns do not depend on each other, and the threads of a team share them. early: it
-    copies entries that are first read after the next `Await`. part: loops of the same number write
-    different entries.
-    """
-
-    counter: Var
-    count: int
-    reverse: bool
-    body: Block
-    team: bool = False
-    early: bool = False
-    part: int = 0
-
-
-@dataclass(slots=True)
-class Await:
-    """Until here, early copies have arrived."""
-
-
-@dataclass(slots=True)
-class Barrier:
-    """The threads of a team wait for each other (`phases.synchronised`)."""
-
-
-@dataclass(slots=True)
-class While:
-    """Repeat: run `test`; stop if `condition` is false; run `body`."""
-
-    test: Block
-    condition: Value
-    body: Block
-
-
-@dataclass(slots=True)
-class If:
-    """One of two blocks."""
-
-    condition: Value
-    then: Block
-    otherwise: Block
-
-
-@dataclass(slots=True)
-class Block:
-    """A sequence of statements."""
-
-    statements: list = field(default_factory=list)
-
-
-def walk(block: Block) -> Iterator[Any]:
-    """All statements; those of inner blocks follow the statement that contains them."""
-    for statement in block.statements:
-        yield statement
-        match statement:
-            case Loop(body=body):
-                yield from walk(body)
-            case While(test=test, body=body):
-                yield from walk(test)
-                yield from walk(body)
-            case If(then=then, otherwise=otherwise):
-                yield from walk(then)
-                yield from walk(otherwise)
-
-
-class Builder:
-    """Writes statements. Equal expressions in scope of each other become one variable.
-
-    platform: where the program runs, "cuda" or "cpu", for functions that depend on it. team:
-    whether a team of threads runs it. matrices: whether one sample's matrices are to fill the
-    vectors of a CPU.
-    """
-
-    def __init__(
-        self, platform: str = "cuda", team: bool = False, matrices: bool = False
-    ) -> None:
-        self.platform, self.matrices = platform, matrices
-        self.teamed = team  # here; not in what each thread of a team does by itself
-        self._part, self._parts = 0, itertools.count(1)
-        self.block = Block()
-        self.ids = itertools.count()
-        self.time = 0  # advances whenever earlier loads may be out of date
-        self._tables: dict[tuple, Array] = {}
-        self._known: dict[tuple, Value] = {}
-        self._scopes: list[list[tuple]] = [[]]
-        self.negated: dict[int, Value] = {}
-        self.inverses: dict[Value, Value] = {}  # of numbers whose inverses were computed first
-        self.solved: dict[Array, Any] = {}  # systems that a team has solved (`factorise`)
-        self._entered = 0  # blocks entered and left: memory differs in a loop's second iteration
-
-    # ---------------------------------------------------------------- scalars
-
-    def var(self, dtype: Any) -> Var:
-        return Var(next(self.ids), np.dtype(dtype))
-
-    def op(self, name: str, dtype: Any, *args: Value) -> Value:
-        """name(args), of the given type."""
-        dtype = np.dtype(dtype)
-        known = [a for a in args if not isinstance(a, Var)]
-        if len(known) == len(args):
-            known_result = folded(name, dtype, args)
-            if known_result is not None:
-                return known_result
-        if known or name in ("neg", "select"):
-            simple = simpler(self, name, args)
-            if simple is not None:
-                return simple
-        key = (name, dtype.char, *keys_of(name, args))
-        dest = self._known.get(key)
-        if dest is None:
-            dest = self.var(dtype)
-            self.block.statements.append(Op(dest, name, args))
-            self._remember(key, dest)
-            if name == "neg":
-                self.negated[dest.id] = args[0]
-        return dest
-
-    def cast(self, x: Value, dtype: Any) -> Value:
-        """x as another type."""
-        return x if x.dtype == dtype else self.op("cast", dtype, x)
-
-    def select(self, condition: Value, yes: Value, no: Value) -> Value:
-        """yes if the condition holds, else no."""
-        return self.op("select", yes.dtype, condition, yes, no)
-
-    def declare(self, dtype: Any, value: Value | None = None) -> Var:
-        """A variable that is assigned later."""
-        var = self.var(dtype)
-        self.block.statements.append(Declare(var, value))
-        return var
-
-    def assign(self, var: Var, value: Value) -> None:
-        if var is not value:
-            self.block.statements.append(Assign(var, value))
-
-    # ---------------------------------------------------------------- memory
-
-    def local(self, dtype: Any, size: int) -> Array:
-        array = Array(next(self.ids), np.dtype(dtype), size, "local", shared=self.teamed)
-        self.block.statements.append(Reserve(array))
-        return array
-
-    def outside(self, dtype: Any, size: int, space: str, index: Any = I32) -> Array:
-        """An operand or a result."""
-        return Array(next(self.ids), np.dtype(dtype), size, space, index=np.dtype(index))
-
-    def table(self, data: np.ndarray) -> Array:
-        """Known numbers in memory; equal tables are shared."""
-        key = (data.dtype.char, data.tobytes())
-        if key not in self._tables:
-            flat = data.reshape(-1)
-            self._tables[key] = Array(next(self.ids), data.dtype, data.size, "constant", flat)
-        return self._tables[key]
+    def sample(self) -> tuple[int, ...]:
+        """The shape of one sample."""
+        return tuple(n for k, n in enumerate(self.shape) if k not in self.axes)
 
     @property
-    def tables(self) -> list[Array]:
-        return list(self._tables.values())
+    def strides(self) -> tuple[int, ...]:
+        """The strides between entries of a sample."""
+        every = row_major(self.shape)
+        return tuple(s for k, s in enumerate(every) if k not in self.axes)
 
-    def load(self, array: Array, base: Value | None, offset: int) -> Value:
-        """array[base + offset]."""
-        base, offset = _at(base, offset)
-        if array.data is not None and base is None:
-            return array.data[offset]
-        since = (array.version, self._entered) if array.mutable else 0
-        key = ("load", array.id, base.id if base is not None else None, offset, since)
-        dest = self._known.get(key)
-        if dest is None:
-            dest = self.var(array.dtype)
-            self.block.statements.append(Load(dest, array, base, offset))
-            self._remember(key, dest)
-        return dest
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """The strides between samples along each axis of the batch; 0 without this axis."""
+        every = row_major(self.shape)
+        return tuple(0 if axis is None else every[axis] for axis in self.axes)
 
-    def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
-        """array[base + offset] = value."""
-        base, offset = _at(base, offset)
-        self.block.statements.append(Store(array, base, offset, value))
-        self.written(array)
-
-    def written(self, array: Array) -> None:
-        """From here on, earlier loads of this array are repeated."""
-        self.time += 1
-        array.version = self.time
-
-    # ---------------------------------------------------------------- blocks
-
-    @contextmanager
-    def inside(self, block: Block) -> Iterator[None]:
-        """Write into an inner block; its values are out of scope afterwards."""
-        outer, self.block = self.block, block
-        self._scopes.append([])
-        self._entered += 1
-        try:
-            yield
-        finally:
-            for key in self._scopes.pop():
-                self._known.pop(key, None)
-            self._entered += 1
-            self.block = outer
-
-    @contextmanager
-    def loop(self, count: int, *, reverse: bool = False) -> Iterator[Var]:
-        """A loop over a counter."""
-        counter, body = self.var(I32), Block()
-        self.block.statements.append(Loop(counter, count, reverse, body))
-        with self.inside(body):
-            yield counter
-
-    @contextmanager
-    def spread(self, count: int, early: bool = False) -> Iterator[Var]:
-        """A loop over a counter whose turns a team shares."""
-        counter, body = self.var(I32), Block()
-        loop = Loop(counter, count, False, body, True, early, self._part)
-        self.block.statements.append(loop)
-        with self.inside(body), self.by_itself():
-            yield counter
-
-    @contextmanager
-    def by_itself(self) -> Iterator[None]:
-        """What each thread of a team does by itself."""
-        before, self.teamed = self.teamed, False
-        try:
-            yield
-        finally:
-            self.teamed = before
-
-    @contextmanager
-    def parts(self) -> Iterator[None]:
-        """Loops of a team that write different entries of one array."""
-        before, self._part = self._part, next(self._parts)
-        try:
-            yield
-        finally:
-            self._part = before
-
-    @contextmanager
-    def when(self, condition: Value) -> Iterator[None]:
-        """Statements that run where a condition holds."""
-        then = Block()
-        self.block.statements.append(If(condition, then, Block()))
-        with self.inside(then):
-            yield
-
-    def _remember(self, key: tuple, value: Value) -> None:
-        self._known[key] = value
-        self._scopes[-1].append(key)
-
-    def once(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """make(), or what it gave for this key in the same scope."""
-        if key not in self._known:
-            self._remember(key, make())
-        return self._known[key]
-
-    def index(self, array: Array, *terms: tuple[Value, int]) -> Value | None:
-        """Sum of value * stride over the terms, in the array's type of index; None for 0."""
-        total: Value = array.index.type(0)
-        for value, stride in terms:
-            step = self.op(
-                "index_mul", array.index, self.cast(value, array.index), array.index.type(stride)
-            )
-            total = self.op("index_add", array.index, total, step)
-        return None if is_number(total, 0) else total
+    def rows(self, batch: tuple[int, ...]) -> int | None:
+        """The entries of a sample, if samples are consecutive rows; else None."""
+        if not self.axes or None in self.axes:
+            return None
+        n = math.prod(self.sample)
+        steps, size = [], n
+        for count in reversed(batch):
+            steps.append(size)
+            size *= count
+        wanted = tuple(reversed(steps))
+        alike = all(a == b or c == 1 for a, b, c in zip(self.steps, wanted, batch, strict=True))
+        return n if alike and self.strides == row_major(self.sample) else None
 
 
-def _at(base: Value | None, offset: int) -> tuple[Var | None, int]:
-    if base is None or isinstance(base, Var):
-        return base, offset
-    return None, offset + int(base)
+def batch_first(sample: Sequence[int], batch: Sequence[int]) -> Layout:
+    """A result with the axes of the batch before its own."""
+    return Layout((*batch, *sample), tuple(range(len(batch))))
+
+
+def batch_last(sample: Sequence[int], batch: Sequence[int]) -> Layout:
+    """A result with the axes of the batch after its own."""
+    n = len(sample)
+    return Layout((*sample, *batch), tuple(range(n, n + len(batch))))
+
+
+@dataclass(frozen=True)
+class Written:
+    """A program with its operands, results and batch."""
+
+    builder: Builder
+    operands: tuple[Array, ...]
+    results: tuple[Array, ...]
+    layouts: tuple[tuple[Layout, ...], tuple[Layout, ...]]
+    batch: tuple[int, ...]
+    summed: tuple[bool, ...]
+
+    @property
+    def statements(self) -> int:
+        """Operations in one thread's code; those of a loop count once."""
+        return sum(isinstance(s, Op) for s in walk(self.builder.block))
+
+    @property
+    def array_bytes(self) -> int:
+        """Bytes of the local arrays of one thread."""
+        arrays = [s.array for s in walk(self.builder.block) if isinstance(s, Reserve)]
+        return sum(a.size * a.dtype.itemsize for a in arrays)

@@ -100,7 +100,7 @@ class Key:
     moving: tuple[bool, ...]
     present: tuple[bool, ...]
 
-    def call(self, args: Sequence[Any]) -> list[Any]:
+    def call(self, args: Sequence[jax.Array]) -> list[jax.Array]:
         """The results of such an equation."""
         ins, outs = [Var(a) for a in self.ins], [Var(a) for a in self.outs]
         eqn = new_jaxpr_eqn(ins, outs, self.primitive, dict(self.params), frozenset[Any]())
@@ -112,7 +112,7 @@ class Key:
         still = [a for a, m in zip(atoms, self.moving, strict=True) if not m]
         return still, list(itertools.compress(atoms, self.moving))
 
-    def merged(self, still: Sequence[Any], moved: Sequence[Any]) -> list[Any]:
+    def merged(self, still: Sequence[jax.Array], moved: Sequence[jax.Array]) -> list[jax.Array]:
         """The inputs, of those that do not move and those that do."""
         rest, along = iter(still), iter(moved)
         return [next(along) if m else next(rest) for m in self.moving]
@@ -123,7 +123,7 @@ def _tangent(key: Key) -> tuple[ClosedJaxpr, list[bool]]:
     n, floats = len(key.ins), [jnp.issubdtype(a.dtype, jnp.floating) for a in key.outs]
     rates = key.parted(key.ins)[1]
 
-    def both(*xs: Any) -> list[Any]:
+    def both(*xs: jax.Array) -> list[jax.Array]:
         still, moved = key.parted(xs[:n])
         out, along = jax.jvp(lambda *m: key.call(key.merged(still, m)), moved, list(xs[n:]))
         return [*out, *itertools.compress(along, floats)]
@@ -136,8 +136,8 @@ def _transposed(key: Key) -> tuple[ClosedJaxpr, list[bool]]:
     still, moved = key.parted(key.ins)
     bars = list(itertools.compress(key.outs, key.present))
 
-    def back(*xs: Any) -> list[Any]:
-        def linear(*m: Any) -> list[Any]:
+    def back(*xs: jax.Array) -> list[jax.Array]:
+        def linear(*m: jax.Array) -> list[jax.Array]:
             return list(itertools.compress(key.call(key.merged(xs[: len(still)], m)), key.present))
 
         return list(jax.linear_transpose(linear, *moved)(list(xs[len(still) :])))

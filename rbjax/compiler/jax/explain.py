@@ -14,10 +14,11 @@ import jax.numpy as jnp
 from rbjax.compiler.cuda import device
 from rbjax.compiler.cuda.kernels import kernel
 from rbjax.compiler.cuda.nvrtc import ptx
+from rbjax.compiler.ir.program import Written, batch_first
 from rbjax.compiler.jax import backend
 from rbjax.compiler.jax.function import flattened, threaded
 from rbjax.compiler.jax.launch import capability, ordinal, works
-from rbjax.compiler.lower.frame import Written, batch_first, write_program
+from rbjax.compiler.lower.write import write_program
 from rbjax.compiler.passes.counting import operations
 
 

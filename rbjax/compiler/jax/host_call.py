@@ -18,12 +18,13 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
+from rbjax.compiler.ir.program import Written, batch_first
+from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.jax import self_test
 from rbjax.compiler.jax.custom_call import typed_call
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.llvm.xla_handler import handler
-from rbjax.compiler.lower.frame import Written, batch_first, write_program
-from rbjax.compiler.lower.lowering import Unsupported
+from rbjax.compiler.lower.write import write_program
 
 #: code that XLA may call; never freed, because XLA does not report when it drops a handler
 _registered: dict[str, llvm_jit.Code] = {}
@@ -69,7 +70,9 @@ _kernel.multiple_results = True
 _kernel.def_abstract_eval(lambda *operands, results, name: list(results))
 
 
-def launch(kernel: HostKernel, operands: Sequence[Any], results: Sequence[Any]) -> list[Any]:
+def launch(
+    kernel: HostKernel, operands: Sequence[jax.Array], results: Sequence[Any]
+) -> list[jax.Array]:
     """The kernel's results, with these shapes and types. Only for programs lowered for a CPU."""
     return _kernel.bind(*operands, results=tuple(results), name=kernel.name)
 

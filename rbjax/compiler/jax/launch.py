@@ -22,9 +22,9 @@ from rbjax._jax_compat import GPU_KERNEL
 from rbjax.compiler.cuda.driver_cache import compile_ahead
 from rbjax.compiler.cuda.kernels import Kernel
 from rbjax.compiler.cuda.nvrtc import CompileError, ptx
+from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.jax import self_test
 from rbjax.compiler.jax.custom_call import typed_call
-from rbjax.compiler.lower.lowering import Unsupported
 
 TARGET = GPU_KERNEL
 

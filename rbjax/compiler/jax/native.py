@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler.ir.program import batch_first
+from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.jax.function import flattened
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.llvm import module as llvm_ir
 from rbjax.compiler.llvm import numpy_abi
-from rbjax.compiler.lower.frame import batch_first, write_program
-from rbjax.compiler.lower.lowering import Unsupported
+from rbjax.compiler.lower.write import write_program
 from rbjax.errors import InputError
 
 

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
+from numpy.typing import DTypeLike
 
 from rbjax._jax_compat import (
     apply_primitive,
@@ -32,14 +33,16 @@ from rbjax._jax_compat import (
 )
 from rbjax.compiler.cuda import kernels as cuda
 from rbjax.compiler.cuda import team
+from rbjax.compiler.ir.program import Layout
+from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.jax import backend, host_call, launch
 from rbjax.compiler.jax.programs import Program
 from rbjax.compiler.jax.sharding import spread
 from rbjax.compiler.jax.uncollected import uncollected
 from rbjax.compiler.jax.uniform import divided
 from rbjax.compiler.llvm import jit as llvm_jit
-from rbjax.compiler.lower.frame import Layout, write_program
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, rule
+from rbjax.compiler.lower.lowering import Equation, Lowering, rule
+from rbjax.compiler.lower.write import write_program
 
 Axes = tuple[int | None, ...]
 
@@ -50,9 +53,9 @@ threads_p.multiple_results = True
 
 
 def run(
-    program: Program, operands: Sequence[Any], batch: tuple[int, ...] = (),
+    program: Program, operands: Sequence[jax.Array], batch: tuple[int, ...] = (),
     ins: Sequence[Axes] | None = None, outs: Sequence[Axes] | None = None,
-) -> list[Any]:  # fmt: skip
+) -> list[jax.Array]:  # fmt: skip
     """Runs the program for a batch. `ins`, `outs`: the place of each axis of the batch in each
     operand and result. A result without a place is summed over the batch."""
     first = tuple(range(len(batch)))
@@ -61,7 +64,7 @@ def run(
     return threads_p.bind(*_alike(operands), program=program, batch=batch, ins=ins, outs=outs)
 
 
-def _alike(operands: Sequence[Any]) -> list[Any]:
+def _alike(operands: Sequence[jax.Array]) -> list[jax.Array]:
     """The operands, all varying along the same axes of a mesh."""
     own = [varying_axes(jax.typeof(x)) for x in operands]
     every = frozenset().union(*own)
@@ -71,7 +74,7 @@ def _alike(operands: Sequence[Any]) -> list[Any]:
     ]
 
 
-def result(shape: tuple[int, ...], dtype: Any, operands: Sequence[Any]) -> ShapedArray:
+def result(shape: tuple[int, ...], dtype: DTypeLike, operands: Sequence[jax.Array]) -> ShapedArray:
     """A result, which varies along the axes of the operands."""
     if not any(varying_axes(x) for x in operands):
         return ShapedArray(shape, dtype)
@@ -114,7 +117,7 @@ def under_xla(*operands, program, batch, ins, outs):
     return [placed(x, axes) for x, axes in zip(f(*operands), outs, strict=True)]
 
 
-def _repeated(f: Callable, size: int, *args: Any) -> list[Any]:
+def _repeated(f: Callable, size: int, *args: Any) -> list[jax.Array]:
     return [jnp.broadcast_to(x, (size, *x.shape)) for x in f(*args)]
 
 
@@ -220,7 +223,7 @@ mlir.register_lowering(threads_p, _lower_for_gpu, platform="cuda")
 
 
 @rule("threads")
-def _inside(low: Lowering, eqn: Any, ins: list) -> list:
+def _inside(low: Lowering, eqn: Equation, ins: list) -> list:
     """A program inside a thread, which runs a batch of it in a loop."""
     program, how = eqn.params["program"], eqn.params
     if not how["batch"]:

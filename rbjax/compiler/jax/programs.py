@@ -62,7 +62,7 @@ class Program:
         """The inputs of a derivative besides the arguments."""
         return self.keeping(moving).outputs[self.reads :] if self.keeping else []
 
-    def __call__(self, *args: Any) -> list[Any]:
+    def __call__(self, *args: jax.Array) -> list[jax.Array]:
         return jaxpr_as_fun(self.closed)(*args)
 
     def goes_apart(self, samples: int) -> bool:
@@ -84,7 +84,7 @@ class Program:
     def _along(self, moving: Moving, args: Any) -> tuple[Callable, list[Any]]:
         """This as a function of the arguments that move, and these arguments."""
 
-        def along(*changed: Any) -> list[Any]:
+        def along(*changed: jax.Array) -> list[jax.Array]:
             rest = iter(changed)
             return self(*(next(rest) if m else x for m, x in zip(moving, args, strict=True)))
 
@@ -110,7 +110,7 @@ class Program:
         if key not in self.derived and not self.closed.effects:
             self.derived[key] = Program(self._linearised(moving).tangent(kept), once=self.once)
 
-        def f(*xs: Any) -> list[Any]:
+        def f(*xs: jax.Array) -> list[jax.Array]:
             rates = list(xs[len(moving) + len(kept) :])
             found = jax.jvp(*self._along(moving, xs[: len(moving)]), rates)[1]
             return [  # a zero tangent has dtype float0, which no array here can have
@@ -130,7 +130,7 @@ class Program:
             if back is not None:
                 self.derived[key] = Program(back.closed(), once=self.once)
 
-        def f(*xs: Any) -> list[Any]:
+        def f(*xs: jax.Array) -> list[jax.Array]:
             n, end = len(moving), len(moving) + len(also)
             args, kept, given = xs[:n], xs[n:end], iter(xs[end:])
             if self.vjp is not None:
@@ -139,7 +139,7 @@ class Program:
 
             along, moved = self._along(moving, args)
 
-            def wanted(*changed: Any) -> list[Any]:
+            def wanted(*changed: jax.Array) -> list[jax.Array]:
                 return [y for w, y in zip(weighed, along(*changed), strict=True) if w]
 
             return list(jax.vjp(wanted, *moved)[1](list(given)))

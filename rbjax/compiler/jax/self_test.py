@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.lower.lowering import Unsupported
+from rbjax.compiler.ir.values import Unsupported
 
 #: as many as a kernel's block has threads
 NUMBERS = np.arange(32, dtype=np.float32)

@@ -13,7 +13,7 @@ from typing import Any
 
 import jax
 from jax.experimental.custom_partitioning import custom_partitioning
-from jax.sharding import NamedSharding, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 Axes = tuple[int | None, ...]
 
@@ -45,7 +45,7 @@ def spread(
                     taken |= names
         return found
 
-    def placed(mesh: Any, over: list[Any], axes: Axes, rank: int) -> NamedSharding:
+    def placed(mesh: Mesh, over: list[Any], axes: Axes, rank: int) -> NamedSharding:
         spec: list[Any] = [None] * rank
         for level in levels:
             axis = axes[level]
@@ -53,12 +53,12 @@ def spread(
                 spec[axis] = over[level]
         return NamedSharding(mesh, PartitionSpec(*spec))
 
-    def partition(mesh: Any, args: Any, results: Any) -> Any:
+    def partition(mesh: Mesh, args: Any, results: Any) -> Any:
         over = parts([a.sharding for a in args])
         sizes = [1 if o is None else _count(mesh, o) for o in over]
         local = tuple(n // k for n, k in zip(batch, sizes, strict=True))
 
-        def run(*operands: Any) -> Any:
+        def run(*operands: jax.Array) -> Any:
             found = []
             for x, axes in zip(f(local)(*operands), outs, strict=True):
                 names = [o for o, axis in zip(over, axes, strict=True) if axis is None and o]
@@ -73,14 +73,14 @@ def spread(
         return mesh, run, shardings[1], shardings[0]
 
     @custom_partitioning
-    def whole(*operands: Any) -> Any:  # JAX uses only its shapes, and refuses constants
+    def whole(*operands: jax.Array) -> Any:  # JAX uses only its shapes, and refuses constants
         return tuple(jax.lax.full_like(x, 0) for x in jax.eval_shape(f(batch), *operands))
 
     whole.def_partition(partition, sharding_rule=_rule(batch, ins, outs, ranks))
     return whole
 
 
-def _count(mesh: Any, names: Any) -> int:
+def _count(mesh: Mesh, names: Any) -> int:
     """The number of devices of these mesh axes."""
     total = 1
     for name in names if isinstance(names, tuple) else (names,):

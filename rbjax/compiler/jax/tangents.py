@@ -17,7 +17,7 @@ from jax.interpreters import ad, batching, mlir
 
 from rbjax._jax_compat import needs_devices
 from rbjax.compiler.jax.primitive import batched_shape, placed, result, run, threads_p, with_axis
-from rbjax.compiler.lower.lowering import Lowering, rule
+from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
 #: so many directions fill a sector of a GPU's memory
 DIRECTIONS = 8
@@ -49,7 +49,7 @@ needs_devices(tangent_p)
 
 
 @rule("threads_tangent")
-def _tangent_inside(low: Lowering, eqn: Any, ins: list) -> list:
+def _tangent_inside(low: Lowering, eqn: Equation, ins: list) -> list:
     f = functools.partial(_evaluate, **eqn.params)
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
 

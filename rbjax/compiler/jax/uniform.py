@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
 from rbjax._jax_compat import without_names
@@ -32,7 +33,7 @@ FEW = 64
 
 
 def divided(
-    program: Program, shared: Sequence[bool], operands: Sequence[Any], run: Callable
+    program: Program, shared: Sequence[bool], operands: Sequence[jax.Array | None], run: Callable
 ) -> tuple[Program, list[Any]]:
     """The rest of a program, as a function of the operands that samples do not share and of new
     shared operands; and these, computed here. Work that is short is a program of its own, which

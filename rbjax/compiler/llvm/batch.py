@@ -11,14 +11,13 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 
-from rbjax.compiler.ir.program import Array, Load, Op, Store, walk
+from rbjax.compiler.ir.program import Layout, Written, row_major
+from rbjax.compiler.ir.statements import Array, Load, Op, Store, walk
 from rbjax.compiler.llvm.jit import register_bytes
 from rbjax.compiler.llvm.operations import ALIGNMENT
 from rbjax.compiler.llvm.samples import Lines
 from rbjax.compiler.llvm.statements import MALLOC, one_sample, stored
 from rbjax.compiler.llvm.vectors import Step, many_samples
-from rbjax.compiler.lower.arrays import row_major
-from rbjax.compiler.lower.frame import Layout, Written
 from rbjax.compiler.passes.counting import accesses, operations
 
 #: operations that are worth a part of their own: some ten microseconds

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.elementary import widened
 from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.program import Builder, Op, Var
-from rbjax.compiler.llvm import elementary, error_function, powers
+from rbjax.compiler.ir.operations import OPERATIONS
+from rbjax.compiler.ir.statements import Op
+from rbjax.compiler.ir.values import F64, Var
 from rbjax.compiler.llvm.operations import ATTRIBUTES, Operations, llvm_type, of_c
-
-#: functions of two arguments
-OF_TWO = {"atan2", "pow", "fmod", "nextafter"}
-#: functions that have another value at a subnormal argument than at zero
-OF_SMALL = {"atan2", "log", "pow", "cbrt"}
-F64 = np.dtype(np.float64)
-FUNCTIONS = elementary.FUNCTIONS | powers.FUNCTIONS | error_function.FUNCTIONS
 
 
 def definitions(vectors: Operations) -> list[str]:
     """The functions that vector operations call."""
     out = []
     for what, kind in list(vectors.functions):
-        if what in FUNCTIONS:
+        if OPERATIONS[what].formula:
             out += _by_formula(vectors, what, kind)
         else:
             out.append(_lane_by_lane(vectors, what, kind, name_of(vectors, what, kind)))
@@ -42,7 +38,7 @@ def _head(vectors: Operations, name: str, kind: np.dtype, takes: list[str]) -> s
 def _lane_by_lane(vectors: Operations, what: str, kind: np.dtype, name: str) -> str:
     """A function of C's mathematics, called once a lane."""
     t, one = vectors.type(kind), llvm_type(kind)
-    takes = ["%x", "%y"][: 1 + (what in OF_TWO)]
+    takes = ["%x", "%y"][: OPERATIONS[what].arity]
     lines, out = [], "poison"
     for k in range(vectors.lanes):
         args = [(one, f"{x}{k}") for x in takes]
@@ -55,10 +51,12 @@ def _lane_by_lane(vectors: Operations, what: str, kind: np.dtype, name: str) -> 
 
 def _by_formula(vectors: Operations, what: str, kind: np.dtype) -> list[str]:
     """A function by its formula, in double precision; where that does not hold, lane by lane."""
-    builder = Builder()
-    given = [builder.var(kind) for _ in range(1 + (what in OF_TWO))]
-    wide = elementary.widened if what in OF_SMALL else lambda x: x.cast(F64)
-    y, far = FUNCTIONS[what](*(wide(Number(builder, x)) for x in given))
+    builder, operation = Builder(), OPERATIONS[what]
+    assert operation.formula is not None
+    given = [builder.var(kind) for _ in range(operation.arity)]
+    numbers = [Number(builder, x) for x in given]
+    wide = [widened(x) if operation.sees_subnormals else x.cast(F64) for x in numbers]
+    y, far = operation.formula(*wide)
     y = y.cast(kind)
     lines: list[str] = []
     inner = Operations(lines.append, vectors.lanes, vectors)

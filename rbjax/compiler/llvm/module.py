@@ -11,9 +11,9 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
+from rbjax.compiler.ir.program import Written
 from rbjax.compiler.llvm import numpy_abi
 from rbjax.compiler.llvm.statements import MALLOC, one_sample
-from rbjax.compiler.lower.frame import Written
 
 
 @dataclass(frozen=True)

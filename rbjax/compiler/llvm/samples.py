@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 
+from rbjax.compiler.ir.program import Layout
 from rbjax.compiler.llvm.operations import splat
-from rbjax.compiler.lower.frame import Layout
 
 
 class Lines(list):

@@ -9,11 +9,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import (
     Array,
     Assign,
     Block,
@@ -21,13 +21,14 @@ from rbjax.compiler.ir.program import (
     If,
     Load,
     Loop,
+    Name,
     Op,
     Reserve,
+    Statement,
     Store,
-    Value,
-    Var,
     While,
 )
+from rbjax.compiler.ir.values import Value, Var
 from rbjax.compiler.llvm.mathematics import definitions
 from rbjax.compiler.llvm.operations import (
     ALIGNMENT,
@@ -36,7 +37,6 @@ from rbjax.compiler.llvm.operations import (
     literal,
     llvm_type,
 )
-from rbjax.compiler.lower.frame import Written
 from rbjax.compiler.passes.cutting import Cuts, Frame, cut
 
 #: larger local arrays lie in the workspace, not on the stack, of which a thread has little
@@ -159,11 +159,11 @@ class Writer:
         pointers = ", ".join("ptr " + x.split()[-1] for x in takes)
         self.lines[:] = [*outside[1], f"call void @{name}({pointers})"]
 
-    def shares(self, x: Any) -> bool:
+    def shares(self, x: Name) -> bool:
         """Whether a variable or an array lies in the frame."""
         return self.frame is not None and x in self.frame.places
 
-    def framed(self, x: Any, lines: list[str] | None = None) -> str:
+    def framed(self, x: Name, lines: list[str] | None = None) -> str:
         """The address of what lies in the frame."""
         assert self.frame is not None
         lines, name = self.lines if lines is None else lines, f"%p{next(self.numbers)}"
@@ -265,7 +265,7 @@ class Writer:
                 if isinstance(statement, Op | Load):
                     self.keep(statement.dest)
 
-    def statement(self, statement: Any) -> None:
+    def statement(self, statement: Statement) -> None:
         match statement:
             case Op(dest=dest, args=args):
                 self.operations.write(statement, f"%t{dest.id}", [self.value(a) for a in args])

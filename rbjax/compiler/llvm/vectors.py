@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import Array, Block, Op, Value, Var
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import Array, Block, Op, Statement
+from rbjax.compiler.ir.values import Value, Var
 from rbjax.compiler.llvm.mathematics import definitions
 from rbjax.compiler.llvm.operations import ALIGNMENT, Operations, llvm_type, splat
 from rbjax.compiler.llvm.statements import (
@@ -22,7 +23,6 @@ from rbjax.compiler.llvm.statements import (
     stored,
     written_function,
 )
-from rbjax.compiler.lower.frame import Written
 from rbjax.compiler.passes.cutting import Cuts, cut
 from rbjax.compiler.passes.divergence import divergence, part_of
 
@@ -138,7 +138,7 @@ class _Vectors(Writer):
         """The new value in the lanes that run."""
         return self.made(f"select {self.many('i1')} {self.mask}, {t} {new}, {t} {old}")
 
-    def statement(self, statement: Any) -> None:
+    def statement(self, statement: Statement) -> None:
         if isinstance(statement, Op) and self.found.of(statement.dest):
             args = [self.vector(a) for a in statement.args]
             self.vectors.write(statement, f"%t{statement.dest.id}", args)

@@ -8,9 +8,9 @@ left; the caller works too, and then waits for parts that others have begun.
 
 from __future__ import annotations
 
+from rbjax.compiler.ir.program import Written
 from rbjax.compiler.llvm.batch import parts
 from rbjax.compiler.llvm.module import Module
-from rbjax.compiler.lower.frame import Written
 
 # members of the structs of c_api.h, in bytes
 EXTENSION, API, CONTEXT, STAGE, ARGS, RESULTS = 8, 16, 24, 32, 72, 112  # XLA_FFI_CallFrame

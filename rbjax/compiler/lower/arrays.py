@@ -8,13 +8,17 @@ has a fourth, `Delayed`: entries that are computed where they are read.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from rbjax.compiler.ir.program import I32, Array, Builder, Value, Var
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.program import row_major
+from rbjax.compiler.ir.statements import Array
+from rbjax.compiler.ir.values import I32, Value, Var
 from rbjax.compiler.lower.delayed import Delayed, Shaped
 
 
@@ -44,7 +48,7 @@ class View(Shaped):
         own = self.array.space == "local" and not self.array.pieces
         return apart and own and not self.array.owners
 
-    def same(self, other: Any) -> bool:
+    def same(self, other: object) -> bool:
         """Whether the other is a view of the same place."""
         return isinstance(other, View) and all(
             a is b or a == b
@@ -138,7 +142,8 @@ class View(Shaped):
         return replace(self, strides=tuple(strides), shape=tuple(shape))
 
 
-Small = Any  # np.ndarray of numbers, np.ndarray of Values, View, or Delayed
+#: numbers, values in registers, entries in memory, or entries that are computed when read
+ThreadArray = np.ndarray | View | Delayed
 
 #: a team keeps arrays of at most so many entries in registers, the same in each of its threads
 FEW = 16
@@ -146,12 +151,7 @@ FEW = 16
 SHARED_ABOVE = 64
 
 
-def row_major(shape: Sequence[int]) -> tuple[int, ...]:
-    """Strides, in entries, of an array that is written row by row."""
-    return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
-
-
-def is_known(x: Small) -> bool:
+def is_known(x: ThreadArray) -> bool:
     """Whether all entries are numbers."""
     return isinstance(x, np.ndarray) and x.dtype != object
 
@@ -167,6 +167,11 @@ def objects(x: np.ndarray) -> np.ndarray:
     return out
 
 
+def every_index(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """The indices of all entries of a shape, row by row."""
+    return iter(np.ndindex(tuple(shape)))
+
+
 def filled(shape: Sequence[int], value: Value) -> np.ndarray:
     """One value everywhere (`np.full` would convert it to a Python number)."""
     out = np.empty(shape, object)
@@ -174,12 +179,12 @@ def filled(shape: Sequence[int], value: Value) -> np.ndarray:
     return out
 
 
-def scalars(b: Builder, x: Small) -> np.ndarray:
+def scalars(b: Builder, x: ThreadArray) -> np.ndarray:
     """The entries as an array of Values; those in memory are read."""
     if isinstance(x, Delayed):
         if not b.teamed or x.work <= SHARED_ABOVE or x.size == 1:
             out = np.empty(x.shape, object)
-            for i in np.ndindex(x.shape):
+            for i in every_index(x.shape):
                 out[i] = x.entry(*map(I32.type, i))
             return out
         x = stored(b, x)
@@ -187,12 +192,12 @@ def scalars(b: Builder, x: Small) -> np.ndarray:
         return objects(x)
     out = np.empty(x.shape, object)
     places = x.places()
-    for i in np.ndindex(x.shape):
+    for i in every_index(x.shape):
         out[i] = b.load(x.array, x.base, int(places[i]))
     return out
 
 
-def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
+def tidy(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
     """An object array as known numbers, if every entry is known."""
     if x.dtype != object:
         return x
@@ -204,7 +209,7 @@ def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
     return x
 
 
-def in_memory(b: Builder, x: Small, dtype: Any) -> View:
+def in_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
     """The entries in memory: a table of known numbers, or a local copy of registers."""
     if isinstance(x, View):
         return x
@@ -220,7 +225,7 @@ def in_memory(b: Builder, x: Small, dtype: Any) -> View:
     return view
 
 
-def _kept(b: Builder, x: np.ndarray, dtype: Any) -> View:
+def _kept(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
     """Values of a team's threads in memory that does not change; equal ones once. Axes along which
     they repeat have no entries of their own."""
     repeats = [n > 1 and s == 0 for n, s in zip(x.shape, x.strides, strict=True)]
@@ -248,7 +253,7 @@ def stored(b: Builder, x: Delayed) -> View:
     return b.once(("stored", id(x)), make)[0]
 
 
-def settled(b: Builder, x: Small) -> Small:
+def settled(b: Builder, x: ThreadArray) -> ThreadArray:
     """A delayed array in registers if it is small, else in memory; another as it is."""
     if not isinstance(x, Delayed):
         return x
@@ -256,7 +261,7 @@ def settled(b: Builder, x: Small) -> Small:
     return scalars(b, x) if few else stored(b, x)
 
 
-def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
+def write(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> None:
     """Copy x to a place in memory; large pieces by a loop."""
     if isinstance(x, View) and x.same(to):
         return
@@ -272,11 +277,11 @@ def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
         each(b, to.shape, lambda *i: put(b, to, i, get(b, source, i)))
         return
     values, places = scalars(b, x), to.places()
-    for i in np.ndindex(to.shape):
+    for i in every_index(to.shape):
         b.store(to.array, to.base, int(places[i]), values[i])
 
 
-def transposed(x: Small, order: Sequence[int]) -> Small:
+def transposed(x: ThreadArray, order: Sequence[int]) -> ThreadArray:
     """x with its axes in another order."""
     return x.transpose(order) if isinstance(x, np.ndarray) else x.transposed(order)
 
@@ -287,14 +292,14 @@ def in_a_row(*views: View) -> Sequence[View]:
     return [x for x in flat if x is not None] if None not in flat else views
 
 
-def owned_copy(b: Builder, x: Small, dtype: Any) -> View:
+def owned_copy(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
     """A local copy that may be changed."""
     view = View.of(b.local(dtype, x.size), x.shape)
     write(b, view, x)
     return view
 
 
-def spread(b: Builder, x: Small, dtype: Any, shape: tuple[int, ...]) -> View | Delayed:
+def spread(b: Builder, x: ThreadArray, dtype: DTypeLike, shape: tuple[int, ...]) -> View | Delayed:
     """x in memory, broadcast to a shape as numpy does."""
     view = x if isinstance(x, Delayed) else in_memory(b, x, dtype)
     return view.broadcast(shape, range(len(shape) - view.ndim, len(shape)))

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-from rbjax.compiler.ir.program import BOOL, I32, Await, Block, Builder, If, Value, Var, While
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.statements import Await, Block, If, While
+from rbjax.compiler.ir.values import BOOL, I32, Value, Var
 from rbjax.compiler.lower.arrays import (
     FEW,
-    Small,
+    ThreadArray,
     View,
+    every_index,
     get,
     in_a_row,
     in_memory,
@@ -27,7 +30,16 @@ from rbjax.compiler.lower.arrays import (
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.effects import only_reports
 from rbjax.compiler.lower.gather import COMBINE
-from rbjax.compiler.lower.lowering import Lowering, called, dtype_of, rule, writer
+from rbjax.compiler.lower.lowering import (
+    Atom,
+    Aval,
+    Equation,
+    Lowering,
+    called,
+    dtype_of,
+    rule,
+    writer,
+)
 
 #: the most entries of a loop's carry that are kept in registers
 REGISTERS = 256
@@ -71,7 +83,7 @@ def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
     return found
 
 
-def _inner(eqn: Any) -> list[tuple[ClosedJaxpr, list]]:
+def _inner(eqn: Equation) -> list[tuple[ClosedJaxpr, list]]:
     P, atoms = eqn.params, list(eqn.invars)
     match eqn.primitive.name:
         case "cond":
@@ -91,7 +103,9 @@ def _inner(eqn: Any) -> list[tuple[ClosedJaxpr, list]]:
 class Carry:
     """The carry of a loop: variables or local arrays."""
 
-    def __init__(self, low: Lowering, init: Sequence[Small], avals: Sequence[Any], memory: set):
+    def __init__(
+        self, low: Lowering, init: Sequence[ThreadArray], avals: Sequence[Aval], memory: set[int]
+    ):
         self.low = low
         self.values: list[Any] = []
         for k, (x, aval) in enumerate(zip(init, avals, strict=True)):
@@ -99,23 +113,23 @@ class Carry:
                 self.values.append(self._array(x, aval))
             else:
                 entries, out = low.scalars(x), np.empty(aval.shape, object)
-                for i in np.ndindex(aval.shape):
+                for i in every_index(aval.shape):
                     out[i] = low.b.declare(dtype_of(aval), entries[i])
                 self.values.append(out)
 
-    def _array(self, x: Small, aval: Any) -> View:
+    def _array(self, x: ThreadArray, aval: Aval) -> View:
         taken = {y.array for y in self.values if isinstance(y, View)}
         if isinstance(x, View) and x.changeable and x.array not in taken:
             return x
         return owned_copy(self.low.b, x, dtype_of(aval))
 
-    def advance(self, new: Sequence[Small]) -> None:
+    def advance(self, new: Sequence[ThreadArray]) -> None:
         """Updates all at once: old values are read before any of them changes."""
         b = self.low.b
         old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
         arrays = {x.array for x in self.values if isinstance(x, View)}
         moves: list[tuple[Var, Value]] = []
-        copies: list[tuple[View, Small]] = []
+        copies: list[tuple[View, ThreadArray]] = []
         for to, x in zip(self.values, new, strict=True):
             if isinstance(to, View):
                 if isinstance(x, View) and x.same(to):
@@ -138,20 +152,20 @@ class Carry:
             b.assign(var, value)
 
 
-def _most(x: Small) -> int:
+def _most(x: ThreadArray) -> int:
     """The most entries that a team keeps in registers."""
     return 4 * FEW if isinstance(x, np.ndarray) and not is_known(x) else FEW // 2
 
 
 @writer("scan")
-def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     P, b = eqn.params, low.b
     length, body = P["length"], P["jaxpr"]
     nk = len(eqn.outvars) - over_time(eqn.outvars, body.jaxpr.outvars)
     nc = len(eqn.invars) - nk - over_time(eqn.invars, body.jaxpr.invars)
     consts, init, xs = ins[:nc], ins[nc : nc + nk], ins[nc + nk :]
     avals = [v.aval for v in body.jaxpr.invars]
-    ys: list[Small] = []
+    ys: list[ThreadArray] = []
     rows_in = dict(zip(body.jaxpr.invars[nc + nk :], xs, strict=True))
     # for each stacked output, the input whose rows it returns unchanged
     same = [None if isinstance(v, Literal) else rows_in.get(v) for v in body.jaxpr.outvars[nk:]]
@@ -166,7 +180,7 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     if length == 1:
         first = [x.at(b, 0, I32.type(0)) if isinstance(x, View) else x[0, ...] for x in xs]
         spots = [
-            y.at(b, 0, I32.type(0)) if given is None else None
+            y.at(b, 0, I32.type(0)) if isinstance(y, View) and given is None else None
             for y, given in zip(ys, same, strict=True)
         ]
         out = low.closed(body, [*consts, *init, *first], [*[None] * nk, *spots])
@@ -189,7 +203,7 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     ):
         rows = rows_at(counter)
         spots = [
-            y.at(b, 0, counter) if given is None else None
+            y.at(b, 0, counter) if isinstance(y, View) and given is None else None
             for y, given in zip(ys, same, strict=True)
         ]
         out = low.closed(body, [*consts, *carry.values, *rows], [*[None] * nk, *spots])
@@ -239,13 +253,13 @@ def _copied_early(b: Builder, to: View, x: View) -> None:
         put(b, to, index, get(b, x, index))
 
 
-def over_time(outside: list, inside: list) -> int:
+def over_time(outside: Sequence[Atom], inside: Sequence[Atom]) -> int:
     """The number of arguments or results of a scan with a time axis (jax 0.11 gives no counts)."""
     return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
 
 
 @rule("while")
-def _while(low: Lowering, eqn: Any, ins: list) -> list:
+def _while(low: Lowering, eqn: Equation, ins: list) -> list:
     P, b = eqn.params, low.b
     nc, nb = P["cond_nconsts"], P["body_nconsts"]
     test_consts, body_consts, init = ins[:nc], ins[nc : nc + nb], ins[nc + nb :]
@@ -259,21 +273,21 @@ def _while(low: Lowering, eqn: Any, ins: list) -> list:
     }
     with low.held([*test_consts, *body_consts]):
         carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
-    loop = While(Block(), None, Block())
+    loop = While(Block(), np.bool_(False), Block())
     b.block.statements.append(loop)
     with low.held([*test_consts, *body_consts]):
         with b.inside(loop.test), low.held(carry.values):
             (goes,) = low.closed(test, [*test_consts, *carry.values])
-            loop.condition = low.scalars(goes)[()]
+            loop.condition = low.scalar(goes)
         with b.inside(loop.body):
             carry.advance(low.closed(body, [*body_consts, *carry.values]))
     return carry.values
 
 
 @writer("cond")
-def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     branches, args = eqn.params["branches"], ins[1:]
-    which = low.scalars(ins[0])[()]
+    which = low.scalar(ins[0])
     going_on = [branch for branch in branches if not only_reports(branch)]
     if len(going_on) == 1:
         return low.closed(going_on[0], args, places)
@@ -292,7 +306,7 @@ def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
             outs.append(View.of(b.local(dtype_of(aval), aval.size), aval.shape))
         else:
             entries = np.empty(aval.shape, object)
-            for i in np.ndindex(aval.shape):
+            for i in every_index(aval.shape):
                 entries[i] = b.declare(dtype_of(aval))
             outs.append(entries)
 
@@ -367,7 +381,7 @@ def _versions(closed: ClosedJaxpr) -> list[int | None]:
 
 
 @rule("platform_index")
-def _platform(low: Lowering, eqn: Any, ins: list) -> list:
+def _platform(low: Lowering, eqn: Equation, ins: list) -> list:
     groups = eqn.params["platforms"]
     here = [k for k, group in enumerate(groups) if group is None or low.b.platform in group]
     return [np.asarray(here[0] if here else len(groups) - 1, np.int32)]

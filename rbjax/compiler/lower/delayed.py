@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rbjax.compiler.ir.program import I32, Array, Builder, Value
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.statements import Array
+from rbjax.compiler.ir.values import I32, Value
 
 
 class Shaped:

@@ -7,28 +7,28 @@ selections are known, and combinations over the batch are the value itself.
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from rbjax._jax_compat import UNVMAP, is_error
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, rule
+from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 from rbjax.compiler.lower.reductions import reduced
 
 
 @rule("select_if_vmap", unread=(0, 2))
-def _select_if_vmap(low: Lowering, eqn: Any, ins: list) -> list:
+def _select_if_vmap(low: Lowering, eqn: Equation, ins: list) -> list:
     return [ins[1]]  # without a batch, a loop's predicate is true while the loop runs
 
 
 @rule("maybe_set", "linear_solve")
-def _implemented(low: Lowering, eqn: Any, ins: list) -> list:
+def _implemented(low: Lowering, eqn: Equation, ins: list) -> list:
     f = functools.partial(eqn.primitive.impl, **eqn.params)  # which JAX traces
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
 
 
-def _unvmap(low: Lowering, eqn: Any, ins: list) -> list:
+def _unvmap(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, name = eqn.outvars[0].aval.dtype, UNVMAP[eqn.primitive.name]
     x = ins[0]
     if not x.size:
@@ -40,7 +40,7 @@ rule(*UNVMAP)(_unvmap)
 
 
 @rule("pure_callback", "io_callback", "debug_callback", "debug_print")
-def _callback(low: Lowering, eqn: Any, ins: list) -> list:
+def _callback(low: Lowering, eqn: Equation, ins: list) -> list:
     raise Unsupported(f"{eqn.primitive.name}, a call back into Python")
 
 

@@ -10,15 +10,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import DTypeLike
 
-from rbjax.compiler.ir.folding import FOLD
-from rbjax.compiler.ir.program import BOOL, Builder, Value
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.operations import OF_PRIMITIVE
+from rbjax.compiler.ir.values import BOOL, Unsupported, Value, Var
 from rbjax.compiler.lower.arrays import (
     FEW,
     SHARED_ABOVE,
-    Small,
+    ThreadArray,
     View,
     each,
+    every_index,
     filled,
     get,
     in_memory,
@@ -27,7 +30,7 @@ from rbjax.compiler.lower.arrays import (
     spread,
 )
 from rbjax.compiler.lower.delayed import Delayed
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
 from rbjax.lanes import polynomial_sincos
 
 #: larger arrays use loops over memory
@@ -35,29 +38,14 @@ LOOP_ABOVE = 1024
 #: the same for arrays that are in memory already
 LOOP_ABOVE_IN_MEMORY = 64
 
-#: primitives with a single operation, and its number of arguments
-SAME = {
-    "add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "neg": "neg", "lt": "lt",
-    "le": "le", "gt": "gt", "ge": "ge", "eq": "eq", "ne": "ne", "and": "and", "or": "or",
-    "xor": "xor", "not": "not", "sqrt": "sqrt", "rsqrt": "rsqrt", "cbrt": "cbrt", "exp": "exp",
-    "exp2": "exp2", "expm1": "expm1", "log": "log", "log1p": "log1p", "log2": "log2", "sin": "sin",
-    "cos": "cos", "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh",
-    "cosh": "cosh", "tanh": "tanh", "asinh": "asinh", "acosh": "acosh", "atanh": "atanh",
-    "erf": "erf", "erfc": "erfc", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
-    "abs": "abs", "atan2": "atan2", "nextafter": "nextafter", "is_finite": "isfinite",
-    "max": "max", "min": "min", "population_count": "popcount", "clz": "clz",
-    "shift_left": "shl", "shift_right_logical": "shr", "shift_right_arithmetic": "sar",
-    "copysign": "copysign",
-}  # fmt: skip
-
 
 def entrywise(
-    low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small
-) -> Small:
+    low: Lowering, dtype: DTypeLike, shape: tuple, f: Callable[..., Value], *xs: ThreadArray
+) -> ThreadArray:
     """f of the entries of arrays of equal shape; an axis may have 1 entry, a shape may be ()."""
     if not shape:
         out = np.empty((), object)
-        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.scalars(x)[()] for x in xs))
+        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.scalar(x) for x in xs))
         return out
     size = math.prod(shape)
     if low.b.teamed and _is_wide(xs, size):
@@ -68,14 +56,14 @@ def entrywise(
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
     if size > LOOP_ABOVE or in_memory_now:
         b = low.b
-        sources = [spread(b, x, x.dtype if x.dtype != object else _dtype(x), shape) for x in xs]
+        sources = [spread(b, x, _dtype(x), shape) for x in xs]
         view = View.of(b.local(dtype, math.prod(shape)), shape)
         each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
         return view
     arrays = [low.scalars(x) for x in xs]
     out = np.empty(shape, object)
     arrays = [x if x.shape == shape else np.broadcast_to(x, shape) for x in arrays]
-    for i in np.ndindex(shape):
+    for i in every_index(shape):
         out[i] = f(*(x[i] for x in arrays))
     return out
 
@@ -94,7 +82,7 @@ def own_entries(x: np.ndarray) -> np.ndarray:
     return x[tuple(own)] if x.size and x.ndim else x
 
 
-def _delayed(b: Builder, dtype: Any, shape: tuple, f: Callable, xs: tuple) -> Delayed:
+def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple) -> Delayed:
     """The same of a team, entry by entry when they are read."""
     sources = [source(b, x, shape) for x in xs]
     arrays = frozenset().union(*(s.sources for s in sources))
@@ -106,7 +94,7 @@ def _delayed(b: Builder, dtype: Any, shape: tuple, f: Callable, xs: tuple) -> De
     return Delayed(shape, np.dtype(dtype), entry, arrays, cost)
 
 
-def source(b: Builder, x: Small, shape: tuple) -> Delayed:
+def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
     """The entries of an array, broadcast to a shape as numpy does. Values in registers are also in
     memory, for an index that is not known."""
     if not isinstance(x, np.ndarray):
@@ -119,45 +107,45 @@ def source(b: Builder, x: Small, shape: tuple) -> Delayed:
         )
     x = np.broadcast_to(x, shape)
     own = own_entries(x)
-    dtype = x.dtype if x.dtype != object else _dtype(x)
+    dtype = _dtype(x)
     if own.size == 1:
         value = own.reshape(-1)[0]
         return Delayed(shape, dtype, lambda *i: value, frozenset(), 0)
     memory = in_memory(b, x, dtype)
 
     def entry(*i: Value) -> Value:
-        known = all(isinstance(k, np.generic) for k in i)
-        return x[tuple(map(int, i))] if known else get(b, memory, i)
+        known = [k.item() for k in i if not isinstance(k, Var)]
+        return x[tuple(known)] if len(known) == len(i) else get(b, memory, i)
 
     return Delayed(shape, dtype, entry, frozenset(), 1)
 
 
-def _dtype(x: np.ndarray) -> np.dtype:
-    return x.flat[0].dtype
+def _dtype(x: ThreadArray) -> np.dtype:
+    return x.flat[0].dtype if isinstance(x, np.ndarray) and x.dtype == object else x.dtype
 
 
-def _shape(eqn: Any) -> tuple[int, ...]:
+def _shape(eqn: Equation) -> tuple[int, ...]:
     return eqn.outvars[0].aval.shape
 
 
-def _one(low: Lowering, eqn: Any, ins: list) -> list:
-    name, dtype = SAME[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
-    if name in FOLD and name != "shl" and all(map(is_known, ins)):
+def _one(low: Lowering, eqn: Equation, ins: list) -> list:
+    operation, dtype = OF_PRIMITIVE[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
+    if operation.fold and all(map(is_known, ins)):
         with np.errstate(all="ignore"):
-            return [np.asarray(FOLD[name](*ins), dtype)]
-    f = functools.partial(low.b.op, name, dtype)
+            return [np.asarray(operation.fold(*ins), dtype)]
+    f = functools.partial(low.b.op, operation.name, dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
-rule(*SAME)(_one)
+rule(*OF_PRIMITIVE)(_one)
 takes_delayed(
-    *SAME, "div", "rem", "pow", "square", "integer_pow", "logistic", "sign", "round", "clamp",
-    "select_n", "convert_element_type",
+    *OF_PRIMITIVE, "div", "rem", "pow", "square", "integer_pow", "logistic", "sign", "round",
+    "clamp", "select_n", "convert_element_type",
 )  # fmt: skip
 
 
 @rule("div")
-def _div(low: Lowering, eqn: Any, ins: list) -> list:
+def _div(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     if dtype.kind == "f" and all(map(is_known, ins)):
         with np.errstate(all="ignore"):
@@ -167,14 +155,14 @@ def _div(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("rem")
-def _rem(low: Lowering, eqn: Any, ins: list) -> list:
+def _rem(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     f = functools.partial(low.b.op, "fmod" if dtype.kind == "f" else "irem", dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("pow")
-def _pow(low: Lowering, eqn: Any, ins: list) -> list:
+def _pow(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     if dtype.kind != "f":
         raise Unsupported("pow of integers")
@@ -183,18 +171,18 @@ def _pow(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("square")
-def _square(low: Lowering, eqn: Any, ins: list) -> list:
+def _square(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     return [entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
 
 
 @rule("one_minus_square")  # from jax 0.11 on, in the derivatives of tanh, asin, acos, atanh
-def _one_minus_square(low: Lowering, eqn: Any, ins: list) -> list:
+def _one_minus_square(low: Lowering, eqn: Equation, ins: list) -> list:
     return low.evaluate(lambda x: (1 + x) * (1 - x), *ins, avals=[eqn.invars[0].aval])
 
 
 @rule("integer_pow")
-def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
+def _integer_pow(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, y = dtype_of(eqn.outvars[0].aval), eqn.params["y"]
 
     def power(x: Value) -> Value:
@@ -212,7 +200,7 @@ def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("logistic")
-def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
+def _logistic(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     one = dtype.type(1)
 
@@ -224,7 +212,7 @@ def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("sign")
-def _sign(low: Lowering, eqn: Any, ins: list) -> list:
+def _sign(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     zero = dtype.type(0)
 
@@ -238,7 +226,7 @@ def _sign(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("round")
-def _round(low: Lowering, eqn: Any, ins: list) -> list:
+def _round(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     to_even = int(eqn.params["rounding_method"]) == 1
     f = functools.partial(b.op, "rint" if to_even else "round", dtype)
@@ -246,7 +234,7 @@ def _round(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("clamp")
-def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
+def _clamp(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
 
     def f(least: Value, x: Value, most: Value) -> Value:
@@ -256,7 +244,7 @@ def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("select_n")
-def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
+def _select_n(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
 
     def f(which: Value, *cases: Value) -> Value:
@@ -273,7 +261,7 @@ def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("convert_element_type", "reduce_precision")
-def _convert(low: Lowering, eqn: Any, ins: list) -> list:
+def _convert(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     if eqn.primitive.name == "reduce_precision":
         bits = (eqn.params["exponent_bits"], eqn.params["mantissa_bits"])
@@ -295,7 +283,7 @@ def _convert(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("bitcast_convert_type")
-def _bitcast(low: Lowering, eqn: Any, ins: list) -> list:
+def _bitcast(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     if eqn.invars[0].aval.dtype.itemsize != dtype.itemsize:
         raise Unsupported("bitcast_convert_type to another size")
@@ -304,13 +292,13 @@ def _bitcast(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("sincos")
-def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
+def _sincos(low: Lowering, eqn: Equation, ins: list) -> list:
     """Cosine and sine by polynomials of one reduced angle."""
     aval = jax.ShapeDtypeStruct((), eqn.invars[0].aval.dtype)
     closed = _traced(polynomial_sincos, aval.dtype)
 
     def pair(angle: Value) -> list[Value]:
-        return [low.scalars(x)[()] for x in low.closed(closed, [filled((), angle)])]
+        return [low.scalar(x) for x in low.closed(closed, [filled((), angle)])]
 
     b, shape = low.b, _shape(eqn)
     if math.prod(shape) > LOOP_ABOVE_IN_MEMORY:
@@ -325,7 +313,7 @@ def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
         return list(views)
     x = low.scalars(ins[0])
     out = np.empty(shape, object), np.empty(shape, object)
-    for i in np.ndindex(shape):
+    for i in every_index(shape):
         out[0][i], out[1][i] = pair(x[i])
     return list(out)
 

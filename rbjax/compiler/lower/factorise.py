@@ -7,7 +7,7 @@ unrolled, entry by entry. Larger ones use a loop over the columns.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +15,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 
-from rbjax.compiler.ir.program import I32, Block, Value, Var
-from rbjax.compiler.lower.arrays import Small, View, each, get, in_memory, put, settled
+from rbjax.compiler.ir.statements import Block
+from rbjax.compiler.ir.values import I32, Value, Var
+from rbjax.compiler.lower.arrays import ThreadArray, View, each, get, in_memory, put, settled
 from rbjax.compiler.lower.elementwise import source
-from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
 
 #: matrices with more columns are factorised by a loop
 UNROLL_UP_TO = 8
@@ -27,7 +29,7 @@ UNROLL_UP_TO = 8
 ROWS_UP_TO = 16
 
 
-def _columns(n: int, step: Callable, *state: Any, reverse: bool = False) -> Any:
+def _columns(n: int, step: Callable, *state: jax.Array, reverse: bool = False) -> Any:
     """step(k, *state) for each column; k is known if there are few."""
     if n <= UNROLL_UP_TO:
         for k in reversed(range(n)) if reverse else range(n):
@@ -37,7 +39,7 @@ def _columns(n: int, step: Callable, *state: Any, reverse: bool = False) -> Any:
     return lax.fori_loop(0, n, turn, state)
 
 
-def _row(a: jax.Array, k: Any, first: Any = 0) -> jax.Array:
+def _row(a: jax.Array, k: ArrayLike, first: int = 0) -> jax.Array:
     """a[k], where k is at least `first`; by selections if k is not known and rows are few."""
     if isinstance(k, int) or len(a) > UNROLL_UP_TO:
         return a[k]
@@ -47,7 +49,7 @@ def _row(a: jax.Array, k: Any, first: Any = 0) -> jax.Array:
     return out
 
 
-def _exchanged(x: jax.Array, k: Any, p: Any, first: Any = 0) -> jax.Array:
+def _exchanged(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.Array:
     """x, with rows k and p in each other's place, where p is at least `first`."""
     rows = np.arange(len(x))
     here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
@@ -70,7 +72,7 @@ def _cholesky_by(a: jax.Array, inverse: bool) -> tuple[jax.Array, jax.Array]:
     n = len(a)
     rows = np.arange(n)
 
-    def step(k: Any, a: jax.Array, factors: jax.Array, bad: jax.Array) -> tuple:
+    def step(k: ArrayLike, a: jax.Array, factors: jax.Array, bad: jax.Array) -> tuple:
         pivot = a[k, k]
         bad = bad | ~(pivot > 0)
         factor = lax.rsqrt(pivot) if inverse else jnp.ones_like(pivot)
@@ -92,7 +94,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
-    def step(k: Any, a: jax.Array, pivots: jax.Array, order: jax.Array) -> tuple:
+    def step(k: ArrayLike, a: jax.Array, pivots: jax.Array, order: jax.Array) -> tuple:
         size = jnp.where(rows < k, -1, jnp.abs(a[:, k]))
         size = jnp.where(jnp.isnan(size), jnp.inf, size)
         p = jnp.argmax(size[k:] if isinstance(k, int) else size).astype(jnp.int32)
@@ -116,7 +118,7 @@ def permutation(pivots: jax.Array, *, size: int) -> jax.Array:
     """The order of rows after the swaps, one after another."""
     rows = np.arange(size)
 
-    def step(k: Any, order: jax.Array) -> tuple:
+    def step(k: ArrayLike, order: jax.Array) -> tuple:
         p = pivots[k]
         return (jnp.where(rows == k, _row(order, p), jnp.where(rows == p, order[k], order)),)
 
@@ -137,7 +139,7 @@ def triangular_solve(
     n = len(a)
     rows = np.arange(n)
 
-    def step(k: Any, b: jax.Array) -> tuple:
+    def step(k: ArrayLike, b: jax.Array) -> tuple:
         x = b[k] if unit_diagonal else b[k] / a[k, k]
         later = rows > k if lower else rows < k
         b = jnp.where(later[:, None], b - a[:, k][:, None] * x, b)
@@ -153,7 +155,7 @@ def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, j
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
-    def step(k: Any, a: jax.Array, taus: jax.Array, order: jax.Array) -> tuple:
+    def step(k: ArrayLike, a: jax.Array, taus: jax.Array, order: jax.Array) -> tuple:
         if pivoting:
             left = jnp.where((rows >= k)[:, None], a, 0)
             p = jnp.where(columns >= k, (left * left).sum(0), -1).argmax().astype(jnp.int32)
@@ -180,7 +182,7 @@ def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
     """The first columns of the product of reflections."""
     rows = np.arange(a.shape[0])
 
-    def step(k: Any, q: jax.Array) -> tuple:
+    def step(k: ArrayLike, q: jax.Array) -> tuple:
         v = jnp.where(rows == k, 1, jnp.where(rows > k, a[:, k], 0))
         return (q - taus[k] * v[:, None] * (v @ q),)
 
@@ -198,7 +200,7 @@ def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[ja
     return (*found, order) if pivoting else found
 
 
-def mapped(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
+def mapped(low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
     """The results of f, mapped over the axes before the last ones."""
     for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
         f = jax.vmap(f)
@@ -206,7 +208,7 @@ def mapped(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ..
 
 
 @rule("cholesky")
-def _cholesky(low: Lowering, eqn: Any, ins: list) -> list:
+def _cholesky(low: Lowering, eqn: Equation, ins: list) -> list:
     if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
         a = low.scalars(ins[0])
         with low.b.by_itself():  # each thread the whole factor, in its registers
@@ -218,18 +220,18 @@ def _cholesky(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("lu")
-def _lu(low: Lowering, eqn: Any, ins: list) -> list:
+def _lu(low: Lowering, eqn: Equation, ins: list) -> list:
     return mapped(low, eqn, ins, lu, (2,))
 
 
 @rule("lu_pivots_to_permutation")
-def _permutation(low: Lowering, eqn: Any, ins: list) -> list:
+def _permutation(low: Lowering, eqn: Equation, ins: list) -> list:
     f = functools.partial(permutation, size=eqn.params["permutation_size"])
     return mapped(low, eqn, ins, f, (1,))
 
 
 @rule("triangular_solve")
-def _triangular_solve(low: Lowering, eqn: Any, ins: list) -> list:
+def _triangular_solve(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "left_side", "lower", "transpose_a", "unit_diagonal"
     if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= ROWS_UP_TO:
         return [_solved_by_team(low, eqn, *ins)]
@@ -260,16 +262,19 @@ class Solved:
     column: Value
     x: list[Value]
 
-    def goes_on(self, left: bool, used: list[Any], right: View) -> bool:
+    def goes_on(self, left: bool, used: Sequence[View | Value | None], right: View) -> bool:
         """Whether the same threads can solve the next system at once: with numbers that were
         there before the loop, and the whole of the solutions."""
-        there = all(not isinstance(v, Var) or v.id < self.column.id for v in used)
+        column = self.column.id if isinstance(self.column, Var) else 0
+        there = all(not isinstance(v, Var) or v.id < column for v in used)
         known = not any(isinstance(v, View) for v in used)
         whole = self.solution.same(right) and right.array.version == self.version
         return self.left == left and there and known and whole
 
 
-def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
+def _solved_by_team(
+    low: Lowering, eqn: Equation, a: ThreadArray, right: ThreadArray
+) -> ThreadArray:
     """Each thread solves for some columns of the right side (or its rows, from the right), which
     are in its registers, with the inverses of the diagonal."""
     b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]
@@ -289,8 +294,9 @@ def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
 
     def solve(x: list[Value]) -> list[Value]:
         for k in range(n) if forwards else reversed(range(n)):
-            if inverse[k] is not None:
-                x[k] = b.op("mul", dtype, x[k], inverse[k])
+            by = inverse[k]
+            if by is not None:
+                x[k] = b.op("mul", dtype, x[k], by)
             for j in range(k + 1, n) if forwards else range(k):
                 x[j] = b.op("sub", dtype, x[j], b.op("mul", dtype, entry(j, k), x[k]))
         return x
@@ -324,24 +330,24 @@ def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
 
 
 @rule("geqrf")
-def _geqrf(low: Lowering, eqn: Any, ins: list) -> list:
+def _geqrf(low: Lowering, eqn: Equation, ins: list) -> list:
     return mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
 
 
 @rule("householder_product")
-def _householder_product(low: Lowering, eqn: Any, ins: list) -> list:
+def _householder_product(low: Lowering, eqn: Equation, ins: list) -> list:
     return mapped(low, eqn, ins, householder_product, (2,))
 
 
 @rule("qr")
-def _qr(low: Lowering, eqn: Any, ins: list) -> list:
+def _qr(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "full_matrices", "pivoting"
     f = functools.partial(qr, **{name: eqn.params.get(name, False) for name in names})
     return mapped(low, eqn, ins, f, (2,))
 
 
 @rule("custom_linear_solve")
-def _custom_linear_solve(low: Lowering, eqn: Any, ins: list) -> list:
+def _custom_linear_solve(low: Lowering, eqn: Equation, ins: list) -> list:
     counts, jaxprs = eqn.params["const_lengths"], eqn.params["jaxprs"]
     sizes = [counts.matvec, counts.vecmat, counts.solve, counts.transpose_solve]
     start = sum(sizes[:2])

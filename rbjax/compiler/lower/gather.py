@@ -10,11 +10,21 @@ from typing import Any
 import numpy as np
 from jax.lax import GatherScatterMode
 
-from rbjax.compiler.ir.program import BOOL, I32, Value, Var
-from rbjax.compiler.lower.arrays import View, each, filled, get, in_memory, objects, put, tidy
+from rbjax.compiler.ir.values import BOOL, I32, Unsupported, Value, Var
+from rbjax.compiler.lower.arrays import (
+    View,
+    each,
+    every_index,
+    filled,
+    get,
+    in_memory,
+    objects,
+    put,
+    tidy,
+)
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
 from rbjax.compiler.lower.indexing import SELECT_UP_TO, changeable, clamped, in_bounds
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, dtype_of, rule
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
 FILL = GatherScatterMode.FILL_OR_DROP
 
@@ -27,7 +37,9 @@ def _starts(low: Lowering, indices: np.ndarray, at: tuple, axes: Sequence[int], 
     return out
 
 
-def _batch_starts(starts: list, at: tuple, operand_axes: Any, index_axes: Any) -> None:
+def _batch_starts(
+    starts: list, at: tuple, operand_axes: Sequence[int], index_axes: Sequence[int]
+) -> None:
     for axis, k in zip(operand_axes, index_axes, strict=True):
         starts[axis] = at[k] if isinstance(at[k], Var) else I32.type(at[k])
 
@@ -40,7 +52,7 @@ def _all_in_bounds(low: Lowering, starts: list, most: list[int]) -> Value:
 
 
 @rule("gather")
-def _gather(low: Lowering, eqn: Any, ins: list) -> list:
+def _gather(low: Lowering, eqn: Equation, ins: list) -> list:
     x, P, aval = ins[0], eqn.params, eqn.outvars[0].aval
     dims, sizes, mode = P["dimension_numbers"], P["slice_sizes"], P["mode"]
     if mode not in (
@@ -61,13 +73,13 @@ def _gather(low: Lowering, eqn: Any, ins: list) -> list:
         x = in_memory(b, x, dtype_of(aval))
     fill = _fill(P.get("fill_value"), dtype_of(aval))
     out = np.empty(aval.shape, object)
-    for at in np.ndindex(*(aval.shape[k] for k in batch_dims)):
+    for at in every_index([*(aval.shape[k] for k in batch_dims)]):
         starts = _starts(low, indices, at, dims.start_index_map, len(x.shape))
         _batch_starts(starts, at, dims.operand_batching_dims, dims.start_indices_batching_dims)
         inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
         starts = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
         corner = x.moved(b, *zip(starts, x.strides, strict=True)) if isinstance(x, View) else x
-        for offset in np.ndindex(*(sizes[axis] for axis in window_axes)):
+        for offset in every_index([*(sizes[axis] for axis in window_axes)]):
             window = [0] * len(x.shape)
             for axis, k in zip(window_axes, offset, strict=True):
                 window[axis] = k
@@ -103,7 +115,7 @@ def _place(
     return place, inside
 
 
-def _gather_looped(low: Lowering, eqn: Any, ins: list) -> View:
+def _gather_looped(low: Lowering, eqn: Equation, ins: list) -> View:
     P, aval, b = eqn.params, eqn.outvars[0].aval, low.b
     dims, mode, dtype = P["dimension_numbers"], P["mode"], dtype_of(aval)
     x, indices = (in_memory(b, x, dtype_of(v.aval)) for x, v in zip(ins, eqn.invars, strict=True))
@@ -144,7 +156,7 @@ COMBINE = {
 
 
 @rule(*COMBINE)
-def _scatter(low: Lowering, eqn: Any, ins: list) -> list:
+def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
     x, P = ins[0], eqn.params
     dtype, dims, mode = dtype_of(eqn.outvars[0].aval), P["dimension_numbers"], P["mode"]
     combine = _combination(low, eqn)
@@ -163,7 +175,7 @@ def _scatter(low: Lowering, eqn: Any, ins: list) -> list:
     out = objects(x).copy() if not isinstance(x, View) and (few or not dynamic) else changeable(
         low, x, dtype
     )  # fmt: skip
-    for at in np.ndindex(*(updates.shape[k] for k in batch_dims)):
+    for at in every_index([*(updates.shape[k] for k in batch_dims)]):
         starts = _starts(low, indices, at, dims.scatter_dims_to_operand_dims, len(x.shape))
         _batch_starts(starts, at, dims.operand_batching_dims, dims.scatter_indices_batching_dims)
         inside: Value = np.bool_(True)
@@ -174,7 +186,7 @@ def _scatter(low: Lowering, eqn: Any, ins: list) -> list:
         if not isinstance(inside, Var) and not inside:
             continue
         window = np.empty(sizes, object)
-        for offset in np.ndindex(*(updates.shape[k] for k in dims.update_window_dims)):
+        for offset in every_index([*(updates.shape[k] for k in dims.update_window_dims)]):
             to, place = [0] * len(x.shape), [0] * updates.ndim
             for axis, k in zip(window_axes, offset, strict=True):
                 to[axis] = k
@@ -190,7 +202,7 @@ def _scatter(low: Lowering, eqn: Any, ins: list) -> list:
     return [tidy(out, dtype) if isinstance(out, np.ndarray) else out]
 
 
-def _combination(low: Lowering, eqn: Any) -> Callable[[Value, Value], Value]:
+def _combination(low: Lowering, eqn: Equation) -> Callable[[Value, Value], Value]:
     """The function that combines an entry and its update."""
     name, update = COMBINE[eqn.primitive.name], eqn.params["update_jaxpr"]
     if name is not None:
@@ -200,12 +212,12 @@ def _combination(low: Lowering, eqn: Any) -> Callable[[Value, Value], Value]:
 
     def applied(old: Value, new: Value) -> Value:
         pair = [filled((), old), filled((), new)]
-        return low.scalars(low.run(update, eqn.params["update_consts"], pair)[0])[()]
+        return low.scalar(low.run(update, eqn.params["update_consts"], pair)[0])
 
     return applied
 
 
-def _scatter_looped(low: Lowering, eqn: Any, ins: list, combine: Callable) -> View:
+def _scatter_looped(low: Lowering, eqn: Equation, ins: list, combine: Callable) -> View:
     P, b = eqn.params, low.b
     dims, mode = P["dimension_numbers"], P["mode"]
     indices, updates = (
@@ -247,7 +259,7 @@ def _stored(
     def store() -> None:
         safe = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
         corner = out.moved(b, *zip(safe, out.strides, strict=True))
-        for k in np.ndindex(window.shape):
+        for k in every_index(window.shape):
             offset = corner.offset + sum(i * s for i, s in zip(k, corner.strides, strict=True))
             old = b.load(corner.array, corner.base, offset)
             b.store(corner.array, corner.base, offset, combine(old, window[k]))
@@ -272,7 +284,7 @@ def _merged(
         for start, k in zip(starts, at, strict=True):
             if isinstance(start, Var):
                 here = b.op("and", BOOL, here, b.op("eq", BOOL, start, start.dtype.type(k)))
-        for i in np.ndindex(window.shape):
+        for i in every_index(window.shape):
             to = tuple(np.add(at, i))
             out[to] = b.select(here, combine(x[to], window[i]), out[to])
     return out

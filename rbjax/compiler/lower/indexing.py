@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from rbjax.compiler.ir.program import BOOL, I32, Value, Var
-from rbjax.compiler.lower.arrays import Small, View, in_memory, is_known, objects, owned_copy, write
-from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule
+from rbjax.compiler.ir.values import BOOL, I32, Value, Var
+from rbjax.compiler.lower.arrays import (
+    ThreadArray,
+    View,
+    every_index,
+    in_memory,
+    is_known,
+    objects,
+    owned_copy,
+    write,
+)
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
 #: arrays in registers with at most this many entries are indexed by selections
 SELECT_UP_TO = 8
@@ -45,7 +54,7 @@ def in_bounds(low: Lowering, index: Value, most: int) -> Value:
     return ok
 
 
-def changeable(low: Lowering, x: Small, dtype: Any) -> View:
+def changeable(low: Lowering, x: ThreadArray, dtype: DTypeLike) -> View:
     """x as memory that may be updated: itself if nothing reads it later, else a copy."""
     if isinstance(x, View) and x.changeable:
         return x
@@ -58,14 +67,15 @@ def _moved(low: Lowering, view: View, starts: Sequence[Value], sizes: Sequence[i
 
 
 @rule("dynamic_slice")
-def _dynamic_slice(low: Lowering, eqn: Any, ins: list) -> list:
+def _dynamic_slice(low: Lowering, eqn: Equation, ins: list) -> list:
     x, sizes = ins[0], eqn.params["slice_sizes"]
     starts = [
-        clamped(low, low.scalars(i)[()], n - size)
+        clamped(low, low.scalar(i), n - size)
         for i, n, size in zip(ins[1:], x.shape, sizes, strict=True)
     ]
-    if not any(isinstance(s, Var) for s in starts):
-        box = tuple(slice(int(s), int(s) + n, 1) for s, n in zip(starts, sizes, strict=True))
+    known = [s.item() for s in starts if not isinstance(s, Var)]
+    if len(known) == len(starts):
+        box = tuple(slice(s, s + n, 1) for s, n in zip(known, sizes, strict=True))
         return [x.sliced(box) if isinstance(x, View) else x[box]]
     if not isinstance(x, View) and not is_known(x) and x.size <= SELECT_UP_TO:
         return [_selected(low, x, starts, sizes)]
@@ -85,23 +95,24 @@ def _selected(low: Lowering, x: np.ndarray, starts: list, sizes: Sequence[int]) 
         for k in reversed(range(len(pieces) - 1)):
             here = b.op("eq", BOOL, start, I32.type(k))
             out = objects(out).copy()
-            for i in np.ndindex(out.shape):
+            for i in every_index(out.shape):
                 out[i] = b.select(here, pieces[k][i], out[i])
         x = out
     return x
 
 
 @rule("dynamic_update_slice")
-def _dynamic_update_slice(low: Lowering, eqn: Any, ins: list) -> list:
+def _dynamic_update_slice(low: Lowering, eqn: Equation, ins: list) -> list:
     x, update, *index = ins
     dtype = dtype_of(eqn.outvars[0].aval)
     starts = [
-        clamped(low, low.scalars(i)[()], n - size)
+        clamped(low, low.scalar(i), n - size)
         for i, n, size in zip(index, x.shape, update.shape, strict=True)
     ]
-    if not isinstance(x, View) and not any(isinstance(s, Var) for s in starts):
+    known = [s.item() for s in starts if not isinstance(s, Var)]
+    if not isinstance(x, View) and len(known) == len(starts):
         out = objects(x).copy()
-        box = tuple(slice(int(s), int(s) + n) for s, n in zip(starts, update.shape, strict=True))
+        box = tuple(slice(s, s + n) for s, n in zip(known, update.shape, strict=True))
         out[box] = low.scalars(update)
         return [out]
     if not isinstance(x, View) and x.size <= SELECT_UP_TO:
@@ -119,7 +130,7 @@ def _updated(low: Lowering, x: np.ndarray, update: np.ndarray, starts: list) -> 
         here: Value = np.bool_(True)
         for start, k in zip(starts, at, strict=True):
             here = b.op("and", BOOL, here, b.op("eq", BOOL, start, I32.type(k)))
-        for i in np.ndindex(update.shape):
+        for i in every_index(update.shape):
             to = tuple(np.add(at, i))
             out[to] = b.select(here, update[i], out[to])
     return out

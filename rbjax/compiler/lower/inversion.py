@@ -11,19 +11,19 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Sequence
-from typing import Any
 
+from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.program import BOOL, I32, Builder, Value
+from rbjax.compiler.ir.values import BOOL, I32, Unsupported, Value
 from rbjax.compiler.lower.arrays import View, get, put
 from rbjax.compiler.lower.indexing import changeable
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, rule
+from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
 Entry = tuple[Number, ...]  # real, or real and imaginary parts
 
 
 @rule("inverse")
-def _inverse(low: Lowering, eqn: Any, ins: list) -> list:
+def _inverse(low: Lowering, eqn: Equation, ins: list) -> list:
     shape, dtype = eqn.invars[0].aval.shape, eqn.invars[0].aval.dtype
     if len(shape) > 2:
         raise Unsupported("inverse of a stack of matrices")

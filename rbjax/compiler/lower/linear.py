@@ -6,16 +6,18 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from rbjax.compiler.ir.program import BOOL, I32, Builder, Value
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.values import BOOL, I32, Value
 from rbjax.compiler.lower.arrays import (
     SHARED_ABOVE,
-    Small,
+    ThreadArray,
     View,
     each,
+    every_index,
     get,
     in_memory,
     put,
@@ -24,7 +26,7 @@ from rbjax.compiler.lower.arrays import (
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import source
-from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
 
 #: products with more terms are loops
 UNROLL_UP_TO = 512
@@ -39,7 +41,7 @@ SIDE_BY_SIDE = 12
 
 
 @rule("dot_general")
-def _dot(low: Lowering, eqn: Any, ins: list) -> list:
+def _dot(low: Lowering, eqn: Equation, ins: list) -> list:
     ((ca, cb), (ba, bb)), dtype = eqn.params["dimension_numbers"], dtype_of(eqn.outvars[0].aval)
     fa = [k for k in range(len(ins[0].shape)) if k not in (*ca, *ba)]
     fb = [k for k in range(len(ins[1].shape)) if k not in (*cb, *bb)]
@@ -55,10 +57,10 @@ def _dot(low: Lowering, eqn: Any, ins: list) -> list:
         return [_looped(low, x, y, shape, contracted, (nb, na, ny), dtype)]
     a, c = low.scalars(x), low.scalars(y)
     b, out = low.b, np.empty(shape, object)
-    for i in np.ndindex(shape):
+    for i in every_index(shape):
         left, right = (*i[: nb + na],), (*i[:nb], *i[nb + na :])
         total: Value = dtype.type(0)
-        for t in np.ndindex(contracted):
+        for t in every_index(contracted):
             term = b.op("mul", dtype, b.cast(a[left + t], dtype), b.cast(c[right + t], dtype))
             total = b.op("add", dtype, total, term)
         out[i] = total
@@ -76,8 +78,9 @@ def _unrolled(b: Builder, matrices: bool) -> int:
 
 
 def _delayed(
-    low: Lowering, x: Small, y: Small, shape: tuple, contracted: tuple, sizes: tuple, dtype: Any
-) -> Small:
+    low: Lowering, x: ThreadArray, y: ThreadArray, shape: tuple, contracted: tuple, sizes: tuple,
+    dtype: DTypeLike,
+) -> ThreadArray:
     """Each sum where it is read. What several sums read is in memory, or as good as there."""
     b, (nb, na, ny) = low.b, sizes
     terms = math.prod(contracted)
@@ -99,13 +102,14 @@ def _delayed(
 
         return summed(b, contracted, term, functools.partial(b.op, "add", dtype), dtype)
 
-    return Delayed(shape, dtype, entry, s.sources | t.sources, terms * (2 + s.cost + t.cost))
+    cost = terms * (2 + s.cost + t.cost)
+    return Delayed(shape, np.dtype(dtype), entry, s.sources | t.sources, cost)
 
 
-def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: Any) -> Value:
+def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DTypeLike) -> Value:
     """term(*index) of each index of a shape, which has entries, put together by add."""
     if math.prod(shape) <= TERMS_UP_TO:
-        every = [term(*map(I32.type, k)) for k in np.ndindex(shape)]
+        every = [term(*map(I32.type, k)) for k in every_index(shape)]
         return functools.reduce(add, every)
     first = term(*(I32.type(0) for _ in shape))
     total = b.declare(dtype, first)
@@ -122,7 +126,8 @@ def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: Any) 
 
 
 def _looped(
-    low: Lowering, x: Small, y: Small, shape: tuple, contracted: tuple, sizes: tuple, dtype: Any
+    low: Lowering, x: ThreadArray, y: ThreadArray, shape: tuple, contracted: tuple, sizes: tuple,
+    dtype: DTypeLike,
 ) -> View:
     """Sums in loops. On a CPU some run side by side: each waits for its last term, not for the
     others, and they share what they read of x."""

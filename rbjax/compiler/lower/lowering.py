@@ -13,30 +13,61 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, Var
 
 from rbjax._jax_compat import CALLS, JAXPRS, expanded
-from rbjax.compiler.ir.program import Builder
-from rbjax.compiler.lower.arrays import FEW, Small, View, scalars, settled, tidy, write
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.values import Unsupported, Value
+from rbjax.compiler.lower.arrays import FEW, ThreadArray, View, scalars, settled, tidy, write
 from rbjax.compiler.lower.delayed import Delayed
 
-Rule = Callable[["Lowering", Any, list], list]
+
+class Aval(Protocol):
+    """The shape and the type of a variable of a jaxpr."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    @property
+    def dtype(self) -> np.dtype: ...
+    @property
+    def size(self) -> int: ...
+    @property
+    def ndim(self) -> int: ...
+
+
+class Atom(Protocol):
+    """A variable or a constant of a jaxpr."""
+
+    @property
+    def aval(self) -> Aval: ...
+
+
+class Equation(Protocol):
+    """An equation of a jaxpr (`jax.extend.core.JaxprEqn`, whose types lack shapes)."""
+
+    @property
+    def primitive(self) -> Primitive: ...
+    @property
+    def invars(self) -> Sequence[Atom]: ...
+    @property
+    def outvars(self) -> Sequence[Atom]: ...
+    @property
+    def params(self) -> dict[str, Any]: ...
+
+
+Rule = Callable[["Lowering", Equation, list], list]
 RULES: dict[str, Rule] = {}
 #: rules that write a result to a given place: f(lowering, equation, inputs, places)
-WRITERS: dict[str, Callable[[Lowering, Any, list, list], list]] = {}
+WRITERS: dict[str, Callable[[Lowering, Equation, list, list], list]] = {}
 
 
 #: a key of threefry: its first number is the low half
 KEY = np.dtype(np.uint64)
-
-
-class Unsupported(Exception):
-    """A primitive or a type that threads do not support."""
 
 
 #: the dtypes that a thread supports
@@ -100,30 +131,30 @@ class Lowering:
         self.needs: dict[int, Needs] = {}
 
     def closed(
-        self, closed: ClosedJaxpr, args: Sequence[Small], places: Sequence[View | None] = ()
-    ) -> list[Small]:
+        self, closed: ClosedJaxpr, args: Sequence[ThreadArray], places: Sequence[View | None] = ()
+    ) -> list[ThreadArray]:
         return self.run(closed.jaxpr, closed.consts, args, places)
 
     def run(
         self,
         jaxpr: Jaxpr,
         consts: Sequence[Any],
-        args: Sequence[Small],
+        args: Sequence[ThreadArray],
         places: Sequence[View | None] = (),
-    ) -> list[Small]:
+    ) -> list[ThreadArray]:
         """The results of a jaxpr. A result with a place is written there."""
         needs = self.needed(jaxpr)
         last = needs.last
-        env: dict[Any, Small] = {}
+        env: dict[Any, ThreadArray] = {}
 
-        def bind(var: Any, value: Small) -> None:
+        def bind(var: Any, value: ThreadArray) -> None:
             if var in last:
                 if isinstance(value, Delayed) and needs.uses[var] > 1 and value.cost > CHEAP:
                     value = settled(self.b, value)
                 env[var] = value
                 _own(value, 1)
 
-        def read(atom: Any) -> Small:
+        def read(atom: Any) -> ThreadArray:
             return known(atom.val, atom.aval) if isinstance(atom, Literal) else env[atom]
 
         for var, const in zip(jaxpr.constvars, consts, strict=True):
@@ -156,7 +187,9 @@ class Lowering:
                 outs[i] = place
         return outs
 
-    def _equation(self, eqn: Any, ins: list[Small], places: list[View | None]) -> list[Small]:
+    def _equation(
+        self, eqn: Any, ins: list, places: list[View | None]
+    ) -> list[ThreadArray]:
         name = eqn.primitive.name
         if name == "custom_lin":  # what JAX makes of a custom_vjp under jvp
             raise TypeError("forward-mode autodiff of a function that has only a reverse rule")
@@ -224,7 +257,7 @@ class Lowering:
         return [k for k, v in enumerate(inner.jaxpr.invars) if v not in last]
 
     @contextmanager
-    def held(self, values: Sequence[Small]) -> Iterator[None]:
+    def held(self, values: Sequence[ThreadArray]) -> Iterator[None]:
         """Prevents updates in place of values that are read again later."""
         for value in values:
             _own(value, 1)
@@ -234,15 +267,19 @@ class Lowering:
             for value in values:
                 _own(value, -1)
 
-    def scalars(self, x: Small) -> np.ndarray:
+    def scalars(self, x: ThreadArray) -> np.ndarray:
         return scalars(self.b, x)
 
-    def evaluate(self, f: Callable, *args: Small, avals: Sequence[Any]) -> list[Small]:
+    def scalar(self, x: ThreadArray) -> Value:
+        """The value of an array with one entry and no axes."""
+        return self.scalars(x).item()
+
+    def evaluate(self, f: Callable, *args: ThreadArray, avals: Sequence[Aval]) -> list[ThreadArray]:
         """The results of a JAX function, traced for arguments of these shapes and types."""
         return self.closed(jax.make_jaxpr(f)(*avals), args)
 
 
-def dtype_of(aval: Any) -> Any:
+def dtype_of(aval: Aval) -> Any:
     """The dtype of an array's entries; a random key is one 64-bit number."""
     dtype: Any = getattr(aval, "dtype", None)
     return KEY if is_key(dtype) and dtype.itemsize == KEY.itemsize else dtype
@@ -261,7 +298,7 @@ def known(x: Any, aval: Any) -> np.ndarray:
     return np.asarray(x, aval.dtype)
 
 
-def called(eqn: Any) -> ClosedJaxpr | None:
+def called(eqn: Equation) -> ClosedJaxpr | None:
     """The jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
     if eqn.primitive.name not in CALLS:
         return None
@@ -274,11 +311,11 @@ def called(eqn: Any) -> ClosedJaxpr | None:
     return None
 
 
-def _is_objects(x: Any) -> bool:
+def _is_objects(x: object) -> bool:
     return isinstance(x, np.ndarray) and x.dtype == object
 
 
-def _own(value: Small, change: int) -> None:
+def _own(value: ThreadArray, change: int) -> None:
     if isinstance(value, View):
         value.array.owners += change
     elif isinstance(value, Delayed):

@@ -12,9 +12,9 @@ import jax
 import numpy as np
 
 from rbjax._jax_compat import key_implementation
-from rbjax.compiler.ir.program import Value
-from rbjax.compiler.lower.arrays import Small, View, each, get, put, spread
-from rbjax.compiler.lower.lowering import KEY, Lowering, Unsupported, dtype_of, rule
+from rbjax.compiler.ir.values import Unsupported, Value
+from rbjax.compiler.lower.arrays import ThreadArray, View, each, every_index, get, put, spread
+from rbjax.compiler.lower.lowering import KEY, Equation, Lowering, dtype_of, rule
 
 U32 = np.dtype(np.uint32)
 #: more blocks than this are computed by a loop
@@ -23,7 +23,7 @@ ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 
 
 @rule("threefry2x32")
-def _threefry(low: Lowering, eqn: Any, ins: list) -> list:
+def _threefry(low: Lowering, eqn: Equation, ins: list) -> list:
     b, aval = low.b, eqn.outvars[0].aval
     if aval.size > LOOP_ABOVE:
         sources = [spread(b, x, U32, aval.shape) for x in ins]
@@ -38,13 +38,13 @@ def _threefry(low: Lowering, eqn: Any, ins: list) -> list:
         return list(views)
     arrays = np.broadcast_arrays(*(low.scalars(x) for x in ins))
     outs = np.empty(aval.shape, object), np.empty(aval.shape, object)
-    for i in np.ndindex(outs[0].shape):
+    for i in every_index(outs[0].shape):
         outs[0][i], outs[1][i] = threefry(low, *(x[i] for x in arrays))
     return list(outs)
 
 
 @rule("iota_2x32_shape")
-def _counters(low: Lowering, eqn: Any, ins: list) -> list:
+def _counters(low: Lowering, eqn: Equation, ins: list) -> list:
     shape = eqn.outvars[0].aval.shape
     count = np.arange(np.prod(shape, dtype=np.int64), dtype=np.uint64).reshape(shape)
     return [(count >> np.uint64(32)).astype(U32), count.astype(U32)]
@@ -69,21 +69,21 @@ def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[V
     return x, y
 
 
-def unwrapped(low: Lowering, keys: Small) -> np.ndarray:
+def unwrapped(low: Lowering, keys: ThreadArray) -> np.ndarray:
     """Keys as pairs of 32-bit numbers."""
     b, x = low.b, low.scalars(keys)
     out = np.empty((*x.shape, 2), object)
-    for i in np.ndindex(x.shape):
+    for i in every_index(x.shape):
         out[(*i, 0)] = b.cast(x[i], U32)
         out[(*i, 1)] = b.cast(b.op("shr", KEY, x[i], KEY.type(32)), U32)
     return out
 
 
-def wrapped(low: Lowering, data: Small) -> np.ndarray:
+def wrapped(low: Lowering, data: ThreadArray) -> np.ndarray:
     """Pairs of numbers as keys."""
     b, x = low.b, low.scalars(data)
     out = np.empty(x.shape[:-1], object)
-    for i in np.ndindex(out.shape):
+    for i in every_index(out.shape):
         high = b.op("shl", KEY, b.cast(x[(*i, 1)], KEY), KEY.type(32))
         out[i] = b.op("or", KEY, b.cast(x[(*i, 0)], KEY), high)
     return out
@@ -96,29 +96,29 @@ def _impl(dtype: Any) -> Any:
 
 
 @rule("random_wrap")
-def _wrap(low: Lowering, eqn: Any, ins: list) -> list:
+def _wrap(low: Lowering, eqn: Equation, ins: list) -> list:
     _impl(eqn.outvars[0].aval.dtype)
     return [wrapped(low, ins[0])]
 
 
 @rule("random_unwrap")
-def _unwrap(low: Lowering, eqn: Any, ins: list) -> list:
+def _unwrap(low: Lowering, eqn: Equation, ins: list) -> list:
     return [unwrapped(low, ins[0])]
 
 
 @rule("random_clone")
-def _clone(low: Lowering, eqn: Any, ins: list) -> list:
+def _clone(low: Lowering, eqn: Equation, ins: list) -> list:
     return list(ins)
 
 
 @rule("random_seed")
-def _seed(low: Lowering, eqn: Any, ins: list) -> list:
+def _seed(low: Lowering, eqn: Equation, ins: list) -> list:
     impl, aval = _impl(eqn.outvars[0].aval.dtype), eqn.invars[0].aval
     return [wrapped(low, _each(low, impl.seed, aval.shape, [ins[0]], [aval.dtype])[0])]
 
 
 @rule("random_bits")
-def _bits(low: Lowering, eqn: Any, ins: list) -> list:
+def _bits(low: Lowering, eqn: Equation, ins: list) -> list:
     P, aval = eqn.params, eqn.invars[0].aval
     impl = _impl(aval.dtype)
     f = lambda key: impl.random_bits(key, P["bit_width"], P["shape"])  # noqa: E731
@@ -126,14 +126,14 @@ def _bits(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("random_split")
-def _split(low: Lowering, eqn: Any, ins: list) -> list:
+def _split(low: Lowering, eqn: Equation, ins: list) -> list:
     aval = eqn.invars[0].aval
     f = lambda key: _impl(aval.dtype).split(key, eqn.params["shape"])  # noqa: E731
     return [wrapped(low, _each(low, f, aval.shape, [unwrapped(low, ins[0])], [U32])[0])]
 
 
 @rule("random_fold_in")
-def _fold_in(low: Lowering, eqn: Any, ins: list) -> list:
+def _fold_in(low: Lowering, eqn: Equation, ins: list) -> list:
     key, message = (v.aval for v in eqn.invars)
     shape = eqn.outvars[0].aval.shape
     keys = np.broadcast_to(unwrapped(low, ins[0]), (*shape, 2))
@@ -142,7 +142,7 @@ def _fold_in(low: Lowering, eqn: Any, ins: list) -> list:
     return [wrapped(low, out)]
 
 
-def _each(low: Lowering, f: Callable, shape: tuple, args: list, dtypes: list) -> list[Small]:
+def _each(low: Lowering, f: Callable, shape: tuple, args: list, dtypes: list) -> list[ThreadArray]:
     """f mapped over the leading axes of this shape."""
     for _ in shape:
         f = jax.vmap(f)

@@ -7,13 +7,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from rbjax.compiler.ir.program import BOOL, Value
+from rbjax.compiler.ir.values import BOOL, Value
 from rbjax.compiler.lower.arrays import (
     SHARED_ABOVE,
-    Small,
+    ThreadArray,
     View,
     each,
+    every_index,
     filled,
     get,
     in_memory,
@@ -22,10 +24,12 @@ from rbjax.compiler.lower.arrays import (
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE, source
 from rbjax.compiler.lower.linear import summed
-from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
 
 
-def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Small:
+def reduced(
+    low: Lowering, x: ThreadArray, axes: tuple, dtype: DTypeLike, f: Callable
+) -> ThreadArray:
     """Entries reduced along axes by f of two values."""
     axes = tuple(axes)
     kept = [k for k in range(x.ndim) if k not in axes]
@@ -39,13 +43,13 @@ def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Sm
         return _looped(low, in_memory(low.b, x, dtype), kept, list(axes), dtype, f)
     entries = low.scalars(x).transpose(*kept, *axes).reshape(*shape, count)
     out = np.empty(shape, object)
-    for i in np.ndindex(shape):
+    for i in every_index(shape):
         out[i] = functools.reduce(f, entries[i])
     return out
 
 
 def _delayed(
-    low: Lowering, x: Small, kept: list, axes: list, dtype: Any, f: Callable
+    low: Lowering, x: ThreadArray, kept: list, axes: list, dtype: DTypeLike, f: Callable
 ) -> Delayed | None:
     """Reductions of a team, each where it is read; None if a thread does them sooner. One of more
     than one axis is first of all but the longest."""
@@ -74,22 +78,22 @@ def _delayed(
 
 
 @rule("reduce")
-def _reduce_by_function(low: Lowering, eqn: Any, ins: list) -> list:
+def _reduce_by_function(low: Lowering, eqn: Equation, ins: list) -> list:
     body, axes = eqn.params["jaxpr"], eqn.params["dimensions"]
     n, shape = len(ins) // 2, eqn.outvars[0].aval.shape
     kept = [k for k in range(ins[0].ndim) if k not in axes]
     rows = [low.scalars(x).transpose(*kept, *axes).reshape(*shape, -1) for x in ins[:n]]
     outs = [np.empty(shape, object) for _ in range(n)]
-    for i in np.ndindex(shape):
+    for i in every_index(shape):
         totals = list(ins[n:])
         for k in range(rows[0].shape[-1]):
             totals = low.closed(body, [*totals, *(filled((), row[(*i, k)]) for row in rows)])
         for out, total in zip(outs, totals, strict=True):
-            out[i] = low.scalars(total)[()]
+            out[i] = low.scalar(total)
     return list(outs)
 
 
-def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: Any, f: Callable) -> View:
+def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: DTypeLike, f: Callable) -> View:
     b = low.b
     x = x.transposed([*kept, *axes])
     shape, rest = x.shape[: len(kept)], x.shape[len(kept) :]
@@ -134,7 +138,7 @@ def _neutral(name: str, dtype: np.dtype) -> Any:
     return np.iinfo(dtype).min if name == "max" else np.iinfo(dtype).max
 
 
-def _reduce(low: Lowering, eqn: Any, ins: list) -> list:
+def _reduce(low: Lowering, eqn: Equation, ins: list) -> list:
     name = REDUCTIONS[eqn.primitive.name]
     dtype, x = dtype_of(eqn.outvars[0].aval), ins[0]
     if not x.size:
@@ -148,7 +152,7 @@ takes_delayed(*REDUCTIONS)
 
 
 @rule("argmax", "argmin")
-def _arg(low: Lowering, eqn: Any, ins: list) -> list:
+def _arg(low: Lowering, eqn: Equation, ins: list) -> list:
     (axis,), dtype = eqn.params["axes"], dtype_of(eqn.outvars[0].aval)
     b, better = low.b, "gt" if eqn.primitive.name == "argmax" else "lt"
 
@@ -175,7 +179,7 @@ def _arg(low: Lowering, eqn: Any, ins: list) -> list:
         return [_along(low, view, axis, dtype, one)]
     x = np.moveaxis(low.scalars(ins[0]), axis, -1)
     out = np.empty(x.shape[:-1], object)
-    for i in np.ndindex(out.shape):
+    for i in every_index(out.shape):
         best, at = x[i][0], dtype.type(0)
         for k, value in enumerate(x[i][1:], 1):
             won = wins(value, best)
@@ -187,7 +191,7 @@ def _arg(low: Lowering, eqn: Any, ins: list) -> list:
 CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 
 
-def _cumulative(low: Lowering, eqn: Any, ins: list) -> list:
+def _cumulative(low: Lowering, eqn: Equation, ins: list) -> list:
     name, axis = CUMULATIVE[eqn.primitive.name], eqn.params["axis"]
     dtype = dtype_of(eqn.outvars[0].aval)
     if ins[0].size > LOOP_ABOVE:
@@ -196,13 +200,13 @@ def _cumulative(low: Lowering, eqn: Any, ins: list) -> list:
     x = x[::-1] if eqn.params["reverse"] else x
     out = x.copy()
     for k in range(1, len(x)):
-        for i in np.ndindex(x.shape[1:]):
+        for i in every_index(x.shape[1:]):
             out[(k, *i)] = low.b.op(name, dtype, out[(k - 1, *i)], x[(k, *i)])
     out = out[::-1] if eqn.params["reverse"] else out
     return [np.moveaxis(out, 0, axis)]
 
 
-def _cumulative_looped(low: Lowering, x: View, eqn: Any, name: str) -> View:
+def _cumulative_looped(low: Lowering, x: View, eqn: Equation, name: str) -> View:
     b, axis, reverse = low.b, eqn.params["axis"], eqn.params["reverse"]
     out = View.of(b.local(x.dtype, x.size), x.shape)
     order = [*(k for k in range(x.ndim) if k != axis), axis]
@@ -222,7 +226,7 @@ def _cumulative_looped(low: Lowering, x: View, eqn: Any, name: str) -> View:
     return out
 
 
-def _along(low: Lowering, x: View, axis: int, dtype: Any, f: Callable) -> View:
+def _along(low: Lowering, x: View, axis: int, dtype: DTypeLike, f: Callable) -> View:
     """f(x with the axis last, the result, *index) for each index of the other axes."""
     rest = [k for k in range(x.ndim) if k != axis]
     moved = x.transposed([*rest, axis])

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import BOOL, I32, Block, Builder, Value, While
-from rbjax.compiler.lower.arrays import Small, View, each, get, owned_copy, put
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.statements import Block, While
+from rbjax.compiler.ir.values import BOOL, I32, Value
+from rbjax.compiler.lower.arrays import View, each, every_index, get, owned_copy, put
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE, entrywise
-from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
 #: the most entries that are sorted in registers
 REGISTERS = 16
@@ -31,18 +32,18 @@ def before(b: Builder, x: Sequence[Value], y: Sequence[Value]) -> Value:
 
 
 @rule("sort")
-def _sort(low: Lowering, eqn: Any, ins: list) -> list:
+def _sort(low: Lowering, eqn: Equation, ins: list) -> list:
     dtypes = [dtype_of(v.aval) for v in eqn.outvars]
     return sort(low, ins, dtypes, eqn.params["dimension"], eqn.params["num_keys"])
 
 
-def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Small]:
+def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[np.ndarray | View]:
     """Arrays in the order of the first `keys` of them; the sort is stable."""
     if xs[0].shape[axis] > REGISTERS or xs[0].size > LOOP_ABOVE:
         return _sort_in_memory(low, xs, dtypes, axis, keys)
     b = low.b
     outs = [np.moveaxis(low.scalars(x), axis, -1).copy() for x in xs]
-    for i in np.ndindex(outs[0].shape[:-1]):
+    for i in every_index(outs[0].shape[:-1]):
         rows = [out[i] for out in outs]
         for k in range(1, len(rows[0])):
             for j in reversed(range(k)):
@@ -53,7 +54,9 @@ def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Sm
     return [np.moveaxis(out, -1, axis) for out in outs]
 
 
-def _sort_in_memory(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Small]:
+def _sort_in_memory(
+    low: Lowering, xs: list, dtypes: list, axis: int, keys: int
+) -> list[np.ndarray | View]:
     """Insertion sort: each entry moves down until the one before it comes no later."""
     b = low.b
     outs = [owned_copy(b, x, dtype) for x, dtype in zip(xs, dtypes, strict=True)]
@@ -91,7 +94,7 @@ def _sort_in_memory(low: Lowering, xs: list, dtypes: list, axis: int, keys: int)
 
 
 @rule("top_k")
-def _top_k(low: Lowering, eqn: Any, ins: list) -> list:
+def _top_k(low: Lowering, eqn: Equation, ins: list) -> list:
     """The largest entries, in descending order: stable, with nan first."""
     x = ins[0]
     axis = eqn.params.get("axis", -1) % x.ndim
@@ -109,7 +112,7 @@ def _top_k(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("eq_to", "le_to", "lt_to")
-def _total_order(low: Lowering, eqn: Any, ins: list) -> list:
+def _total_order(low: Lowering, eqn: Equation, ins: list) -> list:
     """Comparisons in IEEE 754's total order, in which -0 < 0 and nan is the largest."""
     name = eqn.primitive.name.removesuffix("_to")
     turned = {"lt": "gt", "le": "ge"}.get(name, name)  # the ranks descend

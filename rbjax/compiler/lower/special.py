@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler.lower.lowering import Lowering, rule
+from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
 #: Giles, *Approximating the erfinv function*, 2010: single precision, central and tail
 SINGLE = (
@@ -96,7 +94,7 @@ def cumlogsumexp(x: jax.Array, *, axis: int, reverse: bool) -> jax.Array:
 FUNCTIONS = {"erf_inv": erf_inv, "digamma": digamma}
 
 
-def _special(low: Lowering, eqn: Any, ins: list) -> list:
+def _special(low: Lowering, eqn: Equation, ins: list) -> list:
     return low.evaluate(FUNCTIONS[eqn.primitive.name], *ins, avals=[eqn.invars[0].aval])
 
 
@@ -104,6 +102,6 @@ rule(*FUNCTIONS)(_special)
 
 
 @rule("cumlogsumexp")
-def _cumlogsumexp(low: Lowering, eqn: Any, ins: list) -> list:
+def _cumlogsumexp(low: Lowering, eqn: Equation, ins: list) -> list:
     f = lambda x: cumlogsumexp(x, **eqn.params)  # noqa: E731
     return low.evaluate(f, *ins, avals=[eqn.invars[0].aval])

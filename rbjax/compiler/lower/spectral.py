@@ -17,14 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.lower.factorise import UNROLL_UP_TO, mapped, qr
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, rule
+from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
 #: more than any matrix needs: 4 to 8 are usual
 MOST_SWEEPS = 20
 
 
-def _sweep(n: int, rotate: Callable, *state: Any) -> Any:
+def _sweep(n: int, rotate: Callable, *state: jax.Array) -> Any:
     """rotate(i, j, *state) for each pair i < j; the pair is known if there are few."""
     pairs = np.array([(i, j) for i in range(n) for j in range(i + 1, n)], np.int32)
     if n <= UNROLL_UP_TO:
@@ -35,7 +36,9 @@ def _sweep(n: int, rotate: Callable, *state: Any) -> Any:
     return lax.fori_loop(0, len(pairs), lambda k, x: rotate(table[k, 0], table[k, 1], *x), state)
 
 
-def _rotation(a: Any, b: Any, c: Any, off: Any) -> tuple[jax.Array, jax.Array]:
+def _rotation(
+    a: jax.Array, b: jax.Array, c: jax.Array, off: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Cosine and sine of the rotation that makes [[a, c], [c, b]] diagonal; none unless `off`."""
     half = (b - a) / jnp.where(off, 2 * c, 1)
     t = jnp.where(half >= 0, 1.0, -1.0) / (jnp.abs(half) + jnp.sqrt(half * half + 1))
@@ -44,7 +47,7 @@ def _rotation(a: Any, b: Any, c: Any, off: Any) -> tuple[jax.Array, jax.Array]:
     return cosine, t * cosine
 
 
-def _rotated(x: jax.Array, i: Any, j: Any, c: Any, s: Any) -> jax.Array:
+def _rotated(x: jax.Array, i: jax.Array, j: jax.Array, c: jax.Array, s: jax.Array) -> jax.Array:
     """Rows i and j of x, rotated."""
     first, second = x[i], x[j]
     return x.at[i].set(c * first - s * second).at[j].set(s * first + c * second)
@@ -60,7 +63,9 @@ def eigh(a: jax.Array, *, lower: bool) -> tuple[jax.Array, jax.Array]:
     outside = rows[:, None] != rows
     least = jnp.finfo(a.dtype).eps ** 2
 
-    def rotate(i: Any, j: Any, a: jax.Array, vt: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def rotate(
+        i: jax.Array, j: jax.Array, a: jax.Array, vt: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
         c, s = _rotation(a[i, i], a[j, j], a[i, j], a[i, j] != 0)
         a = _rotated(_rotated(a, i, j, c, s).T, i, j, c, s)
         return a, _rotated(vt, i, j, c, s)
@@ -88,7 +93,9 @@ def svd(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array, jax
     at = a.T / jnp.where(size > 0, size, 1)
     zero = eps * eps * (at * at).sum()  # rounding, of a row that is none
 
-    def rotate(i: Any, j: Any, at: jax.Array, vt: jax.Array, turned: Any) -> tuple:
+    def rotate(
+        i: jax.Array, j: jax.Array, at: jax.Array, vt: jax.Array, turned: jax.Array
+    ) -> tuple:
         x, y = at[i], at[j]
         xx, yy, xy = (x * x).sum(), (y * y).sum(), (x * y).sum()
         off = (jnp.abs(xy) > eps * jnp.sqrt(xx * yy)) & (jnp.minimum(xx, yy) > zero)
@@ -113,19 +120,19 @@ def svd(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array, jax
     return jnp.where(jnp.isfinite(size), size * s, jnp.nan), u, vt
 
 
-def _whole(eqn: Any) -> None:
+def _whole(eqn: Equation) -> None:
     if eqn.params.get("subset_by_index") is not None:
         raise Unsupported(f"{eqn.primitive.name} of a subset")
 
 
 @rule("eigh")
-def _eigh(low: Lowering, eqn: Any, ins: list) -> list:
+def _eigh(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
     return mapped(low, eqn, ins, functools.partial(eigh, lower=eqn.params["lower"]), (2,))
 
 
 @rule("svd")
-def _svd(low: Lowering, eqn: Any, ins: list) -> list:
+def _svd(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
     f = functools.partial(svd, full_matrices=eqn.params.get("full_matrices", False))
     if not eqn.params["compute_uv"]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from rbjax.compiler.lower.arrays import (
     FEW,
-    Small,
+    ThreadArray,
     View,
     filled,
     owned_copy,
@@ -19,7 +19,7 @@ from rbjax.compiler.lower.arrays import (
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
-from rbjax.compiler.lower.lowering import Lowering, rule, takes_delayed, writer
+from rbjax.compiler.lower.lowering import Equation, Lowering, rule, takes_delayed, writer
 
 takes_delayed(
     "fusion_barrier", "copy", "copy_p", "stop_gradient", "name", "batch_first", "batch_last",
@@ -32,24 +32,24 @@ takes_delayed(
       "optimization_barrier", "device_put", "sharding_constraint", "name", "pvary", "reshard",
       "nonbatchable",
       "nondifferentiable_backward", "nontraceable")  # fmt: skip
-def _identity(low: Lowering, eqn: Any, ins: list) -> list:
+def _identity(low: Lowering, eqn: Equation, ins: list) -> list:
     return list(ins)
 
 
 @rule("batch_first", "batch_last")
-def _first(low: Lowering, eqn: Any, ins: list) -> list:
+def _first(low: Lowering, eqn: Equation, ins: list) -> list:
     return ins[:1]
 
 
 @rule("slice")
-def _slice(low: Lowering, eqn: Any, ins: list) -> list:
+def _slice(low: Lowering, eqn: Equation, ins: list) -> list:
     P = eqn.params
     steps = P["strides"] or [1] * len(P["start_indices"])
     box = tuple(map(slice, P["start_indices"], P["limit_indices"], steps))
     return [cut(low, ins[0], box)]
 
 
-def cut(low: Lowering, x: Small, box: tuple[slice, ...]) -> Small:
+def cut(low: Lowering, x: ThreadArray, box: tuple[slice, ...]) -> ThreadArray:
     """A rectangle of x."""
     if isinstance(x, Delayed):
         return x.sliced(low.b, box)
@@ -57,11 +57,11 @@ def cut(low: Lowering, x: Small, box: tuple[slice, ...]) -> Small:
 
 
 @rule("squeeze", "reshape", "expand_dims")
-def _reshape(low: Lowering, eqn: Any, ins: list) -> list:
+def _reshape(low: Lowering, eqn: Equation, ins: list) -> list:
     return [reshaped(low, ins[0], eqn.outvars[0].aval.shape)]
 
 
-def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
+def reshaped(low: Lowering, x: ThreadArray, shape: tuple[int, ...]) -> ThreadArray:
     """x with another shape."""
     if isinstance(x, Delayed):
         delayed = x.reshaped(shape)
@@ -70,17 +70,17 @@ def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
         x = stored(low.b, x)
     if isinstance(x, View):
         out = x.reshaped(shape)
-        return owned_copy(low.b, x, x.dtype).reshaped(shape) if out is None else out
+        return View.of(owned_copy(low.b, x, x.dtype).array, shape) if out is None else out
     return x.reshape(shape)
 
 
 @rule("transpose")
-def _transpose(low: Lowering, eqn: Any, ins: list) -> list:
+def _transpose(low: Lowering, eqn: Equation, ins: list) -> list:
     return [transposed(ins[0], eqn.params["permutation"])]
 
 
 @rule("rev")
-def _rev(low: Lowering, eqn: Any, ins: list) -> list:
+def _rev(low: Lowering, eqn: Equation, ins: list) -> list:
     x, axes = ins[0], eqn.params["dimensions"]
     if isinstance(x, np.ndarray):
         return [np.flip(x, axes)]
@@ -89,7 +89,7 @@ def _rev(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("broadcast_in_dim")
-def _broadcast(low: Lowering, eqn: Any, ins: list) -> list:
+def _broadcast(low: Lowering, eqn: Equation, ins: list) -> list:
     x, shape, axes = ins[0], eqn.params["shape"], eqn.params["broadcast_dimensions"]
     if not isinstance(x, np.ndarray):
         return [x.broadcast(shape, axes)]
@@ -100,7 +100,7 @@ def _broadcast(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @writer("concatenate")
-def _concatenate(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+def _concatenate(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     out, axis, place = eqn.outvars[0].aval, eqn.params["dimension"], places[0]
     whole = _pieces_of_one(ins, axis) if low.b.teamed else None
     if place is None and whole is not None:
@@ -136,12 +136,12 @@ def _pieces_of_one(xs: list, axis: int) -> View | None:
 
 
 @rule("tile")
-def _tile(low: Lowering, eqn: Any, ins: list) -> list:
+def _tile(low: Lowering, eqn: Equation, ins: list) -> list:
     return [np.tile(low.scalars(ins[0]), eqn.params["reps"])]
 
 
 @writer("stack")
-def _stack(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+def _stack(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     axis, place = eqn.params.get("axis", eqn.params.get("dimension", 0)), places[0]
     out = eqn.outvars[0].aval
     if place is None and low.b.teamed and out.size > FEW:
@@ -175,17 +175,19 @@ def _rows_of_one(xs: list, axis: int) -> View | None:
 
 
 @rule("unstack")
-def _unstack(low: Lowering, eqn: Any, ins: list) -> list:
+def _unstack(low: Lowering, eqn: Equation, ins: list) -> list:
     axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
     return _split(low, ins[0], axis, [1] * ins[0].shape[axis], squeeze=True)
 
 
 @rule("split")
-def _splits(low: Lowering, eqn: Any, ins: list) -> list:
+def _splits(low: Lowering, eqn: Equation, ins: list) -> list:
     return _split(low, ins[0], eqn.params["axis"], eqn.params["sizes"])
 
 
-def _split(low: Lowering, x: Small, axis: int, sizes: Any, squeeze: bool = False) -> list:
+def _split(
+    low: Lowering, x: ThreadArray, axis: int, sizes: Sequence[int], squeeze: bool = False
+) -> list:
     out, start = [], 0
     for size in sizes:
         box = [slice(0, n, 1) for n in x.shape]
@@ -198,8 +200,8 @@ def _split(low: Lowering, x: Small, axis: int, sizes: Any, squeeze: bool = False
 
 
 @rule("pad")
-def _pad(low: Lowering, eqn: Any, ins: list) -> list:
-    x, fill = low.scalars(ins[0]), low.scalars(ins[1])[()]
+def _pad(low: Lowering, eqn: Equation, ins: list) -> list:
+    x, fill = low.scalars(ins[0]), low.scalar(ins[1])
     config = eqn.params["padding_config"]
     # put gaps between entries, then pad the sides; a negative side is cut
     spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
@@ -219,7 +221,7 @@ def _pad(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("iota", "full", "empty2")
-def _constant(low: Lowering, eqn: Any, ins: list) -> list:
+def _constant(low: Lowering, eqn: Equation, ins: list) -> list:
     aval, P = eqn.outvars[0].aval, eqn.params
     if eqn.primitive.name == "empty2":  # of a derivative's loop, which writes before it reads
         return [np.zeros(aval.shape, aval.dtype)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from rbjax.compiler.ir.program import Block, If, Load, Loop, Op, Store, While
+from rbjax.compiler.ir.statements import Block, If, Load, Loop, Op, Store, While
 
 
 def operations(block: Block, turns: int = 1) -> int:

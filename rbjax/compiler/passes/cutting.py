@@ -13,23 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.statements import (
     Array,
     Assign,
     Block,
-    Declare,
-    If,
-    Load,
     Loop,
-    Op,
+    Name,
     Reserve,
-    Store,
-    Var,
-    While,
+    Statement,
     walk,
 )
+from rbjax.compiler.ir.values import Var
 
 #: statements of a block from which on it is cut, and of a function
 CUT_ABOVE, EACH = 12_000, 1_500
@@ -43,7 +38,7 @@ class Cuts:
     home: the function that makes a variable. shared: the variables that others read as well.
     """
 
-    runs: dict[int, list[tuple[int, list[Any]]]] = field(default_factory=dict)
+    runs: dict[int, list[tuple[int, list[Statement]]]] = field(default_factory=dict)
     home: dict[Var, int] = field(default_factory=dict)
     shared: dict[Var, None] = field(default_factory=dict)
     arrays: dict[Array, None] = field(default_factory=dict)
@@ -54,16 +49,19 @@ def cut(block: Block, branches: bool) -> Cuts | None:
     `while` loops may be cut, too."""
     cuts, used, count = Cuts(), dict[Var, set[int]](), 0
 
-    def note(statement: Any, here: int) -> None:
-        made, read = _names(statement)
-        for var in made:
-            cuts.home[var] = here
-        for var in read:
-            used.setdefault(var, set()).add(here)
+    def note(statement: Statement, here: int) -> None:
+        read = statement.reads()
+        if isinstance(statement, Assign):  # the variable has been declared before
+            read = (statement.var, *read)
+        else:
+            cuts.home.update((x, here) for x in statement.writes() if isinstance(x, Var))
+        for x in read:
+            if isinstance(x, Var):
+                used.setdefault(x, set()).add(here)
         if isinstance(statement, Reserve):
             cuts.arrays[statement.array] = None
 
-    def every(statements: list, here: int) -> None:
+    def every(statements: list[Statement], here: int) -> None:
         for statement in walk(Block(statements)):
             note(statement, here)
 
@@ -84,7 +82,7 @@ def cut(block: Block, branches: bool) -> Cuts | None:
             numbered.append((0, statements))
             for statement in statements:
                 note(statement, 0)
-                for inner in _blocks(statement):
+                for inner in statement.children():
                     if branches or isinstance(statement, Loop):
                         visit(inner)
                     else:
@@ -99,9 +97,11 @@ def cut(block: Block, branches: bool) -> Cuts | None:
     return cuts
 
 
-def _pieces(statements: list, sizes: list[int]) -> Iterator[tuple[bool, list]]:
+def _pieces(
+    statements: list[Statement], sizes: list[int]
+) -> Iterator[tuple[bool, list[Statement]]]:
     """Pieces of some `EACH` statements, and longer statements that stay where they are."""
-    piece: list[Any] = []
+    piece: list[Statement] = []
     length = 0
     for statement, n in zip(statements, sizes, strict=True):
         if n > EACH:
@@ -119,51 +119,18 @@ def _pieces(statements: list, sizes: list[int]) -> Iterator[tuple[bool, list]]:
         yield length > EACH // 4, piece
 
 
-def _size(statement: Any) -> int:
+def _size(statement: Statement) -> int:
     return sum(1 for _ in walk(Block([statement])))
-
-
-def _blocks(statement: Any) -> list[Block]:
-    match statement:
-        case Loop(body=body):
-            return [body]
-        case While(test=test, body=body):
-            return [test, body]
-        case If(then=then, otherwise=otherwise):
-            return [then, otherwise]
-    return []
-
-
-def _names(statement: Any) -> tuple[list[Var], list[Var]]:
-    """The variables that a statement makes, and those that it reads or assigns."""
-    made: list[Any] = []
-    match statement:
-        case Op(dest=dest, args=args):
-            made, read = [dest], list(args)
-        case Load(dest=dest, base=base):
-            made, read = [dest], [base]
-        case Store(base=base, value=value):
-            read = [base, value]
-        case Declare(var=var, value=value):
-            made, read = [var], [value]
-        case Assign(var=var, value=value):
-            read = [var, value]
-        case Loop(counter=counter):
-            made, read = [counter], []
-        case While(condition=condition) | If(condition=condition):
-            read = [condition]
-        case _:
-            read = []
-    return made, [x for x in read if isinstance(x, Var)]
 
 
 class Frame:
     """The places, in bytes, of what functions share. size_of: the bytes of a variable, an array."""
 
-    def __init__(self, cuts: Cuts, size_of: Callable[[Any], int], alignment: int):
+    def __init__(self, cuts: Cuts, size_of: Callable[[Name], int], alignment: int):
         self.cuts, self.bytes = cuts, 0
-        self.places: dict[Any, int] = {}
-        for x in (*cuts.arrays, *cuts.shared):
+        self.places: dict[Name, int] = {}
+        every: tuple[Name, ...] = (*cuts.arrays, *cuts.shared)
+        for x in every:
             size = size_of(x)
             step = alignment if isinstance(x, Array) else min(alignment, size)
             self.places[x] = -(-self.bytes // step) * step

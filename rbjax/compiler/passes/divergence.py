@@ -10,21 +10,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.statements import (
     Array,
     Assign,
     Block,
     Declare,
     If,
     Load,
-    Loop,
     Op,
     Reserve,
     Store,
-    Value,
-    Var,
     While,
 )
+from rbjax.compiler.ir.values import Value, Var
 
 
 @dataclass
@@ -57,35 +55,26 @@ def divergence(block: Block, different: Iterable[Array]) -> Divergence:
 
 
 def _visit(block: Block, part: int, found: Divergence) -> None:
-    of, add = found.of, found.different.add
+    different = found.different
     for s in block.statements:
+        differs = False
+        for x in s.reads():
+            if x.id in different:
+                differs = True
         match s:
-            case Op(dest=dest, args=args):
-                if any(map(of, args)):
-                    add(dest.id)
-            case Load(dest=dest, array=array, base=base):
-                if of(array) or of(base):
-                    add(dest.id)
-            case Store(array=array, base=base, value=value):
-                if of(value) or of(base) or found.outlives(array, part):
-                    add(array.id)
-            case Declare(var=var, value=value):
-                found.home[var.id] = part
-                if of(value):
-                    add(var.id)
-            case Assign(var=var, value=value):
-                if of(value) or found.outlives(var, part):
-                    add(var.id)
-            case Reserve(array=array):
-                found.home[array.id] = part
-            case Loop(body=body):
-                _visit(body, part, found)
-            case While(test=test, condition=condition, body=body):
-                _visit(test, part_of(test, condition, part, found), found)
-                _visit(body, part_of(body, condition, part, found), found)
-            case If(condition=condition, then=then, otherwise=otherwise):
-                _visit(then, part_of(then, condition, part, found), found)
-                _visit(otherwise, part_of(otherwise, condition, part, found), found)
+            case Op() | Load():
+                pass
+            case Declare(var=declared) | Reserve(array=declared):
+                found.home[declared.id] = part
+            case Store(array=changed) | Assign(var=changed):
+                differs = differs or found.outlives(changed, part)
+        if differs:
+            different.update([x.id for x in s.writes()])
+        for inner in () if s.is_leaf else s.children():
+            among = part
+            if isinstance(s, While | If):
+                among = part_of(inner, s.condition, part, found)
+            _visit(inner, among, found)
 
 
 def part_of(block: Block, condition: Value, part: int, found: Divergence) -> int:

@@ -9,22 +9,19 @@ barrier, with what they are made of, come forward into the phase (list schedulin
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.statements import (
     Array,
-    Assign,
     Await,
     Barrier,
     Block,
-    Declare,
     If,
     Load,
     Loop,
-    Op,
+    Name,
     Reserve,
+    Statement,
     Store,
-    Var,
     While,
     walk,
 )
@@ -59,7 +56,7 @@ class Pending:
         self.alike.clear()
         self.spread.clear()
 
-    def may(self, s: Any) -> bool:
+    def may(self, s: Statement) -> bool:
         """Whether a statement without inner blocks, or a loop of a team, needs no barrier."""
         match s:
             case Load(array=array):
@@ -80,7 +77,7 @@ class Pending:
         others = self.spread.get(array, set()) - ({part} if part else set())
         return array not in self.read and array not in self.alike and not others
 
-    def note(self, s: Any) -> None:
+    def note(self, s: Statement) -> None:
         """Its accesses."""
         match s:
             case Load(array=array) if _is_seen(array):
@@ -111,7 +108,7 @@ class _Phases:
 
     def __init__(self, now: Pending):
         self.now = now
-        self.out: list[Any] = []
+        self.out: list[Statement] = []
 
     def ordered(self, block: Block) -> Block:
         statements = [s for s in block.statements if not isinstance(s, Reserve)]
@@ -130,7 +127,9 @@ class _Phases:
         own = {s.array for s in block.statements if isinstance(s, Reserve)}
         return Block(_declared(self.out, own))
 
-    def _forward(self, statements: list, before: list[set[int]], left: dict, k: int) -> None:
+    def _forward(
+        self, statements: list[Statement], before: list[set[int]], left: dict[int, None], k: int
+    ) -> None:
         """A loop of a team, after what it depends on, if none of that waits."""
         wanted, reached = {k}, [k]
         while reached:
@@ -147,11 +146,11 @@ class _Phases:
             self._write(statements[j])
             del left[j]
 
-    def _waits(self, s: Any) -> bool:
+    def _waits(self, s: Statement) -> bool:
         """Whether the threads meet before a statement, or in it."""
         return _has_phases(s) or not self.now.may(s)
 
-    def _write(self, s: Any) -> None:
+    def _write(self, s: Statement) -> None:
         now = self.now
         match s:
             case Loop(team=False, body=body):
@@ -187,19 +186,20 @@ class _Phases:
         return found if waits else Block([Barrier(), *found.statements])
 
 
-def _is_shared(s: Any) -> bool:
+def _is_shared(s: Statement) -> bool:
     """Whether the threads of a team share the turns of a loop."""
     return isinstance(s, Loop) and s.team
 
 
-def _has_phases(s: Any) -> bool:
+def _has_phases(s: Statement) -> bool:
     """Whether the threads may meet in a statement."""
     return isinstance(s, Loop | While | If | Await) and not _is_shared(s)
 
 
-def _declared(statements: list, own: set[Array]) -> list:
+def _declared(statements: list[Statement], own: set[Array]) -> list[Statement]:
     """The statements, and before the first use of each of a block's own arrays its declaration."""
-    out, left = [], set(own)
+    out: list[Statement] = []
+    left = set(own)
     for s in statements:
         if left:
             for array in [x for x in _uses(s)[0] | _uses(s)[1] if x in left]:
@@ -209,39 +209,22 @@ def _declared(statements: list, own: set[Array]) -> list:
     return out
 
 
-def _uses(s: Any) -> tuple[set, set]:
-    """The variables and arrays that a statement reads, and those that it writes."""
-    reads: set = set()
-    writes: set = set()
-
-    def read(*values: Any) -> None:
-        reads.update(v for v in values if isinstance(v, Var))
-
+def _uses(s: Statement) -> tuple[set[Name], set[Name]]:
+    """The variables and arrays that a statement reads, and those that it writes, with its inner
+    blocks."""
+    reads: set[Name] = set()
+    writes: set[Name] = set()
     for x in walk(Block([s])):
-        match x:
-            case Op(dest=dest, args=args):
-                read(*args)
-                writes.add(dest)
-            case Load(dest=dest, array=array, base=base):
-                read(base)
-                reads.add(array)
-                writes.add(dest)
-            case Store(array=array, base=base, value=value):
-                read(base, value)
-                writes.add(array)
-            case Declare(var=var, value=value) | Assign(var=var, value=value):
-                read(value)
-                writes.add(var)
-            case If(condition=condition) | While(condition=condition):
-                read(condition)
+        reads.update(x.reads())
+        writes.update(x.writes())
     return reads, writes
 
 
-def _dependencies(statements: list) -> list[set[int]]:
+def _dependencies(statements: list[Statement]) -> list[set[int]]:
     """For each statement those before it that it depends on."""
     out: list[set[int]] = []
-    writers: dict[Any, list[int]] = {}
-    readers: dict[Any, list[int]] = {}
+    writers: dict[Name, list[int]] = {}
+    readers: dict[Name, list[int]] = {}
     fence: int | None = None
     for k, s in enumerate(statements):
         before = set() if fence is None else {fence}

@@ -2,81 +2,67 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from rbjax.compiler.ir.program import (
-    Array,
-    Assign,
+from rbjax.compiler.ir.statements import (
     Await,
+    Barrier,
     Block,
-    Declare,
     If,
     Load,
     Loop,
+    Name,
     Op,
     Reserve,
+    Statement,
     Store,
-    Var,
     While,
     walk,
 )
 
 
 def prune(block: Block) -> None:
-    """Removes the statements that no result and no condition depends on."""
-    needed = _needed(block)
-    _keep(block, needed)
+    """Remove the statements that no result and no condition depends on."""
+    _keep(block, _needed(block))
 
 
-def _needed(block: Block) -> set[Var | Array]:
+def _needed(block: Block) -> set[Name]:
     """The variables and arrays that results and conditions depend on."""
-    made_of: dict[Any, list] = {}
-    reached: list = []
+    sources: dict[Name, list[Name]] = {}
+    reached: list[Name] = []
     for statement in walk(block):
-        match statement:
-            case Op(dest=dest, args=args):
-                made_of.setdefault(dest, []).extend(args)
-            case Load(dest=dest, array=array, base=base):
-                made_of.setdefault(dest, []).extend((array, base))
-            case Declare(var=var, value=value) | Assign(var=var, value=value):
-                made_of.setdefault(var, []).append(value)
-            case Store(array=array, base=base, value=value):
-                where = reached if array.space == "result" else made_of.setdefault(array, [])
-                where.extend((array, base, value))
-            case If(condition=condition) | While(condition=condition):
-                reached.append(condition)
-    needed: set = set()
+        if isinstance(statement, If | While):
+            reached.extend(statement.reads())
+        elif isinstance(statement, Store) and statement.array.space == "result":
+            reached.extend((statement.array, *statement.reads()))
+        else:
+            for x in statement.writes():
+                sources.setdefault(x, []).extend(statement.reads())
+    needed: set[Name] = set()
     while reached:
         x = reached.pop()
-        if isinstance(x, Var | Array) and x not in needed:
+        if x not in needed:
             needed.add(x)
-            reached.extend(made_of.get(x, ()))
+            reached.extend(sources.get(x, ()))
     return needed
 
 
-def _keep(block: Block, needed: set[Var | Array]) -> None:
+def _keep(block: Block, needed: set[Name]) -> None:
+    """Remove the other statements of a block and its inner blocks."""
     kept = []
     for statement in block.statements:
-        match statement:
-            case Op(dest=x) | Load(dest=x) | Declare(var=x) | Assign(var=x):
-                keep = x in needed
-            case Store(array=x) | Reserve(array=x):
-                keep = x in needed
-            case Loop(body=body):
-                _keep(body, needed)
-                keep = bool(body.statements)
-            case While(test=test, body=body):
-                _keep(test, needed)
-                _keep(body, needed)
-                keep = True
-            case If(then=then, otherwise=otherwise):
-                _keep(then, needed)
-                _keep(otherwise, needed)
-                keep = bool(then.statements or otherwise.statements)
-            case Await():
-                keep = True
-            case _:
-                raise TypeError(f"no such statement: {statement}")
-        if keep:
+        for inner in () if statement.is_leaf else statement.children():
+            _keep(inner, needed)
+        if not needed.isdisjoint(statement.writes()) or _is_needed(statement, needed):
             kept.append(statement)
     block.statements = kept
+
+
+def _is_needed(statement: Statement, needed: set[Name]) -> bool:
+    """Whether a statement that changes nothing needed is needed nevertheless."""
+    match statement:
+        case Op() | Load() | Store():
+            return False
+        case Loop() | If():
+            return any(inner.statements for inner in statement.children())
+        case Reserve(array=array):
+            return array in needed
+    return isinstance(statement, While | Await | Barrier)

@@ -12,7 +12,7 @@ import math
 from bisect import bisect_left
 from dataclasses import dataclass
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.statements import (
     Array,
     Await,
     Barrier,
@@ -109,21 +109,14 @@ def _spans(block: Block) -> dict[Array, Span]:
 
 
 def _redirect(block: Block, shared: dict[Array, Array]) -> None:
-    """Uses of arrays become uses of their places; their declarations go."""
+    """Replace arrays by the arrays whose memory they share, and remove the declarations."""
     for statement in walk(block):
-        match statement:
-            case Load() | Store():
-                statement.array = shared.get(statement.array, statement.array)
-            case Loop(body=body):
-                _undeclared(body)
-            case While(test=test, body=body):
-                _undeclared(test)
-                _undeclared(body)
-            case If(then=then, otherwise=otherwise):
-                _undeclared(then)
-                _undeclared(otherwise)
-    _undeclared(block)
+        if isinstance(statement, Load | Store):
+            statement.array = shared.get(statement.array, statement.array)
+        for inner in statement.children():
+            _undeclare(inner)
+    _undeclare(block)
 
 
-def _undeclared(block: Block) -> None:
+def _undeclare(block: Block) -> None:
     block.statements = [s for s in block.statements if not isinstance(s, Reserve)]

@@ -9,9 +9,9 @@ coefficients are Chebyshev's interpolation in 400 bits.
 
 from __future__ import annotations
 
+from rbjax.compiler.ir.elementary import Found, limited, power_of_two, scaled
 from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.llvm.elementary import Found, limited, power_of_two, scaled
-from rbjax.compiler.llvm.powers import product
+from rbjax.compiler.ir.powers import product
 from rbjax.lanes.trigonometry import horner
 
 #: erf x / x in x^2, up to 1
@@ -56,6 +56,3 @@ def erfc(x: Number) -> Found:
     tail = _complement(a)
     tail = (x < 0.0).where(2.0 - tail, tail)
     return (a < 0.5).where(1.0 - x * horner(NEAR, x * x), tail), None
-
-
-FUNCTIONS = {f.__name__: f for f in (erf, erfc)}

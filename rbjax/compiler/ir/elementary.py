@@ -10,14 +10,12 @@ exponential is its Taylor series.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from rbjax.compiler.ir.expressions import Number
+from rbjax.compiler.ir.values import F64, I32, I64
 from rbjax.lanes.trigonometry import SERIES, horner
-
-F64, I32, I64 = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.int64)
 
 #: pi / 2 and ln 2 in parts, whose products with small integers are exact, and the rest
 QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21,
@@ -307,9 +305,3 @@ def asinh(x: Number) -> Found:
 def acosh(x: Number) -> Found:
     t = x - 1.0
     return _log1p(t + (t * (t + 2.0)).op("sqrt")), abs(x - 1e100) > 1e100
-
-
-FUNCTIONS: dict[str, Callable[..., Found]] = {
-    f.__name__: f for f in (sin, cos, tan, atan2, atan, asin, acos, exp, exp2, expm1, tanh, sinh,
-                            cosh, log, log1p, atanh, asinh, acosh)
-}  # fmt: skip

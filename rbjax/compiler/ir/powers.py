@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import math
 
-from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.program import BOOL
-from rbjax.compiler.llvm.elementary import (
-    I64,
+from rbjax.compiler.ir.elementary import (
     LN2,
     Found,
     exp,
@@ -23,6 +20,8 @@ from rbjax.compiler.llvm.elementary import (
     scaled,
     two_sum,
 )
+from rbjax.compiler.ir.expressions import Number
+from rbjax.compiler.ir.values import BOOL, I64
 from rbjax.lanes.trigonometry import horner
 
 #: a sum of two numbers that do not overlap
@@ -92,6 +91,3 @@ def cbrt(x: Number) -> Found:
     y = t + t * ((r - t) / (t + t + r))
     y = ((a > 0.0) & (a < math.inf)).where(y, a)
     return small.where(y * 2.0**-18, y).op("copysign", x), None
-
-
-FUNCTIONS = {f.__name__: f for f in (pow, cbrt)}

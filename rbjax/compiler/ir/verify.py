@@ -1,0 +1,158 @@
+"""A verifier of programs: it finds statements that no back end may get.
+
+A rule or a pass with a mistake shows here, with the statement, and not as a wrong number or as an
+error of LLVM or NVRTC. The tests run it on every program that they write.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from rbjax.compiler.ir.operations import OPERATIONS
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import (
+    Array,
+    Assign,
+    Barrier,
+    Block,
+    Declare,
+    If,
+    Load,
+    Loop,
+    Op,
+    Reserve,
+    Statement,
+    Store,
+    While,
+)
+from rbjax.compiler.ir.text import statement_text
+from rbjax.compiler.ir.values import BOOL, I32, Value, Var
+
+#: operations whose result has another type than their arguments
+FREE = {"cast", "bitcast", "isfinite", "lt", "le", "gt", "ge", "eq", "ne"}
+
+
+class InvalidProgram(Exception):
+    """A program with a statement that no back end may get."""
+
+
+def verify(program: Written) -> None:
+    """Raise `InvalidProgram` if a statement of a program is not valid.
+
+    Every variable is defined once and used in its scope. Only declared variables are assigned.
+    Types agree. Arrays are operands, results, tables, or reserved before their use; only local
+    arrays and results are written. No thread waits inside a loop that a team shares.
+    """
+    arrays = (*program.operands, *program.results, *program.builder.tables)
+    verify_block(program.builder.block, arrays)
+
+
+def verify_block(block: Block, arrays: Iterable[Array] = ()) -> None:
+    """The same of a block that may use these arrays."""
+    _Scope(arrays={x.id for x in arrays}).block(block)
+
+
+@dataclass
+class _Scope:
+    """The ids of what the statements of a block may use."""
+
+    arrays: set[int]
+    variables: set[int] = field(default_factory=set)
+    declared: set[int] = field(default_factory=set)
+    every: set[int] = field(default_factory=set)  # variables of the whole program
+    in_team_loop: bool = False
+
+    def block(self, block: Block) -> _Scope:
+        """Check a block; the scope of what follows within."""
+        inner = _Scope(
+            {*self.arrays}, {*self.variables}, {*self.declared}, self.every, self.in_team_loop
+        )
+        for statement in block.statements:
+            try:
+                inner.statement(statement)
+            except InvalidProgram as error:
+                raise InvalidProgram(f"{error}: {statement_text(statement)}") from None
+        return inner
+
+    def statement(self, s: Statement) -> None:
+        if not isinstance(s, While):  # whose condition is a value of its test
+            for x in s.reads():
+                self.known(x)
+        match s:
+            case Op():
+                _check_operation(s)
+                self.define(s.dest)
+            case Load(dest=dest, array=array, base=base, offset=offset):
+                _check_entry(array, base, offset, dest)
+                self.define(dest)
+            case Store(array=array, base=base, offset=offset, value=value):
+                self.known(array)
+                _check(array.mutable, f"a {array.space} array is written")
+                _check_entry(array, base, offset, value)
+            case Declare(var=var, value=value):
+                _check(value is None or value.dtype == var.dtype, "types differ")
+                self.define(var)
+                self.declared.add(var.id)
+            case Assign(var=var, value=value):
+                _check(var.id in self.declared, f"t{var.id} is assigned but not declared")
+                _check(value.dtype == var.dtype, "types differ")
+            case Reserve(array=array):
+                _check(array.space == "local", f"a {array.space} array is reserved")
+                self.arrays.add(array.id)
+            case Loop(counter=counter, count=count, body=body):
+                _check(counter.dtype == I32 and count >= 0, "not a loop of a count")
+                inside = _Scope({*self.arrays}, {*self.variables}, {*self.declared}, self.every)
+                inside.in_team_loop = self.in_team_loop or s.team
+                inside.define(counter)
+                inside.block(body)
+            case While(test=test, condition=condition, body=body):
+                inside = self.block(test)
+                inside.condition(condition)
+                inside.block(body)
+            case If(condition=condition):
+                self.condition(condition)
+                for inner in s.children():
+                    self.block(inner)
+            case Barrier():
+                _check(not self.in_team_loop, "a barrier in a loop that a team shares")
+
+    def known(self, x: Var | Array) -> None:
+        ids, name = (self.variables, "t") if isinstance(x, Var) else (self.arrays, "a")
+        _check(x.id in ids, f"{name}{x.id} is not defined here")
+
+    def define(self, x: Var) -> None:
+        _check(x.id not in self.every, f"t{x.id} is defined twice")
+        self.every.add(x.id)
+        self.variables.add(x.id)
+
+    def condition(self, x: Value) -> None:
+        if isinstance(x, Var):
+            self.known(x)
+        _check(x.dtype == BOOL, "the condition is not a truth value")
+
+
+def _check(good: bool, message: str) -> None:
+    if not good:
+        raise InvalidProgram(message)
+
+
+def _check_operation(s: Op) -> None:
+    operation = OPERATIONS.get(s.name)
+    if operation is None:
+        raise InvalidProgram(f"no operation {s.name}")
+    _check(len(s.args) == operation.arity, f"{s.name} has {operation.arity} arguments")
+    first, *rest = (x.dtype for x in s.args)
+    if s.name == "select":
+        _check(first == BOOL and rest == [s.dest.dtype] * 2, "types differ")
+    else:
+        _check(all(dtype == first for dtype in rest), "types differ")
+        _check(s.name in FREE or s.dest.dtype == first, "types differ")
+
+
+def _check_entry(array: Array, base: Value | None, offset: int, x: Value) -> None:
+    _check(x.dtype == array.dtype, "types differ")
+    if base is None and array.space in ("local", "constant"):  # the others have strides
+        _check(0 <= offset < array.size, f"not an entry of {array.size}")
+    if base is not None:
+        _check(base.dtype.kind in "iu", "the index is not an integer")

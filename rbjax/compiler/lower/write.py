@@ -1,0 +1,78 @@
+"""From the jaxpr of one sample to its finished program: rules, then passes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr
+from numpy.typing import DTypeLike
+
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.program import Layout, Written
+from rbjax.compiler.ir.statements import Array
+from rbjax.compiler.ir.values import I32, I64, Unsupported
+from rbjax.compiler.lower import (  # noqa: F401 (rules)
+    control,
+    effects,
+    elementwise,
+    factorise,
+    gather,
+    indexing,
+    inversion,
+    linear,
+    random,
+    reductions,
+    sorting,
+    special,
+    spectral,
+    structure,
+)
+from rbjax.compiler.lower.arrays import View
+from rbjax.compiler.lower.lowering import DTYPES, Lowering
+from rbjax.compiler.passes.phases import synchronised
+from rbjax.compiler.passes.prune import prune
+from rbjax.compiler.passes.reuse import share_memory
+
+
+def write_program(
+    closed: ClosedJaxpr,
+    batch: tuple[int, ...],
+    operands: Sequence[Layout],
+    results: Sequence[Layout],
+    summed: Sequence[bool] = (),
+    platform: str = "cuda",
+    team: bool = False,
+    matrices: bool = False,
+) -> Written:
+    """The program of one sample of a batch. Summed results are sums over the batch. team: for a
+    team of threads a sample (`team.kernel`). matrices: those of one sample fill a CPU's vectors."""
+    b = Builder(platform, team, matrices)
+    ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(
+        closed.jaxpr.invars, operands, strict=True)]  # fmt: skip
+    summed = tuple(summed) or (False,) * len(results)
+    outs = [_array(b, v.aval.dtype, lay, "result") for v, lay in zip(
+        closed.jaxpr.outvars, results, strict=True)]  # fmt: skip
+    places = [
+        View(a, None, 0, lay.strides, lay.sample) for a, lay in zip(outs, results, strict=True)
+    ]
+    args = [
+        View(a, None, 0, lay.strides, lay.sample) for a, lay in zip(ins, operands, strict=True)
+    ]
+    with Lowering(b).held(args):
+        Lowering(b).closed(closed, args, places)
+    prune(b.block)
+    if team:
+        b.block = synchronised(b.block)
+    share_memory(b.block)
+    layouts = tuple(operands), tuple(results)
+    return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)
+
+
+def _array(b: Builder, dtype: DTypeLike, layout: Layout, space: str) -> Array:
+    if dtype not in DTYPES:
+        raise Unsupported(f"{space} of type {dtype}")
+    reach = sum((n - 1) * s for n, s in zip(layout.sample, layout.strides, strict=True)) + 1
+    index = I64 if reach > np.iinfo(np.int32).max else I32
+    return b.outside(dtype, math.prod(layout.sample), space, index)
