@@ -71,7 +71,7 @@ problem = Problem(
 hold = rb.gravity_forces(arm, start.q)
 reach = solve(problem, start, ctrls=jnp.tile(jnp.clip(hold, -limit, limit), (50, 1)))
 off = goal(arm, 0.0, reach.state(-1), reach.ctrls[-1])
-print(f"{reach.status} after {int(reach.iterations)} iterations, cost {float(reach.cost):.4f}")
+print(f"{reach.summary()} after {int(reach.iterations)} iterations, cost {float(reach.cost):.4f}")
 print(f"off by {1e3 * jnp.linalg.norm(off[:3]):.2f} mm, {jnp.linalg.norm(off[3:]):.1e} rad")
 
 # %%
@@ -157,8 +157,8 @@ found = {
     "designed": solve(task(Design(with_lengths, [1.0, 1.0], 0.3, 1.5)), low),
 }
 for name, one in found.items():
-    print(f"{name}: {one.status}, {int(one.iterations)} iterations, cost {float(one.cost):.3f}")
-print("lengths", found["designed"].numbers, "m")
+    print(f"{name}: {one.summary()}, {int(one.iterations)} iterations, cost {float(one.cost):.3f}")
+print("lengths", found["designed"].parameters, "m")
 
 # %% [markdown]
 # The 2 kg of the elbow come as near to the shoulder as the bounds allow, and the arm is just long

@@ -41,7 +41,7 @@ arm = arm.replace(joints=arm.joints.replace(range=jnp.array(ranges)))
 down = jnp.diag(jnp.array([1.0, -1.0, -1.0]))  # the tool's z points down
 place = jnp.array([0.45, 0.2, 0.4])
 found = inverse_kinematics(arm, (down, place), site="tool")
-print(found.status)
+print(found.summary())
 print(found.q.round(3))
 
 # %% [markdown]
@@ -63,7 +63,7 @@ def solved(R, p, q):
 
 
 many = solved(jnp.tile(down, (500, 1, 1)), jnp.tile(place, (500, 1)), starts)
-print(many.status, "; within the ranges:", bool(((many.q >= low) & (many.q <= high)).all()))
+print(many.summary(), "; within the ranges:", bool(((many.q >= low) & (many.q <= high)).all()))
 
 own = many.q[many.start == 0]
 print(len(own), "from their own start")
@@ -88,7 +88,7 @@ truth = jax.random.uniform(jax.random.key(2), (500, 7), minval=low, maxval=high)
 poses = jax.vmap(lambda q: rb.site_pose(arm, q, "tool"))(truth)
 batch = solved(*poses, starts)
 for count in (1, 2, 4, 8, 64):
-    share = float((batch.converged & (batch.start < count)).mean())
+    share = float((batch.success & (batch.start < count)).mean())
     print(f"{100 * share:5.1f} % solved with at most {count} starts")
 
 # %% [markdown]

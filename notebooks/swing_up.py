@@ -44,7 +44,7 @@ problem = Problem(
     running=[Cost(Control(), 0.02)], terminal=[Cost(StateError(up), 100.0)],
 )  # fmt: skip
 swing = solve(problem, down)
-print(swing.status, "after", int(swing.iterations), "iterations, cost", float(swing.cost))
+print(swing.summary(), "after", int(swing.iterations), "iterations, cost", float(swing.cost))
 
 # %% [markdown]
 # ## Every method
@@ -68,7 +68,7 @@ for name in rb.control.methods():
     left = float(one.states.q[-1, 1])
     print(
         f"{name:20} {float(one.cost):8.3f} {left:7.3f} {int(one.iterations):7} "
-        f"{spent[0]:5.1f} s {1e3 * spent[1]:6.1f} ms  {one.status.split(':')[0]}"
+        f"{spent[0]:5.1f} s {1e3 * spent[1]:6.1f} ms  {one.summary().split(':')[0]}"
     )
 
 # %%
@@ -144,7 +144,7 @@ swings = Problem(
     running=[Cost(Control(), 0.02)], terminal=[Cost(StateError(upright), 100.0)],
 )  # fmt: skip
 risen = solve(swings, acrobot.default_state(), iterations=1000, tolerance=1e-6)
-print(risen.status, "after", int(risen.iterations), "iterations, cost", float(risen.cost))
+print(risen.summary(), "after", int(risen.iterations), "iterations, cost", float(risen.cost))
 print("at 5 s:", risen.states.q[-1], risen.states.v[-1])
 
 # %%

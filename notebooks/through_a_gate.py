@@ -59,7 +59,7 @@ easy = [Cost(Velocity(), 0.02), Cost(Control(thrust), 0.02)]
 goal = Cost(StateError(at(2.0)), 100.0)
 problem = Problem(quad, 80, 0.025, running=[*easy, at_gate], terminal=[goal])
 flight = solve(problem, at(-2.0), ctrls=jnp.full((80, 4), thrust))
-print(f"{flight.status} after {int(flight.iterations)} iterations")
+print(f"{flight.summary()} after {int(flight.iterations)} iterations")
 print("off the gate", gate(quad, 1.0, flight.state(40), flight.ctrls[40]).round(4))
 
 # %% [markdown]
@@ -115,7 +115,7 @@ window = Constraint(
 )  # fmt: skip
 held = Problem(quad, 80, 0.025, running=easy, terminal=[goal], constraints=[window])
 strict = solve(held, at(-2.0), states=flight.states, ctrls=flight.ctrls)
-print(f"{strict.status} after {int(strict.iterations)} iterations")
+print(f"{strict.summary()} after {int(strict.iterations)} iterations")
 print("off the gate", gate(quad, 1.0, strict.state(40), strict.ctrls[40]).round(4))
 effort = [float(((x.ctrls - thrust) ** 2).sum() * 0.025) for x in (flight, strict)]
 print("effort as a cost {:.2f} N^2 s, as a constraint {:.2f} N^2 s".format(*effort))

@@ -83,7 +83,7 @@ def quadrotor(bounded: bool) -> Case:
     model = rb.load(case["model_mjcf"])
     goal = Pose(jnp.eye(3), jnp.array([1.0, 0, 1]), site="base_link")
     home = Pose(jnp.eye(3), jnp.zeros(3), site="base_link")
-    near = 1e-6 * jnp.array([0.1, 0.1, 0.1, 1e3, 1e3, 1e3])
+    near = 1e-6 * jnp.array([1e3, 1e3, 1e3, 0.1, 0.1, 0.1])
     problem = Problem(
         model, case["N"], case["dt"], terminal=[Cost(goal, 3.0)],
         running=[Cost(goal, 1e-2), Cost(home, near), Cost(Velocity(), 1e-3), Cost(Control(), 1e-6)],

@@ -105,7 +105,7 @@ def row(name: str, method: str, problem: Problem, start: Any, guesses: jax.Array
             problem, start, method=method, ctrls=ctrls, iterations=BUDGET.get(method, 300),
             tolerance=1e-8,
         )  # fmt: skip
-        return s.outcome, s.iterations, s.cost, s.gap
+        return s.status, s.iterations, s.cost, s.gap
 
     run = jax.jit(jax.vmap(one))
     jax.block_until_ready(run(guesses))

@@ -20,7 +20,6 @@ import numpy as np
 
 import rbjax as rb
 from benchmarks.shared.timing import markdown_table, save
-from rbjax.control.optimal.residuals import pose_of
 from rbjax.control.optimal.system import system_of
 
 C = rb.control
@@ -49,7 +48,7 @@ def run(iterations: int, ticks: int) -> dict[str, Any]:
     model = rb.load("arm7")
     rest = model.default_state()
     tip = model.body_names[-1]
-    centre = np.asarray(pose_of(model, rest.q, None, tip)[1])
+    centre = np.asarray(rb.frame_pose(model, rest.q, tip)[1])
     at = problem_of(model, tip, centre)
     bodies = model.bodies.replace(mass=1.2 * model.bodies.mass)
     plant = system_of("plant", model.replace(bodies=bodies))
@@ -57,7 +56,7 @@ def run(iterations: int, ticks: int) -> dict[str, Any]:
     start = time.perf_counter()
     act = C.RealTime(C.mpc(at, iterations=iterations), rest, jnp.tile(rest.q, (HORIZON, 1)))
     compile_s = time.perf_counter() - start
-    place = jax.jit(lambda q: pose_of(model, q, None, tip)[1])
+    place = jax.jit(lambda q: rb.frame_pose(model, q, tip)[1])
     x, off, cpu = rest, [], []
     gc.collect()
     gc.disable()
@@ -66,7 +65,7 @@ def run(iterations: int, ticks: int) -> dict[str, Any]:
         begin = time.process_time()
         u = act(t, x)
         cpu.append(1e3 * (time.process_time() - begin))
-        assert act.result == 0, act.result
+        assert act.status == 0, act.status
         x = jax.block_until_ready(move(t, x, u, DT))
         w = 2 * np.pi / PERIOD
         goal = centre + RADIUS * np.array([np.cos(w * (t + DT)) - 1, np.sin(w * (t + DT)), 0])

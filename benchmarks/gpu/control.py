@@ -26,10 +26,9 @@ from benchmarks.shared.gpu_timing import CALLS, alone, timed
 from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.compiler import threads
 from rbjax.control.optimal.first_guess import first_guess
-from rbjax.control.optimal.options import Options
+from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.shooting import ddp, sqp
 from rbjax.control.optimal.shooting import knots as knots_of
-from rbjax.control.optimal.shooting.verdict import Limits
 
 COLUMNS = (
     "robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median",
@@ -48,7 +47,7 @@ def starts(batch: int) -> tuple[rb.State, jax.Array]:
     return rb.State(f32(q), f32(v)), f32(jax.vmap(target_of)(jnp.arange(batch)))
 
 
-WAYS = {"ddp": ddp.ALONG_DYNAMICS, "sqp": sqp.BY_LINEAR_MODEL}
+WAYS = {"ddp": ddp.ROLLOUTS, "sqp": sqp.LINEAR_STEPS}
 MOST = 12  # iterations
 
 
@@ -83,10 +82,10 @@ def search(arm: Arm, N: int, way: str, count: jax.Array, state: rb.State, target
     """So many iterations of one problem."""
     problem, knots, us = arm.given(N, state, target)
     zero = jnp.zeros((), jnp.float32)
-    options = Options(zero, zero, count)
-    last = ddp.optimised(WAYS[way], problem, state, knots, us, options, MOST, False)
-    at = last.standing
-    return at.cost, at.stop, at.turns, last.ctrls
+    options = Options(StoppingRule(zero, zero, count))
+    last = ddp.iterate(WAYS[way], problem, state, knots, us, options, MOST, False)
+    at = last.search
+    return at.cost, at.expected_decrease, at.iterations, last.ctrls
 
 
 def parts(arm: Arm, N: int) -> dict[str, Any]:
@@ -95,7 +94,9 @@ def parts(arm: Arm, N: int) -> dict[str, Any]:
     def begun(state: rb.State, target: jax.Array) -> tuple:
         problem, knots, us = arm.given(N, state, target)
         zero = jnp.zeros((), jnp.float32)
-        return problem, ddp._begun(problem, knots, us, Limits(zero, zero, jnp.asarray(1)), 1)
+        return problem, ddp.initial_iterate(
+            problem, knots, us, StoppingRule(zero, zero, jnp.asarray(1)), 1
+        )
 
     def expand(state: rb.State, target: jax.Array) -> Any:
         problem, now = begun(state, target)
@@ -103,15 +104,15 @@ def parts(arm: Arm, N: int) -> dict[str, Any]:
 
     def backward(state: rb.State, target: jax.Array, found: Any) -> Any:
         problem, now = begun(state, target)
-        return ddp.gains_of(problem, now.knots, now.ctrls, found, found.gaps, now.standing.reg)
+        return ddp.gains_of(problem, now.knots, now.ctrls, found, found.gaps, now.search.reg)
 
     def forward(state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
         problem, now = begun(state, target)
-        return WAYS["ddp"].tries(problem, now, found, found.gaps, gains).costs
+        return WAYS["ddp"].trials(problem, now, found, found.gaps, gains).costs
 
     def trials(state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
         problem, now = begun(state, target)
-        return WAYS["sqp"].tries(problem, now, found, found.gaps, gains)
+        return WAYS["sqp"].trials(problem, now, found, found.gaps, gains)
 
     def linear(by_team: bool, state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
         run = threads(sqp.linear_step, team=by_team)

@@ -34,7 +34,7 @@ def row(model: rb.Model, dtype: type, batch: int, beside: int) -> dict:
         found = rb.control.inverse_kinematics(
             model, (R, p), body=HAND, tolerance=tolerance, side_by_side=beside
         )
-        return found.q, found.converged, found.iterations
+        return found.q, found.success, found.iterations
 
     run = jax.jit(jax.vmap(one))
     q, met, turns = run(*targets)

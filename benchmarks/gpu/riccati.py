@@ -28,7 +28,7 @@ import numpy as np
 
 import rbjax as rb
 from benchmarks.shared.timing import markdown_table, save
-from rbjax.control import Gains, LinearQuadratic, backward, parallel_backward
+from rbjax.control.linear import Gains, LinearQuadratic, backward, parallel_backward
 
 COLUMNS = ("precision", "batch", "horizon", "method", "compile_s", "ms", "us a step", "difference")
 HORIZONS = (16, 64, 256, 1024, 4096)
@@ -105,7 +105,7 @@ def run(
         row = {
             "precision": precision, "batch": batch, "horizon": horizon, "method": name,
             "compile_s": compiling, "ms": 1e3 * best, "us a step": 1e6 * best / horizon / batch,
-            "difference": difference(out, want), "ok": bool(jnp.all(out.ok)),
+            "difference": difference(out, want), "ok": bool(jnp.all(out.success)),
         }  # fmt: skip
         rows.append(row)
         print(json.dumps(row), flush=True)

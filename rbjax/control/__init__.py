@@ -1,125 +1,83 @@
-"""Trajectories and controllers, designed by gradients.
+"""Optimal control, feedback laws, linear regulators and trained policies.
 
-A `Problem` (`problem`) says what is to be found: a system (`system`), costs and constraints of
-terms (`terms`, `residuals`), bounds, and what of start, time and model is free. `solve`
-(`front_door`) finds it by any of `methods`: `ddp` (expanded by `expansion`, `backward_pass`,
-`forward_pass`), or samples (`sampling`). The first robots of a form are constants of its programs
-(`constants`).
+Rooms:
+    optimal: `Problem`, `solve` and its methods, derivatives of solutions, `mpc`.
+    laws: controllers of robots, allocation of forces to actuators, regions of attraction.
+    linear: regulators, Riccati and Lyapunov equations, controllability, margins, Kalman gains.
+    learning: environments, and policies trained through their dynamics.
 
-Policies (`networks`) are trained through the dynamics of an `environment` (`policy_gradient`);
-`region_of_attraction` maps which starts come back under a feedback.
-
-`inverse_kinematics` finds configurations in which frames meet `Goal`s, one search a thread
-(`restarts`, `damped_least_squares`); `differential_inverse_kinematics` velocities. A feedback `Law`
-is a policy (t, state) -> ctrl: `computed_torque`, `operational_space`, `cartesian_impedance`,
-`joint_impedance`, `gravity_compensation`; `allocate` turns forces into controls (`actuation`).
-
-A solution has derivatives (`implicit`: `optimality`, `riccati_solve`). `clearances` are distances
-to obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock.
-`rbjax.recommend.control_method` tries the methods on a problem.
-
-Linear systems: regulators of matrices, a model, a motion (`lqr`, `lqr_at`, `time_varying_lqr`);
-Riccati recursions serial and parallel in time (`riccati`, `parallel_riccati`); controllability,
-observability, poles, `margins`; Kalman gains and filters for what is not measured (`observer`).
+Inverse kinematics is `rbjax.kinematics`; its functions are available here too.
+`rbjax.recommend.control_method` tries the methods of `solve` on a problem.
 """
 
-from rbjax.control.laws.allocation import Allocation, allocate
-from rbjax.control.laws.attraction_map import RegionMap, region_of_attraction
-from rbjax.control.laws.computed_torque_law import ComputedTorque, computed_torque
-from rbjax.control.laws.controller import Law
-from rbjax.control.laws.gravity_compensation_law import GravityCompensation, gravity_compensation
-from rbjax.control.laws.impedance import (
-    CartesianImpedance,
-    JointImpedance,
+from rbjax.control import laws, learning, linear, optimal
+from rbjax.control.laws import (
+    Controller,
+    allocate,
     cartesian_impedance,
+    computed_torque,
+    gravity_compensation,
     joint_impedance,
+    operational_space,
+    region_of_attraction,
 )
-from rbjax.control.laws.operational_space_law import OperationalSpace, operational_space
-from rbjax.control.learning.environment import Environment
-from rbjax.control.learning.networks import Network, network
-from rbjax.control.learning.policy_gradient import Trained, actor_critic, through_time
-from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
-from rbjax.control.linear.observer import SteadyFilter, kalman_gain
-from rbjax.control.linear.parallel_riccati import parallel_backward, parallel_roll
-from rbjax.control.linear.regulators import Regulator, feedback, lqr, lqr_at, lqr_finite
-from rbjax.control.linear.riccati import (
-    Gains,
-    LinearQuadratic,
-    Steered,
-    backward,
-    constant_problem,
-    quadratic_cost,
-    roll,
-    steer,
-)
-from rbjax.control.linear.stability_margins import Margins, margins
-from rbjax.control.linear.systems import (
-    Reach,
-    controllability,
-    controllability_gramian,
-    directions,
-    discretise,
-    observability,
-    observability_gramian,
-    poles,
-)
-from rbjax.control.linear.tracking import Tracking, time_varying_lqr
-from rbjax.control.optimal.clearances import Capsule, Clearance, HalfSpace, Sphere
-from rbjax.control.optimal.problem import Design, Problem
-from rbjax.control.optimal.real_time import RealTime
-from rbjax.control.optimal.receding_horizon import Controller, mpc
-from rbjax.control.optimal.registry import Method, methods
-from rbjax.control.optimal.residuals import (
+from rbjax.control.learning import Environment, actor_critic, network, through_time
+from rbjax.control.linear import LinearStatus, feedback, lqr, lqr_at, time_varying_lqr
+from rbjax.control.optimal import (
     Acceleration,
+    Capsule,
     CenterOfMass,
+    Clearance,
     Configuration,
+    Constraint,
     Control,
+    Cost,
+    Design,
     Effort,
+    Equations,
     FrameVelocity,
+    HalfSpace,
     Jerk,
+    Method,
     Point,
     Pose,
+    PredictiveController,
+    Problem,
+    RealTime,
+    SampledStart,
+    Sampling,
+    Solution,
+    Sphere,
     StateError,
+    Status,
+    System,
+    Term,
+    TickStatus,
     Velocity,
+    methods,
+    mpc,
+    solve,
 )
-from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
-from rbjax.control.optimal.solution import Solution
-from rbjax.control.optimal.solver import solve
-from rbjax.control.optimal.system import Equations, System
-from rbjax.control.optimal.terms import Constraint, Cost, Term
-from rbjax.control.status import LINEAR_RESULTS
-from rbjax.kinematics.goals import Goal
-from rbjax.kinematics.position_level import InverseKinematics, inverse_kinematics
-from rbjax.kinematics.velocity_level import (
-    DifferentialInverseKinematics,
-    differential_inverse_kinematics,
-)
+from rbjax.kinematics import Goal, differential_inverse_kinematics, inverse_kinematics
 
 __all__ = [
+    # optimal control
     "Problem",
     "Design",
     "solve",
     "Solution",
+    "Status",
     "methods",
     "Method",
-    # the loop closed
-    "mpc",
-    "Controller",
-    "RealTime",
-    # what is controlled
-    "System",
-    "Equations",
     "Sampling",
     "SampledStart",
-    # policies
-    "Environment",
-    "Network",
-    "network",
-    "actor_critic",
-    "through_time",
-    "Trained",
-    "region_of_attraction",
-    "RegionMap",
+    "System",
+    "Equations",
+    # model predictive control
+    "mpc",
+    "PredictiveController",
+    "TickStatus",
+    "RealTime",
     # costs and constraints
     "Cost",
     "Constraint",
@@ -142,58 +100,31 @@ __all__ = [
     # inverse kinematics
     "Goal",
     "inverse_kinematics",
-    "InverseKinematics",
     "differential_inverse_kinematics",
-    "DifferentialInverseKinematics",
     # feedback laws
-    "Law",
+    "Controller",
     "computed_torque",
-    "ComputedTorque",
     "operational_space",
-    "OperationalSpace",
     "cartesian_impedance",
-    "CartesianImpedance",
     "joint_impedance",
-    "JointImpedance",
     "gravity_compensation",
-    "GravityCompensation",
     "allocate",
-    "Allocation",
+    "region_of_attraction",
     # regulators
-    "LINEAR_RESULTS",
-    "Regulator",
-    "Tracking",
-    "feedback",
     "lqr",
     "lqr_at",
-    "lqr_finite",
     "time_varying_lqr",
-    # linear-quadratic problems
-    "Gains",
-    "LinearQuadratic",
-    "Steered",
-    "backward",
-    "constant_problem",
-    "parallel_backward",
-    "parallel_roll",
-    "quadratic_cost",
-    "roll",
-    "steer",
-    # linear systems
-    "Lyapunov",
-    "Margins",
-    "Reach",
-    "controllability",
-    "controllability_gramian",
-    "directions",
-    "discretise",
-    "lyapunov",
-    "margins",
-    "observability",
-    "observability_gramian",
-    "poles",
-    # what is not measured
-    "SteadyFilter",
-    "kalman_gain",
+    "feedback",
+    "LinearStatus",
+    # policies
+    "Environment",
+    "network",
+    "actor_critic",
+    "through_time",
+    # rooms
+    "laws",
+    "learning",
+    "linear",
+    "optimal",
 ]
 

@@ -72,7 +72,7 @@ def swing_up(folder: Path, say: Callable[[str], None], *, iterations: int = 500)
         f"A cart can only be pushed left and right, with {FORCE:.0f} N at most; its pole hangs "
         f"down. {count} iterations of differential dynamic programming, from no force at all, find "
         f"{STEPS} forces that swing the pole up and stop it there within {DT * STEPS:.0f} seconds "
-        f"({found.status}). Open loop in MuJoCo C, the same forces give the same motion. The "
+        f"({found.summary()}). Open loop in MuJoCo C, the same forces give the same motion. The "
         f"solution has feedback gains, too: from a start that is {OFF} rad off, the forces miss, "
         "and the feedback brings the pole up.",
     )

@@ -4,7 +4,7 @@
 The damping is proportional to the error itself (Sugihara, *Solvability-unconcerned inverse
 kinematics by the Levenberg-Marquardt method*, 2011): far from the goal, or where it is out of
 reach, the step is short; near it the method is Newton's. The residuals and rows of J are weighted.
-s is a wish for the motion that the goals leave free (a way to a posture). The pair is the solution
+s is a desired step in the null space of the goals (towards a posture). The pair is the solution
 of  min |dq - s|^2 + |e - J dq|^2 / (c E).
 
 Coordinates at the end of their range that would be driven out of it are held: their columns are
@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from rbjax.kinematics.goals import Miss
+from rbjax.kinematics.goals import GoalErrors
 from rbjax.kinematics.joint_ranges import Ranges
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, mul, sub, total
 
@@ -27,10 +27,11 @@ from rbjax.lanes import Lane, add, inner, is_zero, ldlt, mul, sub, total
 ROUNDS = 2
 
 
-def weighted(miss: Miss) -> tuple[list[Lane], list[list[Lane]]]:
+def weighted(goal_errors: GoalErrors) -> tuple[list[Lane], list[list[Lane]]]:
     """e and the rows of J, each times the weight of its row."""
-    e = [mul(w, x) for w, x in zip(miss.weights, miss.errors, strict=True)]
-    J = [[mul(w, x) for x in row] for w, row in zip(miss.weights, miss.rows, strict=True)]
+    e = [mul(w, x) for w, x in zip(goal_errors.weights, goal_errors.errors, strict=True)]
+    rows = zip(goal_errors.weights, goal_errors.rows, strict=True)
+    J = [[mul(w, x) for x in row] for w, row in rows]
     return e, J
 
 
@@ -39,28 +40,28 @@ def step(
     e: Sequence[Lane],
     J: Sequence[Sequence[Lane]],
     ranges: Ranges,
-    wish: Sequence[Lane] | None,
+    null_step: Sequence[Lane] | None,
     damping: Lane,
 ) -> list[Lane]:
     """The step dq (nv lanes) from q, for weighted e and J."""
     g = transposed(J, e)
-    toward = g if wish is None else [add(a, b) for a, b in zip(g, wish, strict=True)]
+    direction = g if null_step is None else [add(a, b) for a, b in zip(g, null_step, strict=True)]
     dq = g
     for _ in range(ROUNDS):
-        J, wish = held(q, J, wish, ranges, toward)
-        dq = unbounded_step(e, J, wish, damping)
+        J, null_step = without_active_limits(q, J, null_step, ranges, direction)
+        dq = unbounded_step(e, J, null_step, damping)
         if not ranges.bounded and not ranges.balls:
             break
-        toward = dq
+        direction = dq
     return dq
 
 
-def held(
-    q: Sequence[Lane], J: Sequence[Sequence[Lane]], wish: Sequence[Lane] | None, ranges: Ranges,
-    toward: Sequence[Lane],
+def without_active_limits(
+    q: Sequence[Lane], J: Sequence[Sequence[Lane]], null_step: Sequence[Lane] | None,
+    ranges: Ranges, direction: Sequence[Lane],
 ) -> tuple[Sequence[Sequence[Lane]], Sequence[Lane] | None]:
-    """J and the wish without what would leave the ranges."""
-    free, outward = ranges.free(q, toward), ranges.outward(q, toward)
+    """J and the desired step without the coordinates at active limits."""
+    free, outward = ranges.free(q, direction), ranges.outward(q, direction)
 
     def row(x: Sequence[Lane]) -> list[Lane]:
         out = list(x)
@@ -74,15 +75,15 @@ def held(
                     out[i] = sub(out[i], mul(along, a))
         return out
 
-    return [row(x) for x in J], None if wish is None else row(wish)
+    return [row(x) for x in J], None if null_step is None else row(null_step)
 
 
 def unbounded_step(
-    e: Sequence[Lane], J: Sequence[Sequence[Lane]], wish: Sequence[Lane] | None, damping: Lane
+    e: Sequence[Lane], J: Sequence[Sequence[Lane]], null_step: Sequence[Lane] | None, damping: Lane
 ) -> list[Lane]:
     """s + J^T (J J^T + damping)^-1 (e - J s), by whichever matrix is smaller."""
-    if wish is not None:
-        e = [sub(x, inner(row, wish)) for x, row in zip(e, J, strict=True)]
+    if null_step is not None:
+        e = [sub(x, inner(row, null_step)) for x, row in zip(e, J, strict=True)]
     moving = [i for i in range(len(J[0])) if any(not is_zero(row[i]) for row in J)]
     if len(moving) < len(J):
         columns = [[row[i] for row in J] for i in moving]
@@ -92,7 +93,9 @@ def unbounded_step(
             found[i] = value
     else:
         found = transposed(J, solve(J, damping, e))
-    return found if wish is None else [add(a, b) for a, b in zip(found, wish, strict=True)]
+    if null_step is None:
+        return found
+    return [add(a, b) for a, b in zip(found, null_step, strict=True)]
 
 
 def solve(A: Sequence[Sequence[Lane]], damping: Lane, b: Sequence[Lane]) -> list[Lane]:

@@ -1,4 +1,4 @@
-"""What a frame shall reach, how far it is from there, and how that changes with the coordinates.
+"""Goals of frames: a pose, position, rotation or direction, with its error and Jacobian.
 
     pose         e = [log(R_d R^T); p_d - p]           J = [J_w; J_v]
     rotation     e = log(R_d R^T)                       J = J_w
@@ -37,7 +37,7 @@ OPPOSITE = 1e-14
 
 
 class Goal(Record):
-    """What one frame shall reach: a position, an attitude, both, or a direction of one of its axes.
+    """The goal of a frame: a position, an attitude, both, or a direction of one of its axes.
 
     Args:
         site, body: the name of the frame; exactly one of the two.
@@ -46,7 +46,7 @@ class Goal(Record):
         direction: (3,), where its `axis` shall point, in the world; not with a rotation.
         axis: (3,), an axis in the frame; its z if None.
         point: (3,) m, a point in the frame; its origin if None.
-        weight: how much its error counts beside those of other goals that cannot all be met.
+        weight: the weight of its error relative to other goals, if not all can be met.
 
     Raises:
         InputError: no or both names, nothing to reach, a wrong shape, a direction of no length.
@@ -100,7 +100,7 @@ class Goal(Record):
 
     @property
     def arrays(self) -> list[jax.Array]:
-        """What is to be reached."""
+        """The references."""
         return [x for x in (self.position, self.rotation, self.direction) if x is not None]
 
     @property
@@ -115,7 +115,7 @@ def _check_length(name: str, x: jax.Array | None) -> None:
         raise InputError(f"Goal: {name} is the zero vector, expected one with a direction")
 
 
-class Miss:
+class GoalErrors:
     """The errors of all goals at a configuration, and the Jacobian, row by row on lanes.
 
     errors: the lanes of e; rows: of each the lanes of J, nv in number, zero where a coordinate does
@@ -209,16 +209,16 @@ def body_of(model: Model, goal: Goal) -> int:
     return model.body(goal.body or "")
 
 
-def written_out(model: Model, dtype: Any) -> Unrolled:
-    """The driver for `Miss`, made once and used at many configurations."""
+def unrolled_driver(model: Model, dtype: Any) -> Unrolled:
+    """The driver for `GoalErrors`, made once and used at many configurations."""
     return Unrolled(model, prepare(model, dtype))
 
 
 def errors(model: Model, goals: Sequence[Goal], q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """e (m,) and J (m, nv) as arrays, without weights."""
-    miss = Miss(model, written_out(model, q.dtype), goals, q)
-    e = jnp.stack([jnp.asarray(x, q.dtype) for x in miss.errors])
-    rows = [jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in miss.rows]
+    goal_errors = GoalErrors(model, unrolled_driver(model, q.dtype), goals, q)
+    e = jnp.stack([jnp.asarray(x, q.dtype) for x in goal_errors.errors])
+    rows = [jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in goal_errors.rows]
     return e, jnp.stack(rows)
 
 

@@ -46,31 +46,32 @@ from rbjax.model.record import Record
 from rbjax.solvers.common.arguments import check_whole
 
 WHERE = "inverse_kinematics"
-#: a row of J is redundant if the square of what no other row has is below this share of its own,
+#: a row of J is redundant if the squared part outside of the other rows is below this share of it,
 #: in units of rounding
 REDUNDANT = 1e3
 
 
 class InverseKinematics(Record):
-    """What `inverse_kinematics` found.
+    """The result of `inverse_kinematics`.
 
-    Fields: q (nq,), within the ranges; rotation_error rad and position_error m, the largest of any
-    goal; converged, whether both are within the tolerance; iterations, of all starts together;
-    start, the number of the start that converged (0 is `start`; of searches
-    side by side the first starts count first).
+    q: (nq,), within the ranges.
+    rotation_error, position_error: rad and m, the largest of any goal.
+    success: whether both are within the tolerance.
+    iterations: of all starts together.
+    start: the index of the start that converged (0 is `start`; of searches side by side the first
+        starts count first).
     """
 
     q: jax.Array
     rotation_error: jax.Array
     position_error: jax.Array
-    converged: jax.Array
+    success: jax.Array
     iterations: jax.Array
     start: jax.Array
 
-    @property
-    def status(self) -> str:
-        """A sentence on the outcome: "converged ..." or "closest pose ...". Of a batch, on all."""
-        met = np.asarray(self.converged)
+    def summary(self) -> str:
+        """How the search ended: "converged ..." or "closest pose ...". Of a batch, of all."""
+        met = np.asarray(self.success)
         rotation, position = np.asarray(self.rotation_error), np.asarray(self.position_error)
         if met.ndim and met.all():
             return f"converged: all {met.size}"
@@ -120,9 +121,9 @@ def inverse_kinematics(
         site, body: the name of the frame.
         start: (nq,) the first start; the middle of the ranges if None (of a joint without a range
             the model's reference).
-        posture: (nq,) of all solutions, the one nearest to it is sought.
+        posture: (nq,), to select the nearest of all solutions.
         seeds: how many starts there are at most; those after the first are random.
-        side_by_side: how many searches run beside each other, each a thread or a lane, with the
+        side_by_side: how many searches run in parallel, each a thread or a lane, with the
             starts shared out among them; the one that converges in the fewest steps counts. 8 or
             more suit one target, or a small batch on a GPU, which waits for its last target.
         key: of the random starts; `jax.random.key(0)` if None.
@@ -133,10 +134,10 @@ def inverse_kinematics(
 
     Returns:
         `InverseKinematics`. A target out of reach gives the closest pose found and
-        `converged` false; `status` says so.
+        `success` false.
 
     Raises:
-        UnknownName: no such site or body. InputError: no frame, a wrong shape, what is no rotation,
+        UnknownName: no such site or body. InputError: no frame, a wrong shape, not a rotation,
         a frame that no joint moves.
 
     Source: Sugihara 2011 (damping); Beeson & Ames 2015 (restarts).
@@ -179,11 +180,11 @@ def inverse_kinematics(
 
 
 def _goals(target: Any, site: str | None, body: str | None) -> tuple[Goal, ...]:
-    """What the caller asks for, as goals."""
+    """The goals of a target."""
     several = target if isinstance(target, (list, tuple)) else (target,)
     if several and all(isinstance(g, Goal) for g in several):
         if site is not None or body is not None:
-            raise InputError(f"{WHERE}: got site or body beside goals, which name their own frames")
+            raise InputError(f"{WHERE}: got site or body with goals, which name their own frames")
         return tuple(several)
     frame = {"site": site, "body": body}
     if (site is None) == (body is None):
@@ -227,12 +228,12 @@ def _inlined(
     tolerance: Any, *, searches: tuple[int, int], how: Settings,
 ) -> InverseKinematics:  # fmt: skip
     """searches: how many run side by side, and the starts of each."""
-    dtype, limits, (beside, each) = tolerance[0].dtype, how.limits, searches
+    dtype, limits, (side, each) = tolerance[0].dtype, how.limits, searches
     if start is None:
         start = _middle(model, dtype) if limits else model.joints.reference.astype(dtype)
     ranges = Ranges(model, dtype, limits)
     start = jnp.stack([jnp.asarray(x, dtype) for x in ranges.within(list(start))])
-    others = random_configurations(model, key, beside * each - 1, start, limits)
+    others = random_configurations(model, key, side * each - 1, start, limits)
     moving, closed = split_tracers((model, goals, start, others, posture, weights, tolerance))
 
     def one(start: jax.Array, others: jax.Array, moving: list) -> Found:
@@ -243,9 +244,9 @@ def _inlined(
 
     def found(moving: list) -> Found:
         _, _, start, others, _, weights, _ = closed(moving)
-        if beside == 1:
+        if side == 1:
             return run(start, others, moving)
-        starts = jnp.concatenate([start[None], others]).reshape(beside, each, -1)
+        starts = jnp.concatenate([start[None], others]).reshape(side, each, -1)
         return _best(jax.vmap(run, (0, 0, None))(starts[:, 0], starts[:, 1:], moving), weights)
 
     ruled = jax.custom_jvp(found)
@@ -255,11 +256,11 @@ def _inlined(
 
         def at(moving: list, rate: Any) -> jax.Array:
             model, goals, _, _, posture, _, _ = closed(moving)
-            return _rate(model, goals, posture, limits, out, rate)
+            return _configuration_rate(model, goals, posture, limits, out, rate)
 
         def known(moving: list) -> Any:
             model, goals, _, _, posture, _, _ = closed(moving)
-            return _conditions(model, goals, posture, out.q)
+            return _stationarity_conditions(model, goals, posture, out.q)
 
         _, rate = jax.jvp(known, primals, tangents)
         still = jax.tree.map(_no_tangent, out)
@@ -277,14 +278,14 @@ _program = compiled(_inlined, static_argnames=("searches", "how"))
 
 def _best(found: Found, weights: Any) -> Found:
     """Of searches side by side, the one that converged in the fewest steps, else the nearest."""
-    beside = found.converged.shape[0]
+    side = found.converged.shape[0]
     off = jnp.hypot(weights[0] * found.rotation, weights[1] * found.position)
     last = jnp.where(jnp.isfinite(off), off, jnp.inf)
     turns = found.iterations.astype(off.dtype)
     first = jnp.where(found.converged, turns - 1 - turns.max(), last)  # those that did are below 0
     i = jnp.argmin(first)
     out = jax.tree.map(lambda x: x[i], found)
-    return out._replace(iterations=found.iterations.sum(), start=out.start * beside + i)
+    return out._replace(iterations=found.iterations.sum(), start=out.start * side + i)
 
 
 def _no_tangent(x: jax.Array) -> Any:
@@ -302,79 +303,79 @@ def _middle(model: Model, dtype: Any) -> jax.Array:
     return jnp.stack(q)
 
 
-def _conditions(model: Model, goals: Any, posture: Any, q: jax.Array) -> Any:
-    """What is zero at a solution q, apart from multipliers: e, and with a posture also the parts
-    s = p - q and J of s - J^T y."""
+def _stationarity_conditions(model: Model, goals: Any, posture: Any, q: jax.Array) -> Any:
+    """The conditions that are zero at a solution q, without multipliers: e, and with a posture
+    also the parts s = p - q and J of s - J^T y."""
     e, J = errors(model, goals, q)
     if posture is None:
         return e
-    return e, _wish(model, q, posture), J
+    return e, _posture_step(model, q, posture), J
 
 
-def _wish(model: Model, q: jax.Array, posture: jax.Array) -> jax.Array:
+def _posture_step(model: Model, q: jax.Array, posture: jax.Array) -> jax.Array:
     lanes = difference_lanes(model.topology, list(q), list(posture))
     return jnp.stack([jnp.asarray(x, q.dtype) for x in lanes])
 
 
-def _moved(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
+def _retract(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
     return jnp.stack(integrate_lanes(model.topology, list(q), list(u)))
 
 
-def _rate(
+def _configuration_rate(
     model: Model, goals: Any, posture: Any, limits: bool, found: Found, rate: Any
 ) -> jax.Array:
     """The rate of q (nq,) at a solution, from those of its conditions at constant q."""
     q = found.q
     _, J = errors(model, goals, q)
     ranges = Ranges(model, q.dtype, limits)
-    free = _free(model, ranges, q, None if posture is None else _wish(model, q, posture))
+    free = _free(model, ranges, q, None if posture is None else _posture_step(model, q, posture))
     if posture is None:
-        held = J * free
-        rows = [list(r) for r in matmat(held, held.T)]
+        J = J * free
+        rows = [list(r) for r in matmat(J, J.T)]
         least = REDUNDANT * float(jnp.finfo(q.dtype).eps)
         y = jnp.stack(ldlt(rows, least=least).solve(list(rate)))
-        dq = matvec(held.T, y)
+        dq = matvec(J.T, y)
     else:
-        dq = _rate_with_posture(model, goals, posture, q, J, free, rate)
+        dq = _configuration_rate_with_posture(model, goals, posture, q, J, free, rate)
     dq = jnp.where(found.converged, dq, 0.0)
-    return jax.jvp(lambda u: _moved(model, q, u), (jnp.zeros_like(dq),), (dq,))[1]
+    return jax.jvp(lambda u: _retract(model, q, u), (jnp.zeros_like(dq),), (dq,))[1]
 
 
-def _rate_with_posture(
+def _configuration_rate_with_posture(
     model: Model, goals: Any, posture: jax.Array, q: jax.Array, J: jax.Array, free: jax.Array,
     rate: Any,
 ) -> jax.Array:  # fmt: skip
     """dq of  H dq + J^T dy = dF,  J dq = de,  for coordinates that are free."""
     de, ds, dJ = rate
     n, m = J.shape[1], J.shape[0]
-    held = J * free
-    square = matmat(held, held.T)
+    J = J * free
+    square = matmat(J, J.T)
     least = 8 * jnp.finfo(q.dtype).eps * jnp.trace(square)
     rows = [list(r) for r in square + least * jnp.eye(m, dtype=q.dtype)]
-    y = jnp.stack(ldlt(rows).solve(list(matvec(held, _wish(model, q, posture)))))
+    y = jnp.stack(ldlt(rows).solve(list(matvec(J, _posture_step(model, q, posture)))))
 
     def F(u: jax.Array) -> jax.Array:
-        there = _moved(model, q, u)
-        return _wish(model, there, posture) - matvec(errors(model, goals, there)[1].T, y)
+        there = _retract(model, q, u)
+        return _posture_step(model, there, posture) - matvec(errors(model, goals, there)[1].T, y)
 
     H = -jax.jacfwd(F)(jnp.zeros(n, q.dtype))
     both = free[:, None] * free[None, :]
     H = H * both + jnp.diag(1 - free)
     corner = -least * jnp.eye(m, dtype=q.dtype)
-    system = jnp.block([[H, held.T], [held, corner]])
+    system = jnp.block([[H, J.T], [J, corner]])
     dF = free * (ds - matvec(dJ.T, y))
     return jnp.linalg.solve(system, jnp.concatenate([dF, de]))[:n]
 
 
-def _free(model: Model, ranges: Ranges, q: jax.Array, wish: jax.Array | None) -> jax.Array:
+def _free(model: Model, ranges: Ranges, q: jax.Array, step: jax.Array | None) -> jax.Array:
     """1 for each velocity coordinate, and 0 for one that stays at the end of its range: with a
     posture where that lies beyond it."""
     out = [jnp.ones((), q.dtype)] * model.nv
     for at in ranges.bounded:
         x = q[at.q]
         low, high = x <= at.lower, x >= at.upper
-        if wish is not None:
-            low, high = low & (wish[at.v] < 0), high & (wish[at.v] > 0)
+        if step is not None:
+            low, high = low & (step[at.v] < 0), high & (step[at.v] > 0)
         out[at.v] = jnp.where(low | high, 0.0, 1.0).astype(q.dtype)
     return jnp.stack(out)
 

@@ -6,8 +6,8 @@ step. So a search costs what its own starts cost, and many searches run side by 
 of a GPU or a lane of machine code, with no difference between a lane that steps and one that
 starts again.
 
-If no start succeeds, the best configuration of all is improved for `POLISH` more turns, so that
-what is out of reach ends at the nearest pose.
+If no start succeeds, the best configuration is improved for `POLISH` more iterations, so that a
+target out of reach ends at the nearest pose.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.kinematics.damped_least_squares import half_square, step, weighted
-from rbjax.kinematics.goals import Goal, Miss, written_out
+from rbjax.kinematics.goals import Goal, GoalErrors, unrolled_driver
 from rbjax.kinematics.joint_ranges import Ranges
 from rbjax.lanes import Lane, is_zero
 from rbjax.model import Model
@@ -39,7 +39,7 @@ LONGEST = 1.0
 
 
 class Settings(NamedTuple):
-    """What is part of the program: turns of one start, whether joints keep their ranges."""
+    """Compile-time settings: iterations of one start, whether joints keep their ranges."""
 
     iterations: int
     limits: bool
@@ -57,7 +57,7 @@ class Found(NamedTuple):
     start: jax.Array
 
 
-class _Turn(NamedTuple):
+class _SearchState(NamedTuple):
     q: jax.Array
     lowest: jax.Array
     stuck: jax.Array
@@ -88,20 +88,20 @@ def search(
     rotations and of positions.
     """
     dtype, top, last = start.dtype, model.topology, 1 + others.shape[0]
-    ranges, d = Ranges(model, dtype, how.limits), written_out(model, dtype)
+    ranges, d = Ranges(model, dtype, how.limits), unrolled_driver(model, dtype)
     least = LEAST * jnp.minimum(*(jnp.asarray(x, dtype) for x in tolerance))
     squares = [jnp.square(jnp.asarray(x, dtype)) for x in tolerance]
 
-    def looked(now: _Turn) -> _Turn:
+    def iterate(now: _SearchState) -> _SearchState:
         q = list(now.q)
-        miss = Miss(model, d, goals, now.q, weights)
-        e, J = weighted(miss)
+        goal_errors = GoalErrors(model, d, goals, now.q, weights)
+        e, J = weighted(goal_errors)
         E = half_square(e)
-        errors = [_array(miss.size(turns), dtype) for turns in (True, False)]
+        errors = [_array(goal_errors.size(turns), dtype) for turns in (True, False)]
         met = (errors[0] <= squares[0]) & (errors[1] <= squares[1])
-        wish = None if posture is None else difference_lanes(top, q, list(posture))
+        null_step = None if posture is None else difference_lanes(top, q, list(posture))
         damping = SHARE * E + least
-        dq = step(q, e, J, ranges, wish, damping)
+        dq = step(q, e, J, ranges, null_step, damping)
         dq = [x if is_zero(x) else jnp.clip(x, -LONGEST, LONGEST) for x in dq]
         moved = ranges.within(integrate_lanes(top, q, [_array(x, dtype) for x in dq]))
 
@@ -125,7 +125,7 @@ def search(
         if last > 1:
             row = others[jnp.clip(following - 1, 0, last - 2)]
             fresh = jnp.where(following < last, row, best)
-        return _Turn(
+        return _SearchState(
             q=jnp.where(over, fresh, _stack(moved, dtype)),
             lowest=jnp.where(over, jnp.inf, jnp.where(fell, E, now.lowest)),
             stuck=jnp.where(over, 0, stuck),
@@ -141,11 +141,11 @@ def search(
         )
 
     endless, none = jnp.asarray(jnp.inf, dtype), jnp.asarray(0, jnp.int32)
-    first = _Turn(
+    first = _SearchState(
         start, endless, none, none, none, none, jnp.asarray(False), start, endless,
         jnp.asarray(False), endless, endless,
     )  # fmt: skip
-    end = jax.lax.while_loop(lambda now: ~now.done, looked, first)
+    end = jax.lax.while_loop(lambda now: ~now.done, iterate, first)
     return Found(
         end.best, jnp.sqrt(end.rotation), jnp.sqrt(end.position), end.met, end.total, end.start
     )

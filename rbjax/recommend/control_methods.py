@@ -140,9 +140,9 @@ def _trial(
 
     one = run(guesses[0])
     ms = 1e3 * fastest(lambda: jax.block_until_ready(run(guesses[0]).cost))
-    outcomes = [one.outcome, *(run(g).outcome for g in guesses[1:])]
-    failed = tuple(i for i, x in enumerate(outcomes) if x != CONVERGED)
-    status = SENTENCES[int(one.outcome)].split(":")[0]
+    statuses = [one.status, *(run(g).status for g in guesses[1:])]
+    failed = tuple(i for i, x in enumerate(statuses) if x != CONVERGED)
+    status = SENTENCES[int(one.status)].split(":")[0]
     cost = float(one.cost) if np.isfinite(one.cost) else np.inf
     return Trial(
         name, status, cost, int(one.iterations), ms, 1 - len(failed) / len(guesses), failed

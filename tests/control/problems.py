@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
-from rbjax.control import LinearQuadratic
+from rbjax.control.linear import LinearQuadratic
 
 
 def random_problem(seed, N, n, m, dtype=float):

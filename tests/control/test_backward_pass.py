@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from rbjax.control import LinearQuadratic
+from rbjax.control.linear import LinearQuadratic
 from rbjax.control.linear.riccati import backward
 from rbjax.control.optimal.shooting.backward_pass import (
     Bounds,
     backward_pass,
-    carried,
-    carried_by_velocities,
+    propagate_value,
+    propagate_value_by_velocities,
 )
 from rbjax.control.optimal.shooting.box_qp import box_gains, box_qp
 from rbjax.control.optimal.shooting.expansion import Quadratic
@@ -60,7 +60,8 @@ def test_steps_by_velocities_are_half_the_work_of_the_same() -> None:
     V = rng.normal(size=(2 * nv, 2 * nv))
     V, v = V @ V.T, rng.normal(size=2 * nv)
     args = [jnp.asarray(x) for x in (V, v, A, B)]
-    for one, other in zip(carried(*args), carried_by_velocities(*args, h), strict=True):
+    pairs = zip(propagate_value(*args), propagate_value_by_velocities(*args, h), strict=True)
+    for one, other in pairs:
         assert relative_error(one, other) < F64_IDENTITY
 
 

@@ -41,7 +41,7 @@ def whole(solution):
 ], ids=["nan", "log of a negative number"])  # fmt: skip
 def test_a_cost_that_is_nan_is_named(method, cost):
     s = solve(problem(terminal=[cost]), START, method=method, iterations=20)
-    assert s.outcome == NOT_FINITE and "not finite" in s.status
+    assert s.status == NOT_FINITE and "not finite" in s.summary()
     assert whole(s)
 
 
@@ -50,15 +50,15 @@ def test_a_cost_that_is_nan_is_named(method, cost):
 def test_dynamics_that_are_nan_are_named(method):
     bad = Problem(system(lambda t, x, u: jnp.sqrt(x - 2.0) + u), 3, 1.0, running=[Control()])
     s = solve(bad, START, method=method, iterations=20)
-    assert s.outcome == NOT_FINITE and "not finite" in s.status
+    assert s.status == NOT_FINITE and "not finite" in s.summary()
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_cost_without_a_derivative_by_controls_has_a_named_end(method):
     """The Hessian of the controls is singular: nothing says which is best."""
     s = solve(problem(running=[lambda t, x, u: 0.0 * u]), START, method=method, iterations=50)
-    assert int(s.outcome) in (CONVERGED, BUDGET, STUCK, FINISHED) and whole(s)
-    if s.outcome == CONVERGED:
+    assert int(s.status) in (CONVERGED, BUDGET, STUCK, FINISHED) and whole(s)
+    if s.status == CONVERGED:
         assert abs(float(s.states[-1, 0])) < 1e-3
 
 
@@ -68,7 +68,7 @@ def test_a_cost_without_a_least_value_has_a_named_end(method):
     """-x^2 with any control: there is no optimum."""
     s = solve(problem(terminal=[lambda t, x, u: -10.0 * (x * x).sum()], bounds=None), START,
               method=method, iterations=20)  # fmt: skip
-    assert s.outcome != CONVERGED and whole(s)
+    assert s.status != CONVERGED and whole(s)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -76,7 +76,7 @@ def test_a_goal_out_of_reach_is_approached(method):
     """One unit a step: from 1 the state comes to -2 of a goal of -30."""
     s = solve(problem(running=[Cost(Control(), 1e-6)], terminal=[lambda t, x, u: x + 30.0]), START,
               method=method, iterations=500)  # fmt: skip
-    assert whole(s) and int(s.outcome) in (CONVERGED, BUDGET, FINISHED)
+    assert whole(s) and int(s.status) in (CONVERGED, BUDGET, FINISHED)
     np.testing.assert_allclose(s.states[-1], -2.0, atol=0.05)
 
 
@@ -86,8 +86,8 @@ def test_constraints_that_contradict_each_other_are_named(method):
     both = [Constraint(lambda t, x, u: x, 2.0, 3.0, "end", "above"),
             Constraint(lambda t, x, u: x, -3.0, -2.0, "end", "below")]  # fmt: skip
     s = solve(problem(constraints=both), START, method=method, iterations=500)
-    assert s.outcome == INFEASIBLE or (method in WEIGHING and s.outcome == BUDGET)
-    assert "above" in s.status or "below" in s.status
+    assert s.status == INFEASIBLE or (method in WEIGHING and s.status == BUDGET)
+    assert "above" in s.summary() or "below" in s.summary()
     assert whole(s)
 
 
@@ -96,15 +96,15 @@ def test_constraints_that_contradict_each_other_are_named(method):
 def test_a_goal_held_as_a_constraint_out_of_reach_is_named(method):
     far = Constraint(lambda t, x, u: x - 30.0, where="end", name="far")
     s = solve(problem(constraints=[far]), START, method=method, iterations=500)
-    assert s.outcome == INFEASIBLE or (method in WEIGHING and s.outcome == BUDGET)
-    assert "'far'" in s.status
+    assert s.status == INFEASIBLE or (method in WEIGHING and s.status == BUDGET)
+    assert "'far'" in s.summary()
 
 
 def test_a_start_that_is_nan_is_rejected_and_an_outcome_in_traced_code():
     nan = jnp.asarray([jnp.nan])
     with pytest.raises(InputError, match="start has numbers that are not finite"):
         solve(problem(), nan)
-    assert jax.jit(lambda x: solve(problem(), x).outcome)(nan) == NOT_FINITE
+    assert jax.jit(lambda x: solve(problem(), x).status)(nan) == NOT_FINITE
 
 
 # ------------------------------------------------------------ shapes and types
@@ -133,7 +133,7 @@ def test_a_start_that_is_nan_is_rejected_and_an_outcome_in_traced_code():
     ("shape", lambda: solve(problem(), jnp.zeros(2))),
     ("states", lambda: solve(problem(), START, states=jnp.zeros((3, 1)))),
     ("ctrls", lambda: solve(problem(), START, ctrls=jnp.zeros((4, 1)))),
-    ("numbers", lambda: solve(problem(), START, numbers=jnp.zeros(1))),
+    ("parameters", lambda: solve(problem(), START, parameters=jnp.zeros(1))),
     ("iterations", lambda: solve(problem(), START, iterations=0)),
     ("problem", lambda: solve(system(), START)),
     ("shape", lambda: solve(problem(terminal=[lambda t, x, u: jnp.ones((2, 2))]), START)),

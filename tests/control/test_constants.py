@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Control, Problem, StateError
-from rbjax.control.optimal.constants import ROBOTS, Constants, Known
+from rbjax.control.optimal.constants import ROBOTS, ConstantRobots, Constants
 from tests.compilations import compilations
 
 MODEL = rb.load("pendulum")
@@ -54,11 +54,11 @@ def test_constants_are_compared_by_their_numbers():
     assert one == same and hash(one) == hash(same)
     assert one != other and one != make([0, 1]) and one != "constants"
     assert make([np.nan]) == make([np.nan])
-    assert one.whole()[1] == "a name"
+    assert one.unflatten()[1] == "a name"
 
 
 def test_what_is_known():
-    known = Known()
+    known = ConstantRobots()
     robots = [(jnp.asarray(float(k)), len) for k in range(ROBOTS + 2)]
     found = [known.constants(robot) for robot in robots]
     assert [x is not None for x in found] == [True] * ROBOTS + [False] * 2

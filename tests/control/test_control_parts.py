@@ -17,10 +17,10 @@ from rbjax.control.linear.algebraic_riccati import _doubled, remainder
 from rbjax.control.linear.double_words import Double
 from rbjax.control.linear.parallel_riccati import Stretch, joined
 from rbjax.control.linear.systems import _reach
-from rbjax.control.optimal.collocation.barrier import PUSH, inside
-from rbjax.control.optimal.derivatives.implicit import _may_read_tracers
+from rbjax.control.optimal.collocation.barrier import PUSH, push_inside
+from rbjax.control.optimal.derivatives.implicit import _may_close_over_tracers
 from rbjax.control.optimal.registry import METHODS
-from rbjax.control.optimal.shooting.augmented_lagrangian import penalised
+from rbjax.control.optimal.shooting.augmented_lagrangian import penalty_residuals
 from rbjax.control.optimal.shooting.expansion import _second_order_in
 from rbjax.control.optimal.terms import _name
 
@@ -56,10 +56,10 @@ def test_joined_stretches_have_the_sum_of_their_costs():
     np.testing.assert_allclose(found.J, due, rtol=1e-12)
 
 
-@pytest.mark.parametrize("gains_of", [control.backward, control.parallel_backward])
+@pytest.mark.parametrize("gains_of", [control.linear.backward, control.linear.parallel_backward])
 def test_gains_of_one_step(gains_of):
     """K = (R + B'PB)^-1 B'PA with P = Q at the end; P = Q + A'PA - K'(R + B'PB) K before."""
-    found = jax.jit(gains_of)(control.constant_problem(A, B, Q, R, 1))
+    found = jax.jit(gains_of)(control.linear.constant_problem(A, B, Q, R, 1))
     H, G = R + B.T @ Q @ B, B.T @ Q @ A
     np.testing.assert_allclose(found.K[0], np.linalg.solve(H, G), rtol=1e-12)
     np.testing.assert_allclose(found.P[1], Q, rtol=1e-15)
@@ -87,14 +87,14 @@ def test_penalised_rows_vanish_within_their_limits():
     c, y, mu = np.array([-3.0, 0.5, 4.0]), np.array([0.2, -0.1, 0.6]), 2.0
     s = c + y / mu
     due = np.sqrt(mu) * np.array([s[0] + 1.0, 0.0, s[2] - 2.0])
-    np.testing.assert_allclose(penalised(c, y, mu, -1.0, 2.0), due, rtol=1e-14)
+    np.testing.assert_allclose(penalty_residuals(c, y, mu, -1.0, 2.0), due, rtol=1e-14)
 
 
 def test_a_point_is_pushed_into_its_bounds():
     """By the push relative to the bound, at most that of the width; not where it is inside."""
     low = np.array([-np.inf, -50.0, -np.inf, 1.0, -1.0])
     high = np.array([100.0, np.inf, 0.5, 1.5, 1.0])
-    found = inside(np.array([200.0, -60.0, 3.0, 0.0, 0.25]), low, high)
+    found = push_inside(np.array([200.0, -60.0, 3.0, 0.0, 0.25]), low, high)
     due = [100 - 100 * PUSH, -50 + 50 * PUSH, 0.5 - PUSH, 1 + 0.5 * PUSH, 0.25]
     np.testing.assert_allclose(found, due, rtol=1e-14)
 
@@ -158,10 +158,10 @@ def test_a_network_is_linear_behind_its_last_layer():
 
 def test_functions_that_may_read_tracers():
     inner = 3.0
-    assert _may_read_tracers(lambda x: inner * x)
-    assert _may_read_tracers(lambda x, k=2.0: k * x)
-    assert not _may_read_tracers(lambda x: x)
-    assert not _may_read_tracers(None)
+    assert _may_close_over_tracers(lambda x: inner * x)
+    assert _may_close_over_tracers(lambda x, k=2.0: k * x)
+    assert not _may_close_over_tracers(lambda x: x)
+    assert not _may_close_over_tracers(None)
     assert (_name(np.sin), _name(control.HalfSpace([0.0, 0.0, 1.0]))) == ("sin", "HalfSpace")
 
 

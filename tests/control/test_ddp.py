@@ -39,7 +39,7 @@ SLOW = [pytest.param(*p.values, id=p.id, marks=pytest.mark.slow) for p in LONG]
 def test_a_listed_cost_or_a_lower_one(make, method: str) -> None:
     case = make()
     found = solve(case.problem, case.start, method=method, iterations=300)
-    assert found.status == "converged"
+    assert found.success
     assert float(found.gap) < 1e-9
     due = min(case.costs, key=lambda c: abs(c - float(found.cost)))
     lower = float(found.cost) < min(case.costs)
@@ -58,7 +58,7 @@ def test_a_linear_problem_takes_one_step() -> None:
         terminal=[Cost(StateError(jnp.zeros(2)), np.diag(case["P_N"]))],
     )  # fmt: skip
     found = solve(problem, jnp.asarray(case["x0"], float))
-    assert found.status == "converged"
+    assert found.success
     assert int(found.iterations) <= 2
     assert abs(float(found.cost) - case["cost"]) < 1e-8 * case["cost"]
     assert np.abs(found.ctrls[:5, 0] - np.asarray(case["u_0_4"])).max() < 1e-8
@@ -102,7 +102,7 @@ def test_free_final_time_and_a_fixed_end() -> None:
         free_time=(0.5, 6.0),
     )  # fmt: skip
     found = solve(problem, jnp.array([1.0, 0.0]), iterations=400)
-    assert found.status == "converged", found.status
+    assert found.success, found.summary()
     assert float(found.violation) < 1e-6
     assert abs(float(found.duration) - 2.0) < 5e-3
 
@@ -115,7 +115,7 @@ def test_what_is_free_of_the_start() -> None:
         terminal=[Cost(lambda t, x, u: x[:1] - 1.0, 1e4)],
     )  # fmt: skip
     found = solve(problem, jnp.zeros(2))
-    assert found.status == "converged"
+    assert found.success
     assert abs(float(found.states[0, 1]) - 1.0) < 1e-6
     assert np.abs(found.ctrls).max() < 1e-6
 
@@ -131,7 +131,7 @@ def test_second_derivatives_make_the_end_quadratic() -> None:
     count, off = {}, {}
     for method in ("ddp", "exact_ddp", "exact_sqp"):
         found = solve(problem, jnp.array([0.5, 0.0]), method=method, tolerance=1e-13)
-        assert found.status == "converged"
+        assert found.success
         count[method] = int(found.iterations)
         off[method] = np.asarray(found.costs)[: count[method]] - float(found.cost)
     assert count["exact_ddp"] < 0.5 * count["ddp"]

@@ -63,7 +63,7 @@ def parts(s):
 def test_active_bounds_and_constraints_forward_reverse_and_within_programs():
     p = jnp.asarray([0.5, 1.0, 2.2, 1.1, 0.7, 0.05])
     s = bounded(p)
-    assert bool(s.converged)
+    assert bool(s.success)
     assert (jnp.abs(s.ctrls) == p[2]).sum() > 3
     assert (jnp.abs(s.states[:, 1] - p[3]) < 1e-9).sum() > 1
     run = lambda p: parts(bounded(p))  # noqa: E731
@@ -101,12 +101,12 @@ def reaching(p):
 @pytest.mark.slow
 def test_leaves_of_a_model_a_design_at_its_bound_and_a_free_final_time():
     p = jnp.asarray([0.2, 0.6, 0.3, 0.1])
-    assert bool(reaching(p).converged)
-    assert reaching(p).numbers[0] in (0.0, 5.0)
+    assert bool(reaching(p).success)
+    assert reaching(p).parameters[0] in (0.0, 5.0)
 
     def run(p):
         s = reaching(p)
-        return jnp.concatenate([s.ctrls.ravel(), s.states.q.ravel(), s.numbers, s.ts[-1:],
+        return jnp.concatenate([s.ctrls.ravel(), s.states.q.ravel(), s.parameters, s.ts[-1:],
                                 s.cost[None]])  # fmt: skip
 
     # a search ends at ten roundings of the cost, so the controls are known to about 1e-10, and the

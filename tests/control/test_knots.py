@@ -12,7 +12,7 @@ import rbjax as rb
 from rbjax.control import Control, Cost, Problem, StateError
 from rbjax.control.optimal.problem import BODY, NEXT, Knot
 from rbjax.control.optimal.shooting.augmented_lagrangian import no_multipliers
-from rbjax.control.optimal.shooting.knots import Expanded, columns, expand, numbers
+from rbjax.control.optimal.shooting.knots import Expanded, columns, expand, knot_indices
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 function = importlib.import_module("rbjax.compiler.jax.function")
@@ -36,7 +36,7 @@ def given() -> tuple[Problem, rb.State, Knot, jax.Array]:
 
 def test_columns_are_those_of_the_linearised_step() -> None:
     problem, _, knots, ctrls = given()
-    ks = numbers(N, ctrls.dtype)
+    ks = knot_indices(N, ctrls.dtype)
     A, B, gaps = jax.jit(jax.vmap(lambda k, u: columns(problem, k, knots, u)))(ks, ctrls)
     body, after = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
     due = jax.jit(jax.vmap(problem.linear))(ks, body, ctrls)

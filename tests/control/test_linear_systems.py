@@ -10,17 +10,16 @@ import scipy.linalg
 import scipy.signal
 
 import rbjax as rb
-from rbjax.control import (
-    LINEAR_RESULTS,
+from rbjax.control import LinearStatus, lqr
+from rbjax.control.linear import (
     controllability,
     controllability_gramian,
-    directions,
     discretise,
-    lqr,
     margins,
     observability,
     observability_gramian,
     poles,
+    unreachable_directions,
 )
 from rbjax.errors import InputError
 from tests.composing import check_composes
@@ -58,12 +57,12 @@ def test_missing_directions_have_names():
     model = rb.load("cart_pole")
     A, B = rb.linearise(model, model.default_state(), jnp.zeros(1))
     whole = controllability(A, B)
-    assert whole.rank == 4 and directions(model, whole) == []
+    assert whole.rank == 4 and unreachable_directions(model, whole) == []
     hinge = model.v_slice("hinge").start
     seen = observability(A, np.eye(4)[[hinge]])  # the pole's angle: not where the cart is
-    assert directions(model, seen) == ["1.00 position of slider"]
+    assert unreachable_directions(model, seen) == ["1.00 position of slider"]
     with pytest.raises(InputError, match="expected"):
-        directions(model, controllability(jnp.eye(2), jnp.eye(2)))
+        unreachable_directions(model, controllability(jnp.eye(2), jnp.eye(2)))
 
 
 def test_gramians_beside_quadrature():
@@ -78,7 +77,7 @@ def test_gramians_beside_quadrature():
     total = sum(np.linalg.matrix_power(Ad, k) @ Bd @ Bd.T @ np.linalg.matrix_power(Ad, k).T
                 for k in range(600))  # fmt: skip
     assert relative_error(controllability_gramian(Ad, Bd, discrete=True).X, total) < 1e-12
-    assert jax.jit(controllability_gramian)(-A, B).result == LINEAR_RESULTS.not_stable
+    assert jax.jit(controllability_gramian)(-A, B).status == LinearStatus.not_stable
     with pytest.raises(InputError, match="not stable"):
         controllability_gramian(-A, B)
 

@@ -9,7 +9,8 @@ import pytest
 import scipy.linalg
 
 import rbjax as rb
-from rbjax.control import LINEAR_RESULTS, feedback, lqr, lqr_at, poles
+from rbjax.control import LinearStatus, feedback, lqr, lqr_at
+from rbjax.control.linear import poles
 from rbjax.errors import InputError
 from tests.composing import STEP, check_composes
 from tests.control.problems import enlarged, random_system
@@ -23,7 +24,7 @@ solved = jax.jit(lqr)  # the numbers are not looked at
 
 
 def is_(result, name):
-    return bool(result == getattr(LINEAR_RESULTS, name))
+    return bool(result == getattr(LinearStatus, name))
 
 
 def polished(P, A, B, Q, R, S, discrete):
@@ -62,7 +63,7 @@ def test_random_systems_beside_scipy(n, m, discrete):
         truth = polished(scipys, A, B, Q, R, S, discrete)
         error = relative_error(found.P, truth)
         worst = max(worst, float(error))
-        assert is_(found.result, "successful") and found.residual < n * 2e-15
+        assert is_(found.status, "success") and found.residual < n * 2e-15
         of_truth = 5e-4 * relative_error(scipys, truth)  # long double has 11 bits more
         assert error <= found.error + of_truth  # as near as it says
         rates = np.linalg.eigvals(A - B @ np.asarray(found.K))
@@ -88,7 +89,7 @@ def test_hard_systems_beside_scipy(name, discrete):
     A, B, Q, R = enlarged(*system)
     found = lqr(A, B, Q, R, discrete=discrete)
     want = polished(are[discrete](A, B, Q, R), A, B, Q, R, 0 * B, discrete)
-    assert is_(found.result, "successful")
+    assert is_(found.status, "success")
     assert relative_error(found.P, want) < tolerance
 
 
@@ -96,9 +97,9 @@ def test_hard_systems_of_one_kind_only():
     A, B, Q, R = enlarged([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], np.eye(2), [[0.0]])
     found = lqr(A, B, Q, R, discrete=True)  # no cost of a control
     want = scipy.linalg.solve_discrete_are(A, B, Q, R)
-    assert is_(found.result, "successful") and relative_error(found.P, want) < 1e-12
+    assert is_(found.status, "success") and relative_error(found.P, want) < 1e-12
     found = lqr(*enlarged([[-3.0]], [[1.0]], [[-5.0]], [[1.0]]))  # a cost below zero, but bounded
-    assert is_(found.result, "successful") and abs(found.P[0, 0] + 1) < 1e-13
+    assert is_(found.status, "success") and abs(found.P[0, 0] + 1) < 1e-13
 
 
 @pytest.mark.parametrize(
@@ -120,7 +121,7 @@ def test_bad_problems_have_named_results(result, A, B, Q, R, kinds):
         with pytest.raises(InputError, match="lqr: "):
             lqr(*given, discrete=kind == "d")
         found = jax.jit(functools.partial(lqr, discrete=kind == "d"))(*map(jnp.asarray, given))
-        assert is_(found.result, result), found.result
+        assert is_(found.status, result), found.status
         assert not found.K.any() and not found.P.any() and not np.isnan(found.residual)
 
 
@@ -129,7 +130,7 @@ def test_numbers_that_are_not_finite_within_a_program():
         lqr([[np.nan]], [[1.0]], [1.0], [1.0])
     _, B, Q, R = map(jnp.asarray, enlarged([[1.0]], [[1.0]], [[1.0]], [[1.0]]))
     found = solved(jnp.full((3, 3), jnp.nan), B, Q, R)
-    assert is_(found.result, "not_finite") and not found.P.any()
+    assert is_(found.status, "not_finite") and not found.P.any()
     with pytest.raises(InputError, match="B have shapes"):
         lqr(np.eye(2), np.zeros((2, 0)), np.eye(2), np.zeros((0, 0)))
     with pytest.raises(InputError, match="vmap"):
@@ -189,7 +190,7 @@ def test_a_failure_in_a_batch_leaves_the_gradient_finite():
     def total(a, b):
         A = jnp.stack([jnp.diag(jnp.array([1.0, 0.0])), jnp.diag(jnp.array([-1.0, 0.0]))]) * a
         found = jax.vmap(lambda A: lqr(A, b * B, jnp.eye(2), jnp.eye(1)))(A)
-        return found.P.sum(), found.result == LINEAR_RESULTS.successful
+        return found.P.sum(), found.status == LinearStatus.success
 
     slope, ok = jax.jit(jax.grad(total, has_aux=True))(1.0, 1.0)
     assert ok.tolist() == [False, True] and np.isfinite(slope) and slope != 0
@@ -203,7 +204,7 @@ def test_a_model_is_held_upright():
     found = lqr_at(model, up, jnp.zeros(1), Q, np.ones(1), dt=0.02)
     A, B = rb.linearise(model, up, jnp.zeros(1), 0.02)
     want = scipy.linalg.solve_discrete_are(A, B, np.diag(Q), np.eye(1))
-    assert is_(found.result, "successful") and relative_error(found.P, want) < 1e-11
+    assert is_(found.status, "success") and relative_error(found.P, want) < 1e-11
     off = up.replace(q=up.q + jnp.array([0.3, 0.2]))
     path = rb.rollout(model, off, feedback(model, up, jnp.zeros(1), found.K), 0.02, steps=500)
     assert np.abs(path.q[-1] - up.q).max() < 0.03 * np.abs(off.q - up.q).max()
@@ -218,7 +219,7 @@ def test_a_model_is_held_on_the_tangent_space():
     ctrl = jnp.full(model.nu, weight / model.nu)
     dt = 0.02
     found = lqr_at(model, state, ctrl, jnp.ones(12), jnp.ones(model.nu), dt=dt)
-    assert is_(found.result, "successful")
+    assert is_(found.status, "success")
     off = jnp.array([0.3, -0.2, 0.4, 0.5, -0.4, 0.6])
     q = rb.integrate(model, state.q, off)
     law = feedback(model, state, ctrl, found.K)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from rbjax.control import LINEAR_RESULTS, lyapunov
+from rbjax.control import LinearStatus
+from rbjax.control.linear import lyapunov
 from rbjax.errors import InputError, UnknownName
 from tests.composing import check_composes
 from tests.tolerances import relative_error
@@ -36,7 +37,7 @@ def test_stable_matrices_beside_scipy(method, discrete):
     first = CONTRACTION if discrete else DECAY
     for A in (first, first * scales[:, None] / scales):  # the second badly scaled
         found = lyapunov(A, Q, discrete=discrete, method=method)
-        assert found.result == LINEAR_RESULTS.successful and found.residual < 2e-15
+        assert found.status == LinearStatus.success and found.residual < 2e-15
         assert relative_error(found.X, scipys(A, Q, discrete)) < (1e-12 if A is first else 1e-10)
 
 
@@ -50,8 +51,8 @@ def test_on_the_edge_and_beyond(discrete):
             with pytest.raises(InputError, match="not stable"):
                 lyapunov(A, np.eye(N), discrete=discrete)
         found = jax.jit(functools.partial(lyapunov, discrete=discrete))(A, np.eye(N))
-        assert bool(found.result == LINEAR_RESULTS.successful) == stable
-        assert bool(found.result == LINEAR_RESULTS.not_stable) != stable
+        assert bool(found.status == LinearStatus.success) == stable
+        assert bool(found.status == LinearStatus.not_stable) != stable
         assert np.isfinite(found.X).all()
     assert relative_error(found.X, scipys(near, np.eye(N), discrete)) < 1e-6  # condition 1e9
     # of a matrix that is not stable the Kronecker form knows the solution

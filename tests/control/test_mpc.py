@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Control, Cost, Equations, Problem, RealTime, mpc, solve
-from rbjax.control.optimal.receding_horizon import FALLBACK, KEPT, PLANNED
+from rbjax.control.optimal.controller_memory import FALLBACK, KEPT, PLANNED
 from rbjax.errors import InputError, UnknownName
 
 
@@ -28,7 +28,7 @@ def test_without_errors_of_the_model_the_delay_costs_nothing():
     runs = [jax.jit(mpc(cart(), delay=d).closed_loop, static_argnums=1)(START, 25) for d in (0, 1)]
     np.testing.assert_allclose(runs[0].states, runs[1].states, atol=1e-8)
     for run in runs:
-        assert (run.results == PLANNED).all() and (abs(run.ctrls) <= 0.4).all()
+        assert (run.statuses == PLANNED).all() and (abs(run.ctrls) <= 0.4).all()
         assert np.abs(run.states[-1]).max() < 0.1
 
 
@@ -52,7 +52,7 @@ def test_failing_plans_keep_the_last_and_then_fall_back(delay):
     fallback = lambda t, x: jnp.asarray([0.123])  # noqa: E731
     controller = mpc(at, delay=delay, patience=2, fallback=fallback)
     run = jax.jit(lambda x: controller.closed_loop(x, 10))(START)
-    assert run.results.tolist() == [PLANNED] * 3 + [KEPT] * 2 + [FALLBACK] * 5
+    assert run.statuses.tolist() == [PLANNED] * 3 + [KEPT] * 2 + [FALLBACK] * 5
     assert np.isfinite(run.states).all()
     np.testing.assert_allclose(run.ctrls[-5:], 0.123)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, StateError, mpc
-from rbjax.control.optimal.receding_horizon import KEPT, PLANNED, RESULTS, VIOLATED
+from rbjax.control.optimal.controller_memory import KEPT, PLANNED, VIOLATED
 from rbjax.errors import InputError
 
 LIMIT, OFF = 0.2, 1e-4  # m/s, and the default violation
@@ -26,13 +26,13 @@ def slider(horizon=12):
 def silent(run):
     """Ticks that end above the limit and do not say so."""
     off = np.abs(run.states[1:, 1]) - LIMIT > OFF
-    return int((off & (np.asarray(run.results) == PLANNED)).sum())
+    return int((off & (np.asarray(run.statuses) == PLANNED)).sum())
 
 
 def test_the_limit_is_held_at_default_settings():
     run = mpc(slider()).closed_loop(jnp.zeros(2), 25)
     assert np.abs(run.states[:, 1]).max() <= LIMIT + OFF
-    assert (run.results == PLANNED).all()
+    assert (run.statuses == PLANNED).all()
     assert np.abs(run.states[:, 1]).max() > 0.999 * LIMIT  # it binds
 
 
@@ -50,8 +50,8 @@ def test_a_tick_above_the_limit_says_so(method, delay, iterations):
 def test_a_start_beyond_the_limit_is_said_and_led_back():
     controller = mpc(slider(), delay=0)
     run = controller.closed_loop(jnp.array([0.0, 0.3]), 8)
-    assert int(run.results[0]) == VIOLATED and "violates" in RESULTS[VIOLATED]
-    assert abs(float(run.states[-1, 1])) <= LIMIT + OFF and KEPT not in run.results.tolist()
+    assert int(run.statuses[0]) == VIOLATED
+    assert abs(float(run.states[-1, 1])) <= LIMIT + OFF and KEPT not in run.statuses.tolist()
 
 
 @pytest.mark.parametrize("delay", [0, pytest.param(1, marks=pytest.mark.slow),

@@ -7,7 +7,8 @@ import pytest
 import scipy.linalg
 
 import rbjax as rb
-from rbjax.control import LINEAR_RESULTS, feedback, kalman_gain, lqr_at
+from rbjax.control import LinearStatus, feedback, lqr_at
+from rbjax.control.linear import kalman_gain
 from rbjax.estimation import (
     Estimate,
     StateSpace,
@@ -33,7 +34,7 @@ def test_the_steady_gain_beside_scipy():
     assert relative_error(found.P, P) < 1e-12
     assert relative_error(found.gain, np.linalg.solve(C @ P @ C.T + V, C @ P).T) < 1e-12
     hidden = kalman_gain(np.diag([2.0, 0.5, 0.1]), np.array([[0.0, 1, 0], [0, 0, 1]]), W, V)
-    assert hidden.result == LINEAR_RESULTS.not_stabilisable and not hidden.gain.any()
+    assert hidden.status == LinearStatus.not_stabilisable and not hidden.gain.any()
 
 
 def test_the_filter_becomes_steady_and_its_halves_are_the_filter():

@@ -6,17 +6,17 @@ import jax.numpy as jnp
 import pytest
 
 from rbjax.control import (
-    LINEAR_RESULTS,
     Constraint,
     Control,
     Equations,
+    LinearStatus,
     Problem,
     SampledStart,
     Sampling,
     lqr,
-    lyapunov,
     solve,
 )
+from rbjax.control.linear import lyapunov
 from rbjax.control.status import (
     BUDGET,
     CONVERGED,
@@ -100,7 +100,7 @@ def test_some_outcomes(outcome, method, dtype):
 
 #: A, B, Q, R of a regulator in continuous time
 LINEAR = {
-    "successful": (0.0, 1.0, 1.0, 1.0),
+    "success": (0.0, 1.0, 1.0, 1.0),
     "not_finite": (jnp.nan, 1.0, 1.0, 1.0),
     "indefinite_control_cost": (0.0, 1.0, 1.0, -1.0),
     "not_stabilisable": (1.0, 0.0, 1.0, 1.0),
@@ -113,14 +113,14 @@ def test_every_result_of_a_linear_solver_is_reached(dtype):
     """Traced, where a failure is a value."""
     reached = {"not_stable"}
     with jax.enable_x64(dtype == "float64"):
-        program = jax.jit(lambda *x: lqr(*x).result)
+        program = jax.jit(lambda *x: lqr(*x).status)
         for name, numbers in LINEAR.items():
             found = program(*(jnp.full((1, 1), x) for x in numbers))
-            assert bool(found == getattr(LINEAR_RESULTS, name)), name
+            assert bool(found == getattr(LinearStatus, name)), name
             reached.add(name)
-        found = jax.jit(lambda A: lyapunov(A, jnp.eye(1)).result)(jnp.ones((1, 1)))
-        assert bool(found == LINEAR_RESULTS.not_stable)
-    assert len(reached) == len(LINEAR_RESULTS)
+        found = jax.jit(lambda A: lyapunov(A, jnp.eye(1)).status)(jnp.ones((1, 1)))
+        assert bool(found == LinearStatus.not_stable)
+    assert len(reached) == len(LinearStatus)
 
 
 @pytest.mark.slow
@@ -135,6 +135,6 @@ def check(outcome, method, dtype):
         found = solve(make(), jnp.ones(1), method=METHODS[method], iterations=iterations,
                       violation=1e-4)  # fmt: skip
         assert found.cost.dtype == dtype
-        assert int(found.outcome) == outcome, found.status
-        assert bool(found.converged) == (outcome == CONVERGED)
-        assert found.status.startswith(SENTENCES[outcome].split(":")[0])
+        assert int(found.status) == outcome, found.summary()
+        assert bool(found.success) == (outcome == CONVERGED)
+        assert found.summary().startswith(SENTENCES[outcome].split(":")[0])

@@ -217,7 +217,7 @@ def test_a_sample_that_is_lost_does_not_stop_the_value_function():
         (lambda: Environment(MODEL, lambda s, u: s.q, start), InputError, "cost returned shape"),
         (lambda: Environment(MODEL, cost, lambda key: 1.0), InputError, "start returned"),
         (lambda: Environment(rb.load("pendulum").replace(), cost, start), InputError, "start"),
-        (lambda: actor_critic(1, None, KEY), InputError, "env is int"),
+        (lambda: actor_critic(1, None, KEY), InputError, "env is 1"),
         (lambda: actor_critic(environment(), 3.0, KEY), InputError, "policy is float"),
         (lambda: actor_critic(environment(), network(KEY, (4, 2)), KEY), InputError, "shape"),
         (lambda: actor_critic(environment(), lambda o: o[:1], KEY), InputError, "no floating"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.control import (
+from rbjax.control.linear import (
     backward,
     constant_problem,
     lqr_finite,
@@ -61,7 +61,7 @@ def test_the_conditions_of_optimality_as_one_linear_system(gains):
     x, u = rolled(z, found, jnp.asarray(start))
     want_x, want_u = by_kkt(z, start)
     assert relative_error(x, want_x) < 1e-11 and relative_error(u, want_u) < 1e-11
-    assert found.ok
+    assert found.success
     # the cost to go differs from the cost by a constant of the start
     zero = jnp.zeros(4)
     at_zero = quadratic_cost(z, *rolled(z, found, zero))
@@ -101,7 +101,7 @@ def test_minimum_energy_between_two_rests(case):
     A, B = jnp.array([[1.0, h], [0.0, 1.0]]), jnp.array([[h * h], [h]])
     z = constant_problem(A, B, jnp.zeros((2, 2)), 2 * h * jnp.eye(1), N)
     found = jax.jit(steer)(z, jnp.zeros(2), jnp.array([1.0, 0.0]))
-    assert found.ok and relative_error(found.cost, case["cost"]) < 1e-11
+    assert found.success and relative_error(found.cost, case["cost"]) < 1e-11
     assert relative_error(found.u[0, 0], case["u_first"]) < 1e-10
     assert relative_error(found.u[-1, 0], case["u_last"]) < 1e-10
 
@@ -111,10 +111,10 @@ def test_a_fixed_end_by_the_conditions_of_optimality():
     start, target = np.random.default_rng(4).normal(size=(2, 4))
     found = jax.jit(steer)(z, jnp.asarray(start), jnp.asarray(target))
     x, u = by_kkt(z, start, target)
-    assert found.ok
+    assert found.success
     assert relative_error(found.x, x) < 1e-10 and relative_error(found.u, u) < 1e-10
     few = jax.tree.map(lambda a: a[:1], z)._replace(Q=z.Q[:2], q=z.q[:2])
-    assert not jax.jit(steer)(few, jnp.asarray(start), jnp.asarray(target)).ok  # 2 of 4 states
+    assert not jax.jit(steer)(few, jnp.asarray(start), jnp.asarray(target)).success  # 2 of 4 states
 
 
 @pytest.mark.parametrize("gains", [serial, parallel])
@@ -124,7 +124,7 @@ def test_what_has_no_minimum_is_said_and_never_nan(gains, bad):
     value = {"indefinite": -1e3, "nan": np.nan, "inf": np.inf}[bad]
     z = z._replace(R=z.R.at[3, 0, 0].set(value))
     found = gains(z)
-    assert not found.ok
+    assert not found.success
     assert all(np.isfinite(x).all() for x in found)
 
     def total(R):
@@ -140,9 +140,9 @@ def test_the_hessian_needs_no_definite_control_cost():
     z = z._replace(R=z.R * 0, S=z.S * 0)
     found = serial(z)
     start = np.ones(3)
-    assert found.ok
+    assert found.success
     assert relative_error(rolled(z, found, jnp.asarray(start))[1], by_kkt(z, start)[1]) < 1e-9
-    assert not parallel(z).ok  # which needs one
+    assert not parallel(z).success  # which needs one
 
 
 def test_gains_compose():

@@ -95,8 +95,8 @@ def test_cross_entropy_finds_the_optimum():
         line(), START, method=Sampling("cross_entropy", **SMALL | {"samples": 200}),
         iterations=150, tolerance=1e-12,
     )  # fmt: skip
-    assert found.outcome == FINISHED and not found.converged and found.gap == 0
-    assert found.status.startswith("finished")
+    assert found.status == FINISHED and not found.success and found.gap == 0
+    assert found.summary().startswith("finished")
     assert 0 <= found.cost / best_cost() - 1 < 1e-6
     costs = found.costs[np.isfinite(found.costs)]
     assert (np.diff(costs) <= 0).all() and len(costs) == found.iterations
@@ -132,14 +132,14 @@ def test_bounds_that_bind():
 def test_ddp_from_a_sampled_start():
     method = SampledStart(Sampling("mppi", **SMALL), rounds=3)
     found = rb.control.solve(line(), START, method=method)
-    assert found.status == "converged" and abs(found.cost / best_cost() - 1) < 1e-9
+    assert found.success and abs(found.cost / best_cost() - 1) < 1e-9
     assert "sampled_ddp" in rb.control.methods()
 
 
 def test_a_cost_of_nan_is_named():
     problem = mass_on_a_line(terminal=[lambda t, x, u: jnp.nan * x[0]])
     found = rb.control.solve(problem, START, method=Sampling(**SMALL), iterations=2)
-    assert found.outcome == NOT_FINITE
+    assert found.status == NOT_FINITE
 
 
 def test_numbers_and_free_starts_are_drawn():

@@ -27,7 +27,7 @@ Q, R, END = np.array([10.0, 10.0, 1.0, 1.0]), np.array([0.1]), 100 * np.ones(4)
 def test_the_recursion_by_numpy():
     model, _, u, path = swing()
     law = time_varying_lqr(model, path, u, DT, Q, R, END)
-    assert law.ok and law.K.shape == (N, 1, 4)
+    assert law.success and law.K.shape == (N, 1, 4)
     states = State(path.q[:-1], path.v[:-1])
     As, Bs = jax.jit(jax.vmap(lambda x, u: rb.linearise(model, x, u, DT)))(states, u)
     P = np.diag(END)
@@ -73,7 +73,7 @@ def test_attitudes():
     off = start.replace(q=q)
     held, loose = rb.rollout(model, off, law, DT, steps=N), rb.rollout(model, off, u, DT)
     error = [np.abs(rb.difference(model, path.q[-1], p.q[-1])).max() for p in (held, loose)]
-    assert law.ok and error[1] > 2 * error[0]
+    assert law.success and error[1] > 2 * error[0]
 
 
 def test_bad_arguments():

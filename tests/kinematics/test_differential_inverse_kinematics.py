@@ -78,7 +78,7 @@ def test_limits_hold(arm):
     goal = control.Goal(site="tool", position=p - 0.3)
     found = velocity(arm, q, goal, rate=5.0, speed=0.8, dt=0.1)
     assert np.abs(found.v).max() <= 0.8 and found.v[3] <= 0.1 + 1e-12
-    assert (np.abs(found.v) == 0.8).any() and found.optimal < 1e-8
+    assert (np.abs(found.v) == 0.8).any() and found.optimality < 1e-8
 
 
 def test_derivative_with_limits(arm):
@@ -102,7 +102,7 @@ def test_bad_arguments(arm):
         velocity(arm, Q, goal, speed=-1.0)
     with pytest.raises(InputError, match="speed has shape"):
         velocity(arm, Q, goal, speed=np.ones(3))
-    with pytest.raises(InputError, match="no Goal"):
+    with pytest.raises(InputError, match="expected Goals"):
         velocity(arm, Q, [np.zeros(3)])
     with pytest.raises(InputError, match="q has shape"):
         velocity(arm, Q[:3], goal)

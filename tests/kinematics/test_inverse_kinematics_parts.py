@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import rbjax as rb
-from rbjax.kinematics.goals import Goal, Miss, written_out
+from rbjax.kinematics.goals import Goal, GoalErrors, unrolled_driver
 from rbjax.kinematics.joint_ranges import random_configurations
 
 BALL_AND_SLIDE = """<mujoco><compiler angle="radian"/>
@@ -21,7 +21,8 @@ TIP = Goal(body="lower", position=[0.1, 0.0, -1.5])
 
 def test_weights_of_rotations_and_of_positions():
     both = Goal(body="lower", position=[0.1, 0.0, -1.5], rotation=np.eye(3), weight=3.0)
-    miss = Miss(ARM, written_out(ARM, jnp.float64), [both], jnp.array([0.3, 0.4]), (2.0, 5.0))
+    driver, q = unrolled_driver(ARM, jnp.float64), jnp.array([0.3, 0.4])
+    miss = GoalErrors(ARM, driver, [both], q, (2.0, 5.0))
     assert [float(x) for x in miss.weights] == [6.0] * 3 + [15.0] * 3
     assert miss.turning == [True] * 3 + [False] * 3
 
@@ -43,5 +44,5 @@ def test_one_goal_or_a_list_of_them():
     for goals in (TIP, [TIP], (TIP, TIP)):
         with pytest.raises(rb.InputError, match="q has shape"):  # the goals are right
             rb.control.differential_inverse_kinematics(ARM, np.zeros(3), goals, rate=1.0)
-    with pytest.raises(rb.InputError, match="goals hold what is no Goal"):
+    with pytest.raises(rb.InputError, match="expected Goals"):
         rb.control.differential_inverse_kinematics(ARM, np.zeros(2), [TIP, 3.0], rate=1.0)

@@ -13,6 +13,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax import control, estimation, stability, sysid
+from rbjax.control import linear
 from tests.composing import cast
 from tests.public.grid import Case, same
 from tests.robots import robot
@@ -39,45 +40,45 @@ WEIGHT, SMALL_WEIGHT = positive(3), positive(3, 2)
 START = RNG.normal(size=(3, 3))
 
 
-def linear(A, B, Q, R):
-    return control.constant_problem(A, B, Q, R, 4)
+def steady(A, B, Q, R):
+    return linear.constant_problem(A, B, Q, R, 4)
 
 
 def rolled(A, B, Q, R, x):
-    problem = linear(A, B, Q, R)
-    return control.roll(problem, control.backward(problem), x)
+    problem = steady(A, B, Q, R)
+    return linear.roll(problem, linear.backward(problem), x)
 
 
 def rolled_in_parallel(A, B, Q, R, x):
-    problem = linear(A, B, Q, R)
-    return control.parallel_roll(problem, control.parallel_backward(problem), x)
+    problem = steady(A, B, Q, R)
+    return linear.parallel_roll(problem, linear.parallel_backward(problem), x)
 
 
 def cost(A, B, Q, R, x):
-    problem = linear(A, B, Q, R)
-    return control.quadratic_cost(problem, *rolled(A, B, Q, R, x))
+    problem = steady(A, B, Q, R)
+    return linear.quadratic_cost(problem, *rolled(A, B, Q, R, x))
 
 
 LQ = [0.2 * STABLE, INPUT, WEIGHT, SMALL_WEIGHT]
 CONTROL = {
     "lqr": Case(same(lambda *x: control.lqr(*x)[:2]), [STABLE, *LQ[1:]]),
-    "lqr_finite": Case(same(lambda *x: control.lqr_finite(*x, 4).K), LQ),
-    "backward": Case(same(lambda *x: control.backward(linear(*x))[:4]), LQ),
-    "constant_problem": Case(same(lambda *x: linear(*x)), LQ),
-    "parallel_backward": Case(same(lambda *x: control.parallel_backward(linear(*x))[:4]), LQ),
+    "lqr_finite": Case(same(lambda *x: linear.lqr_finite(*x, 4).K), LQ),
+    "backward": Case(same(lambda *x: linear.backward(steady(*x))[:4]), LQ),
+    "constant_problem": Case(same(lambda *x: steady(*x)), LQ),
+    "parallel_backward": Case(same(lambda *x: linear.parallel_backward(steady(*x))[:4]), LQ),
     "roll": Case(same(rolled), [*LQ, START]),
     "parallel_roll": Case(same(rolled_in_parallel), [*LQ, START]),
     "quadratic_cost": Case(same(cost), [*LQ, START]),
-    "lyapunov": Case(same(lambda A, Q: control.lyapunov(A, Q).X), [STABLE, WEIGHT]),
+    "lyapunov": Case(same(lambda A, Q: linear.lyapunov(A, Q).X), [STABLE, WEIGHT]),
     "controllability_gramian": Case(
-        same(lambda A, B: control.controllability_gramian(A, B).X), [STABLE, INPUT]
+        same(lambda A, B: linear.controllability_gramian(A, B).X), [STABLE, INPUT]
     ),
     "observability_gramian": Case(
-        same(lambda A, C: control.observability_gramian(A, C).X), [STABLE, OUTPUT]
+        same(lambda A, C: linear.observability_gramian(A, C).X), [STABLE, OUTPUT]
     ),
-    "discretise": Case(same(lambda A, B: control.discretise(A, B, 0.1)), [STABLE, INPUT]),
+    "discretise": Case(same(lambda A, B: linear.discretise(A, B, 0.1)), [STABLE, INPUT]),
     "kalman_gain": Case(
-        same(lambda A, C, W, V: control.kalman_gain(A, C, W, V)[:2]),
+        same(lambda A, C, W, V: linear.kalman_gain(A, C, W, V)[:2]),
         [STABLE, OUTPUT, WEIGHT, SMALL_WEIGHT],
     ),
 }
@@ -153,7 +154,7 @@ def tracked(dtype: Any) -> Callable:
 
 CONTROL |= {
     "steer": Case(
-        same(lambda A, B, Q, R, x: control.steer(linear(A, B, Q, R), x, 0 * x)[:2]), [*LQ, START]
+        same(lambda A, B, Q, R, x: linear.steer(steady(A, B, Q, R), x, 0 * x)[:2]), [*LQ, START]
     ),
     "time_varying_lqr": Case(tracked, [*CART_STATE, FOUR, ONE]),
     "lqr_at": Case(
@@ -190,17 +191,17 @@ CONTROL |= {
         [SEVEN[0], REACHED],
     ),
     "controllability": Case(
-        same(lambda A, B: control.controllability(A, B).inside), [STABLE, INPUT[..., :1]]
+        same(lambda A, B: linear.controllability(A, B).inside), [STABLE, INPUT[..., :1]]
     ),
     "observability": Case(
-        same(lambda A, C: control.observability(A, C).weakest), [STABLE, OUTPUT[:, :1]]
+        same(lambda A, C: linear.observability(A, C).weakest), [STABLE, OUTPUT[:, :1]]
     ),
     "poles": Case(
-        same(lambda A, B, K: jnp.real(control.poles(A, B, K))), [STABLE, INPUT, FEEDBACK]
+        same(lambda A, B, K: jnp.real(linear.poles(A, B, K))), [STABLE, INPUT, FEEDBACK]
     ),
     # kinks where the loop that is closest to instability changes
     "margins": Case(
-        same(lambda *x: [jnp.arctan(y) for y in control.margins(*x)[:4]]),  # some are infinite
+        same(lambda *x: [jnp.arctan(y) for y in linear.margins(*x)[:4]]),  # some are infinite
         [STABLE, INPUT, FEEDBACK],
         derivatives=False,
     ),

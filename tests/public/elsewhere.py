@@ -24,8 +24,12 @@ ELSEWHERE: dict[str, set[str]] = {
                  "time_scaling"},
     # searches, training, sentences; `solve` has cases by its methods
     "kinematics": {"inverse_kinematics"},
-    "control": {"actor_critic", "directions", "inverse_kinematics", "methods", "mpc",
-                "region_of_attraction", "through_time"},
+    "control": {"actor_critic", "inverse_kinematics", "methods", "mpc", "region_of_attraction",
+                "through_time"},
+    "control.laws": {"region_of_attraction"},
+    "control.learning": {"actor_critic", "through_time"},
+    "control.linear": {"unreachable_directions"},
+    "control.optimal": {"methods", "mpc"},
     # recordings, fits and their statistics, which run in NumPy on the host
     "sysid": {"base_parameters", "combinations", "compare", "consistent", "design_experiment",
               "diagnose", "differentiate", "equations", "estimates", "findings", "free_run",

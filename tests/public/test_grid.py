@@ -37,6 +37,8 @@ ALL_TESTS = Path(__file__).parent.parent
 #: rooms whose functions are cases of a table of another name
 TABLE_OF = {"rb": "models", "dynamics": "models", "forces": "models", "spatial": "bodies",
             "body": "bodies", "kinematics": "control"}  # fmt: skip
+SUBROOMS = {f"control.{name}" for name in ("laws", "learning", "linear", "optimal")}
+TABLE_OF |= dict.fromkeys(SUBROOMS, "control")
 
 
 def package(room: str) -> Any:
@@ -52,7 +54,7 @@ def with_a_case(room: str) -> set[str]:
 
 
 def test_every_room_is_listed() -> None:
-    assert ELSEWHERE.keys() == ROOMS
+    assert ELSEWHERE.keys() == ROOMS | SUBROOMS
     assert not hasattr(importlib.import_module("rbjax.motion"), "__all__")
 
 

@@ -160,7 +160,7 @@ def test_three_omni_wheels_take_the_least_torques_of_a_closed_form() -> None:
     W, R = np.diag([1e3, 1e2]), h * r**2 / 1.5 * np.eye(steps)
     F = np.linalg.solve(R + G.T @ W @ G, G.T @ W @ [1.0, 0.0])
     off = G @ F - [1.0, 0.0]
-    assert found.status == "converged"
+    assert found.success
     np.testing.assert_allclose(found.cost, (F @ R @ F + off @ W @ off) / 2, rtol=1e-10)
     np.testing.assert_allclose(found.ctrls, F[:, None] * r * -np.sin(angles) / 1.5, atol=1e-9)
 
@@ -179,7 +179,7 @@ def test_a_cart_parks_at_an_optimum_by_its_mass_too() -> None:
         ],
     )  # fmt: skip
     found = control.solve(problem, start)
-    assert found.status == "converged"
+    assert found.success
     cost, path = _cost_and_path(cart, start, found.ctrls, h)
     np.testing.assert_allclose(found.cost, cost, rtol=1e-12)
     assert relative_error(found.states.q, path.q) < F64_TRANSFORM
@@ -231,7 +231,7 @@ def test_a_car_that_slips_changes_lanes_as_by_quasi_newton_shooting(method) -> N
         ],
     )  # fmt: skip
     found = control.solve(problem, start, ctrls=begin, method=method)
-    assert found.status == "converged"
+    assert found.success
     path = path_of(found.ctrls)
     for one, other in ((found.states.q, path.q), (found.states.v, path.v)):
         assert relative_error(one, other) < F64_TRANSFORM

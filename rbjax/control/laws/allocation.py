@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
@@ -25,19 +26,18 @@ from rbjax.forces.acting import sighted
 from rbjax.forces.actuators.actuator import Actuator, GainBias
 from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
-from rbjax.kinematics.arguments import check_is
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, sub
 from rbjax.model import Model, State
 
-#: what to do with forces that the actuators cannot give
+#: reactions to forces that the actuators cannot give
 UNDRIVEN = ("refuse", "least_squares")
 #: a pivot of B^T B or B B^T below this share of its diagonal counts as zero
 RANK = 1e-11
 
 
 class Allocation(NamedTuple):
-    """ctrl (nu,), within the control ranges; residual (nv,) N m or N, what the actuators leave of
-    the forces that were asked for: of coordinates that nothing drives, and at limits."""
+    """ctrl (nu,), within the control ranges; residual (nv,) N m or N, the requested forces minus
+    those of the actuators: of coordinates without an actuator, and at limits."""
 
     ctrl: jax.Array
     residual: jax.Array
@@ -71,7 +71,7 @@ def allocate(model: Model, state: State, tau: jax.Array) -> Allocation:
     check_model("allocate", model)
     check_actuators("allocate", model)
     tau = check_array("allocate", "tau", tau, (model.nv,))
-    check_is("allocate", "state", state, State, "(q, v)")
+    instance("allocate", "state", state, State, "an rb.State(q, v)")
     ctrl = controls(model, state, tau)
     limits = model.actuators.ctrlrange.astype(ctrl.dtype)
     for element in model.forces:

@@ -17,7 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.laws.controller import Law, check_law, gains, unforced
+from rbjax.control.laws.controller import Controller, actuator_forces, check_controlled_model, gains
 from rbjax.control.laws.references import Followed, check_configurations, configuration
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.lanes import matvec
@@ -27,7 +27,7 @@ from rbjax.rotations import so3
 WHERE = "computed_torque"
 
 
-class ComputedTorque(Law):
+class ComputedTorque(Controller):
     """See `computed_torque`. Fields: reference; stiffness and damping (nv,), 1/s^2 and 1/s."""
 
     reference: Any
@@ -35,10 +35,10 @@ class ComputedTorque(Law):
     damping: jax.Array
 
     def tau(self, t: Any, state: State) -> jax.Array:
-        return unforced(self.model, state, self.acceleration(t, state))
+        return actuator_forces(self.model, state, self.acceleration(t, state))
 
     def acceleration(self, t: Any, state: State) -> jax.Array:
-        """(nv,) what the law asks for."""
+        """The desired accelerations (nv,)."""
         wanted = configuration(self.model, self.reference, t, state.q.dtype)
         return tracking_acceleration(self.model, state, wanted, self.stiffness, self.damping)
 
@@ -56,12 +56,13 @@ def computed_torque(
     tau = M a + b - other forces, a = a_d + D (v_d - v) + K e for coordinates that add.
 
     Args:
-        model: the robot, a tree. What other force elements give is compensated too.
+        model: the robot, a tree. Forces of other elements are compensated too.
         reference: (nq,) a configuration; or a function of t that returns one, whose velocity and
             acceleration are its derivatives; or one that returns (q, v, a).
         stiffness: K, 1/s^2, a number or (nv,).
-        damping: D, 1/s, likewise; 2 sqrt(K), critical, if None.
-        undriven: "refuse" a robot with coordinates that no actuator drives, or "least_squares".
+        damping: D, 1/s, a number or one a coordinate; 2 sqrt(K), critical, if None.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
 
     Returns:
         A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,) for
@@ -79,7 +80,7 @@ def computed_torque(
         >>> law.damping.tolist()
         [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0]
     """
-    check_law(WHERE, model, undriven)
+    check_controlled_model(WHERE, model, undriven)
     reference = check_configurations(WHERE, model, reference)
     K = gains(WHERE, "stiffness", stiffness, model.nv)
     D = 2 * jnp.sqrt(K) if damping is None else gains(WHERE, "damping", damping, model.nv)

@@ -1,8 +1,8 @@
-"""A feedback law: from time and state to what the actuators shall do.
+"""A feedback controller: from time and state to the forces and controls of the actuators.
 
     tau_a = tau(t, x),      u = B^+ (tau_a - b)             (`actuation.py`)
-tau_a is what the actuators add to the other forces on the model (springs, dampers, friction, wind
-...), so `rollout(model, state, law, ...)` through the actuators and
+tau_a are the forces of the actuators, in addition to springs, dampers, friction, wind and all other
+forces on the model, so `rollout(model, state, law, ...)` through the actuators and
 `rollout(model, state, tau=law.tau, ...)` without them are the same motion, where no limit is met
 and every coordinate is driven.
 """
@@ -26,11 +26,12 @@ from rbjax.model import Model, State
 from rbjax.model.record import Record
 
 
-class Law(Record):
-    """A policy (t, state) -> ctrl of a model. Its numbers (gains, the model's own) are leaves.
+class Controller(Record):
+    """A policy (t, state) -> ctrl of a model. Its gains and the model are leaves.
 
-    Its actuators have the controls of `__call__`; `tau` are the generalized forces that these are
-    to give; `allocated` also says what they do not give.
+    controller(t, state): controls (nu,), within their ranges.
+    controller.tau(t, state): the desired generalized forces (nv,) of the actuators.
+    controller.allocated(t, state): the controls, and the forces that the actuators cannot give.
     """
 
     model: Model
@@ -48,12 +49,12 @@ class Law(Record):
         return self.allocated(t, state).ctrl
 
     def allocated(self, t: Any, state: State) -> Allocation:
-        """The controls, and the forces that they leave out (nv,)."""
+        """The controls, and the residual forces (nv,) that the actuators cannot give."""
         return allocate(self.model, state, self.tau(t, state))
 
 
-def check_law(where: str, model: Any, undriven: str, actuated: bool = True) -> None:
-    """The checks of every law's model."""
+def check_controlled_model(where: str, model: Any, undriven: str, actuated: bool = True) -> None:
+    """Check the model of a controller."""
     check_model(where, model)
     check_moves(where, model)
     if model.constraints:
@@ -73,12 +74,12 @@ def gains(where: str, name: str, value: Any, n: int, *, least: float = 0.0) -> j
     return jnp.broadcast_to(x, (n,))
 
 
-def unforced(model: Model, state: State, a: jax.Array) -> jax.Array:
-    """What actuators must give (nv,) for the accelerations a: M a + b - the other forces."""
+def actuator_forces(model: Model, state: State, a: jax.Array) -> jax.Array:
+    """The actuator forces (nv,) for the accelerations a: M a + b - the other forces."""
     return inverse_dynamics(model, state.q, state.v, a) - applied_forces(model, state, None)
 
 
-def holding(model: Model, state: State) -> jax.Array:
-    """What actuators must give (nv,) to keep the robot at rest in this configuration."""
+def holding_forces(model: Model, state: State) -> jax.Array:
+    """The actuator forces (nv,) that hold the robot at rest in this configuration."""
     still = State(state.q, jnp.zeros_like(state.v), state.x)
-    return unforced(model, still, still.v)
+    return actuator_forces(model, still, still.v)

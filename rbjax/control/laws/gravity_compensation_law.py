@@ -2,8 +2,8 @@
 
     tau = g(q) - sum of J_b^T w_b - other forces at rest
 w_b are wrenches that the surroundings are known to give, as at the feet of a standing robot. A
-robot on a floating base has no actuators at its base: the wrenches must carry what is asked for
-there, and `law.allocated(t, state).residual` is what they leave.
+robot on a floating base has no actuators at its base: the wrenches must balance the forces there,
+and `law.allocated(t, state).residual` is the rest.
 
 (Siciliano et al., *Robotics*, 8.5.1; for floating bases Righetti et al. 2011.)
 """
@@ -14,7 +14,7 @@ from typing import Any
 
 import jax
 
-from rbjax.control.laws.controller import Law, check_law, holding
+from rbjax.control.laws.controller import Controller, check_controlled_model, holding_forces
 from rbjax.dynamics.algorithms.jacobians import generalized_forces
 from rbjax.dynamics.arguments import check_array, check_takes
 from rbjax.model import Model, State
@@ -22,13 +22,13 @@ from rbjax.model import Model, State
 WHERE = "gravity_compensation"
 
 
-class GravityCompensation(Law):
+class GravityCompensation(Controller):
     """See `gravity_compensation`. Fields: wrenches (nb, 6), a function of (t, state), or None."""
 
     wrenches: Any
 
     def tau(self, t: Any, state: State) -> jax.Array:
-        tau = holding(self.model, state)
+        tau = holding_forces(self.model, state)
         if self.wrenches is None:
             return tau
         w = self.wrenches(t, state) if callable(self.wrenches) else self.wrenches
@@ -38,7 +38,7 @@ class GravityCompensation(Law):
 def gravity_compensation(
     model: Model, *, wrenches: Any = None, undriven: str = "refuse"
 ) -> GravityCompensation:
-    """The law that balances gravity, and what other force elements give at rest.
+    """The controller that balances gravity and the other forces at rest.
 
     tau = g(q) - sum of J_b^T w_b - other forces at v = 0.
 
@@ -46,8 +46,9 @@ def gravity_compensation(
         model: the robot, a tree.
         wrenches: (nb, 6) [moment N m; force N] on bodies, world axes, at each body's frame origin,
             that the surroundings give; or a function (t, state) that returns them.
-        undriven: "refuse" a robot with coordinates that no actuator drives, or "least_squares":
-            the actuated joints get their forces, `law.allocated(t, state)` says what is left.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares":
+            the actuated joints get their forces, `law.allocated(t, state)` has the residual.
 
     Returns:
         A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
@@ -64,7 +65,7 @@ def gravity_compensation(
         >>> law(0.0, model.default_state()).shape
         (7,)
     """
-    check_law(WHERE, model, undriven)
+    check_controlled_model(WHERE, model, undriven)
     if callable(wrenches):
         check_takes(WHERE, "wrenches", wrenches, "t", "state")
     elif wrenches is not None:

@@ -19,7 +19,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.laws.controller import Law, check_law, gains, holding, unforced
+from rbjax.control.laws.controller import (
+    Controller,
+    actuator_forces,
+    check_controlled_model,
+    gains,
+    holding_forces,
+)
 from rbjax.control.laws.references import check_configurations, check_poses, configuration
 from rbjax.control.laws.task import Task, inertia, motion, task_of
 from rbjax.dynamics.algorithms.manifold import difference
@@ -28,11 +34,11 @@ from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.model import Model, State
 
-#: what is balanced besides the impedance
+#: forces that are compensated in addition to the impedance
 COMPENSATE = ("rest", "motion")
 
 
-class JointImpedance(Law):
+class JointImpedance(Controller):
     """See `joint_impedance`. Fields: reference; stiffness and damping (nv,)."""
 
     reference: Any
@@ -47,7 +53,7 @@ class JointImpedance(Law):
         return _balance(self, state) + spring
 
 
-class CartesianImpedance(Law):
+class CartesianImpedance(Controller):
     """See `cartesian_impedance`. Fields: task; reference; stiffness and damping (m, m) of the
     frame; posture, posture_stiffness and posture_damping (nv,) of the rest."""
 
@@ -75,8 +81,8 @@ class CartesianImpedance(Law):
 
 def _balance(law: JointImpedance | CartesianImpedance, state: State) -> jax.Array:
     if law.compensate == "rest":
-        return holding(law.model, state)
-    return unforced(law.model, state, jnp.zeros_like(state.v))
+        return holding_forces(law.model, state)
+    return actuator_forces(law.model, state, jnp.zeros_like(state.v))
 
 
 def joint_impedance(
@@ -96,9 +102,10 @@ def joint_impedance(
         model: the robot, a tree.
         reference: (nq,) a configuration, or a function of t that returns one.
         stiffness: K, N m/rad or N/m, a number or (nv,).
-        damping: D, N m s/rad or N s/m, likewise.
-        compensate: "rest", gravity and what acts at rest; "motion", the velocity terms too.
-        undriven: "refuse" a robot with coordinates that no actuator drives, or "least_squares".
+        damping: D, N m s/rad or N s/m, a number or one a coordinate.
+        compensate: "rest", gravity and the other forces at rest; "motion", the velocity terms too.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
 
     Returns:
         A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
@@ -116,7 +123,7 @@ def joint_impedance(
         (7,)
     """
     where = "joint_impedance"
-    check_law(where, model, undriven)
+    check_controlled_model(where, model, undriven)
     _check_compensate(where, compensate)
     return JointImpedance(
         model, undriven, check_configurations(where, model, reference),
@@ -151,11 +158,12 @@ def cartesian_impedance(
         site, body: the name of the frame.
         task: "pose", "position" or "rotation": which motions of the frame count, m in number.
         stiffness: K, N m/rad and N/m, a number, (m,) or a matrix (m, m); angular first, world axes.
-        damping: D, N m s/rad and N s/m, likewise.
+        damping: D, N m s/rad and N s/m, as the stiffness.
         posture: (nq,), or a function of t, that the rest of the motion tends to.
         posture_stiffness, posture_damping: K_0 and D_0, numbers or (nv,).
-        compensate: "rest", gravity and what acts at rest; "motion", the velocity terms too.
-        undriven: "refuse" a robot with coordinates that no actuator drives, or "least_squares".
+        compensate: "rest", gravity and the other forces at rest; "motion", the velocity terms too.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
 
     Returns:
         A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
@@ -175,7 +183,7 @@ def cartesian_impedance(
         (3, 3)
     """
     where = "cartesian_impedance"
-    check_law(where, model, undriven)
+    check_controlled_model(where, model, undriven)
     _check_compensate(where, compensate)
     what = task_of(where, model, site, body, task)
     reference = check_poses(where, reference, what.what)

@@ -1,10 +1,10 @@
 """Operational-space control: a frame accelerates as asked, the rest follows a posture.
 
-    V'_c = A_d + D (V_d - V) + K e                                  what the frame shall do
+    V'_c = A_d + D (V_d - V) + K e                                  the desired acceleration
     a    = a_0 + M^-1 J^T Lambda (V'_c - J' v - J a_0)              the joints' accelerations
     tau  = M a + b(q, v) - other forces
-a_0 is what a posture asks for, a_0 = K_0 (q_0 - q) - D_0 v. Of all accelerations that give V'_c, a
-is the nearest to a_0 in the metric of the inertia (Gauss' principle), which is Khatib's
+a_0 is the acceleration towards a posture, a_0 = K_0 (q_0 - q) - D_0 v. Of all accelerations that
+give V'_c, a is the nearest to a_0 in the metric of the inertia (Gauss' principle): Khatib's
 dynamically consistent null space: tau = J^T F + N^T tau_0 with N = 1 - M^-1 J^T Lambda J. Lambda is
 damped near singular configurations (`task.py`).
 
@@ -18,7 +18,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.laws.controller import Law, check_law, gains, unforced
+from rbjax.control.laws.controller import Controller, actuator_forces, check_controlled_model, gains
 from rbjax.control.laws.references import check_configurations, check_poses, configuration
 from rbjax.control.laws.task import Inertia, Motion, Task, inertia, motion, task_of
 from rbjax.dynamics.algorithms.manifold import difference
@@ -28,7 +28,7 @@ from rbjax.model import Model, State
 WHERE = "operational_space"
 
 
-class OperationalSpace(Law):
+class OperationalSpace(Controller):
     """See `operational_space`. Fields: task; reference; stiffness and damping (m,) of the frame;
     posture, posture_stiffness and posture_damping (nv,) of the rest."""
 
@@ -41,10 +41,10 @@ class OperationalSpace(Law):
     posture_damping: jax.Array
 
     def tau(self, t: Any, state: State) -> jax.Array:
-        return unforced(self.model, state, self.acceleration(t, state))
+        return actuator_forces(self.model, state, self.acceleration(t, state))
 
     def acceleration(self, t: Any, state: State) -> jax.Array:
-        """(nv,) what the law asks for."""
+        """The desired accelerations (nv,)."""
         seen = motion(self.model, self.task, self.reference, t, state)
         felt = inertia(self.model, state, seen.J)
         asked = self._posture(t, state)
@@ -98,11 +98,12 @@ def operational_space(
         site, body: the name of the frame.
         task: "pose", "position" or "rotation": which motions of the frame count.
         stiffness: K, 1/s^2, a number or one for each motion, angular first, world axes.
-        damping: D, 1/s, likewise; 2 sqrt(K) if None.
+        damping: D, 1/s, as the stiffness; 2 sqrt(K) if None.
         posture: (nq,), or a function of t, that the rest of the motion tends to; None only damps.
         posture_stiffness, posture_damping: K_0 1/s^2 and D_0 1/s, numbers or (nv,); D_0 is
             2 sqrt(K_0) if None.
-        undriven: "refuse" a robot with coordinates that no actuator drives, or "least_squares".
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
 
     Returns:
         A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,),
@@ -122,7 +123,7 @@ def operational_space(
         >>> law.damping.tolist()
         [20.0, 20.0, 20.0]
     """
-    check_law(WHERE, model, undriven)
+    check_controlled_model(WHERE, model, undriven)
     what = task_of(WHERE, model, site, body, task)
     reference = check_poses(WHERE, reference, what.what)
     K = gains(WHERE, "stiffness", stiffness, what.size)

@@ -1,8 +1,8 @@
-"""What a law follows: a point, or a function of time, with its velocity and acceleration.
+"""References of controllers: a constant, or a function of time with its velocity and acceleration.
 
     configuration   v = d/ds (q(t + s) - q(t)),  a = dv/dt         (minus on the manifold)
     frame           w = vee(R' R^T),  V = [w; p'],  A = [w'; p'']  in world axes
-A function gives what is to be reached only; the derivatives are those of JAX, in forward mode.
+A function returns the reference itself; JAX differentiates it in forward mode.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def check_configurations(
 
 
 def configuration(model: Model, reference: Any, t: Any, dtype: Any) -> Followed:
-    """What a reference of configurations asks for at a time."""
+    """The configuration, velocity and acceleration of a reference at a time."""
     if not callable(reference):
         still = jnp.zeros(model.nv, dtype)
         return Followed(reference.astype(dtype), still, still)
@@ -91,7 +91,8 @@ def check_poses(where: str, reference: Any, rows: tuple[str, ...]) -> Any:
 
 
 def pose(reference: Any, t: Any, rows: tuple[str, ...], dtype: Any) -> Pose:
-    """What a reference of a frame asks for at a time; no rotation where it has only positions."""
+    """The pose, twist and acceleration of a reference at a time; no rotation if it has only
+    positions."""
     t = jnp.asarray(t, dtype)
 
     def at(t: jax.Array) -> tuple[jax.Array, jax.Array]:

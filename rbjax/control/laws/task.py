@@ -1,4 +1,4 @@
-"""A task: what a frame of the robot does, and the inertia that it feels.
+"""Tasks of a frame: error, velocity, Jacobian, and the operational-space inertia.
 
     e = [log(R_d R^T); p_d - p],   V = J v,   V' = J a + J' v          (world axes, angular first)
     Lambda = (J M^-1 J^T)^-1                                             the task's inertia
@@ -23,7 +23,6 @@ from rbjax.control.laws.references import Pose, pose
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_pose
 from rbjax.dynamics.algorithms.jacobians import jacobian
-from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_static
 from rbjax.errors import InputError
 from rbjax.kinematics.goals import Goal, body_of
@@ -32,7 +31,7 @@ from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.rotations import so3
 
-#: what a task may move, and its rows among [angular; linear]
+#: kinds of tasks: the controlled motions, and their rows in [angular; linear]
 KINDS = {
     "pose": (("rotation", "position"), slice(0, 6)),
     "position": (("position",), slice(3, 6)),
@@ -96,14 +95,10 @@ def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> Task:
 
 
 def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Motion:
-    """A task at a state, and what is asked of it."""
+    """A task and its reference at a state."""
     q, v = state.q, state.v
     wanted = pose(reference, t, task.what, q.dtype)
-    if task.site is not None:
-        R, p = frame_pose(model, q, site=task.site)
-    else:
-        poses, b = forward_kinematics(model, q), model.body(task.body or "")
-        R, p = poses.R[b], poses.p[b]
+    R, p = frame_pose(model, q, **task.frame)
     turn = (wanted.R[:, None, :] * R[None, :, :]).sum(-1)
     e = jnp.concatenate([so3.log(turn), wanted.p - p])[task.rows]
     J = jacobian(model, q, **task.frame)[task.rows]
@@ -119,7 +114,7 @@ class Inertia(NamedTuple):
 
 
 def inertia(model: Model, state: State, J: jax.Array) -> Inertia:
-    """The inertia that a task with the Jacobian J feels, damped near singular configurations."""
+    """The inertia of a task with the Jacobian J, damped near singular configurations."""
     M, m = mass_matrix(model, state.q), J.shape[0]
     factors = ldlt([list(row) for row in M])
     columns = [factors.solve(list(row)) for row in J]

@@ -1,4 +1,4 @@
-"""Where a policy is trained: a robot, what it costs, what is observed, and where it starts.
+"""Environments: a robot, its cost, its observations and its starts, to train policies.
 
     u = pi(o(x)),     x+ = f(x, u; model),     J = sum gamma^k c(x_k, u_k)
 
@@ -36,14 +36,14 @@ class Segment(NamedTuple):
 
 
 class Environment(Record):
-    """Where a policy is trained.
+    """A robot with a cost, observations and starts, in which a policy is trained.
 
     Args (also its fields):
         model: an `rb.Model`.
         cost: (state, ctrl) -> a number, of one step.
         start: key -> `State`, where an episode begins.
         dt: the step in s; the model's timestep if None.
-        observe: state -> (o,), what the policy sees; q and v if None.
+        observe: state -> (o,), the observation; q and v if None.
         randomise: (key, model) -> model, for each sample and episode; None for the model itself.
         lost: state -> bool, where an episode ends before its time; a state that is not finite does.
         episode: steps after which a sample begins again.
@@ -130,7 +130,7 @@ class Environment(Record):
         return lambda t, state: self.act(policy, state)
 
     def check_policy(self, where: str, policy: Any) -> None:
-        """Refuse what is no policy of this environment."""
+        """Raise `InputError` unless the policy fits this environment."""
         if not callable(policy):
             raise InputError(
                 f"{where}: the policy is {type(policy).__name__}, expected a callable pytree such "
@@ -151,7 +151,7 @@ class Environment(Record):
             )
 
     def begun(self, key: jax.Array) -> tuple[Any, State]:
-        """A model, None where it is not randomised, and a state to begin with."""
+        """A model (None if it is not randomised) and a first state."""
         one, two = jax.random.split(key)
         model = None if self.randomise is None else self.randomise(one, self.model)
         state = self.start(two)
@@ -160,7 +160,7 @@ class Environment(Record):
         return model, state
 
     def unroll(self, policy: Any, models: Any, states: State, steps: int) -> Segment:
-        """Motions of a batch under a policy. models: of each sample, None for that of the
+        """Motions of a batch under a policy. models: of each sample; None: the model of the
         environment."""
         dt: Any = self.dt
 

@@ -2,8 +2,8 @@
 
     x_0 = begin(...),    x_{k+1}, c_k = turn(x_k)
 
-XLA compiles all of them as one loop, or chunks of it that report. Compiling takes longer than a
-short training runs, so that of a short one on a GPU is made short.
+XLA compiles all of them as one loop, or in chunks that report progress. Compiling takes longer
+than a short training, so for a short one on a GPU it is shortened.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rbjax.progress import progress_line
 CHUNKS = 10  # reports of progress
 
 #: On a GPU XLA measures ways to multiply matrices for some five seconds, and kernels are optimised
-#: for three: more than so many iterations of a small policy take
+#: for three: more than this many iterations of a small policy take
 UNMEASURED = {"xla_gpu_autotune_level": 0, "xla_gpu_enable_triton_gemm": False}
 OPTIMISED_FROM = 2000
 

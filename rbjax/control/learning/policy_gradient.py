@@ -24,11 +24,12 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from rbjax.arguments import instance, real_number
 from rbjax.control.learning.environment import Environment, Segment
 from rbjax.control.learning.iterations import iterated
 from rbjax.control.learning.networks import network
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_key, check_optimiser, check_positive
+from rbjax.kinematics.arguments import check_key
 from rbjax.model import State
 from rbjax.model.record import Record
 from rbjax.solvers.common.arguments import check_between, check_whole
@@ -37,10 +38,12 @@ GROUPS = 32  # of samples, whose gradients are computed side by side
 
 
 class Trained(Record):
-    """What training leaves.
+    """The result of a training.
 
-    Fields: policy; value, a `Network`, or None; costs (iterations,), the mean of a step's cost over
-    batch and horizon; skipped (), the updates that were left out: their gradients were not finite.
+    policy: trained.
+    value: the value function, a `Network`; None for `through_time`.
+    costs: (iterations,), the mean cost of a step over batch and horizon.
+    skipped: (), the updates that were skipped because their gradients were not finite.
     """
 
     policy: Any
@@ -58,7 +61,7 @@ class Samples(NamedTuple):
 
 
 class Training(NamedTuple):
-    """What an iteration leaves to the next."""
+    """The state between two iterations."""
 
     policy: Any
     value: Any
@@ -126,8 +129,8 @@ def actor_critic(
         >>> trained = rb.control.actor_critic(env, policy, key)  # doctest: +SKIP
     """
     _check("actor_critic", env, policy, key, iterations, batch, optimiser)
-    check_positive("actor_critic", "rate", rate)
-    check_positive("actor_critic", "value_rate", value_rate)
+    real_number("actor_critic", "rate", rate, above=0.0, traced=True)
+    real_number("actor_critic", "value_rate", value_rate, above=0.0, traced=True)
     if value is not None and not callable(value):
         got = type(value).__name__
         raise InputError(f"actor_critic: value is {got}, expected a callable pytree, as the policy")
@@ -164,7 +167,7 @@ def actor_critic(
         return policy_loss(segment.costs, worth(values, last), discount), segment
 
     def fit(values: Any, memory: Any, states: State, targets: jax.Array) -> tuple:
-        # samples that are lost have no weight; what stands for them is finite
+        # failed samples have no weight; their substitutes are finite
         good = jnp.isfinite(targets)
         for x in jax.tree.leaves(states):
             good = good & jnp.isfinite(x).all(-1)
@@ -266,7 +269,7 @@ def through_time(
         (2,)
     """
     _check("through_time", env, policy, key, iterations, batch, optimiser)
-    check_positive("through_time", "rate", rate)
+    real_number("through_time", "rate", rate, above=0.0, traced=True)
     numbers, rest = eqx.partition(policy, eqx.is_inexact_array)
     if optimiser is None:
         optimiser = optax.chain(
@@ -367,13 +370,14 @@ def _falling(rate: float, steps: int) -> Any:
 def _check(
     where: str, env: Any, policy: Any, key: Any, iterations: int, batch: int, optimiser: Any
 ) -> None:
-    if not isinstance(env, Environment):
-        raise InputError(
-            f"{where}: env is {type(env).__name__}, expected an rb.control.Environment"
-        )
+    instance(where, "env", env, Environment, "an rb.control.Environment")
     env.check_policy(where, policy)
     check_key(where, key)
-    check_optimiser(where, optimiser)
+    if optimiser is not None and not (hasattr(optimiser, "init") and hasattr(optimiser, "update")):
+        raise InputError(
+            f"{where}: optimiser is {optimiser!r}, expected a transformation of optax, such as "
+            "optax.adam(1e-3)"
+        )
     if not jax.tree.leaves(eqx.filter(policy, eqx.is_inexact_array)):
         raise InputError(
             f"{where}: the policy has no floating arrays to train; give one that is a pytree of "

@@ -14,7 +14,7 @@
 3. Newton's method (Kleinman, Hewer) from that gain: P of a closed loop by a Lyapunov equation, the
    gain of that P. It converges quadratically, to rounding, and stays stabilising.
 4. Two turns of refinement: the remainder for that gain with 1.5 times the digits (`double_words`),
-   and what it does to P by a Lyapunov equation. P ends within rounding of itself.
+   and the correction of P by a Lyapunov equation. P is accurate to rounding.
 
 The derivative solves one Lyapunov equation of the closed loop, by the implicit function theorem.
 Source: Chu, Fan, Lin & Wang, *Structure-preserving algorithms for periodic discrete-time algebraic
@@ -37,7 +37,7 @@ from rbjax.control.linear.double_words import Double
 from rbjax.control.linear.lyapunov_equation import cayley, continuous, is_stable, pace, stein
 from rbjax.control.linear.riccati import definite_factor
 from rbjax.control.products import product
-from rbjax.control.status import LINEAR_RESULTS, first_of
+from rbjax.control.status import LinearStatus, first_of
 
 TURNS = 60  # of doubling
 REFINED = 2  # the first turn leaves the square of the error
@@ -53,7 +53,7 @@ class Solved(NamedTuple):
     K: jax.Array
     residual: jax.Array
     error: jax.Array
-    result: Any
+    status: Any
 
 
 @functools.partial(compiled, static_argnums=5)
@@ -76,16 +76,16 @@ def riccati(
     K = jnp.where(found, K, 0.0)
     off, size = remainder(discrete, problem, P)
     error = jax.lax.stop_gradient(_rounding(discrete, problem, P, K))
-    result = first_of(
-        (~finite, LINEAR_RESULTS.not_finite),
-        (~definite, LINEAR_RESULTS.indefinite_control_cost),
-        (~started, LINEAR_RESULTS.not_stabilisable),
-        (~converged, LINEAR_RESULTS.no_stabilising_solution),
+    status = first_of(
+        (~finite, LinearStatus.not_finite),
+        (~definite, LinearStatus.indefinite_control_cost),
+        (~started, LinearStatus.not_stabilisable),
+        (~converged, LinearStatus.no_stabilising_solution),
     )
     residual, error = (
         jnp.where(ok, x, jnp.inf) for ok, x in ((finite, jnp.abs(off).max() / size), (found, error))
     )
-    return Solved(P, K, residual, error, result)
+    return Solved(P, K, residual, error, status)
 
 
 def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -100,7 +100,7 @@ def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax
 
 
 def remainder(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """What is left over of the equation (n, n), and the size of its largest term."""
+    """The residual (n, n) of the equation, and the size of its largest term."""
     A, B, Q, R, S = problem
     PA, PB = product(P, A), product(P, B)
     H = R + product(B.T, PB) if discrete else R
@@ -274,8 +274,8 @@ def _refined(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
 
 
 def _rounding(discrete: bool, problem: Problem, P: jax.Array, K: jax.Array) -> jax.Array:
-    """What rounding can leave of P's error, relative to P: the square of what rounding of the
-    equation's terms does to it."""
+    """A bound of the relative error of P by rounding: the square of the effect of rounding the
+    terms of the equation."""
     A, B, Q, R, _ = problem
     closed, size = A - product(B, K), jnp.abs
     H = R + product(B.T, product(P, B)) if discrete else R

@@ -25,22 +25,31 @@ import jax.numpy as jnp
 from rbjax.arguments import flag
 from rbjax.compiling import compiled
 from rbjax.control.products import product
-from rbjax.control.status import LINEAR_RESULTS, first_of, raise_failure
+from rbjax.control.status import LinearStatus, first_of, raise_failure
 from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError, UnknownName
 
-#: so many squarings see a spectral radius of 1 - 1e-15
+#: squarings that resolve a spectral radius of 1 - 1e-15
 SQUARINGS = 56
 METHODS = ("doubling", "kronecker")
 
 
 class Lyapunov(NamedTuple):
-    """Fields: X (n, n), symmetric where Q is; residual (), the largest entry of what is left over
-    of the equation, over that of its terms; result, of `LINEAR_RESULTS`."""
+    """The solution of a Lyapunov equation.
+
+    X: (n, n), symmetric if Q is.
+    residual: (), the largest entry of the residual over that of the terms of the equation.
+    status: a `LinearStatus`.
+    """
 
     X: jax.Array
     residual: jax.Array
-    result: Any
+    status: Any
+
+    @property
+    def success(self) -> jax.Array:
+        """Whether there is a solution."""
+        return self.status == LinearStatus.success
 
 
 def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling") -> Lyapunov:
@@ -54,7 +63,7 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
             with (n^2, n^2) linear systems.
 
     Returns:
-        `Lyapunov`. By doubling, if A is not stable, the result is `not_stable` in traced code and
+        `Lyapunov`. By doubling, if A is not stable, the status is `not_stable` in traced code and
         X is 0.
 
     Raises:
@@ -66,7 +75,7 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
     Source: Smith 1968; Bartels & Stewart 1972 (the problem).
 
     Example:
-        >>> from rbjax.control import lyapunov
+        >>> from rbjax.control.linear import lyapunov
         >>> float(lyapunov([[-2.0]], [[4.0]]).X[0, 0])
         1.0
     """
@@ -77,7 +86,7 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
     if method not in METHODS:
         raise UnknownName("method of lyapunov", method, METHODS)
     found = _lyapunov(A, Q, flag("lyapunov", "discrete", discrete), method)
-    raise_failure("lyapunov", found.result)
+    raise_failure("lyapunov", found.status)
     return found
 
 
@@ -97,10 +106,10 @@ def _lyapunov(A: jax.Array, Q: jax.Array, discrete: bool, method: str) -> Lyapun
         + jnp.abs(X).max() * (1 if discrete else jnp.abs(A).max())
     )
     off = jnp.abs(left(A, X) - Q).max() / jnp.maximum(size, jnp.finfo(dtype).tiny)
-    result = first_of(
-        (~stable, LINEAR_RESULTS.not_stable), (~finite, LINEAR_RESULTS.not_finite)
+    status = first_of(
+        (~stable, LinearStatus.not_stable), (~finite, LinearStatus.not_finite)
     )
-    return Lyapunov(X, off, result)
+    return Lyapunov(X, off, status)
 
 
 def _square(where: str, name: str, value: Any) -> jax.Array:

@@ -19,17 +19,23 @@ from rbjax.control.linear.regulators import weights
 from rbjax.control.linear.riccati import definite_factor
 from rbjax.control.linear.systems import pair
 from rbjax.control.products import product
+from rbjax.control.status import LinearStatus
 
 
 class SteadyFilter(NamedTuple):
     """Fields: gain (n, l); P (n, n), the covariance of the error, in discrete time before a sample;
-    residual (), error () and result, as in `Regulator`."""
+    residual (), error () and status, as in `Regulator`."""
 
     gain: jax.Array
     P: jax.Array
     residual: jax.Array
     error: jax.Array
-    result: Any
+    status: Any
+
+    @property
+    def success(self) -> jax.Array:
+        """Whether there is a solution."""
+        return self.status == LinearStatus.success
 
 
 def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> SteadyFilter:
@@ -55,7 +61,7 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
     Source: Kalman & Bucy 1961; Anderson & Moore, *Optimal Filtering*, 4.4.
 
     Example:
-        >>> from rbjax.control import kalman_gain
+        >>> from rbjax.control.linear import kalman_gain
         >>> found = kalman_gain([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], [0.0, 4.0], [1.0])
         >>> [round(float(x), 6) for x in found.gain[:, 0]]  # sqrt 2 w and w^2, w^2 = 2
         [2.0, 2.0]
@@ -71,4 +77,4 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
         S = product(C, product(found.P, C.T)) + V
         L, ok = definite_factor((S + S.T) / 2)
         gain = jnp.where(ok, cho_solve((L, True), product(C, found.P)).T, 0.0)
-    return SteadyFilter(gain, found.P, found.residual, found.error, found.result)
+    return SteadyFilter(gain, found.P, found.residual, found.error, found.status)

@@ -31,10 +31,10 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
+from rbjax.arguments import instance
 from rbjax.control.linear.riccati import MADE, Gains, LinearQuadratic, check_start, definite_factor
 from rbjax.control.products import product
 from rbjax.errors import UnknownName
-from rbjax.kinematics.arguments import check_is
 from rbjax.lanes.products import matrix_transpose, matvec
 
 
@@ -115,7 +115,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
         by: "doubling", or "tree" for fewer products that take longer to compile.
 
     Returns:
-        `Gains`; du = -K dx - k. Where ok is false K and k are 0, and P and p what is finite.
+        `Gains`; du = -K dx - k. Without success K and k are 0, and P and p what is finite.
 
     Raises:
         UnknownName: `by`.
@@ -127,7 +127,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem, parallel_backward
+        >>> from rbjax.control.linear import constant_problem, parallel_backward
         >>> one = jnp.eye(1)
         >>> gains = parallel_backward(constant_problem(one, one, one, one, 20))
         >>> round(float(gains.K[0, 0, 0]), 6)
@@ -135,7 +135,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
     """
     if by not in ("doubling", "tree"):
         raise UnknownName("way of parallel_backward", by, ("doubling", "tree"))
-    check_is("parallel_backward", "problem", problem, LinearQuadratic, MADE)
+    instance("parallel_backward", "problem", problem, LinearQuadratic, MADE)
     all_steps, ok = stretches(problem)
     to_end = tails(all_steps, by)
     P, p = to_end.J, -to_end.e
@@ -170,7 +170,7 @@ def parallel_roll(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem, parallel_backward, parallel_roll
+        >>> from rbjax.control.linear import constant_problem, parallel_backward, parallel_roll
         >>> one = jnp.eye(1)
         >>> problem = constant_problem(one, one, one, one, 2)
         >>> x, u = parallel_roll(problem, parallel_backward(problem), jnp.ones(1))

@@ -26,10 +26,10 @@ from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.linear.algebraic_riccati import riccati
 from rbjax.control.linear.riccati import Gains, backward, constant_problem
-from rbjax.control.optimal.terms import looked_at
-from rbjax.control.status import raise_failure
+from rbjax.control.status import LinearStatus, raise_failure
 from rbjax.dynamics.arguments import check_array, check_arrays, check_model, shape_of
 from rbjax.errors import InputError
+from rbjax.kinematics.arguments import known_array
 from rbjax.model import Model, State
 from rbjax.motion.field import Law, free_motion
 from rbjax.motion.integrators import Integrator
@@ -38,19 +38,28 @@ from rbjax.solvers.common.arguments import check_whole
 
 
 class Regulator(NamedTuple):
-    """Fields: K (m, n), u = -K x; P (n, n), the least cost x'Px; residual (), the largest entry
-    that is left over of the Riccati equation, over its largest term; error (), what rounding of
-    those terms can do to P, relative to P; result, of `LINEAR_RESULTS`. Without a solution K and P
-    are 0. acceleration (nv,), of `lqr_at`: v' at the state under the controls, zero at an
-    equilibrium; None for `lqr`.
+    """A regulator of infinite horizon; K and P are 0 without a solution.
+
+    K: (m, n), of u = -K x.
+    P: (n, n), the least cost is x'Px.
+    residual: (), the largest entry of the residual of the Riccati equation over its largest term.
+    error: (), a bound of the relative error of P by rounding.
+    status: a `LinearStatus`.
+    acceleration: (nv,), of `lqr_at`: v' at the state under the controls, zero at an equilibrium;
+        None for `lqr`.
     """
 
     K: jax.Array
     P: jax.Array
     residual: jax.Array
     error: jax.Array
-    result: Any
+    status: Any
     acceleration: jax.Array | None = None
+
+    @property
+    def success(self) -> jax.Array:
+        """Whether there is a solution."""
+        return self.status == LinearStatus.success
 
 
 def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False) -> Regulator:
@@ -73,7 +82,7 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
     Returns:
         `Regulator`, of the solution for which A - BK is stable. It is found where Q is positive
         semidefinite (with S) and (A, B) can be stabilised, unless a mode on the edge of stability
-        has no cost. In traced code `result` says if there is none, and why.
+        has no cost. In traced code `status` says if there is none, and why.
 
     Raises:
         InputError: shapes, values that are not finite, Q or R that is not symmetric; outside of
@@ -92,9 +101,9 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
     """
     A, B, Q, R, S = _matrices("lqr", A, B, Q, R, S)
     discrete = flag("lqr", "discrete", discrete)
-    P, K, residual, error, result = riccati(A, B, Q, R, S, bool(discrete))
-    raise_failure("lqr", result)
-    return Regulator(K, P, residual, error, result)
+    P, K, residual, error, status = riccati(A, B, Q, R, S, bool(discrete))
+    raise_failure("lqr", status)
+    return Regulator(K, P, residual, error, status)
 
 
 def lqr_at(
@@ -153,9 +162,9 @@ def lqr_at(
         model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints
     )
     A, B, Q, R, S = _matrices("lqr_at", linear.A, linear.B, Q, R, S)
-    P, K, residual, error, result = riccati(A, B, Q, R, S, dt is not None)
-    raise_failure("lqr_at", result)
-    return Regulator(K, P, residual, error, result, linear.acceleration)
+    P, K, residual, error, status = riccati(A, B, Q, R, S, dt is not None)
+    raise_failure("lqr_at", status)
+    return Regulator(K, P, residual, error, status, linear.acceleration)
 
 
 def lqr_finite(
@@ -179,7 +188,7 @@ def lqr_finite(
     Source: Anderson & Moore, 2.4.
 
     Example:
-        >>> from rbjax.control import lqr_finite
+        >>> from rbjax.control.linear import lqr_finite
         >>> lqr_finite([[1.0]], [[1.0]], [1.0], [1.0], 5).K.shape
         (5, 1, 1)
     """
@@ -242,7 +251,7 @@ def weights(where: str, name: str, value: Any, n: int) -> jax.Array:
 
 def _check_symmetric(where: str, name: str, W: jax.Array) -> None:
     """`InputError` if a matrix is not symmetric. Traced values are not checked."""
-    known = looked_at(W)
+    known = known_array(W)
     if known is None:
         return
     off = np.abs(known - known.T).max()

@@ -23,12 +23,12 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
+from rbjax.arguments import instance
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, shape_of
-from rbjax.kinematics.arguments import check_is, check_shapes
 from rbjax.solvers.common.arguments import check_whole
 
-MADE = ", such as rb.control.constant_problem returns"
+MADE = "a LinearQuadratic, such as rb.control.linear.constant_problem returns"
 
 
 class LinearQuadratic(NamedTuple):
@@ -52,28 +52,30 @@ class LinearQuadratic(NamedTuple):
 class Gains(NamedTuple):
     """The solution: du = -K dx - k, and the cost to go 1/2 dx'P dx + p'dx + constant.
 
-    Fields: K (N, m, n); k (N, m); P (N + 1, n, n); p (N + 1, n); ok (), false where the Hessian by
-    the controls is not positive definite at some step, or numbers are not finite. There K and k are
-    0, and P and p are those of the next knot, so nothing is nan.
+    K: (N, m, n). k: (N, m).
+    P: (N + 1, n, n). p: (N + 1, n).
+    success: (), false if the Hessian by the controls of some step is not positive definite, or
+        numbers are not finite. K and k of that step are 0, and P and p those of the next knot, so
+        nothing is nan.
     """
 
     K: jax.Array
     k: jax.Array
     P: jax.Array
     p: jax.Array
-    ok: jax.Array
+    success: jax.Array
 
 
 def check_start(where: str, problem: Any, gains: Any, start: Any) -> jax.Array:
     """dx_0 (n,) of a problem with its gains, checked."""
-    check_is(where, "problem", problem, LinearQuadratic, MADE)
-    check_is(where, "gains", gains, Gains, ", such as rb.control.backward returns")
+    instance(where, "problem", problem, LinearQuadratic, MADE)
+    instance(where, "gains", gains, Gains, "Gains, such as rb.control.linear.backward returns")
     return check_array(where, "start", start, problem.A.shape[-1:])
 
 
 @jax.custom_jvp
 def definite_factor(H: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """L of H = L L' and whether H is positive definite; where it is not, L is the unit matrix.
+    """L of H = L L' and whether H is positive definite; if not, L is the unit matrix.
 
     Values and derivatives are finite in both cases."""
     L = jax.lax.linalg.cholesky(H, symmetrize_input=False)
@@ -89,6 +91,12 @@ def _definite_factor_jvp(primals, tangents):
     W = solve_triangular(L, half.T, lower=True)
     dL = product(L, jnp.tril(W) - jnp.diag(jnp.diag(W)) / 2)
     return (L, ok), (jnp.where(ok, dL, 0.0), jnp.zeros(ok.shape, jax.dtypes.float0))
+
+
+def propagate_hessian(V: jax.Array, A: jax.Array, B: jax.Array) -> tuple[jax.Array, ...]:
+    """A'VA, B'VB and B'VA: the Hessian of the cost to go before a step."""
+    VA = product(V, A)
+    return product(A.T, VA), product(B.T, product(V, B)), product(B.T, VA)
 
 
 def backward(problem: LinearQuadratic) -> Gains:
@@ -108,13 +116,13 @@ def backward(problem: LinearQuadratic) -> Gains:
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> from rbjax.control import backward, constant_problem
+        >>> from rbjax.control.linear import backward, constant_problem
         >>> one = jnp.eye(1)
         >>> gains = backward(constant_problem(one, one, one, one, 20))
         >>> round(float(gains.K[0, 0, 0]), 6)  # the golden ratio less one
         0.618034
     """
-    check_is("backward", "problem", problem, LinearQuadratic, MADE)
+    instance("backward", "problem", problem, LinearQuadratic, MADE)
     end = problem.Q[-1], problem.q[-1]
     ok = jnp.isfinite(end[0]).all() & jnp.isfinite(end[1]).all()
     P, p = (jnp.where(ok, x, jnp.zeros_like(x)) for x in end)
@@ -124,16 +132,15 @@ def backward(problem: LinearQuadratic) -> Gains:
     def back(carry, given):
         P, p, ok = carry
         z = given
-        PA, PB = product(P, z.A), product(P, z.B)
+        APA, BPB, BPA = propagate_hessian(P, z.A, z.B)
         ahead = p + product(P, z.d)
-        H = z.R + product(z.B.T, PB)
-        G = z.S.T + product(PB.T, z.A)
+        H, G = z.R + BPB, z.S.T + BPA
         L, good = definite_factor((H + H.T) / 2)
         both = jnp.concatenate([G, (z.r + product(z.B.T, ahead))[:, None]], 1)
         half = solve_triangular(L, both, lower=True)
         K = solve_triangular(L, half, lower=True, trans=1)
         Y, y = half[:, :-1], half[:, -1]
-        new = z.Q + product(z.A.T, PA) - product(Y.T, Y)
+        new = z.Q + APA - product(Y.T, Y)
         new, slope = (new + new.T) / 2, z.q + product(z.A.T, ahead) - product(Y.T, y)
         good &= jnp.isfinite(new).all() & jnp.isfinite(slope).all() & jnp.isfinite(K).all()
         P, p = jnp.where(good, new, P), jnp.where(good, slope, p)
@@ -160,7 +167,7 @@ def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import backward, constant_problem, roll
+        >>> from rbjax.control.linear import backward, constant_problem, roll
         >>> one = jnp.eye(1)
         >>> problem = constant_problem(one, one, one, one, 2)
         >>> x, u = roll(problem, backward(problem), jnp.ones(1))
@@ -185,15 +192,15 @@ def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem, quadratic_cost
+        >>> from rbjax.control.linear import constant_problem, quadratic_cost
         >>> problem = constant_problem(jnp.eye(1), jnp.eye(1), jnp.eye(1), jnp.eye(1), 2)
         >>> float(quadratic_cost(problem, jnp.ones((3, 1)), jnp.ones((2, 1))))
         2.5
     """
     where = "quadratic_cost"
-    check_is(where, "problem", problem, LinearQuadratic, MADE)
+    instance(where, "problem", problem, LinearQuadratic, MADE)
     N, n, m = problem.B.shape
-    x, u = check_shapes(where, [("x", x, (N + 1, n)), ("u", u, (N, m))])
+    x, u = check_array(where, "x", x, (N + 1, n)), check_array(where, "u", u, (N, m))
     by_state = ((x / 2) * (problem.Q * x[:, None, :]).sum(-1) + problem.q * x).sum()
     by_control = ((u / 2) * (problem.R * u[:, None, :]).sum(-1) + problem.r * u).sum()
     return by_state + by_control + (x[:-1, :, None] * problem.S * u[:, None, :]).sum()
@@ -201,13 +208,13 @@ def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.
 
 class Steered(NamedTuple):
     """States x (N + 1, n), controls u (N, m), the cost, the multiplier (n,) of the end, which is
-    the slope of the cost by -target, and ok: whether the end is reached."""
+    the slope of the cost by -target, and success: whether the end is reached."""
 
     x: jax.Array
     u: jax.Array
     cost: jax.Array
     multiplier: jax.Array
-    ok: jax.Array
+    success: jax.Array
 
 
 def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Steered:
@@ -223,22 +230,24 @@ def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Stee
         target: dx_N (n,).
 
     Returns:
-        `Steered`; ok is false where the target cannot be reached in N steps, or H is not definite.
+        `Steered`; success is false if N steps do not reach the target, or H is not definite.
 
     Source: Bryson & Ho, *Applied Optimal Control*, 5.3 (terminal constraints).
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem, steer
+        >>> from rbjax.control.linear import constant_problem, steer
         >>> h = 0.1  # a mass of 1 kg by 1 m in 1 s, with the least integral of u^2
         >>> A, B = jnp.array([[1.0, h], [0.0, 1.0]]), jnp.array([[h * h], [h]])
         >>> problem = constant_problem(A, B, jnp.zeros((2, 2)), 2 * h * jnp.eye(1), 10)
         >>> round(float(steer(problem, jnp.zeros(2), jnp.array([1.0, 0.0])).cost), 4)
         12.1212
     """
-    check_is("steer", "problem", problem, LinearQuadratic, MADE)
+    instance("steer", "problem", problem, LinearQuadratic, MADE)
     n = problem.A.shape[-1]
-    start, target = check_shapes("steer", [("start", start, (n,)), ("target", target, (n,))])
+    start, target = (
+        check_array("steer", name, x, (n,)) for name, x in (("start", start), ("target", target))
+    )
     gains = backward(problem)
     P = gains.P[1:]
 
@@ -263,7 +272,7 @@ def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Stee
     # a Gramian that is singular but for rounding has a factor, and leads elsewhere
     size = jnp.abs(x).max(0) + jnp.abs(target)
     near = (jnp.abs(x[-1] - target) <= jnp.sqrt(jnp.finfo(W.dtype).eps) * size).all()
-    ok = gains.ok & reached & near
+    ok = gains.success & reached & near
     return Steered(x, u, quadratic_cost(problem, x, u), multiplier, ok)
 
 
@@ -290,7 +299,7 @@ def constant_problem(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem
+        >>> from rbjax.control.linear import constant_problem
         >>> constant_problem(jnp.eye(2), jnp.ones((2, 1)), jnp.eye(2), jnp.eye(1), 3).q.shape
         (4, 2)
     """
@@ -298,7 +307,7 @@ def constant_problem(
     check_whole(where, "horizon", horizon, 1)
     n, m = (*shape_of(where, "A", A), 0)[0], (*shape_of(where, "R", R), 0)[0]
     due = [("A", A, (n, n)), ("B", B, (n, m)), ("Q", Q, (n, n)), ("R", R, (m, m))]
-    A, B, Q, R = check_shapes(where, due)
+    A, B, Q, R = (check_array(where, name, x, shape) for name, x, shape in due)
     dtype = jnp.result_type(A, B, Q, R, jnp.float32)
     S = jnp.zeros((n, m)) if S is None else check_array(where, "S", S, (n, m))
     if terminal is not None:

@@ -39,7 +39,7 @@ class Margins(NamedTuple):
     """Fields, one entry an input (m,): gain_up, the factor above 1, and gain_down, below 1,
     at which the loop becomes unstable (inf and 0 if there is none); phase, rad (pi if |l| < 1
     throughout, or l keeps away); delay, s (inf if none); stable (), whether the closed loop is;
-    where it is not, gain_up = gain_down = 1 and phase = delay = 0."""
+    if not, gain_up = gain_down = 1 and phase = delay = 0."""
 
     gain_up: jax.Array
     gain_down: jax.Array
@@ -69,7 +69,7 @@ def margins(
 
     Example:
         >>> import jax, math
-        >>> from rbjax.control import margins
+        >>> from rbjax.control.linear import margins
         >>> with jax.enable_x64(True):  # an integrator: l = 1 / s
         ...     found = margins([[0.0]], [[1.0]], [[1.0]])
         >>> round(math.degrees(float(found.phase[0])), 6), round(float(found.delay[0]), 6)
@@ -104,7 +104,7 @@ def _margins(
 
 def _grid(A: jax.Array, closed: jax.Array, dt: Any, points: int, decades: float) -> jax.Array:
     """Frequencies in rad/s (points,)."""
-    if dt is not None:  # up to that of Nyquist
+    if dt is not None:  # up to the Nyquist frequency
         return jnp.logspace(-2 - decades, 0, points, dtype=A.dtype) * (math.pi / dt)
     fast = jnp.maximum(jnp.linalg.norm(A), jnp.linalg.norm(closed))
     slow = 1 / jnp.linalg.norm(jnp.linalg.inv(closed))
@@ -139,7 +139,7 @@ def _of_loop(A: jax.Array, b: jax.Array, k: jax.Array, w: jax.Array, dt: Any) ->
 
     l = jax.vmap(loop)(w)
     at, crossing = refined(jnp.imag, l.imag)
-    # at frequency 0, and at that of Nyquist, l is real; a pole there makes it large
+    # at frequency 0 and at the Nyquist frequency l is real; a pole there makes it large
     ends = [(w[:1] * 0, jax.vmap(loop)(w[:1] * 0).real)]
     if dt is not None:
         ends.append((w[-1:], jax.vmap(loop)(w[-1:]).real))

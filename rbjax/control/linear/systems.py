@@ -4,8 +4,8 @@
 
 The reachable space is the range of [B, AB, ..., A^(n-1) B]. Its powers lose digits, so an
 orthonormal basis is built instead: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal
-to all before (the staircase, or block Arnoldi). What is left over is out of reach of every control.
-A state is unobservable where it is uncontrollable for (A', C').
+to all before (the staircase, or block Arnoldi). The rest of the space is uncontrollable.
+A state is unobservable if it is uncontrollable for (A', C').
 
 The Gramian W of a stable system says how much effort that takes: x'W^-1 x is the least integral of
 u^2 that leads from rest to x. A control held over a step makes the discrete system
@@ -24,19 +24,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.compiling import compiled
 from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_at_least, check_is
+from rbjax.kinematics.arguments import check_at_least
 from rbjax.model import Model
 from rbjax.solvers.common.arguments import check_between
 
 
 class Reach(NamedTuple):
     """A subspace of states. Fields: rank (), its dimension; inside (n, n), the orthogonal projector
-    onto it; outside (n, n), an orthonormal basis of what it lacks, in its first n - rank columns,
+    onto it; outside (n, n), an orthonormal basis of its complement, in its first n - rank columns,
     the others 0; weakest (), the smallest singular value that was counted, of a matrix of unit
     columns or of norm 1: about the distance to a smaller rank."""
 
@@ -51,7 +52,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
 
     Args:
         A: (n, n). B: (n, m).
-        tolerance: singular values up to so much, relative to the norm of A, and for B to that of
+        tolerance: singular values up to this, relative to the norm of A, and for B to that of
             its column, count as zero; n times the rounding unit times 100 if None.
 
     Returns:
@@ -63,7 +64,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
     Source: Van Dooren 1981.
 
     Example:
-        >>> from rbjax.control import controllability
+        >>> from rbjax.control.linear import controllability
         >>> found = controllability([[1.0, 0.0], [0.0, 2.0]], [[0.0], [1.0]])
         >>> int(found.rank), [abs(float(x)) for x in found.outside[:, 0]]
         (1, [1.0, 0.0])
@@ -73,7 +74,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
 
 
 def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
-    """The states that readings y = C x tell apart; `outside` is what they do not see.
+    """The observable subspace of readings y = C x; `outside` spans the unobservable states.
 
     Args:
         A: (n, n). C: (l, n).
@@ -88,7 +89,7 @@ def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
     Source: Kalman 1960 (duality).
 
     Example:
-        >>> from rbjax.control import observability
+        >>> from rbjax.control.linear import observability
         >>> int(observability([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0]]).rank)  # only the speed
         1
     """
@@ -114,7 +115,7 @@ def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
     def turn(carry, _):
         P, new, weakest = carry
         left = new - product(P, new)
-        left = left - product(P, left)  # once more: what is nearly inside loses its digits
+        left = left - product(P, left)  # once more: vectors nearly inside lose their digits
         U, s, _ = jnp.linalg.svd(left, full_matrices=False)
         kept = s > least
         U = jnp.where(kept, U, 0.0)
@@ -132,8 +133,8 @@ def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
     return Reach(rank, P, outside, jnp.where(rank > 0, weakest, 0.0))
 
 
-def directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
-    """What a subspace lacks, one sentence a direction, by the names of a model's joints.
+def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
+    """Describe the directions outside of a subspace by the names of a model's joints.
 
     Args:
         model: the robot whose states dq, dv, dx_e are meant.
@@ -149,15 +150,16 @@ def directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
 
     Example:
         >>> import jax.numpy as jnp, rbjax as rb
-        >>> from rbjax.control import controllability, directions
+        >>> from rbjax.control.linear import controllability, unreachable_directions
         >>> model = rb.load("cart_pole")
         >>> A, B = rb.linearise(model, model.default_state(), jnp.zeros(1))
-        >>> len(directions(model, controllability(A, 0 * B)))
+        >>> len(unreachable_directions(model, controllability(A, 0 * B)))
         4
     """
-    check_model("directions", model)
-    check_is("directions", "reach", reach, Reach, ", of controllability or observability")
-    check_between("directions", "least", least, 0.0, 1.0)
+    check_model("unreachable_directions", model)
+    expected = "what controllability or observability returns"
+    instance("unreachable_directions", "reach", reach, Reach, expected)
+    check_between("unreachable_directions", "least", least, 0.0, 1.0)
     n = 2 * model.nv + model.nx
     if reach.inside.shape != (n, n):
         raise InputError(
@@ -223,7 +225,7 @@ def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapun
     Source: Zhou, Doyle & Glover, *Robust and Optimal Control*, 3.8.
 
     Example:
-        >>> from rbjax.control import controllability_gramian
+        >>> from rbjax.control.linear import controllability_gramian
         >>> float(controllability_gramian([[-1.0]], [[2.0]]).X[0, 0])
         2.0
     """
@@ -247,7 +249,7 @@ def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov
     Source: Zhou, Doyle & Glover, 3.8.
 
     Example:
-        >>> from rbjax.control import observability_gramian
+        >>> from rbjax.control.linear import observability_gramian
         >>> float(observability_gramian([[-1.0]], [[2.0]]).X[0, 0])
         2.0
     """
@@ -271,7 +273,7 @@ def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
         InputError: shapes, values that are not finite.
 
     Example:
-        >>> from rbjax.control import poles
+        >>> from rbjax.control.linear import poles
         >>> [float(x) for x in poles([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[2.0, 3.0]]).real]
         [-1.0, -2.0]
     """
@@ -308,7 +310,7 @@ def discretise(A: Any, B: Any, dt: Any) -> tuple[jax.Array, jax.Array]:
     Source: Van Loan, IEEE TAC 23(3), 1978.
 
     Example:
-        >>> from rbjax.control import discretise
+        >>> from rbjax.control.linear import discretise
         >>> Ad, Bd = discretise([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], 0.5)
         >>> [float(x) for x in Bd[:, 0]]
         [0.125, 0.5]

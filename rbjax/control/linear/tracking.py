@@ -33,7 +33,7 @@ class Tracking(Record):
     """A motion and the gains that hold it: a policy (t, state) -> (nu,).
 
     Fields: model; states, q (N + 1, nq) and v (N + 1, nv), x (N + 1, nx); ctrls (N, nu); dt (); K
-    (N, nu, n); P (N + 1, n, n), half of which is the cost to go; ok (), as in `Gains`.
+    (N, nu, n); P (N + 1, n, n), half of which is the cost to go; success (), as in `Gains`.
     """
 
     model: Model
@@ -42,7 +42,7 @@ class Tracking(Record):
     dt: jax.Array
     K: jax.Array
     P: jax.Array
-    ok: jax.Array
+    success: jax.Array
 
     def __call__(self, t: Any, state: State) -> jax.Array:
         """The controls (nu,) at a time in s since the start of the motion. Before its start and
@@ -133,7 +133,7 @@ def time_varying_lqr(
 
     A, B = jax.vmap(of)(starts, u)
     gains = regulator_along(A, B, Q, R, end)
-    return Tracking(model, along, u, dt, gains.K, gains.P, gains.ok)
+    return Tracking(model, along, u, dt, gains.K, gains.P, gains.success)
 
 
 @compiled

@@ -32,7 +32,7 @@ class Constants:
         )
         self._hash = hash((tree, self._key))
 
-    def whole(self) -> Any:
+    def unflatten(self) -> Any:
         """The pytree."""
         return jax.tree.unflatten(self.tree, self.leaves)
 
@@ -48,7 +48,7 @@ class Constants:
         )  # fmt: skip
 
 
-class Known:
+class ConstantRobots:
     """What has been made constant. Robots are found again by the identity of their arrays, for
     reading these from a GPU takes longer than a call."""
 

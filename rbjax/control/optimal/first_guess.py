@@ -2,7 +2,7 @@
 
 A solution that is the guess is rolled out from the new start with its feedback,
 
-    u_k = us_k + K_k (x_k (-) xs_k),  within the bounds,      x_{k+1} = f(x_k, u_k)
+    u_k = us_k - K_k (x_k (-) xs_k),  within the bounds,      x_{k+1} = f(x_k, u_k)
 
 so that the motion stays near the solution on an unstable plant. Controls without states are rolled
 out without feedback. The result is used if it costs less than standing at the start: on an unstable
@@ -18,9 +18,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import threads
+from rbjax.control.optimal.constraint_rows import row_count
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY, Multipliers
-from rbjax.control.optimal.shooting.expansion import merit, row_count
+from rbjax.control.optimal.shooting.expansion import merit
 from rbjax.control.optimal.solution import Solution
 from rbjax.control.products import product
 from rbjax.errors import InputError
@@ -38,21 +39,21 @@ class Guess(NamedTuple):
 
     states: Any = None
     ctrls: Any = None
-    numbers: Any = None
+    parameters: Any = None
     K: Any = None
     multipliers: Multipliers | None = None
 
 
-def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, numbers: Any) -> Guess:
+def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, parameters: Any) -> Guess:
     """The guess that a caller of `solve` gives."""
     if guess is None:
-        return Guess(states, None if ctrls is None else jnp.asarray(ctrls), numbers)
+        return Guess(states, None if ctrls is None else jnp.asarray(ctrls), parameters)
     if not isinstance(guess, Solution):
         raise InputError(
             f"solve: guess is {type(guess).__name__}, expected the Solution of a similar problem; "
             "give arrays as states= and ctrls="
         )
-    given = {"states": states, "ctrls": ctrls, "numbers": numbers}
+    given = {"states": states, "ctrls": ctrls, "numbers": parameters}
     twice = [name for name, x in given.items() if x is not None]
     if twice:
         raise InputError(f"solve: got guess and {twice}, expected one of them: a Solution has both")
@@ -61,11 +62,11 @@ def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, numbers: Any
     multipliers = None
     if sum(sizes) and (path.shape, end.shape) == ((problem.horizon, sizes[0]), (sizes[1],)):
         multipliers = Multipliers(path, end, guess.penalty)
-    return Guess(guess.states, guess.ctrls, guess.numbers, guess.K, multipliers)
+    return Guess(guess.states, guess.ctrls, guess.parameters, guess.K, multipliers)
 
 
 def first_guess(
-    problem: Problem, start: Any, states: Any = None, ctrls: Any = None, numbers: Any = None,
+    problem: Problem, start: Any, states: Any = None, ctrls: Any = None, parameters: Any = None,
     K: Any = None,
 ) -> tuple[Knot, jax.Array]:  # fmt: skip
     """The checked knots and controls from which a search starts."""
@@ -83,9 +84,10 @@ def first_guess(
     us = jnp.zeros((N, problem.nu), dtype) if ctrls is None else jnp.asarray(ctrls, dtype)
     if us.shape != (N, problem.nu):
         raise InputError(f"solve: ctrls has shape {us.shape}, expected ({N}, {problem.nu})")
-    p = problem.first_numbers(dtype) if numbers is None else jnp.asarray(numbers, dtype)
-    if p.shape != (problem.numbers,):
-        raise InputError(f"solve: numbers has shape {p.shape}, expected ({problem.numbers},)")
+    p = problem.first_parameters(dtype) if parameters is None else jnp.asarray(parameters, dtype)
+    if p.shape != (problem.parameter_count,):
+        due = (problem.parameter_count,)
+        raise InputError(f"solve: parameters has shape {p.shape}, expected {due}")
     knots = Knot(states, jnp.broadcast_to(p, (N + 1, *p.shape)))
     if ctrls is None or not (alone or K is not None):
         return knots, us
@@ -114,9 +116,7 @@ def _rolled(
     def forth(carry: tuple, x: tuple) -> tuple:
         now, cost, standing = carry
         k, knot, ctrl, K = x
-        u = ctrl + product(K, problem.minus(now, knot))
-        if problem.bounded:
-            u = jnp.clip(u, problem.low.astype(dtype), problem.high.astype(dtype))
+        u = problem.within_bounds(ctrl - product(K, problem.minus(now, knot)))
         cost = cost + merit(problem, k, now, u, rows["path"], mu, "path")
         standing = standing + merit(problem, k, knot, ctrl, rows["path"], mu, "path")
         return (problem.step(k, now, u), cost, standing), (now, u)

@@ -1,10 +1,10 @@
-"""A problem of optimal control, said once and solved by any method.
+"""A problem of optimal control, for any method.
 
-    min  sum_k h L_i(t_k, x_k, u_k) + sum Phi_j(x_N)        over u, and what of x_0, p, T is free
+    min  sum_k h L_i(t_k, x_k, u_k) + sum Phi_j(x_N)        over u and the free parts of x_0, p, T
     x_{k+1} = f(t_k, x_k, u_k, h; p),   low <= u_k <= high,   low <= c(t_k, x_k, u_k) <= high
 
-p are numbers that a `Design` puts into the model, T = N h the final time. Both are constant states
-beside the robot's: a knot is (x, p, T), and its tangent (dx, dp, dT).
+p are parameters of the model (`Design`), T = N h is the final time. Both are constant states: a
+knot is (x, p, T), and its tangent (dx, dp, dT).
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.control.optimal.system import Linearised, System, system_of
-from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of, looked_at
+from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of
 from rbjax.dynamics.arguments import check_array, check_step, check_takes
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_bound, check_several
+from rbjax.kinematics.arguments import check_bound, check_several, known_array
 from rbjax.model.record import Record
 from rbjax.motion.field import free_motion
 
 
 class Design(Record):
-    """Numbers of the model that are optimised with the motion.
+    """Parameters of the model that are optimised with the motion.
 
     Fields: apply, a function (model, p (n,)) -> model; start, low, high (n,): first guess and
     bounds.
@@ -48,7 +48,7 @@ class Design(Record):
         self.start = check_array("Design", "start", jnp.atleast_1d(jnp.asarray(start, float)), n)
         low, high = (check_bound("Design", k, x, (), n) for k, x in (("low", low), ("high", high)))
         self.low, self.high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
-        lowest, first, highest = (looked_at(x) for x in (self.low, self.start, self.high))
+        lowest, first, highest = (known_array(x) for x in (self.low, self.start, self.high))
         if lowest is None or first is None or highest is None:  # traced
             return
         if not ((lowest <= first) & (first <= highest)).all():
@@ -59,17 +59,17 @@ class Design(Record):
 
 
 class Knot(NamedTuple):
-    """A state of the system, and numbers (p,) that are constant along the motion."""
+    """A state of the system, and the parameters (p,), which are constant along the motion."""
 
     state: Any
-    numbers: jax.Array
+    parameters: jax.Array
 
 
 BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, and those after them
 
 
 class Problem(Record):
-    """What is to be found: controls, and with them what is free of start, model and time.
+    """A problem: find controls, and the free parts of the start, the model and the time.
 
     Args:
         model: an `rb.Model`; `Equations`; or a robot of `rb.wheeled.at`.
@@ -83,7 +83,7 @@ class Problem(Record):
         bounds: "model" for the control ranges of the model, None for none, or (low, high), each a
             number or (nu,).
         integral: whether running costs are rates, times dt. False: they are summed as they are.
-        design: a `Design`, numbers of the model to be found too.
+        design: a `Design`, parameters of the model that are found too.
         free_time: (low, high), bounds of the final time in s, which is then found too; horizon * dt
             is its first guess.
         start_time: t_0, the time in s of the first knot, for costs, constraints and systems that
@@ -162,37 +162,43 @@ class Problem(Record):
         return self.system.nu
 
     @property
-    def numbers(self) -> int:
-        """How many numbers are constant along the motion: of the design, and the final time."""
+    def parameter_count(self) -> int:
+        """The number of parameters: of the design, and the final time."""
         design = 0 if self.design is None else self.design.start.shape[0]
         return design + (self.times is not None)
 
     @property
     def n(self) -> int:
         """The dimension of a knot's tangent space."""
-        return self.system.n + self.numbers
+        return self.system.n + self.parameter_count
 
     @property
-    def opens(self) -> bool:
+    def free_first_knot(self) -> bool:
         """Whether anything of the first knot is free."""
-        return any(self.free) or self.numbers > 0
+        return any(self.free) or self.parameter_count > 0
+
+    def within_bounds(self, u: jax.Array) -> jax.Array:
+        """Controls projected onto their bounds."""
+        if not self.bounded:
+            return u
+        return jnp.clip(u, self.low.astype(u.dtype), self.high.astype(u.dtype))
 
     @property
     def by_velocities(self) -> bool:
         """Whether dq+ = dq + h dv+ of a knot's tangent (dq, dv)."""
-        return self.system.by_velocities and not self.numbers
+        return self.system.by_velocities and not self.parameter_count
 
-    # what depends on the numbers of a knot
+    # functions of the parameters of a knot
 
-    def first_numbers(self, dtype: Any) -> jax.Array:
-        """The first guess (p,) of what is constant along the motion."""
+    def first_parameters(self, dtype: Any) -> jax.Array:
+        """The first guess (p,) of the parameters."""
         parts = [] if self.design is None else [self.design.start]
         if self.times is not None:
             parts.append(jnp.atleast_1d(jnp.clip(self.dt * self.horizon, *self.times)))
         return jnp.concatenate(parts).astype(dtype) if parts else jnp.zeros(0, dtype)
 
     def start_bounds(self, dtype: Any) -> tuple[jax.Array, jax.Array]:
-        """Bounds (n,) of the first knot: of the numbers; the state has none."""
+        """Bounds (n,) of the first knot: of the parameters; the state has none."""
         low, high = [jnp.full(self.system.n, -jnp.inf)], [jnp.full(self.system.n, jnp.inf)]
         if self.design is not None:
             low.append(self.design.low)
@@ -202,14 +208,14 @@ class Problem(Record):
             high.append(self.times[1:])
         return jnp.concatenate(low).astype(dtype), jnp.concatenate(high).astype(dtype)
 
-    def at(self, numbers: jax.Array) -> tuple[System, jax.Array]:
-        """The system and the step that numbers say."""
-        system, dt = self.system, self.dt.astype(numbers.dtype)
+    def at(self, parameters: jax.Array) -> tuple[System, jax.Array]:
+        """The system and the step for the parameters."""
+        system, dt = self.system, self.dt.astype(parameters.dtype)
         if self.times is not None:
-            dt = numbers[-1] / self.horizon
+            dt = parameters[-1] / self.horizon
         if self.design is not None:
             size = self.design.start.shape[0]
-            system = system.with_model(self.design.apply(system.model, numbers[:size]))
+            system = system.with_model(self.design.apply(system.model, parameters[:size]))
         return system, dt
 
     def time(self, k: Any, dt: Any) -> Any:
@@ -221,36 +227,36 @@ class Problem(Record):
     def plus(self, knot: Knot, dx: jax.Array) -> Knot:
         """knot (+) dx."""
         n = self.system.n
-        return Knot(self.system.plus(knot.state, dx[:n]), knot.numbers + dx[n:])
+        return Knot(self.system.plus(knot.state, dx[:n]), knot.parameters + dx[n:])
 
     def minus(self, one: Knot, other: Knot) -> jax.Array:
         """dx (n,) from `other` to `one`."""
-        parts = [self.system.minus(one.state, other.state), one.numbers - other.numbers]
+        parts = [self.system.minus(one.state, other.state), one.parameters - other.parameters]
         return jnp.concatenate(parts)
 
     def off_start(self, start: Any, first: Knot) -> jax.Array:
-        """From the first knot to the start (n,), 0 where it is free."""
+        """start (-) first knot (n,), 0 in free coordinates."""
         off = jnp.where(jnp.asarray(self.free), 0.0, self.system.minus(start, first.state))
-        return jnp.concatenate([off, jnp.zeros(self.numbers, off.dtype)])
+        return jnp.concatenate([off, jnp.zeros(self.parameter_count, off.dtype)])
 
     def step(self, k: Any, knot: Knot, ctrl: jax.Array) -> Knot:
         """The knot after a step."""
-        system, dt = self.at(knot.numbers)
-        return Knot(system.step(self.time(k, dt), knot.state, ctrl, dt), knot.numbers)
+        system, dt = self.at(knot.parameters)
+        return Knot(system.step(self.time(k, dt), knot.state, ctrl, dt), knot.parameters)
 
     def linear(self, k: Any, knot: Knot, ctrl: jax.Array) -> Linearised:
         """The knot after a step, and its derivatives."""
-        system, dt = self.at(knot.numbers)
+        system, dt = self.at(knot.parameters)
         after, A, B = system.linear(self.time(k, dt), knot.state, ctrl, dt)
-        after = Knot(after, knot.numbers)
-        p = self.numbers
+        after = Knot(after, knot.parameters)
+        p = self.parameter_count
         if p:
 
             def moved(dp: jax.Array) -> jax.Array:
-                there = self.step(k, Knot(knot.state, knot.numbers + dp), ctrl)
+                there = self.step(k, Knot(knot.state, knot.parameters + dp), ctrl)
                 return system.minus(there.state, after.state)
 
-            by = jax.jacfwd(moved)(jnp.zeros_like(knot.numbers))
+            by = jax.jacfwd(moved)(jnp.zeros_like(knot.parameters))
             below = jnp.eye(p, self.n, self.system.n, dtype=A.dtype)
             A = jnp.concatenate([jnp.concatenate([A, by], 1), below])
             B = jnp.concatenate([B, jnp.zeros((p, self.nu), B.dtype)])
@@ -259,7 +265,7 @@ class Problem(Record):
     def value(self, cost: Cost, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """A cost at a knot with controls ("path") or at the "end": a number, or residuals (r,)
         whose squares are halved and summed."""
-        system, dt = self.at(knot.numbers)
+        system, dt = self.at(knot.parameters)
         value = _array(
             cost.term, cost.term(system.model, self.time(k, dt), knot.state, ctrl), dt.dtype
         )
@@ -282,15 +288,24 @@ class Problem(Record):
 
     def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of a constraint at a knot."""
-        system, dt = self.at(knot.numbers)
+        system, dt = self.at(knot.parameters)
         value = c.term(system.model, self.time(k, dt), knot.state, ctrl)
         return jnp.ravel(_array(c.term, value, dt.dtype))
 
     def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
-        held = [c for c in self.constraints if c.where in (where, "all")]
-        none = jnp.zeros(0, knot.numbers.dtype)
-        return jnp.concatenate([none, *(self.row(c, k, knot, ctrl) for c in held)])
+        none = jnp.zeros(0, knot.parameters.dtype)
+        return jnp.concatenate(
+            [none, *(self.row(c, k, knot, ctrl) for c in self.constraints_at(where))]
+        )
+
+    def costs(self, where: str) -> tuple[Cost, ...]:
+        """The costs of a knot with controls ("path") or of the "end"."""
+        return self.running if where == "path" else self.terminal
+
+    def constraints_at(self, where: str) -> list[Constraint]:
+        """The constraints at "path" or "end"."""
+        return [c for c in self.constraints if c.where in (where, "all")]
 
 
 def _array(term: Term, value: Any, dtype: Any) -> jax.Array:
@@ -305,7 +320,7 @@ def _array(term: Term, value: Any, dtype: Any) -> jax.Array:
 
 
 def _root(w: jax.Array) -> jax.Array:
-    """The root of a weight, whose derivative is 0 where it is 0."""
+    """The root of a weight; its derivative at 0 is 0."""
     positive = w > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, w, 1.0)), 0.0)
 
@@ -335,7 +350,7 @@ def _bounds(system: System, bounds: Any) -> tuple[jax.Array, jax.Array, bool]:
         check_bound("Problem", f"{side} of bounds", x, (), (system.nu,))
         for side, x in (("low", low), ("high", high))
     )
-    lowest, highest = looked_at(low), looked_at(high)
+    lowest, highest = known_array(low), known_array(high)
     low, high = (jnp.broadcast_to(x, (system.nu,)) for x in (low, high))
     if lowest is None or highest is None:
         return low, high, True
@@ -349,7 +364,7 @@ def _bounds(system: System, bounds: Any) -> tuple[jax.Array, jax.Array, bool]:
 
 def _times(free_time: Any) -> jax.Array:
     times = check_bound("Problem", "free_time", free_time)
-    known = looked_at(times)
+    known = known_array(times)
     if times.shape != (2,) or (known is not None and not 0 < known[0] < known[1]):
         raise InputError(
             f"Problem: free_time is {free_time!r}, expected (low, high) with 0 < low < high"

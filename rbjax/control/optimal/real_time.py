@@ -1,7 +1,7 @@
 """A controller with a clock: one call a tick, and how long the calls took.
 
-A control loop at a period h needs the worst call below h, not the mean: what counts is the
-distribution of the time of a call (Liu, *Real-Time Systems*, 2000, 3.2: jitter).
+A control loop with a period h needs the worst call, not the mean, below h. So the distribution of
+the duration of a call is recorded (Liu, *Real-Time Systems*, 2000, 3.2: jitter).
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.compiling import compiler_options
-from rbjax.control.optimal.receding_horizon import Controller
+from rbjax.control.optimal.controller_memory import PLANNED
+from rbjax.control.optimal.receding_horizon import PredictiveController
 from rbjax.errors import InputError
 
 
@@ -30,15 +32,15 @@ class Timing(NamedTuple):
 
 
 class RealTime:
-    """A `Controller` as a callable (t, state) -> ctrl that keeps its memory.
+    """A `PredictiveController` as a callable (t, state) -> ctrl that keeps its memory.
 
     Args:
         controller: from `rb.control.mpc`.
         state: the first state, from which the first plan is made.
         ctrls: a first guess of the controls.
 
-    The programs are compiled here, so that the first call is as fast as the others. `result` is
-    that of the last control (`rbjax.control.mpc.RESULTS`), `outcome` of the last search.
+    The programs are compiled here, so that the first call is as fast as the others. `status` is the
+    `TickStatus` of the last control, `search_status` the `Status` of the last search.
 
     Raises:
         InputError: not a controller.
@@ -53,11 +55,9 @@ class RealTime:
         ((1,), 1)
     """
 
-    def __init__(self, controller: Controller, state: Any, ctrls: Any = None) -> None:
-        if not isinstance(controller, Controller):
-            raise InputError(
-                f"RealTime: got {type(controller).__name__}, expected what rb.control.mpc returns"
-            )
+    def __init__(self, controller: PredictiveController, state: Any, ctrls: Any = None) -> None:
+        expected = "what rb.control.mpc returns"
+        instance("RealTime", "controller", controller, PredictiveController, expected)
         self.controller = controller
         x = controller.problem.system.checked("RealTime", state)
         options = compiler_options()
@@ -68,17 +68,17 @@ class RealTime:
         self._tick = tick.lower(self.memory, zero, x).compile()
         jax.block_until_ready(self._tick(self.memory, zero, x))
         self._ns: list[int] = []
-        self.result, self.outcome = 0, int(self.memory.outcome)
+        self.status, self.search_status = PLANNED, int(self.memory.search_status)
 
     def __call__(self, t: float, state: Any) -> np.ndarray:
         """The control (nu,) of the tick that begins at t."""
         begin = time.perf_counter_ns()
         like = self.controller.dt.dtype
         x = jax.tree.map(lambda a: np.asarray(a, like), state)
-        u, self.memory, result = self._tick(self.memory, np.asarray(t, like), x)
+        u, self.memory, status = self._tick(self.memory, np.asarray(t, like), x)
         u = np.asarray(u)
         self._ns.append(time.perf_counter_ns() - begin)
-        self.result, self.outcome = int(result), int(self.memory.outcome)
+        self.status, self.search_status = int(status), int(self.memory.search_status)
         return u
 
     def timing(self) -> Timing:

@@ -1,14 +1,14 @@
-"""Model predictive control: a plan made again at every tick, and what happens where that fails.
+"""Model predictive control: a new plan at every tick, and a fallback if that fails.
 
-At tick k with the state x_k the controls u_k .. u_{k+d-1} are decided already (d: ticks of delay,
-as long as a computation takes). They are played ahead, and the plan begins where they end:
+At tick k with the state x_k the controls u_k .. u_{k+d-1} are already determined (d: ticks of
+delay, the duration of a computation). The state is predicted over them, and the plan begins there:
 
     x' = f(... f(f(x_k, u_k), u_{k+1}) ...),    (us, xs) = a few iterations from the plan before,
-    shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    when that tick comes
+    shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    at that tick
 
-The feedback K answers what the prediction missed (Diehl, Bock & Schloder 2005, the real-time
+The feedback K corrects the error of the prediction (Diehl, Bock & Schloder 2005, the real-time
 iteration; Mayne et al. 2000). The multipliers and the penalty are kept from the plan before, so a
-few iterations satisfy the constraints. The result of a tick reports if the plan violates a
+few iterations satisfy the constraints. The status of a tick reports if the plan violates a
 constraint. A plan that is not finite, or whose constraints are infeasible, is rejected. Then the
 last plan is continued for at most `patience` ticks; after that a fallback policy acts.
 """
@@ -16,7 +16,7 @@ last plan is continued for at most `patience` ticks; after that a fallback polic
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -25,12 +25,21 @@ import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.compiler import threads
+from rbjax.control.optimal.constraint_rows import knot_violation
+from rbjax.control.optimal.controller_memory import (
+    FALLBACK,
+    KEPT,
+    PLANNED,
+    VIOLATED,
+    Memory,
+    PlannedControl,
+    Run,
+)
 from rbjax.control.optimal.first_guess import first_guess
-from rbjax.control.optimal.options import Options
+from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS
-from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, later
-from rbjax.control.optimal.shooting.knots import violation
+from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, shift_multipliers
 from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
@@ -40,62 +49,14 @@ from rbjax.solvers.common.arguments import check_between, check_whole
 
 HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
-PLANNED, KEPT, FALLBACK, VIOLATED = range(4)
-RESULTS = {
-    PLANNED: "planned: from the plan of this tick",
-    KEPT: "kept: the plan failed, the last plan is continued",
-    FALLBACK: "fallback: plans failed for longer than patience",
-    VIOLATED: "violated: the plan violates a constraint; raise iterations or violation",
-}
 
 
-class Decided(NamedTuple):
-    """A control that is to come: u (nu,), gains K (nu, n), the state that it expects, and its
-    result ()."""
+class PredictiveController:
+    """A model predictive controller, made by `mpc`.
 
-    u: jax.Array
-    K: jax.Array
-    state: Any
-    result: jax.Array
-
-
-class Memory(NamedTuple):
-    """The state of a controller: knots (N + 1, ...), ctrls (N, nu), gains K (N, nu, n) and the
-    multipliers of the last plan (None for a method without multipliers); decided, the `Decided` of
-    the ticks of delay (None without delay); failures (), the plans that failed in a row; outcome ()
-    of the last search; cost () and violation () of the plan; gap (), the largest between a step of
-    the plan and its next state."""
-
-    knots: Knot
-    ctrls: jax.Array
-    K: jax.Array
-    multipliers: Multipliers | None
-    decided: Decided | None
-    failures: jax.Array
-    outcome: jax.Array
-    cost: jax.Array
-    violation: jax.Array
-    gap: jax.Array
-
-
-class Run(NamedTuple):
-    """A closed loop: ts (T + 1,) s; states, with a leading axis T + 1; ctrls (T, nu); results (T,),
-    of `RESULTS`; outcomes (T,) of the searches; costs (T,) of the plans."""
-
-    ts: jax.Array
-    states: Any
-    ctrls: jax.Array
-    results: jax.Array
-    outcomes: jax.Array
-    costs: jax.Array
-
-
-class Controller:
-    """What `mpc` returns.
-
-    `begin(state)` gives the memory, `tick(memory, t, state)` the control of a tick and the memory
+    `begin(state)` returns the memory, `tick(memory, t, state)` the control of a tick and the memory
     after it: both are pure, for jit and vmap. `closed_loop` runs both against a plant, `policy` is
-    for `rb.rollout`, and `rbjax.control.real_time` makes a callable with a clock.
+    for `rb.rollout`, and `rb.control.RealTime` is a callable with a clock.
     """
 
     def __init__(
@@ -125,32 +86,32 @@ class Controller:
         x = problem.system.checked("mpc", state)
         knots, us = first_guess(problem, x, ctrls=ctrls)
         found = self._search(problem, x, knots, us, None, self.first)
-        whole = _finite((found.knots, found.ctrls, found.K)) & (found.outcome != NOT_FINITE)
+        whole = _finite((found.knots, found.ctrls, found.K)) & (found.status != NOT_FINITE)
         given, planned = (knots, us), (found.knots, found.ctrls)
         knots, us = jax.tree.map(lambda a, b: jnp.where(whole, a, b), planned, given)
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
             knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
-            found.outcome, found.cost, found.violation, found.gap,
+            found.status, found.cost, found.violation, found.gap,
         )  # fmt: skip
         each = [self._entry(memory, k) for k in range(self.delay)]
-        decided = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else None
+        pending = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else None
         for _ in range(self.delay):
             memory = self._shifted(problem, memory)
-        return memory._replace(decided=decided)
+        return memory._replace(pending=pending)
 
     def tick(self, memory: Memory, t: Any, state: Any) -> tuple[jax.Array, Memory, jax.Array]:
-        """The control (nu,) of the tick that begins at t, the memory after it, and the result () of
-        that control. t: s. state: measured now."""
+        """The control (nu,) of the tick that begins at t, the memory after it, and its
+        `TickStatus` (). t: s. state: measured now."""
         problem = self.problem_at(t)
         x = problem.system.checked("mpc", state)
         if not self.delay:
             memory = self._planned(problem, memory, x)
             entry = self._entry(memory, 0)
             u = self._acted(problem, entry, t, x)
-            return u, self._shifted(problem, memory), entry.result
-        now: Decided = jax.tree.map(lambda a: a[0], memory.decided)
-        coming: Decided = jax.tree.map(lambda a: a[1:], memory.decided)
+            return u, self._shifted(problem, memory), entry.status
+        now: PlannedControl = jax.tree.map(lambda a: a[0], memory.pending)
+        coming: PlannedControl = jax.tree.map(lambda a: a[1:], memory.pending)
         u = self._acted(problem, now, t, x)
         step = threads(problem.system.step)
         ahead = step(problem.time(0, problem.dt), x, u, problem.dt)
@@ -160,17 +121,17 @@ class Controller:
         problem = self.problem_at(t + self.delay * problem.dt)
         memory = self._planned(problem, memory, ahead)
         new = self._entry(memory, 0)
-        decided = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), coming, new)
+        pending = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), coming, new)
         memory = self._shifted(problem, memory)
-        return u, memory._replace(decided=decided), now.result
+        return u, memory._replace(pending=pending), now.status
 
     def closed_loop(self, state: Any, steps: int, plant: Any = None) -> Run:
-        """The closed loop of so many ticks, one program.
+        """Run the closed loop, as one program.
 
         Args:
-            state: where it begins.
-            steps: ticks.
-            plant: what is controlled: an `rb.Model`, a `System`, or a function
+            state: at the beginning.
+            steps: the number of ticks.
+            plant: the controlled system: an `rb.Model`, a `System`, or a function
                 (t, state, ctrl, dt) -> state; None for the system of the problem.
         """
         check_whole("closed_loop", "steps", steps, 1)
@@ -188,16 +149,16 @@ class Controller:
         def one(carry: tuple, k: jax.Array) -> tuple:
             memory, x = carry
             t = self.problem.time(k, dt)
-            u, memory, result = self.tick(memory, t, x)
+            u, memory, status = self.tick(memory, t, x)
             after = move(t, x, u, dt)
-            return (memory, after), (x, u, result, memory.outcome, memory.cost)
+            return (memory, after), (x, u, status, memory.search_status, memory.cost)
 
         ks = jnp.arange(steps, dtype=dt.dtype)
         run: tuple = jax.lax.scan(one, (memory, x), ks)
-        (_, last), (xs, us, results, outcomes, costs) = run
+        (_, last), (xs, us, statuses, search_statuses, costs) = run
         states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), xs, last)
         ts = self.problem.time(jnp.arange(steps + 1, dtype=dt.dtype), dt)
-        return Run(ts, states, us, results, outcomes, costs)
+        return Run(ts, states, us, statuses, search_statuses, costs)
 
     def policy(self, memory: Memory) -> Callable[[Any, Any], jax.Array]:
         """(t, state) -> ctrl for `rb.rollout`, which keeps no memory from step to step: each call
@@ -212,9 +173,8 @@ class Controller:
             late = jnp.clip(jnp.arange(N + 1) + k, 0, N)
             knots = jax.tree.map(lambda a: a[late], memory.knots)
             ctrls = memory.ctrls[jnp.minimum(late[:-1], N - 1)]
-            shifted = memory._replace(
-                knots=knots, ctrls=ctrls, multipliers=later(memory.multipliers, late[:-1])
-            )
+            multipliers = shift_multipliers(memory.multipliers, late[:-1])
+            shifted = memory._replace(knots=knots, ctrls=ctrls, multipliers=multipliers)
             planned = self._planned(problem, shifted, x)
             return self._acted(problem, self._entry(planned, 0), t, x)
 
@@ -227,10 +187,10 @@ class Controller:
         multipliers: Multipliers | None, iterations: int,
     ) -> Any:  # fmt: skip
         number = lambda x: jnp.asarray(x, ctrls.dtype)  # noqa: E731
-        options = Options(
-            number(self.tolerance), number(self.violation), jnp.asarray(iterations),
-            scale=number(1.0), multipliers=multipliers,
-        )  # fmt: skip
+        rule = StoppingRule(
+            number(self.tolerance), number(self.violation), jnp.asarray(iterations), number(1.0)
+        )
+        options = Options(rule, multipliers=multipliers)
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
@@ -242,8 +202,8 @@ class Controller:
         # do not reject a plan because its start, which is measured, violates a constraint
         first = jax.tree.map(lambda a: a[0], found.knots)
         zero = jnp.zeros((), found.ctrls.dtype)
-        off = violation(problem, zero, first, found.ctrls[0], "path") > self.violation
-        good &= (found.outcome != NOT_FINITE) & ((found.outcome != INFEASIBLE) | off)
+        off = knot_violation(problem, zero, first, found.ctrls[0], "path") > self.violation
+        good &= (found.status != NOT_FINITE) & ((found.status != INFEASIBLE) | off)
         new = memory._replace(
             knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
             violation=found.violation, gap=found.gap,
@@ -251,10 +211,10 @@ class Controller:
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)
         picked = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
-        return picked._replace(outcome=found.outcome)
+        return picked._replace(search_status=found.status)
 
     def _shifted(self, problem: Problem, memory: Memory) -> Memory:
-        """The plan one tick on: its last control is held for a tick more."""
+        """The plan shifted by a tick; its last control is repeated."""
         ctrls = jnp.concatenate([memory.ctrls[1:], memory.ctrls[-1:]])
         K = jnp.concatenate([memory.K[1:], memory.K[-1:]])
         last = jax.tree.map(lambda a: a[-1], memory.knots)
@@ -263,29 +223,29 @@ class Controller:
         after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
         knots = jax.tree.map(lambda a, b: jnp.concatenate([a[1:], b[None]]), memory.knots, after)
         at = jnp.minimum(jnp.arange(problem.horizon) + 1, problem.horizon - 1)
-        multipliers = later(memory.multipliers, at)
+        multipliers = shift_multipliers(memory.multipliers, at)
         return memory._replace(knots=knots, ctrls=ctrls, K=K, multipliers=multipliers)
 
-    def _entry(self, memory: Memory, k: int) -> Decided:
-        """The control that the plan decides for its tick k."""
+    def _entry(self, memory: Memory, k: int) -> PlannedControl:
+        """The control of the plan for its tick k."""
         # if the states do not follow the dynamics, they do not show that constraints are met
         off = jnp.maximum(memory.violation, memory.gap)
         broken = (off > self.violation) if self.problem.constraints else False
-        result = jnp.where(broken, VIOLATED, PLANNED)
-        result = jnp.where(memory.failures > 0, KEPT, result)
-        result = jnp.where(memory.failures > self.patience, FALLBACK, result)
+        status = jnp.where(broken, VIOLATED, PLANNED)
+        status = jnp.where(memory.failures > 0, KEPT, status)
+        status = jnp.where(memory.failures > self.patience, FALLBACK, status)
         state = jax.tree.map(lambda a: a[k], memory.knots.state)
-        return Decided(memory.ctrls[k], memory.K[k], state, result)
+        return PlannedControl(memory.ctrls[k], memory.K[k], state, status)
 
-    def _acted(self, problem: Problem, entry: Decided, t: Any, state: Any) -> jax.Array:
-        """The control of a tick: what was decided, with feedback, or the fallback's."""
+    def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:
+        """The control of a tick: the planned one with feedback, or that of the fallback."""
         u = entry.u
         if self.feedback:
             back = product(entry.K, problem.system.minus(state, entry.state))
             u = u + jnp.where(_finite(back), back, 0.0)
         other = jnp.asarray(self.fallback(t, state), u.dtype)
-        u = jnp.where(entry.result == FALLBACK, other, u)
-        return jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+        u = jnp.where(entry.status == FALLBACK, other, u)
+        return problem.within_bounds(u)
 
 
 def mpc(
@@ -300,7 +260,7 @@ def mpc(
     tolerance: float = 1e-9,
     violation: float = 1e-4,
     first: int = 100,
-) -> Controller:
+) -> PredictiveController:
     """Model predictive control with a fixed number of iterations a tick.
 
     Args:
@@ -310,18 +270,18 @@ def mpc(
             its own start_time. The problems may differ only in numbers.
         method: one of `rb.control.methods()` with gains.
         iterations: at most, at a tick. None: 1, and 10 for a problem with constraints.
-        delay: ticks from the state that is measured to the control that answers it: 1 where the
-            computation takes up to a tick, 0 in a simulation that waits for it.
-        feedback: whether gains answer what the prediction missed, when the control is applied.
+        delay: ticks from the measured state to its control: 1 if the computation takes up to a
+            tick, 0 in a simulation that waits for it.
+        feedback: whether the gains correct the error of the prediction when the control is applied.
         patience: how many ticks a plan goes on while new ones fail.
         fallback: a policy (t, state) -> (nu,) after that; zeros within the bounds if None.
         tolerance: iterations end if the predicted cost change is below it times max(1, |cost|).
-        violation: of constraints, in their units. The result is `VIOLATED` if a plan violates a
+        violation: of constraints, in their units. The status is `VIOLATED` if a plan violates a
             constraint by more, or has a larger gap between a step and its next state.
         first: iterations of the first plan.
 
     Returns:
-        `Controller`.
+        `PredictiveController`.
 
     Raises:
         InputError: wrong types; a problem whose start, design or final time is free. UnknownName:
@@ -337,15 +297,15 @@ def mpc(
         >>> problem = C.Problem(cart, 10, 0.1, running=[lambda t, x, u: x, C.Control()],
         ...                     bounds=(-1.0, 1.0))
         >>> controller, x = C.mpc(problem, delay=0), jnp.array([1.0, 0.0])
-        >>> u, memory, result = controller.tick(controller.begin(x), 0.0, x)
-        >>> float(u[0]) < 0, int(result)
+        >>> u, memory, status = controller.tick(controller.begin(x), 0.0, x)
+        >>> float(u[0]) < 0, int(status)
         (True, 0)
     """
     problem_at = _problem_at(problem)
     example = problem if isinstance(problem, Problem) else problem_at(0.0)
     if not isinstance(example, Problem):
         raise InputError(f"mpc: problem gave {type(example).__name__}, expected a Problem")
-    if example.opens:
+    if example.free_first_knot:
         raise InputError(
             "mpc: the start, a design or the final time of the problem is free, expected a problem "
             "whose start is the state; remove free_start, design and free_time"
@@ -366,7 +326,7 @@ def mpc(
         fallback = lambda t, state: jnp.zeros(nu)  # noqa: E731
     else:
         check_takes("mpc", "fallback", fallback, "t", "state")
-    return Controller(
+    return PredictiveController(
         problem_at, example, method, iterations, delay,
         flag("mpc", "feedback", feedback), patience, fallback, tolerance, violation, first,
     )  # fmt: skip

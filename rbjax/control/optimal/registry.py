@@ -1,4 +1,4 @@
-"""The methods by name, and what each needs."""
+"""The methods of `solve` by name."""
 
 from __future__ import annotations
 
@@ -9,27 +9,37 @@ from typing import Any, NamedTuple
 from rbjax.control.optimal.collocation.collocation import by_collocation
 from rbjax.control.optimal.shooting.ddp import by_ddp
 from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
-from rbjax.control.optimal.shooting.single_shooting import by_adam, by_bfgs, by_shooting, by_squares
+from rbjax.control.optimal.shooting.single_shooting import (
+    by_adam,
+    by_bfgs,
+    by_levenberg_marquardt,
+    by_shooting,
+)
 from rbjax.control.optimal.shooting.sqp import by_sqp
 from rbjax.errors import UnknownName
 from rbjax.solvers.common.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 
 
 class Method(NamedTuple):
-    """solve: (problem, start, knots, ctrls, options, history) -> `Found`; constraints: whether it
-    holds `Constraint`s; derivatives: whether it needs them; sentence: when to take it; steps:
-    whether it ends at optima whose motions are steps of the system, which have derivatives."""
+    """A method of `solve`.
+
+    solve: (problem, start, knots, ctrls, options, history) -> `SearchResult`.
+    constraints: whether it accepts `Constraint`s.
+    derivatives: whether it needs derivatives of the problem.
+    description: when to use it.
+    differentiable: whether its solutions have derivatives: their motions are steps of the system.
+    """
 
     solve: Callable[..., Any]
     constraints: bool
     derivatives: bool
-    sentence: str
-    steps: bool = True
+    description: str
+    differentiable: bool = True
 
 
-def collocating(table: Tableau, sentence: str) -> Method:
+def collocation(table: Tableau, description: str) -> Method:
     """Collocation by a tableau."""
-    return Method(functools.partial(by_collocation, table=table), True, True, sentence, False)
+    return Method(functools.partial(by_collocation, table=table), True, True, description, False)
 
 
 METHODS: dict[str, Method] = {
@@ -75,18 +85,18 @@ METHODS: dict[str, Method] = {
         "30 rounds of cross_entropy, then ddp: where ddp depends on the first guess, such as "
         "swing-ups under tight bounds",
     ),
-    "hermite_simpson": collocating(
+    "hermite_simpson": collocation(
         lobatto_iiia(3),
         "collocation of order 4, controls at both ends and in the middle of each step: free final "
         "times, constraints on the path, and guesses of the states that no controls follow",
     ),
-    "gauss_legendre": collocating(
+    "gauss_legendre": collocation(
         gauss(3), "the same of order 6, with three stages inside each step: few long steps"
     ),
-    "gauss_legendre_4": collocating(gauss(2), "the same with two stages, of order 4"),
-    "gauss_legendre_8": collocating(gauss(4), "the same with four stages, of order 8"),
-    "radau": collocating(
-        radau_iia(3), "the same of order 5; damps what is stiff, and holds constraints at knots"
+    "gauss_legendre_4": collocation(gauss(2), "the same with two stages, of order 4"),
+    "gauss_legendre_8": collocation(gauss(4), "the same with four stages, of order 8"),
+    "radau": collocation(
+        radau_iia(3), "the same of order 5; damps stiff modes, and enforces constraints at knots"
     ),
     "adam": Method(
         functools.partial(by_shooting, inner=by_adam), True, True,
@@ -98,10 +108,10 @@ METHODS: dict[str, Method] = {
         "single shooting by BFGS: few controls and a short, tame horizon",
     ),
     "levenberg_marquardt": Method(
-        functools.partial(by_shooting, inner=by_squares), True, True,
+        functools.partial(by_shooting, inner=by_levenberg_marquardt), True, True,
         "single shooting by Levenberg and Marquardt's method: costs that are all residuals",
     ),
-    "trapezoidal": collocating(lobatto_iiia(2), "the same of order 2: rough and cheap"),
+    "trapezoidal": collocation(lobatto_iiia(2), "the same of order 2: rough and cheap"),
 }  # fmt: skip
 
 
@@ -122,7 +132,7 @@ def method_of(method: Any) -> Method:
         return method
     if isinstance(method, (Sampling, SampledStart)):
         exact = isinstance(method, SampledStart)
-        return Method(method, True, exact, "the caller's own numbers", exact)
+        return Method(method, True, exact, "with the parameters of the caller", exact)
     if method not in METHODS:
         raise UnknownName("method of rb.control", method, METHODS)
     return METHODS[method]

@@ -4,7 +4,7 @@ Each is a `Term`: a vector r of a state and controls that a cost squares or a co
 A reference is a value, or a function t -> value of the time in s: a moving reference.
 
     state          dx = x (-) x_ref on the tangent space
-    pose           log(T_ref^-1 T): translation part first, then the rotation vector
+    pose           log(T_ref^-1 T): the rotation vector, then the translation part
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.control.optimal.system import Controlled
 from rbjax.control.optimal.terms import Term
 from rbjax.dynamics.algorithms.energy import center_of_mass
 from rbjax.dynamics.algorithms.forward import forward_dynamics
 from rbjax.dynamics.algorithms.frames import frame_pose, frame_velocity
-from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
-from rbjax.kinematics.arguments import check_reference, check_rotation
+from rbjax.kinematics.arguments import check_rotation, known_array
 from rbjax.model import Model, State
 from rbjax.motion.linearise import apart, beside
 from rbjax.rotations import se3
@@ -137,7 +137,7 @@ class CenterOfMass(Term):
 
 
 class Pose(Term):
-    """log(T_ref^-1 T) of a site or body, (6,): the translation part in m, then the rotation vector.
+    """log(T_ref^-1 T) of a site or body, (6,): the rotation vector, then the translation part in m.
 
     Fields: rotation (3, 3) and position (3,) of the reference in the world, or functions of t that
     return these; site or body, a name.
@@ -156,13 +156,12 @@ class Pose(Term):
             check_rotation("Pose", self.rotation)
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
-        R, p = pose_of(model, state.q, self.site, self.body)
+        R, p = frame_pose(model, state.q, self.body, site=self.site)
         R_ref, p_ref = (
             jnp.asarray(at_time("Pose", x, t), p.dtype) for x in (self.rotation, self.position)
         )
         relative = (R_ref[:, :, None] * R[:, None, :]).sum(0)
-        xi = se3.log(se3.pose(relative, (R_ref * (p - p_ref)[:, None]).sum(0)))
-        return jnp.concatenate([xi[3:], xi[:3]])
+        return se3.log(se3.pose(relative, (R_ref * (p - p_ref)[:, None]).sum(0)))
 
 
 class Point(Term):
@@ -181,7 +180,7 @@ class Point(Term):
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         position = at_time("Point", self.position, t)
-        return pose_of(model, state.q, self.site, self.body)[1] - position
+        return frame_pose(model, state.q, self.body, site=self.site)[1] - position
 
 
 class FrameVelocity(Term):
@@ -215,20 +214,27 @@ def check_target(where: str, name: str, value: Any, shape: tuple[int, ...] | Non
             check_reference(where, name, x, shape)
 
 
+def check_reference(where: str, name: str, value: Any, shape: tuple[int, ...] | None) -> None:
+    """`InputError` unless value is an array, finite if known, whose last axes have a shape (None:
+    any). Leading axes are those of a batch."""
+    try:
+        x = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{where}: {name} is {type(value).__name__}, expected numbers or a function of t"
+        ) from error
+    if shape is not None and x.shape[max(0, x.ndim - len(shape)) :] != shape:
+        raise InputError(
+            f"{where}: {name} has shape {x.shape}, expected {shape} or a function of t"
+        )
+    known = known_array(x)
+    if known is not None and not np.isfinite(known).all():
+        raise InputError(f"{where}: {name} has numbers that are not finite, expected finite ones")
+
+
 def check_frame(where: str, site: Any, body: Any) -> None:
     """Raise unless exactly one of a site and a body is given."""
     if (site is None) == (body is None):
         raise InputError(f"{where}: got site={site!r} and body={body!r}, expected one of them")
     if not isinstance(body if site is None else site, str):
         raise InputError(f"{where}: got site={site!r} and body={body!r}, expected a name")
-
-
-def pose_of(
-    model: Model, q: jax.Array, site: str | None, body: str | None
-) -> tuple[jax.Array, jax.Array]:
-    """R (3, 3) and p (3,) of a site or body in the world."""
-    if site is not None:
-        return frame_pose(model, q, site=site)
-    k = model.body(body or "")
-    poses = forward_kinematics(model, q)
-    return poses.R[k], poses.p[k]

@@ -1,8 +1,7 @@
-"""What a method found, and how well it is an optimum."""
+"""The result of a search, and the public `Solution`."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,8 +16,8 @@ from rbjax.errors import InputError
 from rbjax.model.record import Record
 
 
-class Between(NamedTuple):
-    """What a collocation found within the steps: c (s,), where, from 0 to 1; states with leading
+class StageValues(NamedTuple):
+    """The stages of a collocation: c (s,), their places in a step, from 0 to 1; states with leading
     axes N and s; ctrls (N, s, m)."""
 
     c: jax.Array
@@ -26,54 +25,73 @@ class Between(NamedTuple):
     ctrls: jax.Array
 
 
-class Found(NamedTuple):
-    """What every method returns: knots (N + 1, ...), ctrls (N, m), cost (), outcome (),
-    iterations (); stop (), the change of the cost that was still foreseen; gap (), the largest
-    between a step and the next state; violation (), the largest of a constraint; costs
-    (history,) of the iterations, nan after the last; K (N, m, n), gains of the feedback; and the
-    multipliers of the constraints at the knots with controls (N, c) and at the end (e,). between:
-    a collocation's stages; violations of each constraint, from methods whose controls are not held
-    over a step; penalty () of the augmented Lagrangian, None for methods without one."""
+class SearchResult(NamedTuple):
+    """The result of a method, without the problem: a value that a program can return.
+
+    knots (N + 1, ...), ctrls (N, m): the motion.
+    cost: (), without penalties.
+    status: (), of `rbjax.control.status`.
+    iterations: ().
+    expected_decrease: (), of the cost, by the last step.
+    gap: (), the largest between a step and the next state.
+    violation: (), the largest of a constraint.
+    costs: (history,) of the iterations, nan after the last.
+    K: (N, m, n), gains of du = +K dx.
+    path, end: multipliers of the constraints, (N, c) and (e,).
+    stages: of a collocation.
+    violations: of each constraint, from methods whose controls change within a step.
+    penalty: () of the augmented Lagrangian; None for methods without one.
+    """
 
     knots: Knot
     ctrls: jax.Array
     cost: jax.Array
-    outcome: jax.Array
+    status: jax.Array
     iterations: jax.Array
-    stop: jax.Array
+    expected_decrease: jax.Array
     gap: jax.Array
     violation: jax.Array
     costs: jax.Array
     K: jax.Array
     path: jax.Array
     end: jax.Array
-    between: Between | None = None
+    stages: StageValues | None = None
     violations: jax.Array | None = None
     penalty: jax.Array | None = None
 
 
 class Solution(Record):
-    """A motion and its controls.
+    """A motion, its controls and its feedback.
 
-    Fields: problem; ts (N + 1,) s; states, with a leading axis N + 1; ctrls (N, nu); numbers (p,),
-    what was found of the design and the final time; cost (), without penalties; outcome (), 1 if
-    it converged; iterations (); stop (), the change of the cost that the last iteration foresaw;
-    gap (), the largest between a step and the next state, on the tangent space; violation () of
-    constraints, and violations (number of constraints,) of each; costs (history,) of the
-    iterations; K (N, nu, n), gains of the feedback u = ctrls + K (x (-) states); multipliers, a
-    pair; penalty () of the augmented Lagrangian; between, the stages of a collocation, whose
-    `ctrls` are means over the steps.
+    Fields:
+        problem: the `Problem`.
+        ts: (N + 1,) s.
+        states: with a leading axis N + 1.
+        ctrls: (N, nu); of a collocation the means over the steps.
+        numbers: (p,), the design and the final time that were found.
+        cost: (), without penalties.
+        status: (), a `rb.control.Status`; `summary()` explains it.
+        iterations: ().
+        expected_decrease: (), of the cost, by the last iteration.
+        gap: (), the largest between a step and the next state, on the tangent space.
+        violation: (), the largest of a constraint; violations: of each constraint.
+        costs: (history,) of the iterations.
+        K: (N, nu, n), gains of the feedback u = ctrls - K (x (-) states).
+        multipliers: of the constraints, a pair (N, c), (e,).
+        penalty: () of the augmented Lagrangian.
+        stages: of a collocation.
+        method: its name.
     """
 
     problem: Problem
     ts: jax.Array
     states: Any
     ctrls: jax.Array
-    numbers: jax.Array
+    parameters: jax.Array
     cost: jax.Array
-    outcome: jax.Array
+    status: jax.Array
     iterations: jax.Array
-    stop: jax.Array
+    expected_decrease: jax.Array
     gap: jax.Array
     violation: jax.Array
     violations: jax.Array
@@ -81,32 +99,35 @@ class Solution(Record):
     K: jax.Array
     multipliers: tuple[jax.Array, jax.Array]
     penalty: jax.Array
-    between: Between | None
+    stages: StageValues | None
     method: str = eqx.field(static=True)
 
     @property
-    def converged(self) -> jax.Array:
-        """Whether an optimum was found. Methods without derivatives cannot know it."""
-        return self.outcome == CONVERGED
+    def success(self) -> jax.Array:
+        """Whether the search converged to an optimum. Methods without derivatives cannot know."""
+        return self.status == CONVERGED
 
-    @property
-    def status(self) -> str:
-        """How the search ended, in words; of one problem, not of a batch."""
-        if jnp.ndim(self.outcome):
-            raise InputError("status: the solution is a batch, expected one; look at `outcome`")
-        outcome = int(self.outcome)
-        said = SENTENCES[outcome]
+    def summary(self) -> str:
+        """How the search of one problem ended, and the constraint with the largest violation.
+
+        Raises:
+            InputError: a batch of solutions.
+        """
+        if jnp.ndim(self.status):
+            raise InputError("summary: the solution is a batch, expected one; read `status`")
+        status = int(self.status)
+        text = SENTENCES[status]
         names = [c.name for c in self.problem.constraints]
-        if outcome == INFEASIBLE or (outcome == BUDGET and names and self.violations.max() > 1e-6):
+        if status == INFEASIBLE or (status == BUDGET and names and self.violations.max() > 1e-6):
             worst = int(jnp.argmax(self.violations))
             off = float(self.violations[worst])
-            said += f"; the constraint worst held is {names[worst]!r}, by {off:.3g}"
-        return said
+            text += f"; the largest violation is that of the constraint {names[worst]!r}, {off:.3g}"
+        return text
 
     @property
     def model(self) -> Any:
         """The model with the numbers that were found."""
-        return self.problem.at(self.numbers)[0].model
+        return self.problem.at(self.parameters)[0].model
 
     @property
     def duration(self) -> jax.Array:
@@ -120,71 +141,27 @@ class Solution(Record):
     def policy(self) -> Callable[[Any, Any], jax.Array]:
         """The feedback (t, state) -> ctrl about the motion, within the bounds: for `rb.rollout`."""
         dt = self.ts[1] - self.ts[0]
-        problem, system = self.problem, self.problem.at(self.numbers)[0]
-        N = problem.horizon
-        n = system.n
+        problem, system = self.problem, self.problem.at(self.parameters)[0]
+        N, n = problem.horizon, system.n
 
         def act(t: Any, state: Any) -> jax.Array:
             k = jnp.clip(jnp.floor((t - self.ts[0]) / dt + 1e-6).astype(int), 0, N - 1)
-            here = jax.tree.map(lambda x: x[k], self.states)
-            dx = system.minus(state, here)
-            u = self.ctrls[k] + (self.K[k, :, :n] * dx).sum(-1)
-            return jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+            dx = system.minus(state, self.state(k))
+            return problem.within_bounds(self.ctrls[k] - (self.K[k, :, :n] * dx).sum(-1))
 
         return act
 
 
 def solution_of(
-    problem: Problem, found: Found, off: jax.Array, ts: jax.Array, numbers: jax.Array, method: str
-) -> Solution:
-    """The public form of what a method found."""
-    penalty = found.penalty
+    problem: Problem, result: SearchResult, violations: jax.Array, ts: jax.Array,
+    parameters: jax.Array, method: str,
+) -> Solution:  # fmt: skip
+    """The public form of a result."""
+    penalty = result.penalty
     if penalty is None:
-        penalty = jnp.full_like(found.cost, PENALTY)
+        penalty = jnp.full_like(result.cost, PENALTY)
     return Solution(
-        problem, ts, found.knots.state, found.ctrls, numbers, found.cost, found.outcome,
-        found.iterations, found.stop, found.gap, found.violation,
-        off, found.costs, found.K,
-        (found.path, found.end), penalty, found.between, method,
+        problem, ts, result.knots.state, result.ctrls, parameters, result.cost, result.status,
+        result.iterations, result.expected_decrease, result.gap, result.violation, violations,
+        result.costs, -result.K, (result.path, result.end), penalty, result.stages, method,
     )  # fmt: skip
-
-
-def violations(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
-    """The largest violation of each constraint along a motion."""
-    N, dtype = problem.horizon, ctrls.dtype
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    last = jax.tree.map(lambda x: x[-1], knots)
-    out = [jnp.zeros(0, dtype)]
-    for c in problem.constraints:
-
-        def off(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c) -> jax.Array:
-            system, dt = problem.at(knot.numbers)
-            value = c.term(system.model, problem.time(k, dt), knot.state, ctrl)
-            return jnp.abs(value - jnp.clip(value, c.low, c.high)).max(initial=0.0)
-
-        worst = jnp.zeros((), dtype)
-        if c.where in ("path", "all"):
-            worst = jax.vmap(off)(jnp.arange(N, dtype=dtype), body, ctrls).max()
-        if c.where in ("end", "all"):
-            worst = jnp.maximum(worst, off(N, last, jnp.zeros(problem.nu, dtype)))
-        out.append(worst[None])
-    return jnp.concatenate(out)
-
-
-def plain_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
-    """The cost of a motion, without penalties."""
-    N, dtype = problem.horizon, ctrls.dtype
-
-    def one(where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-        costs = problem.running if where == "path" else problem.terminal
-        total = jnp.zeros((), dtype)
-        for cost in costs:
-            value = problem.value(cost, where, k, knot, ctrl)
-            total = total + (0.5 * (value * value).sum() if value.ndim else value)
-        return total
-
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    last = jax.tree.map(lambda x: x[-1], knots)
-    ks = jnp.arange(N, dtype=dtype)
-    path = jax.vmap(functools.partial(one, "path"))(ks, body, ctrls).sum()
-    return path + one("end", N, last, jnp.zeros(problem.nu, dtype))

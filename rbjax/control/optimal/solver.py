@@ -10,14 +10,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.compiling import compiled, inside_jit
-from rbjax.control.optimal.constants import Known
+from rbjax.control.optimal.constants import ConstantRobots
+from rbjax.control.optimal.constraint_rows import constraint_violations, rows_along
 from rbjax.control.optimal.derivatives.implicit import differentiable
 from rbjax.control.optimal.first_guess import Guess, first_guess, guess_of
-from rbjax.control.optimal.options import Options
+from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS, method_of, name_of
-from rbjax.control.optimal.solution import Found, Solution, solution_of, violations
+from rbjax.control.optimal.solution import SearchResult, Solution, solution_of
 from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
 from rbjax.errors import InputError
 from rbjax.motion.closures.captured import with_captured
@@ -32,7 +34,7 @@ def solve(
     method: Any = "ddp",
     states: Any = None,
     ctrls: Any = None,
-    numbers: Any = None,
+    parameters: Any = None,
     guess: Solution | None = None,
     iterations: int = 200,
     tolerance: float = 1e-9,
@@ -40,21 +42,21 @@ def solve(
     seed: Any = 0,
     progress: bool = False,
 ) -> Solution:
-    """The controls that cost least from a start.
+    """Minimise the cost of a problem from a start.
 
-    min  sum_k h L(t_k, x_k, u_k) + Phi(x_N)   as `Problem` says.
+    min  sum_k h L(t_k, x_k, u_k) + Phi(x_N)   with the constraints of the `Problem`.
 
     Args:
         problem: `Problem`.
         start: `State` of a model or a wheeled robot, (n,) of `Equations`; the first guess where it
             is free.
-        method: one of `rb.control.methods()`; or a `Sampling` or `SampledStart` with numbers of its
-            own.
+        method: one of `rb.control.methods()`; or a `Sampling` or `SampledStart` with other
+            parameters.
         states: a first guess of the states, with a leading axis N + 1. It need not obey the
             dynamics. None: the start, at all knots; or, if ctrls are given, the motion by these if
             it costs less.
         ctrls: a first guess (N, nu) of the controls; None for zeros.
-        numbers: a first guess of the design and, last, of the final time.
+        parameters: a first guess of the design and, last, of the final time.
         guess: instead of these three, the `Solution` of a similar problem. The search starts from
             its motion, rolled out with its gains from the new start, and from its multipliers.
         iterations: at most.
@@ -65,11 +67,11 @@ def solve(
         progress: show the iterations on a terminal; within a program it is ignored.
 
     Returns:
-        `Solution`. `outcome` says whether it converged; `status` says so in words. Its states,
-        controls, numbers, cost and multipliers have derivatives, forward and reverse, by all arrays
-        of the problem, by what its functions close over, and by the start, those of active bounds
-        and constraints included (`implicit`). Its gains and the account of the iterations are
-        constants to derivatives.
+        `Solution`. `success` is true if it converged; `summary()` explains its `status`. Its
+        states, controls, parameters, cost and multipliers have derivatives, forward and reverse,
+        by all arrays of the problem, by arrays that its functions close over, and by the start,
+        also with active bounds and constraints (`derivatives`). Its gains and the record of the
+        iterations are constants to derivatives.
 
     Raises:
         InputError: wrong types or shapes; outside of traced code also numbers that are not finite.
@@ -87,32 +89,29 @@ def solve(
         >>> rb.control.solve(problem, pushed).status
         'converged'
     """
-    if not isinstance(problem, Problem):
-        raise InputError(
-            f"solve: problem is {type(problem).__name__}, expected an rb.control.Problem"
-        )
+    instance("solve", "problem", problem, Problem, "an rb.control.Problem")
     if problem.constraints and not method_of(method).constraints:
         able = [name for name, m in METHODS.items() if m.constraints]
-        raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
+        raise InputError(f"solve: method {method!r} does not support constraints; these do: {able}")
     check_whole("solve", "iterations", iterations, 1)
     for name, value in (("tolerance", tolerance), ("violation", violation)):
         check_between("solve", name, value, 0.0, np.inf)
     for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
-                        ("numbers", numbers)):  # fmt: skip
+                        ("numbers", parameters)):  # fmt: skip
         _check_finite(name, value)
     if not isinstance(seed, jax.core.Tracer):
         _check_seed(seed)
     inside = inside_jit()
     show = progress and not inside
     number = jnp.asarray if inside else _plain
-    began = guess_of(problem, guess, states, ctrls, numbers)
+    began = guess_of(problem, guess, states, ctrls, parameters)
+    rule = StoppingRule(number(tolerance), number(violation), number(iterations))
     options = Options(
-        number(tolerance), number(violation), number(iterations), jnp.asarray(seed, jnp.uint32),
-        multipliers=began.multipliers, say=_say if show else None,
-    )  # fmt: skip
+        rule, jnp.asarray(seed, jnp.uint32), began.multipliers, _report if show else None
+    )
     began = began._replace(multipliers=None)
     if not all(map(eqx.is_array_like, jax.tree.leaves(start))):
-        start = problem.system.checked("solve", start)  # says what is wrong
+        start = problem.system.checked("solve", start)  # raises
     leaves, tree = jax.tree.flatten(problem)
     places = [i for i, x in enumerate(leaves) if callable(x)]
     program, robot = (_solve if inside else _compiled), len(jax.tree.leaves(problem.system))
@@ -126,10 +125,10 @@ def solve(
         numeric, rest = eqx.partition(parts[constants is not None :], eqx.is_array)
         others, other_tree = jax.tree.flatten(rest)
         key = (tree, constants, other_tree, *others)
-        found, off, ts, numbers = program(
+        found, off, ts, parameters = program(
             numeric, start, began, options, key, method, int(iterations)
         )
-        return solution_of(problem, found, off, ts, numbers, name_of(method))
+        return solution_of(problem, found, off, ts, parameters, name_of(method))
 
     if not show:
         return with_captured(run, *(leaves[i] for i in places))
@@ -144,9 +143,9 @@ def solve(
 
 def _check_finite(name: str, value: Any) -> None:
     """`InputError` if a number is not finite. Traced values and arrays on a GPU are not read; then
-    the outcome is `NOT_FINITE`."""
+    the status is `NOT_FINITE`."""
     for x in jax.tree.leaves(value):
-        if name != "start" and isinstance(x, str | bytes):  # `checked` says what a start must be
+        if name != "start" and isinstance(x, str | bytes):  # `checked` raises for a start
             raise InputError(f"solve: {name} is {x!r}, expected numbers")
         if isinstance(x, jax.core.Tracer) or (isinstance(x, jax.Array) and not _on_host(x)):
             continue
@@ -172,14 +171,14 @@ def _on_host(x: jax.Array) -> bool:
 _lines: list[Say] = []  # of the searches that run now
 
 
-def _say(iterations: Any, cost: Any, violation: Any) -> None:
+def _report(iterations: Any, cost: Any, violation: Any) -> None:
     """One function for all searches: programs are known by it."""
     if _lines:
         held = f", violation {float(violation):.2g}" if violation else ""
         _lines[-1](f"iteration {int(iterations)}, cost {float(cost):.8g}{held}")
 
 
-_robots = Known()
+_robots = ConstantRobots()
 
 
 def _plain(x: Any) -> Any:
@@ -189,59 +188,60 @@ def _plain(x: Any) -> Any:
 
 def _solve(
     numeric: Any, start: Any, guess: Guess, options: Options, key: tuple, method: Any, history: int
-) -> tuple[Found, jax.Array, jax.Array, jax.Array]:
-    """What was found, the violation of each constraint, the times and the numbers."""
+) -> tuple[SearchResult, jax.Array, jax.Array, jax.Array]:
+    """The result, the violation of each constraint, the times and the parameters."""
     tree, constants, other_tree, *others = key
     parts = eqx.combine(numeric, jax.tree.unflatten(other_tree, others))
     if constants is not None:
-        parts = (constants.whole(), *parts)
+        parts = (constants.unflatten(), *parts)
     problem = jax.tree.unflatten(tree, [x for part in parts for x in part])
     start = problem.system.checked("solve", start)
     knots, ctrls = first_guess(problem, start, *guess[:4])
     found, off = _judged(problem, start, knots, ctrls, options, method, history)
-    numbers = found.knots.numbers[0]
+    parameters = found.knots.parameters[0]
     ks = jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
-    ts = problem.time(ks, problem.at(numbers)[1])
-    return found, off, ts, numbers
+    ts = problem.time(ks, problem.at(parameters)[1])
+    return found, off, ts, parameters
 
 
 def _judged(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, method: Any,
     history: int,
-) -> tuple[Found, jax.Array]:  # fmt: skip
-    """What a method finds, with the outcome that its states and constraints show."""
+) -> tuple[SearchResult, jax.Array]:  # fmt: skip
+    """The result of a method, its status corrected by violated constraints and values not
+    finite."""
     search = functools.partial(_searched, method, history)
-    if method_of(method).steps:
+    if method_of(method).differentiable:
         found = differentiable(search, problem, start, knots, ctrls, options)
     else:
         found = _without_derivative(search(problem, start, knots, ctrls, options))
     if found.violations is not None:
         return found, found.violations
-    off = violations(problem, found.knots, found.ctrls)
+    off = constraint_violations(problem, *rows_along(problem, found.knots, found.ctrls))
     # a method that weighs constraints against costs may come to rest where they do not hold
-    rests = (found.outcome == CONVERGED) | (found.outcome == FINISHED)
-    broken = (off > options.violation).any() & rests
-    outcome = jnp.where(broken, INFEASIBLE, found.outcome)
-    outcome = jnp.where(jnp.isfinite(found.cost + found.gap), outcome, NOT_FINITE)
-    return found._replace(outcome=outcome), off
+    rests = (found.status == CONVERGED) | (found.status == FINISHED)
+    broken = (off > options.rule.violation).any() & rests
+    status = jnp.where(broken, INFEASIBLE, found.status)
+    status = jnp.where(jnp.isfinite(found.cost + found.gap), status, NOT_FINITE)
+    return found._replace(status=status), off
 
 
 @jax.custom_jvp
-def _without_derivative(found: Found) -> Found:
-    """What a method found whose equations are not steps of the system."""
+def _without_derivative(found: SearchResult) -> SearchResult:
+    """The result of a method whose equations are not steps of the system."""
     return found
 
 
 @_without_derivative.defjvp
 def _refuse(primals: Any, tangents: Any) -> Any:
-    able = [name for name, m in METHODS.items() if m.steps]
+    able = [name for name, m in METHODS.items() if m.differentiable]
     raise InputError(
         f"solve: the optimum of this method has no derivative; those of {able} have: solve again "
         "by one of them, from the states and controls found"
     )
 
 
-def _searched(method: Any, history: int, *given: Any) -> Found:
+def _searched(method: Any, history: int, *given: Any) -> SearchResult:
     return method_of(method).solve(*given, history)
 
 

@@ -1,4 +1,4 @@
-"""What a problem controls: states on a manifold, and a step.
+"""Systems: states on a manifold, and a step.
 
     x+ = f(t, x, u, dt),      x (+) dx,      dx = y (-) x,      A = df/dx, B = df/du on the tangent
 The optimisers know nothing else of a robot. A system is made of a `Model`, of any function of a
@@ -36,7 +36,7 @@ class Linearised(NamedTuple):
 class System(Record):
     """States on a manifold, and a step. Subclasses are final.
 
-    `model` is what costs and constraints are given as `model`: the robot itself.
+    `model` is the `model` argument of costs and constraints: the robot itself.
     """
 
     @property
@@ -114,7 +114,7 @@ class System(Record):
 
 @runtime_checkable
 class Controlled(Protocol):
-    """What makes a system of itself."""
+    """An object that returns its `System`."""
 
     def controlled(self) -> System: ...
 

@@ -1,4 +1,4 @@
-"""What costs and constraints look at: functions of a robot's state and controls.
+"""Terms of costs and constraints: functions of a robot's state and controls.
 
 A term is a function (model, t, state, ctrl) -> a number, or a vector of residuals r. As a cost a
 number counts as it is, a vector as sum w r^2 / 2 (`Cost`). Any function (t, state, ctrl) or
@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_bound
+from rbjax.kinematics.arguments import check_bound, known_array
 from rbjax.model.record import Record
 
 
@@ -28,7 +28,7 @@ class Term(Record):
 
     @property
     def label(self) -> str:
-        """How messages name it."""
+        """The name in messages."""
         return type(self).__name__
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
@@ -63,7 +63,7 @@ class Cost(Record):
     def __init__(self, term: Any, weight: Any = 1.0) -> None:
         self.term = term_of("Cost", term)
         self.weight = check_bound(f"Cost({self.term.label})", "weight", weight)
-        known = looked_at(self.weight)
+        known = known_array(self.weight)
         if known is not None and ((known < 0).any() or not np.isfinite(known).all()):
             raise InputError(
                 f"Cost({self.term.label}): the weight is {known.tolist()}, expected finite "
@@ -74,7 +74,7 @@ class Cost(Record):
 class Constraint(Record):
     """low <= term <= high; an equation where both are equal.
 
-    Fields: term; low and high, () or as the term, infinite where there is no bound; where, at which
+    Fields: term; low and high, () or as the term, infinite without a bound; where: at which
     knots: "path" (those with controls), "end" or "all"; name.
     """
 
@@ -99,17 +99,12 @@ class Constraint(Record):
             raise InputError(
                 f"Constraint({self.name}): where is {where!r}, expected 'path', 'end' or 'all'"
             )
-        lowest, highest = looked_at(self.low), looked_at(self.high)
+        lowest, highest = known_array(self.low), known_array(self.high)
         if lowest is not None and highest is not None and (lowest > highest).any():
             raise InputError(
                 f"Constraint({self.name}): low {lowest.tolist()} is above high "
                 f"{highest.tolist()}; give low <= high"
             )
-
-
-def looked_at(x: Any) -> np.ndarray | None:
-    """Numbers as numpy has them, or None where they are traced."""
-    return None if isinstance(x, jax.core.Tracer) else np.asarray(x, float)
 
 
 def term_of(where: str, f: Any) -> Term:

@@ -295,7 +295,7 @@ def tracking_gains(
     """Gains K of a time-varying linear quadratic regulator along a trajectory: u + K (z - z_ref).
 
     z = (q, v) is linearised over each step of `rollout` (rk4), z+ = A z + B u. Backwards from
-    P = Q at the end (`rb.control.backward`),
+    P = Q at the end (`rb.control.linear.backward`),
 
         K = -(R + B^T P B)^-1 B^T P A,    P = Q + A^T P (A + B K)
 

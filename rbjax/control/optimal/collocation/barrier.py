@@ -35,16 +35,16 @@ class Bounded(NamedTuple):
 
     @property
     def below(self) -> jax.Array:
-        """v - low; 1 where there is no bound."""
+        """v - low; 1 without a bound."""
         return jnp.where(jnp.isfinite(self.low), self.v - self.low, 1.0)
 
     @property
     def above(self) -> jax.Array:
-        """high - v; 1 where there is no bound."""
+        """high - v; 1 without a bound."""
         return jnp.where(jnp.isfinite(self.high), self.high - self.v, 1.0)
 
 
-def inside(v: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+def push_inside(v: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     """v, pushed into the bounds."""
     width = jnp.where(jnp.isfinite(high - low), high - low, jnp.inf)
     at_low = jnp.minimum(PUSH * jnp.maximum(1.0, jnp.abs(low)), PUSH * width)
@@ -53,7 +53,7 @@ def inside(v: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     return jnp.where(jnp.isfinite(high), jnp.minimum(v, high - at_high), v)
 
 
-def count(x: Bounded) -> jax.Array:
+def bound_count(x: Bounded) -> jax.Array:
     """The number of bounds."""
     return jnp.isfinite(x.low).sum() + jnp.isfinite(x.high).sum()
 
@@ -74,7 +74,7 @@ def gradient(x: Bounded, mu: jax.Array) -> jax.Array:
     return jnp.where(high, mu / x.above, 0.0) - jnp.where(low, mu / x.below, 0.0)
 
 
-def stiffness(x: Bounded, z: Duals) -> jax.Array:
+def hessian(x: Bounded, z: Duals) -> jax.Array:
     """Sigma."""
     return z.zl / x.below + z.zu / x.above
 
@@ -85,7 +85,7 @@ def first_duals(x: Bounded, mu: jax.Array) -> Duals:
     return Duals(jnp.where(low, mu / x.below, 0.0), jnp.where(high, mu / x.above, 0.0))
 
 
-def reach(x: Bounded, dv: jax.Array, tau: jax.Array) -> jax.Array:
+def step_to_boundary(x: Bounded, dv: jax.Array, tau: jax.Array) -> jax.Array:
     """The longest part () of a step, 1 at most, that leaves a share 1 - tau of each distance."""
     down = jnp.where(jnp.isfinite(x.low) & (dv < 0), tau * x.below / jnp.where(dv < 0, -dv, 1.0), 1)
     up = jnp.where(jnp.isfinite(x.high) & (dv > 0), tau * x.above / jnp.where(dv > 0, dv, 1.0), 1)
@@ -100,7 +100,7 @@ def dual_step(x: Bounded, dv: jax.Array, z: Duals, mu: jax.Array) -> Duals:
     return Duals(zl, zu)
 
 
-def dual_reach(z: Duals, dz: Duals, tau: jax.Array) -> jax.Array:
+def dual_step_to_boundary(z: Duals, dz: Duals, tau: jax.Array) -> jax.Array:
     """The longest part () of a step of the multipliers that keeps them positive."""
     shares = [
         jnp.where(d < 0, tau * y / jnp.where(d < 0, -d, 1.0), 1.0).min(initial=1.0)
@@ -109,7 +109,7 @@ def dual_reach(z: Duals, dz: Duals, tau: jax.Array) -> jax.Array:
     return jnp.minimum(1.0, jnp.minimum(*shares))
 
 
-def dual_moved(x: Bounded, z: Duals, dz: Duals, a: jax.Array, mu: jax.Array) -> Duals:
+def moved_duals(x: Bounded, z: Duals, dz: Duals, a: jax.Array, mu: jax.Array) -> Duals:
     """z + a dz at the new v, near mu / distance."""
     near = first_duals(x, mu)
     moved = (y + a * d for y, d in zip(z, dz, strict=True))

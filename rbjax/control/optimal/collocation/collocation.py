@@ -8,7 +8,7 @@ of sequential quadratic programming: the Lagrangian to second order with its sta
     mu <- min(0.2 mu, mu^1.5)   where the problem with the barrier mu is solved; then, too,
     centre <- y,  soft <- mu    of the constraints, down to the root of a rounding
     reg <- 8 reg    where a control Hessian is not positive definite, or no step is taken
-    where the filter takes no step and gaps are left, steps that close them are taken for a while
+    if the filter accepts no step and there are gaps, the next steps close them
 
 The motion need not obey the dynamics before the end, so that a guess of only the states is enough
 to begin with. Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter &
@@ -34,7 +34,7 @@ from rbjax.control.optimal.collocation.transcribed import (
     Multipliers,
     Point,
     Transcribed,
-    of_each,
+    constraint_values,
 )
 from rbjax.control.optimal.collocation.transcription import (
     at_end,
@@ -44,13 +44,13 @@ from rbjax.control.optimal.collocation.transcription import (
     stage_states,
     stages,
 )
+from rbjax.control.optimal.constraint_rows import constraint_violations, limits
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, Knot, Problem
 from rbjax.control.optimal.shooting import filter_search
-from rbjax.control.optimal.shooting.expansion import limits
 from rbjax.control.optimal.shooting.filter_search import Filter, Pair
-from rbjax.control.optimal.shooting.verdict import VAIN, in_vain
-from rbjax.control.optimal.solution import Between, Found
+from rbjax.control.optimal.shooting.search_state import MAX_STALLED, count_stalled
+from rbjax.control.optimal.solution import SearchResult, StageValues
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.solvers.common.tableau import Tableau
 
@@ -66,7 +66,7 @@ SOFT = 0.5  # equations are soft to eps^0.5 times the change of their multiplier
 
 
 class Iterate(NamedTuple):
-    """What an iteration leaves to the next."""
+    """The state between two iterations."""
 
     point: Point
     multipliers: Multipliers
@@ -75,22 +75,22 @@ class Iterate(NamedTuple):
     reg: jax.Array  # the last one that was needed
     floor: jax.Array  # the least to try next
     filter: Filter
-    stop: jax.Array
-    turns: jax.Array
-    outcome: jax.Array
+    expected_decrease: jax.Array
+    iterations: jax.Array
+    status: jax.Array
     costs: jax.Array
     K: jax.Array
     violation: jax.Array  # at the last change of the centre
     vain: jax.Array  # changes in a row that did not lower it
     closing: jax.Array  # gaps to close to before the filter decides again; infinite: it decides
-    mark: jax.Array  # with idle, those of `in_vain`
-    idle: jax.Array
+    reference_cost: jax.Array  # with stalled, those of `count_stalled`
+    stalled: jax.Array
 
 
 def by_collocation(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     table: Tableau,
-) -> Found:  # fmt: skip
+) -> SearchResult:  # fmt: skip
     """`solve` by collocation."""
     t = Transcribed(problem, start, table)
     last = iterated(t, begun(t, knots, ctrls, history), options)
@@ -103,20 +103,20 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
     N, n = problem.horizon, problem.n
     mu = jnp.asarray(FIRST_MU, dtype)
     low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
-    knots = Knot(knots.state, barrier.inside(knots.numbers, low, high))
+    knots = Knot(knots.state, barrier.push_inside(knots.parameters, low, high))
     inner = chords(problem, t.table, knots, ctrls)
-    us = t.us(Point(knots, inner, inner.us, inner.us))  # whose slacks are not looked at
-    inner = inner._replace(us=barrier.inside(us.v, us.low, us.high))
+    us = t.us(Point(knots, inner, inner.us, inner.us))  # whose slacks are not read
+    inner = inner._replace(us=barrier.push_inside(us.v, us.low, us.high))
     body = jax.tree.map(lambda x: x[BODY], knots)
     ks = jnp.arange(N, dtype=dtype)
     rows = jax.vmap(functools.partial(stages, problem, t.table))(ks, body, inner).rows
     _, end = at_end(problem, jax.tree.map(lambda x: x[-1], knots))
     slacks = []
     for where, values in (("path", rows), ("end", end)):
-        low, high = limits(problem, where, jnp.zeros(values.shape[-1], dtype))
-        slacks.append(jnp.where(low == high, low, barrier.inside(values, low, high)))
+        low, high = limits(problem, where, dtype)
+        slacks.append(jnp.where(low == high, low, barrier.push_inside(values, low, high)))
     point = Point(knots, inner, *slacks)
-    bounds = sum(barrier.count(x) for x in t.bounded(point)) + rows.size + end.size
+    bounds = sum(barrier.bound_count(x) for x in t.bounded(point)) + rows.size + end.size
     mu = jnp.where(bounds > 0, mu, 0.0)
     multipliers = t.first_multipliers(point, mu)
     measured = t.measured(point, multipliers)
@@ -124,7 +124,7 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
     number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
     return Iterate(
         point, multipliers, measured, mu, number(0), number(0),
-        filter_search.empty(measured.theta), number(jnp.inf), jnp.asarray(0),
+        filter_search.empty_filter(measured.theta), number(jnp.inf), jnp.asarray(0),
         jnp.where(jnp.isfinite(total), GOING, NOT_FINITE), jnp.full(history, jnp.nan, dtype),
         jnp.zeros((N, problem.nu, n), dtype), number(jnp.inf), jnp.asarray(0), number(jnp.inf),
         number(jnp.inf), jnp.asarray(0),
@@ -136,10 +136,10 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     dtype = begin.mu.dtype
     eps = jnp.finfo(dtype).eps
     soft = jnp.asarray(eps**SOFT, dtype)
-    bounds = sum(barrier.count(x) for x in t.bounded(begin.point))
-    tolerance = jnp.maximum(options.tolerance.astype(dtype), 10 * eps)
+    bounds = sum(barrier.bound_count(x) for x in t.bounded(begin.point))
+    tolerance = jnp.maximum(options.rule.tolerance.astype(dtype), 10 * eps)
     least = tolerance / jnp.maximum(bounds, 1)
-    scale = options.scale
+    scale = options.rule.scale
     if scale is None:
         scale = jnp.minimum(jnp.abs(begin.measured.cost), 1.0)
     _, b, _ = constants(t.table, dtype)
@@ -165,7 +165,7 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         path, end, gaps = t.expanded(now.point, l, w)
         gains, reg = direction(path, end, gaps, now)
         step, by = t.step(now.point, l, w, path, end, gaps, gains)
-        stop = jnp.abs(gains.slope + 0.5 * gains.curvature)
+        decrease = jnp.abs(gains.slope + 0.5 * gains.curvature)
         along, back = t.reach(now.point, l, step, by, jnp.maximum(0.99, 1 - mu))
 
         def phi(m: Measured) -> Pair:
@@ -194,19 +194,19 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
             goes_on, tries, (along, before, jnp.asarray(False), jnp.asarray(0))
         )
         point = t.moved(now.point, step, a)
-        kept = filter_search.extended(now.filter, pair, phi(m), slope, a)
+        kept = filter_search.updated_filter(now.filter, pair, phi(m), slope, a)
         moved = point, t.moved_multipliers(point, l, by, a, back, mu), m, kept
         point, l, m, kept = _chosen(taken, moved, (now.point, l, before, now.filter))
 
         # how far the search is
         gap = jnp.maximum(before.gap, m.gap)
-        solved = gains.ok & (stop <= jnp.maximum(SOLVED * mu, tolerance))
+        solved = gains.ok & (decrease <= jnp.maximum(SOLVED * mu, tolerance))
         solved = solved & (gap <= jnp.maximum(mu, eps**GAP))
-        held = m.violation <= options.violation
+        held = m.violation <= options.rule.violation
         share = jnp.maximum(scale, jnp.abs(before.cost))
         # regularisation makes the foreseen change small anywhere: under it the gradient must be so
         flat = (reg <= 0) | (jnp.sqrt(gains.square) <= jnp.sqrt(tolerance) * share)
-        done = solved & (mu <= least) & (stop <= tolerance * share) & flat & held
+        done = solved & (mu <= least) & (decrease <= tolerance * share) & flat & held
         done = done & (gap <= eps**GAP)
         vain = (m.violation > FALLS * now.violation) & ~held
         vain = jnp.where(solved, jnp.where(vain, now.vain + 1, 0), now.vain)
@@ -214,39 +214,40 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         less = jnp.where(solved, jnp.minimum(less, mu), mu)
         both = tuple(x.multipliers for x in t.rows(point, l))
         l = _chosen(solved, l._replace(centre=both), l)
-        kept = _chosen(solved, filter_search.cleared(kept), kept)
+        kept = _chosen(solved, filter_search.without_pairs(kept), kept)
         floor = jnp.where(taken, 0.0, jnp.maximum(LEAST_REG, HARDER * reg))
         begins = ~taken & ~closing & gains.ok & (before.gap > jnp.maximum(mu, eps**GAP))
         goal = jnp.where(begins, CLOSED * before.theta, now.closing)
         ends = closing & (m.theta <= now.closing)
         goal = jnp.where(ends, jnp.inf, goal)
-        kept = _chosen(ends, filter_search.cleared(kept), kept)
+        kept = _chosen(ends, filter_search.without_pairs(kept), kept)
         floor = jnp.where(begins | (closing & taken & ~ends), CLOSING_REG, floor)
 
-        turns = now.turns + 1
+        iterations = now.iterations + 1
         whole = ~closing & (gap <= jnp.maximum(mu, eps**GAP)) & ~(solved & (mu > least))
-        mark, idle = in_vain(now.mark, now.idle, phi(m).phi, whole)
-        lost = (~taken & (reg >= MOST_REG / HARDER)) | (idle >= VAIN)
-        outcome = jnp.where(turns >= options.iterations, BUDGET, GOING)
-        outcome = jnp.where(lost, jnp.where(held | (gap > eps**GAP), STUCK, INFEASIBLE), outcome)
-        outcome = jnp.where(vain >= OFTEN, INFEASIBLE, outcome)
-        outcome = jnp.where(done, CONVERGED, outcome)
+        reference, stalled = count_stalled(now.reference_cost, now.stalled, phi(m).phi, whole)
+        lost = (~taken & (reg >= MOST_REG / HARDER)) | (stalled >= MAX_STALLED)
+        status = jnp.where(iterations >= options.rule.iterations, BUDGET, GOING)
+        status = jnp.where(lost, jnp.where(held | (gap > eps**GAP), STUCK, INFEASIBLE), status)
+        status = jnp.where(vain >= OFTEN, INFEASIBLE, status)
+        status = jnp.where(done, CONVERGED, status)
         N, s, nu = point.inner.us.shape
         K = (b[:, None, None] * gains.K.reshape(N, s, nu, -1)).sum(1)
         return Iterate(
-            point, l, m, less, jnp.where(reg > 0, reg, now.reg), floor.astype(dtype), kept, stop,
-            turns, outcome, now.costs.at[jnp.minimum(now.turns, history - 1)].set(m.cost), K,
-            jnp.where(solved, m.violation, now.violation), vain, goal, mark, idle,
+            point, l, m, less, jnp.where(reg > 0, reg, now.reg), floor.astype(dtype), kept,
+            decrease, iterations, status,
+            now.costs.at[jnp.minimum(now.iterations, history - 1)].set(m.cost), K,
+            jnp.where(solved, m.violation, now.violation), vain, goal, reference, stalled,
         )  # fmt: skip
 
-    return jax.lax.while_loop(lambda now: now.outcome == GOING, turn, begin)
+    return jax.lax.while_loop(lambda now: now.status == GOING, turn, begin)
 
 
 def _chosen(condition: jax.Array, one: Any, other: Any) -> Any:
     return jax.tree.map(functools.partial(jnp.where, condition), one, other)
 
 
-def found(t: Transcribed, last: Iterate) -> Found:
+def found(t: Transcribed, last: Iterate) -> SearchResult:
     """The public form of the last iterate."""
     point, l = last.point, last.multipliers
     _, b, c = constants(t.table, point.inner.us.dtype)
@@ -254,9 +255,9 @@ def found(t: Transcribed, last: Iterate) -> Found:
     states = jax.vmap(functools.partial(stage_states, t.problem, t.table))(body, point.inner)
     ctrls = jax.vmap(functools.partial(combined, b))(point.inner.us)
     path, end = (x.multipliers for x in t.rows(point, l))
-    m, off = last.measured, of_each(t, point)
-    return Found(
-        point.knots, ctrls, m.cost, last.outcome, last.turns, last.stop, m.gap,
+    m, off = last.measured, constraint_violations(t.problem, *constraint_values(t, point))
+    return SearchResult(
+        point.knots, ctrls, m.cost, last.status, last.iterations, last.expected_decrease, m.gap,
         off.max(initial=0.0), last.costs, last.K, path.sum(1), end,
-        Between(c, states, point.inner.us), off,
+        StageValues(c, states, point.inner.us), off,
     )  # fmt: skip

@@ -3,9 +3,9 @@
     E dK = -miss - e_x dx - e_u du       gives   dK = Z (dx, du) + offset
     dx+ = A dx + B du + gap,      Z' H Z the Hessian of the Lagrangian in (dx, du)
 
-What is left has the form of a discrete problem whose controls are those of all stages of a step: a
-Riccati recursion solves it, in time linear in the horizon. Constraints at the stages enter as
-their slacks and multipliers say (`row_terms`), equations by the method of multipliers.
+The condensed problem is a discrete problem whose controls are those of all stages of a step: a
+Riccati recursion solves it, in time linear in the horizon. Constraints at the stages enter by their
+slacks and multipliers (`row_terms`), equations by the method of multipliers.
 
 lambda follows from the stationarity of K: E' lambda = -(cost + y.rows + p.x+)_K.
 """
@@ -116,7 +116,7 @@ def row_step(
 
 def _springs(rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array, jax.Array]:
     x = rows.bounded
-    stiff = barrier.stiffness(x, rows.duals)
+    stiff = barrier.hessian(x, rows.duals)
     return barrier.gradient(x, w.mu), stiff, 1 / (1 + stiff * w.soft)
 
 
@@ -128,8 +128,8 @@ def condensed(
     (s, m), ns, n = inner.us.shape, problem.system.n, problem.n
     dtype = inner.us.dtype
     a, b, c = constants(table, dtype)
-    _, dt = problem.at(knot.numbers)
-    by_numbers = jax.grad(lambda p: problem.at(p)[1])(knot.numbers)
+    _, dt = problem.at(knot.parameters)
+    by_numbers = jax.grad(lambda p: problem.at(p)[1])(knot.parameters)
     dt_x = jnp.concatenate([jnp.zeros(ns, dtype), by_numbers])
     inside = combined(a, inner.rates)  # xi = h inside
     whole = combined(b, inner.rates)
@@ -164,7 +164,7 @@ def condensed(
         there = problem.plus(knot, d[:n])
         z = dt * whole + d[n:]
         state = problem.system.plus(there.state, z)
-        gap = problem.minus(Knot(state, there.numbers), following)
+        gap = problem.minus(Knot(state, there.parameters), following)
         return gap, gap
 
     G, gap = jax.jacfwd(end, has_aux=True)(jnp.zeros(n + ns, dtype))
@@ -195,7 +195,7 @@ def condensed(
     H = jax.jacfwd(jax.grad(lagrangian))(jnp.zeros(n + s * m + 1, dtype))
     base, stiff = row_terms(found, rows, w)
     stiff, base = stiff.reshape(-1), base.reshape(-1) + stiff.reshape(-1) * more
-    wall, spring = barrier.gradient(us, w.mu), barrier.stiffness(us, us_duals)
+    wall, spring = barrier.gradient(us, w.mu), barrier.hessian(us, us_duals)
     g = cost_e + matvec(Z.T, cost_k) + H[:-1, -1] + matvec(C.T, base)
     g = g.at[n:].add(wall.reshape(-1))
     H = H[:-1, :-1] + matmat(C.T, stiff[:, None] * C)

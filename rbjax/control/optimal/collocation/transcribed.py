@@ -1,4 +1,4 @@
-"""A problem at its stages: what the iterations of a collocation ask of it.
+"""The collocation transcription of a problem: values, expansion and steps.
 
 Unknown are the knots, the stages and their controls, and a slack for each constraint
 (`transcription`). `Transcribed` measures a point, expands it, and steps from it: rows and bounds by
@@ -32,15 +32,15 @@ from rbjax.control.optimal.collocation.transcription import (
     at_end,
     stages,
 )
+from rbjax.control.optimal.constraint_rows import limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback, backward_pass
-from rbjax.control.optimal.shooting.expansion import limits, row_sizes
 from rbjax.lanes.products import matvec
 from rbjax.solvers.common.tableau import Tableau
 
 
 class Point(NamedTuple):
-    """The unknowns: knots, what is between them, slacks (N, s, c) of the path, (e,) of the end."""
+    """The unknowns: knots, stages (inner), slacks (N, s, c) of the path, (e,) of the end."""
 
     knots: Knot
     inner: Inner
@@ -54,7 +54,7 @@ class Multipliers(NamedTuple):
 
     costates: jax.Array
     us: Duals
-    numbers: Duals
+    parameters: Duals
     slacks: tuple[Duals, Duals]
     y: tuple[jax.Array, jax.Array]
     centre: tuple[jax.Array, jax.Array]
@@ -100,11 +100,12 @@ class Transcribed(NamedTuple):
         )
         return Bounded(us, low, high)
 
-    def numbers(self, point: Point) -> Bounded:
-        """What is constant along the motion."""
-        numbers = point.knots.numbers[0]
-        low, high = (x[self.problem.system.n :] for x in self.problem.start_bounds(numbers.dtype))
-        return Bounded(numbers, low, high)
+    def parameters(self, point: Point) -> Bounded:
+        """The parameters, which are constant along the motion."""
+        parameters = point.knots.parameters[0]
+        bounds = self.problem.start_bounds(parameters.dtype)
+        low, high = (x[self.problem.system.n :] for x in bounds)
+        return Bounded(parameters, low, high)
 
     def rows(self, point: Point, l: Multipliers) -> tuple[Rows, Rows]:
         """The rows of constraints of path and end."""
@@ -113,7 +114,7 @@ class Transcribed(NamedTuple):
             slack = (point.path, point.end)[i]
             low, high = (
                 jnp.broadcast_to(x, slack.shape)
-                for x in limits(self.problem, where, jnp.zeros(slack.shape[-1], slack.dtype))
+                for x in limits(self.problem, where, slack.dtype)
             )
             out.append(Rows(slack, l.slacks[i], l.y[i], l.centre[i], low, high))
         return out[0], out[1]
@@ -121,35 +122,36 @@ class Transcribed(NamedTuple):
     def bounded(self, point: Point) -> tuple[Bounded, Bounded, Bounded, Bounded]:
         """Controls, numbers, slacks of path and end."""
         path, end = self.rows(point, self.none(point))
-        return self.us(point), self.numbers(point), path.bounded, end.bounded
+        return self.us(point), self.parameters(point), path.bounded, end.bounded
 
     def none(self, point: Point) -> Multipliers:
         """No multipliers."""
         costates = jnp.zeros((self.problem.horizon + 1, self.problem.n), point.path.dtype)
         pair = jnp.zeros_like(point.path), jnp.zeros_like(point.end)
-        alike = point.inner.us, point.knots.numbers[0], *pair
-        us, numbers, *slacks = (Duals(x, x) for x in map(jnp.zeros_like, alike))
-        return Multipliers(costates, us, numbers, (slacks[0], slacks[1]), pair, pair)
+        alike = point.inner.us, point.knots.parameters[0], *pair
+        us, parameters, *slacks = (Duals(x, x) for x in map(jnp.zeros_like, alike))
+        return Multipliers(costates, us, parameters, (slacks[0], slacks[1]), pair, pair)
 
     def first_multipliers(self, point: Point, mu: jax.Array) -> Multipliers:
         """mu over the distances, and nothing of equations."""
-        us, numbers, *slacks = (barrier.first_duals(x, mu) for x in self.bounded(point))
-        return self.none(point)._replace(us=us, numbers=numbers, slacks=(slacks[0], slacks[1]))
+        us, parameters, *slacks = (barrier.first_duals(x, mu) for x in self.bounded(point))
+        slacks = slacks[0], slacks[1]
+        return self.none(point)._replace(us=us, parameters=parameters, slacks=slacks)
 
-    # what the unknowns give
+    # functions of the unknowns
 
     def off_start(self, knots: Knot) -> jax.Array:
-        """From the first knot to the start (n,), 0 where it is free."""
+        """start (-) first knot (n,), 0 in free coordinates."""
         return self.problem.off_start(self.start, jax.tree.map(lambda x: x[0], knots))
 
     def measured(self, point: Point, l: Multipliers) -> Measured:
-        """Cost, barrier and what is off."""
+        """Cost, barrier and infeasibility."""
         problem, knots, dtype = self.problem, point.knots, point.inner.us.dtype
         body, following = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
 
         def one(k: Any, knot: Knot, inner: Inner, following: Knot) -> tuple:
             found = stages(problem, self.table, k, knot, inner)
-            _, dt = problem.at(knot.numbers)
+            _, dt = problem.at(knot.parameters)
             gap = problem.minus(found.after, following)
             return found.cost, found.rows, jnp.concatenate([gap, dt * found.miss.reshape(-1)])
 
@@ -190,12 +192,12 @@ class Transcribed(NamedTuple):
         )
         last = jax.tree.map(lambda x: x[-1], knots)
         end = end_condensed(problem, w, last, closing)
-        if problem.numbers:  # bounded at the first knot
-            ns, numbers = problem.system.n, self.numbers(point)
+        if problem.parameter_count:  # bounded at the first knot
+            ns, parameters = problem.system.n, self.parameters(point)
             at = jnp.arange(ns, problem.n)
             cost = path.cost
-            q = cost.q.at[0, ns:].add(barrier.gradient(numbers, w.mu))
-            Q = cost.Q.at[0, at, at].add(barrier.stiffness(numbers, l.numbers))
+            q = cost.q.at[0, ns:].add(barrier.gradient(parameters, w.mu))
+            Q = cost.Q.at[0, at, at].add(barrier.hessian(parameters, l.parameters))
             path = path._replace(cost=cost._replace(q=q, Q=Q))
         gaps = jnp.concatenate([self.off_start(knots)[None], path.gap])
         return path, end, gaps
@@ -203,8 +205,8 @@ class Transcribed(NamedTuple):
     def gains(self, path: Condensed, end: End, gaps: jax.Array, reg: jax.Array) -> Feedback:
         """The backward pass."""
         problem, first = self.problem, None
-        if problem.opens:
-            free = jnp.asarray([*problem.free, *[True] * problem.numbers], gaps.dtype)
+        if problem.free_first_knot:
+            free = jnp.asarray([*problem.free, *[True] * problem.parameter_count], gaps.dtype)
             none = jnp.full_like(free, jnp.inf)
             first = (free, -none, none)
         return threads(backward_pass)(path.A, path.B, gaps, path.cost, end.cost, None, first, reg)
@@ -235,15 +237,15 @@ class Transcribed(NamedTuple):
         d_slack, dy = row_step(path.rows, d_path, rows, w)
         d_closing, dy_end = row_step(end.rows, d_end, closing, w)
         step = Step(dx, du.reshape(N, s, m), rates, d_slack, d_closing)
-        us, numbers, *slacks = (
+        us, parameters, *slacks = (
             barrier.dual_step(x, dv, z, w.mu)
             for x, dv, z in zip(
-                self.bounded(point), self.moves(step), (l.us, l.numbers, *l.slacks), strict=True
+                self.bounded(point), self.moves(step), (l.us, l.parameters, *l.slacks), strict=True
             )
         )
         none = jnp.zeros_like(dy), jnp.zeros_like(dy_end)
         by = Multipliers(
-            costates - l.costates, us, numbers, (slacks[0], slacks[1]), (dy, dy_end), none
+            costates - l.costates, us, parameters, (slacks[0], slacks[1]), (dy, dy_end), none
         )
         return step, by
 
@@ -257,10 +259,10 @@ class Transcribed(NamedTuple):
         """The longest parts of a step of the unknowns, and of the multipliers."""
         along = back = jnp.ones((), tau.dtype)
         for x, dv in zip(self.bounded(point), self.moves(step), strict=True):
-            along = jnp.minimum(along, barrier.reach(x, dv, tau))
-        duals = (l.us, l.numbers, *l.slacks), (by.us, by.numbers, *by.slacks)
+            along = jnp.minimum(along, barrier.step_to_boundary(x, dv, tau))
+        duals = (l.us, l.parameters, *l.slacks), (by.us, by.parameters, *by.slacks)
         for z, dz in zip(*duals, strict=True):
-            back = jnp.minimum(back, barrier.dual_reach(z, dz, tau))
+            back = jnp.minimum(back, barrier.dual_step_to_boundary(z, dz, tau))
         return along, back
 
     def moved_multipliers(
@@ -268,35 +270,24 @@ class Transcribed(NamedTuple):
         mu: jax.Array,
     ) -> Multipliers:  # fmt: skip
         """At the new point."""
-        us, numbers, *slacks = (
-            barrier.dual_moved(x, z, dz, back, mu)
+        us, parameters, *slacks = (
+            barrier.moved_duals(x, z, dz, back, mu)
             for x, z, dz in zip(
-                self.bounded(point), (l.us, l.numbers, *l.slacks),
-                (by.us, by.numbers, *by.slacks), strict=True,
+                self.bounded(point), (l.us, l.parameters, *l.slacks),
+                (by.us, by.parameters, *by.slacks), strict=True,
             )
         )  # fmt: skip
         y = tuple(old + a * new for old, new in zip(l.y, by.y, strict=True))
         return Multipliers(
-            l.costates + a * by.costates, us, numbers, (slacks[0], slacks[1]), (y[0], y[1]),
+            l.costates + a * by.costates, us, parameters, (slacks[0], slacks[1]), (y[0], y[1]),
             l.centre,
         )  # fmt: skip
 
 
-def of_each(t: Transcribed, point: Point) -> jax.Array:
-    """The largest violation of each constraint, at stages and end."""
+def constraint_values(t: Transcribed, point: Point) -> tuple[jax.Array, jax.Array]:
+    """The rows of constraints at all stages (N, s, c) and at the end (e,)."""
     problem, dtype = t.problem, point.inner.us.dtype
     body = jax.tree.map(lambda x: x[BODY], point.knots)
     ks = jnp.arange(problem.horizon, dtype=dtype)
     rows = jax.vmap(functools.partial(stages, problem, t.table))(ks, body, point.inner).rows
-    _, end = at_end(problem, jax.tree.map(lambda x: x[-1], point.knots))
-    off: dict[int, jax.Array] = {}
-    for where, values in (("path", rows), ("end", end)):
-        low, high = limits(problem, where, jnp.zeros(values.shape[-1], dtype))
-        away = jnp.abs(values - jnp.clip(values, low, high))
-        at = 0
-        for one, size in row_sizes(problem, where):
-            worst = away[..., at : at + size].max(initial=0.0)
-            off[id(one)] = jnp.maximum(off.get(id(one), jnp.zeros((), dtype)), worst)
-            at += size
-    none = jnp.zeros(0, dtype)
-    return jnp.concatenate([none, *(off[id(x)][None] for x in problem.constraints)])
+    return rows, at_end(problem, jax.tree.map(lambda x: x[-1], point.knots))[1]

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.optimal.objective import knot_cost
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.solvers.common.tableau import Tableau
 
@@ -31,8 +32,8 @@ class Inner(NamedTuple):
 
 
 class Stages(NamedTuple):
-    """What a step's unknowns give: miss (s, n), rates less f; the knot after; its cost (); and
-    rows (s, c) of the constraints."""
+    """The values of a step: miss (s, n), rates minus f; the knot after; its cost (); and the rows
+    (s, c) of the constraints."""
 
     miss: jax.Array
     after: Knot
@@ -55,33 +56,24 @@ def at_stage(
     problem: Problem, where: Any, knot: Knot, xi: jax.Array, ctrl: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """f (n,), the running cost () and the rows (c,) at knot (+) xi. where: k + c_i."""
-    system, dt = problem.at(knot.numbers)
+    system, dt = problem.at(knot.parameters)
     rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
-    point = Knot(system.plus(knot.state, xi), knot.numbers)
-    cost = total(problem, "path", where, point, ctrl)
+    point = Knot(system.plus(knot.state, xi), knot.parameters)
+    cost = knot_cost(problem, "path", where, point, ctrl)
     return rates, cost, problem.rows(where, point, ctrl, "path")
-
-
-def total(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-    """The sum () of the costs at a stage ("path") or at the "end"."""
-    found = jnp.zeros((), ctrl.dtype)
-    for cost in problem.running if where == "path" else problem.terminal:
-        value = problem.value(cost, where, k, knot, ctrl)
-        found = found + (0.5 * (value * value).sum() if value.ndim else value)
-    return found
 
 
 def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -> Knot:
     """x (+) h sum_i b_i K_i."""
-    system, dt = problem.at(knot.numbers)
+    system, dt = problem.at(knot.parameters)
     _, b, _ = constants(table, rates.dtype)
-    return Knot(system.plus(knot.state, dt * combined(b, rates)), knot.numbers)
+    return Knot(system.plus(knot.state, dt * combined(b, rates)), knot.parameters)
 
 
 def stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -> Stages:
     """The step k."""
     a, b, c = constants(table, inner.rates.dtype)
-    _, dt = problem.at(knot.numbers)
+    _, dt = problem.at(knot.parameters)
     xi = dt * combined(a, inner.rates)
     rates, costs, rows = jax.vmap(lambda *x: at_stage(problem, x[0], knot, *x[1:]))(
         k + c, xi, inner.us
@@ -93,14 +85,14 @@ def stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -
 def stage_states(problem: Problem, table: Tableau, knot: Knot, inner: Inner) -> Any:
     """The states of the stages of a step."""
     a, _, _ = constants(table, inner.rates.dtype)
-    system, dt = problem.at(knot.numbers)
+    system, dt = problem.at(knot.parameters)
     return jax.vmap(lambda xi: system.plus(knot.state, xi))(dt * combined(a, inner.rates))
 
 
 def at_end(problem: Problem, knot: Knot) -> tuple[jax.Array, jax.Array]:
     """The terminal cost () and the rows (e,) at the end."""
     N, none = problem.horizon, jnp.zeros(problem.nu, problem.dt.dtype)
-    return total(problem, "end", N, knot, none), problem.rows(N, knot, none, "end")
+    return knot_cost(problem, "end", N, knot, none), problem.rows(N, knot, none, "end")
 
 
 def chords(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> Inner:
@@ -108,7 +100,7 @@ def chords(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> I
     s = len(table.b)
 
     def one(knot: Knot, following: Knot, ctrl: jax.Array) -> Inner:
-        system, dt = problem.at(knot.numbers)
+        system, dt = problem.at(knot.parameters)
         slope = system.minus(following.state, knot.state) / dt
         return Inner(*(jnp.broadcast_to(x, (s, *x.shape)) for x in (ctrl, slope)))
 

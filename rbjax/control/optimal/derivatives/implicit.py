@@ -7,10 +7,9 @@ multipliers) is zero whatever the numbers p of the problem are (`optimality`), s
 
 (Fiacco 1983; Amos et al., *Differentiable MPC*, 2018). `riccati_solve` solves it in O(N). Forward
 and reverse mode solve with the same K, and nothing of the iterations is kept. The derivative of the
-optimal cost is that of L by p, for no first-order move of the unknowns changes L.
+optimal cost is that of L by p, because L is stationary in the unknowns.
 
-Where a search has not converged the derivative is finite, and `outcome` says that it is not one of
-an optimum.
+If the search failed, the derivative is finite but meaningless: check `success`.
 """
 
 from __future__ import annotations
@@ -23,17 +22,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.control.optimal.derivatives.optimality import Functions, Near, Point, Seen, solution
+from rbjax.control.optimal.constraint_rows import limits
+from rbjax.control.optimal.derivatives.optimality import (
+    Functions,
+    KKTSystem,
+    KnotValues,
+    PrimalDualPoint,
+    solution,
+)
+from rbjax.control.optimal.objective import residuals
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.expansion import limits
-from rbjax.control.optimal.solution import Found
+from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import CONVERGED
 
 
 def differentiable(
-    search: Callable[..., Found], problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
-    options: Any,
-) -> Found:  # fmt: skip
+    search: Callable[..., SearchResult], problem: Problem, start: Any, knots: Knot,
+    ctrls: jax.Array, options: Any,
+) -> SearchResult:  # fmt: skip
     """search(problem, start, knots, ctrls, options), with derivatives of the optimum by the arrays
     of the problem, what its functions close over, and the start. Gains and the account of the
     iterations are constants to them, and nothing depends on the first guess."""
@@ -43,43 +49,44 @@ def differentiable(
     def whole(arrays: Any) -> Problem:
         return eqx.combine(arrays, rest)
 
-    def run(arrays: Any, *given: Any) -> Found:
+    def run(arrays: Any, *given: Any) -> SearchResult:
         return search(whole(arrays), *given)
 
     def path(arrays: Any, d: jax.Array, k: Any, knot: Knot, ctrl: jax.Array, following: Knot):
         p = whole(arrays)
         there, u = p.plus(knot, d[:n]), ctrl + d[n:]
-        r, beside = _values(p, p.running, "path", k, there, u)
+        r, rest_ = residuals(p, "path", k, there, u)
         c = p.rows(k, there, u, "path")
-        return Seen(r, beside, p.minus(p.step(k, there, u), following), c, *limits(p, "path", c))
+        gap = p.minus(p.step(k, there, u), following)
+        return KnotValues(r, rest_, gap, c, *limits(p, "path", c.dtype))
 
     def end(arrays: Any, d: jax.Array, knot: Knot):
         p = whole(arrays)
         there, u = p.plus(knot, d), jnp.zeros(m, d.dtype)
-        r, beside = _values(p, p.terminal, "end", N, there, u)
+        r, rest_ = residuals(p, "end", N, there, u)
         c = p.rows(N, there, u, "end")
-        return Seen(r, beside, jnp.zeros(0, d.dtype), c, *limits(p, "end", c))
+        return KnotValues(r, rest_, jnp.zeros(0, d.dtype), c, *limits(p, "end", c.dtype))
 
     given = (arrays, start, knots, ctrls, options)
-    functions = Functions(_plain(run), _plain(path), _plain(end))
+    functions = Functions(_without_operands(run), _without_operands(path), _without_operands(end))
     found: tuple = ()
-    if any(map(_may_read_tracers, jax.tree.leaves(rest))):
+    if any(map(_may_close_over_tracers, jax.tree.leaves(rest))):
         one = jax.tree.map(lambda x: x[0], knots)
         d, number = jnp.zeros(n + m, ctrls.dtype), jnp.zeros((), ctrls.dtype)
-        functions, found = _hoisted(
+        functions, found = _hoist_closures(
             Functions(run, path, end),
             (given, (arrays, d, number, one, ctrls[0], one), (arrays, d[:n], one)),
         )
 
     @jax.custom_jvp
-    def optimum(found: tuple, *given: Any) -> Found:
+    def optimum(found: tuple, *given: Any) -> SearchResult:
         return functions.run(found, *given)
 
     @optimum.defjvp
-    def rule(primals: tuple, tangents: tuple) -> tuple[Found, Found]:
+    def rule(primals: tuple, tangents: tuple) -> tuple[SearchResult, SearchResult]:
         out = optimum(*primals)
-        numbers, directions = primals[:3], tangents[:3]
-        return out, _moved(functions, whole, out, numbers, directions)
+        parameters, directions = primals[:3], tangents[:3]
+        return out, _solution_tangent(functions, whole, out, parameters, directions)
 
     return optimum(found, *given)
 
@@ -89,28 +96,14 @@ def _traced(x: Any) -> bool:
     return isinstance(x, jax.core.Tracer)
 
 
-def _values(
-    problem: Problem, costs: tuple, where: str, k: Any, knot: Knot, ctrl: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """All residuals (r,) of a knot, and what costs beside them."""
-    residuals, rest = [jnp.zeros(0, ctrl.dtype)], jnp.zeros((), ctrl.dtype)
-    for cost in costs:
-        value = problem.value(cost, where, k, knot, ctrl)
-        if value.ndim:
-            residuals.append(value)
-        else:
-            rest = rest + value
-    return jnp.concatenate(residuals), rest
-
-
 # ------------------------------------------------------------ functions that close over tracers
 
 
-def _plain(f: Callable) -> Callable:
+def _without_operands(f: Callable) -> Callable:
     return lambda _, *args: f(*args)
 
 
-def _may_read_tracers(f: Any) -> bool:
+def _may_close_over_tracers(f: Any) -> bool:
     """Whether a function may read numbers that are not among the arrays of a problem."""
     if not callable(f):
         return False
@@ -121,7 +114,7 @@ def _may_read_tracers(f: Any) -> bool:
     return any(x is not None for x in held)
 
 
-def _hoisted(functions: Functions, examples: tuple) -> tuple[Functions, tuple]:
+def _hoist_closures(functions: Functions, examples: tuple) -> tuple[Functions, tuple]:
     """The functions with all tracers that they close over as their first argument, and these."""
     made: list[Callable] = []
     found: list[jax.Array] = []
@@ -129,13 +122,13 @@ def _hoisted(functions: Functions, examples: tuple) -> tuple[Functions, tuple]:
         traced, shape = jax.make_jaxpr(f, return_shape=True)(*example)
         tree = jax.tree.structure(shape)
         places = [i for i, x in enumerate(traced.consts) if isinstance(x, jax.core.Tracer)]
-        made.append(_evaluates(traced, tree, places, len(found)))
+        made.append(_evaluator(traced, tree, places, len(found)))
         found.extend(traced.consts[i] for i in places)
     run, path, end = made
     return Functions(run, path, end), tuple(found)
 
 
-def _evaluates(traced: Any, tree: Any, places: list[int], at: int) -> Callable:
+def _evaluator(traced: Any, tree: Any, places: list[int], at: int) -> Callable:
     consts = [None if i in places else x for i, x in enumerate(traced.consts)]
 
     def run(found: tuple, *args: Any) -> Any:
@@ -151,23 +144,24 @@ def _evaluates(traced: Any, tree: Any, places: list[int], at: int) -> Callable:
 # ------------------------------------------------------------ the derivative
 
 
-def _moved(
-    functions: Functions, whole: Callable, out: Found, numbers: tuple, directions: tuple
-) -> Found:
-    """The tangents of what was found."""
-    near = Near(functions, whole, numbers)
-    view = near.polished(Point(out.knots, out.ctrls, out.path, out.end), out.outcome == CONVERGED)
-    change = jax.jvp(lambda x: near.gradient(x, view), (numbers,), (directions,))[1]
-    dz = solution(view, jax.tree.map(jnp.negative, change))
-    held = jax.jvp(lambda x: near.controls(x, view), (numbers,), (directions,))[1]
+def _solution_tangent(
+    functions: Functions, whole: Callable, out: SearchResult, parameters: tuple, directions: tuple
+) -> SearchResult:
+    """The tangent of a result."""
+    kkt_system = KKTSystem(functions, whole, parameters)
+    point = PrimalDualPoint(out.knots, out.ctrls, out.path, out.end)
+    kkt = kkt_system.polished(point, out.status == CONVERGED)
+    change = jax.jvp(lambda x: kkt_system.gradient(x, kkt), (parameters,), (directions,))[1]
+    dz = solution(kkt, jax.tree.map(jnp.negative, change))
+    held = jax.jvp(lambda x: kkt_system.controls(x, kkt), (parameters,), (directions,))[1]
     du = dz.u + held
 
     def moved(x: jax.Array) -> Knot:
-        return jax.vmap(near.problem.plus)(out.knots, x)
+        return jax.vmap(kkt_system.problem.plus)(out.knots, x)
 
     knots = jax.jvp(moved, (jnp.zeros_like(dz.x),), (dz.x,))[1]
-    # nothing that the unknowns may do changes L: its own change is that of the cost
-    L = jax.jvp(lambda x: near.lagrangian(x, view), (numbers,), (directions,))[1]
+    # L is stationary in the unknowns: its derivative by the parameters is that of the cost
+    L = jax.jvp(lambda x: kkt_system.lagrangian(x, kkt), (parameters,), (directions,))[1]
     zero = jax.tree.map(_no_tangent, out)
     return zero._replace(knots=knots, ctrls=du, cost=L, path=dz.path, end=dz.end)
 

@@ -26,23 +26,23 @@ from rbjax.control.optimal.derivatives.riccati_solve import (
     Factor,
     Saddle,
     Unknowns,
-    congruence,
-    factorised,
-    masked,
-    solved,
-    times_matrix,
+    apply_masks,
+    factorise,
+    multiply,
+    solve,
+    transpose_product,
 )
 from rbjax.control.optimal.problem import Knot
 from rbjax.control.products import product
 
-NEAR = 64.0  # units in the last place between a control and a bound that holds it
+BOUND_ROUNDING = 64.0  # units in the last place between a control and a bound that holds it
 REGULAR = 1e-6  # of the mean of a diagonal: added to Hessians of Gauss and Newton
 POLISH = 1  # Newton steps before the derivative is taken: a search ends at a finite tolerance
 
 
-class Seen(NamedTuple):
-    """Of a knot, beside it by d: residuals r, what costs beside them, the next knot less the one
-    that follows (n,), and constraints c with their bounds."""
+class KnotValues(NamedTuple):
+    """The values at a knot (+) d: residuals r; rest, the sum of the costs that are numbers; after,
+    the state after the step minus the next knot (n,); constraints c with their bounds."""
 
     r: jax.Array
     rest: jax.Array
@@ -53,15 +53,15 @@ class Seen(NamedTuple):
 
 
 class Functions(NamedTuple):
-    """What is needed of a problem. Each takes first what hoisting found, then the arrays of the
-    problem. run: the search; path and end: `Seen` of a knot."""
+    """The functions of a problem. Their first arguments are the closed-over tracers and the arrays
+    of the problem. run: the search; path and end: `KnotValues` of a knot."""
 
     run: Callable[..., Any]
-    path: Callable[..., Seen]
-    end: Callable[..., Seen]
+    path: Callable[..., KnotValues]
+    end: Callable[..., KnotValues]
 
 
-class Point(NamedTuple):
+class PrimalDualPoint(NamedTuple):
     """Where a derivative is taken; path and end: multipliers."""
 
     knots: Knot
@@ -70,10 +70,10 @@ class Point(NamedTuple):
     end: jax.Array
 
 
-class View(NamedTuple):
-    """A point, what is active there, the gradient of L by the unknowns, and the equations."""
+class KKTPoint(NamedTuple):
+    """A point, its active bounds, the gradient of L by the unknowns, and the equations."""
 
-    point: Point
+    point: PrimalDualPoint
     l: jax.Array
     at_low: jax.Array
     at_high: jax.Array
@@ -84,37 +84,37 @@ class View(NamedTuple):
     factor: Factor
 
 
-def solution(view: View, r: Unknowns) -> Unknowns:
+def solution(kkt: KKTPoint, r: Unknowns) -> Unknowns:
     """z of K z = r."""
-    e, f = view.equations, view.factor
+    e, f = kkt.equations, kkt.factor
     flat, whole = ravel_pytree(r)  # of one array: a transpose wants all of them linear, or none
 
     def matrix(z: jax.Array) -> jax.Array:
-        return ravel_pytree(times_matrix(e, whole(z)))[0]
+        return ravel_pytree(multiply(e, whole(z)))[0]
 
     def inverse(_: Any, r: jax.Array) -> jax.Array:
-        return ravel_pytree(solved(e, f, whole(r)))[0]
+        return ravel_pytree(solve(e, f, whole(r)))[0]
 
     return whole(jax.lax.custom_linear_solve(matrix, flat, inverse, symmetric=True))
 
 
-class Near:
-    """A problem with its numbers, near points."""
+class KKTSystem:
+    """The KKT conditions of a problem with its parameters."""
 
-    def __init__(self, functions: Functions, whole: Callable, numbers: tuple) -> None:
-        self.functions, self.whole, self.numbers = functions, whole, numbers
-        self.problem = whole(numbers[1])
+    def __init__(self, functions: Functions, whole: Callable, parameters: tuple) -> None:
+        self.functions, self.whole, self.parameters = functions, whole, parameters
+        self.problem = whole(parameters[1])
         self.n, self.m = self.problem.n, self.problem.nu
 
     # a knot
 
-    def path(self, numbers: tuple, d: jax.Array, *knot: Any) -> Seen:
-        return self.functions.path(numbers[0], numbers[1], d, *knot)
+    def path(self, parameters: tuple, d: jax.Array, *knot: Any) -> KnotValues:
+        return self.functions.path(parameters[0], parameters[1], d, *knot)
 
-    def end(self, numbers: tuple, d: jax.Array, knot: Knot) -> Seen:
-        return self.functions.end(numbers[0], numbers[1], d, knot)
+    def end(self, parameters: tuple, d: jax.Array, knot: Knot) -> KnotValues:
+        return self.functions.end(parameters[0], parameters[1], d, knot)
 
-    def knots(self, point: Point) -> tuple:
+    def knots(self, point: PrimalDualPoint) -> tuple:
         """What `path` takes of all knots, and the last knot."""
         ks = jnp.arange(self.problem.horizon, dtype=point.ctrls.dtype)
         body = jax.tree.map(lambda x: x[:-1], point.knots)
@@ -123,43 +123,44 @@ class Near:
 
     # the equations
 
-    def polished(self, point: Point, wanted: jax.Array) -> View:
+    def polished(self, point: PrimalDualPoint, wanted: jax.Array) -> KKTPoint:
         """The equations after steps of Newton, where these are wanted and bring the gradient nearer
         to zero."""
         like = jax.eval_shape(self.at, point)
         best = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), like)
 
-        def turn(k: Any, now: tuple[Point, View]) -> tuple[Point, View]:
+        def turn(k: Any, now: tuple[PrimalDualPoint, KKTPoint]) -> tuple[PrimalDualPoint, KKTPoint]:
             point, best = now
-            view = self.at(point)
-            better = wanted & (_size(view.gradient) < _size(best.gradient))
-            best = jax.tree.map(lambda x, y: jnp.where((k == 0) | better, x, y), view, best)
+            kkt = self.at(point)
+            better = wanted & (_size(kkt.gradient) < _size(best.gradient))
+            best = jax.tree.map(lambda x, y: jnp.where((k == 0) | better, x, y), kkt, best)
             z = solution(best, jax.tree.map(jnp.negative, best.gradient))
             at = best.point
             knots = jax.vmap(self.problem.plus)(at.knots, z.x)
-            ctrls = self.controls(self.numbers, best) + z.u
-            return Point(knots, ctrls, at.path + z.path, at.end + z.end), best
+            ctrls = self.controls(self.parameters, best) + z.u
+            return PrimalDualPoint(knots, ctrls, at.path + z.path, at.end + z.end), best
 
         return jax.lax.fori_loop(0, POLISH + 1, turn, (point, best))[1]
 
-    def at(self, point: Point) -> View:
+    def at(self, point: PrimalDualPoint) -> KKTPoint:
         """The equations at a point."""
         n, m, dtype, system = self.n, self.m, point.ctrls.dtype, self.problem.system
         at, last = self.knots(point)
 
-        def first(d: jax.Array, seen: Callable[[jax.Array], Seen], nu: jax.Array) -> tuple:
+        def first(d: jax.Array, values: Callable[[jax.Array], KnotValues], nu: jax.Array) -> tuple:
             def flat(d: jax.Array) -> tuple:
-                s = seen(d)
+                s = values(d)
                 return (s.after, s.c, s.r, _cost(s) + (nu * s.c).sum()), s
 
             (F, G, J, g), s = jax.jacfwd(flat, has_aux=True)(d)
-            return F, G, g, _gauss(J), s.after, _off(s, nu), s.low == s.high
+            return F, G, g, _gauss_newton(J), s.after, _active_residual(s, nu), s.low == s.high
 
         def of_path(nu: jax.Array, *knot: Any) -> tuple:
-            return first(jnp.zeros(n + m, dtype), lambda d: self.path(self.numbers, d, *knot), nu)
+            values = lambda d: self.path(self.parameters, d, *knot)  # noqa: E731
+            return first(jnp.zeros(n + m, dtype), values, nu)
 
         F, G, g, gauss, gap, off, equal = jax.vmap(of_path)(point.path, *at)
-        seen_end = functools.partial(self.end, self.numbers, knot=last)
+        seen_end = functools.partial(self.end, self.parameters, knot=last)
         _, E, l_N, gauss_N, _, off_N, equal_N = first(jnp.zeros(n, dtype), seen_end, point.end)
 
         def back(l: jax.Array, x: tuple) -> tuple:
@@ -171,9 +172,10 @@ class Near:
         l_0, (l, gu) = swept
         l = jnp.concatenate([l_0[None], l])
 
-        at_low, at_high = _held(point.ctrls, *self._bounds(self.numbers), gu)
-        numbers = point.knots.numbers[0]
-        first_low, first_high = _held(numbers, *self._first_bounds(self.numbers), l_0[system.n :])
+        at_low, at_high = _active_bounds(point.ctrls, *self._bounds(self.parameters), gu)
+        parameters = point.knots.parameters[0]
+        first_bounds = self._first_bounds(self.parameters)
+        first_low, first_high = _active_bounds(parameters, *first_bounds, l_0[system.n :])
         held = [~jnp.asarray(self.problem.free, bool), first_low | first_high]
         holds = (
             jnp.concatenate(held), ~(at_low | at_high), (point.path != 0) | equal,
@@ -182,16 +184,16 @@ class Near:
         masks = tuple(x.astype(dtype) for x in holds)
         fixed, free, rows, rows_N = masks
 
-        def L(seen: Callable[[jax.Array], Seen], l: jax.Array, nu: jax.Array) -> Callable:
+        def L(values: Callable[[jax.Array], KnotValues], l: jax.Array, nu: jax.Array) -> Callable:
             def value(d: jax.Array) -> jax.Array:
-                s = seen(d)
+                s = values(d)
                 return _cost(s) + (l * s.after).sum() + (nu * s.c).sum()
 
             return jax.jacfwd(jax.grad(value))
 
         def second(l: jax.Array, nu: jax.Array, *knot: Any) -> jax.Array:
-            seen = lambda d: self.path(self.numbers, d, *knot)  # noqa: E731
-            return L(seen, l, nu)(jnp.zeros(n + m, dtype))
+            values = lambda d: self.path(self.parameters, d, *knot)  # noqa: E731
+            return L(values, l, nu)(jnp.zeros(n + m, dtype))
 
         H = jax.vmap(second)(l[1:], point.path, *at)
         H_N = L(seen_end, jnp.zeros(0, dtype), point.end)(jnp.zeros(n, dtype))
@@ -200,119 +202,119 @@ class Near:
             Q = jnp.concatenate([H[:, :n, :n], H_N[None]])
             jacobians = F[:, :, :n], F[:, :, n:], G[:, :, :n], G[:, :, n:], E
             A, B, C, D, end = jacobians
-            return masked(Saddle(A, B, Q, H[:, :n, n:], H[:, n:, n:], C, D, end, *masks))
+            return apply_masks(Saddle(A, B, Q, H[:, :n, n:], H[:, n:, n:], C, D, end, *masks))
 
-        e, factor = _of_a_minimum(made(H, H_N), made(gauss, gauss_N))
-        opening = (1 - fixed) * l_0
+        e, factor = _definite_equations(made(H, H_N), made(gauss, gauss_N))
+        first_row = (1 - fixed) * l_0
         gradient = Unknowns(
-            jnp.zeros_like(l).at[0].set(opening), free * gu,
+            jnp.zeros_like(l).at[0].set(first_row), free * gu,
             jnp.concatenate([jnp.zeros((1, n), dtype), gap]), rows * off, rows_N * off_N,
         )  # fmt: skip
         kept = (at_low, at_high, first_low, first_high)
-        view = View(point, l.at[0].multiply(fixed), *kept, gradient, e, factor)
-        first_row = self.opening(self.numbers, view)
-        return view._replace(gradient=gradient._replace(l=gradient.l.at[0].set(first_row)))
+        kkt = KKTPoint(point, l.at[0].multiply(fixed), *kept, gradient, e, factor)
+        first_row = self.first_row(self.parameters, kkt)
+        return kkt._replace(gradient=gradient._replace(l=gradient.l.at[0].set(first_row)))
 
-    def _bounds(self, numbers: tuple) -> tuple[jax.Array, jax.Array]:
-        problem = self.whole(numbers[1])
+    def _bounds(self, parameters: tuple) -> tuple[jax.Array, jax.Array]:
+        problem = self.whole(parameters[1])
         dtype = problem.dt.dtype
         if not problem.bounded:
             return jnp.full(self.m, -jnp.inf, dtype), jnp.full(self.m, jnp.inf, dtype)
         return problem.low.astype(dtype), problem.high.astype(dtype)
 
-    def _first_bounds(self, numbers: tuple) -> tuple[jax.Array, jax.Array]:
-        problem = self.whole(numbers[1])
+    def _first_bounds(self, parameters: tuple) -> tuple[jax.Array, jax.Array]:
+        problem = self.whole(parameters[1])
         low, high = (x[problem.system.n :] for x in problem.start_bounds(problem.dt.dtype))
         return low, high
 
     # L, where unknowns stay and numbers move
 
-    def controls(self, numbers: tuple, view: View) -> jax.Array:
-        """The controls, those at a bound as functions of it."""
-        low, high = self._bounds(numbers)
-        u = jnp.where(view.at_low, low, view.point.ctrls)
-        return jnp.where(view.at_high, high, u)
+    def controls(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
+        """The controls; an entry at a bound is replaced by the bound."""
+        low, high = self._bounds(parameters)
+        u = jnp.where(kkt.at_low, low, kkt.point.ctrls)
+        return jnp.where(kkt.at_high, high, u)
 
-    def opening(self, numbers: tuple, view: View) -> jax.Array:
-        """What is fixed of the first knot less where it is."""
-        system = self.whole(numbers[1]).system
-        first = jax.tree.map(lambda x: x[0], view.point.knots)
-        low, high = self._first_bounds(numbers)
-        held = jnp.where(view.first_low, low, jnp.where(view.first_high, high, first.numbers))
-        off = [system.minus(numbers[2], first.state), held - first.numbers]
-        return view.equations.fixed * jnp.concatenate(off)
+    def first_row(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
+        """The residual of the fixed coordinates of the first knot."""
+        system = self.whole(parameters[1]).system
+        first = jax.tree.map(lambda x: x[0], kkt.point.knots)
+        low, high = self._first_bounds(parameters)
+        held = jnp.where(kkt.first_low, low, jnp.where(kkt.first_high, high, first.parameters))
+        off = [system.minus(parameters[2], first.state), held - first.parameters]
+        return kkt.equations.fixed * jnp.concatenate(off)
 
-    def gradient(self, numbers: tuple, view: View) -> Unknowns:
+    def gradient(self, parameters: tuple, kkt: KKTPoint) -> Unknowns:
         """The gradient of L by the unknowns."""
-        n, point, dtype, e = self.n, view.point, view.point.ctrls.dtype, view.equations
+        n, point, dtype, e = self.n, kkt.point, kkt.point.ctrls.dtype, kkt.equations
         (ks, body, _, following), last = self.knots(point)
 
         def one(l: jax.Array, nu: jax.Array, *knot: Any) -> tuple:
             def L(d: jax.Array) -> tuple:
-                s = self.path(numbers, d, *knot)
+                s = self.path(parameters, d, *knot)
                 return _cost(s) + (l * s.after).sum() + (nu * s.c).sum(), s
 
             g, s = jax.grad(L, has_aux=True)(jnp.zeros(n + self.m, dtype))
-            return g, s.after, _off(s, nu)
+            return g, s.after, _active_residual(s, nu)
 
-        at = (ks, body, self.controls(numbers, view), following)
-        g, gap, off = jax.vmap(one)(view.l[1:], point.path, *at)
+        at = (ks, body, self.controls(parameters, kkt), following)
+        g, gap, off = jax.vmap(one)(kkt.l[1:], point.path, *at)
 
         def closing(d: jax.Array) -> tuple:
-            s = self.end(numbers, d, last)
-            return _cost(s) + (point.end * s.c).sum(), _off(s, point.end)
+            s = self.end(parameters, d, last)
+            return _cost(s) + (point.end * s.c).sum(), _active_residual(s, point.end)
 
         g_N, off_N = jax.grad(closing, has_aux=True)(jnp.zeros(n, dtype))
-        gaps = jnp.concatenate([self.opening(numbers, view)[None], gap])
-        gx = jnp.concatenate([g[:, :n], g_N[None]]) - view.l
+        gaps = jnp.concatenate([self.first_row(parameters, kkt)[None], gap])
+        gx = jnp.concatenate([g[:, :n], g_N[None]]) - kkt.l
         return Unknowns(gx, e.free * g[:, n:], gaps, e.path * off, e.end * off_N)
 
-    def lagrangian(self, numbers: tuple, view: View) -> jax.Array:
-        """L, without what is zero at the point whatever the numbers are."""
-        point = view.point
+    def lagrangian(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
+        """L, without the terms that are zero for all parameters."""
+        point = kkt.point
         (ks, body, _, following), last = self.knots(point)
 
         def one(l: jax.Array, nu: jax.Array, *knot: Any) -> jax.Array:
-            s = self.path(numbers, jnp.zeros(self.n + self.m, l.dtype), *knot)
-            return _cost(s) + (l * s.after).sum() + (nu * _off(s, nu)).sum()
+            s = self.path(parameters, jnp.zeros(self.n + self.m, l.dtype), *knot)
+            return _cost(s) + (l * s.after).sum() + (nu * _active_residual(s, nu)).sum()
 
-        at = (ks, body, self.controls(numbers, view), following)
-        s = self.end(numbers, jnp.zeros(self.n, point.end.dtype), last)
-        closing = _cost(s) + (point.end * _off(s, point.end)).sum()
-        opening = (view.l[0] * self.opening(numbers, view)).sum()
-        return jax.vmap(one)(view.l[1:], point.path, *at).sum() + closing + opening
+        at = (ks, body, self.controls(parameters, kkt), following)
+        s = self.end(parameters, jnp.zeros(self.n, point.end.dtype), last)
+        closing = _cost(s) + (point.end * _active_residual(s, point.end)).sum()
+        first_row = (kkt.l[0] * self.first_row(parameters, kkt)).sum()
+        return jax.vmap(one)(kkt.l[1:], point.path, *at).sum() + closing + first_row
 
 
-def _of_a_minimum(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:
+def _definite_equations(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:
     """The equations with exact Hessians where these are of a minimum, else of Gauss and Newton."""
     fixed = jax.lax.stop_gradient
-    found = factorised(fixed(exact))
+    found = factorise(fixed(exact))
     e = jax.tree.map(lambda x, y: jnp.where(found.ok, x, y), exact, gauss)
-    return e, jax.lax.cond(found.ok, lambda: found, lambda: factorised(fixed(gauss)))
+    return e, jax.lax.cond(found.ok, lambda: found, lambda: factorise(fixed(gauss)))
 
 
-def _cost(s: Seen) -> jax.Array:
+def _cost(s: KnotValues) -> jax.Array:
     return 0.5 * (s.r * s.r).sum() + s.rest
 
 
-def _off(s: Seen, nu: jax.Array) -> jax.Array:
-    """Rows less the bound that holds them."""
+def _active_residual(s: KnotValues, nu: jax.Array) -> jax.Array:
+    """Rows minus their active bounds."""
     return s.c - jnp.where((nu < 0) & jnp.isfinite(s.low), s.low, s.high)
 
 
-def _held(
+def _active_bounds(
     x: jax.Array, low: jax.Array, high: jax.Array, slope: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Whether x lies at the low and at the high bound, and the cost presses it there."""
-    near = NEAR * jnp.finfo(x.dtype).eps
-    at_low = (x <= low + near * (1 + jnp.abs(low))) & (slope > 0)
-    return at_low, (x >= high - near * (1 + jnp.abs(high))) & (slope < 0)
+    """Whether x lies at its low and its high bound, with a gradient towards the outside."""
+    kkt_system = BOUND_ROUNDING * jnp.finfo(x.dtype).eps
+    at_low = (x <= low + kkt_system * (1 + jnp.abs(low))) & (slope > 0)
+    return at_low, (x >= high - kkt_system * (1 + jnp.abs(high))) & (slope < 0)
 
 
-def _gauss(J: jax.Array) -> jax.Array:
+def _gauss_newton(J: jax.Array) -> jax.Array:
     """The Hessian of r.r / 2 by Gauss and Newton, with a little on its diagonal."""
     n = J.shape[1]
-    H = congruence(J, J)
+    H = transpose_product(J, J)
     return H + REGULAR * (1 + jnp.trace(H) / n) * jnp.eye(n, dtype=H.dtype)
 
 

@@ -19,11 +19,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.linear.riccati import propagate_hessian
 from rbjax.control.products import product
 
 TURNS = 4  # of refinement
 
-def congruence(A: jax.Array, B: jax.Array) -> jax.Array:
+def transpose_product(A: jax.Array, B: jax.Array) -> jax.Array:
     """A' B."""
     return product(A.T, B)
 
@@ -40,8 +41,8 @@ class Unknowns(NamedTuple):
 
 class Saddle(NamedTuple):
     """Blocks of the matrix, and masks of 0 and 1: fixed (n,), of x_0; free (N, m), of controls;
-    path (N, c) and end (e,), the active rows. What is not free is zero, what is not active has no
-    multiplier."""
+    path (N, c) and end (e,), the active rows. Controls that are not free are zero, rows that are
+    not active have no multiplier."""
 
     A: jax.Array
     B: jax.Array
@@ -59,7 +60,8 @@ class Saddle(NamedTuple):
 
 class Factor(NamedTuple):
     """K (N, m, n) and the inverses (N, m, m) of control Hessians; V (N + 1, n, n); the inverse of
-    V_0 in what is not fixed; rho (); ok (), whether the inverted were positive definite."""
+    V_0 in what is not fixed; rho (); ok (), whether all inverted matrices were positive
+    definite."""
 
     K: jax.Array
     inverse: jax.Array
@@ -69,7 +71,7 @@ class Factor(NamedTuple):
     ok: jax.Array
 
 
-def masked(e: Saddle) -> Saddle:
+def apply_masks(e: Saddle) -> Saddle:
     """The blocks without the columns and rows that masks leave out."""
     free = e.free[:, None, :]
     return e._replace(
@@ -78,7 +80,7 @@ def masked(e: Saddle) -> Saddle:
     )  # fmt: skip
 
 
-def times_matrix(e: Saddle, z: Unknowns) -> Unknowns:
+def multiply(e: Saddle, z: Unknowns) -> Unknowns:
     """K z, of masked equations."""
     x, after, l = z.x[:-1], z.x[1:], z.l[1:]
     mul, mulT = jax.vmap(product), jax.vmap(lambda M, v: product(M.T, v))
@@ -95,7 +97,7 @@ def times_matrix(e: Saddle, z: Unknowns) -> Unknowns:
     )  # fmt: skip
 
 
-def factorised(e: Saddle) -> Factor:
+def factorise(e: Saddle) -> Factor:
     """The Riccati recursion of masked equations."""
     dtype = e.Q.dtype
     rho = jnp.asarray(float(jnp.finfo(dtype).eps) ** -0.4, dtype)
@@ -103,16 +105,16 @@ def factorised(e: Saddle) -> Factor:
     def back(carry: tuple, knot: tuple) -> tuple:
         V, ok = carry
         A, B, Q, S, R, C, D, free = knot
-        VA, VB = product(V, A), product(V, B)
-        Quu = R + congruence(B, VB) + rho * congruence(D, D) + jnp.diag(1 - free)
-        Qux = S.T + product(B.T, VA) + rho * congruence(D, C)
+        AVA, BVB, BVA = propagate_hessian(V, A, B)
+        Quu = R + BVB + rho * transpose_product(D, D) + jnp.diag(1 - free)
+        Qux = S.T + BVA + rho * transpose_product(D, C)
         inverse, fine = _inverse(Quu)
         K = -product(inverse, Qux)
-        W = Q + congruence(A, VA) + rho * congruence(C, C) + congruence(Qux, K)
+        W = Q + AVA + rho * transpose_product(C, C) + transpose_product(Qux, K)
         W = 0.5 * (W + W.T)
         return (W, ok & fine), (K, inverse, W)
 
-    V_N = e.Q[-1] + rho * congruence(e.E, e.E)
+    V_N = e.Q[-1] + rho * transpose_product(e.E, e.E)
     knots = (e.A, e.B, e.Q[:-1], e.S, e.R, e.C, e.D, e.free)
     found: tuple = jax.lax.scan(back, (V_N, jnp.asarray(True)), knots, reverse=True)
     (V, ok), (K, inverse, Vs) = found
@@ -131,17 +133,17 @@ def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
     return product(vectors / held, vectors.T), (values > least).all()
 
 
-def solved(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
+def solve(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
     """z of K z = r."""
 
-    def refined(_: Any, z: Unknowns) -> Unknowns:
-        left = jax.tree.map(jnp.subtract, r, times_matrix(e, z))
-        return jax.tree.map(jnp.add, z, _once(e, f, left))
+    def refine(_: Any, z: Unknowns) -> Unknowns:
+        left = jax.tree.map(jnp.subtract, r, multiply(e, z))
+        return jax.tree.map(jnp.add, z, _solve_penalised(e, f, left))
 
-    return jax.lax.fori_loop(0, TURNS + 1, refined, jax.tree.map(jnp.zeros_like, r))
+    return jax.lax.fori_loop(0, TURNS + 1, refine, jax.tree.map(jnp.zeros_like, r))
 
 
-def _once(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
+def _solve_penalised(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
     """z of the equations whose active rows have -1/rho on their diagonal."""
     rho = f.rho
     rows, ends = rho * e.path * r.path, rho * e.end * r.end

@@ -1,10 +1,10 @@
 """Constraints by the method of multipliers.
 
-low <= c <= high is held by a penalty about a moved centre, a residual of the cost:
+low <= c <= high is enforced by a penalty with a shifted centre, a residual of the cost:
 
     L = mu/2 |s - clip(s, low, high)|^2,     s = c + lambda / mu
 
-Where the cost with L is least, its gradient is that of the cost with the multipliers
+At the minimum of the cost with L, its gradient is that of the Lagrangian with the multipliers
 
     lambda <- mu (s - clip(s, low, high)),     mu <- 10 mu where the violation did not fall
 
@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
-FALLS = 0.25  # a violation that does not fall to this share wants a harder penalty
+FALLS = 0.25  # a violation that does not fall to this share raises the penalty
 
 
 class Multipliers(NamedTuple):
@@ -32,20 +32,20 @@ class Multipliers(NamedTuple):
 
 
 def no_multipliers(N: int, path: int, end: int, dtype: jax.typing.DTypeLike) -> Multipliers:
-    """Zeros for so many rows, and the first penalty."""
+    """Zero multipliers of `path` and `end` rows, and the first penalty."""
     zero = jnp.zeros((N, path), dtype), jnp.zeros(end, dtype)
     return Multipliers(*zero, jnp.asarray(PENALTY, dtype))
 
 
-def later(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
-    """Multipliers of a motion that begins later. at (N,): for each of its knots, the index of the
-    same knot before."""
+def shift_multipliers(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
+    """The multipliers of a motion that begins later. at (N,): for each of its knots, the index of
+    this knot in the earlier motion."""
     if multipliers is None:
         return None
     return multipliers._replace(path=multipliers.path[at])
 
 
-def penalised(
+def penalty_residuals(
     c: jax.Array, y: jax.Array, mu: jax.Array, low: jax.Array, high: jax.Array
 ) -> jax.Array:
     """The residuals of L: sqrt(mu) (s - clip(s))."""
@@ -59,11 +59,6 @@ def next_multipliers(
     """mu (s - clip(s))."""
     s = c + y / mu
     return mu * (s - jnp.clip(s, low, high))
-
-
-def violated(c: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """The largest violation ()."""
-    return jnp.abs(c - jnp.clip(c, low, high)).max(initial=0.0)
 
 
 def next_penalty(

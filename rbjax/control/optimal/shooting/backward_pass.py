@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.linear.riccati import propagate_hessian
 from rbjax.control.optimal.shooting.box_qp import box_gains, box_qp, gains
 from rbjax.control.optimal.shooting.expansion import Quadratic
 from rbjax.control.products import in_registers, product
@@ -24,8 +25,8 @@ class Feedback(NamedTuple):
     """du = k + K dx at each knot: K (N, m, n), k (N, m); the value function's V (N + 1, n, n) and
     v (N + 1, n), gap included; first dx0 (n,); slope () and curvature () of the cost along the
     step; square (), the squared norm of the gradient of the cost by the controls and by the free
-    coordinates of the first knot, without regularisation and without entries that press against a
-    bound; ok (), whether all control Hessians were positive definite."""
+    coordinates of the first knot, projected onto the bounds and without
+    regularisation; ok (), whether all control Hessians were positive definite."""
 
     K: jax.Array
     k: jax.Array
@@ -49,12 +50,16 @@ def backward_pass(
     A: jax.Array, B: jax.Array, gaps: jax.Array, path: Quadratic, end: Quadratic,
     bounds: Bounds | None, first: tuple | None, reg: jax.Array, h: Any = None,
 ) -> Feedback:  # fmt: skip
-    """The gains.
+    """The gains and the value function.
 
-    A: (N, n, n). B: (N, n, m). gaps: (N + 1, n), the first from the first knot to the start.
-    path: (N, ...). end. bounds: of du, None for none. first: of what is free of the first knot:
-    free (n,) of 0 and 1, low and high (n,) of dx0; None for nothing. reg: added to the diagonals of
-    control Hessians and of V. h: the step, where dq+ = dq + h dv+; None where it is not so.
+    A: (N, n, n). B: (N, n, m).
+    gaps: (N + 1, n), the first from the first knot to the start.
+    path: (N, ...), and end: the costs.
+    bounds: of du; None for none.
+    first: of the free coordinates of the first knot: free (n,) of 0 and 1, low and high (n,) of
+        dx0; None if there are none.
+    reg: added to the diagonals of control Hessians and of V.
+    h: the step, if dq+ = dq + h dv+; None for other systems.
     """
     m, n = path.r.shape[-1], end.q.shape[0]
     eye_u, eye_x = jnp.eye(m, dtype=reg.dtype), jnp.eye(n, dtype=reg.dtype)
@@ -62,11 +67,13 @@ def backward_pass(
     def back(carry: tuple, knot: tuple) -> tuple:
         V, v, l, slope, curvature, square, ok = jax.tree.map(in_registers, carry)
         A, B, gap, cost, bound = jax.tree.map(in_registers, knot)
-        more = carried(V, v, A, B) if h is None else carried_by_velocities(V, v, A, B, h)
-        Qxx, Quu, Qux, Qx, Qu = more
+        if h is None:
+            Qxx, Quu, Qux, Qx, Qu = propagate_value(V, v, A, B)
+        else:
+            Qxx, Quu, Qux, Qx, Qu = propagate_value_by_velocities(V, v, A, B, h)
         descent = cost.r + product(B.T, l)
         if bound is not None:
-            descent = unpressed(descent, *bound)
+            descent = projected_gradient(descent, *bound)
         square = square + (descent * descent).sum()
         l = cost.q + product(A.T, l)
         Qxx, Quu, Qux = cost.Q + Qxx, cost.R + Quu + reg * eye_u, cost.S.T + Qux
@@ -99,7 +106,7 @@ def backward_pass(
         huge = jnp.finfo(reg.dtype).max
         box = box_qp(H, free * v, jnp.maximum(low, -huge), jnp.minimum(high, huge))
         step = free * jnp.where(box.ok, box.d, 0.0)
-        opening = free * unpressed(l, low, high)
+        opening = free * projected_gradient(l, low, high)
         square = square + (opening * opening).sum()
         slope = slope + (v * step).sum()
         curvature = curvature + (step * product(H, step)).sum()
@@ -108,22 +115,21 @@ def backward_pass(
     return Feedback(K, k, Vs, vs, dx0, slope, curvature, square, ok)
 
 
-def unpressed(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """A gradient without the entries that press against a bound. low, high: bounds of the step."""
+def projected_gradient(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """The projected gradient: 0 in entries whose descent leaves the bounds low, high of the
+    step."""
     pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     return jnp.where(pressed, 0.0, gradient)
 
 
-def carried(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
+def propagate_value(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
     """A'VA, B'VB, B'VA, A'v and B'v."""
-    VA = product(V, A)
-    return (
-        product(A.T, VA), product(B.T, product(V, B)), product(B.T, VA), product(A.T, v),
-        product(B.T, v),
-    )  # fmt: skip
+    return *propagate_hessian(V, A, B), product(A.T, v), product(B.T, v)
 
 
-def carried_by_velocities(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array, h: Any) -> tuple:
+def propagate_value_by_velocities(
+    V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array, h: Any
+) -> tuple:
     """The same of dv+ = [C D] dx + E du, dq+ = dq + h dv+: half the work.
 
     A = T (1 + [0; F]),  B = T [0; E],  T = [1 h; 0 1],  F = [C D - 1]

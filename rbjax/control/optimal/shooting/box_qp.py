@@ -2,8 +2,8 @@
 
     min  d'H d/2 + g.d,      low <= d <= high
 
-Each turn holds the entries that the gradient presses against the box, takes Newton's step in the
-others, and halves it until the cost falls (Bertsekas 1982). The free entries and the factor of
+Each iteration fixes the entries whose descent leaves the box, takes Newton's step in the others,
+and halves it until the cost falls (Bertsekas 1982). The free entries and the factor of
 their part of H give the feedback of a bounded control (Tassa, Mansard & Todorov 2014).
 """
 

@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Var
 
+from rbjax.control.optimal.constraint_rows import example, row_sizes
+from rbjax.control.optimal.objective import half_square, knot_cost
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import penalised
+from rbjax.control.optimal.shooting.augmented_lagrangian import penalty_residuals
 from rbjax.control.products import product
-from rbjax.errors import InputError
 
 
 class Quadratic(NamedTuple):
@@ -41,60 +42,14 @@ class Local(NamedTuple):
     cost: Quadratic
 
 
-def limits(problem: Problem, where: str, like: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The bounds (c,) of the constraints at "path" or "end", for values `like`."""
-    lows, highs = [], []
-    for c, size in row_sizes(problem, where):
-        lows.append(jnp.broadcast_to(jnp.ravel(c.low), (size,)))
-        highs.append(jnp.broadcast_to(jnp.ravel(c.high), (size,)))
-    none = jnp.zeros(0, like.dtype)
-    low = jnp.concatenate([none, *lows]).astype(like.dtype)
-    return low, jnp.concatenate([none, *highs]).astype(like.dtype)
-
-
-def row_count(problem: Problem, where: str) -> int:
-    """How many rows the constraints have at "path" or "end"."""
-    return sum(size for _, size in row_sizes(problem, where))
-
-
-def row_sizes(problem: Problem, where: str) -> list[tuple[Any, int]]:
-    """Each constraint at "path" or "end" with the number of its rows."""
-    knot, ctrl = example(problem)
-    out = []
-    for c in problem.constraints:
-        if c.where in (where, "all"):
-
-            def value(knot: Knot, ctrl: jax.Array, c: Any = c) -> jax.Array:
-                system, _ = problem.at(knot.numbers)
-                return jnp.ravel(c.term(system.model, 0.0, knot.state, ctrl))
-
-            size = jax.eval_shape(value, knot, ctrl).shape[0]
-            for name, end in (("low", c.low), ("high", c.high)):
-                if jnp.size(end) not in (1, size):
-                    raise InputError(
-                        f"Constraint({c.name}): bounds and term differ in size: {name} has "
-                        f"{jnp.size(end)} numbers, the term {size}; give one, or one for each"
-                    )
-            out.append((c, size))
-    return out
-
-
-def example(problem: Problem) -> tuple[Knot, jax.Array]:
-    """A knot and controls, of which only shapes count."""
-    dtype = problem.dt.dtype
-    state = problem.system.example(dtype)
-    return Knot(state, problem.first_numbers(dtype)), jnp.zeros(problem.nu, dtype)
-
-
 def merit(
     problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
     where: str,
 ) -> jax.Array:  # fmt: skip
     """The cost () of a knot with its part of the augmented Lagrangian."""
-    total = jnp.zeros((), ctrl.dtype)
-    for part in parts(problem, rows, mu, where):
-        value = part(k, knot, ctrl)
-        total = total + (0.5 * (value * value).sum() if value.ndim else value)
+    total = knot_cost(problem, where, k, knot, ctrl)
+    for penalty in penalties(problem, rows, mu, where):
+        total = total + half_square(penalty(k, knot, ctrl))
     return total
 
 
@@ -102,8 +57,8 @@ def quadratic(
     problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
     where: str,
 ) -> Quadratic:  # fmt: skip
-    """The cost of a knot to second order: the sum over its costs, each differentiated by what it
-    reads only."""
+    """The cost of a knot to second order: the sum over its costs, each differentiated by the
+    coordinates that it reads only."""
     n, m, dtype = problem.n, problem.nu, ctrl.dtype
     total = jnp.zeros((), dtype)
     gradient, H = jnp.zeros(n + m, dtype), jnp.zeros((n + m, n + m), dtype)
@@ -133,7 +88,7 @@ def _second_order_in(
     value = f(zero)
     if value.ndim:
         J = jax.vmap(lambda e: jax.jvp(f, (zero,), (e,))[1])(basis)
-        return 0.5 * (value * value).sum(), product(J, value), product(J, J.T)
+        return half_square(value), product(J, value), product(J, J.T)
     gradient = jax.grad(f)
     turned = jax.vmap(lambda e: jax.jvp(gradient, (zero,), (e,))[1])(basis)
     return value, product(basis, gradient(zero)), product(turned, basis.T)
@@ -142,8 +97,13 @@ def _second_order_in(
 def parts(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
     """The functions (k, knot, ctrl) whose costs are summed: of each cost, weighted residuals or a
     number; of each constraint, the residuals of the augmented Lagrangian."""
-    costs = problem.running if where == "path" else problem.terminal
-    found: list[Any] = [functools.partial(problem.value, cost, where) for cost in costs]
+    costs = [functools.partial(problem.value, cost, where) for cost in problem.costs(where)]
+    return costs + penalties(problem, rows, mu, where)
+
+
+def penalties(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
+    """The functions (k, knot, ctrl) -> residuals of the augmented Lagrangian, one a constraint."""
+    found: list[Any] = []
     at = 0
     for c, size in row_sizes(problem, where):
         own = rows[at : at + size]
@@ -152,7 +112,7 @@ def parts(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[
         def penalty(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c, own: Any = own) -> jax.Array:
             value = problem.row(c, k, knot, ctrl)
             low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
-            return penalised(value, own, mu, low, high)
+            return penalty_residuals(value, own, mu, low, high)
 
         found.append(penalty)
     return found
@@ -168,7 +128,7 @@ def read_columns(problem: Problem, part: Any) -> np.ndarray:
         return part(jnp.zeros((), ctrl.dtype), knot, ctrl)
 
     used = arguments_read(flat, leaves)
-    n, p, m = problem.system.n, problem.numbers, problem.nu
+    n, p, m = problem.system.n, problem.parameter_count, problem.nu
     spans = [*problem.system.spans(), slice(n, n + p), slice(n + p, n + p + m)]
     return np.unique(np.concatenate([
         np.zeros(0, int),
@@ -190,7 +150,7 @@ def second_order(
     problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
     where: str, costate: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
-    """What Gauss and Newton leave out of Q, R and S: sum of r_i r_i'' of the residuals, and of
+    """The parts of Q, R and S that Gauss-Newton omits: sum of r_i r_i'' of the residuals, and of
     costate_i f_i'' of the step."""
     n, m = problem.n, problem.nu
     zero = jnp.zeros(n + m, ctrl.dtype)

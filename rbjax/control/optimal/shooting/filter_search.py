@@ -32,17 +32,17 @@ class Filter(NamedTuple):
     near: jax.Array
 
 
-def empty(theta: jax.Array) -> Filter:
+def empty_filter(theta: jax.Array) -> Filter:
     """A filter without pairs. theta: the infeasibility of the first guess."""
     none = jnp.full(KEPT, jnp.inf, theta.dtype)
     size = jnp.maximum(1.0, theta)
     return Filter(none, none, jnp.asarray(0), MOST * size, NEAR * size)
 
 
-def cleared(kept: Filter) -> Filter:
+def without_pairs(filter_: Filter) -> Filter:
     """The same without its pairs, for another cost."""
-    none = jnp.full_like(kept.theta, jnp.inf)
-    return kept._replace(theta=none, phi=none, used=jnp.zeros_like(kept.used))
+    none = jnp.full_like(filter_.theta, jnp.inf)
+    return filter_._replace(theta=none, phi=none, used=jnp.zeros_like(filter_.used))
 
 
 def rounding(cost: jax.Array) -> jax.Array:
@@ -57,44 +57,46 @@ class Pair(NamedTuple):
     phi: jax.Array
 
 
-def descends(kept: Filter, now: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
+def must_decrease(filter_: Filter, now: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
     """Whether a step of length a must lower the cost."""
     falls = jnp.maximum(-slope, 0.0)
     switch = a * falls**POWER_SLOPE > now.theta**POWER_THETA
-    return (now.theta <= kept.near) & (slope < 0) & switch
+    return (now.theta <= filter_.near) & (slope < 0) & switch
 
 
-def accepts(kept: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
+def accepts(filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
     """Whether a trial of length a is taken."""
     slack = rounding(now.phi)
     armijo = trial.phi - now.phi - slack <= ARMIJO * a * slope
     less = (trial.theta <= (1 - SHARE) * now.theta) | (
         trial.phi - slack <= now.phi - SHARE * now.theta
     )
-    return beside(kept, trial) & jnp.where(descends(kept, now, slope, a), armijo, less)
+    good = jnp.where(must_decrease(filter_, now, slope, a), armijo, less)
+    return is_acceptable(filter_, trial) & good
 
 
-def beside(kept: Filter, trial: Pair) -> jax.Array:
+def is_acceptable(filter_: Filter, trial: Pair) -> jax.Array:
     """Whether no pair of the filter is better than a trial in both."""
     slack = rounding(trial.phi)
-    good = jnp.isfinite(trial.phi) & jnp.isfinite(trial.theta) & (trial.theta <= kept.most)
-    return good & ((trial.theta < kept.theta) | (trial.phi - slack <= kept.phi)).all()
+    good = jnp.isfinite(trial.phi) & jnp.isfinite(trial.theta) & (trial.theta <= filter_.most)
+    return good & ((trial.theta < filter_.theta) | (trial.phi - slack <= filter_.phi)).all()
 
 
-def put(kept: Filter, pair: Pair) -> Filter:
+def with_pair(filter_: Filter, pair: Pair) -> Filter:
     """The filter with another pair."""
-    at = kept.used % KEPT
-    return kept._replace(
-        theta=kept.theta.at[at].set((1 - SHARE) * pair.theta),
-        phi=kept.phi.at[at].set(pair.phi - SHARE * pair.theta),
-        used=kept.used + 1,
+    at = filter_.used % KEPT
+    return filter_._replace(
+        theta=filter_.theta.at[at].set((1 - SHARE) * pair.theta),
+        phi=filter_.phi.at[at].set(pair.phi - SHARE * pair.theta),
+        used=filter_.used + 1,
     )
 
 
-def extended(
-    kept: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array
+def updated_filter(
+    filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array
 ) -> Filter:
     """The filter after a step that was taken."""
     armijo = trial.phi - now.phi <= ARMIJO * a * slope
-    enters = ~(descends(kept, now, slope, a) & armijo)
-    return jax.tree.map(lambda new, old: jnp.where(enters, new, old), put(kept, now), kept)
+    enters = ~(must_decrease(filter_, now, slope, a) & armijo)
+    new = with_pair(filter_, now)
+    return jax.tree.map(lambda new, old: jnp.where(enters, new, old), new, filter_)

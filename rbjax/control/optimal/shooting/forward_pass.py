@@ -14,36 +14,29 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers
 from rbjax.control.optimal.shooting.backward_pass import Feedback
 from rbjax.control.optimal.shooting.expansion import merit
-from rbjax.control.optimal.shooting.knots import violation
 from rbjax.control.products import product
 
 
-class Tried(NamedTuple):
-    """knots (N + 1, ...), ctrls (N, m), costs (), offs (), the largest violation of a constraint,
-    and more (): sum of gap' V dx."""
+class Rollout(NamedTuple):
+    """knots (N + 1, ...), ctrls (N, m), costs (), violations (), the largest of a constraint, and
+    more (): sum of gap' V dx."""
 
     knots: Knot
     ctrls: jax.Array
     costs: jax.Array
-    offs: jax.Array
+    violations: jax.Array
     more: jax.Array
-
-
-def within_bounds(problem: Problem, u: jax.Array) -> jax.Array:
-    """Controls projected onto their bounds."""
-    if not problem.bounded:
-        return u
-    return jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
 
 
 def forward_pass(
     problem: Problem, knots: Knot, ctrls: jax.Array, gains: Feedback, gaps: jax.Array,
     multipliers: Multipliers, a: jax.Array,
-) -> Tried:  # fmt: skip
+) -> Rollout:  # fmt: skip
     """The motion of a step of length a."""
     first = jax.tree.map(lambda x: x[0], knots)
     now = problem.plus(first, a * gains.first)
@@ -53,9 +46,9 @@ def forward_pass(
         now, total, off, cross = carry
         k, knot, ctrl, K, du, gap, V, rows, closing = x
         dx = problem.minus(now, knot)
-        u = within_bounds(problem, ctrl + a * du + product(K, dx))
+        u = problem.within_bounds(ctrl + a * du + product(K, dx))
         total = total + merit(problem, k, now, u, rows, mu, "path")
-        off = jnp.maximum(off, violation(problem, k, now, u, "path"))
+        off = jnp.maximum(off, knot_violation(problem, k, now, u, "path"))
         cross = cross + (gap * product(V, dx)).sum()
         after = problem.plus(problem.step(k, now, u), (a - 1) * closing)
         return (after, total, off, cross), (now, u)
@@ -69,8 +62,8 @@ def forward_pass(
     (last, total, off, cross), (before, us) = tried
     none = jnp.zeros(problem.nu, dtype)
     total = total + merit(problem, N, last, none, multipliers.end, mu, "end")
-    off = jnp.maximum(off, violation(problem, N, last, none, "end"))
+    off = jnp.maximum(off, knot_violation(problem, N, last, none, "end"))
     end = jax.tree.map(lambda x: x[-1], knots)
     cross = cross + (gaps[-1] * product(gains.V[-1], problem.minus(last, end))).sum()
     found = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), before, last)
-    return Tried(found, us, total, off, cross)
+    return Rollout(found, us, total, off, cross)

@@ -2,8 +2,8 @@
 
     gap_0 = start (-) x_0,      gap_{k+1} = f(x_k, u_k) (-) x_{k+1}
 
-States are unknowns beside the controls (multiple shooting, Bock & Plitt 1984), so a step need not
-end where the next knot lies. Each knot is a program of one sample (`rb.threads`).
+States and controls are unknowns (multiple shooting, Bock & Plitt 1984), so a step need not end at
+the next knot. Each knot is a program of one sample (`rb.threads`).
 """
 
 from __future__ import annotations
@@ -16,17 +16,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiler import in_parts, side_by_side, threads
+from rbjax.control.optimal.constraint_rows import knot_violation, limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import (
     Multipliers,
     next_multipliers,
-    violated,
 )
 from rbjax.control.optimal.shooting.expansion import (
     Local,
     Quadratic,
     costates,
-    limits,
     quadratic,
     second_order,
 )
@@ -56,7 +55,7 @@ def expand(
 
     def cost_of(k, knot, ctrl, rows, mu):
         cost = quadratic(problem, k, knot, ctrl, rows, mu, "path")
-        return cost, violation(problem, k, knot, ctrl, "path")
+        return cost, knot_violation(problem, k, knot, ctrl, "path")
 
     def one(k, knot, ctrl, rows, mu, following):
         after, A, B = problem.linear(k, knot, ctrl)
@@ -65,7 +64,7 @@ def expand(
 
     def by_columns(k, knot, ctrl, rows, mu, following):
         def of_whole(k, ctrl, rows, mu):
-            return cost_of(k, at_places(knots, k)[0], ctrl, rows, mu)
+            return cost_of(k, knots_at(knots, k)[0], ctrl, rows, mu)
 
         A, B, gap = columns(problem, k, knots, ctrl)
         cost, off = threads(of_whole)(k, ctrl, rows, mu)
@@ -77,9 +76,9 @@ def expand(
         gap = problem.off_start(start, first)
         none = jnp.zeros(problem.nu, dtype)
         cost = quadratic(problem, jnp.asarray(N, dtype), last, none, rows, mu, "end")
-        return gap, cost, violation(problem, jnp.asarray(N, dtype), last, none, "end")
+        return gap, cost, knot_violation(problem, jnp.asarray(N, dtype), last, none, "end")
 
-    ks, mu = numbers(N, dtype), multipliers.penalty
+    ks, mu = knot_indices(N, dtype), multipliers.penalty
     path, gaps, off = jax.vmap(in_parts(one, by_columns, FEW), (0, 0, 0, 0, None, 0))(
         ks, body, ctrls, multipliers.path, mu, following
     )
@@ -96,7 +95,7 @@ def columns(
     n, none = problem.n, np.zeros(problem.n + problem.nu, ctrl.dtype)
 
     def column(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
-        knot, following = at_places(knots, k)
+        knot, following = knots_at(knots, k)
         after = problem.step(k, knot, ctrl)
 
         def moved(d: jax.Array) -> jax.Array:
@@ -111,12 +110,12 @@ def columns(
     return both[:, :n], both[:, n:], gap[:, 0]
 
 
-def numbers(N: int, dtype: Any) -> jax.Array:
-    """The numbers of the knots with controls, as a constant of the program."""
+def knot_indices(N: int, dtype: Any) -> jax.Array:
+    """The indices of the knots with controls, as a constant of the program."""
     return jnp.asarray(np.arange(N, dtype=dtype))
 
 
-def at_places(knots: Any, k: jax.Array) -> tuple[Any, Any]:
+def knots_at(knots: Any, k: jax.Array) -> tuple[Any, Any]:
     """Knot k and the next one, read in a program of one sample: slices of arrays outside of it are
     copies, and each copy is a kernel."""
     k = k.astype(np.uint32)
@@ -127,18 +126,10 @@ def at_places(knots: Any, k: jax.Array) -> tuple[Any, Any]:
     return here, following
 
 
-def violation(problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
-    """The largest violation () of the constraints of a knot."""
-    if not problem.constraints:
-        return jnp.zeros((), ctrl.dtype)
-    c = problem.rows(k, knot, ctrl, where)
-    return violated(c, *limits(problem, where, c))
-
-
-def with_curvature(
+def add_curvature(
     problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
 ) -> Expanded:
-    """All knots with what Gauss and Newton leave out."""
+    """All knots with the second derivatives that Gauss-Newton omits."""
     N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
     body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
 
@@ -161,7 +152,7 @@ def with_curvature(
     return found._replace(path=path, end=end)
 
 
-def updated(
+def updated_multipliers(
     problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
 ) -> tuple[jax.Array, jax.Array]:
     """The next multipliers of path and end, side by side."""
@@ -169,7 +160,7 @@ def updated(
 
     def one(where, k, knot, ctrl, y, mu):
         c = problem.rows(k, knot, ctrl, where)
-        return next_multipliers(c, y, mu, *limits(problem, where, c))
+        return next_multipliers(c, y, mu, *limits(problem, where, c.dtype))
 
     body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
     ks, mu = jnp.arange(N, dtype=dtype), multipliers.penalty

@@ -11,8 +11,8 @@ bounds, rolls every motion, and moves m by the costs J_i:
 round (Xue et al. 2024). lambda is the temperature times the distance from the best cost to the
 costliest of the best tenth. No derivative is taken. Constraints cost
 penalty / 2 times their squared violation. A sample is a lane or a GPU thread of which only the cost
-is kept; the best motion is rolled again. Numbers of a design, the final time and a free start are
-drawn too.
+is kept; the best motion is rolled again. Parameters of a design, the final time and a free start
+are sampled too.
 """
 
 from __future__ import annotations
@@ -25,12 +25,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiler import threads
+from rbjax.control.optimal.constraint_rows import (
+    constraint_violations,
+    row_count,
+    rows_along,
+)
+from rbjax.control.optimal.objective import motion_cost
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.ddp import by_ddp
-from rbjax.control.optimal.shooting.expansion import merit, row_count
+from rbjax.control.optimal.shooting.expansion import merit
 from rbjax.control.optimal.shooting.knots import largest_gap
-from rbjax.control.optimal.solution import Found, plain_cost, violations
+from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
 from rbjax.solvers.common.arguments import check_between, check_whole
@@ -90,7 +96,7 @@ class Sampling:
     def __call__(
         self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
         history: int,
-    ) -> Found:  # fmt: skip
+    ) -> SearchResult:  # fmt: skip
         """`solve` by samples."""
         return by_sampling(self, problem, start, knots, ctrls, options, history)
 
@@ -114,9 +120,9 @@ class SampledStart:
     def __call__(
         self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
         history: int,
-    ) -> Found:  # fmt: skip
+    ) -> SearchResult:  # fmt: skip
         """`solve` by samples, then DDP."""
-        few = dataclasses.replace(options, iterations=jnp.asarray(self.rounds))
+        few = options.replace(rule=options.rule._replace(iterations=jnp.asarray(self.rounds)))
         found = by_sampling(self.sampling, problem, start, knots, ctrls, few, 1)
         good = jnp.isfinite(found.cost)
         pick = lambda new, old: jnp.where(good, new, old)  # noqa: E731
@@ -125,31 +131,31 @@ class SampledStart:
 
 
 class Draw(NamedTuple):
-    """What is drawn, each with a deviation: points (K, m) of the spline, numbers (p,) of the
-    design and the time, and dx0 (n,) of the start."""
+    """A sample: points (K, m) of the spline, parameters (p,) of the design and the time, and dx0
+    (n,) of the start."""
 
     points: jax.Array
-    numbers: jax.Array
+    parameters: jax.Array
     first: jax.Array
 
 
 class Round(NamedTuple):
-    """What a round leaves to the next."""
+    """The state between two rounds."""
 
     mean: Draw
     deviation: Draw
     best: Draw
     cost: jax.Array
-    stop: jax.Array
-    turns: jax.Array
+    cost_spread: jax.Array
+    iterations: jax.Array
     costs: jax.Array
-    outcome: jax.Array
+    status: jax.Array
 
 
 def by_sampling(
     how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
     history: int,
-) -> Found:  # fmt: skip
+) -> SearchResult:  # fmt: skip
     """`solve` by samples. It has finished if the costs of the best tenth agree to the tolerance,
     relative to the cost: their deviation shrinks anywhere, so this does not show an optimum."""
     dtype = ctrls.dtype
@@ -164,7 +170,7 @@ def by_sampling(
     costs_of = jax.vmap(threads(cost_of), (0, None))
 
     def turn(now: Round) -> Round:
-        drawn = _drawn(jax.random.fold_in(key, now.turns), now, how.samples, low, high)
+        drawn = _drawn(jax.random.fold_in(key, now.iterations), now, how.samples, low, high)
         costs = costs_of(drawn, start)
         least, order = jax.lax.top_k(-costs, elites)
         least = -least
@@ -173,27 +179,28 @@ def by_sampling(
         better = least[0] < now.cost
         cost = jnp.where(better, least[0], now.cost)
         best = jax.tree.map(lambda x, old: jnp.where(better, x[0], old), good, now.best)
-        turns, stop = now.turns + 1, least[-1] - least[0]
-        outcome = jnp.where(turns >= options.iterations, BUDGET, GOING)
-        small = stop <= options.tolerance * jnp.maximum(1.0, jnp.abs(cost))
-        outcome = jnp.where(small, FINISHED, outcome)
-        outcome = jnp.where(jnp.isfinite(cost) | (outcome == GOING), outcome, NOT_FINITE)
-        costs = now.costs.at[jnp.minimum(now.turns, history - 1)].set(cost)
-        return Round(mean, deviation, best, cost, stop, turns, costs, outcome)
+        iterations, cost_spread = now.iterations + 1, least[-1] - least[0]
+        status = jnp.where(iterations >= options.rule.iterations, BUDGET, GOING)
+        small = cost_spread <= options.rule.tolerance * jnp.maximum(1.0, jnp.abs(cost))
+        status = jnp.where(small, FINISHED, status)
+        status = jnp.where(jnp.isfinite(cost) | (status == GOING), status, NOT_FINITE)
+        costs = now.costs.at[jnp.minimum(now.iterations, history - 1)].set(cost)
+        return Round(mean, deviation, best, cost, cost_spread, iterations, costs, status)
 
     endless = jnp.asarray(jnp.inf, dtype)
     begin = Round(
         mean, first, mean, endless, endless, jnp.asarray(0), jnp.full(history, jnp.nan, dtype),
         jnp.asarray(GOING),
     )  # fmt: skip
-    last = jax.lax.while_loop(lambda now: now.outcome == GOING, turn, begin)
+    last = jax.lax.while_loop(lambda now: now.status == GOING, turn, begin)
     found, us = threads(lambda draw, start: motion(how, problem, start, draw))(last.best, start)
     N, n, m = problem.horizon, problem.n, problem.nu
     rows = [row_count(problem, where) for where in ("path", "end")]
-    return Found(
-        found, us, plain_cost(problem, found, us), last.outcome, last.turns, last.stop,
+    off = constraint_violations(problem, *rows_along(problem, found, us)).max(initial=0.0)
+    return SearchResult(
+        found, us, motion_cost(problem, found, us), last.status, last.iterations, last.cost_spread,
         largest_gap(problem, jax.tree.map(lambda x: x[0], found.state), found, us),
-        violations(problem, found, us).max(initial=0.0), last.costs, jnp.zeros((N, m, n), dtype),
+        off, last.costs, jnp.zeros((N, m, n), dtype),
         jnp.zeros((N, rows[0]), dtype), jnp.zeros(rows[1], dtype),
     )  # fmt: skip
 
@@ -205,11 +212,11 @@ def _first(
     dtype, n = ctrls.dtype, problem.system.n
     count = min(how.points, problem.horizon)
     at = np.round(np.linspace(0, problem.horizon - 1, count)).astype(int)
-    numbers = knots.numbers[0]
+    parameters = knots.parameters[0]
     low, high = (x.astype(dtype) for x in problem.start_bounds(dtype))
     free = jnp.asarray(problem.free, dtype)
     there = problem.system.minus(jax.tree.map(lambda x: x[0], knots.state), start)
-    mean = Draw(ctrls[at], numbers, free * there)
+    mean = Draw(ctrls[at], parameters, free * there)
     edges = [
         Draw(jnp.broadcast_to(x.astype(dtype), (count, problem.nu)), end[n:], end[:n])
         for x, end in ((problem.low, low), (problem.high, high))
@@ -221,7 +228,7 @@ def _first(
 
     wide = Draw(
         deviation(edges[0].points, edges[1].points, 1.0),
-        deviation(edges[0].numbers, edges[1].numbers, jnp.maximum(jnp.abs(numbers), 1e-3)),
+        deviation(edges[0].parameters, edges[1].parameters, jnp.maximum(jnp.abs(parameters), 1e-3)),
         free * deviation(edges[0].first, edges[1].first, 1.0),
     )
     return jax.tree.map(jnp.clip, mean, *edges), wide, *edges
@@ -294,14 +301,11 @@ def control_at(how: Sampling, points: jax.Array, k: jax.Array, horizon: int) -> 
 
 def _opened(problem: Problem, start: Any, draw: Draw) -> Knot:
     state = problem.system.plus(start, draw.first) if any(problem.free) else start
-    return Knot(state, draw.numbers)
+    return Knot(state, draw.parameters)
 
 
 def _ctrl(how: Sampling, problem: Problem, draw: Draw, k: jax.Array) -> jax.Array:
-    u = control_at(how, draw.points, k, problem.horizon)
-    if problem.bounded:
-        u = jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
-    return u
+    return problem.within_bounds(control_at(how, draw.points, k, problem.horizon))
 
 
 def rolled(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array:

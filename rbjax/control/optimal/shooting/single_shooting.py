@@ -16,6 +16,7 @@ Source: Betts, *Practical Methods for Optimal Control*, 3.3; Kingma & Ba 2015 (A
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -25,6 +26,14 @@ import jax.numpy as jnp
 import optax
 import optimistix as optx
 
+from rbjax.control.optimal.constraint_rows import (
+    example,
+    limits,
+    row_count,
+    rows_along,
+    violation,
+)
+from rbjax.control.optimal.objective import half_square, motion_cost, over_knots, residuals
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import (
@@ -33,17 +42,15 @@ from rbjax.control.optimal.shooting.augmented_lagrangian import (
     next_multipliers,
     next_penalty,
     no_multipliers,
-    penalised,
-    violated,
+    penalty_residuals,
 )
-from rbjax.control.optimal.shooting.expansion import example, limits, row_count
 from rbjax.control.optimal.shooting.knots import largest_gap
-from rbjax.control.optimal.shooting.verdict import CLOSER, FLOOR, LOOSE
-from rbjax.control.optimal.solution import Found, plain_cost
+from rbjax.control.optimal.shooting.search_state import CLOSER, FLOOR, LOOSE
+from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.errors import InputError
 
-VAIN = 0.9  # a violation that does not fall to this share at the last penalty stays
+PERSISTS = 0.9  # a violation that does not fall to this share at the last penalty stays
 EDGE = 0.98  # a first guess lies within this share of its bounds
 RATE = 0.03  # of Adam
 PATIENCE = 20  # iterations over which a gradient method must lower the cost
@@ -51,7 +58,7 @@ SHORTER, SHORTEST = 0.25, 1e-6  # the factor of its steps if it does not, and th
 
 
 class Unknowns(NamedTuple):
-    """us (N, m) in the coordinates without bounds; dx (n,) of the first knot, numbers likewise."""
+    """us (N, m) in the coordinates without bounds; dx (n,) of the first knot and the parameters."""
 
     us: jax.Array
     dx: jax.Array
@@ -66,12 +73,12 @@ class Shooting(NamedTuple):
     def knots(self, w: Unknowns) -> tuple[Knot, jax.Array]:
         """The motion and its controls."""
         problem = self.problem
-        us = inside(w.us, problem.low, problem.high)
+        us = from_unbounded(w.us, problem.low, problem.high)
         ns = problem.system.n
         low, high = (x[ns:] for x in problem.start_bounds(us.dtype))
         free = jnp.asarray(problem.free)
         state = problem.system.plus(self.first.state, jnp.where(free, w.dx[:ns], 0.0))
-        first = Knot(state, inside(w.dx[ns:], low, high))
+        first = Knot(state, from_unbounded(w.dx[ns:], low, high))
 
         def step(knot: Knot, x: tuple) -> tuple[Knot, Knot]:
             k, u = x
@@ -81,76 +88,54 @@ class Shooting(NamedTuple):
         last, body = jax.lax.scan(step, first, (ks, us))
         return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), body, last), us
 
-    def rows(self, knots: Knot, us: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The constraints at the knots with controls (N, c) and at the end (e,)."""
-        problem = self.problem
-        ks = jnp.arange(problem.horizon, dtype=us.dtype)
-        body = jax.tree.map(lambda x: x[:-1], knots)
-        path = jax.vmap(lambda k, x, u: problem.rows(k, x, u, "path"))(ks, body, us)
-        last = jax.tree.map(lambda x: x[-1], knots)
-        none = jnp.zeros(problem.nu, us.dtype)
-        return path, problem.rows(problem.horizon, last, none, "end")
-
     def residuals(self, knots: Knot, us: jax.Array) -> tuple[list[jax.Array], jax.Array]:
         """All residuals, and the sum of the costs that are numbers."""
-        problem, rest = self.problem, jnp.zeros((), us.dtype)
-        N = problem.horizon
-        body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (slice(-1), -1))
-        ks = jnp.arange(N, dtype=us.dtype)
-        found = []
-        for cost in problem.running:
-            value = jax.vmap(lambda *x, cost=cost: problem.value(cost, "path", *x))(ks, body, us)
-            if value.ndim > 1:
-                found.append(value.reshape(-1))
-            else:
-                rest = rest + value.sum()
-        for cost in problem.terminal:
-            value = problem.value(cost, "end", N, last, jnp.zeros(problem.nu, us.dtype))
-            if value.ndim:
-                found.append(value)
-            else:
-                rest = rest + value
-        return found, rest
+        of_knot = functools.partial(residuals, self.problem)
+        (path, parameters), (end, last) = over_knots(of_knot, self.problem, knots, us)
+        return [path.reshape(-1), end], parameters.sum() + last
 
 
-def inside(w: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+def from_unbounded(w: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     """A number within its bounds: a sine between two, a hyperbola above or below one."""
     low, high = low.astype(w.dtype), high.astype(w.dtype)
     has_low, has_high = jnp.isfinite(low), jnp.isfinite(high)
     a, b = jnp.where(has_low, low, -1.0), jnp.where(has_high, high, 1.0)
     between = 0.5 * (a + b) + 0.5 * (b - a) * jnp.sin(w)
-    beside = jnp.sqrt(w * w + 1) - 1
-    one = jnp.where(has_low, a + beside, jnp.where(has_high, b - beside, w))
+    hyperbola = jnp.sqrt(w * w + 1) - 1
+    one = jnp.where(has_low, a + hyperbola, jnp.where(has_high, b - hyperbola, w))
     return jnp.where(has_low & has_high, between, one)
 
 
-def outside(u: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """w whose `inside` is u, or near it where u is at a bound."""
+def to_unbounded(u: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """w whose `from_unbounded` is u, or near it where u is at a bound."""
     low, high = low.astype(u.dtype), high.astype(u.dtype)
     has_low, has_high = jnp.isfinite(low), jnp.isfinite(high)
     a, b = jnp.where(has_low, low, -1.0), jnp.where(has_high, high, 1.0)
     share = (2 * u - a - b) / (b - a)
     between = jnp.arcsin(jnp.clip(share, -EDGE, EDGE))
     away = jnp.maximum(jnp.where(has_low, u - a, b - u), 1e-3)
-    beside = jnp.sqrt((away + 1) ** 2 - 1)
-    return jnp.where(has_low & has_high, between, jnp.where(has_low | has_high, beside, u))
+    hyperbola = jnp.sqrt((away + 1) ** 2 - 1)
+    return jnp.where(has_low & has_high, between, jnp.where(has_low | has_high, hyperbola, u))
 
 
-def augmented(s: Shooting, w: Unknowns, l: Multipliers) -> tuple[list[jax.Array], jax.Array]:
+def lagrangian_residuals(
+    s: Shooting, w: Unknowns, l: Multipliers
+) -> tuple[list[jax.Array], jax.Array]:
     """Residuals and the rest of the augmented Lagrangian."""
     knots, us = s.knots(w)
     found, rest = s.residuals(knots, us)
     if s.problem.constraints:
-        for rows, y, where in zip(s.rows(knots, us), l[:2], ("path", "end"), strict=True):
-            low, high = limits(s.problem, where, jnp.zeros(rows.shape[-1], us.dtype))
-            found.append(penalised(rows, y, l.penalty, low, high).reshape(-1))
+        both = rows_along(s.problem, knots, us)
+        for rows, y, where in zip(both, l[:2], ("path", "end"), strict=True):
+            low, high = limits(s.problem, where, us.dtype)
+            found.append(penalty_residuals(rows, y, l.penalty, low, high).reshape(-1))
     return found, rest
 
 
-def total(s: Shooting, w: Unknowns, l: Multipliers) -> jax.Array:
+def lagrangian_value(s: Shooting, w: Unknowns, l: Multipliers) -> jax.Array:
     """The augmented Lagrangian ()."""
-    found, rest = augmented(s, w, l)
-    return rest + sum((0.5 * (r * r).sum() for r in found), jnp.zeros_like(rest))
+    found, rest = lagrangian_residuals(s, w, l)
+    return rest + sum(map(half_square, found), jnp.zeros_like(rest))
 
 
 class Target(NamedTuple):
@@ -161,7 +146,9 @@ class Target(NamedTuple):
     scale: jax.Array
     iterations: jax.Array
 
-    def stop(self, w: Unknowns, cost: jax.Array, slope: Unknowns) -> tuple[jax.Array, jax.Array]:
+    def stationarity(
+        self, w: Unknowns, cost: jax.Array, slope: Unknowns
+    ) -> tuple[jax.Array, jax.Array]:
         """The square of the gradient, scaled by the unknowns, over the cost; and whether it is
         small."""
         parts = jax.tree.map(lambda x, g: ((g * jnp.maximum(1, jnp.abs(x))) ** 2).sum(), w, slope)
@@ -170,37 +157,37 @@ class Target(NamedTuple):
         return square / jnp.maximum(share, jnp.finfo(share.dtype).tiny), small
 
 
-class Ended(NamedTuple):
-    """Unknowns; outcome; iterations; stop, that of `Target`; costs (history,)."""
+class InnerResult(NamedTuple):
+    """Unknowns; status; iterations; stationarity, that of `Target`; costs (history,)."""
 
     w: Unknowns
-    outcome: jax.Array
+    status: jax.Array
     iterations: jax.Array
-    stop: jax.Array
+    stationarity: jax.Array
     costs: jax.Array
 
 
 class Best(NamedTuple):
-    """The unknowns of least cost, with their cost (), `stop` () and whether it is small ()."""
+    """The unknowns of least cost, their cost (), `stationarity` () and whether it is small ()."""
 
     w: Unknowns
     cost: jax.Array
-    stop: jax.Array
+    stationarity: jax.Array
     small: jax.Array
 
 
-Inner = Callable[[Shooting, Unknowns, Multipliers, Target, jax.Array, jax.Array], Ended]
+Inner = Callable[[Shooting, Unknowns, Multipliers, Target, jax.Array, jax.Array], InnerResult]
 
 
-def descended(optimiser: optax.GradientTransformation) -> Inner:
+def optax_search(optimiser: optax.GradientTransformation) -> Inner:
     """A search by an optimiser of optax. It returns the best point. If this stays the best for
     `PATIENCE` iterations, the search begins there again with shorter steps."""
 
     def search(
         s: Shooting, w: Unknowns, l: Multipliers, target: Target, used: jax.Array,
         costs: jax.Array,
-    ) -> Ended:  # fmt: skip
-        value = jax.value_and_grad(lambda w: total(s, w, l))
+    ) -> InnerResult:  # fmt: skip
+        value = jax.value_and_grad(lambda w: lagrangian_value(s, w, l))
         dtype, history = w.us.dtype, costs.shape[0]
 
         def turn(now: tuple) -> tuple:
@@ -208,7 +195,7 @@ def descended(optimiser: optax.GradientTransformation) -> Inner:
             cost, slope = value(w)
             costs = costs.at[jnp.minimum(count, history - 1)].set(cost)
             fine = jnp.isfinite(cost) & jnp.isfinite(slope.us).all()
-            here = Best(w, cost, *target.stop(w, cost, slope))
+            here = Best(w, cost, *target.stationarity(w, cost, slope))
             best = jax.tree.map(
                 lambda new, old: jnp.where(fine & (cost < best.cost), new, old), here, best
             )
@@ -223,37 +210,37 @@ def descended(optimiser: optax.GradientTransformation) -> Inner:
                 lambda new, old: jnp.where(again, old, new), after, optimiser.init(w)
             )
             rate = jnp.where(again, SHORTER * rate, rate)
-            outcome = jnp.where(count >= target.iterations, BUDGET, GOING)
-            outcome = jnp.where(rate < SHORTEST, STUCK, outcome)
-            outcome = jnp.where(best.small, CONVERGED, outcome)
-            outcome = jnp.where(jnp.isfinite(best.cost), outcome, NOT_FINITE)
-            return w, state, rate, best, mark, count, costs, outcome
+            status = jnp.where(count >= target.iterations, BUDGET, GOING)
+            status = jnp.where(rate < SHORTEST, STUCK, status)
+            status = jnp.where(best.small, CONVERGED, status)
+            status = jnp.where(jnp.isfinite(best.cost), status, NOT_FINITE)
+            return w, state, rate, best, mark, count, costs, status
 
         big, one = jnp.asarray(jnp.inf, dtype), jnp.ones((), dtype)
         best = Best(w, big, big, jnp.asarray(False))
         begin = w, optimiser.init(w), one, best, big, used, costs, jnp.asarray(GOING)
         end: Any = jax.lax.while_loop(lambda now: now[-1] == GOING, turn, begin)
         best = end[3]
-        return Ended(best.w, end[-1], end[5], best.stop, end[6])
+        return InnerResult(best.w, end[-1], end[5], best.stationarity, end[6])
 
     return search
 
 
-def minimised(squares: bool) -> Inner:
+def optimistix_search(squares: bool) -> Inner:
     """A search by BFGS, or by Levenberg and Marquardt's method where all costs are residuals."""
 
     def search(
         s: Shooting, w: Unknowns, l: Multipliers, target: Target, used: jax.Array,
         costs: jax.Array,
-    ) -> Ended:  # fmt: skip
+    ) -> InnerResult:  # fmt: skip
         dtype, history = w.us.dtype, costs.shape[0]
         least = 10 * float(jnp.finfo(dtype).eps)  # steps this short end a search that is stuck
         solver: Any = (optx.LevenbergMarquardt if squares else optx.BFGS)(least, least)
 
         def fn(w: Unknowns, _: Any) -> tuple[jax.Array, None]:
             if squares:
-                return jnp.concatenate(augmented(s, w, l)[0]), None
-            return total(s, w, l), None
+                return jnp.concatenate(lagrangian_residuals(s, w, l)[0]), None
+            return lagrangian_value(s, w, l), None
 
         like = jax.eval_shape(lambda w: fn(w, None)[0], w)
         begin: Any = solver.init(fn, w, None, {}, like, None, frozenset())
@@ -266,7 +253,7 @@ def minimised(squares: bool) -> Inner:
             seen = state.f_info
             cost = seen.as_min()
             slope = seen.compute_grad() if squares else seen.grad
-            stop, small = target.stop(w, cost, slope)
+            stationarity, small = target.stationarity(w, cost, slope)
             # a rejected step leaves the fall of the last accepted one
             fall = jnp.where((cost == before) | (count == used), fall, before - cost)
             near = fall <= target.tolerance * jnp.maximum(target.scale, jnp.abs(cost))
@@ -276,18 +263,18 @@ def minimised(squares: bool) -> Inner:
                 lambda x, y: (jnp.abs(x - y) <= least * jnp.maximum(1, jnp.abs(y))).all(),
                 state.y_eval, w,
             )  # fmt: skip
-            outcome = jnp.where(count >= target.iterations, BUDGET, GOING)
+            status = jnp.where(count >= target.iterations, BUDGET, GOING)
             rest = rests.us & rests.dx
-            outcome = jnp.where(rest, STUCK, outcome)
-            outcome = jnp.where(small & (near | rest), CONVERGED, outcome)
-            outcome = jnp.where(jnp.isfinite(cost + stop), outcome, NOT_FINITE)
+            status = jnp.where(rest, STUCK, status)
+            status = jnp.where(small & (near | rest), CONVERGED, status)
+            status = jnp.where(jnp.isfinite(cost + stationarity), status, NOT_FINITE)
             numeric = eqx.filter(state, eqx.is_array)
-            return w, numeric, count, costs, cost, fall, stop, outcome
+            return w, numeric, count, costs, cost, fall, stationarity, status
 
         zero = jnp.zeros((), dtype)
         first = w, numeric, used, costs, zero, zero, zero, jnp.asarray(GOING)
         end: Any = jax.lax.while_loop(lambda now: now[-1] == GOING, turn, first)
-        return Ended(end[0], end[-1], end[2], end[-2], end[3])
+        return InnerResult(end[0], end[-1], end[2], end[-2], end[3])
 
     return search
 
@@ -295,94 +282,96 @@ def minimised(squares: bool) -> Inner:
 def by_shooting(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     inner: Callable[[Problem], Inner],
-) -> Found:  # fmt: skip
+) -> SearchResult:  # fmt: skip
     """`solve` by single shooting. The guess of the states is not used, but for a free start."""
     dtype, n = ctrls.dtype, problem.n
     search = inner(problem)
     first = jax.tree.map(lambda x: x[0], knots)
     state = first.state if any(problem.free) else start
-    s = Shooting(problem, Knot(state, first.numbers))
+    s = Shooting(problem, Knot(state, first.parameters))
     low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
-    dx = jnp.zeros(n, dtype).at[problem.system.n :].set(outside(first.numbers, low, high))
-    w = Unknowns(outside(ctrls, problem.low, problem.high), dx)
+    dx = jnp.zeros(n, dtype).at[problem.system.n :].set(to_unbounded(first.parameters, low, high))
+    w = Unknowns(to_unbounded(ctrls, problem.low, problem.high), dx)
     path, closing = (row_count(problem, at) for at in ("path", "end"))
     l = no_multipliers(problem.horizon, path, closing, dtype)
     costs = jnp.full(history, jnp.nan, dtype)
-    scale = options.scale
+    rule = options.rule
+    scale = rule.scale
     if scale is None:
-        scale = jnp.minimum(jnp.abs(total(s, w, l)), 1.0)
-    least = jnp.maximum(options.tolerance, FLOOR * jnp.finfo(dtype).eps).astype(dtype)
-    target = Target(least, scale.astype(dtype), options.iterations)
+        scale = jnp.minimum(jnp.abs(lagrangian_value(s, w, l)), 1.0)
+    least = jnp.maximum(rule.tolerance, FLOOR * jnp.finfo(dtype).eps).astype(dtype)
+    target = Target(least, scale.astype(dtype), rule.iterations)
     if not problem.constraints:
         end = search(s, w, l, target, jnp.asarray(0), costs)
-        outcome = end.outcome
+        status = end.status
     else:
-        end, l, outcome = _turns(s, w, l, target, options.violation, costs, search)
+        end, l, status = _multiplier_iterations(s, w, l, target, rule.violation, costs, search)
     knots, us = s.knots(end.w)
-    off, _ = violation_of(s, knots, us, l)
-    return Found(
-        knots, us, plain_cost(problem, knots, us), outcome, end.iterations, end.stop,
+    off, _ = next_multipliers_of(s, knots, us, l)
+    return SearchResult(
+        knots, us, motion_cost(problem, knots, us), status, end.iterations, end.stationarity,
         largest_gap(problem, jax.tree.map(lambda x: x[0], knots.state), knots, us), off,
         end.costs, jnp.zeros((problem.horizon, problem.nu, n), dtype), l.path, l.end,
     )  # fmt: skip
 
 
-def violation_of(
+def next_multipliers_of(
     s: Shooting, knots: Knot, us: jax.Array, l: Multipliers
 ) -> tuple[jax.Array, Multipliers]:
     """The largest violation, and the next multipliers."""
     worst, ys = jnp.zeros((), us.dtype), []
-    for rows, y, where in zip(s.rows(knots, us), l[:2], ("path", "end"), strict=True):
-        low, high = limits(s.problem, where, jnp.zeros(rows.shape[-1], us.dtype))
-        worst = jnp.maximum(worst, violated(rows, low, high))
+    both = rows_along(s.problem, knots, us)
+    for rows, y, where in zip(both, l[:2], ("path", "end"), strict=True):
+        low, high = limits(s.problem, where, us.dtype)
+        worst = jnp.maximum(worst, violation(rows, low, high).max(initial=0.0))
         ys.append(next_multipliers(rows, y, l.penalty, low, high))
     return worst, Multipliers(ys[0], ys[1], l.penalty)
 
 
-def _turns(
+def _multiplier_iterations(
     s: Shooting, w: Unknowns, l: Multipliers, target: Target, violation: jax.Array,
     costs: jax.Array, search: Inner,
-) -> tuple[Ended, Multipliers, jax.Array]:  # fmt: skip
+) -> tuple[InnerResult, Multipliers, jax.Array]:  # fmt: skip
     """Searches with better and better multipliers, each to a smaller tolerance."""
     big, least = jnp.asarray(jnp.inf, w.us.dtype), target.tolerance
 
     def turn(now: tuple) -> tuple:
         end, l, before, inner, _ = now
         end = search(s, end.w, l, target._replace(tolerance=inner), end.iterations, end.costs)
-        off, after = violation_of(s, *s.knots(end.w), l)
+        off, after = next_multipliers_of(s, *s.knots(end.w), l)
         held = off <= violation
         penalty, failing = next_penalty(l.penalty, off, before, held)
         after = after._replace(penalty=penalty)
-        hopeless = failing & (off > VAIN * before) & (l.penalty >= PENALTY_MOST)
-        rests = (end.outcome == CONVERGED) & (inner <= least)
-        outcome = jnp.where((end.outcome == STUCK) & held & (before <= violation), STUCK, GOING)
-        outcome = jnp.where(end.iterations >= target.iterations, BUDGET, outcome)
-        outcome = jnp.where(hopeless, INFEASIBLE, outcome)
-        outcome = jnp.where(held & rests, CONVERGED, outcome)
-        outcome = jnp.where(end.outcome == NOT_FINITE, NOT_FINITE, outcome)
-        return end, after, off, jnp.maximum(CLOSER * inner, least), outcome
+        hopeless = failing & (off > PERSISTS * before) & (l.penalty >= PENALTY_MOST)
+        rests = (end.status == CONVERGED) & (inner <= least)
+        status = jnp.where((end.status == STUCK) & held & (before <= violation), STUCK, GOING)
+        status = jnp.where(end.iterations >= target.iterations, BUDGET, status)
+        status = jnp.where(hopeless, INFEASIBLE, status)
+        status = jnp.where(held & rests, CONVERGED, status)
+        status = jnp.where(end.status == NOT_FINITE, NOT_FINITE, status)
+        return end, after, off, jnp.maximum(CLOSER * inner, least), status
 
     begin = (
-        Ended(w, jnp.asarray(GOING), jnp.asarray(0), big, costs), l, big,
+        InnerResult(w, jnp.asarray(GOING), jnp.asarray(0), big, costs), l, big,
         jnp.maximum(least, LOOSE), jnp.asarray(GOING),
     )  # fmt: skip
     last: Any = jax.lax.while_loop(lambda now: now[-1] == GOING, turn, begin)
-    end, l, _, _, outcome = last
-    return end, l, outcome
+    end, l, _, _, status = last
+    return end, l, status
 
 
 def by_adam(problem: Problem) -> Inner:
     """Adam of optax."""
-    return descended(optax.adam(RATE))
+    return optax_search(optax.adam(RATE))
 
 
 def by_bfgs(problem: Problem) -> Inner:
     """BFGS of optimistix."""
-    return minimised(False)
+    return optimistix_search(False)
 
 
-def by_squares(problem: Problem) -> Inner:
-    """Levenberg and Marquardt's method of optimistix; refuses costs that are numbers."""
+def by_levenberg_marquardt(problem: Problem) -> Inner:
+    """Levenberg and Marquardt's method of optimistix; raises for costs that are numbers."""
     knot, ctrl = example(problem)
     for where, costs in (("path", problem.running), ("end", problem.terminal)):
         for cost in costs:
@@ -395,4 +384,4 @@ def by_squares(problem: Problem) -> Inner:
                     f"solve: method 'levenberg_marquardt' needs residuals, and the cost "
                     f"{cost.term.label} is a number; return a vector, or take 'bfgs'"
                 )
-    return minimised(True)
+    return optimistix_search(True)

@@ -1,7 +1,7 @@
 """Sequential quadratic programming with multiple shooting: all knots side by side.
 
-An iteration is that of `ddp`, but for its step: it is that of the linear model, from knot to knot
-small products only,
+An iteration is that of `ddp` except for the step, which is that of the linear model: only small
+products from knot to knot,
 
     du_k = k_k + K_k dx_k,     dx_{k+1} = A dx_k + B du_k + gap_{k+1}
 
@@ -13,10 +13,10 @@ The trial with the least
 
     phi(a) = J(a) + sum over k of  l_k'gap_k(a) + rho/2 gap_k(a)'V_k gap_k(a)
 
-is taken, if it lowers phi as its slope at a = 0 foresees (Armijo): that of J less the sum of
+is taken if it satisfies Armijo's rule with the slope of phi at a = 0: that of J minus the sum of
 l'gap + rho gap'V gap. l_k = v_k + V_k dx_k are the costates of the step and V_k the Hessians of the
-value function, both from the backward pass, so that with rho = 1 phi is the cost with what the
-gaps will cost once they are closed. It is an augmented Lagrangian with the multipliers of the step
+value function, both from the backward pass, so that with rho = 1 phi is the cost plus the cost
+of closing the gaps. It is an augmented Lagrangian with the multipliers of the step
 (Gill, Murray, Saunders & Wright 1992). A cost of sum mu |gap| instead shortens the steps near an
 optimum (Maratos 1978): of the listed problems it took 116 iterations for 30 on an arm, and more
 than 300 for 86 on a double pendulum.
@@ -33,16 +33,16 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import in_parts, threads
+from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback
-from rbjax.control.optimal.shooting.ddp import Iterate, Way, searched
+from rbjax.control.optimal.shooting.ddp import Iterate, StepPolicy, search
 from rbjax.control.optimal.shooting.expansion import Local, merit
 from rbjax.control.optimal.shooting.filter_search import ARMIJO, rounding
-from rbjax.control.optimal.shooting.forward_pass import within_bounds
-from rbjax.control.optimal.shooting.knots import FEW, Expanded, at_places, numbers, violation
-from rbjax.control.optimal.shooting.verdict import LENGTHS, Measures, Rules, Verdict
-from rbjax.control.optimal.solution import Found
+from rbjax.control.optimal.shooting.knots import FEW, Expanded, knot_indices, knots_at
+from rbjax.control.optimal.shooting.search_state import LENGTHS, Decision, IterationValues
+from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.products import product
 
 RHO = 3.0
@@ -57,12 +57,12 @@ class Step(NamedTuple):
     opening: jax.Array
 
 
-class Measured(NamedTuple):
-    """Of trials (T,): costs; offs, their violations; more, the changes of phi, its slope () and the
-    opening of the step, both without each other. step: of length 1."""
+class LinearTrials(NamedTuple):
+    """Of trials (T,): costs; violations; more: the changes of phi, its slope () and the opening of
+    the step, both without each other. step: of length 1."""
 
     costs: jax.Array
-    offs: jax.Array
+    violations: jax.Array
     more: tuple[jax.Array, jax.Array, jax.Array]
     step: Step
 
@@ -70,9 +70,9 @@ class Measured(NamedTuple):
 def by_sqp(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     exact: bool = False,
-) -> Found:  # fmt: skip
+) -> SearchResult:  # fmt: skip
     """`solve` by sequential quadratic programming. exact: as in `by_ddp`."""
-    return searched(BY_LINEAR_MODEL, problem, start, knots, ctrls, options, history, exact)
+    return search(LINEAR_STEPS, problem, start, knots, ctrls, options, history, exact)
 
 
 def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
@@ -94,7 +94,7 @@ def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
 
 def _trials(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
-) -> Measured:
+) -> LinearTrials:
     """All lengths at all knots."""
     dtype, N = now.ctrls.dtype, problem.horizon
     step = threads(linear_step, team=True)(found.path, gaps, gains)
@@ -105,18 +105,18 @@ def _trials(
         following: Knot, ahead: jax.Array, gap: jax.Array, V: jax.Array, v: jax.Array,
         cost: tuple, y_end: jax.Array, end: tuple, mu: jax.Array, a: jax.Array,
     ) -> tuple:  # fmt: skip
-        there, u = problem.plus(knot, a * dx), within_bounds(problem, ctrl + a * du)
+        there, u = problem.plus(knot, a * dx), problem.within_bounds(ctrl + a * du)
         after = problem.plus(following, a * ahead)
         c, q, r = cost
         change = merit(problem, k, there, u, y, mu, "path") - c
-        off = violation(problem, k, there, u, "path")
+        off = knot_violation(problem, k, there, u, "path")
         slope = (q * dx).sum() + (r * du).sum()
 
         def closing() -> tuple:
             none = jnp.zeros(problem.nu, dtype)
             c, q = end
             more = merit(problem, k + 1, after, none, y_end, mu, "end") - c
-            return more, (q * ahead).sum(), violation(problem, k + 1, after, none, "end")
+            return more, (q * ahead).sum(), knot_violation(problem, k + 1, after, none, "end")
 
         def nothing() -> tuple:
             zero = jnp.zeros((), dtype)
@@ -135,8 +135,8 @@ def _trials(
         following: Knot, ahead: jax.Array, gap: jax.Array, V: jax.Array, v: jax.Array, *rest: Any,
     ) -> tuple:  # fmt: skip
         def read(k: Any, ctrl: jax.Array, y: jax.Array, du: jax.Array, *rest: Any) -> tuple:
-            (knot, following), (dx, ahead) = (at_places(x, k) for x in (now.knots, step.dx))
-            gap, V, v = (at_places(x, k)[1] for x in (gaps, gains.V, gains.v))
+            (knot, following), (dx, ahead) = (knots_at(x, k) for x in (now.knots, step.dx))
+            gap, V, v = (knots_at(x, k)[1] for x in (gaps, gains.V, gains.v))
             return one(k, knot, ctrl, y, dx, du, following, ahead, gap, V, v, *rest)
 
         return threads(read)(k, ctrl, y, du, *rest)
@@ -145,39 +145,41 @@ def _trials(
     body, following = (jax.tree.map(lambda x, at=at: x[at], now.knots) for at in (BODY, NEXT))
     path, l = found.path.cost, now.multipliers
     sums, offs = jax.vmap(each, (None,) * 15 + (0,))(
-        numbers(N, dtype), body, now.ctrls, l.path, step.dx[:-1], step.du,
+        knot_indices(N, dtype), body, now.ctrls, l.path, step.dx[:-1], step.du,
         following, step.dx[1:], gaps[1:], gains.V[1:], gains.v[1:],
         (path.c, path.q, path.r), l.end, (found.end.c, found.end.q), l.penalty, lengths,
     )  # fmt: skip
     costs, lift, slope = jnp.moveaxis(sums.sum(1), 1, 0)
     offs = offs.max(1) if problem.constraints else jnp.zeros_like(costs)
-    return Measured(found.cost + costs, offs, (costs + lift, slope[0], step.opening), step)
+    return LinearTrials(found.cost + costs, offs, (costs + lift, slope[0], step.opening), step)
 
 
-def _moved(
-    problem: Problem, now: Iterate, tried: Measured, decided: Verdict
+def _take_linear_step(
+    problem: Problem, now: Iterate, trials: LinearTrials, decided: Decision
 ) -> tuple[Knot, jax.Array]:
     """The knots along the step that was taken."""
 
     def one(knot: Knot, dx: jax.Array, a: jax.Array, accepted: jax.Array) -> Knot:
         return problem.plus(knot, jnp.where(accepted, a * dx, 0.0))
 
-    a, accepted = decided.a, decided.accepted
-    knots = jax.vmap(threads(one), (0, 0, None, None))(now.knots, tried.step.dx, a, accepted)
-    ctrls = now.ctrls + jnp.where(accepted, a * tried.step.du, 0.0)
-    return knots, within_bounds(problem, ctrls)
+    a, accepted = decided.length, decided.accepted
+    knots = jax.vmap(threads(one), (0, 0, None, None))(now.knots, trials.step.dx, a, accepted)
+    ctrls = now.ctrls + jnp.where(accepted, a * trials.step.du, 0.0)
+    return knots, problem.within_bounds(ctrls)
 
 
-def _least(seen: Measures, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _decreases_merit(
+    values: IterationValues, lengths: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """The longest trial of the least phi, but for rounding, by Armijo's rule."""
-    change, slope, opening = seen.more
+    change, slope, opening = values.more
     pull, square = opening[0], opening[1]
     change = change - lengths * pull + 0.5 * ((1 - lengths) ** 2 - 1) * square
     slope = slope - pull - square
-    slack = rounding(seen.cost)
+    slack = rounding(values.cost)
     good = (change - slack <= ARMIJO * lengths * slope) & (slope <= slack)
     change = jnp.where(good & jnp.isfinite(change), change, jnp.inf)
     return good & (change <= change.min() + slack), 0.5 * jnp.abs(slope)
 
 
-BY_LINEAR_MODEL = Way(Rules(_least, False), _trials, _moved)
+LINEAR_STEPS = StepPolicy(_decreases_merit, False, _trials, _take_linear_step)
