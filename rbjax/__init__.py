@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import jax
 
 from rbjax import dynamics, joints, rotations, spatial
-from rbjax.callable_modules import make_modules_callable
 from rbjax.compiler import compile, threads
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
@@ -191,5 +190,3 @@ __all__ = [
     "write_back",
     "write_mjcf",
 ]
-
-make_modules_callable(__name__)

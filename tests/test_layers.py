@@ -10,8 +10,7 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 
 # What a room stands on directly; it may import that and all below it.
 FLOORS = {
-    "callable_modules": "",
-    "errors": "callable_modules",
+    "errors": "",
     "_jax_compat": "",
     "arguments": "errors",
     "progress": "errors",

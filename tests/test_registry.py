@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.callable_modules import CallableModule
 from tests.composing import STEP, check_axes, check_composes
 from tests.robots import robot
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
@@ -221,7 +220,7 @@ def test_eager_is_jit() -> None:
 
 
 def is_function(value: object) -> bool:
-    return inspect.isroutine(value) or isinstance(value, CallableModule)
+    return inspect.isroutine(value)
 
 
 def test_no_public_function_is_missing() -> None:

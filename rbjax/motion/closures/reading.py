@@ -32,7 +32,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.callable_modules import CallableModule
 from rbjax.motion.closures.code_names import DEEP, HIDDEN, INSTALLED, Names, names_of, of_library
 
 #: what becomes operands: arrays and floats; arrays; nothing but tracers
@@ -328,8 +327,6 @@ class Reader:
 
 
 def _named_by_library(x: Any) -> bool:
-    if isinstance(x, CallableModule):
-        return of_library(x.__name__)
     module: Any = getattr(x, "__module__", None)
     name = getattr(x, "__name__", "")
     return of_library(module) and vars(sys.modules.get(module, object)).get(name) is x
