@@ -140,7 +140,7 @@ class Formulation:
     @property
     def name(self) -> str:
         """The factors that are not the default, joined by "+"."""
-        factors = () if self.method == MULTIPLIERS else (self.method,)
+        factors: tuple[Any, ...] = () if self.method == MULTIPLIERS else (self.method,)
         factors += tuple(x for x in (self.feedback, self.projection) if x is not None)
         return "+".join(x.name for x in factors or (self.method,))
 

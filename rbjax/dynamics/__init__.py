@@ -1,6 +1,10 @@
 """Kinematics and dynamics of trees: one file for each algorithm, and the drivers."""
 
-from rbjax.dynamics.algorithms.coriolis import coriolis_matrix
+from rbjax.dynamics.algorithms.coriolis import (
+    LagrangeCoefficients,
+    coriolis_matrix,
+    lagrange_coefficients,
+)
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.derivatives import (
     ForwardDynamicsDerivatives,
@@ -23,7 +27,6 @@ from rbjax.dynamics.algorithms.frames import (
 )
 from rbjax.dynamics.algorithms.jacobians import generalized_forces, jacobian, jacobian_rate
 from rbjax.dynamics.algorithms.kinematics import Poses, body_velocities, forward_kinematics
-from rbjax.dynamics.algorithms.lagrange import LagrangeCoefficients, lagrange_coefficients
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.dynamics.algorithms.regressor import inertial_parameters, inertial_regressor
 from rbjax.dynamics.algorithms.rnea import bias_forces, gravity_forces, inverse_dynamics

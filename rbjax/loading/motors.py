@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -48,9 +49,11 @@ def with_motors(model: Model) -> Model:
 
 
 def _motor(joint: int, control: int) -> Actuator:
-    law = GainBias(Affine(np.ones(1)), None, None)
-    unit = np.eye(6)[0]
-    return Actuator(JointAxis(unit, joint), law, _UNLIMITED[None], _UNLIMITED, (control,))
+    one: Any = np.ones(1)
+    unit: Any = np.eye(6)[0]
+    limits: Any = _UNLIMITED
+    law = GainBias(Affine(one), None, None)
+    return Actuator(JointAxis(unit, joint), law, limits[None], limits, (control,))
 
 
 def _driven(model: Model) -> set[int]:

@@ -60,7 +60,7 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
     m = compile_model(source, floating_base=floating_base)
     k = m.geom_dataid
     hulls = {
-        i: _outermost(m.mesh_vert[m.mesh_vertadr[k[i]] :][: m.mesh_vertnum[k[i]]])
+        int(i): _outermost(m.mesh_vert[m.mesh_vertadr[k[i]] :][: m.mesh_vertnum[k[i]]])
         for i in np.flatnonzero(m.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH))
     }
     return _of_geoms(geoms_of(m, np.asarray), hulls)

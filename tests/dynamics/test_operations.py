@@ -65,9 +65,10 @@ def test_small_functions(name: str) -> None:
 def test_a_closed_over_model_costs_only_what_moves() -> None:
     """A pendulum: tau = I a + m g l sin q."""
     model, x = rb.load("pendulum"), jnp.ones(1)
-    assert operation_count(rb.gravity_forces, model, x).total <= 5
+    closed = operation_count(rb.gravity_forces, model, x).total
+    assert closed <= 5
     traced = operation_count(rb.gravity_forces, model, x, traced=("bodies.mass",))
-    assert traced.total > 5
+    assert traced.total > closed
 
 
 def test_leaves_have_names() -> None:

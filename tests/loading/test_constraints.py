@@ -231,8 +231,8 @@ def test_a_mimic_that_is_not_wanted_or_cannot_be_is_named() -> None:
     [
         ('<mimic joint="gone"/>', "'bend' mimics 'gone', expected another one of the joints bend"),
         ('<mimic joint="bend"/>', "'bend' mimics 'bend'"),
-        ('<mimic joint="turn" offset="x"/>', "with the offset 'x', expected a finite number"),
-        ('<mimic joint="turn" multiplier="nan"/>', "with the multiplier 'nan'"),
+        ('<mimic joint="turn" offset="x"/>', "<mimic offset='x'>, expected one finite number"),
+        ('<mimic joint="turn" multiplier="nan"/>', "<mimic multiplier='nan'>"),
     ],
 )
 def test_a_mimic_of_nothing_is_refused(mimic: str, words: str) -> None:

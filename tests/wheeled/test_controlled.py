@@ -113,7 +113,7 @@ def test_an_error_of_a_state_is_a_difference_of_all_numbers() -> None:
 def test_motors_with_a_battery_have_a_range() -> None:
     motor = wheeled.DCMotor(2.0, 0.05, gear=20.0, battery=12.0)
     robot = KINDS["bicycle"].make(motor=motor)
-    system = wheeled.at(robot, "kinematical").controlled()
+    system = wheeled.controlled(wheeled.at(robot, "kinematical"))
     low, high = system.ctrl_range
     np.testing.assert_array_equal(low, [-36.0, -np.inf])
     np.testing.assert_array_equal(high, [36.0, np.inf])
@@ -130,7 +130,7 @@ def test_bad_arguments_are_named() -> None:
     with pytest.raises(InputError, match="parts"):
         wheeled.controlled(vehicle("cart"), parts=0)
     with pytest.raises(InputError, match="a design gave"):
-        vehicle("cart").controlled().with_model(3.0)
+        wheeled.controlled(vehicle("cart")).with_model(3.0)
     problem = control.Problem(vehicle("cart"), 2, DT, running=[control.Control()])
     with pytest.raises(InputError, match=r"state\.q"):
         control.solve(problem, rb.State(jnp.zeros(3), jnp.zeros(2)))

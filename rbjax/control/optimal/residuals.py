@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.control.optimal.system import Controlled
+from rbjax.control.optimal.system import as_system
 from rbjax.control.optimal.terms import Term
 from rbjax.dynamics.algorithms.energy import center_of_mass
 from rbjax.dynamics.algorithms.forward import forward_dynamics
@@ -57,7 +57,9 @@ class StateError(Term):
             reference = State(reference.q, reference.v, state.x)
         if isinstance(model, Model):
             return apart(model, reference, state)
-        system = model.controlled() if isinstance(model, Controlled) else model
+        system = as_system(model)
+        if system is None:
+            raise InputError(f"StateError: {type(model).__name__} is not a System")
         return system.minus(state, reference)
 
 

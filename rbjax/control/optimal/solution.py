@@ -134,7 +134,7 @@ class Solution(Record):
         """The final time, s."""
         return self.ts[..., -1]
 
-    def state(self, k: int) -> Any:
+    def state(self, k: int | jax.Array) -> Any:
         """The state at knot k."""
         return jax.tree.map(lambda x: x[k], self.states)
 

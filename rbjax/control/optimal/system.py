@@ -2,13 +2,15 @@
 
     x+ = f(t, x, u, dt),      x (+) dx,      dx = y (-) x,      A = df/dx, B = df/du on the tangent
 The optimisers know nothing else of a robot. A system is made of a `Model`, of any function of a
-vector (`Equations`), or by what has a method `controlled()` (robots of `rbjax.wheeled`).
+vector (`Equations`), or of an object whose type is registered by `as_system.register`
+(robots of `rbjax.wheeled`).
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -110,13 +112,6 @@ class System(Record):
         zero = jnp.zeros(self.n, ctrl.dtype)
         A, B = jax.jacfwd(moved, (0, 1))(zero, jnp.zeros_like(ctrl))
         return Linearised(after, A, B)
-
-
-@runtime_checkable
-class Controlled(Protocol):
-    """An object that returns its `System`."""
-
-    def controlled(self) -> System: ...
 
 
 class Robot(System):
@@ -304,6 +299,12 @@ def unlimited(model: Model) -> Model:
     return model.replace(actuators=model.actuators.replace(ctrlrange=ranges))
 
 
+@functools.singledispatch
+def as_system(model: Any) -> System | None:
+    """The `System` of an object, None if its type has none. `as_system.register` adds a type."""
+    return model if isinstance(model, System) else None
+
+
 def system_of(
     where: str, model: Any, integrator: Any = None, law: Any = free_motion, constraints: Any = None
 ) -> System:
@@ -314,10 +315,9 @@ def system_of(
         return Robot(unlimited(model), integrator_of(where, integrator, law), law, ranges)
     if integrator is not None or law is not free_motion or constraints is not None:
         raise InputError(f"{where}: integrator, law and constraints are for an rb.Model")
-    if isinstance(model, System):
-        return model
-    if isinstance(model, Controlled):
-        return model.controlled()
+    system = as_system(model)
+    if system is not None:
+        return system
     raise InputError(
         f"{where}: got {type(model).__name__}, expected an rb.Model, rb.control.Equations(f, n, m) "
         "or a robot of rb.wheeled.at(...)"

@@ -5,9 +5,15 @@ With S_i a link's unit twist, V_i its twist and B(I, V) = (V x* I - I V x + (I V
     C = sum over bodies of J^T (I J' + B J),   J'_i = V_i x S_i,
 
 so that C v + g = b and M' = C + C^T. Two of B's four blocks are zero (`Coriolis`).
+
+C is linear in v. Its values at the unit velocities give the coefficients of Lagrange's equations:
+
+    tau_i = sum_j D_ij a_j + sum_jk D_ijk v_j v_k + D_i
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +27,9 @@ from rbjax.dynamics.algorithms.composites import (
     link_twists,
     tree_poses,
 )
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.rnea import gravity_forces
+from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.drivers.pairs import pair_matrix
 from rbjax.dynamics.tracing.algorithm import algorithm
@@ -70,3 +79,50 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     outer, inner = d.each(lambda x: x[0], both), d.each(lambda x: x[1], both)
     axes = d.each(lambda S, S_rate: (*S_rate, *S.ang), S, S_rate)
     return pair_matrix(d, (S, outer), (inner, axes), v)
+
+
+class LagrangeCoefficients(NamedTuple):
+    """The coefficients of `tau = D a + v^T H v + g` at a configuration.
+
+    - inertia: D_ij (nv, nv); D_ii is the effective inertia of dof i, D_ij couples i and j.
+    - velocity: D_ijk (nv, nv, nv), symmetric in j and k; D_ijj is centripetal, the others Coriolis.
+    - gravity: D_i (nv,).
+    """
+
+    inertia: jax.Array
+    velocity: jax.Array
+    gravity: jax.Array
+
+
+def lagrange_coefficients(model: Model, q: jax.Array) -> LagrangeCoefficients:
+    """Compute the inertial, centripetal, Coriolis and gravity coefficients of Lagrange's equations.
+
+    Use it to read the equations of motion of a robot term by term. `bias_forces` and
+    `forward_dynamics` compute the sums faster.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration, in rad and m.
+
+    Returns:
+        `LagrangeCoefficients`, in SI units.
+
+    Raises:
+        InputError: q does not fit the model.
+
+    Source: Cai Zixing, *Robotics*, 4.1.1, equations (4.8) to (4.10), table 4.1.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import rbjax as rb
+        >>> arm = rb.load("two_link")  # the arm of table 4.1
+        >>> found = rb.lagrange_coefficients(arm, jnp.zeros(2))
+        >>> found.inertia.round(3).tolist()
+        [[6.0, 2.0], [2.0, 1.0]]
+    """
+    q = check_arrays("lagrange_coefficients", model, {"q": q})["q"]
+    inertia = mass_matrix(model, q)
+    unit = jnp.eye(model.nv, dtype=inertia.dtype)
+    C = jax.vmap(lambda v: coriolis_matrix(model, q, v))(unit)  # C[k, i, j]
+    velocity = (jnp.moveaxis(C, 0, 2) + jnp.moveaxis(C, 0, 1)) / 2
+    return LagrangeCoefficients(inertia, velocity, gravity_forces(model, q))

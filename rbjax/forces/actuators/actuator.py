@@ -149,6 +149,9 @@ class Actuator(Element):
         return Signals(now, u, self.transmission)
 
 
+_ZERO: Any = np.zeros(1)
+
+
 class Affine(Record):
     """c0 + c1 l + c2 l'; with one coefficient (1,) a constant."""
 
@@ -210,7 +213,7 @@ class GainBias(Law):
         return add(mul(self.gain(seen), a), bias)
 
     def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
-        gain, bias = self.gain, Affine(np.zeros(1)) if self.bias is None else self.bias
+        gain, bias = self.gain, Affine(_ZERO) if self.bias is None else self.bias
         if self.activation or self.circular or not isinstance(gain, Affine):
             return 0.0, 0.0
         if not isinstance(bias, Affine):

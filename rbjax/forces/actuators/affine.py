@@ -36,9 +36,10 @@ def from_columns(model: Model) -> tuple[Actuator, ...]:
     own = model.actuators
     names = ("gear", "gain", "bias", "ctrlrange", "forcerange")
     columns = (getattr(own, n) for n in names)
-    gear, gain, bias, ctrl, force = (
+    parts: Any = (
         x if isinstance(x, np.ndarray) else table(x, x.dtype) for x in columns
     )
+    gear, gain, bias, ctrl, force = parts
 
     def element(i: int) -> Actuator:
         joint, site = own.joints[i], own.sites[i]
@@ -50,7 +51,7 @@ def from_columns(model: Model) -> tuple[Actuator, ...]:
     return tuple(map(element, driving))
 
 
-def to_columns(elements: Iterable[Actuator], nu: int) -> Actuators:
+def to_columns(elements: Iterable[Any], nu: int) -> Actuators:
     """Affine actuators as columns, a row for each of nu controls; the other rows drive nothing."""
     gear, gain, bias = np.zeros((nu, 6)), np.zeros((nu, 3)), np.zeros((nu, 3))
     ctrlrange, forcerange = np.tile([-np.inf, np.inf], (2, nu, 1))
@@ -65,5 +66,6 @@ def to_columns(elements: Iterable[Actuator], nu: int) -> Actuators:
             sites[i] = transmission.site
         else:
             joints[i] = transmission.joint
-    columns = (np.asarray(x) for x in (gear, gain, bias, ctrlrange, forcerange))
-    return Actuators(*columns, joints=tuple(joints), sites=tuple(sites))
+    make: Any = Actuators  # of arrays of NumPy
+    columns = gear, gain, bias, ctrlrange, forcerange
+    return make(*columns, joints=tuple(joints), sites=tuple(sites))

@@ -121,8 +121,8 @@ def read_inertial(link: ET.Element, where: str) -> Inertial:
     )
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if quat[0] != 1:
-        turn = np.empty(9)
-        mujoco.mju_quat2Mat(turn, quat)
-        turn = turn.reshape(3, 3)
+        flat = np.empty(9)
+        mujoco.mju_quat2Mat(flat, quat)
+        turn = flat.reshape(3, 3)
         inertia = turn @ inertia @ turn.T
     return Inertial(float(mass[0]), com, inertia)

@@ -66,6 +66,7 @@ def _add_primitive(body: Any, shape: ET.Element, at: str, *, box: bool = True) -
     for name, kind in _KINDS.items():
         element = shape.find(f"geometry/{name}")
         if element is not None and (box or name != "box"):
+            size: Any
             if name == "box":
                 size = read_numbers(element, "size", 3, at) / 2
             else:

@@ -152,7 +152,8 @@ def _joint(element: ET.Element, links: dict[str, ET.Element], name: str) -> Join
                 f"{name}: joint {element.get('name')!r} has {end} {ends[-1]!r}, "
                 f"expected one of the links {', '.join(sorted(links))}"
             )
-    return Joint(own, kind, *ends, element)
+    parent, child = ends
+    return Joint(own, kind, parent, child, element)
 
 
 def _root(joints: list[Joint], links: set[str], name: str) -> str:

@@ -119,8 +119,9 @@ class Fits:
             some = of.on(of.runs._replace(weights=weights))
             if samples_of(some) <= 2 * some.size:
                 continue
-            how = {"prior_weights": FIRST_WEIGHTS, "max_evaluations": FEW_STEPS}
-            x = self._fit(some, x, last=False, **how).x
+            x = self._fit(
+                some, x, last=False, prior_weights=FIRST_WEIGHTS, max_evaluations=FEW_STEPS
+            ).x
         return x
 
     def improved(self, fitted: Fitted, restarts: int) -> Fitted:

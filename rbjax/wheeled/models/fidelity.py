@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from rbjax.control.optimal.system import System
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, inner, mul, neg, sub, total
 from rbjax.model import State
@@ -98,14 +97,6 @@ class Fidelity(Record):
         """q', v', x'."""
         rates = self.coordinate_rates(n, now)
         return rates, self.accelerations(n, now), self.relaxation(n, now)
-
-    def controlled(self) -> System:
-        """The system that `rb.control.Problem` makes of it: steps of "rk4" (`controlled`)."""
-        from rbjax.wheeled.motion.control_system import (
-            Vehicle,  # stands on `motion`, which stands on this
-        )
-
-        return Vehicle(self)
 
     def instant(self, state: State, u: Any = None) -> tuple[Numbers, Instant]:
         """The robot's numbers and a state as lanes."""

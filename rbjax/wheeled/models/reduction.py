@@ -178,7 +178,7 @@ def _terms(
     for k, (body, V) in enumerate(zip(n.rigid, twists, strict=True)):
         J, dJ = (_matrix([x.twists[k] for x in side], n) for side in zip(*parts, strict=True))
         basis = (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0))
-        inertia = _matrix([momentum(body, unit) for unit in basis], n)
+        inertia = _matrix([[*momentum(body, unit)] for unit in basis], n)
         x, y, _ = momentum(body, V)
         G = _matrix([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]], n)  # by column
         C = C + J.T @ (inertia @ dJ + G @ J)

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import choice
-from rbjax.control.optimal.system import System
+from rbjax.control.optimal.system import System, as_system
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.solvers.common.arguments import check_whole
@@ -115,6 +115,12 @@ class Vehicle(System):
     def _state(self, flat: jax.Array) -> State:
         q, v, x = jnp.split(flat, [self.vehicle.nq, self.vehicle.nq + self.vehicle.nv])
         return State(q, v, x if self.vehicle.nx else None)
+
+
+@as_system.register
+def _(model: Fidelity) -> Vehicle:
+    """What `rb.control.Problem` makes of a robot: steps of "rk4"."""
+    return Vehicle(model)
 
 
 def controlled(vehicle: Fidelity, *, method: str = "rk4", parts: int = 1) -> Vehicle:

@@ -134,9 +134,8 @@ class Transcribed(NamedTuple):
 
     def first_multipliers(self, point: Point, mu: jax.Array) -> Multipliers:
         """mu over the distances, and nothing of equations."""
-        us, parameters, *slacks = (barrier.first_duals(x, mu) for x in self.bounded(point))
-        slacks = slacks[0], slacks[1]
-        return self.none(point)._replace(us=us, parameters=parameters, slacks=slacks)
+        us, parameters, path, end = (barrier.first_duals(x, mu) for x in self.bounded(point))
+        return self.none(point)._replace(us=us, parameters=parameters, slacks=(path, end))
 
     # functions of the unknowns
 
