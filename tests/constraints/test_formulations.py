@@ -95,7 +95,8 @@ class Chosen(Dense):
     which: Any
 
     def solution(self, M, G, f, c):
-        return jax.lax.switch(self.which, [one.solution for one in DENSE.values()], M, G, f, c)
+        solutions = [one.method.solution for one in DENSE.values()]
+        return jax.lax.switch(self.which, solutions, M, G, f, c)
 
 
 @functools.cache
@@ -189,7 +190,7 @@ def test_derivatives_at_equal_singular_values() -> None:
 def test_udwadia_kalaba_with_redundant_rows(name: str) -> None:
     law = LAWS["udwadia_kalaba_redundant"]
     M, G, c, free = (jnp.array(law[x], float) for x in ("M_diag", "A", "b", "a_unconstrained"))
-    a, l = DENSE[name].solved(jnp.diag(M), G, M * free, c)
+    a, l = DENSE[name].method.solved(jnp.diag(M), G, M * free, c)
     np.testing.assert_allclose(a, law["a"], rtol=0, atol=1e-13)
     np.testing.assert_allclose(M * a, M * free + G.T @ l, rtol=0, atol=1e-12)
 
@@ -200,7 +201,7 @@ def test_rows_that_are_zero_but_for_rounding() -> None:
     f, c = jnp.array([0.2, -0.1, 0.4]), jnp.array([1.0, 3e-16, 2e-4])
     A = G[jnp.array([0, 2])]
     want = f + A.T @ jnp.linalg.solve(A @ A.T, c[jnp.array([0, 2])] - A @ f)
-    found = {name: one.solved(jnp.eye(3), G, f, c)[0] for name, one in DENSE.items()}
+    found = {name: one.method.solved(jnp.eye(3), G, f, c)[0] for name, one in DENSE.items()}
     found["multipliers"] = f + G.T @ least_norm(G @ G.T, c - G @ f)
     for name, a in found.items():
         np.testing.assert_allclose(a, want, rtol=0, atol=1e-10, err_msg=name)
@@ -214,7 +215,7 @@ def test_pendulum_accelerations_and_multiplier() -> None:
         given = {} if method is None else {"method": method}
         return constrained_motion(model, 0.0, state, jnp.zeros(2), {}, **given)
 
-    ways = [None, by_clusters, *(one._method for one in DENSE.values())]
+    ways = [None, by_clusters, *(one.method._method for one in DENSE.values())]
     for a, l in jax.jit(lambda: [found(method) for method in ways])():
         np.testing.assert_allclose(a, law["a"], rtol=0, atol=1e-12)
         np.testing.assert_allclose(l, law["lam"], rtol=0, atol=1e-10)
