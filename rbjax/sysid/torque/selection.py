@@ -76,7 +76,9 @@ def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Sel
 
     def scored(name: str) -> Scored:
         fit = fits[name]
-        return Scored(name, float(((fit.residual / sigma) ** 2).sum()), fit.combinations.rank)
+        squares = float(((fit.residual / sigma) ** 2).sum())
+        # of exact torques all that is left is rounding, in which no model is better
+        return Scored(name, max(squares, 1.0), fit.combinations.rank)
 
     kept, *others = fits
     comparisons = []
