@@ -139,7 +139,7 @@ def regulated(strength):
         k = jnp.clip(jnp.round(t / DT).astype(int), 0, STEPS - 1)
         off = jnp.concatenate([state.q - reference.q[k], state.v[:1] - reference.v[k]])
         off = off.at[rig.layout.shafts].set(0.0)  # the angles of wheels do not matter
-        u = controls[k] + strength * gains[k] @ off
+        u = controls[k] - strength * gains[k] @ off
         return jnp.stack([u[0], jnp.clip(u[1], -0.6, 0.6)])
 
     return control

@@ -108,7 +108,7 @@ def test_a_regulator_brings_a_slipping_cart_back_to_its_trajectory() -> None:
         def control(t, state):
             k = jnp.clip(jnp.round(t / dt).astype(int), 0, steps - 1)
             seen = jnp.concatenate([state.q[:n], state.v[0:1], state.v[2:3]])
-            return u[k] + (K[k] @ (seen - z[k]) if feedback else 0.0)
+            return u[k] - (K[k] @ (seen - z[k]) if feedback else 0.0)
 
         start = wheeled.start(slips, pose=[0.05, -0.1, 0.1], twist=[0.4, 0.0, 0.2])
         return wheeled.rollout(slips, start, control, dt / 5, steps=5 * steps, save_every=500)
@@ -119,7 +119,7 @@ def test_a_regulator_brings_a_slipping_cart_back_to_its_trajectory() -> None:
 
 @pytest.mark.slow
 def test_gains_of_a_steady_motion_are_those_of_the_algebraic_equation() -> None:
-    """Long before the end the gains satisfy P = Q + A^T P (A + B K), here by SciPy."""
+    """Long before the end the gains satisfy P = Q + A^T P (A - B K), here by SciPy."""
     import jax
     import scipy.linalg
 
@@ -138,7 +138,7 @@ def test_gains_of_a_steady_motion_are_those_of_the_algebraic_equation() -> None:
     seen = np.array([0, 1, 2, 6, 7, 8])  # the angles of the wheels neither count nor act
     A, B = np.asarray(A)[np.ix_(seen, seen)], np.asarray(B)[seen]
     P = scipy.linalg.solve_discrete_are(A, B, np.diag(np.asarray(Q)[seen]), np.diag(R))
-    due = -np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T @ P @ A)
+    due = np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T @ P @ A)
     np.testing.assert_allclose(K[:, seen], due, atol=1e-6)
 
 

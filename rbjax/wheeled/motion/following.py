@@ -292,12 +292,12 @@ def _wrapped(angle: jax.Array) -> jax.Array:
 def tracking_gains(
     vehicle: Fidelity, states: State, controls: Any, dt: Any, Q: Any, R: Any
 ) -> jax.Array:
-    """Gains K of a time-varying linear quadratic regulator along a trajectory: u + K (z - z_ref).
+    """Gains K of a time-varying linear quadratic regulator along a trajectory: u - K (z - z_ref).
 
     z = (q, v) is linearised over each step of `rollout` (rk4), z+ = A z + B u. Backwards from
     P = Q at the end (`rb.control.linear.backward`),
 
-        K = -(R + B^T P B)^-1 B^T P A,    P = Q + A^T P (A + B K)
+        K = (R + B^T P B)^-1 B^T P A,    P = Q + A^T P (A - B K)
 
     Args:
         vehicle: `at(robot, fidelity)`, without tyre states.
@@ -357,4 +357,4 @@ def _gains(
     system = Vehicle(vehicle)
     along = jax.vmap(lambda state, ctrl: system.linear(0.0, state, ctrl, dt))(states, u)
     Q, R = jnp.diag(Q), jnp.diag(R)
-    return -regulator_along(along.A, along.B, Q, R, Q).K
+    return regulator_along(along.A, along.B, Q, R, Q).K
