@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import real_number, shown
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, listed
 from rbjax.sysid.data.recording import Recording
@@ -58,7 +59,7 @@ def floats(where: str, name: str, x: Any, fix: str = "an array of numbers") -> n
             raise TypeError(f"it has dtype {found.dtype}")
         return found.astype(float)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: {name} is {_short(x)} ({error}), expected {fix}") from error
+        raise InputError(f"{where}: {name} is {shown(x)} ({error}), expected {fix}") from error
 
 
 def check_how(
@@ -77,18 +78,11 @@ def check_how(
 
 def check_seconds(where: str, name: str, seconds: Any) -> None:
     """`InputError` unless a length in s is a finite number above 0."""
-    number = isinstance(seconds, (int, float, np.number)) and not isinstance(seconds, bool)
-    if not (number and 0 < seconds < np.inf):
-        raise InputError(f"{where}: {name} is {_short(seconds)}, expected seconds above 0")
+    real_number(where, name, seconds, "seconds above 0", above=0.0)
 
 
 def names_of(where: str, name: str, given: Any) -> tuple[str, ...]:
     """Names as a tuple; a str is its letters."""
     if not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
-        raise InputError(f"{where}: {name} is {_short(given)}, expected a list of names")
+        raise InputError(f"{where}: {name} is {shown(given)}, expected a list of names")
     return tuple(given)
-
-
-def _short(x: Any) -> str:
-    text = repr(x)
-    return text if len(text) < 80 else f"{text[:77]}..."

@@ -27,10 +27,8 @@ def explained(recorded: Iterable[np.ndarray], residuals: Iterable[np.ndarray]) -
     each recording. nan if every column is constant: there is no variance that a model could
     explain."""
     left = there = 0.0
-    moves = False
     for y, r in zip(recorded, residuals, strict=True):
         left += float(np.nansum(r**2))
         moving = varies(y)
-        moves = moves or bool(moving.any())
         there += float(np.nansum((y[:, moving] - np.nanmean(y[:, moving], 0)) ** 2))
-    return 1 - left / there if moves and there > 0 else np.nan
+    return 1 - left / there if there > 0 else np.nan
