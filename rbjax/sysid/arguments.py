@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import real_number, shown
+from rbjax.arguments import instance, real_array, real_number, shown
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, listed
 from rbjax.sysid.data.recording import Recording
@@ -45,21 +45,12 @@ def recordings_of(where: str, recordings: Any, *, empty: bool = False) -> list[R
 
 def check_kind(where: str, name: str, value: Any, kind: type, fix: str) -> None:
     """`InputError` unless a value is of a kind; fix, where such a value comes from."""
-    if not isinstance(value, kind):
-        raise InputError(
-            f"{where}: {name} is {type(value).__name__}, expected {kind.__name__}: {fix}"
-        )
+    instance(where, name, value, kind, f"{kind.__name__}: {fix}")
 
 
 def floats(where: str, name: str, x: Any, fix: str = "an array of numbers") -> np.ndarray:
     """x as an array of float64."""
-    try:
-        found = np.asarray(x)
-        if found.dtype.kind not in "biuf":
-            raise TypeError(f"it has dtype {found.dtype}")
-        return found.astype(float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: {name} is {shown(x)} ({error}), expected {fix}") from error
+    return real_array(where, name, x, fix, finite=False)
 
 
 def check_how(
