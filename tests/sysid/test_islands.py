@@ -134,6 +134,9 @@ def test_whose_numbers_are_whose():
     found = directions(setup, Unknowns.of("test", sought, setup), 0, "q")
     right = islands_of(setup)[model.joint("rhip")]
     assert list(found.of_numbers) == [right, ALL, right, ALL, ALL]
+    bias = Unknowns.of("test", {"bias": Unknown("sensors.q.bias")}, setup)
+    found = directions(setup, bias, 2 * model.nv, "q")  # corrections of q and v at the start
+    assert list(found.of_numbers) == [*islands_of(setup)] * 3
 
 
 def test_what_is_one_part():

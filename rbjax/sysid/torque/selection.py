@@ -69,8 +69,7 @@ def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Sel
             )
     largest = [*candidates.values()][-1]
     last = regress(largest[0], tau, largest[1])
-    least = ROUNDING * max(float(np.abs(last.residual).max()), float(np.max(np.abs(tau))), 1e-300)
-    sigma = np.maximum(last.noise, least)
+    sigma = np.maximum(last.noise, ROUNDING * max(float(np.abs(tau).max()), 1e-300))
     fits = {name: regress(W, tau, names, noise=sigma) for name, (W, names) in candidates.items()}
     samples = last.residual.size
 
