@@ -15,8 +15,7 @@ from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.status import CONVERGED, SENTENCES
 from rbjax.errors import InputError, UnknownName
 from rbjax.progress import progress_line
-from rbjax.recommend.recommendation import Recommendation
-from rbjax.recommend.request import fastest
+from rbjax.recommend.recommendation import Recommendation, fastest
 from rbjax.solvers.common.arguments import check_whole
 
 SAME = 1e-6  # relative: costs that count as equal
@@ -127,14 +126,10 @@ def control_method(
             trials.append(_trial(problem, start, name, every, iterations))
     best = _best(trials)
     why = _reason(best, trials, guesses)
-    return MethodRecommendation(
-        best.name, best.cost, tuple(trials), why, best.objective, every
-    )
+    return MethodRecommendation(best.name, best.cost, tuple(trials), why, best.objective, every)
 
 
-def _trial(
-    problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int
-) -> Trial:
+def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int) -> Trial:
     def run(ctrls: jax.Array) -> Any:
         return solve(problem, start, method=name, ctrls=ctrls, iterations=iterations)
 

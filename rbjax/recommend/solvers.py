@@ -34,8 +34,7 @@ from rbjax.forces.inputs import Source
 from rbjax.model import Model, State, with_constants
 from rbjax.motion.simulate import simulate
 from rbjax.progress import Say, progress_line
-from rbjax.recommend.recommendation import Recommendation
-from rbjax.recommend.request import check_request, double
+from rbjax.recommend.recommendation import Recommendation, check_request, double
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.stability.runs.linearisation import motion_matrices
 
@@ -299,9 +298,7 @@ def _recommended(
     h, e, best = min(good, key=lambda x: x[2].evaluations / x[0])
     trials = tuple(_trial(name, x) for name, x in found.items())
     why = _reason(best, h, e, accuracy, horizon, explicit, held, limit, abs(fastest), by_stability)
-    return SolverRecommendation(
-        best.name, best.evaluations / h, trials, why, best.solver, h, e
-    )
+    return SolverRecommendation(best.name, best.evaluations / h, trials, why, best.solver, h, e)
 
 
 def _trial(name: str, found: tuple[float, float, Candidate] | None) -> Trial:
