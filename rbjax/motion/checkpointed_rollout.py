@@ -117,7 +117,7 @@ class CheckpointedRollout:
         )
 
     def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: Pullback | None) -> Any:
-        """The index and the state of the next step, and the residuals of the step for `step_vjp`."""
+        """The index and state of the next step, and the residuals of the step for `step_vjp`."""
         i, state = carry
         step = step_vjp.forward if step_vjp else self.step
         new = run(step, [i, *state, *_given(u), *others])  # one equation, however long it is
