@@ -1,8 +1,7 @@
 """`rollout`: fixed steps for throughput.
 
 All steps of a sample are one program (`checkpointed_rollout`): a thread on a GPU, a lane of machine
-code on a CPU.
-Without either, XLA maps the loop of one sample over the batch.
+code on a CPU. Without either, XLA maps the loop of one sample over the batch.
 
 Memory of the reverse gradient under XLA: the scan over saved states keeps one state
 each; between two saved states only the first is kept and the steps are run again. So a sample keeps

@@ -120,15 +120,9 @@ def simulate(
     ts, elapsed = _times(ts, state.q.dtype)
     inputs = _inputs(model, control, tau, wrenches, state.q.dtype)
     if max_steps is not None:
-<<<<<<< HEAD
-        check_whole("simulate", "max_steps", max_steps, 1)
+        integer("simulate", "max_steps", max_steps, least=1)
     dynamics = dynamics_of("simulate", model, dynamics, constraints)
     solver = solver_of(solver, dynamics)
-=======
-        integer("simulate", "max_steps", max_steps, least=1)
-    law = law_of("simulate", model, law, constraints)
-    solver = solver_of(solver, law)
->>>>>>> main
     check_takes_robots(solver)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
@@ -200,13 +194,9 @@ def _solved(
     args, of_args = split_tracers(model)
 
     def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-<<<<<<< HEAD
         term, state = motion(
             of_args(args), state, how.solver, Inputs(*given), of_args, dynamics, start
         )
-=======
-        term, state = motion(of_args(args), state, how.solver, Inputs(*given), of_args, law, start)
->>>>>>> main
         out = diffrax.diffeqsolve(
             term,
             solver=project_after_steps(how.solver, dynamics, of_args, start),

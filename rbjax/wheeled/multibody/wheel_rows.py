@@ -29,7 +29,7 @@ from rbjax.forces.place import check_places
 from rbjax.lanes import Lane, Vec3, add, mul, neg
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import check_number, floats
-from rbjax.wheeled.kinematics.context import Context as RobotInstant
+from rbjax.wheeled.kinematics.context import Context as RobotContext
 from rbjax.wheeled.kinematics.numbers import Numbers, numbers_of
 from rbjax.wheeled.kinematics.planar import Moving, cross, direction, rate_of, value_of
 from rbjax.wheeled.robot.robot import Robot
@@ -149,7 +149,7 @@ def linked(n: Numbers, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, 
     layout = n.layout
     q: list[Any] = [0.0] * layout.nq
     q[layout.steerings.start + steering] = Moving(Moving(b, 1.0), Moving(1.0, 0.0))
-    e = RobotInstant(n, q, [], [], []).shape.wheels[wheel]
+    e = RobotContext(n, q, [], [], []).shape.wheels[wheel]
     now = tuple(value_of(value_of(x)) for x in e)
     once = tuple(rate_of(value_of(x)) for x in e)
     twice = tuple(rate_of(rate_of(x)) for x in e)
