@@ -48,7 +48,7 @@ class Trial(NamedTuple):
 
 
 class HalvedSteps(abc.ABC):
-    """Trial runs of candidates, given by name, with the steps dt / 2^k, k the number of halvings."""
+    """Trial runs of candidates, by name, with the steps dt / 2^k after k halvings."""
 
     #: the largest number of steps; the advice if a motion does not converge; the duration, s
     most_steps: int
