@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from rbjax.forces.actuators.activation import Activation, Filter, Integrator, Recruitment
-from rbjax.forces.actuators.actuator import Active, Affine, GainBias, Law, Passive
+from rbjax.forces.actuators.actuator import Active, Affine, ForceLaw, GainBias, Passive
 from rbjax.forces.actuators.dc_motor import DCMotor, Heat, LuGre, Windings
 from rbjax.forces.actuators.muscle import Muscle
 from rbjax.forces.actuators.pid import INPUTS, PID, Controller
@@ -65,7 +65,7 @@ def limits_text(name: str, limits: Any) -> dict[str, str]:
     return {name: text(limits)} if np.isfinite(limits).any() else {}
 
 
-def read_law(m: mujoco.MjModel, i: int) -> Law:
+def read_law(m: mujoco.MjModel, i: int) -> ForceLaw:
     """The force law of actuator i."""
     gain, bias = m.actuator_gaintype[i], m.actuator_biastype[i]
     if gain == Gain.PID:
@@ -141,7 +141,7 @@ def _read_dc_motor(m: mujoco.MjModel, i: int) -> DCMotor:
     )
 
 
-def write_law(law: Law) -> tuple[dict[str, str], tuple[str, ...], Law] | None:
+def write_law(law: ForceLaw) -> tuple[dict[str, str], tuple[str, ...], ForceLaw] | None:
     """The attributes of a law, the names of its inputs, and the law as it will be read; None if
     MJCF has no such law."""
     if isinstance(law, PID):
