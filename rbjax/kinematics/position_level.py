@@ -378,4 +378,3 @@ def _free(model: Model, ranges: Ranges, q: jax.Array, step: jax.Array | None) ->
             low, high = low & (step[at.v] < 0), high & (step[at.v] > 0)
         out[at.v] = jnp.where(low | high, 0.0, 1.0).astype(q.dtype)
     return jnp.stack(out)
-

@@ -86,9 +86,7 @@ class Field:
         tau, pushes, x = forces(t, state, u)
         return self._accelerated(t, state, tau, pushes), x
 
-    def _accelerated(
-        self, t: Any, state: State, tau: jax.Array, pushes: LinkForces
-    ) -> jax.Array:
+    def _accelerated(self, t: Any, state: State, tau: jax.Array, pushes: LinkForces) -> jax.Array:
         """v' by the law."""
         a = self.law(self._of_law, t, state, tau, pushes)
         if self.law is free_motion:

@@ -194,9 +194,7 @@ def _solved(
     args, of_args = split_tracers(model)
 
     def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-        term, state = motion(
-            of_args(args), state, how.solver, Inputs(*given), of_args, law, start
-        )
+        term, state = motion(of_args(args), state, how.solver, Inputs(*given), of_args, law, start)
         out = diffrax.diffeqsolve(
             term,
             solver=settling(how.solver, law, of_args, start),

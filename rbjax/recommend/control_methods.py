@@ -127,14 +127,10 @@ def control_method(
             trials.append(_trial(problem, start, name, every, iterations))
     best = _best(trials)
     why = _reason(best, trials, guesses)
-    return MethodRecommendation(
-        best.name, best.cost, tuple(trials), why, best.objective, every
-    )
+    return MethodRecommendation(best.name, best.cost, tuple(trials), why, best.objective, every)
 
 
-def _trial(
-    problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int
-) -> Trial:
+def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int) -> Trial:
     def run(ctrls: jax.Array) -> Any:
         return solve(problem, start, method=name, ctrls=ctrls, iterations=iterations)
 

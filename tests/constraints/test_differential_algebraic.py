@@ -345,9 +345,7 @@ def test_steps_that_are_not_solved() -> None:
     path = rb.simulate(model, REST, ts, dt0=3.0, constraints="ggl", throw=False)
     assert not path.ok and path.result == diffrax.RESULTS.nonlinear_divergence
     controller = diffrax.PIDController(rtol=1e-8, atol=1e-8)
-    path = rb.simulate(
-        model, REST, ts, dt0=3.0, stepsize_controller=controller, constraints="ggl"
-    )
+    path = rb.simulate(model, REST, ts, dt0=3.0, stepsize_controller=controller, constraints="ggl")
     assert path.ok and path.stats["num_rejected_steps"] > 0
 
 

@@ -71,9 +71,7 @@ def checked(now: Instant, pair: Pair, dtype: type) -> None:
 
 def instant(dtype: type) -> Instant:
     state = rb.State(jnp.asarray(Q, dtype), jnp.asarray(V, dtype))
-    return Instant.of(MODEL, jnp.asarray(T, dtype), state, None).accelerating(
-        jnp.asarray(A, dtype)
-    )
+    return Instant.of(MODEL, jnp.asarray(T, dtype), state, None).accelerating(jnp.asarray(A, dtype))
 
 
 def combined(what: str, one: Pair, two: Pair, c: float) -> Pair:

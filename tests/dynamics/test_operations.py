@@ -46,10 +46,14 @@ COUNTED = {
         lambda x: jax.lax.cond(x[0] > 0, lambda y: y * y * y, lambda y: y, x),
         OperationCount(0, 6),
     ),
-    "Cholesky": (lambda x: jnp.linalg.cholesky(jnp.diag(x), symmetrize_input=False),
-                 OperationCount(4, 4, 3, 3)),
-    "triangle": (lambda x: jax.scipy.linalg.solve_triangular(jnp.diag(x), x),
-                 OperationCount(3, 3, 3)),
+    "Cholesky": (
+        lambda x: jnp.linalg.cholesky(jnp.diag(x), symmetrize_input=False),
+        OperationCount(4, 4, 3, 3),
+    ),
+    "triangle": (
+        lambda x: jax.scipy.linalg.solve_triangular(jnp.diag(x), x),
+        OperationCount(3, 3, 3),
+    ),
     "LU": (lambda x: jax.lax.linalg.lu(jnp.diag(x))[0], OperationCount(5, 5, 3)),
     "whole numbers": (lambda x: jnp.argmax(x) + 3, OperationCount()),
     "checkpoint": (jax.checkpoint(lambda x: x + 1), OperationCount(3)),

@@ -53,7 +53,8 @@ def test_its_early_target_is_that_of_the_step_and_not_of_the_models_timestep(bat
     text = (
         '<mujoco><option gravity="0 0 0" timestep="{}"/><worldbody><body>'
         '<joint type="ball"/><geom type="box" size=".1 .2 .3"/></body></worldbody><actuator>'
-        + '<general joint="joint0"/>' * 3 + "</actuator></mujoco>"
+        + '<general joint="joint0"/>' * 3
+        + "</actuator></mujoco>"
     ).replace('<joint type="ball"/>', '<joint name="joint0" type="ball"/>')
     ends = []
     for timestep in (0.002, 0.02):

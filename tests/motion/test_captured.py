@@ -570,6 +570,7 @@ def test_what_it_does_not_name_is_compiled_at_each_call_and_said(make):
 
 def test_identity_of_arrays_within_a_transformation():
     """Arrays that are operands are one operand where they are one array."""
+
     def run(k):
         f = lambda t, s, one=k: (1.0 if one is k else 2.0) * k * s.v  # noqa: E731
         return value(f).sum()

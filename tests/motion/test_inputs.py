@@ -68,9 +68,7 @@ def test_functions_are_arrays_of_their_values(functions, kernel):
     def at(values):
         return lambda t, state: values[jnp.round(t / DT).astype(int)]
 
-    mixed = Inputs(*(
-        at(x) if name in functions else x for name, x in given._asdict().items()
-    ))
+    mixed = Inputs(*(at(x) if name in functions else x for name, x in given._asdict().items()))
     run = functools.partial(rb.rollout, model, states, dt=DT, steps=STEPS, kernel=kernel)
     one = run(given.ctrl, tau=given.tau, wrenches=given.wrenches)
     other = run(mixed.ctrl, tau=mixed.tau, wrenches=mixed.wrenches)
@@ -98,8 +96,15 @@ def test_simulate_holds_arrays():
     start = rb.State(jnp.array([0.3, 0.1]), jnp.zeros(2))
     ts = jnp.linspace(0.0, 0.5, 3)
     held = rb.simulate(model, start, ts, tau=jnp.array([1.0, 0.0]))
-    fine = rb.rollout(model, start, None, 1e-3, steps=500, tau=lambda t, s: jnp.array([1.0, 0.0]),
-                      integrator="rk4")
+    fine = rb.rollout(
+        model,
+        start,
+        None,
+        1e-3,
+        steps=500,
+        tau=lambda t, s: jnp.array([1.0, 0.0]),
+        integrator="rk4",
+    )
     np.testing.assert_allclose(held.q[-1], fine.q[-1], atol=1e-7)
 
 

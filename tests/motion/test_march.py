@@ -205,8 +205,7 @@ def size(path: rb.Trajectory):
 def compare(f, *args) -> None:
     """f(kernel, *args), with True and with False."""
     got, want = (
-        jax.jit(lambda *a, kernel=kernel: f(kernel, *a))(*args)
-        for kernel in (True, False)
+        jax.jit(lambda *a, kernel=kernel: f(kernel, *a))(*args) for kernel in (True, False)
     )
     agree(got, want, F64_IDENTITY)
 
@@ -224,9 +223,7 @@ def mostly_slow(*quick: str) -> list:
     ]
 
 
-@pytest.mark.parametrize(
-    ("scene", "integrator", "some"), mostly_slow("own controls")
-)
+@pytest.mark.parametrize(("scene", "integrator", "some"), mostly_slow("own controls"))
 def test_controls_and_masses(scene, integrator, some):
     model, state, us, _ = given(scene)
 

@@ -80,9 +80,10 @@ def test_order_with_free_attitudes(integrator, order, steps):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("integrator", "solver"), [
-    ("tsit5", "Tsit5"), pytest.param("dopri8", "Dopri8", marks=pytest.mark.slow)
-])
+@pytest.mark.parametrize(
+    ("integrator", "solver"),
+    [("tsit5", "Tsit5"), pytest.param("dopri8", "Dopri8", marks=pytest.mark.slow)],
+)
 def test_tableaus_are_diffrax_s_without_attitudes(integrator, solver, key):
     """On hinges the manifold is flat, and a step is that of the same tableau in `simulate`."""
     model = rb.load("double_pendulum")

@@ -189,5 +189,3 @@ def test_a_batch_that_is_not_finite_is_said_once():
 def test_within_a_program_it_is_a_value_only():
     blown = rb.State(jnp.ones(2), 1e200 * jnp.ones(2))
     assert not jax.jit(lambda s: rb.rollout(MODEL, s, None, 1.0, steps=3).ok)(blown)
-
-

@@ -261,9 +261,9 @@ def test_springs_and_dampers_of_joints_may_be_stiff():
     assert path.ok and np.abs(path.v).max() < 30
 
 
-@pytest.mark.parametrize("kind", [
-    "slide", pytest.param("screw", marks=SLOW), pytest.param("planar", marks=SLOW)
-])
+@pytest.mark.parametrize(
+    "kind", ["slide", pytest.param("screw", marks=SLOW), pytest.param("planar", marks=SLOW)]
+)
 def test_servos_of_joints_may_be_stiff(kind):
     """On whatever joint of coordinates that add: h = 19 sqrt(m / k) and more."""
     model = rb.load("cart_pole").with_joint("slider", kind)

@@ -48,7 +48,6 @@ class Compliant(Method):
     family: ClassVar[str] = "unconstrained"
     index: ClassVar[int] = 0
 
-
     def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
         return compliant_motion(model, t, state, tau, pushes, alpha, beta)[0]
 

@@ -38,8 +38,8 @@ from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import VANISHING, least
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import VANISHING, least
 
 #: singular values below it, of the largest, are zero, by bytes of a number
 NEGLIGIBLE = {4: 1e-2, 8: float(np.sqrt(np.finfo(float).eps))}
@@ -58,9 +58,7 @@ class Dense(Method):
         raise NotImplementedError(f"{type(self).__name__} has no method solution(M, G, f, c)")
 
     def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(
-            model, t, state, tau, pushes, alpha, beta, method=self._method
-        )[0]
+        return constrained_motion(model, t, state, tau, pushes, alpha, beta, method=self._method)[0]
 
     def _method(
         self, d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces

@@ -49,7 +49,7 @@ from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack, unpack
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
-from rbjax.lanes.proximal import LeastNorm
+from rbjax.lanes.factorization import LeastNorm
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
@@ -85,9 +85,7 @@ class Recursive(Method):
     index: ClassVar[int] = 0
 
     def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(
-            model, t, state, tau, pushes, alpha, beta, method=by_clusters
-        )[0]
+        return constrained_motion(model, t, state, tau, pushes, alpha, beta, method=by_clusters)[0]
 
 
 def by_clusters(

@@ -157,9 +157,7 @@ def region_of_attraction(
         t = jnp.asarray(begin, dtype) * step
         part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
         # without the warning of `rollout`: motions that are not finite are part of the answer
-        run, _, _ = integrated(
-            model, states, part, step, steps=few, integrator=integrator, **law
-        )
+        run, _, _ = integrated(model, states, part, step, steps=few, integrator=integrator, **law)
         far = distances(run.q, run.v, run.x)
         outside = far > tolerance
         last = begin + few + 1 - jnp.argmax(outside[:, ::-1], 1)

@@ -160,9 +160,7 @@ def actor_critic(
         return jax.vmap(lambda state: V(env.observe(state))[0])(states)
 
     def loss(numbers: Any, values: Any, samples: Samples) -> tuple[jax.Array, Segment]:
-        segment = env.unroll(
-            eqx.combine(numbers, rest), samples.models, samples.states, horizon
-        )
+        segment = env.unroll(eqx.combine(numbers, rest), samples.models, samples.states, horizon)
         last = jax.tree.map(lambda x: x[:, -1], segment.states)
         return policy_loss(segment.costs, worth(values, last), discount), segment
 
@@ -344,9 +342,7 @@ def renewed(
     ages = samples.ages + steps
     batch = ages.shape[0]
     over = ages >= env.episode
-    over = over | ~jnp.stack(
-        [jnp.isfinite(x).all(-1) for x in jax.tree.leaves(last)]
-    ).all(0)
+    over = over | ~jnp.stack([jnp.isfinite(x).all(-1) for x in jax.tree.leaves(last)]).all(0)
     if env.lost is not None:
         over = over | jax.vmap(env.lost)(last)
     models, states = jax.vmap(env.begun)(jax.random.split(key, batch))

@@ -342,9 +342,7 @@ def _multipliers(found: Any) -> Multipliers | None:
 def _problem_at(problem: Any) -> Callable[[Any], Problem]:
     if isinstance(problem, Problem):
         begin = problem.start_time
-        return lambda t: eqx.tree_at(
-            lambda p: p.start_time, problem, jnp.asarray(t, begin.dtype)
-        )
+        return lambda t: eqx.tree_at(lambda p: p.start_time, problem, jnp.asarray(t, begin.dtype))
     if not callable(problem):
         raise InputError(
             f"mpc: problem is {type(problem).__name__}, expected an rb.control.Problem or a "

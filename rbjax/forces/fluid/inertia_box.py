@@ -142,9 +142,7 @@ class _Drag(NamedTuple):
 
 def _against(u: Vec3, viscous: Lane, quadratic: Vec3) -> Vec3:
     """-(k + c_i |u_i|) u_i."""
-    return -Vec3(
-        *(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True))
-    )
+    return -Vec3(*(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True)))
 
 
 def relative_twist(frame: Frame, wind: Vec3) -> Motion:

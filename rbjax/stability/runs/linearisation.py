@@ -62,9 +62,7 @@ class Reduced(NamedTuple):
     basis: np.ndarray
 
 
-def reduced_linearisation(
-    model: Model, state: State, ctrl: Any = None, dt: Any = None
-) -> Reduced:
+def reduced_linearisation(model: Model, state: State, ctrl: Any = None, dt: Any = None) -> Reduced:
     """The motion linearised about an equilibrium, on the tangent space of the constraints:
 
         d/dt dz = A dz + B du,     dx = T dz,     [g_q 0; g'_q g'_v] T = 0

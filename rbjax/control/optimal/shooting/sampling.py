@@ -312,10 +312,7 @@ def rolled(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array
     """The cost () of a draw, penalties of constraints included."""
     dtype, N = draw.points.dtype, problem.horizon
     mu = jnp.asarray(how.penalty, dtype)
-    rows = [
-        jnp.zeros(row_count(problem, where), dtype)
-        for where in ("path", "end")
-    ]
+    rows = [jnp.zeros(row_count(problem, where), dtype) for where in ("path", "end")]
 
     def step(carry: tuple, k: jax.Array) -> tuple[tuple, None]:
         knot, total = carry
