@@ -89,7 +89,7 @@ def by_bdf(k: int, law: rc.Formulation) -> Callable:
     @jax.jit
     def run(n):
         h = SECONDS / n
-        term, y0 = motion(model, REST, solver, law=law, start=jnp.zeros(()))
+        term, y0 = motion(model, REST, solver, dynamics=law, start=jnp.zeros(()))
 
         def once(i, at):
             y, history, _ = at

@@ -674,7 +674,9 @@ def test_laws_integrators_and_forces_are_read_too():
             return rb.State(field.retract(state.q, dt * state.v), state.v + k * dt * a)
 
         tau = lambda t, s: jnp.array([k, 1.0])  # noqa: E731
-        return rb.rollout(scene(), S, None, 0.01, tau=tau, law=law, integrator=euler, steps=2).v[1]
+        return rb.rollout(
+            scene(), S, None, 0.01, tau=tau, dynamics=law, integrator=euler, steps=2
+        ).v[1]
 
     run(1.0)
     with compilations() as compiled:

@@ -119,9 +119,11 @@ def test_a_law_and_an_integrator_of_a_user(kernel):
         b = rb.bias_forces(model, state.q, state.v)
         return jnp.stack([jnp.zeros(()), (tau[1] - b[1]) / M[1, 1]])
 
-    path = rb.rollout(model, state, None, DT, steps=20, law=held, kernel=kernel)
+    path = rb.rollout(model, state, None, DT, steps=20, dynamics=held, kernel=kernel)
     assert np.ptp(path.q[..., 0], axis=-1).max() == 0
-    long = rb.simulate(model, rb.State(state.q[0], state.v[0]), jnp.linspace(0, 0.2, 3), law=held)
+    long = rb.simulate(
+        model, rb.State(state.q[0], state.v[0]), jnp.linspace(0, 0.2, 3), dynamics=held
+    )
     np.testing.assert_allclose(long.q[-1], path.q[0, -1], atol=2e-2)
 
     def explicit(field, t, state, inputs, dt):
@@ -150,5 +152,5 @@ def test_what_a_law_returns_is_checked():
         with pytest.raises(rb.InputError, match=r"what the law returned has shape \(3,\), expec"):
             rb.step(
                 model, model.default_state(), dt=DT, integrator=integrator,
-                law=lambda model, t, state, tau, pushes: jnp.zeros(3),
+                dynamics=lambda model, t, state, tau, pushes: jnp.zeros(3),
             )  # fmt: skip

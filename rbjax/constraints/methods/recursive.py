@@ -47,7 +47,7 @@ from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack, unpack
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
 from rbjax.lanes.factorization import LeastNorm
 from rbjax.model import WORLD
@@ -89,7 +89,7 @@ class Recursive(Method):
 
 
 def by_clusters(
-    d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+    d: Driver, now: Context, tau: jax.Array, pushes: LinkForces
 ) -> tuple[jax.Array | None, None, System]:
     """From accelerations zero on, cluster by cluster; from free motion on where links are a loop of
     the program."""
@@ -97,7 +97,7 @@ def by_clusters(
         return range_space(d, now, tau, pushes)
     joints, gravity = now.links.joints, d.prepared.gravity
 
-    def system(now: Instant, rows: Sequence[Row]) -> Solve:
+    def system(now: Context, rows: Sequence[Row]) -> Solve:
         found = clusters(d.topology, rows)
         if max((len(cluster.rows) for cluster in found), default=0) > ROWS_ON_LANES:
             by_rows = response(d, factorize(d, joints), now, rows)
