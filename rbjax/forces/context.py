@@ -218,7 +218,7 @@ class Frame:
             X, S = self._links.to_parent(at)
             out[at] = S.dot(wrench)
             wrench = X.T(wrench)
-            at = self._links.driver.topology.links[at].parent
+            at = self._links.driver.topology.dofs[at].parent
         return out
 
     def world_arms(self, force: Vec3, torque: Vec3) -> dict[int, Lane]:

@@ -189,7 +189,7 @@ def from_compiled(
             springref=array(m.qpos_spring),
             forcerange=array(np.where(limited, m.jnt_actfrcrange, [-np.inf, np.inf])),
             range=array(np.where(ranged, m.jnt_range, [-np.inf, np.inf])),
-            numbers=array(np.zeros(0)),
+            params=array(np.zeros(0)),
         ),
         actuators=jax.tree.map(array, to_columns(affine, m.nu)),
         geoms=geoms_of(m, array),

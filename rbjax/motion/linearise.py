@@ -22,7 +22,7 @@ from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.acting import applied
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs
-from rbjax.lanes.products import matmat
+from rbjax.lanes.arrays import matmat
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion

@@ -27,7 +27,7 @@ from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 from rbjax.model import Model, State
 
 #: (force (nv,), c (rows,)) -> x (nv,), l (rows,) of M x = force + G^T l, G' x = c

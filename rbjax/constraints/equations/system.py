@@ -46,8 +46,8 @@ from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, sub, total
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import LeastNorm, damped, least
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import LeastNorm, damped, least
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force
 

@@ -38,8 +38,8 @@ from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import VANISHING, least
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import VANISHING, least
 
 #: singular values below it, of the largest, are zero, by bytes of a number
 NEGLIGIBLE = {4: 1e-2, 8: float(np.sqrt(np.finfo(float).eps))}

@@ -49,7 +49,7 @@ from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack, unpack
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
-from rbjax.lanes.proximal import LeastNorm
+from rbjax.lanes.factorization import LeastNorm
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 

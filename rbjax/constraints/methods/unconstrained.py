@@ -20,7 +20,7 @@ from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, add, mul, neg
-from rbjax.lanes.products import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec
 
 
 @dataclass(frozen=True)
