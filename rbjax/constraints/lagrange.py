@@ -26,7 +26,7 @@ from rbjax.constraints.methods.dense import Dense
 from rbjax.constraints.methods.redundant import KKT
 from rbjax.constraints.rows.user_function import check_function, evaluate
 from rbjax.errors import InputError
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 
 FULL = KKT()
 

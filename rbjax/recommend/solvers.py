@@ -63,7 +63,7 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True)
 class SolverRecommendation(Recommendation):
-    """A solver and a step for `rb.simulate(model, state, ts, solver=r.solver, dt0=r.dt)`.
+    """A solver and a step for `rb.simulate(model, state, ts, solver=r.solver, dt=r.dt)`.
 
     Fields, besides those of `Recommendation`, whose cost is in evaluations of forward dynamics per
     second of motion:
@@ -106,7 +106,7 @@ def _error(
 ) -> jax.Array:
     """The largest deviation of a configuration coordinate from the truth (T, nq)."""
     path = simulate(
-        model, state, ts, control, solver=solver, dt0=dt, throw=False, max_steps=MOST_STEPS,
+        model, state, ts, control, solver=solver, dt=dt, throw=False, max_steps=MOST_STEPS,
         adjoint=diffrax.ForwardMode(),
     )  # fmt: skip
     gap = jax.vmap(lambda a, b: difference(model, a, b))(truth, path.q)

@@ -46,8 +46,8 @@ from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, sub, total
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import LeastNorm, damped, least
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import LeastNorm, damped, least
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force
 
@@ -110,11 +110,11 @@ def gradient_matrix(now: Context, rows: Sequence[Row]) -> jax.Array:
 
 
 def with_multipliers(
-    d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, pushes: LinkForces
+    d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array, LinkForces]:
     """tau + G^T l, in two parts: generalized forces (nv,) and forces on links."""
     held = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
-    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(pushes, held.wrenches)
+    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(f_ext, held.wrenches)
 
 
 def as_free_bodies(d: Driver, row: Row) -> Lane:

@@ -37,8 +37,8 @@ from rbjax.dynamics.algorithms.manifold import difference_lanes, retract, veloci
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.context import Context
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import least
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import least
 from rbjax.model import Model, State
 
 #: of Newton's method, by bytes of a number: from the error of a stage, below 0.1, to rounding

@@ -37,7 +37,7 @@ from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
 from rbjax.lanes import Lane, sub
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_fields, check_number, floats
