@@ -189,7 +189,7 @@ def test_transformations_and_dtypes() -> None:
     assert np.allclose(single.length, want.length, rtol=3e-5)
     assert apart(single.end, goal) <= 2e-5
     table = jax.eval_shape(reeds_shepp, start[:, None], goal[None, :3], np.ones(()))
-    assert table.length.shape == (20, 3)
+    assert table.start.shape == (20, 3, 3) and table.steps.shape == (20, 3, 5, 3)
     assert jax.eval_shape(lambda c: c.sample_poses(4), table).shape == (20, 3, 4, 3)
 
 
