@@ -25,13 +25,13 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Field
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
-from rbjax.solvers.common.groups import unwrapped
-from rbjax.solvers.common.newton import refused, verdict
-from rbjax.solvers.common.steps import AbstractGroupSolver, mixed
-from rbjax.solvers.common.tableau import Tableau
 from rbjax.solvers.constrained.differential_algebraic import Equations, Point, damped, solve
-from rbjax.solvers.constrained.spectrum import weights
-from rbjax.solvers.implicit.runge_kutta import ImplicitRungeKutta
+from rbjax.solvers.constrained.simplified import weights
+from rbjax.solvers.groups import unwrapped
+from rbjax.solvers.root_finding import refused, verdict
+from rbjax.solvers.runge_kutta import ImplicitRungeKutta
+from rbjax.solvers.steps import AbstractGroupSolver, mixed
+from rbjax.solvers.tableau import Tableau
 
 #: of rbjax.solvers.all(), by name
 FITTING = (

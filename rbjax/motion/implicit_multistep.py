@@ -20,12 +20,12 @@ from rbjax.constraints.methods.differential_algebraic import DifferentialAlgebra
 from rbjax.model import State
 from rbjax.motion.implicit import begun, error_of, increment, seen, stages
 from rbjax.solvers import radau_iia
-from rbjax.solvers.common.groups import unwrapped
-from rbjax.solvers.common.newton import refused, verdict
-from rbjax.solvers.common.steps import AbstractGroupSolver, mixed
 from rbjax.solvers.constrained.differential_algebraic import solve
-from rbjax.solvers.constrained.spectrum import weight
-from rbjax.solvers.multistep.interpolation import basis, slopes_at_one
+from rbjax.solvers.constrained.simplified import weight
+from rbjax.solvers.groups import unwrapped
+from rbjax.solvers.multistep import basis, slopes_at_one
+from rbjax.solvers.root_finding import refused, verdict
+from rbjax.solvers.steps import AbstractGroupSolver, mixed
 
 
 class History(NamedTuple):

@@ -26,9 +26,8 @@ from rbjax.model import State
 from rbjax.motion.field import Field, Law, free_motion
 from rbjax.motion.implicit import ByStages, stepped_by
 from rbjax.motion.variational import variational_midpoint
-from rbjax.solvers.common.steps import combine, explicit_stages, scaled
-from rbjax.solvers.common.tableau import KUTTA4, Tableau, of_diffrax
-from rbjax.solvers.explicit.dop853 import DOP853
+from rbjax.solvers.steps import combine, explicit_stages, scaled
+from rbjax.solvers.tableau import DOP853, KUTTA4, Tableau, of_diffrax
 
 #: stages times velocity coordinates up to which the stages of a step are written out
 WRITTEN_UP_TO = 13

@@ -19,7 +19,7 @@ from rbjax.motion.implicit import StagesSolver, stepped_by
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import VectorField
 from rbjax.solvers import BDF
-from rbjax.solvers.common.wrapped import Wrapped
+from rbjax.solvers.compensated import Wrapped
 
 
 class Settling(Wrapped):

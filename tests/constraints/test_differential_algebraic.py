@@ -18,7 +18,7 @@ from rbjax.forces.acting import applied
 from rbjax.motion.implicit import increment, stages
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import motion
-from rbjax.solvers.common.steps import mixed
+from rbjax.solvers.steps import mixed
 from tests.constraints.test_formulations import hung_twice, pendulum, skate
 from tests.oracles import load
 from tests.tolerances import GRADIENT

@@ -10,7 +10,7 @@ through RNEA: no mass matrix is inverted.
 (Gear, Leimkuhler & Gupta, *Automatic integration of Euler-Lagrange equations with constraints*,
 1985; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VII; Masarati, ch. 7.)
 
-Singular positions are passed in f64 (`rbjax.solvers.constrained.stage_matrix`): ten seconds of a
+Singular positions are passed in f64: ten seconds of a
 parallelogram, some fifteen passages, are as accurate as the steps, wherever stages fall, and also
 if every joint is given twice (redundant rows). In f32 only GGL passes them: index 2 does not
 correct positions, and the rows of index 3 carry the rounding of positions divided by the square of

@@ -38,11 +38,16 @@ import jax.numpy as jnp
 from rbjax.lanes import batch_first, matvec
 from rbjax.lanes.each import each
 from rbjax.lanes.proximal import proximal
-from rbjax.solvers.common.steps import mixed
-from rbjax.solvers.constrained.complement import Complement, complement
-from rbjax.solvers.constrained.simplified import Blocks, Simplified, Sizes, simplified
-from rbjax.solvers.constrained.spectrum import Weights, weight
-from rbjax.solvers.constrained.stage_matrix import Factored, Matrix
+from rbjax.solvers.constrained.schur_complement import Complement, Factored, Matrix, complement
+from rbjax.solvers.constrained.simplified import (
+    Blocks,
+    Simplified,
+    Sizes,
+    Weights,
+    simplified,
+    weight,
+)
+from rbjax.solvers.steps import mixed
 
 MAX_STEPS = 50
 ROUNDING = 4  # units in the last place, beside the size of y

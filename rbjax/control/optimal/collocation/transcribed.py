@@ -36,7 +36,7 @@ from rbjax.control.optimal.constraint_rows import limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback, backward_pass
 from rbjax.lanes.products import matvec
-from rbjax.solvers.common.tableau import Tableau
+from rbjax.solvers.tableau import Tableau
 
 
 class Point(NamedTuple):

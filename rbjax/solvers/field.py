@@ -19,7 +19,7 @@ from jax.flatten_util import ravel_pytree
 
 from rbjax.errors import InputError
 from rbjax.lanes import batch_first, matvec
-from rbjax.solvers.common.groups import OnGroup, Vector
+from rbjax.solvers.groups import OnGroup, Vector
 
 IN_TIME = (diffrax.ODETerm, OnGroup)  # dy = f dt: f times the length of a step
 IN_OTHERS = (diffrax.ControlTerm, diffrax.UnderdampedLangevinDiffusionTerm)

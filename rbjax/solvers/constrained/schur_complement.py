@@ -22,7 +22,8 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve, solve_triangular
 
-from rbjax.lanes import matvec
+from rbjax.lanes import inverse, matvec
+from rbjax.lanes.each import each
 from rbjax.lanes.proximal import damped, least
 
 #: (b, c) -> w
@@ -112,3 +113,58 @@ def _by_least_squares(S: jax.Array, size: jax.Array, eps: float) -> Solve:
 
 def _product(a: jax.Array, b: jax.Array) -> jax.Array:
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+
+
+#: of x (s, n + m), or of a change of it; F of (s, n)
+Function = Callable[[jax.Array], jax.Array]
+
+
+class Complement(NamedTuple):
+    """The transpose of (S + E)^-1 (s m, s m), E (s m,), and whether it is for the transposed
+    equations. (A thread would copy a matrix to transpose it.)"""
+
+    inverse: jax.Array
+    E: jax.Array
+    transposed: bool = False
+
+    def swept(self, off: Function, free: Function, x: jax.Array, c: jax.Array) -> jax.Array:
+        """x after one sweep of off(x) = 0, its w drawn to c."""
+        m = c.shape[1]
+        n = x.shape[1] - m
+        x, rows = _relaxed(off, free, x, n)
+        w = x[:, n:]
+        due = rows.ravel() + self.E * (w - c).ravel()
+        axis = 1 if self.transposed else 0
+        precision = jax.lax.Precision.HIGHEST
+        dw = jax.lax.dot_general(self.inverse, due, (((axis,), (0,)), ((), ())), precision)
+        return jnp.concatenate([x[:, :n], w - dw.reshape(w.shape)], 1)
+
+
+def complement(
+    push: Function, free: Function, usual: jax.Array, s: int, n: int, near: float
+) -> Complement:
+    """push: the derivative of the equations of s stages along a change of x; usual (m,): the
+    diagonal of S, of a stage, where no row vanishes."""
+    m = len(usual)
+
+    def column(j: jax.Array) -> tuple:
+        one = (jnp.arange(s * m) == j).astype(usual.dtype)
+        d = jnp.concatenate([jnp.zeros((s, n), usual.dtype), one.reshape(s, m)], 1)
+        S = _relaxed(push, free, d, n)[1].ravel()
+        E = near * (jnp.abs(one * S).sum() + usual[j % m])
+        E = jnp.where(E > 0, E, 1.0)
+        return S + E * one, E
+
+    S, E = each(column, jnp.arange(s * m))
+    return Complement(inverse(S)[0], E)
+
+
+def _relaxed(off: Function, free: Function, x: jax.Array, n: int) -> tuple[jax.Array, jax.Array]:
+    """x with other rates, and the rows before the last change of these."""
+
+    def turn(x: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
+        r = off(x)
+        return jnp.concatenate([x[:, :n] - free(r[:, :n]), x[:, n:]], 1), r[:, n:]
+
+    found, rows = jax.lax.scan(turn, x, None, length=2)
+    return found, rows[-1]

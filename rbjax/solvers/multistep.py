@@ -27,11 +27,11 @@ from jax.flatten_util import ravel_pytree
 from rbjax._jax_compat import any_of_batch
 from rbjax.arguments import integer
 from rbjax.errors import InputError
-from rbjax.solvers.common import tableau as tables
-from rbjax.solvers.common.field import Field, flattened
-from rbjax.solvers.common.newton import MAX_STEPS, chord, refused, verdict
-from rbjax.solvers.common.stages import Start, solve, start
-from rbjax.solvers.common.steps import (
+from rbjax.solvers import tableau as tables
+from rbjax.solvers.field import Field, flattened
+from rbjax.solvers.root_finding import MAX_STEPS, chord, refused, verdict
+from rbjax.solvers.runge_kutta import ImplicitRungeKutta, Start, solve, start
+from rbjax.solvers.steps import (
     AbstractPolynomialSolver,
     combine,
     explicit_stages,
@@ -39,8 +39,28 @@ from rbjax.solvers.common.steps import (
     mixed,
     select,
 )
-from rbjax.solvers.implicit.runge_kutta import ImplicitRungeKutta
-from rbjax.solvers.multistep.interpolation import basis, integrals, slopes_at_one
+
+
+def basis(nodes: jax.Array) -> jax.Array:
+    """Row j: the coefficients of l_j (n, n), constant first, for distinct nodes (n,)."""
+    n = nodes.shape[0]
+    own = jnp.eye(n, dtype=bool)
+    out = jnp.zeros((n, n), nodes.dtype).at[:, 0].set(1.0)
+    for m in range(n):
+        times_x = jnp.pad(out, ((0, 0), (1, 0)))[:, :-1]
+        gap = jnp.where(own[m], 1.0, nodes - nodes[m])[:, None]
+        out = jnp.where(own[m][:, None], out, (times_x - nodes[m] * out) / gap)
+    return out
+
+
+def integrals(nodes: jax.Array) -> jax.Array:
+    """Row j: the coefficients of x, x^2, ... in int_0^x l_j (n, n)."""
+    return basis(nodes) / jnp.arange(1, nodes.shape[0] + 1, dtype=nodes.dtype)
+
+
+def slopes_at_one(nodes: jax.Array) -> jax.Array:
+    """l_j'(1) (n,)."""
+    return (basis(nodes) * jnp.arange(nodes.shape[0], dtype=nodes.dtype)).sum(1)
 
 
 class History(NamedTuple):

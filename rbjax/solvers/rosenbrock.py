@@ -22,10 +22,10 @@ import lineax as lx
 import numpy as np
 
 from rbjax.lanes import matvec
-from rbjax.solvers.common.field import flattened, linearized
-from rbjax.solvers.common.newton import iterative, refused, stopped, verdict
-from rbjax.solvers.common.steps import AbstractPolynomialSolver, hermite, mixed
-from rbjax.solvers.common.tableau import TOLERANCE, Tree, density, trees
+from rbjax.solvers.field import flattened, linearized
+from rbjax.solvers.root_finding import iterative, refused, stopped, verdict
+from rbjax.solvers.steps import AbstractPolynomialSolver, hermite, mixed
+from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
 
 def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]) -> np.ndarray:

@@ -21,10 +21,11 @@ import numpy as np
 
 from rbjax.arguments import real_array, shown
 from rbjax.errors import InputError
-from rbjax.solvers.common import tableau as tables
-from rbjax.solvers.common.field import field
-from rbjax.solvers.common.groups import group_of
-from rbjax.solvers.common.steps import (
+from rbjax.solvers import tableau as tables
+from rbjax.solvers.field import field
+from rbjax.solvers.groups import group_of
+from rbjax.solvers.second_order import Halves
+from rbjax.solvers.steps import (
     AbstractGroupSolver,
     combine,
     dense_between,
@@ -33,7 +34,6 @@ from rbjax.solvers.common.steps import (
     scaled,
     select,
 )
-from rbjax.solvers.geometric.second_order import Halves
 
 _CUBE = 2 ** (1 / 3)
 YOSHIDA4 = (1 / (2 - _CUBE), -_CUBE / (2 - _CUBE), 1 / (2 - _CUBE))

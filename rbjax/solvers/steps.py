@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.solvers.common.field import Field
-from rbjax.solvers.common.groups import AbstractGroup, Vector, group_of
-from rbjax.solvers.common.tableau import Tableau
+from rbjax.solvers.field import Field
+from rbjax.solvers.groups import AbstractGroup, Vector, group_of
+from rbjax.solvers.tableau import Tableau
 
 
 def scaled(h: Any, k: Any) -> Any:

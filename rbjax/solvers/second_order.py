@@ -24,10 +24,10 @@ import lineax as lx
 import optimistix as optx
 
 from rbjax.arguments import real_number
-from rbjax.solvers.common.field import field, forwards
-from rbjax.solvers.common.groups import group_of, unwrapped
-from rbjax.solvers.common.newton import MAX_STEPS, chord, root, verdict
-from rbjax.solvers.common.steps import (
+from rbjax.solvers.field import field, forwards
+from rbjax.solvers.groups import group_of, unwrapped
+from rbjax.solvers.root_finding import MAX_STEPS, chord, root, verdict
+from rbjax.solvers.steps import (
     AbstractGroupSolver,
     combine,
     dense_between,
