@@ -34,7 +34,7 @@ from rbjax.solvers.multistep import (
     pece,
 )
 from rbjax.solvers.registry import KINDS, Entry, all
-from rbjax.solvers.root_finding import Settled, chord, newton, very_chord
+from rbjax.solvers.root_finding import RootFinder, chord, newton, very_chord
 from rbjax.solvers.rosenbrock import RosenbrockTableau, RosenbrockW, ros2, ros34pw2
 from rbjax.solvers.runge_kutta import (
     RK4,
@@ -121,7 +121,7 @@ __all__ = [
     "RigidBody",
     "RigidBodySplitting",
     # roots
-    "Settled",
+    "RootFinder",
     "newton",
     "chord",
     "very_chord",

@@ -4,9 +4,16 @@
     Crouch-Grossman:   Y_i = y0 exp(a_i1 k_1) exp(a_i2 k_2) ...
     commutator-free:   products of exponentials of sums of the k_j
 with k_j = h xi(t_j, Y_j), for y' = y xi. Dense output: y0 exp of a cubic, of order 4, on the group.
-(Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IV.8; Celledoni, Marthinsen & Owren,
-*Future Generation Computer Systems* 19, 2003. Their equations have xi on the left: all products
-are mirrored here.)
+The sources have xi on the left: products are in the opposite order there.
+
+`RigidBodySplitting` is for the free rigid body, q' = q (0, w) / 2, J w' = J w x w + torque(t, q).
+Its kinetic energy is the sum of three terms m_i^2 / 2 J_i with m = J w. Under one of them the body
+turns about its axis i at the constant rate m_i / J_i. The symmetric product
+X(h/2) Y(h/2) Z(h) Y(h/2) X(h/2) is symplectic, of order 2, and conserves the momentum in space; a
+torque changes m before and after it.
+
+Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IV.8 and VII.5.3; Celledoni,
+Marthinsen & Owren, *Future Generation Computer Systems* 19, 2003; McLachlan 1993.
 """
 
 from __future__ import annotations
@@ -23,15 +30,15 @@ import numpy as np
 from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
-from rbjax.solvers.field import Field, field, forwards
-from rbjax.solvers.groups import SO3, AbstractGroup, OnGroup, Product, Vector, group_of, unwrapped
+from rbjax.solvers.field import Field, time_direction
+from rbjax.solvers.groups import SO3, AbstractGroup, OnGroup, Product, Vector, group_of, unwrap
 from rbjax.solvers.steps import (
     AbstractGroupSolver,
     combine,
-    dense_between,
+    dense_output,
     explicit_stages,
     inverse_dexp,
-    scaled,
+    scale,
 )
 from rbjax.solvers.tableau import Tableau
 
@@ -39,7 +46,7 @@ RESULTS = diffrax.RESULTS
 
 
 class MuntheKaas(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
-    """RKMK with an explicit tableau of order at most 5; the error estimate is the tableau's."""
+    """The Munthe-Kaas method of an explicit tableau of order at most 5."""
 
     tableau: Tableau = eqx.field(static=True)
 
@@ -50,24 +57,24 @@ class MuntheKaas(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return self.tableau.error_order
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        group, f, h = group_of(terms), field(terms, args), t1 - t0
+        group, f, h = group_of(terms), Field(terms, args), t1 - t0
 
         def rate(t, u):
             return inverse_dexp(group, u, f(t, group.retract(y0, u)))
 
         zero = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(f, t0, y0))
         k = explicit_stages(rate, self.tableau, t0, h)(zero)
-        u = scaled(h, combine(self.tableau.b, k))
+        u = scale(h, combine(self.tableau.b, k))
         y1, error = group.retract(y0, u), None
         if self.tableau.error:
             other = combine((1.0, -h), (u, combine(self.tableau.error[1:], k)))
             error = jax.tree.map(lambda a, b: a - b, y1, group.retract(y0, other))
-        return y1, error, dense_between(group, f, t0, t1, y0, y1), None, RESULTS.successful
+        return y1, error, dense_output(terms, args, t0, t1, y0, y1), None, RESULTS.successful
 
 
 def rkmk(order: int) -> MuntheKaas:
-    """Munthe-Kaas' method on Heun's (2), Bogacki and Shampine's (3), the classical (4) or Dormand
-    and Prince's method (5).
+    """Make Munthe-Kaas' method of Heun's (2), Bogacki and Shampine's (3), the classical (4) or
+    Dormand and Prince's tableau (5).
 
     Raises:
         InputError: another order.
@@ -89,14 +96,14 @@ class CrouchGrossman3(AbstractGroupSolver):
         return 3
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        group, f, h = group_of(terms), field(terms, args), t1 - t0
+        group, f, h = group_of(terms), Field(terms, args), t1 - t0
         a21, a31, a32 = 3 / 4, 119 / 216, 17 / 108
         b = (13 / 51, -2 / 3, 24 / 17)
-        k1 = scaled(h, f(t0, y0))
-        k2 = scaled(h, f(t0 + a21 * h, _product(group, y0, (a21,), (k1,))))
-        k3 = scaled(h, f(t0 + (a31 + a32) * h, _product(group, y0, (a31, a32), (k1, k2))))
+        k1 = scale(h, f(t0, y0))
+        k2 = scale(h, f(t0 + a21 * h, _product(group, y0, (a21,), (k1,))))
+        k3 = scale(h, f(t0 + (a31 + a32) * h, _product(group, y0, (a31, a32), (k1, k2))))
         y1 = _product(group, y0, b, (k1, k2, k3))
-        return y1, None, dense_between(group, f, t0, t1, y0, y1), None, RESULTS.successful
+        return y1, None, dense_output(terms, args, t0, t1, y0, y1), None, RESULTS.successful
 
 
 class CommutatorFree4(AbstractGroupSolver):
@@ -106,34 +113,36 @@ class CommutatorFree4(AbstractGroupSolver):
         return 4
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        group, f, h = group_of(terms), field(terms, args), t1 - t0
+        group, f, h = group_of(terms), Field(terms, args), t1 - t0
         y1 = self._advanced(group, f, t0, h, y0)
-        return y1, None, dense_between(group, f, t0, t1, y0, y1), None, RESULTS.successful
+        return y1, None, dense_output(terms, args, t0, t1, y0, y1), None, RESULTS.successful
 
     def _advanced(self, group: AbstractGroup, f: Field, t0: Any, h: Any, y0: Any) -> Any:
-        k1 = scaled(h, f(t0, y0))
-        second = group.retract(y0, scaled(1 / 2, k1))
-        k2 = scaled(h, f(t0 + h / 2, second))
-        k3 = scaled(h, f(t0 + h / 2, group.retract(y0, scaled(1 / 2, k2))))
+        k1 = scale(h, f(t0, y0))
+        second = group.retract(y0, scale(1 / 2, k1))
+        k2 = scale(h, f(t0 + h / 2, second))
+        k3 = scale(h, f(t0 + h / 2, group.retract(y0, scale(1 / 2, k2))))
         fourth = group.retract(second, combine((1.0, -1 / 2), (k3, k1)))
-        k4 = scaled(h, f(t0 + h, fourth))
+        k4 = scale(h, f(t0 + h, fourth))
         ks = (k1, k2, k3, k4)
         half = group.retract(y0, combine((1 / 4, 1 / 6, 1 / 6, -1 / 12), ks))
         return group.retract(half, combine((-1 / 12, 1 / 6, 1 / 6, 1 / 4), ks))
 
 
 def _product(group: AbstractGroup, y: Any, weights: tuple[float, ...], ks: tuple) -> Any:
-    """y exp(w_1 k_1) exp(w_2 k_2) ..."""
+    """Return y exp(w_1 k_1) exp(w_2 k_2) ..."""
     for w, k in zip(weights, ks, strict=True):
-        y = group.retract(y, scaled(w, k))
+        y = group.retract(y, scale(w, k))
     return y
 
 
 class RigidBody(OnGroup):
-    """A body about its centre or a fixed point: state (quaternion (4,), angular velocity (3,)).
+    """Euler's equations of a body about its centre or a fixed point, as a term for any solver on
+    groups: state (quaternion (4,), angular velocity (3,)).
 
-    inertia (3,): principal moments, kg m^2, along the body axes; torque: (t, quaternion, args) ->
-    (3,) in body axes, N m, or None. Any solver of terms on groups takes it.
+    Args:
+        inertia: (3,) principal moments, kg m^2, along the body axes.
+        torque: (t, quaternion, args) -> (3,) N m in body axes, or None.
 
     Raises:
         InputError: the inertia has another shape, or is not positive.
@@ -173,7 +182,7 @@ def _no_field(t, y, args):
 
 
 class RigidBodySplitting(AbstractGroupSolver):
-    """Exact rotations about the three axes, and kicks: order 2. Its term is a `RigidBody`."""
+    """Exact rotations about the three axes: order 2. Its term is a `RigidBody`."""
 
     term_structure: ClassVar[Any] = RigidBody
 
@@ -181,27 +190,24 @@ class RigidBodySplitting(AbstractGroupSolver):
         return 2
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        body, h = unwrapped(terms), terms.contr(t0, t1)
+        body, h = unwrap(terms), terms.contr(t0, t1)
         inertia = body.inertia
-        ahead = forwards(terms, t0)
+        ahead = time_direction(terms, t0)
         turn, w = y0
         m = inertia * w + h / 2 * body.moment(ahead * t0, turn, args)
         for axis, share in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
             angle = share * h * m[axis] / inertia[axis]
             turn = SO3().retract(turn, jnp.zeros(3, m.dtype).at[axis].set(angle))
-            m = _turned_back(m, axis, angle)
+            m = _rotate_axes(m, axis, angle)
         m = m + h / 2 * body.moment(ahead * t1, turn, args)
         y1 = (turn, m / inertia)
-        dense = dense_between(body.group, field(terms, args), t0, t1, y0, y1)
+        dense = dense_output(terms, args, t0, t1, y0, y1)
         return y1, None, dense, None, diffrax.RESULTS.successful
 
 
-def _turned_back(m: jax.Array, axis: int, angle: jax.Array) -> jax.Array:
-    """m in axes that have turned by an angle about one of them.
-
-    The change of m is added. A cosine near 1 would round the same way in each turn, and m would
-    grow or shrink.
-    """
+def _rotate_axes(m: jax.Array, axis: int, angle: jax.Array) -> jax.Array:
+    """Express m in axes that have turned by an angle about one of them. The change is added: a
+    cosine near 1 would round in the same direction at each step, and m would grow or shrink."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     versine, s = 2 * jnp.sin(angle / 2) ** 2, jnp.sin(angle)
     return m.at[i].add(s * m[j] - versine * m[i]).at[j].add(-s * m[i] - versine * m[j])
