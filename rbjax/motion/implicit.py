@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.methods.differential_algebraic import DifferentialAlgebraic, Forces
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, evaluated

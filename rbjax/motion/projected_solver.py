@@ -10,8 +10,7 @@ import diffrax
 import equinox as eqx
 import jax
 
-from rbjax.constraints.formulation import Formulation
-from rbjax.constraints.methods.differential_algebraic import stepped
+from rbjax.constraints.formulation import Formulation, stepped
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.field import Dynamics, moves_stages

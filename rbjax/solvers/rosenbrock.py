@@ -31,8 +31,8 @@ from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
 
 def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]) -> np.ndarray:
-    """Return Phi_i of a tree. `kinds`, which is consumed, marks nodes with one branch whose matrix is
-    gamma (a factor J)."""
+    """Return Phi_i of a tree. `kinds`, which is consumed, marks the nodes with one branch that have
+    a factor J."""
     matrix = gamma if len(tree) == 1 and kinds.pop(0) else alpha
     out = np.ones(len(alpha))
     for branch in tree:

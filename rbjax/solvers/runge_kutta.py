@@ -49,8 +49,7 @@ from rbjax.solvers.tableau import Tableau
 
 
 class RK4(diffrax.AbstractERK):
-    """The classical method, of order 4. Its error estimate of order 3 uses the rate at y1 instead of
-    the fourth stage; the next step needs this rate too."""
+    """The classical method, of order 4, with an error estimate of order 3 by the rate at y1."""
 
     tableau: ClassVar[diffrax.ButcherTableau] = diffrax.ButcherTableau(
         a_lower=tuple(np.array(row[:i]) for i, row in enumerate(TABLE.a) if i),

@@ -170,7 +170,8 @@ def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
 
 
 def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
-    """Make Chung and Hulbert's method: order 2, spectral radius rho_inf (0 to 1) at infinite frequency."""
+    """Make Chung and Hulbert's method: order 2, with the spectral radius rho_inf, from 0 to 1, at
+    infinite frequency."""
     real_number("generalized_alpha", "rho_inf", rho_inf, least=0, most=1, traced=True)
     m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)
@@ -185,7 +186,8 @@ def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlp
 
 
 def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
-    """Make Hilber, Hughes and Taylor's method: order 2, A-stable; alpha is -1/3 (most damping) to 0."""
+    """Make Hilber, Hughes and Taylor's method: order 2, A-stable. alpha is from -1/3, with the most
+    damping, to 0."""
     real_number("hht_alpha", "alpha", alpha, least=-1 / 3, most=0, traced=True)
     return GeneralizedAlpha(0.0, -alpha, (1 - alpha) ** 2 / 4, 1 / 2 - alpha, **options)
 

@@ -229,13 +229,13 @@ def _lobatto(stages: int) -> np.ndarray:
 
 @functools.cache
 def lobatto_iiia(stages: int) -> Tableau:
-    """Make Lobatto IIIA: order 2 s - 2, A-stable, symmetric; two stages are the trapezoidal rule."""
+    """Make Lobatto IIIA: order 2 s - 2, A-stable; two stages are the trapezoidal rule."""
     return _collocation(_lobatto(stages), None, 2 * stages - 2)
 
 
 @functools.cache
 def lobatto_iiic(stages: int) -> Tableau:
-    """Make Lobatto IIIC: order 2 s - 2, L-stable: a_i1 = b_1 and sum_j a_ij c_j^(k-1) = c_i^k / k."""
+    """Make Lobatto IIIC: order 2 s - 2, L-stable; a_i1 = b_1, sum_j a_ij c_j^(k-1) = c_i^k / k."""
     c = _lobatto(stages)
     b1 = _collocation(c, None, 2 * stages - 2).b[0]
     # columns 2..s from C(s - 1); the first is b_1

@@ -26,9 +26,8 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.equations.law import constrained_motion
-from rbjax.constraints.equations.system import as_free_bodies, rows_of, with_multipliers
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.equations.constrained_motion import as_free_bodies, constrained_motion
+from rbjax.constraints.equations.model_rows import rows_of, with_multipliers
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.link_forces import LinkForces
@@ -118,13 +117,6 @@ class DifferentialAlgebraic(Method):
             return jnp.concatenate(parts)
 
         return f
-
-
-def stepped(dynamics: Any) -> DifferentialAlgebraic | None:
-    """The method whose equations an implicit integrator steps, if the dynamics has such a
-    method."""
-    method = dynamics.method if isinstance(dynamics, Formulation) else dynamics
-    return method if isinstance(method, DifferentialAlgebraic) else None
 
 
 def _pushed(

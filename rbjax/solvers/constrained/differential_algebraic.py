@@ -334,7 +334,7 @@ class System:
 
 
 def where_it_fits(unknowns: int, f: Callable, smaller: Callable, otherwise: Callable) -> Callable:
-    """Choose f, which needs a matrix of all unknowns, or on a GPU without memory another function."""
+    """Choose f, which needs a matrix of all unknowns; on a GPU without memory another function."""
     if unknowns <= COUPLED_UP_TO:
         return f
     on_gpu = smaller if unknowns <= SWEPT_UP_TO else otherwise

@@ -182,7 +182,7 @@ def complement(
 
 
 def _relax(residual: Function, free: Function, x: jax.Array, n: int) -> tuple[jax.Array, jax.Array]:
-    """Improve the rates of x twice. Returns x and the residuals of the rows before the last time."""
+    """Improve the rates of x twice. Returns x and the residuals of the rows before the last one."""
 
     def improve(x: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
         r = residual(x)

@@ -18,7 +18,8 @@ a real one, or a complex one for a pair of eigenvalues. Elimination of u' gives
 Terms of relative size h times a rate of the motion are neglected: the derivatives of gradients and
 of attitudes, and the effect of mu on v'. A singular S is regularized (`rbjax.lanes.proximal`).
 
-Source: Butcher, *BIT* 16, 1976; Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.8.
+Source: Butcher, *BIT* 16, 1976; Hairer & Wanner, *Solving Ordinary Differential Equations II*,
+IV.8.
 """
 
 from __future__ import annotations
