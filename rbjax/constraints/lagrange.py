@@ -25,7 +25,7 @@ from rbjax.constraints.methods.dense import KKT, Dense
 from rbjax.constraints.reactions import ConstrainedMotion
 from rbjax.constraints.rows.functions import check_function, evaluate
 from rbjax.errors import InputError
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 
 FULL = KKT()
 

@@ -79,11 +79,11 @@ def constrained_dynamics(
     """
     if not model.nv:
         return ConstrainedMotion(jnp.zeros(0, q.dtype), jnp.zeros(0, q.dtype))
-    pushes: Any = None
+    f_ext: Any = None
     if wrenches is not None:
         d = driver(model, q.dtype)
-        pushes = on_links(d, d.joints(q, None), wrenches)
-    return ConstrainedMotion(*_motion(model, t, State(q, v), tau, pushes))
+        f_ext = on_links(d, d.joints(q, None), wrenches)
+    return ConstrainedMotion(*_motion(model, t, State(q, v), tau, f_ext))
 
 
 @algorithm("state", "ctrl", "t")
@@ -109,14 +109,14 @@ def multipliers(
 
 
 def _solved(model: Model, state: State, ctrl: Any, t: Any) -> jax.Array:
-    tau, pushes, _ = applied(model, t, state, Inputs(ctrl))
-    return _motion(model, t, state, tau, pushes)[1]
+    tau, f_ext, _ = applied(model, t, state, Inputs(ctrl))
+    return _motion(model, t, state, tau, f_ext)[1]
 
 
-def _motion(model: Model, t: Any, state: State, tau: Any, pushes: Any) -> tuple:
+def _motion(model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
     """a and l by the default formulation of a rollout; all rigid formulations give the same a."""
     solve = compliant_motion if is_soft(model) else constrained_motion
-    return solve(model, t, state, tau, pushes)
+    return solve(model, t, state, tau, f_ext)
 
 
 @algorithm("state", "ctrl", "t")

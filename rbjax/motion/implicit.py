@@ -102,8 +102,8 @@ def begun(
     dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
 ) -> tuple[Equations, Point]:
     """The equations from a state on, and its rates and multipliers as those of index 1."""
-    tau, pushes, dx = forces(t, state)
-    a, l = constrained_motion(model, t, state, tau, pushes)
+    tau, f_ext, dx = forces(t, state)
+    a, l = constrained_motion(model, t, state, tau, f_ext)
     equations = equations_of(dynamics, model, forces, t, state)
     w = _padded(l, len(equations.depth))
     still = jnp.zeros_like(state.v)

@@ -152,7 +152,7 @@ def test_reactions_of_a_hanging_rod() -> None:
         ),
         (lambda m, s: m.with_constraints(rc.Spherical), "the class Spherical"),
         (
-            lambda m, s: rb.step(m, s, dynamics=lambda model, t, state, tau, pushes: tau,
+            lambda m, s: rb.step(m, s, dynamics=lambda model, t, state, tau, f_ext: tau,
                                  constraints="projected"),
             "a formulation is a dynamics",
         ),

@@ -39,8 +39,8 @@ from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, neg, sub, total
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import LeastNorm, damped, least
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import LeastNorm, damped, least
 from rbjax.model import WORLD, Model, State
 from rbjax.spatial import Force
 
@@ -48,7 +48,7 @@ from rbjax.spatial import Force
 Solve = Callable[[jax.Array | None, Sequence[Lane]], tuple[jax.Array, jax.Array]]
 #: (instant, rows) -> how their equations are solved
 System = Callable[[Context, Sequence[Row]], Solve]
-#: (driver, instant, tau, pushes) -> a_0 or None for zero, the forces left there or None if the
+#: (driver, instant, tau, f_ext) -> a_0 or None for zero, the forces left there or None if the
 #: system knows them, the system
 Method = Callable[
     [Driver, Context, jax.Array, LinkForces], tuple[jax.Array | None, jax.Array | None, System]
@@ -59,10 +59,10 @@ Left = Callable[[Context, Sequence[Row], jax.Array | None, Any, Any], Sequence[L
 
 
 def range_space(
-    d: Driver, now: Context, tau: jax.Array, pushes: LinkForces
+    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array, None, System]:
     """From free motion on (no force is left): A dl = c - G M^-1 f, da = M^-1 (f + G^T dl)."""
-    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
+    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
     def system(now: Context, rows: Sequence[Row]) -> Solve:
         return response(d, factors, now, rows).solved
@@ -75,7 +75,7 @@ def constrained_motion(
     t: Any,
     state: State,
     tau: jax.Array,
-    pushes: LinkForces,
+    f_ext: LinkForces,
     alpha: Any = 0.0,
     beta: Any = 0.0,
     method: Method = range_space,
@@ -83,7 +83,7 @@ def constrained_motion(
 ) -> tuple[jax.Array, jax.Array]:
     """a (nv,) and l (rows,) of a sample, on checked arrays. `left_of`: of rows with another
     equation than that above, which `method` solves."""
-    given, rebuilt = split_tracers((model, pushes, t, alpha, beta))
+    given, rebuilt = split_tracers((model, f_ext, t, alpha, beta))
     nv = model.nv
 
     def left_at(now, rows, l, alpha, beta):
@@ -92,10 +92,10 @@ def constrained_motion(
         return [asked(row, alpha, beta) for row in rows]
 
     def run(changed, q, v, tau):
-        model, pushes, t, alpha, beta = rebuilt(changed)
+        model, f_ext, t, alpha, beta = rebuilt(changed)
         d = driver(model, q.dtype)
         now = Context.of(model, t, State(q, v), None, d=d)
-        start, left, system = method(d, now, tau, pushes)
+        start, left, system = method(d, now, tau, f_ext)
         now = now if start is None else now.accelerating(start)
         rows = rows_of(model, now)
         solve = system(now, rows)
@@ -115,14 +115,14 @@ def constrained_motion(
         return (x,), [solution]
 
     def residual(changed, q, v, tau, x):
-        model, pushes, t, alpha, beta = rebuilt(changed)
+        model, f_ext, t, alpha, beta = rebuilt(changed)
         a, l = x[:nv], x[nv:]
         d = driver(model, q.dtype)
         now = Context.of(model, t, State(q, v), None, d=d).accelerating(a)
         rows = rows_of(model, now)
         joints = now.links.joints  # first: a driver learns from them what its lanes are
-        tau, pushes = with_multipliers(d, rows, list(l), tau, pushes)
-        forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, pushes)
+        tau, f_ext = with_multipliers(d, rows, list(l), tau, f_ext)
+        forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, f_ext)
         off = pack(left_at(now, rows, l, alpha, beta), a)
         return jnp.concatenate([tau - d.pack(forces, tau), off])
 
@@ -141,7 +141,7 @@ ROWS_ON_LANES = 24
 
 
 def as_free_bodies(d: Driver, row: Row) -> Lane:
-    """What a row's entry of A would be if the links that it pushes were free bodies, of the same
+    """What a row's entry of A would be if the links that it acts on were free bodies, of the same
     inertia in all directions: the sum of f^2 / m of forces f, or of n^2 / (tr J / 3) of couples n
     where there are no forces. It does not vanish with the arms of a force."""
     out: Lane = 0.0

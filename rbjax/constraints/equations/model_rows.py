@@ -77,11 +77,11 @@ def gradient_matrix(now: Context, rows: Sequence[Row]) -> jax.Array:
 
 
 def with_multipliers(
-    d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, pushes: LinkForces
+    d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array, LinkForces]:
     """tau + G^T l, in two parts: generalized forces (nv,) and forces on links."""
     held = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
-    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(pushes, held.wrenches)
+    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(f_ext, held.wrenches)
 
 
 class Residual(NamedTuple):

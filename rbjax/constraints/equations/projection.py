@@ -30,8 +30,8 @@ from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import least
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import least
 from rbjax.model import Model, State
 
 #: (force (nv,), c (rows,)) -> x (nv,), l (rows,) of M x = force + G^T l, G' x = c
@@ -79,8 +79,8 @@ def least_changes(
         d = driver(model, q.dtype)
         now = Context.of(model, t0, State(q, v), None, d=d)
         rows = rows_of(model, now)
-        tau, pushes = with_multipliers(d, rows, list(l), jnp.zeros_like(x), {})
-        needed = rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), pushes)
+        tau, f_ext = with_multipliers(d, rows, list(l), jnp.zeros_like(x), {})
+        needed = rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), f_ext)
         return d, now, rows, tau - d.pack(needed, tau)
 
     def of_positions(changed, q, u, v, x):

@@ -60,7 +60,7 @@ class Method(Factor):
     has_feedback: ClassVar[bool] = True
 
     def __call__(
-        self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces,
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces,
         alpha: Any = 0.0, beta: Any = 0.0,
     ) -> jax.Array:  # fmt: skip
         """v' (nv,) with g'' = -2 alpha g' - beta^2 g."""
@@ -85,8 +85,8 @@ class Multipliers(Method):
     family: ClassVar[str] = "redundant"
     index: ClassVar[int] = 1
 
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(model, t, state, tau, pushes, alpha, beta)[0]
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        return constrained_motion(model, t, state, tau, f_ext, alpha, beta)[0]
 
 
 @dataclass(frozen=True)
@@ -109,14 +109,14 @@ class Penalty(Method):
     index: ClassVar[int] = 0
     has_feedback: ClassVar[bool] = False
 
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
         d = driver(model, state.q.dtype)
         now = Context.of(model, t, state, None, d=d)
         _ = now.links.joints  # a driver learns from them what its lanes are
         rows = rows_of(model, now)
         l = [neg(self._force(row)) for row in rows]
-        tau, pushes = with_multipliers(d, rows, l, tau, pushes)
-        return acceleration(model, state.q, state.v, tau, pushes)
+        tau, f_ext = with_multipliers(d, rows, l, tau, f_ext)
+        return acceleration(model, state.q, state.v, tau, f_ext)
 
     def _force(self, row: Row) -> Lane:
         return add(mul(self.stiffness, row.residual), mul(self.damping, row.rate))

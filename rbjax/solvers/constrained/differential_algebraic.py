@@ -31,8 +31,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import batch_first, matvec
-from rbjax.lanes.each import each
-from rbjax.lanes.proximal import proximal
+from rbjax.lanes.arrays import each
+from rbjax.lanes.factorization import proximal
 from rbjax.solvers.constrained.schur_complement import Complement, Factored, Matrix, complement
 from rbjax.solvers.constrained.simplified import (
     Blocks,

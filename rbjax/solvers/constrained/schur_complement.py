@@ -3,9 +3,9 @@
     [K  C] [k]   [r]            S = D - B K^-1 C,     S w = b,     b = r_w - B K^-1 r
     [B  D] [w] = [r_w]
 S is singular if rows are redundant or vanish. If all stages share a matrix, S is close to
-G M^-1 G^T, which is positive semidefinite, and E is added to it (`rbjax.lanes.proximal`). If each
-stage has its own, the gradient of a row may change sign between stages, and S is indefinite. Then w
-is the solution of
+G M^-1 G^T, which is positive semidefinite, and E is added to it (`rbjax.lanes.factorization`). If
+each stage has its own, the gradient of a row may change sign between stages, and S is indefinite.
+Then w is the solution of
 
     min |S w - b|^2 + eps^2 |w - c|^2,      c the previous w, or zero
 
@@ -28,8 +28,8 @@ import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve, solve_triangular
 
 from rbjax.lanes import inverse, matvec
-from rbjax.lanes.each import each
-from rbjax.lanes.proximal import damped, least
+from rbjax.lanes.arrays import each
+from rbjax.lanes.factorization import damped, least
 
 #: (b, c) -> w
 Solve = Callable[[jax.Array, jax.Array], jax.Array]

@@ -16,7 +16,7 @@ a real one, or a complex one for a pair of eigenvalues. Elimination of u' gives
     S(z) = B K(z)^-1 B^T         of w
     S_mu = G M^-1 G^T            of mu
 Terms of relative size h times a rate of the motion are neglected: the derivatives of gradients and
-of attitudes, and the effect of mu on v'. A singular S is regularized (`rbjax.lanes.proximal`).
+of attitudes, and the effect of mu on v'. A singular S is regularized (`rbjax.lanes.factorization`).
 
 Source: Butcher, *BIT* 16, 1976; Hairer & Wanner, *Solving Ordinary Differential Equations II*,
 IV.8.
@@ -32,8 +32,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.lanes import inverse
-from rbjax.lanes.each import each
-from rbjax.lanes.proximal import damped, least
+from rbjax.lanes.arrays import each
+from rbjax.lanes.factorization import damped, least
 from rbjax.solvers.steps import weighted_sums
 
 

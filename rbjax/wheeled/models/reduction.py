@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 from rbjax.model import State
 from rbjax.wheeled.kinematics.context import Context
 from rbjax.wheeled.kinematics.numbers import Numbers, stacked

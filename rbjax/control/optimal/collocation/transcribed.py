@@ -35,7 +35,7 @@ from rbjax.control.optimal.collocation.transcription import (
 from rbjax.control.optimal.constraint_rows import limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback, backward_pass
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 from rbjax.solvers.tableau import Tableau
 
 
