@@ -1,10 +1,12 @@
-"""Rosenbrock-W methods: implicit without a nonlinear system, of full order for any Jacobian.
+"""Rosenbrock-W methods: linearly implicit, of full order for any matrix J.
 
     (I - h gamma J) k_i = h f(t0 + alpha_i h, y0 + sum_j alpha_ij k_j) + h J sum_j gamma_ij k_j
                           + gamma_i h^2 df/dt,    y1 = y0 + sum_i b_i k_i
-A step takes one Jacobian and one factorization (Hairer & Wanner, *Solving ODEs II*, IV.7; Rang &
-Angermann, BIT 45, 2005). The coefficients are checked against the order conditions of W-methods,
-which hold for any J.
+A step takes one Jacobian and one factorization. The coefficients are checked against the order
+conditions of W-methods.
+
+Source: Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.7; Rang & Angermann, *BIT*
+45, 2005.
 """
 
 from __future__ import annotations
@@ -22,14 +24,15 @@ import lineax as lx
 import numpy as np
 
 from rbjax.lanes import matvec
-from rbjax.solvers.common.field import flattened, linearized
-from rbjax.solvers.common.newton import iterative, refused, stopped, verdict
-from rbjax.solvers.common.steps import AbstractPolynomialSolver, hermite, mixed
-from rbjax.solvers.common.tableau import TOLERANCE, Tree, density, trees
+from rbjax.solvers.field import flatten, linearize
+from rbjax.solvers.root_finding import iterative, mark_failed, step_result, stop_gradient
+from rbjax.solvers.steps import AbstractPolynomialSolver, hermite_coefficients, weighted_sums
+from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
 
 def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]) -> np.ndarray:
-    """Phi_i of a tree. `kinds` is consumed: it says which nodes with one branch go through J."""
+    """Return Phi_i of a tree. `kinds`, which is consumed, marks the nodes with one branch that have
+    a factor J."""
     matrix = gamma if len(tree) == 1 and kinds.pop(0) else alpha
     out = np.ones(len(alpha))
     for branch in tree:
@@ -38,11 +41,12 @@ def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]
 
 
 def _single(tree: Tree) -> int:
+    """Count the nodes with one branch."""
     return (len(tree) == 1) + sum(map(_single, tree))
 
 
 def holds(alpha: np.ndarray, gamma: np.ndarray, b: np.ndarray, order: int) -> bool:
-    """Whether b satisfies the conditions of W-methods: 1 / density without J, zero with it."""
+    """Check the order conditions of W-methods: 1 / density without J, zero with it."""
     for tree in itertools.chain.from_iterable(trees(p) for p in range(1, order + 1)):
         for kinds in itertools.product([False, True], repeat=_single(tree)):
             target = 0 if any(kinds) else 1 / density(tree)
@@ -53,7 +57,8 @@ def holds(alpha: np.ndarray, gamma: np.ndarray, b: np.ndarray, order: int) -> bo
 
 @dataclass(frozen=True)
 class RosenbrockTableau:
-    """alpha strictly lower; gamma lower with a constant diagonal; b; b of the companion."""
+    """The coefficients: alpha strictly lower, gamma lower with a constant diagonal, b, b of the
+    embedded method of one order less."""
 
     alpha: tuple[tuple[float, ...], ...]
     gamma: tuple[tuple[float, ...], ...]
@@ -71,7 +76,7 @@ class RosenbrockTableau:
 
 
 class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
-    """The method of a tableau. `linear_solver` is of lineax; `lineax.GMRES` needs no matrix."""
+    """A Rosenbrock-W method. Its `linear_solver` is of lineax; `lineax.GMRES` needs no matrix."""
 
     tableau: RosenbrockTableau = eqx.field(static=True)
     linear_solver: lx.AbstractLinearSolver = eqx.field(default_factory=lx.LU)
@@ -80,7 +85,7 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
         return self.tableau.order
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        (f, y), h = flattened(terms, args, t0, y0), t1 - t0
+        (f, y), h = flatten(terms, args, t0, y0), t1 - t0
         alpha, gamma = np.array(self.tableau.alpha), np.array(self.tableau.gamma)
         diagonal = float(gamma[0, 0])
         if iterative(self.linear_solver):
@@ -89,17 +94,17 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
                 lambda k: k - h * diagonal * push(k), jax.eval_shape(lambda: y)
             )
         else:
-            f0, jacobian = linearized(f, t0, y)
+            f0, jacobian = linearize(f, t0, y)
             push = functools.partial(matvec, jacobian)
             one = jnp.eye(y.size, dtype=y.dtype)
             operator = lx.MatrixLinearOperator(one - h * diagonal * jacobian)
         slope = jax.jvp(lambda t: f(t, y), (t0,), (t0 * 0 + 1,))[1]
-        factors = stopped(self.linear_solver.init(operator, {}))
+        factors = stop_gradient(self.linear_solver.init(operator, {}))
 
         def stage(ks, row):
             i, alpha, gamma = row
-            rate = f(t0 + alpha.sum().astype(h.dtype) * h, y + mixed(alpha, ks))
-            turned = push(mixed(gamma, ks))
+            rate = f(t0 + alpha.sum().astype(h.dtype) * h, y + weighted_sums(alpha, ks))
+            turned = push(weighted_sums(gamma, ks))
             right = h * (rate + turned) + (gamma.sum() + diagonal) * h * h * slope
             solved = lx.linear_solve(
                 operator, right, self.linear_solver, state=factors, throw=False
@@ -112,11 +117,17 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
         below = np.vstack([np.tril(gamma, -1), np.zeros(len(gamma))])
         rows = (np.arange(len(alpha)), alpha.astype(y.dtype), below.astype(y.dtype))
         ks, (rates, sound) = jax.lax.scan(stage, jnp.zeros((len(gamma), y.size), y.dtype), rows)
-        u, ok = mixed(self.tableau.b, ks), sound[:-1].all()
-        error = mixed(np.subtract(self.tableau.b, self.tableau.companion), ks)
-        coefficients = hermite(u, h * f0, h * rates[-1])
+        u, ok = weighted_sums(self.tableau.b, ks), sound[:-1].all()
+        error = weighted_sums(np.subtract(self.tableau.b, self.tableau.companion), ks)
+        coefficients = hermite_coefficients(u, h * f0, h * rates[-1])
         dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(coefficients)}
-        return f.unravel(y + u), f.unravel(refused(ok, error)), dense, solver_state, verdict(ok)
+        return (
+            f.unravel(y + u),
+            f.unravel(mark_failed(ok, error)),
+            dense,
+            solver_state,
+            step_result(ok),
+        )
 
 
 @functools.cache
@@ -150,10 +161,10 @@ def _ros34pw2() -> RosenbrockTableau:
 
 
 def ros2(**options) -> RosenbrockW:
-    """Verwer's method of two stages: order 2, L-stable."""
+    """Make Verwer's method of two stages: order 2, L-stable."""
     return RosenbrockW(_ros2(), **options)
 
 
 def ros34pw2(**options) -> RosenbrockW:
-    """Rang and Angermann's method of four stages: order 3 with 2, L-stable, stiffly accurate."""
+    """Make Rang and Angermann's method of four stages: order 3, L-stable, stiffly accurate."""
     return RosenbrockW(_ros34pw2(), **options)

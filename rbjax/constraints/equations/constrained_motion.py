@@ -1,124 +1,147 @@
-"""The rows of a model at an instant, and how multipliers act on it.
+"""The law of constrained motion: accelerations and multipliers from forces.
 
-    A = G M^-1 G^T,     a = M^-1 (tau - b + G^T l),     G a = c
-(A is the Delassus matrix: what a unit multiplier does to the rows' accelerations.) With ABA's
-factors an inward sweep along the ancestors of a row's links leaves a force u_i at each joint, and
-A_rs = sum of u_r,i u_s,i / D_i over the joints that both rows reach:
-no column of M^-1 is made. (Featherstone, *Rigid Body Dynamics Algorithms*, 8; Featherstone &
-Orin 2000; Carpentier, Budhiraja & Mansard, *Proximal and sparse resolution of constrained
-dynamics*, 2021.)
+    M a + b = tau + sum of J_i^T f_i + G^T l
+    G a + (G' v + ...) = -2 alpha (G v + g_t) - beta^2 g
 
-Redundant rows. A is singular where rows say the same twice. It is factored with eps diag(A) + e B
-added, B the entries that diag(A) would have if links were free bodies, and what this falsifies is
-taken back by iteration (proximal): l converges to the solution of least norm, in the norm of what
-is added, with no decision about rank. Rows that push no link have tr(A) u in the place of e B, u
-the rounding unit. Either keeps out rows that are zero but for rounding, as those of a plane loop
-across its plane are: their own entry of A is rounding too.
+The equations are linear in a and l. A method says from which accelerations a_0 it starts and how
+it solves for the rest:
 
-Singular positions. A row may vanish, as that along the bars of a parallelogram that is flat: A has
-its sigma^2 there. With y off the branch that it moves on, at a speed v, a motion that obeys the row
-is a hyperbola, sigma y constant: rounding u of a row makes y = u / sigma, a velocity of v y / sigma
-across the branch, and v^2 y / sigma^2 = v^2 u / sigma^3 of acceleration. e B damps these below
-sigma = e^(1/2); diag(A) does not, for it vanishes with the row. Without B ten seconds of a
-parallelogram in f32 (RK4, 1 ms, 20 J, 15 starts) gained 3e2 J or more, or were no numbers; with it
-energy is kept to 6e-3 J. In f64 `projection` has damped y already, and e is small: across a branch
-the acceleration is free where e damps. Ten seconds of 40 linkages (RK4, 1 ms, 620 J) lose 1.05e-5 J
-with e = 1e-9, 7e-6 with 1e-10; two linkages by adaptive steps at 1e-11 have errors of 4e-10 and
-1e-8, and of 2e-6 with e = 1e-11.
+    M da - G^T dl = tau + sum of J_i^T f_i - b - M a_0,     G da = c - (what the rows have at a_0)
+
+The derivative is that of these equations (one tangent of RNEA and of the rows, one more solution by
+the same method), so no factorization and no iteration is differentiated. Where rows are redundant,
+a and its derivative are those of the rows that are left; l is one of many.
+(Masarati, *Multibody System Dynamics*, ch. 7, 8; Baumgarte 1972.)
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from rbjax.constraints.equations.model_rows import (
+    by_link,
+    gradient_matrix,
+    rows_of,
+    with_multipliers,
+)
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.aba import Factor, accelerated, eliminated, solve
-from rbjax.dynamics.algorithms.link_forces import LinkForces, added
-from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.algorithms.aba import Factor, aba, accelerated, eliminated, solve
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.packing import pack
-from rbjax.errors import InputError
+from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
-from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, sub, total
+from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, neg, sub, total
 from rbjax.lanes.arrays import matmat, matvec
 from rbjax.lanes.factorization import LeastNorm, damped, least
-from rbjax.model import WORLD, Model
+from rbjax.model import WORLD, Model, State
 from rbjax.spatial import Force
+
+#: (force (nv,), or None for what the method leaves at a_0; c of the rows) -> da (nv,), dl (rows,)
+Solve = Callable[[jax.Array | None, Sequence[Lane]], tuple[jax.Array, jax.Array]]
+#: (instant, rows) -> how their equations are solved
+System = Callable[[Context, Sequence[Row]], Solve]
+#: (driver, instant, tau, f_ext) -> a_0 or None for zero, the forces left there or None if the
+#: system knows them, the system
+Method = Callable[
+    [Driver, Context, jax.Array, LinkForces], tuple[jax.Array | None, jax.Array | None, System]
+]
+
+#: (instant, rows, l or None for zero, alpha, beta) -> residuals of the rows' equations
+Left = Callable[[Context, Sequence[Row], jax.Array | None, Any, Any], Sequence[Lane]]
+
+
+def range_space(
+    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
+) -> tuple[jax.Array, None, System]:
+    """From free motion on (no force is left): A dl = c - G M^-1 f, da = M^-1 (f + G^T dl)."""
+    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
+
+    def system(now: Context, rows: Sequence[Row]) -> Solve:
+        return response(d, factors, now, rows).solved
+
+    return d.pack(qdd, tau), None, system
+
+
+def constrained_motion(
+    model: Model,
+    t: Any,
+    state: State,
+    tau: jax.Array,
+    f_ext: LinkForces,
+    alpha: Any = 0.0,
+    beta: Any = 0.0,
+    method: Method = range_space,
+    left_of: Left | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """a (nv,) and l (rows,) of a sample, on checked arrays. `left_of`: of rows with another
+    equation than that above, which `method` solves."""
+    given, rebuilt = split_tracers((model, f_ext, t, alpha, beta))
+    nv = model.nv
+
+    def left_at(now, rows, l, alpha, beta):
+        if left_of is not None:
+            return list(left_of(now, rows, l, alpha, beta))
+        return [asked(row, alpha, beta) for row in rows]
+
+    def run(changed, q, v, tau):
+        model, f_ext, t, alpha, beta = rebuilt(changed)
+        d = driver(model, q.dtype)
+        now = Context.of(model, t, State(q, v), None, d=d)
+        start, left, system = method(d, now, tau, f_ext)
+        now = now if start is None else now.accelerating(start)
+        rows = rows_of(model, now)
+        solve = system(now, rows)
+        da, l = solve(left, left_at(now, rows, None, alpha, beta))
+        a = da if start is None else start + da
+        return jnp.concatenate([a, l]), solve
+
+    def plain(changed, q, v, tau):
+        return (run(changed, q, v, tau)[0],)
+
+    def solved(changed, q, v, tau):
+        x, solve = run(changed, q, v, tau)
+
+        def solution(change):
+            return jnp.concatenate(solve(change[:nv], list(change[nv:])))
+
+        return (x,), [solution]
+
+    def residual(changed, q, v, tau, x):
+        model, f_ext, t, alpha, beta = rebuilt(changed)
+        a, l = x[:nv], x[nv:]
+        d = driver(model, q.dtype)
+        now = Context.of(model, t, State(q, v), None, d=d).accelerating(a)
+        rows = rows_of(model, now)
+        joints = now.links.joints  # first: a driver learns from them what its lanes are
+        tau, f_ext = with_multipliers(d, rows, list(l), tau, f_ext)
+        forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, f_ext)
+        off = pack(left_at(now, rows, l, alpha, beta), a)
+        return jnp.concatenate([tau - d.pack(forces, tau), off])
+
+    (found,) = with_implicit_jvp(plain, solved, residual)(given, state.q, state.v, tau)
+    return found[:nv], found[nv:]
+
+
+def asked(row: Row, alpha: Any, beta: Any) -> Lane:
+    """What a row asks of G times the change of a: -g'' - 2 alpha g' - beta^2 g."""
+    out = add(row.acceleration, mul(mul(2.0, alpha), row.rate))
+    return neg(add(out, mul(mul(beta, beta), row.residual)))
+
 
 #: up to so many rows A is factored on lanes, where blocks that do not meet cost nothing
 ROWS_ON_LANES = 24
 
 
-def rows_of(model: Model, now: Context) -> list[Row]:
-    """All rows of the model's constraints, one constraint after the other."""
-    out: list[Row] = []
-    for constraint in model.constraints:
-        rows = list(constraint.rows(now))
-        if len(rows) != constraint.size:
-            raise InputError(
-                f"{type(constraint).__name__}.rows returned {len(rows)} rows, expected its size, "
-                f"{constraint.size}"
-            )
-        for row in rows:
-            if not isinstance(row, Row):
-                raise InputError(
-                    f"{type(constraint).__name__}.rows returned a {type(row).__name__} among its "
-                    "rows, expected a Row: rbjax.constraints.coordinate and others make them"
-                )
-        out += [_computed(row, now) for row in rows]
-    return out
-
-
-def _computed(row: Row, now: Context) -> Row:
-    """The row, its lanes computed once."""
-    known = (now.q, now.v, now.a, now.t)
-    parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
-    value, rate, acceleration, tau, wrenches = fusion_barrier(parts, known=known)
-    return Row(value, rate, Loads(tau, wrenches, row.gradient.internal), acceleration)
-
-
-def by_link(loads: Loads) -> Mapping[int, Force]:
-    """The wrenches of a row's gradient."""
-    if isinstance(loads.wrenches, Force):
-        raise InputError("a row's gradient has wrenches on all links, expected those on a few")
-    return loads.wrenches
-
-
-def arms(now: Context, row: Row) -> dict[int, Lane]:
-    """The gradient of a row by velocity coordinate."""
-    out = dict(row.gradient.tau)
-    for link, force in by_link(row.gradient).items():
-        for i, x in now.link(link).arms(force).items():
-            out[i] = add(out.get(i, 0.0), x)
-    return out
-
-
-def gradient_matrix(now: Context, rows: Sequence[Row]) -> jax.Array:
-    """G (m, nv)."""
-    out = jnp.zeros((len(rows), now.model.nv), now.q.dtype)
-    for r, row in enumerate(rows):
-        found = {i: x for i, x in arms(now, row).items() if not is_zero(x)}
-        if found:
-            out = out.at[r, np.array(list(found))].set(pack(list(found.values()), now.v))
-    return out
-
-
-def with_multipliers(
-    d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, f_ext: LinkForces
-) -> tuple[jax.Array, LinkForces]:
-    """tau + G^T l, in two parts: generalized forces (nv,) and forces on links."""
-    held = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
-    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(f_ext, held.wrenches)
-
-
 def as_free_bodies(d: Driver, row: Row) -> Lane:
-    """What a row's entry of A would be if the links that it pushes were free bodies, of the same
+    """What a row's entry of A would be if the links that it acts on were free bodies, of the same
     inertia in all directions: the sum of f^2 / m of forces f, or of n^2 / (tr J / 3) of couples n
     where there are no forces. It does not vanish with the arms of a force."""
     out: Lane = 0.0

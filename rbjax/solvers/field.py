@@ -1,10 +1,7 @@
-"""The vector field of a step. It is traced once and linearized once, however often it is used.
+"""The vector field of a step, y' = f(t, y), and its Jacobian J = df/dy.
 
-    y' = f(t, y),    J = df/dy
-A robot's field has thousands of operations, and a solver's step is traced several times. So both
-functions here are jitted, and JAX caches them by the term and the shapes.
-The stages of an implicit method are evaluated as a batch. Their derivative with respect to the
-state goes through J: n columns a stage, however many columns of the stage system are needed.
+Both are jitted, so that a robot's field of thousands of operations is traced once, however often a
+step is. The derivative of the stages of an implicit method goes through J: n columns a stage.
 """
 
 from __future__ import annotations
@@ -19,17 +16,19 @@ from jax.flatten_util import ravel_pytree
 
 from rbjax.errors import InputError
 from rbjax.lanes import batch_first, matvec
-from rbjax.solvers.common.groups import OnGroup, Vector
+from rbjax.solvers.groups import OnGroup, Vector
 
 IN_TIME = (diffrax.ODETerm, OnGroup)  # dy = f dt: f times the length of a step
 IN_OTHERS = (diffrax.ControlTerm, diffrax.UnderdampedLangevinDiffusionTerm)
 
 
 class Field(eqx.Module):
-    """(t, y) -> rate, in the solver's time, which runs forwards.
+    """The function (t, y) -> rate, in the solver's time, which runs forwards.
 
-    `terms` are those of diffrax, or a function (t, y, *args) -> rate. `unravel` rebuilds the state
-    from one vector y, as `flattened` makes it.
+    Fields:
+        terms: of diffrax, or a function (t, y, *args) -> rate.
+        args: the user's arguments.
+        unravel: rebuilds the state from a vector y (`flatten`); None if y is the state.
     """
 
     terms: Any
@@ -49,33 +48,25 @@ class Field(eqx.Module):
         return _rate(self, t, y)
 
 
-def field(terms: Any, args: Any) -> Field:
-    """The vector field of an ordinary differential equation, in the solver's time."""
-    return Field(terms, args)
-
-
-def forwards(terms: Any, t: Any) -> Any:
-    """1, of the dtype of t, or -1 where the caller's time runs backwards."""
+def time_direction(terms: Any, t: Any) -> Any:
+    """Return 1, of the dtype of t, or -1 if the caller's time runs backwards."""
     return jax.tree.leaves(_unit(terms, t))[0]  # a sum of terms has as many
 
 
 def _unit(terms: Any, t: Any) -> Any:
-    """The control over one unit of the solver's time."""
+    """Return the control over one unit of the solver's time."""
     return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
 
 
 def _parts(terms: Any) -> list[Any]:
-    """The terms of a sum, without diffrax's wrappers."""
+    """List the terms of a sum, without diffrax's wrappers."""
     whole = (*IN_TIME, *IN_OTHERS)
     return jax.tree.leaves(terms, is_leaf=lambda x: isinstance(x, whole))
 
 
-def flattened(terms: Any, args: Any, t: Any, y: Any) -> tuple[Field, jax.Array]:
-    """The field on vectors (n,), and y as a vector.
-
-    A custom derivative rule sees only arguments. So differentiated values that the caller's
-    function closes over become an argument.
-    """
+def flatten(terms: Any, args: Any, t: Any, y: Any) -> tuple[Field, jax.Array]:
+    """Make the field on vectors (n,), and y a vector. Differentiated values in the closure of the
+    caller's function become arguments, as custom derivative rules need."""
     for part in _parts(terms):
         if isinstance(part, OnGroup) and not isinstance(part.group, Vector):
             raise InputError(
@@ -105,15 +96,15 @@ def _rate(f: Field, t: Any, y: Any) -> Any:
 
 
 @eqx.filter_jit
-def linearized(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """f(t, y) (n,) and J (n, n) of a field on vectors."""
+def linearize(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Evaluate f(t, y) (n,) and J (n, n) of a field on vectors."""
     rate, push = jax.linearize(lambda y: f(t, y), y)
     return rate, jax.vmap(push, out_axes=-1)(jnp.eye(y.size, dtype=y.dtype))
 
 
 @eqx.filter_custom_jvp
-def rates(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
-    """f at each of the stages t (s,), y (s, n)."""
+def evaluate_stages(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
+    """Evaluate f at the stages t (s,), y (s, n)."""
     return batch_first(_batch(f, t, y))
 
 
@@ -121,11 +112,11 @@ def _batch(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
     return jax.vmap(f)(t, y)
 
 
-@rates.def_jvp
+@evaluate_stages.def_jvp
 def _tangent(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     f, t, y = primals
     moving = jax.tree.leaves(tangents[:2])
     if moving or tangents[2] is None:
         return batch_first(eqx.filter_jvp(_batch, primals, tangents))
-    rate, jacobian = jax.vmap(lambda t, y: linearized(f, t, y))(t, y)
+    rate, jacobian = jax.vmap(lambda t, y: linearize(f, t, y))(t, y)
     return batch_first((rate, matvec(jacobian, tangents[2])))

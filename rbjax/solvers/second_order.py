@@ -1,7 +1,7 @@
-"""Methods for q' = v, v' = a(t, q, v): Newmark's family, explicit and implicit.
+"""Methods for q' = v, v' = a(t, q, v): Newmark's family, semi-implicit Euler, variational midpoint.
 
-The state is a pair (q, v) whose rate is (v, a); q may live on a Lie group (`groups.OnGroup`), where
-q + u is q exp(u) and the family is that of Arnold and Bruels. With a carried acceleration A:
+The state is a pair (q, v) whose rate is (v, a). If q is in a Lie group (`OnGroup`), q + u is
+q exp(u). Newmark's family with a carried acceleration A:
 
     q1 = q0 + h v0 + h^2 ((1/2 - beta) A0 + beta A1)
     v1 = v0 + h ((1 - gamma) A0 + gamma A1)
@@ -24,16 +24,16 @@ import lineax as lx
 import optimistix as optx
 
 from rbjax.arguments import real_number
-from rbjax.solvers.common.field import field, forwards
-from rbjax.solvers.common.groups import group_of, unwrapped
-from rbjax.solvers.common.newton import MAX_STEPS, chord, root, verdict
-from rbjax.solvers.common.steps import (
+from rbjax.solvers.field import Field, time_direction
+from rbjax.solvers.groups import group_of, unwrap
+from rbjax.solvers.root_finding import MAX_STEPS, chord, root, step_result
+from rbjax.solvers.steps import (
     AbstractGroupSolver,
     combine,
-    dense_between,
-    pair,
-    scaled,
+    dense_output,
+    scale,
     select,
+    split_pair,
 )
 
 RESULTS = diffrax.RESULTS
@@ -41,64 +41,62 @@ ROUNDING = 1e-6  # of the parameters, in single precision
 
 
 class Halves(eqx.Module):
-    """One step's view of a term whose state is a pair: how q and v move, and the acceleration."""
+    """A term whose state is a pair (q, v): its rates, and the addition of increments."""
 
     terms: Any
     args: Any
 
     def rate(self, t: Any, y: Any) -> Any:
-        return field(self.terms, self.args)(t, y)
+        return Field(self.terms, self.args)(t, y)
 
     def acceleration(self, t: Any, y: Any) -> Any:
-        return pair(self.rate(t, y))[0][1]
+        return split_pair(self.rate(t, y))[0][1]
 
     def velocity(self, t: Any, y: Any) -> Any:
-        return pair(self.rate(t, y))[0][0]
+        return split_pair(self.rate(t, y))[0][0]
 
-    def kicked(self, y: Any, dv: Any) -> Any:
-        """y with v changed by dv, and q untouched."""
-        (q, v), together = pair(y)
+    def kick(self, y: Any, dv: Any) -> Any:
+        """Add dv to v."""
+        (q, v), together = split_pair(y)
         return together([q, combine((1.0, 1.0), (v, dv))])
 
-    def moved(self, y: Any, dq: Any, dv: Any) -> Any:
-        """y with q moved by dq and v by dv."""
-        _, together = pair(y)
+    def advance(self, y: Any, dq: Any, dv: Any) -> Any:
+        """Add dq to q, on its group, and dv to v."""
+        _, together = split_pair(y)
         return group_of(self.terms).retract(y, together([dq, dv]))
 
 
-def momentum_of(terms: Any, args: Any) -> Callable[[Any, Any], Any] | None:
-    """The term's p(t, y), if it has one, with t in the solver's time. Reversed time changes only
-    the sign of h, so p is that of the state as it is."""
-    of_term = getattr(unwrapped(terms), "momentum", None)
-    return of_term and (lambda t, y: of_term(forwards(terms, t) * t, y, args))
+def momentum_function(terms: Any, args: Any) -> Callable[[Any, Any], Any] | None:
+    """Return the momentum p(t, y) of a term, if it has one, with t in the solver's time."""
+    of_term = getattr(unwrap(terms), "momentum", None)
+    return of_term and (lambda t, y: of_term(time_direction(terms, t) * t, y, args))
 
 
-def in_momenta(
+def multiply_by_mass(
     momentum: Callable[[Any, Any], Any],
     place: Callable[[Any], Any],
     residual: Callable[[Any], Any],
     guess: Any,
 ) -> tuple[Callable[[Any], Any], Callable[[Any, Any], Any]]:
-    """M residual(k) of an equation of accelerations, with M at the guess, and the function
-    M(place(k)) residual(k). Newton on the latter converges from farther away: the force of a stiff
-    spring is linear in q, and M(q)^-1 times that force is not."""
+    """Multiply an equation of accelerations by M: at the guess, and at place(k). Newton on the
+    latter converges from farther away: the force of a stiff spring is linear in q, and M(q)^-1
+    times this force is not."""
     held = jax.lax.stop_gradient(place(guess))
     _, inertia = jax.linearize(lambda v: momentum(held, v), guess)
 
-    def weighed(k):
+    def weighted(k):
         return inertia(residual(k))
 
-    def where_it_leads(k, _):
+    def at_new_position(k, _):
         return momentum(place(k), residual(k)), None
 
-    return weighed, where_it_leads
+    return weighted, at_new_position
 
 
 class GeneralizedAlpha(AbstractGroupSolver):
-    """The implicit members of the family. Order 2 where gamma = 1/2 - alpha_m + alpha_f, else 1.
+    """The implicit members of Newmark's family. Order 2 if gamma = 1/2 - alpha_m + alpha_f, else 1.
 
-    Fields: alpha_m, alpha_f, beta, gamma; root_finder, root_find_max_steps. The solver's state is
-    A and a flag that says whether A must first be set to the acceleration, as after a jump.
+    Fields: alpha_m, alpha_f, beta, gamma; root_finder, root_find_max_steps.
     """
 
     alpha_m: float
@@ -109,32 +107,33 @@ class GeneralizedAlpha(AbstractGroupSolver):
     root_find_max_steps: int = MAX_STEPS
 
     def order(self, terms):
-        """1 where the parameters are traced: their order is then not known."""
+        """Return the order; 1 if the parameters are traced."""
         off: Any = self.gamma - (1 / 2 - self.alpha_m + self.alpha_f)
         return 2 if not isinstance(off, jax.core.Tracer) and abs(off) < ROUNDING else 1
 
     def init(self, terms, t0, t1, y0, args):
-        return pair(_no_rate(terms, args, t0, y0))[0][1], jnp.array(True)
+        # A, and whether it must first be set to the acceleration, as after a jump
+        return split_pair(_no_rate(terms, args, t0, y0))[0][1], jnp.array(True)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
-        (_, v0), _ = pair(y0)
+        (_, v0), _ = split_pair(y0)
         rate0 = halves.rate(t0, y0)
-        (velocity, now), together = pair(rate0)
+        (velocity, now), together = split_pair(rate0)
         carried, begins = solver_state
         carried = select(begins | made_jump, now, carried)
         m, f = self.alpha_m, self.alpha_f
-        bent = forwards(terms, h) * h  # q'' is v', except for the sign of time
+        bent = time_direction(terms, h) * h  # q'' is v', except for the sign of time
 
         def after(k):
-            """A1, and the state that it leads to, of k = h a1."""
-            old = scaled(h, carried)
+            """Return h A1 and the next state, from k = h a1."""
+            old = scale(h, carried)
             carrying = combine(
-                ((1 - f) / (1 - m), f / (1 - m), -m / (1 - m)), (k, scaled(h, now), old)
+                ((1 - f) / (1 - m), f / (1 - m), -m / (1 - m)), (k, scale(h, now), old)
             )  # h A1
             dq = combine((h, bent * (0.5 - self.beta), bent * self.beta), (velocity, old, carrying))
             dv = combine((1 - self.gamma, self.gamma), (old, carrying))
-            return carrying, halves.moved(y0, dq, dv)
+            return carrying, halves.advance(y0, dq, dv)
 
         def residual(k):
             return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
@@ -143,51 +142,52 @@ class GeneralizedAlpha(AbstractGroupSolver):
         explicit = self.beta == 0
         free = jnp.where(explicit, 0.0, (self.beta - 0.5) / jnp.where(explicit, 1.0, self.beta))
         guess = combine(
-            (((1 - m) * free + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
+            (((1 - m) * free + m) / (1 - f), -f / (1 - f)), (scale(h, carried), scale(h, now))
         )
-        function, slope, momentum = residual, None, momentum_of(terms, args)
+        function, slope, momentum = residual, None, momentum_function(terms, args)
         if momentum is not None:
-            of_state = pair(y0)[1]
-            function, slope = in_momenta(
+            of_state = split_pair(y0)[1]
+            function, slope = multiply_by_mass(
                 lambda q, v: momentum(t1, of_state([q, v])),
-                lambda k: pair(after(k)[1])[0][0], residual, guess,
+                lambda k: split_pair(after(k)[1])[0][0], residual, guess,
             )  # fmt: skip
         max_steps = self.root_find_max_steps
         k, ok = root(function, self.root_finder, guess, v0, max_steps, slope=slope)
         carrying, y1 = after(k)
         per_step = 1 / jnp.where(h == 0, 1.0, h)
         a1, carried = (
-            select(h == 0, old, scaled(per_step, x)) for x, old in ((k, now), (carrying, carried))
+            select(h == 0, old, scale(per_step, x)) for x, old in ((k, now), (carrying, carried))
         )
         rate1 = together([halves.velocity(t1, y1), a1])
-        rates = field(terms, args)
-        dense = dense_between(group_of(terms), rates, t0, t1, y0, y1, rate0, rate1)
-        return y1, None, dense, (carried, jnp.array(False)), verdict(ok)
+        dense = dense_output(terms, args, t0, t1, y0, y1, rate0, rate1)
+        return y1, None, dense, (carried, jnp.array(False)), step_result(ok)
 
 
 def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
-    """Zeros instead of the rate."""
-    rate = jax.eval_shape(field(terms, args), t, y)
+    """Return zeros of the shapes of the rate."""
+    rate = jax.eval_shape(Field(terms, args), t, y)
     return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), rate)
 
 
 def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
-    """Chung and Hulbert's: order 2, spectral radius rho_inf (0 to 1) at infinite frequency."""
+    """Make Chung and Hulbert's method: order 2, with the spectral radius rho_inf, from 0 to 1, at
+    infinite frequency."""
     real_number("generalized_alpha", "rho_inf", rho_inf, least=0, most=1, traced=True)
     m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)
 
 
 def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlpha:
-    """Newmark's method: order 2 if gamma is 1/2; a larger gamma damps. beta 1/4 is the average
-    acceleration, which is A-stable."""
+    """Make Newmark's method: order 2 if gamma is 1/2; a larger gamma damps. beta 1/4 is the average
+    acceleration method, which is A-stable."""
     real_number("newmark", "beta", beta, least=0, traced=True)
     real_number("newmark", "gamma", gamma, least=0.5, traced=True)  # below, oscillations grow
     return GeneralizedAlpha(0.0, 0.0, beta, gamma, **options)
 
 
 def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
-    """Hilber, Hughes and Taylor's: order 2, A-stable; alpha is -1/3 (most damping) to 0."""
+    """Make Hilber, Hughes and Taylor's method: order 2, A-stable. alpha is from -1/3, with the most
+    damping, to 0."""
     real_number("hht_alpha", "alpha", alpha, least=-1 / 3, most=0, traced=True)
     return GeneralizedAlpha(0.0, -alpha, (1 - alpha) ** 2 / 4, 1 / 2 - alpha, **options)
 
@@ -204,11 +204,11 @@ class CentralDifferences(AbstractGroupSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
         rate0 = halves.rate(t0, y0)
-        (v, a0), _ = pair(rate0)
-        dq = combine((h, forwards(terms, h) * h * h / 2), (v, a0))
-        a1 = halves.acceleration(t1, halves.moved(y0, dq, scaled(h, a0)))
-        y1 = halves.moved(y0, dq, combine((h / 2, h / 2), (a0, a1)))
-        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1, rate0)
+        (v, a0), _ = split_pair(rate0)
+        dq = combine((h, time_direction(terms, h) * h * h / 2), (v, a0))
+        a1 = halves.acceleration(t1, halves.advance(y0, dq, scale(h, a0)))
+        y1 = halves.advance(y0, dq, combine((h / 2, h / 2), (a0, a1)))
+        dense = dense_output(terms, args, t0, t1, y0, y1, rate0)
         return y1, None, dense, None, RESULTS.successful
 
 
@@ -227,17 +227,17 @@ class SemiImplicitEuler(AbstractGroupSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
-        (q0, v0), together = pair(y0)
+        (q0, v0), together = split_pair(y0)
         a0, slope = jax.linearize(lambda v: halves.acceleration(t0, together([q0, v])), v0)
         operator = lx.FunctionLinearOperator(
             lambda dv: combine((1.0, -h), (dv, slope(dv))), jax.eval_shape(lambda: v0)
         )
-        solved = lx.linear_solve(operator, scaled(h, a0), self.linear_solver, throw=False)
+        solved = lx.linear_solve(operator, scale(h, a0), self.linear_solver, throw=False)
         dv = solved.value
-        kicked = halves.kicked(y0, dv)
-        y1 = halves.moved(kicked, scaled(h, halves.velocity(t0, kicked)), scaled(0.0, dv))
-        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
-        return y1, None, dense, None, verdict(solved.result == lx.RESULTS.successful)
+        after = halves.kick(y0, dv)
+        y1 = halves.advance(after, scale(h, halves.velocity(t0, after)), scale(0.0, dv))
+        dense = dense_output(terms, args, t0, t1, y0, y1)
+        return y1, None, dense, None, step_result(solved.result == lx.RESULTS.successful)
 
 
 class VariationalMidpoint(AbstractGroupSolver):
@@ -259,22 +259,22 @@ class VariationalMidpoint(AbstractGroupSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
-        (_, v0), _ = pair(y0)
+        (_, v0), _ = split_pair(y0)
         tm = t0 + h / 2
-        momentum = momentum_of(terms, args) or (lambda t, y: pair(y)[0][1])
+        momentum = momentum_function(terms, args) or (lambda t, y: split_pair(y)[0][1])
         p0 = momentum(t0, y0)
 
         def middle(dw):
-            """The velocity of q at v0 + dw, and the midpoint."""
-            w = halves.velocity(tm, halves.kicked(y0, dw))
-            return w, halves.moved(y0, scaled(h / 2, w), dw)
+            """Return the velocity of q at v0 + dw, and the midpoint."""
+            w = halves.velocity(tm, halves.kick(y0, dw))
+            return w, halves.advance(y0, scale(h / 2, w), dw)
 
         def residual(dw):
             w, at = middle(dw)
             a = halves.acceleration(tm, at)
 
             def onward(s):
-                return momentum(tm + s, halves.moved(at, scaled(s, w), scaled(s, a)))
+                return momentum(tm + s, halves.advance(at, scale(s, w), scale(s, a)))
 
             p, rate = jax.jvp(onward, (h * 0,), (h * 0 + 1,))
             return combine((1.0, -1.0, -h / 2), (p, p0, rate))
@@ -283,17 +283,17 @@ class VariationalMidpoint(AbstractGroupSolver):
         dw, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
         w, at = middle(dw)
         p1 = combine((2.0, -1.0), (momentum(tm, at), p0))
-        there = halves.moved(y0, scaled(h, w), scaled(2.0, dw))
-        (_, v), _ = pair(there)
+        there = halves.advance(y0, scale(h, w), scale(2.0, dw))
+        (_, v), _ = split_pair(there)
         t1 = t0 + h
 
         def moment(dv):
-            return momentum(t1, halves.kicked(there, dv))
+            return momentum(t1, halves.kick(there, dv))
 
         here, linear = jax.linearize(moment, jax.tree.map(jnp.zeros_like, v))
         operator = lx.FunctionLinearOperator(linear, jax.eval_shape(lambda: v))
         missing = combine((1.0, -1.0), (p1, here))
         solved = lx.linear_solve(operator, missing, lx.LU(), throw=False)
-        y1 = halves.kicked(there, solved.value)
-        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
-        return y1, None, dense, None, verdict(ok & (solved.result == lx.RESULTS.successful))
+        y1 = halves.kick(there, solved.value)
+        dense = dense_output(terms, args, t0, t1, y0, y1)
+        return y1, None, dense, None, step_result(ok & (solved.result == lx.RESULTS.successful))

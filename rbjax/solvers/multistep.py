@@ -2,14 +2,13 @@
 
     Adams:  y1 = y0 + int_t0^t1 P(t) dt,     P through the rates at past times (and t1: Moulton)
     BDF:    Q'(t1) = f(t1, y1),              Q through y1 and the past values
-The interpolation uses the actual times (`lagrange`), so the step size may vary at every order.
-Zero-stability allows a growth of at most 1 + sqrt(2) a step at order 2, and less at higher orders
-(`diffrax.PIDController(factormax=...)`).
+The interpolation uses the actual times, so the step size may vary at every order. Zero-stability
+allows a growth of at most 1 + sqrt(2) a step at order 2, and less at higher orders
+(`diffrax.PIDController(factormax=...)`). RK4 starts Adams methods, Radau IIA starts BDF. The error
+is the difference from the method of one order less (Adams) or from the extrapolated past (BDF). The
+dense output is the polynomial.
 
-Start, and after each jump: a one-step method of sufficient order, classical RK4 for Adams, Radau
-IIA of two or three stages for BDF. Error: the difference from the method of one order less (Adams),
-or from the extrapolated past, scaled (BDF). Dense output: the polynomial itself.
-(Hairer, Norsett & Wanner, *Solving ODEs I*, III.1, III.5.)
+Source: Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, III.1 and III.5.
 """
 
 from __future__ import annotations
@@ -27,24 +26,45 @@ from jax.flatten_util import ravel_pytree
 from rbjax._jax_compat import any_of_batch
 from rbjax.arguments import integer
 from rbjax.errors import InputError
-from rbjax.solvers.common import tableau as tables
-from rbjax.solvers.common.field import Field, flattened
-from rbjax.solvers.common.newton import MAX_STEPS, chord, refused, verdict
-from rbjax.solvers.common.stages import Start, solve, start
-from rbjax.solvers.common.steps import (
+from rbjax.solvers import tableau as tables
+from rbjax.solvers.field import Field, flatten
+from rbjax.solvers.root_finding import MAX_STEPS, chord, mark_failed, step_result
+from rbjax.solvers.runge_kutta import ImplicitRungeKutta, Start, solve, start
+from rbjax.solvers.steps import (
     AbstractPolynomialSolver,
     combine,
     explicit_stages,
-    hermite,
-    mixed,
+    hermite_coefficients,
     select,
+    weighted_sums,
 )
-from rbjax.solvers.implicit.runge_kutta import ImplicitRungeKutta
-from rbjax.solvers.multistep.interpolation import basis, integrals, slopes_at_one
+
+
+def basis(nodes: jax.Array) -> jax.Array:
+    """Return in row j the coefficients of l_j(x) = prod_m (x - x_m) / (x_j - x_m) (n, n), constant
+    first, for distinct nodes (n,)."""
+    n = nodes.shape[0]
+    own = jnp.eye(n, dtype=bool)
+    out = jnp.zeros((n, n), nodes.dtype).at[:, 0].set(1.0)
+    for m in range(n):
+        times_x = jnp.pad(out, ((0, 0), (1, 0)))[:, :-1]
+        gap = jnp.where(own[m], 1.0, nodes - nodes[m])[:, None]
+        out = jnp.where(own[m][:, None], out, (times_x - nodes[m] * out) / gap)
+    return out
+
+
+def integrals(nodes: jax.Array) -> jax.Array:
+    """Return in row j the coefficients of x, x^2, ... in int_0^x l_j (n, n)."""
+    return basis(nodes) / jnp.arange(1, nodes.shape[0] + 1, dtype=nodes.dtype)
+
+
+def slopes_at_one(nodes: jax.Array) -> jax.Array:
+    """Return l_j'(1) (n,)."""
+    return (basis(nodes) * jnp.arange(nodes.shape[0], dtype=nodes.dtype)).sum(1)
 
 
 class History(NamedTuple):
-    """The entries before the current state, latest first, and how many have been filled."""
+    """The entries before the current state, latest first, and the number of those filled."""
 
     ts: jax.Array  # (n,)
     values: jax.Array  # (n, size of the state): rates (Adams) or states (BDF)
@@ -52,6 +72,8 @@ class History(NamedTuple):
 
 
 class Step(NamedTuple):
+    """The result of a step on vectors."""
+
     u: jax.Array  # (n,) y1 - y0
     error: jax.Array | None
     coefficients: jax.Array  # (degree, n) of the dense output
@@ -73,19 +95,19 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
 
     @abc.abstractmethod
     def start(self, f: Field, t0: Any, y0: jax.Array) -> Start:
-        """What `begin` and `formula` need from the current state."""
+        """Evaluate the current state, for `begin` and `formula`."""
 
     @abc.abstractmethod
     def begin(self, f: Field, h: Any, here: Start) -> Step:
-        """A step without history."""
+        """Make a step without history."""
 
     @abc.abstractmethod
     def formula(self, f: Field, h: Any, here: Start, history: History) -> Step:
-        """A step with history."""
+        """Make a step with history."""
 
     @abc.abstractmethod
-    def remembered(self, here: Start) -> jax.Array:
-        """What the history stores for the current state."""
+    def history_entry(self, here: Start) -> jax.Array:
+        """Return the entry of the current state in the history."""
 
     def init(self, terms, t0, t1, y0, args):
         # Distinct times, so that the formula stays finite where it is not used yet.
@@ -95,7 +117,7 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         return History(ts, values, jnp.array(0))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        f, y = flattened(terms, args, t0, y0)
+        f, y = flatten(terms, args, t0, y0)
         h, here = t1 - t0, self.start(f, t0, y)
         ts, values, filled = solver_state
         filled = jnp.where(made_jump, 0, filled)
@@ -109,20 +131,20 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
             )
             out = select(starting, first, out)
             ts = jnp.concatenate([t0[None], ts[:-1]])
-            values = jnp.concatenate([self.remembered(here)[None], values[:-1]])
+            values = jnp.concatenate([self.history_entry(here)[None], values[:-1]])
         dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(out.coefficients)}
         state = History(ts, values, jnp.minimum(filled + 1, self.past))
         error = None if out.error is None else f.unravel(out.error)
-        return f.unravel(y + out.u), error, dense, state, verdict(out.ok)
+        return f.unravel(y + out.u), error, dense, state, step_result(out.ok)
 
     def _padded(self, step: Step) -> Step:
-        """The step, with its coefficients padded to the degree of the method."""
+        """Pad the coefficients of a step to the degree of the method."""
         missing = self.degree - step.coefficients.shape[0]
         padded = jnp.pad(step.coefficients, ((0, missing), (0, 0)))
         return step._replace(coefficients=padded, ok=jnp.asarray(step.ok))
 
     def _nodes(self, t0: Any, h: Any, history: History) -> jax.Array:
-        """Past times in steps from t0: t0 is 0, t1 is 1."""
+        """Return past times in steps: t0 is 0, t1 is 1."""
         return (history.ts - t0) / jnp.where(h == 0, 1.0, h)
 
 
@@ -130,11 +152,13 @@ ADAMS = {"none": ("Adams-Bashforth", 1), "once": ("PECE", 2), "root": ("Adams-Mo
 
 
 class Adams(AbstractMultistep):
-    """Adams methods up to order 5. RK4 starts them; its error in each step is of order 5.
+    """Adams methods up to order 5. RK4 starts them.
 
-    Fields: formula_order, from 1, with a corrector from 2; corrector, "none" (Adams-Bashforth),
-    "once" (PECE: predict, evaluate, correct, evaluate) or "root" (Adams-Moulton);
-    root_finder, root_find_max_steps for "root".
+    Fields:
+        formula_order: from 1, with a corrector from 2.
+        corrector: "none" (Adams-Bashforth), "once" (PECE: predict, evaluate, correct, evaluate) or
+            "root" (Adams-Moulton).
+        root_finder, root_find_max_steps: for "root".
     """
 
     formula_order: int = eqx.field(static=True)
@@ -166,7 +190,7 @@ class Adams(AbstractMultistep):
             return start(f, t0, y0, self.root_finder)
         return Start(t0, y0, f(t0, y0), None)
 
-    def remembered(self, here):
+    def history_entry(self, here):
         return here.rate
 
     def begin(self, f, h, here):
@@ -175,15 +199,15 @@ class Adams(AbstractMultistep):
 
         k = explicit_stages(rate, tables.RK4, here.t, h)(jnp.zeros_like(here.y))
         u, error = (h * combine(weights, k) for weights in (tables.RK4.b, tables.RK4.error[1:]))
-        return Step(u, error, hermite(u, h * k[0], h * k[-1]), True)
+        return Step(u, error, hermite_coefficients(u, h * k[0], h * k[-1]), True)
 
     def formula(self, f, h, here, history):
         nodes = jnp.concatenate([jnp.zeros(1, here.t.dtype), self._nodes(here.t, h, history)])
         rates = jnp.concatenate([here.rate[None], history.values])
 
         def polynomial(nodes, rates):
-            """Coefficients of the increment that interpolates h rates at nodes."""
-            return mixed(integrals(nodes).T, h * rates)
+            """Return the coefficients of the increment whose rate interpolates rates at nodes."""
+            return weighted_sums(integrals(nodes).T, h * rates)
 
         coefficients = polynomial(nodes, rates)
         u = coefficients.sum(0)
@@ -201,15 +225,15 @@ class Adams(AbstractMultistep):
             k = h * f(t1, here.y + predicted)
         else:
             weights = shares.sum(0).astype(here.y.dtype)
-            base = here.y + mixed(weights[1:], h * rates)
+            base = here.y + weighted_sums(weights[1:], h * rates)
             found, ok = solve(
                 f, h, t1[None], base, weights[None, :1], here, h * here.rate[None],
                 self.root_finder, self.root_find_max_steps,
             )  # fmt: skip
             k = found[0]
-        coefficients = mixed(shares, jnp.concatenate([k[None], h * rates]))
+        coefficients = weighted_sums(shares, jnp.concatenate([k[None], h * rates]))
         u = coefficients.sum(0)
-        return Step(u, refused(jnp.asarray(ok), u - predicted), coefficients, ok)
+        return Step(u, mark_failed(jnp.asarray(ok), u - predicted), coefficients, ok)
 
 
 class BDF(AbstractMultistep):
@@ -251,12 +275,12 @@ class BDF(AbstractMultistep):
     def start(self, f, t0, y0):
         return start(f, t0, y0, self.root_finder)
 
-    def remembered(self, here):
+    def history_entry(self, here):
         return here.y
 
     def begin(self, f, h, here):
         u, k, ok = self._starter.solve(f, h, here)
-        error = refused(ok, self._starter.estimate(f, h, here, k))
+        error = mark_failed(ok, self._starter.estimate(f, h, here, k))
         return Step(u, error, self._starter.polynomial(k), ok)
 
     def formula(self, f, h, here, history):
@@ -264,10 +288,10 @@ class BDF(AbstractMultistep):
         nodes = jnp.concatenate([jnp.array([1.0, 0.0], here.t.dtype), nodes])
         past = history.values - here.y
         weights = basis(nodes[1:])  # of y0, whose increment is zero, and the past
-        predicted = mixed(weights[1:].sum(1), past)  # the polynomials at 1
+        predicted = weighted_sums(weights[1:].sum(1), past)  # the polynomials at 1
         nodes, past = nodes[:-1], past[:-1]
         slopes = slopes_at_one(nodes).astype(here.y.dtype)
-        known = mixed(slopes[2:], past)
+        known = weighted_sums(slopes[2:], past)
 
         # h Q'(t1) = slopes_0 (y1 - y0) + known = k
         found, ok = solve(
@@ -277,25 +301,26 @@ class BDF(AbstractMultistep):
         u = (found[0] - known) / slopes[0]
         rows = jnp.delete(basis(nodes), 1, axis=0)[:, 1:]
         share = 1 / (1 - (history.ts[-1] - here.t) / jnp.where(h == 0, 1.0, h))
-        error = refused(ok, share.astype(u.dtype) * (u - predicted))
-        return Step(u, error, mixed(rows.T, jnp.concatenate([u[None], past])), ok)
+        error = mark_failed(ok, share.astype(u.dtype) * (u - predicted))
+        return Step(u, error, weighted_sums(rows.T, jnp.concatenate([u[None], past])), ok)
 
 
 def adams_bashforth(order: int) -> Adams:
-    """Explicit, of order 1 to 5: one rate for each order, one evaluation a step."""
+    """Make the explicit Adams method of order 1 to 5: one evaluation a step."""
     return Adams(order)
 
 
 def adams_moulton(order: int, **options) -> Adams:
-    """Implicit, of order 2 (the trapezoidal rule) to 5."""
+    """Make the implicit Adams method of order 2 (the trapezoidal rule) to 5."""
     return Adams(order, "root", **options)
 
 
 def pece(order: int) -> Adams:
-    """Predicts with Adams-Bashforth of order - 1, corrects with Adams-Moulton: order 2 to 5."""
+    """Make the method that predicts with Adams-Bashforth and corrects with Adams-Moulton once:
+    order 2 to 5."""
     return Adams(order, "once")
 
 
 def bdf(order: int, **options) -> BDF:
-    """BDF of order 1 (backward Euler) to 6."""
+    """Make the BDF of order 1 (backward Euler) to 6."""
     return BDF(order, **options)

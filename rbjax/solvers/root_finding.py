@@ -1,12 +1,8 @@
 """Roots of implicit steps: Newton and chord iterations of optimistix, stopped by their corrections.
 
-optimistix stops where the residual is below a tolerance, or where the corrections shrink at a
-steady rate. Neither test works in a step: the residual of a stiff step is mostly rounding, and the
-corrections at an equilibrium are too. So a wrapper stops when the correction is rounding relative
-to the state, or when its rate predicts this for the next correction. The corrections of a
-chord shrink at a constant rate. If they shrank fast and then grow, they are rounding too, however
-large an ill-conditioned mass matrix makes it. A failed root is a value: `ok` is false, and the
-step's result reports the failure.
+The residual of a stiff step is mostly rounding, so its size is no test of convergence. The
+iteration stops when a correction is rounding relative to the state, or when its rate predicts this
+for the next one. A failed root is a value: `ok` is false, and the step's result reports it.
 """
 
 from __future__ import annotations
@@ -32,20 +28,21 @@ LOST = 0.2  # share of the digits lost to conditioning: constant corrections bel
 FAST = 0.1  # rate after which corrections that grow are rounding, below sqrt(eps) of the state
 
 
-class Settled(optx.AbstractRootFinder):
+class RootFinder(optx.AbstractRootFinder):
     """`optx.Newton`, `optx.Chord` or diffrax's `VeryChord`, stopped by the size of its corrections.
 
     The option `scale` is the size of the state, 1 by default. Two options are functions
-    (y, args) -> (value, None) whose Jacobian replaces that of the residual: `near` for a chord,
-    `slope` for Newton's iteration too. The state: the inner one, the size of the last correction
-    but one, and the size it would have if each had shrunk by `FAST`.
-    Fields: inner. optimistix and diffrax expect the others of a root finder; they are not used.
+    (y, args) -> (value, None) whose Jacobian replaces the one of the residual: `near` for a chord,
+    `slope` for Newton's iteration too.
+
+    Fields:
+        inner: the root finder. optimistix and diffrax expect the other fields; they are not used.
     """
 
     rtol: float = 1.0
     atol: float = 1.0
     norm: Callable[[Any], jax.Array] = optx.max_norm
-    inner: Any = eqx.field(default_factory=lambda: _made(optx.Chord, Inverse()))
+    inner: Any = eqx.field(default_factory=lambda: _make(optx.Chord, Inverse()))
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         if FIRST_STATE in options:  # diffrax starts one iteration for all stages of a step
@@ -56,21 +53,21 @@ class Settled(optx.AbstractRootFinder):
         return inner, infinite, infinite
 
     def step(self, fn, y, args, options, state, tags):
-        inner, _, pace = state
-        before = _largest(correction(inner))
+        inner, _, pace = state  # pace: the size of a correction if each had shrunk by FAST
+        before = _max_abs(correction(inner))
         if isinstance(self.inner, optx.Newton):
             fn = options.get("slope", fn)
         y, inner, aux = self.inner.step(fn, y, args, {}, inner, tags)
-        pace = jnp.where(corrections(inner) == 1, _largest(correction(inner)), FAST * pace)
+        pace = jnp.where(corrections(inner) == 1, _max_abs(correction(inner)), FAST * pace)
         return y, (inner, before, pace), aux
 
     def terminate(self, fn, y, args, options, state, tags):
         inner, before, pace = state
         dtype = _dtype(y)
-        scale = jnp.maximum(jnp.asarray(options.get("scale", 1.0), dtype), _largest(y))
+        scale = jnp.maximum(jnp.asarray(options.get("scale", 1.0), dtype), _max_abs(y))
         eps = jnp.finfo(dtype).eps
         near = ROUNDING * eps * scale
-        now = _largest(correction(inner))
+        now = _max_abs(correction(inner))
         rate = now / jnp.where(before > 0, before, 1.0)
         falling = (corrections(inner) >= 2) & (rate < 0.9)
         next_ = jnp.where(falling, rate / (1 - jnp.where(falling, rate, 0.0)) * now, now)
@@ -88,13 +85,15 @@ class Settled(optx.AbstractRootFinder):
         return y, aux, {}
 
 
-def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
-    """Full Newton: a new Jacobian in each iteration. `lineax.GMRES` needs no matrix."""
-    return Settled(inner=_made(optx.Newton, linear_solver or lx.AutoLinearSolver(well_posed=None)))
+def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
+    """Make a full Newton iteration: a new Jacobian in each step. `lineax.GMRES` needs no matrix."""
+    return RootFinder(
+        inner=_make(optx.Newton, linear_solver or lx.AutoLinearSolver(well_posed=None))
+    )
 
 
-def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
-    """Simplified Newton: one Jacobian a step, at the first guess.
+def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
+    """Make a simplified Newton iteration: one Jacobian a step, at the first guess.
 
     Raises:
         InputError: a linear solver that uses only products, so there is no matrix to keep.
@@ -105,17 +104,16 @@ def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
             f"chord: got lineax.{name}, expected a linear solver that uses the matrix of a chord; "
             f"newton({name}(...)) needs none"
         )
-    return Settled(inner=_made(optx.Chord, linear_solver or Inverse()))
+    return RootFinder(inner=_make(optx.Chord, linear_solver or Inverse()))
 
 
-def very_chord() -> Settled:
-    """diffrax's own, for its diagonally implicit methods: one Jacobian for all stages."""
-    return Settled(inner=diffrax.VeryChord(1.0, 1.0))
+def very_chord() -> RootFinder:
+    """Make diffrax's iteration for diagonally implicit methods: one Jacobian for all stages."""
+    return RootFinder(inner=diffrax.VeryChord(1.0, 1.0))
 
 
 class Inverse(lx.AbstractLinearSolver):
-    """Solves with the inverse matrix. Chords solve often, and each correction repairs the rounding
-    of the last."""
+    """Linear solver by the inverse matrix, for chords, which solve often with one matrix."""
 
     def init(self, operator, options):
         return jnp.linalg.inv(operator.as_matrix())
@@ -134,22 +132,22 @@ class Inverse(lx.AbstractLinearSolver):
         return True
 
 
-def _made(method: Any, linear_solver: lx.AbstractLinearSolver) -> Any:
+def _make(method: Any, linear_solver: lx.AbstractLinearSolver) -> Any:
     return method(1.0, 1.0, linear_solver=linear_solver, cauchy_termination=False)
 
 
 def linear_solver(finder: Any) -> lx.AbstractLinearSolver:
-    """The linear solver of a root finder."""
+    """Return the linear solver of a root finder."""
     return getattr(getattr(finder, "inner", finder), "linear_solver", lx.LU())
 
 
 def matrix_free(finder: Any) -> bool:
-    """Whether the linear solver of a root finder uses only products, no matrix."""
+    """Whether the linear solver of a root finder uses only matrix-vector products."""
     return iterative(linear_solver(finder))
 
 
 def iterative(solver: lx.AbstractLinearSolver) -> bool:
-    """Whether a linear solver uses only products, no matrix."""
+    """Whether a linear solver uses only matrix-vector products."""
     return isinstance(solver, (lx.GMRES, lx.BiCGStab, lx.CG, lx.Normal))
 
 
@@ -162,46 +160,45 @@ def root(
     near: Any = None,
     slope: Any = None,
 ) -> tuple[Any, jax.Array]:
-    """The root of `residual` near `guess`, and whether it was found; y0 sets the scale.
+    """Find the root of `residual` near `guess`; y0 sets the scale. Returns it and whether it was
+    found. The root is differentiated by the implicit function theorem.
 
-    `near` has a cheaper derivative, for chords. `slope` has the same value at the guess and the
-    same roots as the residual, and a derivative with which Newton converges faster. The root is
-    differentiated by the implicit function theorem, in forward and reverse mode.
+    `near` has a cheaper derivative, for chords. `slope` has the same roots, and a derivative with
+    which Newton converges from farther away.
     """
-    options: dict[str, Any] = {"scale": _largest(y0)}
+    options: dict[str, Any] = {"scale": _max_abs(y0)}
     for name, f in (("near", near), ("slope", slope)):
-        if f is not None:  # closed-over values become leaves, so that `stopped` stops them
+        if f is not None:  # closed-over values become leaves, so that `stop_gradient` stops them
             options[name] = eqx.filter_closure_convert(f, guess, None)
     solution: Any = optx.root_find(
         lambda x, _: residual(x),
         finder,
         jax.lax.stop_gradient(guess),
-        options=stopped(options),
+        options=stop_gradient(options),
         max_steps=max_steps,
         throw=False,
     )
     return solution.value, solution.result == optx.RESULTS.successful
 
 
-def verdict(ok: jax.Array) -> Any:
-    """The diffrax result of a step with roots."""
+def step_result(ok: jax.Array) -> Any:
+    """Return the diffrax result of a step whose roots were found, or not."""
     results = diffrax.RESULTS
     return results.where(ok, results.successful, results.nonlinear_divergence)
 
 
-def refused(ok: jax.Array, error: Any) -> Any:
-    """The error estimate. It is infinite where a root failed, so that the step is shortened."""
+def mark_failed(ok: jax.Array, error: Any) -> Any:
+    """Make the error estimate infinite if a root failed, so that the step is shortened."""
     return jax.tree.map(lambda x: jnp.where(ok, x, jnp.inf), error)
 
 
-def stopped(tree: Any) -> Any:
-    """The tree without derivatives. Leaves that are not arrays stay as they are, such as functions
-    in the state of a matrix-free linear solver."""
+def stop_gradient(tree: Any) -> Any:
+    """Stop the derivatives of a tree, some leaves of which are not arrays."""
     numbers, rest = eqx.partition(tree, eqx.is_array)
     return eqx.combine(jax.lax.stop_gradient(numbers), rest)
 
 
-def _largest(tree: Any) -> jax.Array:
+def _max_abs(tree: Any) -> jax.Array:
     return jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree) if x.size]))
 
 

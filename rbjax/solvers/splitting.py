@@ -1,14 +1,14 @@
 """Symplectic compositions of kicks and drifts.
 
-    kick:  v' = a(t, q, v) at q held        drift:  q' = v at v held
+    kick:  v' = a(t, q, v) at constant q        drift:  q' = v at constant v
     symplectic Euler  K(h) D(h);   Stoermer-Verlet  K(h/2) D(h) K(h/2);
     Yoshida  Verlet of steps w_1 h, ..., w_s h, with sum w = 1, sum w^3 = 0, sum w^5 = 0
-The state is a pair (q, v) whose rate is (q', a), where q' depends on q only through its group. If a
-does not depend on v, both flows are exact, and for a constant mass the method is symplectic: the
-energy error stays bounded. If a depends on v, a Runge-Kutta method of the same order integrates the
-kick. Dense output: cubic. No error estimate: a varying step would spoil the energy.
-(Yoshida, *Physics Letters A* 150, 1990; Hairer, Lubich & Wanner, *Geometric Numerical Integration*,
-II.5, V.3, coefficients of (3.11).)
+The state is a pair (q, v). If a does not depend on v, both flows are exact, and for a constant mass
+the method is symplectic: the energy error stays bounded. If a depends on v, a Runge-Kutta method of
+the same order integrates the kick. Dense output: cubic. Steps are constant.
+
+Source: Yoshida, *Physics Letters A* 150, 1990; Hairer, Lubich & Wanner, *Geometric Numerical
+Integration*, II.5, V.3, coefficients of (3.11).
 """
 
 from __future__ import annotations
@@ -21,19 +21,17 @@ import numpy as np
 
 from rbjax.arguments import real_array, shown
 from rbjax.errors import InputError
-from rbjax.solvers.common import tableau as tables
-from rbjax.solvers.common.field import field
-from rbjax.solvers.common.groups import group_of
-from rbjax.solvers.common.steps import (
+from rbjax.solvers import tableau as tables
+from rbjax.solvers.second_order import Halves
+from rbjax.solvers.steps import (
     AbstractGroupSolver,
     combine,
-    dense_between,
+    dense_output,
     explicit_stages,
-    pair,
-    scaled,
+    scale,
     select,
+    split_pair,
 )
-from rbjax.solvers.geometric.second_order import Halves
 
 _CUBE = 2 ** (1 / 3)
 YOSHIDA4 = (1 / (2 - _CUBE), -_CUBE / (2 - _CUBE), 1 / (2 - _CUBE))
@@ -42,8 +40,8 @@ _OUTER = (0.784513610477557263819497633866, 0.235573213359358133684793182979,
 YOSHIDA6 = (*_OUTER, 1 - 2 * sum(_OUTER), *_OUTER[::-1])
 
 
-def _kicking(order: int) -> tables.Tableau:
-    """An explicit method of at least this order."""
+def _kick_method(order: int) -> tables.Tableau:
+    """Choose an explicit method of at least this order, for kicks."""
     if order == 1:
         return tables.EULER
     if order == 2:
@@ -54,8 +52,11 @@ def _kicking(order: int) -> tables.Tableau:
 class Splitting(AbstractGroupSolver):
     """A composition of alternating kicks and drifts.
 
-    Fields: kicks, as many as drifts or one more; drifts; formula_order; velocity_forces, whether
-    a may depend on v. If it may not, each kick is one evaluation.
+    Fields:
+        kicks: shares of the step, as many as drifts or one more.
+        drifts: shares of the step.
+        formula_order: the order of the composition.
+        velocity_forces: whether a may depend on v. If not, each kick is one evaluation.
     """
 
     kicks: tuple[float, ...] = eqx.field(static=True)
@@ -80,27 +81,27 @@ class Splitting(AbstractGroupSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
-        table = _kicking(self.formula_order if self.velocity_forces else 1)
+        table = _kick_method(self.formula_order if self.velocity_forces else 1)
         drifts = np.pad(self.drifts, (0, len(self.kicks) - len(self.drifts)))
         times = np.concatenate([[0.0], np.cumsum(drifts)[:-1]])
 
         def part(y, weights):
             kick, drift, time = (w.astype(h.dtype) for w in weights)
             t = t0 + time * h
-            (_, v), _ = pair(y)
+            (_, v), _ = split_pair(y)
 
             def rate(_, dv):
-                return halves.acceleration(t, halves.kicked(y, dv))
+                return halves.acceleration(t, halves.kick(y, dv))
 
             zero = jax.tree.map(jnp.zeros_like, v)
             k = explicit_stages(rate, table, t, kick * h)(zero)
-            y = halves.kicked(y, scaled(kick * h, combine(table.b, k)))
-            drifted = halves.moved(y, scaled(drift * h, halves.velocity(t, y)), zero)
+            y = halves.kick(y, scale(kick * h, combine(table.b, k)))
+            drifted = halves.advance(y, scale(drift * h, halves.velocity(t, y)), zero)
             return select(drift == 0, y, drifted), None  # the last: no drift, and no rounding
 
         weights = tuple(map(jnp.asarray, (self.kicks, drifts, times)))
         y1, _ = jax.lax.scan(part, y0, weights)
-        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
+        dense = dense_output(terms, args, t0, t1, y0, y1)
         return y1, None, dense, None, diffrax.RESULTS.successful
 
 
@@ -113,20 +114,20 @@ def _verlets(w: tuple[float, ...], order: int, velocity_forces: bool) -> Splitti
 
 
 def symplectic_euler(velocity_forces: bool = True) -> Splitting:
-    """v1 = v0 + h a(t0, q0, v0), q1 = q0 + h v1: order 1."""
+    """Make v1 = v0 + h a(t0, q0, v0), q1 = q0 + h v1: order 1."""
     return Splitting((1.0,), (1.0,), 1, velocity_forces)
 
 
 def stoermer_verlet(velocity_forces: bool = True) -> Splitting:
-    """Half a kick, a drift, half a kick: order 2, symmetric."""
+    """Make half a kick, a drift, half a kick: order 2, symmetric."""
     return _verlets((1.0,), 2, velocity_forces)
 
 
 def yoshida4(velocity_forces: bool = True) -> Splitting:
-    """Three Verlet steps, the middle one backwards: order 4."""
+    """Make three Verlet steps, the middle one backwards: order 4."""
     return _verlets(YOSHIDA4, 4, velocity_forces)
 
 
 def yoshida6(velocity_forces: bool = True) -> Splitting:
-    """Seven Verlet steps, Yoshida's solution A: order 6."""
+    """Make seven Verlet steps, Yoshida's solution A: order 6."""
     return _verlets(YOSHIDA6, 6, velocity_forces)

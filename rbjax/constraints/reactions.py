@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.equations.law import constrained_motion
-from rbjax.constraints.equations.system import by_link
-from rbjax.constraints.methods.compliant import compliant_motion
-from rbjax.constraints.methods.soft import Soft, is_soft
+from rbjax.constraints.equations.constrained_motion import constrained_motion
+from rbjax.constraints.equations.model_rows import by_link
+from rbjax.constraints.methods.soft import Soft, compliant_motion, is_soft
 from rbjax.constraints.rows.pairs import Pair
 from rbjax.dynamics.algorithms.link_forces import on_links
 from rbjax.dynamics.drivers.choice import driver

@@ -2,8 +2,9 @@
 
     k_i = h f(t0 + c_i h, y0 + sum_j a_ij k_j),    y1 = y0 + sum_i b_i k_i
 A method has order p if sum_i b_i Phi_i(tree) = 1 / gamma(tree) for every rooted tree of at most p
-nodes (Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, II.2). A tableau with
-a false order raises an error.
+nodes.
+
+Source: Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, II.2.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ TOLERANCE = 1e-11  # of a condition, relative to its terms: tableaus printed to 
 
 @functools.cache
 def trees(nodes: int) -> tuple[Tree, ...]:
-    """The rooted trees with that many nodes."""
+    """List the rooted trees with that many nodes."""
     return tuple(sorted(set(_forests(nodes - 1))))
 
 
@@ -39,17 +40,17 @@ def _forests(nodes: int) -> list[tuple[Tree, ...]]:
 
 
 def size(tree: Tree) -> int:
-    """Number of nodes."""
+    """Count the nodes of a tree."""
     return 1 + sum(map(size, tree))
 
 
 def density(tree: Tree) -> int:
-    """gamma(tree): the nodes times the densities of the branches."""
+    """Return gamma(tree): the number of nodes times the densities of the branches."""
     return size(tree) * int(np.prod([density(branch) for branch in tree], dtype=int))
 
 
 def weights(a: np.ndarray, tree: Tree) -> np.ndarray:
-    """Phi_i(tree): the product over the branches of sum_j a_ij Phi_j(branch)."""
+    """Return Phi_i(tree): the product over the branches of sum_j a_ij Phi_j(branch)."""
     out = np.ones(len(a))
     for branch in tree:
         out = out * (a @ weights(a, branch))
@@ -57,7 +58,7 @@ def weights(a: np.ndarray, tree: Tree) -> np.ndarray:
 
 
 def attained_order(a: np.ndarray, b: np.ndarray, at_most: int = 6) -> int:
-    """The order of a method by its order conditions, checked up to `at_most`."""
+    """Find the order of a method by its order conditions, checked up to `at_most`."""
     for p in range(1, at_most + 1):
         for tree in trees(p):
             sizes = np.abs(b) @ weights(np.abs(a), tree) + 1 / density(tree)
@@ -67,10 +68,8 @@ def attained_order(a: np.ndarray, b: np.ndarray, at_most: int = 6) -> int:
 
 
 def proven_order(a: np.ndarray, b: np.ndarray) -> int:
-    """A lower bound of the order, from Butcher's simplifying assumptions.
-
-    B(p), C(eta), D(zeta) give the order min(p, eta + zeta + 1, 2 eta + 2) (HNW, II, Theorem 7.4).
-    """
+    """Bound the order from below, by Butcher's simplifying assumptions: B(p), C(eta), D(zeta) give
+    min(p, eta + zeta + 1, 2 eta + 2) (Hairer, Norsett & Wanner, II, Theorem 7.4)."""
     c, size = a.sum(1), np.abs(a).sum(1)
 
     def holding(excess, terms) -> int:
@@ -92,13 +91,17 @@ def proven_order(a: np.ndarray, b: np.ndarray) -> int:
 
 @dataclass(frozen=True)
 class Tableau:
-    """A Runge-Kutta method.
+    """A Runge-Kutta method. Any sequences or arrays are accepted.
 
-    Fields: a, b, c; order; `error`, weights of (h f(t0, y0), k_1, ..., k_s) in the error estimate,
-    or empty; error_order, the power of h of the error estimate; filter, the gamma of
-    (I - h gamma J)^-1 that damps a stiff estimate, or 0; dense, row i the coefficients of theta,
-    theta^2, ... in b_i(theta), or empty. Any sequences or arrays are accepted. Without `error`
-    steps are constant. Without `dense` the output is a cubic between y0 and y1.
+    Fields:
+        a, b: (s, s) and (s,); c is the row sums of a.
+        order: of the method.
+        error: (s + 1,) weights of (h f(t0, y0), k_1, ..., k_s) in the error estimate. If it is
+            empty, steps are constant.
+        error_order: the power of h of the error estimate.
+        filter: gamma of (1 - h gamma J)^-1, which damps a stiff estimate, or 0.
+        dense: (s, degree), the coefficients of theta, theta^2, ... in b_i(theta). If it is empty,
+            the dense output is a cubic.
 
     Raises:
         InputError: wrong shapes; an order that the conditions deny (checked up to 6); error weights
@@ -142,7 +145,7 @@ class Tableau:
 
     @property
     def essential(self) -> Tableau:
-        """An explicit method without its error estimate and the stages that only this one uses."""
+        """An explicit method without its error estimate and the stages of the estimate only."""
         s = max(i for i, b in enumerate(self.b) if b) + 1
         return Tableau(tuple(row[:s] for row in self.a[:s]), self.b[:s], self.order)
 
@@ -156,13 +159,13 @@ def _tuples(x: np.ndarray):
 
 
 def _shifted_legendre(s: int) -> Polynomial:
-    """P_s(2 x - 1)."""
+    """Return the Legendre polynomial P_s(2 x - 1)."""
     inside = Polynomial([-1.0, 2.0])
     return Polynomial(legendre.leg2poly([0] * s + [1]))(inside)
 
 
 def _roots(p: Polynomial) -> np.ndarray:
-    """Real roots to the last digit: eigenvalues, then Newton steps."""
+    """Find real roots to the last digit: eigenvalues, then Newton steps."""
     x = np.sort(np.real(p.roots()))
     for _ in range(3):
         x = x - p(x) / p.deriv()(x)
@@ -170,7 +173,7 @@ def _roots(p: Polynomial) -> np.ndarray:
 
 
 def _integrals(c: np.ndarray) -> list[Polynomial]:
-    """int_0^x l_j of the Lagrange polynomials l_j of nodes c."""
+    """Integrate the Lagrange polynomials of nodes c from 0."""
     out = []
     for j in range(len(c)):
         l = Polynomial([1.0])
@@ -181,7 +184,7 @@ def _integrals(c: np.ndarray) -> list[Polynomial]:
 
 
 def _collocation(c: np.ndarray, a: np.ndarray | None, order: int) -> Tableau:
-    """The method of nodes c: a_ij = int_0^c_i l_j, b_j = int_0^1 l_j (or other a)."""
+    """Make the method of nodes c: a_ij = int_0^c_i l_j (or another a), b_j = int_0^1 l_j."""
     s = len(c)
     basis = _integrals(c)
     b = np.array([l(1.0) for l in basis])
@@ -205,13 +208,13 @@ def _collocation(c: np.ndarray, a: np.ndarray | None, order: int) -> Tableau:
 
 @functools.cache
 def gauss(stages: int) -> Tableau:
-    """Gauss-Legendre: order 2 s, A-stable, symplectic, symmetric."""
+    """Make Gauss-Legendre: order 2 s, A-stable, symplectic, symmetric."""
     return _collocation(_roots(_shifted_legendre(stages)), None, 2 * stages)
 
 
 @functools.cache
 def radau_iia(stages: int) -> Tableau:
-    """Radau IIA: order 2 s - 1, L-stable, stiffly accurate."""
+    """Make Radau IIA: order 2 s - 1, L-stable, stiffly accurate."""
     p = _shifted_legendre(stages) - _shifted_legendre(stages - 1)
     c = _roots(p)
     c[-1] = 1.0
@@ -226,13 +229,13 @@ def _lobatto(stages: int) -> np.ndarray:
 
 @functools.cache
 def lobatto_iiia(stages: int) -> Tableau:
-    """Lobatto IIIA: order 2 s - 2, A-stable, symmetric; two stages are the trapezoidal rule."""
+    """Make Lobatto IIIA: order 2 s - 2, A-stable; two stages are the trapezoidal rule."""
     return _collocation(_lobatto(stages), None, 2 * stages - 2)
 
 
 @functools.cache
 def lobatto_iiic(stages: int) -> Tableau:
-    """Lobatto IIIC: order 2 s - 2, L-stable: a_i1 = b_1 and sum_j a_ij c_j^(k-1) = c_i^k / k."""
+    """Make Lobatto IIIC: order 2 s - 2, L-stable; a_i1 = b_1, sum_j a_ij c_j^(k-1) = c_i^k / k."""
     c = _lobatto(stages)
     b1 = _collocation(c, None, 2 * stages - 2).b[0]
     # columns 2..s from C(s - 1); the first is b_1
@@ -249,7 +252,7 @@ def explicit(
     order: int,
     error: tuple[float, ...] = (),
 ) -> Tableau:
-    """An explicit method of the rows below the diagonal; `error` weighs the k_i."""
+    """Make an explicit method from the rows below the diagonal; `error` are weights of the k_i."""
     s = len(b)
     a = tuple(tuple(row) + (0.0,) * (s - len(row)) for row in ((), *rows))
     return Tableau(a, b, order, (0.0, *error) if error else (), order if error else 0)
@@ -257,7 +260,7 @@ def explicit(
 
 @functools.cache
 def of_diffrax(solver: type[diffrax.AbstractERK], order: int) -> Tableau:
-    """The tableau of one of diffrax's explicit methods."""
+    """Return the tableau of one of diffrax's explicit methods."""
     t = solver.tableau
     assert isinstance(t, diffrax.ButcherTableau)
     rows = tuple(tuple(float(x) for x in row) for row in t.a_lower)
@@ -278,3 +281,32 @@ RK4 = explicit(
 )
 #: The classical method without a companion.
 KUTTA4 = RK4.essential
+
+
+#: Hairer's method of order 8 in 12 stages, without its error estimates and dense output
+#: (Hairer, Norsett & Wanner, II.5)
+DOP853 = explicit(
+    (
+        (0.05260015195876773,),
+        (0.0197250569845379, 0.0591751709536137),
+        (0.02958758547680685, 0.0, 0.08876275643042054),
+        (0.2413651341592667, 0.0, -0.8845494793282861, 0.924834003261792),
+        (0.037037037037037035, 0.0, 0.0, 0.17082860872947386, 0.12546768756682242),
+        (0.037109375, 0.0, 0.0, 0.17025221101954405, 0.06021653898045596, -0.017578125),
+        (0.03709200011850479, 0.0, 0.0, 0.17038392571223998, 0.10726203044637328,
+         -0.015319437748624402, 0.008273789163814023),
+        (0.6241109587160757, 0.0, 0.0, -3.3608926294469414, -0.868219346841726, 27.59209969944671,
+         20.154067550477894, -43.48988418106996),
+        (0.47766253643826434, 0.0, 0.0, -2.4881146199716677, -0.590290826836843, 21.230051448181193,
+         15.279233632882423, -33.28821096898486, -0.020331201708508627),
+        (-0.9371424300859873, 0.0, 0.0, 5.186372428844064, 1.0914373489967295, -8.149787010746927,
+         -18.52006565999696, 22.739487099350505, 2.4936055526796523, -3.0467644718982196),
+        (2.273310147516538, 0.0, 0.0, -10.53449546673725, -2.0008720582248625, -17.9589318631188,
+         27.94888452941996, -2.8589982771350235, -8.87285693353063, 12.360567175794303,
+         0.6433927460157636),
+    ),
+    (0.054293734116568765, 0.0, 0.0, 0.0, 0.0, 4.450312892752409, 1.8915178993145003,
+      -5.801203960010585, 0.3111643669578199, -0.1521609496625161, 0.20136540080403034,
+      0.04471061572777259),
+    8,
+)  # fmt: skip

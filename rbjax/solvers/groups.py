@@ -1,9 +1,9 @@
-"""Lie groups that a state may live on, and the term that moves the state on its group.
+"""Lie groups of states, and the term whose rate is in the Lie algebra of its group.
 
-    y' = y xi(t, y),    xi in the Lie algebra: the velocity in the axes of the moving frame
-A group has what a solver needs: retract(y, u) = y exp(u), difference(y, z) = log(y^-1 z) and the
-bracket [u, w]. A vector space is the group `Vector`, where these are plus, minus and zero, so one
-solver serves both (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, 2000).
+    y' = y xi(t, y),    xi: the velocity in the axes of the moving frame
+A vector space is the group `Vector`, so one solver serves both.
+
+Source: Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, 2000.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rbjax.rotations import quaternion
 
 
 class AbstractGroup(eqx.Module):
-    """exp, log and the bracket, with exp on the right of the state."""
+    """The exponential map, on the right of the state, its inverse, and the Lie bracket."""
 
     @abc.abstractmethod
     def retract(self, y: Any, u: Any) -> Any:
@@ -108,7 +108,8 @@ def _rotated(turn: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def _series(square: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """(1 - cos a) / a^2, (a - sin a) / a^3, (1 - (a / 2) cot(a / 2)) / a^2 of a^2; smooth at 0."""
+    """Return (1 - cos a) / a^2, (a - sin a) / a^3 and (1 - (a / 2) cot(a / 2)) / a^2 of a^2,
+    smooth at 0."""
     small = square < 0.01
     x = jnp.where(small, square, 0.0)
     near = (
@@ -129,10 +130,13 @@ def _series(square: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 class OnGroup(diffrax.AbstractTerm):
-    """y' = y xi(t, y): `vector_field(t, y, args)` returns xi, and `group` moves y by it.
+    """The equation y' = y xi(t, y) on a Lie group.
 
-    momentum: (t, y, args) -> p, linear in the velocities of y = (q, v), for the variational
-    midpoint rule. None if the mass is constant.
+    Fields:
+        vector_field: (t, y, args) -> xi.
+        group: of the states y.
+        momentum: (t, y, args) -> p, linear in the velocities of y = (q, v), for the variational
+            midpoint rule. None if the mass is constant.
     """
 
     vector_field: Callable[..., Any]
@@ -149,12 +153,12 @@ class OnGroup(diffrax.AbstractTerm):
         return jax.tree.map(lambda x: control * x, vf)
 
 
-def unwrapped(terms: Any) -> Any:
-    """The caller's own term, without diffrax's wrapper that may reverse time."""
+def unwrap(terms: Any) -> Any:
+    """Return the caller's own term, without diffrax's wrapper that may reverse time."""
     return getattr(terms, "term", terms)
 
 
 def group_of(terms: Any) -> AbstractGroup:
-    """The group that a term moves its state on."""
-    term = unwrapped(terms)
+    """Return the group of a term's states."""
+    term = unwrap(terms)
     return term.group if isinstance(term, OnGroup) else Vector()
