@@ -15,8 +15,7 @@ from typing import Any, Protocol, TypeGuard
 
 import jax
 
-from rbjax.constraints.formulation import Formulation, TangentSpace
-from rbjax.constraints.registry import formulation_of
+from rbjax.constraints.formulation import Formulation, TangentSpace, formulation_of
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints import Formulation
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.equations.projection import projected
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError, UnknownName
