@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import integer
 from rbjax.compiler import wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
@@ -36,7 +37,6 @@ from rbjax.motion.not_finite import warn_if_not_finite
 from rbjax.motion.sources import Sources, check_sources
 from rbjax.motion.threaded import Steps, on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.common.arguments import check_whole
 
 
 def rollout(
@@ -156,7 +156,7 @@ def integrated(
     advance = integrator_of("rollout", integrator, law)
     _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrls, tau, wrenches), steps)
-    check_whole("rollout", "save_every", save_every, 1, why=f", a divisor of the {steps} steps")
+    integer("rollout", "save_every", save_every, least=1, why=f", a divisor of the {steps} steps")
     if steps % save_every:
         raise InputError(
             f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
@@ -263,7 +263,7 @@ def _checked(
     state = check_arrays("rollout", model, {"state": state}, batch)["state"]
     check_moves("rollout", model)
     if steps is not None:
-        check_whole("rollout", "steps", steps, 1)
+        integer("rollout", "steps", steps, least=1)
     sources, steps = check_sources(model, given, steps, batch, state.q.dtype)
     return state, sources, steps, batched
 

@@ -12,13 +12,13 @@ import jax
 
 from rbjax.constraints.formulation import Formulation
 from rbjax.constraints.methods.differential_algebraic import stepped
+from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.field import Law, moves_stages
 from rbjax.motion.implicit import StagesSolver, stepped_by
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import VectorField
 from rbjax.solvers import BDF
-from rbjax.solvers.common.arguments import check_solver
 from rbjax.solvers.common.wrapped import Wrapped
 
 
@@ -52,7 +52,7 @@ def solver_of(given: diffrax.AbstractSolver | None, law: Law) -> diffrax.Abstrac
     """The solver of a law: the caller's, that which takes its method to the equations of a
     formulation of index 2 or 3, or the default."""
     if given is not None:
-        check_solver("simulate", given)
+        _check_solver("simulate", given)
     formulation = stepped(law)
     if formulation is not None:
         if isinstance(given, BDF):
@@ -81,3 +81,18 @@ def settling(
     if not isinstance(law, Formulation) or law.projection is None:
         return solver
     return Settling(solver, law, model, start)
+
+
+def _check_solver(function: str, solver: Any) -> None:
+    """`InputError` unless solver is an instance of a diffrax solver."""
+    if isinstance(solver, diffrax.AbstractSolver):
+        return
+    got, fix = repr(solver), ""
+    if isinstance(solver, str):
+        fix = f": rb.solvers.all()[{solver!r}].make()"
+    elif hasattr(solver, "make"):
+        fix = ": the entry's make()"
+    elif hasattr(solver, "__name__"):
+        got = f"the {'class' if isinstance(solver, type) else 'function'} {solver.__name__}"
+        fix = f": {solver.__name__}()"
+    raise InputError(f"{function}: solver is {got}, expected a solver of diffrax{fix}")

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
@@ -34,7 +35,6 @@ from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.settling import settling, solver_of
 from rbjax.motion.term import check_takes_robots, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.common.arguments import check_whole
 
 
 @automatic
@@ -120,7 +120,7 @@ def simulate(
     ts, elapsed = _times(ts, state.q.dtype)
     inputs = _inputs(model, control, tau, wrenches, state.q.dtype)
     if max_steps is not None:
-        check_whole("simulate", "max_steps", max_steps, 1)
+        integer("simulate", "max_steps", max_steps, least=1)
     law = law_of("simulate", model, law, constraints)
     solver = solver_of(solver, law)
     check_takes_robots(solver)
@@ -194,9 +194,7 @@ def _solved(
     args, of_args = split_tracers(model)
 
     def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-        term, state = motion(
-            of_args(args), state, how.solver, Inputs(*given), of_args, law, start
-        )
+        term, state = motion(of_args(args), state, how.solver, Inputs(*given), of_args, law, start)
         out = diffrax.diffeqsolve(
             term,
             solver=settling(how.solver, law, of_args, start),

@@ -211,7 +211,7 @@ def test_a_sample_that_is_lost_does_not_stop_the_value_function():
 @pytest.mark.parametrize(
     "call, error, said",
     [
-        (lambda: environment(episode=0), InputError, "episode = 0"),
+        (lambda: environment(episode=0), InputError, "episode is 0"),
         (lambda: environment(dt=-1.0), InputError, "dt is -1"),
         (lambda: Environment(MODEL, lambda s: 0.0, start), InputError, "cost takes"),
         (lambda: Environment(MODEL, lambda s, u: s.q, start), InputError, "cost returned shape"),
@@ -222,9 +222,9 @@ def test_a_sample_that_is_lost_does_not_stop_the_value_function():
         (lambda: actor_critic(environment(), network(KEY, (4, 2)), KEY), InputError, "shape"),
         (lambda: actor_critic(environment(), lambda o: o[:1], KEY), InputError, "no floating"),
         (lambda: through_time(environment(), network(KEY, (4, 1)), KEY, batch=0), InputError,
-         "batch = 0"),
+         "batch is 0"),
         (lambda: actor_critic(environment(), network(KEY, (4, 1)), KEY, discount=2.0), InputError,
-         "discount = 2"),
+         "discount is 2"),
         (lambda: network(KEY, (4,)), InputError, "sizes is"),
         (lambda: network(KEY, (4, 1), "relu6"), UnknownName, "activation of network"),
     ],

@@ -80,9 +80,10 @@ def test_order_with_free_attitudes(integrator, order, steps):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("integrator", "solver"), [
-    ("tsit5", "Tsit5"), pytest.param("dopri8", "Dopri8", marks=pytest.mark.slow)
-])
+@pytest.mark.parametrize(
+    ("integrator", "solver"),
+    [("tsit5", "Tsit5"), pytest.param("dopri8", "Dopri8", marks=pytest.mark.slow)],
+)
 def test_tableaus_are_diffrax_s_without_attitudes(integrator, solver, key):
     """On hinges the manifold is flat, and a step is that of the same tableau in `simulate`."""
     model = rb.load("double_pendulum")
@@ -186,11 +187,11 @@ def test_memory_of_the_gradient_follows_the_law(key):
         ({"ctrls": np.zeros((0, 1))}, r"shape \(0, 1\), expected \(1, 1\): a row .* policy"),
         ({"ctrls": "none"}, "ctrls is str, expected an array"),
         ({"ctrls": None}, "steps is None"),
-        ({"ctrls": None, "steps": -3}, "steps = -3, expected a whole number of at least 1"),
-        ({"ctrls": None, "steps": 0}, "steps = 0, expected a whole number of at least 1"),
-        ({"ctrls": None, "steps": 2.0}, "steps = 2.0, expected a whole number of at least 1"),
-        ({"save_every": 2.5}, "save_every = 2.5, expected a whole number .* divisor of the 10"),
-        ({"save_every": 0}, "save_every = 0, expected a whole number of at least 1"),
+        ({"ctrls": None, "steps": -3}, "steps is -3, expected an integer of at least 1"),
+        ({"ctrls": None, "steps": 0}, "steps is 0, expected an integer of at least 1"),
+        ({"ctrls": None, "steps": 2.0}, "steps is 2.0, expected an integer of at least 1"),
+        ({"save_every": 2.5}, "save_every is 2.5, expected an integer .* divisor of the 10"),
+        ({"save_every": 0}, "save_every is 0, expected an integer of at least 1"),
         ({"state": rb.State(jnp.zeros(3), jnp.zeros(2))}, "q has shape .3,., expected .2,."),
         ({"state": rb.State(None, jnp.zeros(2))}, "q is NoneType, expected an array"),
         ({"state": rb.State(jnp.zeros(2, complex), jnp.zeros(2))}, "q has dtype complex128"),

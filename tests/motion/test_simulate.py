@@ -152,7 +152,7 @@ def test_bad_times_and_states_are_named():
         ({"control": lambda t, s: 1.0}, r"returned has shape \(\), expected \(1,\)"),
         ({"control": lambda t, s: None}, "returned is NoneType, expected an array of shape"),
         ({"model": rb.load("spinning_top"), "control": lambda t, s: jnp.ones(3)}, "expected .0,.:"),
-        ({"max_steps": 0}, "max_steps = 0, expected a whole number of at least 1"),
+        ({"max_steps": 0}, "max_steps is 0, expected an integer of at least 1"),
         ({"state": rb.State(None, jnp.zeros(2))}, "q is NoneType, expected an array"),
         ({"state": None}, "state is NoneType, expected rbjax.State"),
         ({"ts": None}, "at least 2 times"),

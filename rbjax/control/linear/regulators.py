@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import flag
+from rbjax.arguments import flag, integer
 from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.linear.algebraic_riccati import riccati
@@ -34,7 +34,6 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Law, free_motion
 from rbjax.motion.integrators import Integrator
 from rbjax.motion.linearise import apart, linearise
-from rbjax.solvers.common.arguments import check_whole
 
 
 class Regulator(NamedTuple):
@@ -193,7 +192,7 @@ def lqr_finite(
         (5, 1, 1)
     """
     A, B, Q, R, S = _matrices("lqr_finite", A, B, Q, R, S)
-    check_whole("lqr_finite", "horizon", horizon, 1, why=" steps")
+    integer("lqr_finite", "horizon", horizon, least=1, why=" steps")
     end = Q if terminal is None else weights("lqr_finite", "terminal", terminal, A.shape[0])
     return _finite(A, B, Q, R, int(horizon), end, S)
 
