@@ -13,14 +13,13 @@ from rbjax import control
 from rbjax.control.laws.controller import gains
 from rbjax.control.laws.impedance import _matrix
 from rbjax.control.laws.references import check_poses
-from rbjax.control.linear.algebraic_riccati import _doubled, remainder
-from rbjax.control.linear.double_words import Double
+from rbjax.control.linear.algebraic_riccati import Double, _doubled, remainder
 from rbjax.control.linear.parallel_riccati import Stretch, joined
 from rbjax.control.linear.systems import _reach
 from rbjax.control.optimal.collocation.barrier import PUSH, push_inside
 from rbjax.control.optimal.derivatives.implicit import _may_close_over_tracers
+from rbjax.control.optimal.objective import penalty_residuals
 from rbjax.control.optimal.registry import METHODS
-from rbjax.control.optimal.shooting.augmented_lagrangian import penalty_residuals
 from rbjax.control.optimal.shooting.expansion import _second_order_in
 from rbjax.control.optimal.terms import _name
 

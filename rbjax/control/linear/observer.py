@@ -15,9 +15,8 @@ from jax.scipy.linalg import cho_solve
 
 from rbjax.arguments import flag
 from rbjax.control.linear.algebraic_riccati import riccati
-from rbjax.control.linear.regulators import weights
+from rbjax.control.linear.arguments import check_matrices, weight_matrix
 from rbjax.control.linear.riccati import definite_factor
-from rbjax.control.linear.systems import pair
 from rbjax.control.products import product
 from rbjax.control.status import LinearStatus
 
@@ -66,9 +65,10 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
         >>> [round(float(x), 6) for x in found.gain[:, 0]]  # sqrt 2 w and w^2, w^2 = 2
         [2.0, 2.0]
     """
-    A, C = pair("kalman_gain", A, C, "C", 1)
+    A, C = check_matrices("kalman_gain", ("A", A, "nn"), ("C", C, "ln"))
     discrete = flag("kalman_gain", "discrete", discrete)
-    W, V = weights("kalman_gain", "W", W, A.shape[0]), weights("kalman_gain", "V", V, C.shape[0])
+    W = weight_matrix("kalman_gain", "W", W, A.shape[0])
+    V = weight_matrix("kalman_gain", "V", V, C.shape[0])
     dtype = jnp.result_type(A, C, W, V)
     A, C, W, V = (x.astype(dtype) for x in (A, C, W, V))
     found = riccati(A.T, C.T, W, V, jnp.zeros_like(C.T), discrete)

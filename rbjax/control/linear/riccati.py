@@ -24,8 +24,9 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from rbjax.arguments import instance, integer
+from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.products import product
-from rbjax.dynamics.arguments import check_array, shape_of
+from rbjax.dynamics.arguments import check_array
 
 MADE = "a LinearQuadratic, such as rb.control.linear.constant_problem returns"
 
@@ -304,15 +305,14 @@ def constant_problem(
     """
     where = "constant_problem"
     integer(where, "horizon", horizon, least=1)
-    n, m = (*shape_of(where, "A", A), 0)[0], (*shape_of(where, "R", R), 0)[0]
-    due = [("A", A, (n, n)), ("B", B, (n, m)), ("Q", Q, (n, n)), ("R", R, (m, m))]
-    A, B, Q, R = (check_array(where, name, x, shape) for name, x, shape in due)
-    dtype = jnp.result_type(A, B, Q, R, jnp.float32)
-    S = jnp.zeros((n, m)) if S is None else check_array(where, "S", S, (n, m))
-    if terminal is not None:
-        terminal = check_array(where, "terminal", terminal, (n, n))
-    A, B, Q, R, S = (jnp.asarray(x, dtype) for x in (A, B, Q, R, S))
-    end = Q if terminal is None else jnp.asarray(terminal, dtype)
+    A, B, Q, R, *rest = check_matrices(
+        where, ("A", A, "nn"), ("B", B, "nm"), ("Q", Q, "nn"), ("R", R, "mm"),
+        *([] if S is None else [("S", S, "nm")]),
+        *([] if terminal is None else [("terminal", terminal, "nn")]),
+    )  # fmt: skip
+    (n, m), dtype = B.shape, B.dtype
+    end = Q if terminal is None else rest[-1]
+    S = jnp.zeros((n, m), dtype) if S is None else rest[0]
 
     def each(x):
         return jnp.broadcast_to(x, (horizon, *x.shape))

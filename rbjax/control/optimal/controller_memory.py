@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import jax
 
+from rbjax.control.optimal.objective import Multipliers
 from rbjax.control.optimal.problem import Knot
-from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers
 
 
 class TickStatus(enum.IntEnum):
@@ -42,7 +42,7 @@ class Memory(NamedTuple):
     failures: (), the plans that failed in a row.
     search_status: (), of the last search.
     cost, violation: (), of the plan.
-    gap: (), the largest between a step of the plan and its next state.
+    gap: (), the largest between a step of the plan and its next state; 0 without constraints.
     """
 
     knots: Knot

@@ -18,10 +18,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import threads
-from rbjax.control.optimal.constraint_rows import row_count
+from rbjax.control.optimal.objective import PENALTY, Multipliers, merit, row_count
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY, Multipliers
-from rbjax.control.optimal.shooting.expansion import merit
 from rbjax.control.optimal.solution import Solution
 from rbjax.control.products import product
 from rbjax.errors import InputError

@@ -24,7 +24,6 @@ import jax.numpy as jnp
 
 from rbjax.arguments import flag, integer, real_number
 from rbjax.compiler import threads
-from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.controller_memory import (
     FALLBACK,
     KEPT,
@@ -35,10 +34,10 @@ from rbjax.control.optimal.controller_memory import (
     Run,
 )
 from rbjax.control.optimal.first_guess import first_guess
+from rbjax.control.optimal.objective import Multipliers, knot_violation, shift_multipliers
 from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS
-from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, shift_multipliers
 from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
@@ -90,7 +89,7 @@ class PredictiveController:
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
             knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
-            found.status, found.cost, found.violation, found.gap,
+            found.status, found.cost, found.violation, self._gap(found),
         )  # fmt: skip
         each = [self._entry(memory, k) for k in range(self.delay)]
         pending = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else None
@@ -191,6 +190,10 @@ class PredictiveController:
         options = Options(rule, multipliers=multipliers)
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
+    def _gap(self, found: Any) -> jax.Array:
+        """The largest gap of a plan; 0 without constraints, which spares a step of all knots."""
+        return found.gap if self.problem.constraints else jnp.zeros_like(found.gap)
+
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
         """The memory with the plan of this tick, or with the last plan if the new one fails."""
         found = self._search(
@@ -204,7 +207,7 @@ class PredictiveController:
         good &= (found.status != NOT_FINITE) & ((found.status != INFEASIBLE) | off)
         new = memory._replace(
             knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
-            violation=found.violation, gap=found.gap,
+            violation=found.violation, gap=self._gap(found),
             multipliers=_multipliers(found), failures=jnp.zeros_like(memory.failures),
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)

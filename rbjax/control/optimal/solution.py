@@ -9,8 +9,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.optimal.objective import PENALTY
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY
 from rbjax.control.status import BUDGET, CONVERGED, INFEASIBLE, SENTENCES
 from rbjax.errors import InputError
 from rbjax.model.record import Record

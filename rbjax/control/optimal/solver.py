@@ -13,9 +13,9 @@ import numpy as np
 from rbjax.arguments import instance, integer, real_number
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.optimal.constants import ConstantRobots
-from rbjax.control.optimal.constraint_rows import constraint_violations, rows_along
 from rbjax.control.optimal.derivatives.implicit import differentiable
 from rbjax.control.optimal.first_guess import Guess, first_guess, guess_of
+from rbjax.control.optimal.objective import constraint_violations, rows_along
 from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS, method_of, name_of

@@ -44,7 +44,7 @@ from rbjax.control.optimal.collocation.transcription import (
     stage_states,
     stages,
 )
-from rbjax.control.optimal.constraint_rows import constraint_violations, limits
+from rbjax.control.optimal.objective import constraint_violations, limits
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, Knot, Problem
 from rbjax.control.optimal.shooting import filter_search

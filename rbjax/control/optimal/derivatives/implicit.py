@@ -22,7 +22,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.control.optimal.constraint_rows import limits
 from rbjax.control.optimal.derivatives.optimality import (
     Functions,
     KKTSystem,
@@ -30,7 +29,7 @@ from rbjax.control.optimal.derivatives.optimality import (
     PrimalDualPoint,
     solution,
 )
-from rbjax.control.optimal.objective import residuals
+from rbjax.control.optimal.objective import limits, residuals
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import CONVERGED

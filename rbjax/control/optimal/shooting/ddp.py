@@ -21,11 +21,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import threads
-from rbjax.control.optimal.constraint_rows import row_count
-from rbjax.control.optimal.objective import motion_cost
+from rbjax.control.optimal.objective import Multipliers, motion_cost, no_multipliers, row_count
 from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, no_multipliers
 from rbjax.control.optimal.shooting.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.optimal.shooting.filter_search import rounding
 from rbjax.control.optimal.shooting.forward_pass import Rollout, forward_pass
@@ -144,9 +142,7 @@ def iterate(
 ) -> Iterate:  # fmt: skip
     """The iterations, from states and controls."""
     constrained = bool(problem.constraints)
-    decision = threads(
-        functools.partial(decide, policy.accept, policy.closes_gaps, constrained)
-    )
+    decision = threads(functools.partial(decide, policy.accept, policy.closes_gaps, constrained))
 
     def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
         reg = now.search.reg

@@ -16,10 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Var
 
-from rbjax.control.optimal.constraint_rows import example, row_sizes
-from rbjax.control.optimal.objective import half_square, knot_cost
+from rbjax.control.optimal.objective import example, half_square, parts
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import penalty_residuals
 from rbjax.control.products import product
 
 
@@ -40,17 +38,6 @@ class Local(NamedTuple):
     A: jax.Array
     B: jax.Array
     cost: Quadratic
-
-
-def merit(
-    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
-    where: str,
-) -> jax.Array:  # fmt: skip
-    """The cost () of a knot with its part of the augmented Lagrangian."""
-    total = knot_cost(problem, where, k, knot, ctrl)
-    for penalty in penalties(problem, rows, mu, where):
-        total = total + half_square(penalty(k, knot, ctrl))
-    return total
 
 
 def quadratic(
@@ -92,30 +79,6 @@ def _second_order_in(
     gradient = jax.grad(f)
     turned = jax.vmap(lambda e: jax.jvp(gradient, (zero,), (e,))[1])(basis)
     return value, product(basis, gradient(zero)), product(turned, basis.T)
-
-
-def parts(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
-    """The functions (k, knot, ctrl) whose costs are summed: of each cost, weighted residuals or a
-    number; of each constraint, the residuals of the augmented Lagrangian."""
-    costs = [functools.partial(problem.value, cost, where) for cost in problem.costs(where)]
-    return costs + penalties(problem, rows, mu, where)
-
-
-def penalties(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
-    """The functions (k, knot, ctrl) -> residuals of the augmented Lagrangian, one a constraint."""
-    found: list[Any] = []
-    at = 0
-    for c, size in row_sizes(problem, where):
-        own = rows[at : at + size]
-        at += size
-
-        def penalty(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c, own: Any = own) -> jax.Array:
-            value = problem.row(c, k, knot, ctrl)
-            low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
-            return penalty_residuals(value, own, mu, low, high)
-
-        found.append(penalty)
-    return found
 
 
 def read_columns(problem: Problem, part: Any) -> np.ndarray:

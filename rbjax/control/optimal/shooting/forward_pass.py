@@ -14,11 +14,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.optimal.constraint_rows import knot_violation
+from rbjax.control.optimal.objective import Multipliers, knot_violation, merit
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers
 from rbjax.control.optimal.shooting.backward_pass import Feedback
-from rbjax.control.optimal.shooting.expansion import merit
 from rbjax.control.products import product
 
 

@@ -16,12 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiler import in_parts, side_by_side, threads
-from rbjax.control.optimal.constraint_rows import knot_violation, limits
-from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import (
+from rbjax.control.optimal.objective import (
     Multipliers,
+    knot_violation,
+    limits,
     next_multipliers,
 )
+from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.expansion import (
     Local,
     Quadratic,

@@ -26,16 +26,16 @@ import numpy as np
 
 from rbjax.arguments import integer, real_number
 from rbjax.compiler import threads
-from rbjax.control.optimal.constraint_rows import (
+from rbjax.control.optimal.objective import (
     constraint_violations,
+    merit,
+    motion_cost,
     row_count,
     rows_along,
 )
-from rbjax.control.optimal.objective import motion_cost
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.ddp import by_ddp
-from rbjax.control.optimal.shooting.expansion import merit
 from rbjax.control.optimal.shooting.knots import largest_gap
 from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE

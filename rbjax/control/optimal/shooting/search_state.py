@@ -20,8 +20,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.control.optimal.objective import PENALTY_MOST, next_penalty
 from rbjax.control.optimal.options import StoppingRule
-from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY_MOST, next_penalty
 from rbjax.control.optimal.shooting.filter_search import rounding
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 

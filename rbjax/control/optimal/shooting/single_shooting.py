@@ -26,24 +26,25 @@ import jax.numpy as jnp
 import optax
 import optimistix as optx
 
-from rbjax.control.optimal.constraint_rows import (
+from rbjax.control.optimal.objective import (
+    PENALTY_MOST,
+    Multipliers,
     example,
+    half_square,
     limits,
+    motion_cost,
+    next_multipliers,
+    next_penalty,
+    no_multipliers,
+    over_knots,
+    penalty_residuals,
+    residuals,
     row_count,
     rows_along,
     violation,
 )
-from rbjax.control.optimal.objective import half_square, motion_cost, over_knots, residuals
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import (
-    PENALTY_MOST,
-    Multipliers,
-    next_multipliers,
-    next_penalty,
-    no_multipliers,
-    penalty_residuals,
-)
 from rbjax.control.optimal.shooting.knots import largest_gap
 from rbjax.control.optimal.shooting.search_state import CLOSER, FLOOR, LOOSE
 from rbjax.control.optimal.solution import SearchResult

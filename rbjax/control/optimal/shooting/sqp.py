@@ -33,12 +33,12 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import in_parts, threads
-from rbjax.control.optimal.constraint_rows import knot_violation
+from rbjax.control.optimal.objective import knot_violation, merit
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback
 from rbjax.control.optimal.shooting.ddp import Iterate, StepPolicy, search
-from rbjax.control.optimal.shooting.expansion import Local, merit
+from rbjax.control.optimal.shooting.expansion import Local
 from rbjax.control.optimal.shooting.filter_search import ARMIJO, rounding
 from rbjax.control.optimal.shooting.knots import FEW, Expanded, knot_indices, knots_at
 from rbjax.control.optimal.shooting.search_state import LENGTHS, Decision, IterationValues
@@ -168,9 +168,7 @@ def _take_linear_step(
     return knots, problem.within_bounds(ctrls)
 
 
-def _decreases_merit(
-    values: IterationValues, lengths: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _decreases_merit(values: IterationValues, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The longest trial of the least phi, but for rounding, by Armijo's rule."""
     change, slope, opening = values.more
     pull, square = opening[0], opening[1]
