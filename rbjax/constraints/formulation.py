@@ -106,7 +106,7 @@ class TangentSpace(Factor):
 class Formulation:
     """How constraints are enforced: a method, a feedback and a projection.
 
-    It is a law of motion, (model, t, state, tau, pushes) -> v' (nv,), which `rb.rollout` and
+    It is a `Dynamics`, (model, t, state, tau, pushes) -> v' (nv,), which `rb.rollout` and
     `rb.simulate` take as `constraints=`. They also take one factor: the others are then the
     defaults here.
 
@@ -157,7 +157,7 @@ class Formulation:
     def __call__(
         self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
     ) -> jax.Array:
-        """v' (nv,), as `rbjax.motion.field.Law`."""
+        """v' (nv,), as `rbjax.motion.field.Dynamics`."""
         x = self.feedback
         gains = () if x is None else (x.alpha, x.beta)
         return self.method(model, t, state, tau, pushes, *gains)

@@ -31,8 +31,8 @@ from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
-from rbjax.motion.field import Field, Law, free_motion, law_of
-from rbjax.motion.settling import settling, solver_of
+from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
+from rbjax.motion.projected_solver import project_after_steps, solver_of
 from rbjax.motion.term import check_takes_robots, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
 
@@ -51,7 +51,7 @@ def simulate(
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     constraints: str | Formulation | None = None,
-    law: Law = free_motion,
+    dynamics: Dynamics = free_motion,
     progress: bool = False,
     throw: bool = True,
     max_steps: int = 100_000,
@@ -71,8 +71,8 @@ def simulate(
     reverse gradient where `max_steps` or the adjoint's checkpoints are few; otherwise it runs under
     XLA (docs/threads.md).
 
-    A new function (control, tau, wrenches, law) is not compiled if it differs from an earlier one
-    only in numbers that it reads (see `rollout`). For arrays on a mesh with explicit axes call
+    A new function (control, tau, wrenches, dynamics) is not compiled if it differs from an earlier
+    one only in numbers that it reads (see `rollout`). For arrays on a mesh with explicit axes call
     `simulate` inside `jax.jit`: outside, each call compiles.
 
     Args:
@@ -91,7 +91,7 @@ def simulate(
         stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
         adjoint: diffrax's. None: checkpointed reverse mode, for `grad` and `jacrev`. Give
             diffrax.ForwardMode() for `jvp` and `jacfwd`, diffrax.DirectAdjoint() for both.
-        law: from forces to accelerations (`rbjax.motion.field.Law`).
+        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
         progress: show diffrax's meter.
@@ -121,8 +121,8 @@ def simulate(
     inputs = _inputs(model, control, tau, wrenches, state.q.dtype)
     if max_steps is not None:
         integer("simulate", "max_steps", max_steps, least=1)
-    law = law_of("simulate", model, law, constraints)
-    solver = solver_of(solver, law)
+    dynamics = dynamics_of("simulate", model, dynamics, constraints)
+    solver = solver_of(solver, dynamics)
     check_takes_robots(solver)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
@@ -155,7 +155,7 @@ def simulate(
         return run(model, state, ts[0], elapsed, functions, how)
 
     with _only_reverse():
-        path, result, stats = with_captured(solved, *inputs, law)
+        path, result, stats = with_captured(solved, *inputs, dynamics)
     q, failed = path.q, result != diffrax.RESULTS.successful
     ok = all_finite(path) & ~failed
     if throw and not inside_jit():
@@ -190,20 +190,22 @@ def _solved(
     model: Model, state: State, start: jax.Array, elapsed: jax.Array, functions: tuple, how: _How
 ) -> tuple:
     """The saved states, the result and the statistics of diffrax."""
-    *given, law = functions
+    *given, dynamics = functions
     args, of_args = split_tracers(model)
 
     def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-        term, state = motion(of_args(args), state, how.solver, Inputs(*given), of_args, law, start)
+        term, state = motion(
+            of_args(args), state, how.solver, Inputs(*given), of_args, dynamics, start
+        )
         out = diffrax.diffeqsolve(
             term,
-            solver=settling(how.solver, law, of_args, start),
+            solver=project_after_steps(how.solver, dynamics, of_args, start),
             t0=elapsed[0],
             t1=elapsed[-1],
             dt0=how.dt0,
             y0=state,
             args=args,
-            saveat=diffrax.SaveAt(ts=elapsed, fn=_Saved(of_args, law, start)),
+            saveat=diffrax.SaveAt(ts=elapsed, fn=_Saved(of_args, dynamics, start)),
             stepsize_controller=how.stepsize_controller,
             adjoint=how.adjoint,
             max_steps=how.max_steps,
@@ -221,16 +223,16 @@ _compiled = compiled(_solved, jit=eqx.filter_jit)
 
 
 class _Saved(eqx.Module):
-    """What is kept of a state: the same with unit quaternions, settled by the law."""
+    """What is kept of a state: the same with unit quaternions, projected by the dynamics."""
 
     model: Callable[[Any], Model]
-    law: Law
+    dynamics: Dynamics
     start: Any
 
     def __call__(self, t, y: State, args) -> State:
         model = self.model(args)
         y = State(unit(model.topology, y.q), y.v, y.x)
-        return Field(model, self.law).settled(self.start + t, y)
+        return Field(model, self.dynamics).project(self.start + t, y)
 
 
 def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> Inputs:

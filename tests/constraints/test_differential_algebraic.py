@@ -89,7 +89,7 @@ def by_bdf(k: int, law: rc.Formulation) -> Callable:
     @jax.jit
     def run(n):
         h = SECONDS / n
-        term, y0 = motion(model, REST, solver, law=law, start=jnp.zeros(()))
+        term, y0 = motion(model, REST, solver, dynamics=law, start=jnp.zeros(()))
 
         def once(i, at):
             y, history, _ = at
@@ -345,9 +345,7 @@ def test_steps_that_are_not_solved() -> None:
     path = rb.simulate(model, REST, ts, dt0=3.0, constraints="ggl", throw=False)
     assert not path.ok and path.result == diffrax.RESULTS.nonlinear_divergence
     controller = diffrax.PIDController(rtol=1e-8, atol=1e-8)
-    path = rb.simulate(
-        model, REST, ts, dt0=3.0, stepsize_controller=controller, constraints="ggl"
-    )
+    path = rb.simulate(model, REST, ts, dt0=3.0, stepsize_controller=controller, constraints="ggl")
     assert path.ok and path.stats["num_rejected_steps"] > 0
 
 

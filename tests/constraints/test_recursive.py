@@ -29,7 +29,7 @@ from rbjax.constraints.equations.system import rows_of
 from rbjax.constraints.methods.clusters import Cluster, clusters
 from rbjax.constraints.methods.recursive import by_clusters
 from rbjax.dynamics.drivers.choice import driver
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
 from rbjax.model import WORLD
 from rbjax.spatial import Force
@@ -106,7 +106,7 @@ def found_clusters(model: rb.Model) -> list[Cluster]:
     found: list[Cluster] = []
 
     def traced(q, v):
-        now = Instant.of(model, 0.0, rb.State(q, v), None, d=driver(model, q.dtype))
+        now = Context.of(model, 0.0, rb.State(q, v), None, d=driver(model, q.dtype))
         found.extend(clusters(model.topology, rows_of(model, now)))
 
     start = model.default_state()

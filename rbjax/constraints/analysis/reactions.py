@@ -21,9 +21,9 @@ from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied
+from rbjax.forces.context import Context, Frame
 from rbjax.forces.element import Loads
 from rbjax.forces.inputs import Inputs
-from rbjax.forces.instant import Frame, Instant
 from rbjax.model import Model, State
 from rbjax.spatial import Force, Transform
 
@@ -130,7 +130,7 @@ def joint_wrenches(
     Args: as `multipliers`.
     """
     l = _solved(model, state, ctrl, t)
-    now = Instant.of(model, t, state, None)
+    now = Context.of(model, t, state, None)
     out, at = [], 0
     for constraint in model.constraints:
         joint = constraint.of if isinstance(constraint, Soft) else constraint
@@ -155,7 +155,7 @@ class _End(Frame):
     """A frame that records wrenches in its own axes, at its origin, instead of on its link. So the
     frame may be on the world, or on the same link as the other end of the joint."""
 
-    def __init__(self, now: Instant, frame: Frame, *moved: Transform):
+    def __init__(self, now: Context, frame: Frame, *moved: Transform):
         super().__init__(now.links, frame.link, *frame._placed, *moved)
         self._now, self._frame, self._moved = now, frame, moved
 

@@ -36,7 +36,7 @@ from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.packing import pack
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model, State
 
@@ -49,9 +49,9 @@ class DifferentialAlgebraic(Method):
     """A formulation whose equations an implicit method steps: Radau IIA of three stages, or another
     one given as `integrator=` of `rollout` or `solver=` of `simulate`.
 
-    As a law it gives the accelerations of index 1, which are those of consistent states. A step
-    whose equations are not solved is a value: `Trajectory.ok` is False, and adaptive steps become
-    shorter. `Projection` puts states back on all levels after steps.
+    As a dynamics it gives the accelerations of index 1, which are those of consistent states. A
+    step whose equations are not solved is a value: `Trajectory.ok` is False, and adaptive steps
+    become shorter. `Projection` puts states back on all levels after steps.
 
     Example:
         >>> import rbjax as rb
@@ -85,7 +85,7 @@ class DifferentialAlgebraic(Method):
         """The depth of each algebraic equation (integrations from acceleration), the scale of its
         diagonal (`as_free_bodies`), and the number of GGL rows."""
         d = driver(model, state.q.dtype)
-        now = Instant.of(model, t, state, None, d=d)
+        now = Context.of(model, t, state, None, d=d)
         _ = now.links.joints  # a driver learns from them what its lanes are
         rows = rows_of(model, now)
         again = self.held_by_mu(rows)
@@ -102,7 +102,7 @@ class DifferentialAlgebraic(Method):
             at = State(retract(model, q, u), v, x if model.nx else None)
             tau, pushes, x_rate = forces(t, at)
             d = driver(model, dtype)
-            now = Instant.of(model, t, at, None, d=d)
+            now = Context.of(model, t, at, None, d=d)
             rows = rows_of(model, now)
             l, mu = list(w[: len(rows)]), list(w[len(rows) :])
             tau, pushes = with_multipliers(d, rows, l, tau, pushes)
@@ -120,9 +120,10 @@ class DifferentialAlgebraic(Method):
         return f
 
 
-def stepped(law: Any) -> DifferentialAlgebraic | None:
-    """The method whose equations an implicit integrator steps, if the law has such a method."""
-    method = law.method if isinstance(law, Formulation) else law
+def stepped(dynamics: Any) -> DifferentialAlgebraic | None:
+    """The method whose equations an implicit integrator steps, if the dynamics has such a
+    method."""
+    method = dynamics.method if isinstance(dynamics, Formulation) else dynamics
     return method if isinstance(method, DifferentialAlgebraic) else None
 
 

@@ -47,7 +47,7 @@ from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack, unpack
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
 from rbjax.lanes.proximal import LeastNorm
 from rbjax.model import WORLD
@@ -85,13 +85,11 @@ class Recursive(Method):
     index: ClassVar[int] = 0
 
     def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(
-            model, t, state, tau, pushes, alpha, beta, method=by_clusters
-        )[0]
+        return constrained_motion(model, t, state, tau, pushes, alpha, beta, method=by_clusters)[0]
 
 
 def by_clusters(
-    d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+    d: Driver, now: Context, tau: jax.Array, pushes: LinkForces
 ) -> tuple[jax.Array | None, None, System]:
     """From accelerations zero on, cluster by cluster; from free motion on where links are a loop of
     the program."""
@@ -99,7 +97,7 @@ def by_clusters(
         return range_space(d, now, tau, pushes)
     joints, gravity = now.links.joints, d.prepared.gravity
 
-    def system(now: Instant, rows: Sequence[Row]) -> Solve:
+    def system(now: Context, rows: Sequence[Row]) -> Solve:
         found = clusters(d.topology, rows)
         if max((len(cluster.rows) for cluster in found), default=0) > ROWS_ON_LANES:
             by_rows = response(d, factorize(d, joints), now, rows)

@@ -18,7 +18,7 @@ from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.drivers.choice import driver
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, add, mul, neg
 from rbjax.lanes.products import matmat, matvec
 
@@ -125,7 +125,7 @@ class Penalty(Method):
 
     def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
         d = driver(model, state.q.dtype)
-        now = Instant.of(model, t, state, None, d=d)
+        now = Context.of(model, t, state, None, d=d)
         _ = now.links.joints  # a driver learns from them what its lanes are
         rows = rows_of(model, now)
         l = [neg(self._force(row)) for row in rows]

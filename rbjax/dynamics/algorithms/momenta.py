@@ -95,7 +95,7 @@ def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
     return with_implicit_jvp(plain, solved, residual)(given, q, p)[0]
 
 
-def nearby_velocity(
+def linearly_implicit_velocity(
     model: Model, q: jax.Array, extra: Mapping[int, Lane] | None = None
 ) -> Callable[[jax.Array], jax.Array]:
     """The function p -> (M(q) + diag(extra))^-1 p of arrays (nv, ...); all calls share one

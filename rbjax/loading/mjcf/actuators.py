@@ -9,7 +9,7 @@ import numpy as np
 
 from rbjax.forces import Element
 from rbjax.forces.actuators.activation import Activation, Filter, Integrator, Recruitment
-from rbjax.forces.actuators.actuator import Active, Actuator, Affine, GainBias, Law, Passive
+from rbjax.forces.actuators.actuator import Active, Actuator, Affine, ForceLaw, GainBias, Passive
 from rbjax.forces.actuators.dc_motor import DCMotor, Heat, LuGre, Windings
 from rbjax.forces.actuators.muscle import Muscle
 from rbjax.forces.actuators.orientation_servo import OrientationServo
@@ -109,7 +109,7 @@ def _tendon(m: mujoco.MjModel, tendon: int, gear: jax.Array) -> Transmission:
     return SitePath(gear, array(divisors), tuple(segments))
 
 
-def _law(m: mujoco.MjModel, i: int) -> Law:
+def _law(m: mujoco.MjModel, i: int) -> ForceLaw:
     gain, bias = m.actuator_gaintype[i], m.actuator_biastype[i]
     if gain == Gain.PID:
         return _pid(m, i)

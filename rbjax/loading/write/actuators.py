@@ -12,7 +12,7 @@ import numpy as np
 
 from rbjax.forces import Element
 from rbjax.forces.actuators.activation import Activation, Filter, Integrator, Recruitment
-from rbjax.forces.actuators.actuator import Active, Actuator, Affine, GainBias, Law, Passive
+from rbjax.forces.actuators.actuator import Active, Actuator, Affine, ForceLaw, GainBias, Passive
 from rbjax.forces.actuators.affine import from_columns, is_affine
 from rbjax.forces.actuators.dc_motor import DCMotor
 from rbjax.forces.actuators.muscle import Muscle
@@ -99,7 +99,7 @@ def _write_element(draft: Draft, element: Any) -> Element:
     entry.attrib |= _transmission(draft, element.transmission)
     entry.attrib |= _range("forcerange", element.forcerange)
     inputs: tuple[str, ...] = ("pos",)
-    law: Law = element.law
+    law: ForceLaw = element.law
     if isinstance(law, PID):
         inputs = law.controller.inputs
         entry.attrib |= _pid(law)

@@ -33,7 +33,7 @@ import jax.numpy as jnp
 
 from rbjax.constraints.rows.geometry import Z, opposed
 from rbjax.errors import InputError
-from rbjax.forces import Element, Instant, Loads
+from rbjax.forces import Context, Element, Loads
 from rbjax.forces.element import Shapes
 from rbjax.forces.joints.limits import stop_energy, stop_force
 from rbjax.forces.place import Place, check_places
@@ -127,7 +127,7 @@ class TyreOnGround(Element):
     def size(self) -> int:
         return self.tyre.size
 
-    def contact(self, now: Instant) -> Contact:
+    def contact(self, now: Context) -> Contact:
         """Where and how it touches, at an instant."""
         A, B, own = self.a.frame(now), self.b.frame(now), self._in(now)
         n, e = A.rotation @ Z, B.rotation @ Z
@@ -153,7 +153,7 @@ class TyreOnGround(Element):
         p = B.position + arm
         return Contact(p, n, x, y, depth, load, lever, (vx, vy), mu, rates, spin, rolls)
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         at, A, B = now.once(self, lambda: self.contact(now)), self.a.frame(now), self.b.frame(now)
         F = (at.n + at.x * at.mu[0] + at.y * at.mu[1]) * at.load
         torque, resistance = Vec3.zero(), self._in(now).resistance
@@ -162,14 +162,14 @@ class TyreOnGround(Element):
             torque = (B.rotation @ Z) * drag
         return opposed(B.push(F, torque, at=at.p), A.push(-F, -torque, at=at.p))
 
-    def rate(self, now: Instant) -> Any:
+    def rate(self, now: Context) -> Any:
         return now.once(self, lambda: self.contact(now)).rates
 
-    def energy(self, now: Instant) -> Lane:
+    def energy(self, now: Context) -> Lane:
         """What the spring stores, and the carcass of a `Relaxing` tyre under its load now."""
         at, own = now.once(self, lambda: self.contact(now)), self._in(now)
         return stop_energy(at.depth, own.stiffness, own.onset) + at.load * own.tyre.stored(now.x)
 
-    def _in(self, now: Instant) -> TyreOnGround:
+    def _in(self, now: Context) -> TyreOnGround:
         """The same, in the precision of the motion."""
         return jax.tree.map(lambda x: jnp.asarray(x, now.q.dtype), self)

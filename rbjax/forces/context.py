@@ -27,7 +27,7 @@ from rbjax.spatial import Force, Motion, Transform
 
 
 @dataclass(frozen=True)
-class Instant:
+class Context:
     """Time t, configuration q (nq,), velocity v (nv,), controls u (nu,) or None, the element's own
     state x (size,), the length dt of the step in which it stands, or None where that is not fixed;
     the accelerations a (nv,) for those of frames, zero where None; bodies, sites and joints by name
@@ -61,18 +61,18 @@ class Instant:
         u: Any,
         dt: Any = None,
         d: Driver | None = None,
-    ) -> Instant:
+    ) -> Context:
         """The instant of a state; its x is that of all elements. d: the driver, the model's if
         None."""
         links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
         own = without_constants(model)  # a user's element may change the leaves
         return cls(own, t, state.q, state.v, u, state.x, links, dt)
 
-    def accelerating(self, a: jax.Array) -> Instant:
+    def accelerating(self, a: jax.Array) -> Context:
         """The same with the accelerations a (nv,)."""
         return replace(self, a=a, links=self.links.accelerating(a))
 
-    def with_own(self, x: Any) -> Instant:
+    def with_own(self, x: Any) -> Context:
         """The same, as an element with the state x sees it."""
         return replace(self, x=x)
 
