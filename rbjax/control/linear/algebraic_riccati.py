@@ -100,20 +100,35 @@ EDGE = 0.02  # of P's change by one more turn; 0.5 on the edge
 Problem = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
-class Solved(NamedTuple):
-    """P (n, n); K (m, n); residual (), relative to the largest term; error (), to P; result."""
+class Regulator(NamedTuple):
+    """A regulator of infinite horizon; K and P are 0 without a solution.
 
-    P: jax.Array
+    K: (m, n), of u = -K x.
+    P: (n, n), the least cost is x'Px.
+    residual: (), the largest entry of the residual of the Riccati equation over its largest term.
+    error: (), a bound of the relative error of P by rounding.
+    status: a `LinearStatus`.
+    acceleration: (nv,), of `lqr_at`: v' at the state under the controls, zero at an equilibrium;
+        None for `lqr`.
+    """
+
     K: jax.Array
+    P: jax.Array
     residual: jax.Array
     error: jax.Array
     status: Any
+    acceleration: jax.Array | None = None
+
+    @property
+    def success(self) -> jax.Array:
+        """Whether there is a solution."""
+        return self.status == LinearStatus.success
 
 
 @functools.partial(compiled, static_argnums=5)
 def riccati(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, S: jax.Array, discrete: bool
-) -> Solved:
+) -> Regulator:
     """The stabilising solution. Arguments are arrays of one floating dtype."""
     problem = (A, B, (Q + Q.T) / 2, (R + R.T) / 2, S)
     finite = jnp.isfinite(jnp.concatenate([x.ravel() for x in problem])).all()
@@ -139,7 +154,7 @@ def riccati(
     residual, error = (
         jnp.where(ok, x, jnp.inf) for ok, x in ((finite, jnp.abs(off).max() / size), (found, error))
     )
-    return Solved(P, K, residual, error, status)
+    return Regulator(K, P, residual, error, status)
 
 
 def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:

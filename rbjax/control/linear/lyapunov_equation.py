@@ -3,10 +3,10 @@
     discrete    X = A X A' + Q = sum of A^k Q A'^k
     continuous  A X + X A' + Q = 0,   X = integral of exp(At) Q exp(A't)
 
-Smith's doubling X <- X + A X A', A <- A^2 sums 2^k terms in k steps. Cayley's transform with a shift
-g > 0 makes a continuous equation discrete: F = (g - A)^-1 (g + A) and 2 g (g - A)^-1 Q (g - A)^-T
-have the same X. One step of refinement by the residual follows. A is stable if the norm of a power
-of it is below one, so no eigenvalues are needed.
+Smith's doubling X <- X + A X A', A <- A^2 sums 2^k terms in k steps. Cayley's transform with a
+shift g > 0 makes a continuous equation discrete: F = (g - A)^-1 (g + A) and
+2 g (g - A)^-1 Q (g - A)^-T have the same X. One step of refinement by the residual follows. A is
+stable if the norm of a power of it is below one, so no eigenvalues are needed.
 
 The Kronecker form (1 - A x A) vec X = vec Q also has a solution for unstable A, unless two
 eigenvalues are each other's inverse (or negative). It takes n^6 operations.

@@ -310,15 +310,23 @@ def constant_problem(
         *([] if S is None else [("S", S, "nm")]),
         *([] if terminal is None else [("terminal", terminal, "nn")]),
     )  # fmt: skip
-    (n, m), dtype = B.shape, B.dtype
     end = Q if terminal is None else rest[-1]
-    S = jnp.zeros((n, m), dtype) if S is None else rest[0]
+    S = None if S is None else rest[0]
 
-    def each(x):
-        return jnp.broadcast_to(x, (horizon, *x.shape))
+    A, B = (jnp.broadcast_to(x, (horizon, *x.shape)) for x in (A, B))
+    return constant_weights(A, B, Q, R, end, S)
 
-    zero, none = jnp.zeros(n, dtype), jnp.zeros(m, dtype)
-    return LinearQuadratic(
-        each(A), each(B), each(zero), jnp.concatenate([each(Q), end[None]]),
-        jnp.zeros((horizon + 1, n), dtype), each(R), each(none), each(S),
-    )  # fmt: skip
+
+def constant_weights(
+    A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, end: jax.Array, S: Any = None
+) -> LinearQuadratic:
+    """The problem of A (N, n, n) and B (N, n, m) with the same weights at each step."""
+    N, n, m = B.shape
+
+    def each(x: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(x, (N, *x.shape))
+
+    S = jnp.zeros_like(B) if S is None else each(S)
+    x, u = jnp.zeros((N + 1, n), B.dtype), jnp.zeros((N, m), B.dtype)
+    Qs = jnp.concatenate([each(Q), end[None]])
+    return LinearQuadratic(A, B, x[:-1], Qs, x, each(R), u, S)

@@ -1,9 +1,9 @@
 """Optimal control: problems, the methods of `solve`, derivatives of solutions, predictive control.
 
 A `Problem` (`problem`) has a system (`system`), costs and constraints of terms (`terms`,
-`residuals`, `clearances`), bounds, and free parts of the start, the time and the model. Its cost
-and its constraints are evaluated by `objective` and `constraint_rows`. `solve` (`solver`) runs one
-of the methods (`registry`): those of `shooting` or of `collocation`. A solution has derivatives
+`residuals`, `clearances`), bounds, and free parts of the start, the time and the model. `objective`
+evaluates its cost and its constraints. `solve` (`solver`) runs one of the methods (`registry`) of
+`shooting` or `collocation`. A solution has derivatives
 (`derivatives`). `mpc` (`receding_horizon`) plans at every tick; `RealTime` does so with a clock.
 """
 

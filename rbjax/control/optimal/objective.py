@@ -27,7 +27,7 @@ from rbjax.control.optimal.problem import BODY, Knot, Problem
 from rbjax.errors import InputError
 
 
-def example(problem: Problem) -> tuple[Knot, jax.Array]:
+def example_knot(problem: Problem) -> tuple[Knot, jax.Array]:
     """A knot and controls, of which only shapes count."""
     dtype = problem.dt.dtype
     state = problem.system.example(dtype)
@@ -36,7 +36,7 @@ def example(problem: Problem) -> tuple[Knot, jax.Array]:
 
 def row_sizes(problem: Problem, where: str) -> list[tuple[Any, int]]:
     """Each constraint at "path" or "end" with the number of its rows."""
-    knot, ctrl = example(problem)
+    knot, ctrl = example_knot(problem)
     out = []
     for c in problem.constraints_at(where):
 
@@ -60,7 +60,7 @@ def row_count(problem: Problem, where: str) -> int:
     return sum(size for _, size in row_sizes(problem, where))
 
 
-def limits(problem: Problem, where: str, dtype: Any) -> tuple[jax.Array, jax.Array]:
+def row_bounds(problem: Problem, where: str, dtype: Any) -> tuple[jax.Array, jax.Array]:
     """The bounds (c,) of the rows at "path" or "end"."""
     lows, highs = [jnp.zeros(0, dtype)], [jnp.zeros(0, dtype)]
     for c, size in row_sizes(problem, where):
@@ -74,28 +74,24 @@ def violation(c: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     return jnp.abs(c - jnp.clip(c, low, high))
 
 
-def knot_violation(problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
+def knot_violation(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
     """The largest violation () of the constraints of a knot."""
     if not problem.constraints:
         return jnp.zeros((), ctrl.dtype)
-    c = problem.rows(k, knot, ctrl, where)
-    return violation(c, *limits(problem, where, c.dtype)).max(initial=0.0)
+    c = problem.rows(where, k, knot, ctrl)
+    return violation(c, *row_bounds(problem, where, c.dtype)).max(initial=0.0)
 
 
 def rows_along(problem: Problem, knots: Knot, ctrls: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The rows of a motion: (N, c) of the knots with controls, (e,) of the end."""
-
-    def rows(where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-        return problem.rows(k, knot, ctrl, where)
-
-    return over_knots(rows, problem, knots, ctrls)
+    return over_knots(problem.rows, problem, knots, ctrls)
 
 
 def constraint_violations(problem: Problem, path: jax.Array, end: jax.Array) -> jax.Array:
     """The largest violation of each constraint: path (..., c) and end (e,), the rows."""
     worst = {id(c): jnp.zeros((), path.dtype) for c in problem.constraints}
     for where, rows in (("path", path), ("end", end)):
-        off = violation(rows, *limits(problem, where, rows.dtype))
+        off = violation(rows, *row_bounds(problem, where, rows.dtype))
         at = 0
         for c, size in row_sizes(problem, where):
             worst[id(c)] = jnp.maximum(worst[id(c)], off[..., at : at + size].max(initial=0.0))
@@ -129,20 +125,12 @@ def shift_multipliers(multipliers: Multipliers | None, at: jax.Array) -> Multipl
     return multipliers._replace(path=multipliers.path[at])
 
 
-def penalty_residuals(
+def shifted_excess(
     c: jax.Array, y: jax.Array, mu: jax.Array, low: jax.Array, high: jax.Array
 ) -> jax.Array:
-    """The residuals of L: sqrt(mu) (s - clip(s))."""
+    """s - clip(s, low, high): the residuals of L over sqrt(mu), the next multipliers over mu."""
     s = c + y / mu
-    return jnp.sqrt(mu) * (s - jnp.clip(s, low, high))
-
-
-def next_multipliers(
-    c: jax.Array, y: jax.Array, mu: jax.Array, low: jax.Array, high: jax.Array
-) -> jax.Array:
-    """mu (s - clip(s))."""
-    s = c + y / mu
-    return mu * (s - jnp.clip(s, low, high))
+    return s - jnp.clip(s, low, high)
 
 
 def next_penalty(
@@ -159,63 +147,15 @@ def half_square(value: jax.Array) -> jax.Array:
     return 0.5 * (value * value).sum() if value.ndim else value
 
 
-def knot_cost(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-    """The sum () of the costs of a knot with controls ("path") or of the "end"."""
-    total = jnp.zeros((), ctrl.dtype)
-    for cost in problem.costs(where):
-        total = total + half_square(problem.value(cost, where, k, knot, ctrl))
-    return total
+def cost_terms(problem: Problem, where: str) -> list[Any]:
+    """The functions (k, knot, ctrl) -> weighted residuals or a number, one for each cost."""
+    return [functools.partial(problem.value, cost, where) for cost in problem.costs(where)]
 
 
-def motion_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
-    """The cost () of a motion, without penalties."""
-    path, end = over_knots(functools.partial(knot_cost, problem), problem, knots, ctrls)
-    return path.sum() + end
-
-
-def residuals(
-    problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """All residuals (r,) of a knot, and the sum () of the costs that are numbers."""
-    vectors, rest = [jnp.zeros(0, ctrl.dtype)], jnp.zeros((), ctrl.dtype)
-    for cost in problem.costs(where):
-        value = problem.value(cost, where, k, knot, ctrl)
-        if value.ndim:
-            vectors.append(value)
-        else:
-            rest = rest + value
-    return jnp.concatenate(vectors), rest
-
-
-def over_knots(f: Any, problem: Problem, knots: Knot, ctrls: jax.Array) -> tuple[Any, Any]:
-    """f("path", k, knot, ctrl) of all knots with controls, and f("end", N, knot, 0) of the last."""
-    body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
-    ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
-    path = jax.vmap(functools.partial(f, "path"))(ks, body, ctrls)
-    return path, f("end", problem.horizon, last, jnp.zeros(problem.nu, ctrls.dtype))
-
-
-def merit(
-    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
-    where: str,
-) -> jax.Array:  # fmt: skip
-    """The cost () of a knot with its part of the augmented Lagrangian."""
-    total = knot_cost(problem, where, k, knot, ctrl)
-    for penalty in penalties(problem, rows, mu, where):
-        total = total + half_square(penalty(k, knot, ctrl))
-    return total
-
-
-def parts(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
-    """The functions (k, knot, ctrl) whose costs are summed: of each cost, weighted residuals or a
-    number; of each constraint, the residuals of the augmented Lagrangian."""
-    costs = [functools.partial(problem.value, cost, where) for cost in problem.costs(where)]
-    return costs + penalties(problem, rows, mu, where)
-
-
-def penalties(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
-    """The functions (k, knot, ctrl) -> residuals of the augmented Lagrangian, one a constraint."""
-    found: list[Any] = []
+def merit_terms(problem: Problem, where: str, rows: jax.Array, mu: jax.Array) -> list[Any]:
+    """The terms of the costs, and for each constraint the residuals of the augmented
+    Lagrangian."""
+    found = cost_terms(problem, where)
     at = 0
     for c, size in row_sizes(problem, where):
         own = rows[at : at + size]
@@ -224,7 +164,70 @@ def penalties(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> l
         def penalty(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c, own: Any = own) -> jax.Array:
             value = problem.row(c, k, knot, ctrl)
             low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
-            return penalty_residuals(value, own, mu, low, high)
+            return jnp.sqrt(mu) * shifted_excess(value, own, mu, low, high)
 
         found.append(penalty)
     return found
+
+
+def summed(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+    """The sum () of the costs of terms."""
+    total = jnp.zeros((), ctrl.dtype)
+    for term in terms:
+        total = total + half_square(term(k, knot, ctrl))
+    return total
+
+
+def knot_cost(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+    """The cost () of a knot with controls ("path") or of the "end"."""
+    return summed(cost_terms(problem, where), k, knot, ctrl)
+
+
+def merit(
+    problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array,
+    mu: jax.Array,
+) -> jax.Array:  # fmt: skip
+    """The cost () of a knot with its part of the augmented Lagrangian."""
+    return summed(merit_terms(problem, where, rows, mu), k, knot, ctrl)
+
+
+def residuals(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """All residuals (r,) of terms, and the sum () of those that are numbers."""
+    vectors, rest = [jnp.zeros(0, ctrl.dtype)], jnp.zeros((), ctrl.dtype)
+    for term in terms:
+        value = term(k, knot, ctrl)
+        if value.ndim:
+            vectors.append(value)
+        else:
+            rest = rest + value
+    return jnp.concatenate(vectors), rest
+
+
+def over_knots(
+    f: Any, problem: Problem, knots: Knot, ctrls: jax.Array, rows: tuple = ()
+) -> tuple[Any, Any]:
+    """f("path", k, knot, ctrl) of all knots with controls, and f("end", N, knot, 0) of the last.
+    rows: none, or a last argument of f at the path (N, ...) and at the end."""
+    body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
+    ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
+    path = jax.vmap(functools.partial(f, "path"))(ks, body, ctrls, *rows[:1])
+    return path, f("end", problem.horizon, last, jnp.zeros(problem.nu, ctrls.dtype), *rows[1:])
+
+
+def motion_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
+    """The cost () of a motion, without penalties."""
+    path, end = over_knots(functools.partial(knot_cost, problem), problem, knots, ctrls)
+    return path.sum() + end
+
+
+def roll_out(problem: Problem, first: Knot, policy: Any, given: Any) -> tuple[Knot, jax.Array]:
+    """The knots (N + 1, ...) and controls (N, m) of the motion under a policy
+    (k, knot, entry k of `given`) -> ctrl."""
+
+    def step(knot: Knot, x: tuple) -> tuple[Knot, tuple[Knot, jax.Array]]:
+        u = policy(x[0], knot, x[1])
+        return problem.step(x[0], knot, u), (knot, u)
+
+    ks = jnp.arange(problem.horizon, dtype=first.parameters.dtype)
+    last, (knots, ctrls) = jax.lax.scan(step, first, (ks, given))
+    return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), knots, last), ctrls

@@ -293,7 +293,7 @@ class Problem(Record):
         value = c.term(system.model, self.time(k, dt), knot.state, ctrl)
         return jnp.ravel(_array(c.term, value, dt.dtype))
 
-    def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
+    def rows(self, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
         none = jnp.zeros(0, knot.parameters.dtype)
         return jnp.concatenate(

@@ -203,7 +203,7 @@ class PredictiveController:
         # do not reject a plan because its start, which is measured, violates a constraint
         first = jax.tree.map(lambda a: a[0], found.knots)
         zero = jnp.zeros((), found.ctrls.dtype)
-        off = knot_violation(problem, zero, first, found.ctrls[0], "path") > self.violation
+        off = knot_violation(problem, "path", zero, first, found.ctrls[0]) > self.violation
         good &= (found.status != NOT_FINITE) & ((found.status != INFEASIBLE) | off)
         new = memory._replace(
             knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,

@@ -44,12 +44,12 @@ from rbjax.control.optimal.collocation.transcription import (
     stage_states,
     stages,
 )
-from rbjax.control.optimal.objective import constraint_violations, limits
+from rbjax.control.optimal.objective import constraint_violations, row_bounds
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, Knot, Problem
 from rbjax.control.optimal.shooting import filter_search
 from rbjax.control.optimal.shooting.filter_search import Filter, Pair
-from rbjax.control.optimal.shooting.search_state import MAX_STALLED, count_stalled
+from rbjax.control.optimal.shooting.search import MAX_STALLED, count_stalled
 from rbjax.control.optimal.solution import SearchResult, StageValues
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.solvers.common.tableau import Tableau
@@ -87,7 +87,7 @@ class Iterate(NamedTuple):
     stalled: jax.Array
 
 
-def by_collocation(
+def solve_collocation(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     table: Tableau,
 ) -> SearchResult:  # fmt: skip
@@ -113,7 +113,7 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
     _, end = at_end(problem, jax.tree.map(lambda x: x[-1], knots))
     slacks = []
     for where, values in (("path", rows), ("end", end)):
-        low, high = limits(problem, where, dtype)
+        low, high = row_bounds(problem, where, dtype)
         slacks.append(jnp.where(low == high, low, barrier.push_inside(values, low, high)))
     point = Point(knots, inner, *slacks)
     bounds = sum(barrier.bound_count(x) for x in t.bounded(point)) + rows.size + end.size

@@ -32,7 +32,7 @@ from rbjax.control.optimal.collocation.transcription import (
     at_end,
     stages,
 )
-from rbjax.control.optimal.objective import limits
+from rbjax.control.optimal.objective import row_bounds
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback, backward_pass
 from rbjax.lanes.products import matvec
@@ -112,9 +112,8 @@ class Transcribed(NamedTuple):
         out = []
         for i, where in enumerate(("path", "end")):
             slack = (point.path, point.end)[i]
-            low, high = (
-                jnp.broadcast_to(x, slack.shape) for x in limits(self.problem, where, slack.dtype)
-            )
+            bounds = row_bounds(self.problem, where, slack.dtype)
+            low, high = (jnp.broadcast_to(x, slack.shape) for x in bounds)
             out.append(Rows(slack, l.slacks[i], l.y[i], l.centre[i], low, high))
         return out[0], out[1]
 

@@ -60,7 +60,7 @@ def at_stage(
     rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
     point = Knot(system.plus(knot.state, xi), knot.parameters)
     cost = knot_cost(problem, "path", where, point, ctrl)
-    return rates, cost, problem.rows(where, point, ctrl, "path")
+    return rates, cost, problem.rows("path", where, point, ctrl)
 
 
 def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -> Knot:
@@ -92,7 +92,7 @@ def stage_states(problem: Problem, table: Tableau, knot: Knot, inner: Inner) -> 
 def at_end(problem: Problem, knot: Knot) -> tuple[jax.Array, jax.Array]:
     """The terminal cost () and the rows (e,) at the end."""
     N, none = problem.horizon, jnp.zeros(problem.nu, problem.dt.dtype)
-    return knot_cost(problem, "end", N, knot, none), problem.rows(N, knot, none, "end")
+    return knot_cost(problem, "end", N, knot, none), problem.rows("end", N, knot, none)
 
 
 def chords(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> Inner:

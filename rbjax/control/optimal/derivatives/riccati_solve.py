@@ -24,6 +24,7 @@ from rbjax.control.products import product
 
 TURNS = 4  # of refinement
 
+
 def transpose_product(A: jax.Array, B: jax.Array) -> jax.Array:
     """A' B."""
     return product(A.T, B)

@@ -37,11 +37,16 @@ from rbjax.control.optimal.objective import knot_violation, merit
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback
-from rbjax.control.optimal.shooting.ddp import Iterate, StepPolicy, search
-from rbjax.control.optimal.shooting.expansion import Local
+from rbjax.control.optimal.shooting.expansion import FEW, Expanded, Local, knot_indices, knots_at
 from rbjax.control.optimal.shooting.filter_search import ARMIJO, rounding
-from rbjax.control.optimal.shooting.knots import FEW, Expanded, knot_indices, knots_at
-from rbjax.control.optimal.shooting.search_state import LENGTHS, Decision, IterationValues
+from rbjax.control.optimal.shooting.search import (
+    LENGTHS,
+    Decision,
+    Iterate,
+    IterationValues,
+    StepPolicy,
+    search,
+)
 from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.products import product
 
@@ -67,11 +72,11 @@ class LinearTrials(NamedTuple):
     step: Step
 
 
-def by_sqp(
+def solve_sqp(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     exact: bool = False,
 ) -> SearchResult:  # fmt: skip
-    """`solve` by sequential quadratic programming. exact: as in `by_ddp`."""
+    """`solve` by sequential quadratic programming. exact: as in `solve_ddp`."""
     return search(LINEAR_STEPS, problem, start, knots, ctrls, options, history, exact)
 
 
@@ -108,15 +113,15 @@ def _trials(
         there, u = problem.plus(knot, a * dx), problem.within_bounds(ctrl + a * du)
         after = problem.plus(following, a * ahead)
         c, q, r = cost
-        change = merit(problem, k, there, u, y, mu, "path") - c
-        off = knot_violation(problem, k, there, u, "path")
+        change = merit(problem, "path", k, there, u, y, mu) - c
+        off = knot_violation(problem, "path", k, there, u)
         slope = (q * dx).sum() + (r * du).sum()
 
         def closing() -> tuple:
             none = jnp.zeros(problem.nu, dtype)
             c, q = end
-            more = merit(problem, k + 1, after, none, y_end, mu, "end") - c
-            return more, (q * ahead).sum(), knot_violation(problem, k + 1, after, none, "end")
+            more = merit(problem, "end", k + 1, after, none, y_end, mu) - c
+            return more, (q * ahead).sum(), knot_violation(problem, "end", k + 1, after, none)
 
         def nothing() -> tuple:
             zero = jnp.zeros((), dtype)
