@@ -26,9 +26,9 @@ from benchmarks.shared.gpu_timing import CALLS, alone, timed
 from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.compiler import threads
 from rbjax.control.optimal.first_guess import first_guess
-from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.shooting import ddp, expansion, sqp
 from rbjax.control.optimal.shooting.search import gains_of, initial_iterate, iterate
+from rbjax.control.optimal.solution import Options, StoppingRule
 
 COLUMNS = (
     "robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median",

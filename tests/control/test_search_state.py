@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rbjax.control import Control, Cost, Equations, Problem, solve
-from rbjax.control.optimal.options import StoppingRule
 from rbjax.control.optimal.shooting.search import (
     LEAST,
     LENGTHS,
@@ -15,6 +14,7 @@ from rbjax.control.optimal.shooting.search import (
     decide,
     initial_search_state,
 )
+from rbjax.control.optimal.solution import StoppingRule
 from rbjax.control.status import CONVERGED, STUCK
 
 LINE = Equations(lambda t, x, u: u, 1, 1)

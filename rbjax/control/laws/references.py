@@ -39,9 +39,7 @@ class Pose(NamedTuple):
     A: jax.Array
 
 
-def check_configurations(
-    where: str, model: Model, reference: Any, name: str = "reference"
-) -> Any:
+def check_configurations(where: str, model: Model, reference: Any, name: str = "reference") -> Any:
     """A reference of configurations: (nq,), a function t -> (nq,), or t -> (q, v, a)."""
     if callable(reference):
         check_takes(where, name, reference, "t")

@@ -32,7 +32,8 @@ def iterated(
     quick = jax.default_backend() == "gpu" and iterations < OPTIMISED_FROM
     options: Any = UNMEASURED if quick else None
     first = jax.jit(
-        lambda count, *given: jax.lax.scan(turn, begin(*given), None, count), static_argnums=0,
+        lambda count, *given: jax.lax.scan(turn, begin(*given), None, count),
+        static_argnums=0,
         compiler_options=options,
     )
     more = jax.jit(lambda now, count: jax.lax.scan(turn, now, None, count), static_argnums=1,

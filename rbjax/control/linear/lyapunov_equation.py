@@ -102,9 +102,7 @@ def _lyapunov(A: jax.Array, Q: jax.Array, discrete: bool, method: str) -> Lyapun
         + jnp.abs(X).max() * (1 if discrete else jnp.abs(A).max())
     )
     off = jnp.abs(left(A, X) - Q).max() / jnp.maximum(size, jnp.finfo(dtype).tiny)
-    status = first_of(
-        (~stable, LinearStatus.not_stable), (~finite, LinearStatus.not_finite)
-    )
+    status = first_of((~stable, LinearStatus.not_stable), (~finite, LinearStatus.not_finite))
     return Lyapunov(X, off, status)
 
 

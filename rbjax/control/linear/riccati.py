@@ -175,16 +175,21 @@ def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.
         [1.0, 0.4, 0.2]
     """
     start = check_start("roll", problem, gains, start)
+    return roll_linear(problem.A, problem.B, problem.d, -gains.K, -gains.k, start)
 
-    def step(x, given):
+
+def roll_linear(
+    A: jax.Array, B: jax.Array, d: jax.Array, K: jax.Array, k: jax.Array, first: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """x (N + 1, n) and u (N, m) of x+ = A x + B u + d, u = k + K x."""
+
+    def step(x: jax.Array, given: tuple) -> tuple[jax.Array, tuple]:
         A, B, d, K, k = given
-        u = -product(K, x) - k
-        new = product(A, x) + product(B, u) + d
-        return new, (new, u)
+        u = k + product(K, x)
+        return product(A, x) + product(B, u) + d, (x, u)
 
-    along = (problem.A, problem.B, problem.d, gains.K, gains.k)
-    x, u = jax.lax.scan(step, start, along)[1]
-    return jnp.concatenate([start[None], x]), u
+    last, (x, u) = jax.lax.scan(step, first, (A, B, d, K, k))
+    return jnp.concatenate([x, last[None]]), u
 
 
 def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.Array:

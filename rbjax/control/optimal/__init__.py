@@ -8,29 +8,30 @@ evaluates its cost and its constraints. `solve` (`solver`) runs one of the metho
 """
 
 from rbjax.control.optimal.clearances import Capsule, Clearance, HalfSpace, Sphere
-from rbjax.control.optimal.controller_memory import TickStatus
 from rbjax.control.optimal.problem import Design, Problem
 from rbjax.control.optimal.real_time import RealTime
-from rbjax.control.optimal.receding_horizon import PredictiveController, mpc
+from rbjax.control.optimal.receding_horizon import PredictiveController, TickStatus, mpc
 from rbjax.control.optimal.registry import Method, methods
-from rbjax.control.optimal.residuals import (
+from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
+from rbjax.control.optimal.solution import Solution
+from rbjax.control.optimal.solver import solve
+from rbjax.control.optimal.system import Equations, System
+from rbjax.control.optimal.terms import (
     Acceleration,
     CenterOfMass,
     Configuration,
+    Constraint,
     Control,
+    Cost,
     Effort,
     FrameVelocity,
     Jerk,
     Point,
     Pose,
     StateError,
+    Term,
     Velocity,
 )
-from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
-from rbjax.control.optimal.solution import Solution
-from rbjax.control.optimal.solver import solve
-from rbjax.control.optimal.system import Equations, System
-from rbjax.control.optimal.terms import Constraint, Cost, Term
 from rbjax.control.status import Status
 
 __all__ = [

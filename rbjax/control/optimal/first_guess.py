@@ -26,7 +26,7 @@ from rbjax.control.optimal.objective import (
     roll_out,
     row_count,
 )
-from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.problem import BODY, Knot, Problem, take
 from rbjax.control.optimal.solution import Solution
 from rbjax.control.products import product
 from rbjax.errors import InputError
@@ -113,7 +113,7 @@ def _rolled(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, K: jax.Array
 ) -> tuple[Knot, jax.Array]:
     """The motion from the start with feedback about knots."""
-    first = jax.tree.map(lambda x: x[0], knots)
+    first = take(knots, 0)
     away = problem.system.minus(first.state, start)
     away = jnp.where(jnp.asarray(problem.free), away, 0.0)
     first = first._replace(state=problem.system.plus(start, away))
@@ -122,7 +122,7 @@ def _rolled(
         knot, ctrl, K = given
         return problem.within_bounds(ctrl - product(K, problem.minus(now, knot)))
 
-    return roll_out(problem, first, policy, (jax.tree.map(lambda x: x[:-1], knots), ctrls, K))
+    return roll_out(problem, first, policy, (take(knots, BODY), ctrls, K))
 
 
 def _penalised_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:

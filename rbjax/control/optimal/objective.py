@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.optimal.problem import BODY, Knot, Problem
+from rbjax.control.optimal.problem import BODY, Knot, Problem, append, take
 from rbjax.errors import InputError
 
 
@@ -208,7 +208,7 @@ def over_knots(
 ) -> tuple[Any, Any]:
     """f("path", k, knot, ctrl) of all knots with controls, and f("end", N, knot, 0) of the last.
     rows: none, or a last argument of f at the path (N, ...) and at the end."""
-    body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
+    body, last = take(knots, BODY), take(knots, -1)
     ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
     path = jax.vmap(functools.partial(f, "path"))(ks, body, ctrls, *rows[:1])
     return path, f("end", problem.horizon, last, jnp.zeros(problem.nu, ctrls.dtype), *rows[1:])
@@ -230,4 +230,4 @@ def roll_out(problem: Problem, first: Knot, policy: Any, given: Any) -> tuple[Kn
 
     ks = jnp.arange(problem.horizon, dtype=first.parameters.dtype)
     last, (knots, ctrls) = jax.lax.scan(step, first, (ks, given))
-    return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), knots, last), ctrls
+    return append(knots, last), ctrls

@@ -65,7 +65,17 @@ class Knot(NamedTuple):
     parameters: jax.Array
 
 
-BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, and those after them
+BODY, NEXT = slice(None, -1), slice(1, None)  # the knots with controls, and the knots after them
+
+
+def take(tree: Any, at: Any) -> Any:
+    """Index the first axis of all arrays of a pytree."""
+    return jax.tree.map(lambda x: x[at], tree)
+
+
+def append(tree: Any, last: Any) -> Any:
+    """Append an entry to the first axis of all arrays of a pytree."""
+    return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tree, last)
 
 
 class Problem(Record):

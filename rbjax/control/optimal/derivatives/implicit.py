@@ -30,7 +30,7 @@ from rbjax.control.optimal.derivatives.optimality import (
     solution,
 )
 from rbjax.control.optimal.objective import cost_terms, residuals, row_bounds
-from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.problem import Knot, Problem, take
 from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import CONVERGED
 
@@ -70,7 +70,7 @@ def differentiable(
     functions = Functions(_without_operands(run), _without_operands(path), _without_operands(end))
     found: tuple = ()
     if any(map(_may_close_over_tracers, jax.tree.leaves(rest))):
-        one = jax.tree.map(lambda x: x[0], knots)
+        one = take(knots, 0)
         d, number = jnp.zeros(n + m, ctrls.dtype), jnp.zeros((), ctrls.dtype)
         functions, found = _hoist_closures(
             Functions(run, path, end),

@@ -27,8 +27,7 @@ from rbjax.control.optimal.objective import (
     knot_violation,
     merit,
 )
-from rbjax.control.optimal.options import Options
-from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.problem import BODY, Knot, Problem, append, take
 from rbjax.control.optimal.shooting.backward_pass import Feedback
 from rbjax.control.optimal.shooting.expansion import (
     Expanded,
@@ -42,7 +41,7 @@ from rbjax.control.optimal.shooting.search import (
     StepPolicy,
     search,
 )
-from rbjax.control.optimal.solution import SearchResult
+from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.products import product
 
 ACCEPTED, ASCENT = 0.1, 2.0  # shares of the expected change
@@ -73,7 +72,7 @@ def forward_pass(
     multipliers: Multipliers, a: jax.Array,
 ) -> Rollout:  # fmt: skip
     """The motion of a step of length a."""
-    first = jax.tree.map(lambda x: x[0], knots)
+    first = take(knots, 0)
     now = problem.plus(first, a * gains.first)
     mu = multipliers.penalty
 
@@ -89,7 +88,7 @@ def forward_pass(
         return (after, total, off, cross), (now, u)
 
     N, dtype = problem.horizon, ctrls.dtype
-    body = jax.tree.map(lambda x: x[:-1], knots)
+    body = take(knots, BODY)
     ks = jnp.arange(N, dtype=dtype)
     given = (ks, body, ctrls, gains.K, gains.k, gaps[:-1], gains.V[:-1], multipliers.path, gaps[1:])
     zero = jnp.zeros((), dtype)
@@ -98,9 +97,9 @@ def forward_pass(
     none = jnp.zeros(problem.nu, dtype)
     total = total + merit(problem, "end", N, last, none, multipliers.end, mu)
     off = jnp.maximum(off, knot_violation(problem, "end", N, last, none))
-    end = jax.tree.map(lambda x: x[-1], knots)
+    end = take(knots, -1)
     cross = cross + (gaps[-1] * product(gains.V[-1], problem.minus(last, end))).sum()
-    found = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), before, last)
+    found = append(before, last)
     return Rollout(found, us, total, off, cross)
 
 

@@ -29,7 +29,7 @@ from rbjax.control.optimal.objective import (
     row_bounds,
     shifted_excess,
 )
-from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
+from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
 from rbjax.control.products import product
 
 
@@ -176,7 +176,7 @@ def expand(
 ) -> Expanded:
     """All knots to second order, side by side."""
     N, dtype = problem.horizon, ctrls.dtype
-    body, following = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
+    body, following = take(knots, BODY), take(knots, NEXT)
 
     def cost_of(k, knot, ctrl, rows, mu):
         cost = quadratic(problem, "path", k, knot, ctrl, rows, mu)
@@ -197,7 +197,7 @@ def expand(
 
     def ends(start, knots, rows, mu):
         """The gap of the start, and the end."""
-        first, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (0, -1))
+        first, last = take(knots, 0), take(knots, -1)
         gap = problem.off_start(start, first)
         none = jnp.zeros(problem.nu, dtype)
         cost = quadratic(problem, "end", jnp.asarray(N, dtype), last, none, rows, mu)
@@ -256,7 +256,7 @@ def add_curvature(
 ) -> Expanded:
     """All knots with the second derivatives that Gauss-Newton omits."""
     N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
-    body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
+    body, last = take(knots, BODY), take(knots, -1)
 
     def one(k, knot, ctrl, rows, costate):
         return second_order(problem, "path", k, knot, ctrl, rows, mu, costate)
@@ -287,7 +287,7 @@ def updated_multipliers(
         c = problem.rows(where, k, knot, ctrl)
         return mu * shifted_excess(c, y, mu, *row_bounds(problem, where, c.dtype))
 
-    body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
+    body, last = take(knots, BODY), take(knots, -1)
     ks, mu = jnp.arange(N, dtype=dtype), multipliers.penalty
     path = multipliers.path
     if path.size:
@@ -301,12 +301,12 @@ def updated_multipliers(
 
 def largest_gap(problem: Problem, start: Any, knots: Knot, ctrls: jax.Array) -> jax.Array:
     """The largest entry of a gap between a step and the next state, and of the start's."""
-    body, following = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
+    body, following = take(knots, BODY), take(knots, NEXT)
 
     def one(k: Any, knot: Knot, ctrl: jax.Array, after: Knot) -> jax.Array:
         return jnp.abs(problem.minus(problem.step(k, knot, ctrl), after)).max()
 
     ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
     gap = jax.vmap(threads(one))(ks, body, ctrls, following).max()
-    first = jax.tree.map(lambda x: x[0], knots)
+    first = take(knots, 0)
     return jnp.maximum(gap, jnp.abs(problem.off_start(start, first)).max())

@@ -35,11 +35,10 @@ from rbjax.control.optimal.objective import (
     row_count,
     rows_along,
 )
-from rbjax.control.optimal.options import Options
-from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.problem import Knot, Problem, take
 from rbjax.control.optimal.shooting.ddp import solve_ddp
 from rbjax.control.optimal.shooting.expansion import largest_gap
-from rbjax.control.optimal.solution import SearchResult
+from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
 
@@ -176,7 +175,7 @@ def solve_sampling(
         costs = costs_of(drawn, start)
         least, order = jax.lax.top_k(-costs, elites)
         least = -least
-        good = jax.tree.map(lambda x: x[order], drawn)
+        good = take(drawn, order)
         mean, deviation = _moved(how, now, good, least, costs, drawn)
         better = least[0] < now.cost
         cost = jnp.where(better, least[0], now.cost)
@@ -201,7 +200,7 @@ def solve_sampling(
     off = constraint_violations(problem, *rows_along(problem, found, us)).max(initial=0.0)
     return SearchResult(
         found, us, motion_cost(problem, found, us), last.status, last.iterations, last.cost_spread,
-        largest_gap(problem, jax.tree.map(lambda x: x[0], found.state), found, us),
+        largest_gap(problem, take(found.state, 0), found, us),
         off, last.costs, jnp.zeros((N, m, n), dtype),
         jnp.zeros((N, rows[0]), dtype), jnp.zeros(rows[1], dtype),
     )  # fmt: skip
@@ -217,7 +216,7 @@ def _first(
     parameters = knots.parameters[0]
     low, high = (x.astype(dtype) for x in problem.start_bounds(dtype))
     free = jnp.asarray(problem.free, dtype)
-    there = problem.system.minus(jax.tree.map(lambda x: x[0], knots.state), start)
+    there = problem.system.minus(take(knots.state, 0), start)
     mean = Draw(ctrls[at], parameters, free * there)
     edges = [
         Draw(jnp.broadcast_to(x.astype(dtype), (count, problem.nu)), end[n:], end[:n])
@@ -253,7 +252,7 @@ def _moved(
     """The next mean and deviation. good and least (elites,): the best, in order."""
     colder = jax.tree.map(lambda s: s * how.cooling, now.deviation)
     if how.update == "predictive":
-        mean, deviation = jax.tree.map(lambda x: x[0], good), colder
+        mean, deviation = take(good, 0), colder
     elif how.update == "mppi":
         scale = how.temperature * (least[-1] - least[0])
         tiny = jnp.finfo(costs.dtype).tiny

@@ -33,7 +33,6 @@ from rbjax.control.optimal.objective import (
     no_multipliers,
     row_count,
 )
-from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.optimal.shooting.expansion import (
@@ -44,7 +43,7 @@ from rbjax.control.optimal.shooting.expansion import (
     updated_multipliers,
 )
 from rbjax.control.optimal.shooting.filter_search import rounding
-from rbjax.control.optimal.solution import SearchResult
+from rbjax.control.optimal.solution import Options, SearchResult, StoppingRule
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none

@@ -28,11 +28,10 @@ import optimistix as optx
 
 from rbjax.control.optimal import objective
 from rbjax.control.optimal.objective import Multipliers
-from rbjax.control.optimal.options import Options
-from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.problem import Knot, Problem, take
 from rbjax.control.optimal.shooting.expansion import largest_gap
 from rbjax.control.optimal.shooting.search import CLOSER, FLOOR, LOOSE
-from rbjax.control.optimal.solution import SearchResult
+from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.errors import InputError
 
@@ -259,7 +258,7 @@ def solve_single_shooting(
     """`solve` by single shooting. The guess of the states is not used, but for a free start."""
     dtype, n = ctrls.dtype, problem.n
     search = inner(problem)
-    first = jax.tree.map(lambda x: x[0], knots)
+    first = take(knots, 0)
     state = first.state if any(problem.free) else start
     s = Shooting(problem, Knot(state, first.parameters))
     low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
@@ -284,7 +283,7 @@ def solve_single_shooting(
     return SearchResult(
         knots, us, objective.motion_cost(problem, knots, us), status, end.iterations,
         end.stationarity,
-        largest_gap(problem, jax.tree.map(lambda x: x[0], knots.state), knots, us), off,
+        largest_gap(problem, take(knots.state, 0), knots, us), off,
         end.costs, jnp.zeros((problem.horizon, problem.nu, n), dtype), l.path, l.end,
     )  # fmt: skip
 

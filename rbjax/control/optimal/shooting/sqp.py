@@ -33,9 +33,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import in_parts, threads
+from rbjax.control.linear.riccati import roll_linear
 from rbjax.control.optimal.objective import knot_violation, merit
-from rbjax.control.optimal.options import Options
-from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
+from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
 from rbjax.control.optimal.shooting.backward_pass import Feedback
 from rbjax.control.optimal.shooting.expansion import FEW, Expanded, Local, knot_indices, knots_at
 from rbjax.control.optimal.shooting.filter_search import ARMIJO, rounding
@@ -47,7 +47,7 @@ from rbjax.control.optimal.shooting.search import (
     StepPolicy,
     search,
 )
-from rbjax.control.optimal.solution import SearchResult
+from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.products import product
 
 RHO = 3.0
@@ -83,18 +83,11 @@ def solve_sqp(
 def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
     """The step of the linear model. The gains keep a control at a bound within it."""
 
-    def forth(dx: jax.Array, x: tuple) -> tuple:
-        A, B, gap, K, k = x
-        du = k + product(K, dx)
-        return product(A, dx) + product(B, du) + gap, (dx, du)
-
-    given = (path.A, path.B, gaps[1:], gains.K, gains.k)
-    found: Any = jax.lax.scan(forth, gains.first, given)
-    last, (dx, du) = found
+    dx, du = roll_linear(path.A, path.B, gaps[1:], gains.K, gains.k, gains.first)
     V, first = gains.V[0], gaps[0]
     l = gains.v[0] + product(V, gains.first - first)
     opening = jnp.stack([(l * first).sum(), RHO * (first * product(V, first)).sum()])
-    return Step(jnp.concatenate([dx, last[None]]), du, opening)
+    return Step(dx, du, opening)
 
 
 def _trials(
@@ -147,7 +140,7 @@ def _trials(
         return threads(read)(k, ctrl, y, du, *rest)
 
     each = jax.vmap(in_parts(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
-    body, following = (jax.tree.map(lambda x, at=at: x[at], now.knots) for at in (BODY, NEXT))
+    body, following = take(now.knots, BODY), take(now.knots, NEXT)
     path, l = found.path.cost, now.multipliers
     sums, offs = jax.vmap(each, (None,) * 15 + (0,))(
         knot_indices(N, dtype), body, now.ctrls, l.path, step.dx[:-1], step.du,
