@@ -10,9 +10,8 @@ import scipy.linalg
 
 import rbjax as rb
 from rbjax import control
-from rbjax.control.laws.controller import gains
-from rbjax.control.laws.impedance import _matrix
-from rbjax.control.laws.references import check_poses
+from rbjax.control.laws.controller import check_poses, gains
+from rbjax.control.laws.frame_laws import _matrix
 from rbjax.control.linear.algebraic_riccati import Double, _doubled, remainder
 from rbjax.control.linear.parallel_riccati import Stretch, joined
 from rbjax.control.linear.systems import _reach
