@@ -64,7 +64,7 @@ def _driven(model: Model) -> set[int]:
     dofs = {
         i for x in transmissions if not isinstance(x, SiteWrench) for i in x.reach(now).arms
     }  # fmt: skip
-    return {model.topology.links[i].joint for i in dofs}
+    return {model.topology.dofs[i].joint for i in dofs}
 
 
 def _followers(model: Model) -> set[int]:

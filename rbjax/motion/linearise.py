@@ -22,7 +22,7 @@ from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.acting import applied
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs
-from rbjax.lanes.products import matmat
+from rbjax.lanes.arrays import matmat
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
@@ -226,9 +226,9 @@ def generalized_forces(
     model: Model, t: Any, state: State, inputs: Inputs, dt: Any = None
 ) -> tuple[jax.Array, jax.Array | None]:
     """All forces that act, as generalized forces (nv,), and x' (nx,)."""
-    tau, pushes, x = applied(model, t, state, inputs, dt)
-    if pushes:
-        tau = tau + Context.of(model, t, state, None).generalized_of(pushes)
+    tau, f_ext, x = applied(model, t, state, inputs, dt)
+    if f_ext:
+        tau = tau + Context.of(model, t, state, None).generalized_of(f_ext)
     return tau, x
 
 

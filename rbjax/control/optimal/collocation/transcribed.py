@@ -34,8 +34,8 @@ from rbjax.control.optimal.collocation.condensing import (
 from rbjax.control.optimal.objective import row_bounds
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
 from rbjax.control.optimal.shooting.backward_pass import Feedback, backward_pass
-from rbjax.lanes.products import matvec
-from rbjax.solvers.common.tableau import Tableau
+from rbjax.lanes.arrays import matvec
+from rbjax.solvers.tableau import Tableau
 
 
 class Point(NamedTuple):

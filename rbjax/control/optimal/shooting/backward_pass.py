@@ -25,7 +25,7 @@ import numpy as np
 from rbjax.control.linear.riccati import propagate_hessian
 from rbjax.control.optimal.shooting.expansion import Quadratic
 from rbjax.control.products import in_registers, product
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 
 TURNS = 20  # at most; a program of m entries seldom takes more than m + 2
 HALVINGS = np.array([0.5**k for k in range(8)])
