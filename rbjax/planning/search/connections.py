@@ -1,6 +1,7 @@
-"""How a search ends at its target: bounds of the price from there on, and the last motions.
+"""How a search ends at its target: lower bounds of the price to it, and the last motions.
 
-`GoalSet`: it is near enough. `Direct`: a motion that knows no obstacles leads exactly to it.
+`GoalSet`: poses near the target are the end. `DirectMotion`: a motion that ignores obstacles ends
+exactly at the target.
 
     a car                    Reeds and Shepp's curve; Dubins', if it drives in one gear
     a robot that can turn    turn towards the goal, drive, turn: with the front or the back ahead
@@ -15,7 +16,6 @@ these changes, is a lower bound of every price (admissible).
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -30,19 +30,24 @@ from rbjax.planning.search.controls import Controls
 CHUNK = 64  # poses at once, in programs of constant shape
 
 
-def _of_a_car(gears: int, start: jax.Array, goal: jax.Array, radius: jax.Array) -> jax.Array:
+def _car_curves(gears: int, start: jax.Array, goal: jax.Array, radius: jax.Array) -> jax.Array:
     """Steps (..., 5, 3). gears: 0 for both, 1 ahead, -1 backwards."""
     if gears == 0:
-        curve = shortest(words.REEDS_SHEPP, words.either_way, start, goal, radius)
-    else:
-        ends = (start, goal) if gears > 0 else (goal, start)
-        curve = shortest(words.DUBINS, words.forwards, *ends, radius)
-    lengths, zero = curve.lengths, jnp.zeros_like(curve.lengths)
-    steps = jnp.stack([lengths, zero, curve.turns * lengths / curve.radius[..., None]], -1)
-    return -jnp.flip(steps, -2) if gears < 0 else steps
+        return shortest(words.REEDS_SHEPP, words.either_way, start, goal, radius).steps
+    ends = (start, goal) if gears > 0 else (goal, start)
+    steps = shortest(words.DUBINS, words.forwards, *ends, radius).steps
+    return steps if gears > 0 else -jnp.flip(steps, -2)
 
 
-_car_steps = compiled(_of_a_car, options=wide_vectors, static_argnums=0)
+_compiled_curves = compiled(_car_curves, options=wide_vectors, static_argnums=0)
+
+
+def price_per_metre(where: str, controls: Controls) -> float:
+    """The least price of driving one metre."""
+    way = np.hypot(controls.speeds, controls.sideways) * controls.dt
+    if not way.any():
+        raise InputError(f"{where}: these controls cannot drive; add one that can")
+    return float((controls.costs[way > 0] / way[way > 0]).min())
 
 
 class GoalSet:
@@ -50,29 +55,23 @@ class GoalSet:
 
     def __init__(self, where: str, controls: Controls, tolerance: tuple[float, float]):
         self.near, self.turn = tolerance
-        self.rate = cheapest_way(where, controls)
+        self.rate = price_per_metre(where, controls)
 
     def __call__(
         self, poses: np.ndarray, goal: np.ndarray, after: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As `Direct`, with connections (m, 0, 3) that are empty."""
+        """As `DirectMotion`, with empty connections (m, 0, 3)."""
         off = poses - goal
         there = np.hypot(off[:, 0], off[:, 1]) <= self.near
-        there &= np.abs(_half_turn(off[:, 2])) <= self.turn
+        there &= np.abs(_reduced(off[:, 2])) <= self.turn
         m = len(poses)
         return np.zeros(m), np.zeros((m, 0, 3)), np.where(there, 0.0, np.inf)
 
 
-def cheapest_way(where: str, controls: Controls) -> float:
-    """The least price of a m."""
-    way = np.hypot(controls.speeds, controls.sideways) * controls.dt
-    if not way.any():
-        raise InputError(f"{where}: these controls cannot drive; add one that can")
-    return float((controls.costs[way > 0] / way[way > 0]).min())
+class DirectMotion:
+    """Motions to a target that ignore obstacles, of a robot with some controls."""
 
-
-class Direct:
-    """Direct connections of a robot with some controls."""
+    near = 0.0
 
     def __init__(self, where: str, controls: Controls):
         self.controls, steps = controls, controls.steps
@@ -80,11 +79,11 @@ class Direct:
         self.spot = turns & ~drives & ~slides
         self.kind = "omni" if slides.any() else "spot" if self.spot.any() else "car"
         way = np.hypot(steps[:, 0], steps[:, 1])
-        self.rate = cheapest_way(where, controls)
+        self.rate = price_per_metre(where, controls)
         if not turns.any():
             raise InputError(f"{where}: these controls cannot turn; add one that can")
         self.turning = float((controls.costs[turns] / np.abs(steps[turns, 2])).min())
-        self.apart = not (turns & (way > 0)).any()  # no control does both
+        self.separate = not (turns & (way > 0)).any()  # no control does both
         self.radius = self._radius(where) if self.kind == "car" else 0.0
         gears = set(np.sign(steps[drives, 0]))
         self.gears = 0 if len(gears) == 2 else int(gears.pop()) if gears else 0
@@ -101,7 +100,7 @@ class Direct:
         return 1 / tight[0]
 
     def _rates(self) -> np.ndarray:
-        """The price of a m by gear and bend (3, 3), each -1, 0, 1; infinite where there is none."""
+        """Prices per metre by gear and bend (3, 3), each -1, 0, 1; infinite without a control."""
         rates = np.full((3, 3), np.inf)
         for step, cost in zip(self.controls.steps, self.controls.costs, strict=True):
             way = math.hypot(step[0], step[1])
@@ -109,8 +108,6 @@ class Direct:
                 at = int(np.sign(step[0])), int(np.sign(step[0] * step[2]))
                 rates[at] = min(rates[at], cost / way)
         return rates
-
-    near = 0.0
 
     def __call__(
         self, poses: np.ndarray, goal: np.ndarray, after: np.ndarray
@@ -126,13 +123,13 @@ class Direct:
             steps = self._curves(poses, goal)
             return self.rate * np.abs(steps[..., 0]).sum(1), steps
         dx, dy = goal[0] - poses[:, 0], goal[1] - poses[:, 1]
-        far, turn = np.hypot(dx, dy), _half_turn(goal[2] - poses[:, 2])
+        far, turn = np.hypot(dx, dy), _reduced(goal[2] - poses[:, 2])
         drive, spin = self.rate * far, self.turning * np.abs(turn)
-        bound = drive + spin if self.apart else np.maximum(drive, spin)
+        bound = drive + spin if self.separate else np.maximum(drive, spin)
         return bound, self._straight(poses, far, np.arctan2(dy, dx), turn)
 
     def price(self, steps: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Prices (m,) of connections (m, n, 3) after controls (m,), -1 for none."""
+        """Prices (m,) of connections (m, n, 3) after controls (m,), -1 for no control."""
         way, turn = np.hypot(steps[..., 0], steps[..., 1]), steps[..., 2]
         drives = way > 1e-12 * (1 + way.max(initial=0.0))
         there = drives | (np.abs(turn) > 1e-12)
@@ -159,10 +156,10 @@ class Direct:
     def _curves(self, poses: np.ndarray, goal: np.ndarray) -> np.ndarray:
         m = len(poses)
         padded = np.resize(poses, (-(-m // CHUNK) * CHUNK, 3)).reshape(-1, CHUNK, 3)
-        with jax.enable_x64(True):  # ends are exact, whatever the caller's precision is
-            args = jnp.asarray(goal, float), jnp.asarray(self.radius, float)
-            parts = [np.asarray(_car_steps(self.gears, jnp.asarray(p), *args)) for p in padded]
-        return np.concatenate(parts)[:m]
+        with jax.enable_x64(True):  # exact ends in any precision of the caller
+            rest = jnp.asarray(goal, float), jnp.asarray(self.radius, float)
+            parts = [_compiled_curves(self.gears, jnp.asarray(p), *rest) for p in padded]
+        return np.concatenate([np.asarray(x) for x in parts])[:m]
 
     def _straight(
         self, poses: np.ndarray, far: np.ndarray, course: np.ndarray, turn: np.ndarray
@@ -173,17 +170,17 @@ class Direct:
             angle = course - (poses[:, 2] + turn)
             steps[:, 1, 0], steps[:, 1, 1] = far * np.cos(angle), far * np.sin(angle)
             return steps
-        ahead = _half_turn(course - poses[:, 2])
-        back = _half_turn(ahead + math.pi)
-        # the less turning of both gears, of those that there are
-        rest = [np.abs(a) + np.abs(_half_turn(turn - a)) for a in (ahead, back)]
+        ahead = _reduced(course - poses[:, 2])
+        back = _reduced(ahead + math.pi)
+        # in the gear with less turning, of those that the robot has
+        rest = [np.abs(a) + np.abs(_reduced(turn - a)) for a in (ahead, back)]
         reverse = (rest[1] < rest[0]) if self.gears == 0 else np.full(len(far), self.gears < 0)
         first = np.where(far == 0, 0.0, np.where(reverse, back, ahead))
-        steps[:, 0, 2], steps[:, 2, 2] = first, _half_turn(turn - first)
+        steps[:, 0, 2], steps[:, 2, 2] = first, _reduced(turn - first)
         steps[:, 1, 0] = np.where(reverse, -far, far)
         return steps
 
 
-def _half_turn(angle: Any) -> np.ndarray:
-    """An angle without full turns, in [-pi, pi]."""
-    return angle - 2 * math.pi * np.round(angle / (2 * math.pi))
+def _reduced(angle: np.ndarray) -> np.ndarray:
+    """An angle in [-pi, pi]."""
+    return words.either_way(angle, np)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class BodyNumbers:
+class BodyParameters:
     """A body with its wheels: mass; moment (2,) = mass com; inertia about its origin."""
 
     ahead: int | None
@@ -32,7 +32,7 @@ class BodyNumbers:
 
 
 @dataclass(frozen=True)
-class WheelNumbers:
+class WheelParameters:
     """A wheel. heading: its direction at zero steering; slant: the tangent of `roller`."""
 
     kind: str
@@ -49,16 +49,16 @@ class WheelNumbers:
 
 
 @dataclass(frozen=True)
-class Numbers:
+class Parameters:
     """What the equations need of a robot."""
 
     robot: Any
     dtype: Any
     layout: Layout
-    bodies: tuple[BodyNumbers, ...]
+    bodies: tuple[BodyParameters, ...]
     #: of each caster, what its centre of mass off the pivot adds: a moment without mass or inertia
-    forks: tuple[BodyNumbers, ...]
-    wheels: tuple[WheelNumbers, ...]
+    forks: tuple[BodyParameters, ...]
+    wheels: tuple[WheelParameters, ...]
     #: inertias of shafts, without those of motors, and their damping
     shafts: tuple[Lane, ...]
     damping: tuple[Lane, ...]
@@ -78,7 +78,7 @@ class Numbers:
         return ahead
 
     @property
-    def rigid(self) -> tuple[BodyNumbers, ...]:
+    def rigid(self) -> tuple[BodyParameters, ...]:
         """Bodies and forks, in the order of twists of `velocities.motion`."""
         return (*self.bodies, *self.forks)
 
@@ -87,7 +87,7 @@ class Numbers:
         return scalar(x, self.dtype)
 
 
-def stacked(lanes: Sequence[Lane], dtype: Any) -> jax.Array:
+def stack_lanes(lanes: Sequence[Lane], dtype: Any) -> jax.Array:
     """Lanes as an array (n,)."""
     return jnp.stack([jnp.asarray(x, dtype) for x in lanes]) if len(lanes) else jnp.zeros(0, dtype)
 
@@ -107,7 +107,7 @@ def lane_of_leaf(x: Any, dtype: Any) -> Any:
     return table(x, dtype) if jnp.ndim(x) else scalar(jnp.asarray(x), dtype)
 
 
-def numbers_of(robot: Robot, dtype: Any) -> Numbers:
+def parameters_of(robot: Robot, dtype: Any) -> Parameters:
     """The lanes of a robot. What is known while tracing is a literal."""
     layout = robot.layout
 
@@ -122,7 +122,7 @@ def numbers_of(robot: Robot, dtype: Any) -> Numbers:
     for wheel, shaft in zip(robot.wheels, layout.shaft, strict=True):
         c, s = direction(number(wheel.roller)) if wheel.kind == "rollers" else (1.0, 0.0)
         wheels.append(
-            WheelNumbers(
+            WheelParameters(
                 wheel.kind, wheel.body, shaft, wheel.skids, pair(wheel.position),
                 direction(number(wheel.heading)), number(wheel.radius), number(wheel.inertia),
                 number(wheel.yaw_inertia), 0.0 if is_zero(s) else s / c, number(wheel.trail),
@@ -140,7 +140,7 @@ def numbers_of(robot: Robot, dtype: Any) -> Numbers:
                 inertia = add(inertia, 0.0 if n.kind == "caster" else n.yaw_inertia)
         inertia = add(inertia, total(mul(m, dot(p, p)) for m, p in masses))
         bodies.append(
-            BodyNumbers(
+            BodyParameters(
                 body.ahead,
                 total(m for m, _ in masses),
                 (total(mul(m, p[0]) for m, p in masses), total(mul(m, p[1]) for m, p in masses)),
@@ -150,7 +150,7 @@ def numbers_of(robot: Robot, dtype: Any) -> Numbers:
     forks = []
     for i in layout.caster_wheels:
         moment = neg(mul(number(robot.wheels[i].mass), number(robot.wheels[i].behind)))
-        forks.append(BodyNumbers(None, 0.0, (moment, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0))
+        forks.append(BodyParameters(None, 0.0, (moment, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0))
     shafts: list[Lane] = [0.0] * len(layout.setters)
     damping: list[Lane] = [0.0] * len(layout.setters)
     for wheel, n in zip(robot.wheels, wheels, strict=True):
@@ -161,7 +161,7 @@ def numbers_of(robot: Robot, dtype: Any) -> Numbers:
     across = number(robot.gravity)
     if not (is_zero(fall[0]) and is_zero(fall[1])):
         across = across * (1.0 + dot(fall, fall)) ** -0.5
-    return Numbers(
+    return Parameters(
         robot, dtype, layout, tuple(bodies), tuple(forks), tuple(wheels), tuple(shafts),
         tuple(damping), splits, number(robot.turn_center),
         (mul(across, fall[0]), mul(across, fall[1])), across,
