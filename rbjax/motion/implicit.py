@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.methods.differential_algebraic import DifferentialAlgebraic, Forces
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, evaluated
@@ -25,13 +25,13 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Field
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
-from rbjax.solvers.common.groups import unwrapped
-from rbjax.solvers.common.newton import refused, verdict
-from rbjax.solvers.common.steps import AbstractGroupSolver, mixed
-from rbjax.solvers.common.tableau import Tableau
-from rbjax.solvers.constrained.differential_algebraic import Equations, Point, damped, solve
-from rbjax.solvers.constrained.spectrum import weights
-from rbjax.solvers.implicit.runge_kutta import ImplicitRungeKutta
+from rbjax.solvers.constrained.differential_algebraic import Equations, Point, damp_error, solve
+from rbjax.solvers.constrained.simplified import weights
+from rbjax.solvers.groups import unwrap
+from rbjax.solvers.root_finding import mark_failed, step_result
+from rbjax.solvers.runge_kutta import ImplicitRungeKutta
+from rbjax.solvers.steps import AbstractGroupSolver, weighted_sums
+from rbjax.solvers.tableau import Tableau
 
 #: of rbjax.solvers.all(), by name
 FITTING = (
@@ -52,13 +52,13 @@ class Stages(NamedTuple):
     def polynomial(self, tableau: Tableau, h: Any) -> jax.Array:
         """Coefficients of theta, theta^2, ... of the increment."""
         if tableau.dense:
-            return mixed(tuple(zip(*tableau.dense, strict=True)), self.k)
+            return weighted_sums(tuple(zip(*tableau.dense, strict=True)), self.k)
         first = h * self.start.rate
-        return jnp.stack([first, mixed(tableau.b, self.k) - first])
+        return jnp.stack([first, weighted_sums(tableau.b, self.k) - first])
 
 
 def stages(
-    law: DifferentialAlgebraic,
+    dynamics: DifferentialAlgebraic,
     tableau: Tableau,
     model: Model,
     forces: Forces,
@@ -68,7 +68,7 @@ def stages(
 ) -> Stages:
     """The stages of a Runge-Kutta step."""
     dtype = state.q.dtype
-    equations, start = begun(law, model, forces, t, state)
+    equations, start = begun(dynamics, model, forces, t, state)
     c = jnp.asarray(tableau.c, jnp.result_type(h))
     base = jnp.broadcast_to(start.y, (tableau.stages, start.y.size))
     found = solve(equations, h, t + c * h, base, weights(np.array(tableau.a), dtype), start)
@@ -77,7 +77,7 @@ def stages(
 
 def error_of(
     found: Stages,
-    law: DifferentialAlgebraic,
+    dynamics: DifferentialAlgebraic,
     tableau: Tableau,
     model: Model,
     forces: Forces,
@@ -85,12 +85,12 @@ def error_of(
     h: Any,
 ) -> jax.Array:
     """The error of a step by the tableau's weights, damped."""
-    law, start = law.damping, found.start
+    dynamics, start = dynamics.damping, found.start
     at_start, *others = tableau.error
-    raw = mixed(others, found.k) + at_start * h * start.rate
-    equations = equations_of(law, model, forces, start.t, state)
+    raw = weighted_sums(others, found.k) + at_start * h * start.rate
+    equations = equations_of(dynamics, model, forces, start.t, state)
     w = _padded(start.w, len(equations.depth))
-    return damped(equations, tableau.filter * h, start._replace(w=w), raw)
+    return damp_error(equations, tableau.filter * h, start._replace(w=w), raw)
 
 
 def _padded(w: jax.Array, size: int) -> jax.Array:
@@ -99,12 +99,12 @@ def _padded(w: jax.Array, size: int) -> jax.Array:
 
 
 def begun(
-    law: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
+    dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
 ) -> tuple[Equations, Point]:
     """The equations from a state on, and its rates and multipliers as those of index 1."""
-    tau, pushes, dx = forces(t, state)
-    a, l = constrained_motion(model, t, state, tau, pushes)
-    equations = equations_of(law, model, forces, t, state)
+    tau, f_ext, dx = forces(t, state)
+    a, l = constrained_motion(model, t, state, tau, f_ext)
+    equations = equations_of(dynamics, model, forces, t, state)
     w = _padded(l, len(equations.depth))
     still = jnp.zeros_like(state.v)
     y = jnp.concatenate([still, state.v, *([] if state.x is None else [state.x])])
@@ -113,11 +113,11 @@ def begun(
 
 
 def equations_of(
-    law: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
+    dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
 ) -> Equations:
     """The equations from a state on."""
-    f = law.equations(model, state.q, forces)
-    depth, usual, again = law.algebraic(model, t, state)
+    f = dynamics.equations(model, state.q, forces)
+    depth, usual, again = dynamics.algebraic(model, t, state)
     return Equations(f, depth, usual, model.nv, again)
 
 
@@ -141,7 +141,7 @@ class ByStages:
 
         model = field.precomputed
         found = stages(self.formulation, self.tableau, model, forces, t, state, dt)
-        du = increment(model, mixed(self.tableau.b, found.k))
+        du = increment(model, weighted_sums(self.tableau.b, found.k))
         x = None if state.x is None or du.x is None else state.x + du.x
         after = State(field.retract(state.q, du.q), state.v + du.v, x)
         return jax.tree.map(lambda x: jnp.where(found.ok, x, jnp.nan), after)
@@ -160,19 +160,19 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return self.tableau.error_order or None
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        term, h = unwrapped(terms), t1 - t0
+        term, h = unwrap(terms), t1 - t0
         h = jnp.where(h == 0, 1.0, h)
-        (model, forces, start), law = seen(term.vector_field, args), self.formulation
-        found = stages(law, self.tableau, model, forces, start + t0, y0, h)
-        y1 = term.group.retract(y0, increment(model, mixed(self.tableau.b, found.k)))
+        (model, forces, start), dynamics = seen(term.vector_field, args), self.formulation
+        found = stages(dynamics, self.tableau, model, forces, start + t0, y0, h)
+        y1 = term.group.retract(y0, increment(model, weighted_sums(self.tableau.b, found.k)))
         error = None
         if self.tableau.error:
-            off = error_of(found, law, self.tableau, model, forces, y0, h)
+            off = error_of(found, dynamics, self.tableau, model, forces, y0, h)
             beside = term.group.retract(y1, increment(model, off))
-            error = refused(found.ok, jax.tree.map(jnp.subtract, beside, y1))
+            error = mark_failed(found.ok, jax.tree.map(jnp.subtract, beside, y1))
         coefficients = increment(model, found.polynomial(self.tableau, h))
         dense = {"y0": y0, "coefficients": coefficients, "group": term.group}
-        return y1, error, dense, solver_state, verdict(found.ok)
+        return y1, error, dense, solver_state, step_result(found.ok)
 
 
 def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
@@ -186,7 +186,7 @@ def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
     return model, forces, vector_field.start
 
 
-def stepped_by(where: str, law: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
+def stepped_by(where: str, dynamics: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
     """The tableau of the implicit method that steps a formulation. given: a name, a solver, or None
     for the default; also: what else `where` takes."""
     if given is None:
@@ -196,8 +196,8 @@ def stepped_by(where: str, law: DifferentialAlgebraic, given: Any, also: str = "
         return solver.tableau
     got = given if isinstance(given, str) else type(given).__name__
     raise InputError(
-        f"{where}: constraints={law.name!r} with {got}, expected an implicit method whose stages "
-        f"are all implicit, of rb.solvers.all(): {', '.join(FITTING)}{also}; "
+        f"{where}: constraints={dynamics.name!r} with {got}, expected an implicit method "
+        f"whose stages are all implicit, of rb.solvers.all(): {', '.join(FITTING)}{also}; "
         "rb.solvers.radau_iia(1) (backward Euler); or None for radau_iia3. Other methods are for "
         "other formulations, as 'projected'"
     )

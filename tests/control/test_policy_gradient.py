@@ -10,14 +10,8 @@ import pytest
 import rbjax as rb
 from rbjax.control import Environment, actor_critic, network, through_time
 from rbjax.control.learning.environment import Segment, squashed
-from rbjax.control.learning.policy_gradient import (
-    Samples,
-    drawn,
-    policy_loss,
-    renewed,
-    returns,
-    updated,
-)
+from rbjax.control.learning.policy_gradient import Samples, drawn, policy_loss, renewed, returns
+from rbjax.control.learning.training import updated
 from rbjax.errors import InputError, UnknownName
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -95,9 +89,7 @@ def test_targets_are_weighted_sums():
         for k in range(h):
             most = h - k
             want = trace ** (most - 1) * length(k, most)
-            want = want + (1 - trace) * sum(
-                trace ** (n - 1) * length(k, n) for n in range(1, most)
-            )
+            want = want + (1 - trace) * sum(trace ** (n - 1) * length(k, n) for n in range(1, most))
             assert np.abs(found[:, k] - want).max() < 1e-14
     value = policy_loss(jnp.asarray(c), jnp.asarray(V[:, -1]), g)
     assert abs(value - length(0, h).mean()) < 1e-14
@@ -192,6 +184,7 @@ def test_all_runs_once():
 def test_a_sample_that_is_lost_does_not_stop_the_value_function():
     """The cost of every other start is nan: the value function learns from the samples that are
     left."""
+
     def start_of(key):
         return rb.State(jnp.array([jnp.where(jax.random.bernoulli(key), 9.0, 0.1), 0.2]),
                         jnp.zeros(2))  # fmt: skip

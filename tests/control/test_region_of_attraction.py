@@ -73,8 +73,13 @@ def test_a_long_motion_goes_in_parts(monkeypatch):
 
     def ask():
         return region_of_attraction(
-            model, law, model.default_state(), [("x", -1.0, 1.0), ("x'", -0.5, 0.5)],
-            points=(5, 3), duration=6.3, dt=0.1,
+            model,
+            law,
+            model.default_state(),
+            [("x", -1.0, 1.0), ("x'", -0.5, 0.5)],
+            points=(5, 3),
+            duration=6.3,
+            dt=0.1,
         )
 
     whole = ask()

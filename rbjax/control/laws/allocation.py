@@ -24,15 +24,14 @@ from rbjax.errors import InputError
 from rbjax.forces import applied_forces
 from rbjax.forces.acting import sighted
 from rbjax.forces.actuators.actuator import Actuator, GainBias
+from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, sub
 from rbjax.model import Model, State
+from rbjax.rank_tolerances import rank_tolerance
 
 #: reactions to forces that the actuators cannot give
 UNDRIVEN = ("refuse", "least_squares")
-#: a pivot of B^T B or B B^T below this share of its diagonal counts as zero
-RANK = 1e-11
 
 
 class Allocation(NamedTuple):
@@ -103,7 +102,7 @@ def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
     One u by the normal equations, in which an actuator that adds nothing to the others drops out;
     then the shortest that does the same, u = B^T y with B B^T y = B u.
     """
-    least = RANK if dtype == jnp.float64 else 1e-5
+    least = rank_tolerance("actuators", dtype)
     columns = B
 
     def square(rows: list[list[Lane]]) -> list[list[Lane]]:
@@ -120,7 +119,7 @@ def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
     """b, nv lanes, and the columns of B, one a control, each of nv lanes; zero where a control has
     no effect on a coordinate."""
     free = _unlimited(model)
-    now = Instant.of(free, 0.0, state, None)
+    now = Context.of(free, 0.0, state, None)
     zero, one = (jnp.asarray(x, state.q.dtype) for x in (0.0, 1.0))
 
     def at(u: list) -> list[Lane]:

@@ -23,7 +23,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.kinematics.arguments import check_at_least, check_several
 from rbjax.model import Model, State
 from rbjax.model.record import Record
-from rbjax.motion.linearise import apart, beside
+from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.motion.rollout import integrated
 
 KEPT = 2**23  # numbers of states that are kept at once: 64 MiB in f64
@@ -73,7 +73,7 @@ def region_of_attraction(
     tolerance: float = 0.05,
     angles: bool = True,
     integrator: Any = None,
-    **law: Any,
+    **dynamics: Any,
 ) -> RegionMap:
     """Which starts about an equilibrium come back under a feedback.
 
@@ -92,7 +92,7 @@ def region_of_attraction(
         dt: the step, s; the model's timestep if None.
         tolerance: of each number (m, rad, m/s, rad/s).
         angles: whether positions of hinges count modulo a turn.
-        integrator: as `rb.rollout`; **law: its `law` and `constraints`.
+        integrator: as `rb.rollout`; **dynamics: its `dynamics` and `constraints`.
 
     Returns:
         `RegionMap`.
@@ -135,11 +135,11 @@ def region_of_attraction(
     plane = plane.at[..., places[0]].set(lines[0]).at[..., places[1]].set(lines[1][:, None])
     x = equilibrium.x if equilibrium.x is not None else model.start(dtype)
     about = State(equilibrium.q, equilibrium.v, x)
-    states = jax.vmap(lambda dx: beside(model, about, dx))(plane.reshape(-1, n))
+    states = jax.vmap(lambda dx: box_plus(model, about, dx))(plane.reshape(-1, n))
     turns = _turns(model, angles)
 
     def off(q: jax.Array, v: jax.Array, x: Any) -> jax.Array:
-        dx = apart(model, about, State(q, v, x))[: 2 * model.nv]
+        dx = box_minus(model, about, State(q, v, x))[: 2 * model.nv]
         dq = dx[: model.nv]
         dq = jnp.where(turns, dq - 2 * jnp.pi * jnp.round(dq / (2 * jnp.pi)), dq)
         far = jnp.abs(jnp.concatenate([dq, dx[model.nv :]])).max()
@@ -156,7 +156,9 @@ def region_of_attraction(
         t = jnp.asarray(begin, dtype) * step
         part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
         # without the warning of `rollout`: motions that are not finite are part of the answer
-        run, _, _ = integrated(model, states, part, step, steps=few, integrator=integrator, **law)
+        run, _, _ = integrated(
+            model, states, part, step, steps=few, integrator=integrator, **dynamics
+        )
         far = distances(run.q, run.v, run.x)
         outside = far > tolerance
         last = begin + few + 1 - jnp.argmax(outside[:, ::-1], 1)

@@ -65,7 +65,17 @@ class Knot(NamedTuple):
     parameters: jax.Array
 
 
-BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, and those after them
+BODY, NEXT = slice(None, -1), slice(1, None)  # the knots with controls, and the knots after them
+
+
+def take(tree: Any, at: Any) -> Any:
+    """Index the first axis of all arrays of a pytree."""
+    return jax.tree.map(lambda x: x[at], tree)
+
+
+def append(tree: Any, last: Any) -> Any:
+    """Append an entry to the first axis of all arrays of a pytree."""
+    return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tree, last)
 
 
 class Problem(Record):
@@ -90,7 +100,8 @@ class Problem(Record):
             depend on time.
         free_start: which coordinates of the start's tangent space are found too: True for all, or
             (n,) booleans.
-        integrator, law, held: as `integrator`, `law`, `constraints` of `rb.rollout`, for a Model.
+        integrator, dynamics, held: as `integrator`, `dynamics`, `constraints` of `rb.rollout`, for
+        a Model.
 
     Raises:
         InputError: no knot, no cost, bounds that contradict each other, wrong types.
@@ -126,9 +137,9 @@ class Problem(Record):
         constraints: Sequence[Constraint] = (), bounds: Any = "model", integral: bool = True,
         design: Design | None = None, free_time: Any = None, free_start: Any = False,
         start_time: Any = 0.0,
-        integrator: Any = None, law: Any = free_motion, held: Any = None,
+        integrator: Any = None, dynamics: Any = free_motion, held: Any = None,
     ) -> None:  # fmt: skip
-        self.system = system_of("Problem", model, integrator, law, held)
+        self.system = system_of("Problem", model, integrator, dynamics, held)
         if not isinstance(horizon, int) or horizon < 1:
             raise InputError(f"Problem: horizon is {horizon!r}, expected one step or more")
         self.horizon = horizon
@@ -292,7 +303,7 @@ class Problem(Record):
         value = c.term(system.model, self.time(k, dt), knot.state, ctrl)
         return jnp.ravel(_array(c.term, value, dt.dtype))
 
-    def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
+    def rows(self, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
         none = jnp.zeros(0, knot.parameters.dtype)
         return jnp.concatenate(

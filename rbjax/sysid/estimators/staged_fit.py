@@ -19,6 +19,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.progress import Say
+from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sensors.columns import root_mean_square
 from rbjax.sysid.data.recording import Recording, noise_is_stated
 from rbjax.sysid.estimators.identified import Options, write_fit
@@ -31,7 +32,6 @@ from rbjax.sysid.simulation.runs import Run, default_grid, make_batch, make_run
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError, sum_of_squares
 from rbjax.sysid.simulation.traces import Traces, make_traces, residuals_of
-from rbjax.sysid.statistics.precision import still_tolerance
 
 #: an rms below this fraction of a channel's spread is rounding
 NOISELESS = 1e-7
@@ -309,7 +309,7 @@ def estimate_weights(
 def check_sensitivity(unknowns: Unknowns, J: np.ndarray) -> None:
     """`InputError` for an unknown that has no effect on any reading."""
     ends = np.cumsum(unknowns.sizes)
-    largest, still = np.abs(J).max(), still_tolerance(J.dtype)
+    largest, still = np.abs(J).max(), rank_tolerance("unknown without effect", J.dtype)
     for (name, u), end, size in zip(unknowns.members.items(), ends, unknowns.sizes, strict=True):
         if np.isfinite(largest) and not np.abs(J[:, end - size : end]).max() > still * largest:
             raise InputError(

@@ -43,7 +43,7 @@ class Part(NamedTuple):
 def equal_parts(setup: Setup) -> tuple[Part, ...] | None:
     """The independent parts of a set-up; None unless there are several, all of one structure."""
     of_joint = independent_parts(setup)
-    if of_joint is None or setup.model.joints.numbers.size:
+    if of_joint is None or setup.model.joints.params.size:
         return None
     model = setup.model
     of_body = np.array([of_joint[i] if i != WORLD else -1 for i in model.topology.body_links])
@@ -95,7 +95,7 @@ def extract_part(setup: Setup, part: Part) -> Setup:
     n, nu = len(at), len(driven)
     small = Model(
         bodies=rows(model.bodies, Bodies, part.bodies),
-        joints=rows(model.joints, Joints, at, numbers=zero(0)),
+        joints=rows(model.joints, Joints, at, params=zero(0)),
         actuators=rows(model.actuators, Actuators, part.actuators, joints=driven, sites=(-1,) * nu),
         sites=Sites(zero((0, 3)), zero((0, 4))),
         keyframes=Keyframes(zero((0, n)), zero((0, n)), zero((0, nu))),

@@ -20,6 +20,7 @@ from scipy.linalg import get_lapack_funcs
 
 from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.model import State
+from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknowns import Unknowns
 from rbjax.sysid.simulation.equal_parts import equal_parts, simulate_parts
@@ -29,7 +30,6 @@ from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.parallel_in_time import count_windows
 from rbjax.sysid.simulation.setup import Grid, Path, Setup, read_sensor
 from rbjax.sysid.statistics.fit_statistics import Column, Rows
-from rbjax.sysid.statistics.precision import still_tolerance
 
 #: with loss="huber" the cost of a residual above this many sigma grows linearly
 HUBER = 1.345
@@ -242,7 +242,7 @@ class SimulationError:
     def insensitive(self, x: np.ndarray) -> tuple[str, ...]:
         """The sensors whose readings depend on no unknown."""
         J = np.abs(self.slopes(x)[1][:, :, : self.shared])
-        least = still_tolerance(J.dtype) * J.max()
+        least = rank_tolerance("unknown without effect", J.dtype) * J.max()
         return tuple(s for s, rows in self.rows_of(J).items() if not rows.max() > least)
 
     def columns(self, x: np.ndarray, stated: Collection[str]) -> list[Column]:

@@ -1,4 +1,4 @@
-"""The precision of identification: float64, and tolerances by dtype.
+"""The precision of identification: float64.
 
 Rank, covariance and convergence compare singular values that lie 9 decades apart; float32, JAX's
 default, has 7. So an estimator computes in float64, and returns the model in its own dtype.
@@ -40,21 +40,3 @@ def cast(tree: Any, dtype: Any) -> Any:
         return jnp.asarray(np.asarray(x).astype(dtype))
 
     return jax.tree.map(one, tree)
-
-
-def rank_tolerance(dtype: Any) -> float:
-    """The relative singular value below which a direction is rounding, for columns of unit length.
-
-    >>> rank_tolerance("float64"), rank_tolerance("float32")
-    (1e-09, 0.0001)
-    """
-    return 1e-9 if np.dtype(dtype).itemsize >= 8 else 1e-4
-
-
-def still_tolerance(dtype: Any) -> float:
-    """The size of a Jacobian's column, relative to the largest, below which it is rounding.
-
-    >>> still_tolerance("float64"), still_tolerance("float32")
-    (1e-12, 1e-05)
-    """
-    return 1e-12 if np.dtype(dtype).itemsize >= 8 else 1e-5

@@ -1,0 +1,269 @@
+"""What a force element sees: the motion at one instant.
+
+Vectors are `Vec3` of lanes: they add, subtract, scale, have `dot`, `cross` and `norm`, and take
+(3,) arrays beside them. Poses and velocities are computed when they are first asked for, once.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+
+from rbjax.dynamics.algorithms.link_forces import LinkForces, generalized
+from rbjax.dynamics.algorithms.link_motion import LinkMotion
+from rbjax.dynamics.drivers.choice import Driver, driver
+from rbjax.errors import InputError
+from rbjax.forces.element import Loads
+from rbjax.lanes import Lane, Mat3, Vec3, add
+from rbjax.model import WORLD, Model, State, without_constants
+from rbjax.model.leaves import site_transform
+from rbjax.spatial import Force, Motion, Transform
+
+
+@dataclass(frozen=True)
+class Context:
+    """The state of motion at an instant, as a force element, a constraint or a sensor reads it.
+
+    Fields:
+        t: time in s.
+        q, v: configuration (nq,), velocity (nv,).
+        ctrl: controls (nu,), or None.
+        x: the element's own state (size,).
+        dt: the time step in s, None if no step is fixed.
+        a: accelerations (nv,) for those of frames; zero if None.
+    """
+
+    model: Model
+    t: Any
+    q: jax.Array
+    v: jax.Array
+    ctrl: Any
+    x: Any
+    links: LinkMotion
+    dt: Any = None
+    a: Any = None
+    #: generalized forces of the actuators by velocity coordinate, clipped to the joints' force
+    #: ranges; only elements with `after_actuators` get them
+    driven: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
+    found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def h(self) -> Any:
+        """The length of the step: dt, or the model's timestep if none is fixed."""
+        return self.model.timestep if self.dt is None else self.dt
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        t: Any,
+        state: State,
+        ctrl: Any,
+        dt: Any = None,
+        d: Driver | None = None,
+    ) -> Context:
+        """The instant of a state; its x is that of all elements. d: the driver, the model's if
+        None."""
+        links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
+        own = without_constants(model)  # a user's element may change the leaves
+        return cls(own, t, state.q, state.v, ctrl, state.x, links, dt)
+
+    def accelerating(self, a: jax.Array) -> Context:
+        """The same with the accelerations a (nv,)."""
+        return replace(self, a=a, links=self.links.accelerating(a))
+
+    def with_own(self, x: Any) -> Context:
+        """The same, as an element with the state x sees it."""
+        return replace(self, x=x)
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What `make` returns, made once for this key (an object) and this instant: for what
+        depends only on t, q, v and u, and is needed by both `loads` and `rate`."""
+        if id(key) not in self.found:
+            self.found[id(key)] = key, make()
+        return self.found[id(key)][1]
+
+    def link(self, link: int) -> Frame:
+        """The frame of a link."""
+        return Frame(self.links, link)
+
+    def body(self, body: str | int) -> Frame:
+        """The frame of a body."""
+        if isinstance(body, int) and body == WORLD:
+            return Frame(self.links, WORLD)
+        b = self.model.body(body)
+        return Frame(self.links, self.model.topology.body_links[b], self.links.weld(b))
+
+    def site(self, site: str | int) -> Frame:
+        """The frame of a site."""
+        s = self.model.site(site)
+        placed = site_transform(self.model, s, self.q.dtype)
+        return self.body(self.model.topology.site_bodies[s]).then(placed)
+
+    def joint(self, joint: str | int) -> Joint:
+        """A joint's coordinates."""
+        top = self.model.topology
+        j = self.model.joint(joint)
+        nq, nv = top.joints[j].nq, top.joints[j].nv
+        qs, vs = top.joint_q[j], top.joint_v[j]
+        q, v = [self.q[qs + k] for k in range(nq)], [self.v[vs + k] for k in range(nv)]
+        return Joint(top.joint_kinds[j], q, v, vs)
+
+    def generalized(self, tau: Any) -> Loads:
+        """Generalized forces (nv,)."""
+        nv = self.model.nv
+        if np.shape(tau) != (nv,):
+            raise InputError(f"generalized: tau has shape {np.shape(tau)}, expected ({nv},)")
+        return Loads({i: tau[i] for i in range(nv)})
+
+    def generalized_of(self, wrenches: LinkForces) -> jax.Array:
+        """The generalized forces (nv,) of forces on links: sum of J_i^T f_i."""
+        d = self.links.driver
+        return d.pack(generalized(d, self.links.joints, wrenches), self.v)
+
+
+class Frame:
+    """A frame fixed to a link, at an instant: a body or a site."""
+
+    def __init__(self, links: LinkMotion, link: int, *placed: Transform):
+        self._links, self.link, self._placed = links, link, placed
+
+    def then(self, placed: Transform) -> Frame:
+        """A frame whose pose in this one is `placed`."""
+        return Frame(self._links, self.link, *self._placed, placed)
+
+    def at(self, point: Any) -> Frame:
+        """The frame with its origin at a point (3,), given in its own axes."""
+        return self.then(Transform(Mat3.identity(), _vector("at", point)))
+
+    @cached_property
+    def pose(self) -> Transform:
+        """Its pose in the world."""
+        return functools.reduce(Transform.then, self._placed, self._links.pose(self.link))
+
+    @property
+    def position(self) -> Vec3:
+        """Its origin in the world, m."""
+        return self.pose.p
+
+    @property
+    def rotation(self) -> Mat3:
+        """From its axes to the world's."""
+        return self.pose.R
+
+    @cached_property
+    def twist(self) -> Motion:
+        """Angular and linear velocity in its own axes, at its origin."""
+        return functools.reduce(lambda V, X: X(V), self._placed, self._links.twist(self.link))
+
+    @cached_property
+    def velocity(self) -> Vec3:
+        """The velocity of its origin in world axes, m/s."""
+        return self.rotation @ self.twist.lin
+
+    @cached_property
+    def angular_velocity(self) -> Vec3:
+        """In world axes, rad/s."""
+        return self.rotation @ self.twist.ang
+
+    @cached_property
+    def _accelerated(self) -> Motion:
+        """Angular and classical linear acceleration in its own axes, at its origin."""
+        V, a = self._links.twist(self.link), self._links.acceleration(self.link)
+        for X in self._placed:
+            centripetal = X.E @ V.ang.cross(V.ang.cross(X.p))
+            V, a = X(V), X(a) + Motion(Vec3.zero(), centripetal)
+        return a
+
+    @cached_property
+    def acceleration(self) -> Vec3:
+        """The acceleration of its origin in world axes, m/s^2, gravity not counted. A force element
+        sees what only velocities make (v' = 0)."""
+        return self.rotation @ self._accelerated.lin
+
+    @cached_property
+    def angular_acceleration(self) -> Vec3:
+        """In world axes, rad/s^2; of a force element as `acceleration`."""
+        return self.rotation @ self._accelerated.ang
+
+    def push(self, force: Any, torque: Any = None, *, at: Any = None) -> Loads:
+        """A force (3,) N and a torque (3,) N m in world axes, at a point of the world; at the
+        frame's origin if None. The world itself cannot be pushed."""
+        force = _vector("push", force)
+        moment = Vec3.zero() if torque is None else _vector("push", torque)
+        if at is not None:
+            moment = moment + (_vector("push", at) - self.position).cross(force)
+        E = self.rotation.T
+        return self.push_own(Force(E @ moment, E @ force))
+
+    def push_own(self, wrench: Force) -> Loads:
+        """A wrench [torque; force] in the frame's own axes, at its origin."""
+        return Loads() if self.link == WORLD else Loads({}, {self.link: self._on_link(wrench)})
+
+    def _on_link(self, wrench: Force) -> Force:
+        return functools.reduce(lambda f, X: X.T(f), reversed(self._placed), wrench)
+
+    def arms(self, wrench: Force) -> dict[int, Lane]:
+        """J^T w of such a wrench, by velocity coordinate."""
+        if not self._links.driver.listed:
+            return self.world_arms(self.rotation @ wrench.lin, self.rotation @ wrench.ang)
+        wrench, out, at = self._on_link(wrench), {}, self.link
+        while at != WORLD:
+            X, S = self._links.to_parent(at)
+            out[at] = S.dot(wrench)
+            wrench = X.T(wrench)
+            at = self._links.driver.topology.dofs[at].parent
+        return out
+
+    def world_arms(self, force: Vec3, torque: Vec3) -> dict[int, Lane]:
+        """J^T w of a force and a torque in world axes, at the frame's origin."""
+        d = self._links.driver
+        if d.listed:
+            E = self.rotation.T
+            return self.arms(Force(E @ torque, E @ force))
+        out: dict[int, Lane] = {}
+        for i in () if self.link == WORLD else d.topology.ancestors[self.link]:
+            pose, S = self._links.pose(i), self._links.axis(i)
+            moment = torque + (self.position - pose.p).cross(force)
+            out[i] = add((pose.R @ S.ang).dot(moment), (pose.R @ S.lin).dot(force))
+        return out
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint at an instant: its kind, its coordinates q and velocities v, as lanes."""
+
+    kind: str
+    q: Sequence[Lane]
+    v: Sequence[Lane]
+    start: int
+
+    def push(self, *tau: Any) -> Loads:
+        """Generalized forces on its velocity coordinates: N m where it turns, N where it slides."""
+        if len(tau) == 1 and np.ndim(tau[0]) == 1:
+            tau = tuple(tau[0])
+        if len(tau) != len(self.v):
+            raise InputError(
+                f"push: got {len(tau)} forces on a {self.kind} joint, expected {len(self.v)}"
+            )
+        return Loads({self.start + k: x for k, x in enumerate(tau)})
+
+
+def _vector(where: str, x: Any) -> Vec3:
+    if isinstance(x, Vec3):
+        shapes = [np.shape(a) for a in x]
+        if any(shapes):
+            raise InputError(
+                f"{where}: a Vec3 has entries of the shapes {shapes}, expected scalars; a product "
+                "of two vectors is a.dot(b) or a.cross(b)"
+            )
+        return x
+    if np.shape(x) != (3,):
+        raise InputError(f"{where}: a vector has shape {np.shape(x)}, expected (3,) or a Vec3")
+    return Vec3(*(x[i] for i in range(3)))

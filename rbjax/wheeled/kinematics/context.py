@@ -1,0 +1,113 @@
+"""A wheeled robot at an instant, and the rates of its coordinates."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from rbjax.lanes import Lane, add, fusion_barrier, sub
+from rbjax.wheeled.kinematics.parameters import Parameters
+from rbjax.wheeled.kinematics.planar import Dual, Pair, direction, rotate, with_rate
+from rbjax.wheeled.kinematics.velocities import Shape, caster_rates, shape_along, twists_of
+
+
+@dataclass(frozen=True)
+class RobotContext:
+    """Coordinates, velocities, tyre states and controls as lanes.
+
+    What depends on the angles is computed once.
+    """
+
+    n: Parameters
+    q: list[Lane]
+    v: list[Lane]
+    x: list[Lane]
+    u: list[Lane]
+
+    def with_velocities(self, v: list[Lane], x: list[Lane]) -> RobotContext:
+        """At the same coordinates, with other velocities and tyre states."""
+        out = replace(self, v=v, x=x)
+        known = ("pose", "directions", "shape")
+        vars(out).update({name: found for name, found in vars(self).items() if name in known})
+        return out
+
+    @functools.cached_property
+    def pose(self) -> Pair:
+        """The direction of the chassis."""
+        return fusion_barrier(direction(self.q[2]))
+
+    @functools.cached_property
+    def directions(self) -> list[Pair]:
+        """Those of trailers, steerings and casters."""
+        return fusion_barrier([direction(a) for a in angles_of(self)])
+
+    @functools.cached_property
+    def shape(self) -> Shape:
+        """The shape at the angles of trailers, steerings and casters."""
+        return shape_along(self.n, self.directions)
+
+    def bodies(self) -> list[tuple[Pair, Pair]]:
+        """Of each body its origin, on the ground, and its direction."""
+        n = self.n
+        out = [((self.q[0], self.q[1]), self.pose)]
+        for k, body in enumerate(n.bodies[1:], start=1):
+            at, ahead = out[n.ahead(k)]
+            e = rotate(self.shape.trailers[k - 1], ahead)
+            hitch, bar = rotate(body.hitch, ahead), rotate((body.drawbar, 0.0), e)
+            x, y = (sub(add(a, b), c) for a, b, c in zip(at, hitch, bar, strict=True))
+            out.append(((x, y), e))
+        return out
+
+    def shape_with_rate(self, w: Sequence[Lane]) -> Shape:
+        """The shape with its rate at full velocities w."""
+        rates = angle_rates(self, w)
+        return shape_along(
+            self.n, [with_rate(e, rate) for e, rate in zip(self.directions, rates, strict=True)]
+        )
+
+    def shape_with_two_rates(self, w: Sequence[Lane]) -> Shape:
+        """The shape with its first and second rate, where the angles turn evenly."""
+        rates = angle_rates(self, w)
+        return shape_along(
+            self.n,
+            [with_rate(with_rate(e, r), Dual(r, 0.0))
+             for e, r in zip(self.directions, rates, strict=True)],
+        )  # fmt: skip
+
+
+def angles_of(now: RobotContext) -> list[Lane]:
+    """The angles on which the shape depends."""
+    n = now.n
+    return now.q[3 : n.layout.casters.stop]
+
+
+def steering_rates(now: RobotContext) -> list[Lane]:
+    """b' of each steering."""
+    n = now.n
+    out = []
+    first = len(n.robot.drives)
+    for j, steering in enumerate(n.robot.steerings):
+        u = now.u[first + j]
+        if steering.lag is None:
+            out.append(u)
+        else:
+            out.append((u - now.q[n.layout.steerings.start + j]) / n.lane(steering.lag))
+    return out
+
+
+def coordinate_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
+    """q' by the full velocities."""
+    n = now.n
+    x, y = rotate((w[0], w[1]), now.pose)
+    return [x, y, w[2], *angle_rates(now, w), *w[2 + len(n.bodies) :]]
+
+
+def angle_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
+    """The rates of the angles on which the shape depends."""
+    n = now.n
+    trailers = list(w[3 : 2 + len(n.bodies)])
+    casters = []
+    if n.layout.caster_wheels:
+        casters = caster_rates(n, now.shape, twists_of(n, now.shape, w))
+    return [*trailers, *steering_rates(now), *casters]
