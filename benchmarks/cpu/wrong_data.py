@@ -35,7 +35,7 @@ def of_leg() -> tuple[Problem, dict[str, Wrong]]:
 
 def of_quadruped() -> tuple[Problem, dict[str, Wrong]]:
     problem = quadruped()
-    run = problem.run.piece(0.0, PIECE)
+    run = problem.run.segment(0.0, PIECE)
     return problem._replace(run=run), ways(tuple(problem.setup.model.joint_names), 1, 11)
 
 

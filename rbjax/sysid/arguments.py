@@ -53,7 +53,8 @@ def floats(
 def check_options(
     where: str, loss: Any = "squares", estimate_initial_state: Any = None, **lengths: Any
 ) -> None:
-    """`InputError` for an unknown loss, an invalid flag, or a length that is not seconds above 0."""
+    """`InputError` for an unknown loss, an invalid flag, or a length that is not seconds above
+    0."""
     if not (isinstance(loss, str) and loss in ("squares", "huber")):
         raise InputError(f'{where}: loss is {loss!r}, expected "squares" or "huber"')
     if not (estimate_initial_state is None or isinstance(estimate_initial_state, bool)):

@@ -28,9 +28,9 @@ class FitStatus(enum.IntEnum):
 TEXTS = {
     FitStatus.CONVERGED: "converged",
     FitStatus.BUDGET: "not converged",
-    FitStatus.INFEASIBLE: "infeasible: the first guess is at the border of what is possible",
+    FitStatus.INFEASIBLE: "the first guess is at the border of its range",
     FitStatus.STUCK: "stalled: no step lowers the error, but its slope is not 0",
-    FitStatus.NOT_FINITE: "not finite: the motion or the cost of the first guess is nan or infinite",
+    FitStatus.NOT_FINITE: "the motion or cost of the first guess is not finite",
 }
 
 

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Channel, Grid, Identified, Recording, Setup, Unknown, many_starts, squares
-from rbjax.sysid.estimators import free_running, identification, multi_start
+from rbjax.sysid import Channel, Grid, Identified, Recording, Setup, Unknown, squares
+from rbjax.sysid.estimators import free_running, identification, staged_fit
 from rbjax.sysid.estimators.identified import Options
 from rbjax.sysid.parameters.unknowns import Unknowns
 from rbjax.sysid.simulation import objective
-from rbjax.sysid.simulation.grouping import no_part_of_a_program
+from rbjax.sysid.simulation.jacobian_colouring import compile_time_constants
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.setup import Path
-from rbjax.sysid.simulation.simulation_error import HUBER, programs
-from rbjax.sysid.simulation.traces import Trace, traces
+from rbjax.sysid.simulation.simulation_error import HUBER, make_programs
+from rbjax.sysid.simulation.traces import Trace, make_traces
 from rbjax.sysid.torque import select, selection
 
 MODEL = rb.load("pendulum")
@@ -49,7 +49,7 @@ def test_traces_hold_recorded_and_simulated_values_each_in_its_place():
     weights = {"q": np.where(np.arange(30) == 4, 0.0, 1.0)[None, :, None]}
     run = Run(None, None, {"q": T[None]}, seen, weights)
     error = types.SimpleNamespace(runs=run, readings=lambda x: {"q": seen["q"] + 1})
-    trace = traces(setup, error, np.zeros(0), [SWING])["swing"]["q"]
+    trace = make_traces(setup, error, np.zeros(0), [SWING])["swing"]["q"]
     np.testing.assert_array_equal(trace.simulated[:, 0], np.sin(T) + 1)
     np.testing.assert_array_equal(
         trace.recorded[:, 0], np.where(np.arange(30) == 4, np.nan, np.sin(T))
@@ -72,11 +72,11 @@ def test_a_free_run_weighs_each_sample_that_arrived_by_the_noise(monkeypatch):
 
 
 def test_constants_are_computed_while_a_program_is_traced():
-    assert isinstance(no_part_of_a_program(), contextlib.nullcontext)
+    assert isinstance(compile_time_constants(), contextlib.nullcontext)
 
     @jax.jit
     def traced(x):
-        with no_part_of_a_program():
+        with compile_time_constants():
             known = np.asarray(jnp.ones(3) + 1)
         return x * known.sum()
 
@@ -86,8 +86,8 @@ def test_constants_are_computed_while_a_program_is_traced():
 def fit(loss: str, seen: dict, unseen: dict) -> types.SimpleNamespace:
     """The fields of a fit that its validation reads."""
     return types.SimpleNamespace(
-        judged="q", rms={"q": np.ones(1)}, traces=seen, options=Options(loss=loss),
-        setup=Setup.of(MODEL), simulated=lambda recordings, starts: unseen,
+        judged_sensor="q", rms={"q": np.ones(1)}, traces=seen, options=Options(loss=loss),
+        setup=Setup.of(MODEL), simulated=lambda recordings, estimate_initial_state: unseen,
     )  # fmt: skip
 
 
@@ -99,7 +99,7 @@ def test_validation_compares_unseen_with_fitted_errors_and_outliers_count_by_the
         return {"q": Trace(("hinge",), T, y, y + off)}
 
     other = Recording("other", dict(SWING.channels))
-    found = Identified.on(fit(loss, {"swing": trace(1.0)}, {"other": trace(2.0)}), [other])
+    found = Identified.validate(fit(loss, {"swing": trace(1.0)}, {"other": trace(2.0)}), [other])
     rms = (
         [1.0, 2.0] if loss == "huber" else [np.sqrt((29 + 1e4) / 30), np.sqrt((29 * 4 + 1e4) / 30)]
     )
@@ -107,8 +107,8 @@ def test_validation_compares_unseen_with_fitted_errors_and_outliers_count_by_the
     assert [*found.by_recording] == ["other"]
 
 
-@pytest.mark.parametrize("chosen", [False, True])
-def test_the_stages_of_a_fit_follow_each_other(monkeypatch, chosen):
+@pytest.mark.parametrize("prepared", [False, True])
+def test_the_stages_of_a_fit_follow_each_other(monkeypatch, prepared):
     done = []
 
     class Stages:
@@ -118,37 +118,41 @@ def test_the_stages_of_a_fit_follow_each_other(monkeypatch, chosen):
         def __getattr__(self, stage):
             return lambda *given: done.append(stage) or f"{stage} of {given[0] if given else ''}"
 
-    monkeypatch.setattr(identification, "Fits", Stages)
-    monkeypatch.setattr(identification, "start_grid", lambda *given: (Grid(0.1), chosen))
-    monkeypatch.setattr(identification, "_said", lambda fits, best, how, dtype: best)
-    found = identification.fitted(None, None, [], Options())
-    assert done == ["stepped"] * chosen + ["whole", "improved", "weighed"] + ["finer"] * chosen
-    assert found == "finer of " * chosen + "weighed of improved of whole of first"
+    monkeypatch.setattr(identification, "StagedFit", Stages)
+    monkeypatch.setattr(identification, "_result", lambda stages, best, dtype: best)
+    options = Options(segments=0.1, multiple_shooting=0.2) if prepared else Options()
+    found = identification.fit_in_stages(None, None, [], options)
+    due = ["fit_all", "retry_if_poor", "reweigh", "refine_steps"]
+    if prepared:
+        due = ["fit_segments", "fit_multiple_shooting", "fit_all", "reweigh", "refine_steps"]
+    assert done == ["shorten_steps", *due]
+    assert found == " of ".join([*due[::-1], "first"])
 
 
 @pytest.mark.parametrize("grid", [None, Grid(0.1)])
-def test_many_starts_checks_the_steps_unless_a_grid_is_given(monkeypatch, grid):
-    def stop(name):
-        def raising(*given, **how):
-            raise Reached(name)
+def test_the_steps_are_checked_unless_a_grid_is_given(monkeypatch, grid):
+    def stop(*given, **how):
+        raise Reached
 
-        return raising
-
-    monkeypatch.setattr(multi_start, "Fits", stop("checked"))
-    monkeypatch.setattr(multi_start, "SimulationError", stop("given"))
-    with pytest.raises(Reached, match="given" if grid else "checked"):
-        many_starts(MODEL, SWING, MASS, grid=grid)
+    monkeypatch.setattr(staged_fit.StagedFit, "error", stop)
+    unknowns = Unknowns.of("test", MASS, Setup.of(MODEL))
+    stages = staged_fit.StagedFit(Setup.of(MODEL), unknowns, [SWING], Options(grid=grid))
+    if grid is not None:
+        assert stages.shorten_steps() is None and stages.refine_steps("fit") == "fit"
+        return
+    with pytest.raises(Reached):
+        stages.shorten_steps()
 
 
 @pytest.mark.parametrize("loss", ["squares", "huber"])
 def test_large_residuals_count_by_the_loss(loss):
     setup = Setup.of(MODEL)
-    one = programs(setup, Unknowns({}, (), ()), Grid(0.1), 0, loss)
+    one = make_programs(setup, Unknowns({}, (), ()), Grid(0.1), 0, loss)
     y = np.array([0.0, 5.0])[:, None]  # the first residual is 0.5 sigma, the second -4.5
     path = Path(jnp.full((2, 1), 0.5), jnp.zeros((2, 1)), None, jnp.zeros((1, 1)))
     times, weights = {"q": jnp.array([0.0, 0.1])}, {"q": jnp.ones((2, 1))}
     run = Run(None, None, times, {"q": jnp.asarray(y)}, weights)
-    found = jax.jit(lambda path: one.compared(setup, path, run))(path)
+    found = jax.jit(lambda path: one.compare(setup, path, run))(path)
     far = -4.5 if loss == "squares" else -np.sqrt(HUBER * (9 - HUBER))
     np.testing.assert_allclose(found, [0.5, far], rtol=1e-6)
 

@@ -344,7 +344,7 @@ def _floats(name: str, x: Any) -> np.ndarray:
 
 def _one_a_column(name: str, given: Any, columns: int) -> np.ndarray:
     """One number other than 0 for each column."""
-    x = np.array(np.nan) if isinstance(given, bool) else _floats(name, given)
+    x = np.array(np.nan) if np.asarray(given).dtype == bool else _floats(name, given)
     if x.shape not in ((), (1,), (columns,)) or not np.isfinite(x).all() or (x == 0).any():
         raise InputError(
             f"Channel: {name} is {x.tolist()}, expected one number other than 0, or {columns}, one "

@@ -65,7 +65,7 @@ def free_run(
         weights = {s: (w > 0) / _noise_of(noise, s, w) for s, w in data.weights.items()}
         data = data._replace(weights=weights)
     none = Unknowns({}, (), ())
-    of = SimulationError(setup, none, data, grid, starts=estimate_initial_state)
+    of = SimulationError(setup, none, data, grid, estimate_initial_state=estimate_initial_state)
     x = minimise(of, np.zeros(of.size)).x if of.own else np.zeros(0)
     return make_traces(setup, of, x, recordings)
 

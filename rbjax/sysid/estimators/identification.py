@@ -2,8 +2,8 @@
 
     min over p of  sum |weights (reading(motion(p)) - recorded)|^2
 Combinations of the unknowns that the data identify are estimated. The others stay at the first
-guess, or as near to it as the bounds allow. Initial states are estimated too, unless they are known.
-`identifiability` finds the identifiable combinations before a fit.
+guess, or as near to it as the bounds allow. Initial states are estimated too, unless they are
+known. `identifiability` finds the identifiable combinations before a fit.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError
 from rbjax.sysid.statistics.fit_statistics import fit_statistics
 from rbjax.sysid.statistics.precision import cast, in_double
-from rbjax.sysid.statistics.rank import Combinations, beside_others, combinations
+from rbjax.sysid.statistics.rank import Combinations, combinations, project_out_others
 
 
 @in_double
@@ -167,7 +167,7 @@ def _result(stages: StagedFit, best: Fit, dtype: Any) -> Identified:
     return Identified(
         setup=cast(stages.unknowns.write(stages.setup, jnp.asarray(p)), dtype),
         values=values, guess=guess,
-        identifiable=combinations(beside_others(minimum.triangle, n), names),
+        identifiable=combinations(project_out_others(minimum.triangle, n), names),
         estimates=statistics.estimates, recordings=tuple(runs), traces=best.traces,
         evaluations=stages.evaluations, status=minimum.status, grid=of.grid, error=of,
         noise_known=best.noise_estimated or len(stated) == len(of.runs.values),
@@ -218,8 +218,12 @@ def identifiability(
     sought = Unknowns.of(where, unknowns, setup)
     grid, _ = start_grid(setup, sought, runs, grid)
     error = SimulationError(
-        setup, sought, make_batch(setup, runs, grid), grid, starts=estimate_initial_state
+        setup,
+        sought,
+        make_batch(setup, runs, grid),
+        grid,
+        estimate_initial_state=estimate_initial_state,
     )
     guess = np.asarray(sought.read(setup), float)
     R = error.triangle(np.append(guess, np.zeros(error.size - guess.size)))
-    return combinations(beside_others(R, guess.size), sought.names)
+    return combinations(project_out_others(R, guess.size), sought.names)

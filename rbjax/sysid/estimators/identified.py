@@ -197,8 +197,8 @@ def _stated_noise(recordings: Sequence[Recording], sensor: str) -> float | None:
 
 
 def write_fit(path: str | Path, names: Sequence[str], x: np.ndarray, **more: Any) -> None:
-    """Write a fit as JSON: the unknowns `names`, corrections of initial states, and `more`. The file
-    is replaced at once, so that a write that is interrupted does not damage it."""
+    """Write a fit as JSON: the unknowns `names`, corrections of initial states, and `more`. The
+    file is replaced at once, so that a write that is interrupted does not damage it."""
     values = dict(zip(names, map(float, x), strict=False))
     corrections = np.asarray(x[len(names) :]).tolist()
     path = Path(path)

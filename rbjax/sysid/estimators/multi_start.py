@@ -81,8 +81,8 @@ class ManyStarts:
         first = self.basins[0]
         finalists = sum(len(b.guesses) for b in self.basins)
         text = (
-            f"of {len(self.guesses)} guesses the best {finalists} end in {len(self.basins)} basins; "
-            f"{len(first.guesses)} in the best one, guess {self.best_guess} first"
+            f"of {len(self.guesses)} guesses the best {finalists} end in {len(self.basins)} "
+            f"basins; {len(first.guesses)} in the best one, guess {self.best_guess} first"
         )
         if len(self.basins) == 1:
             return text

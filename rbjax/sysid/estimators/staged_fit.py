@@ -246,7 +246,7 @@ class StagedFit:
         grid = self.grid if grid is None else grid
         return SimulationError(
             self.setup, self.unknowns, make_batch(self.setup, recordings, grid), grid,
-            starts=self.options.estimate_initial_state, loss=self.options.loss,
+            estimate_initial_state=self.options.estimate_initial_state, loss=self.options.loss,
         )  # fmt: skip
 
     def _fit(self, of: SimulationError, x: np.ndarray, **how: Any) -> Fit:
@@ -286,8 +286,8 @@ class StagedFit:
 def estimate_weights(
     data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
 ) -> Run | None:
-    """The data with weights 1 / sigma from the residuals, for channels without stated noise. None if
-    all channels state it, or if the residuals are rounding. robust: without outliers."""
+    """The data with weights 1 / sigma from the residuals, for channels without stated noise. None
+    if all channels state it, or if the residuals are rounding. robust: without outliers."""
     weights, changed = dict(data.weights), False
     for sensor in data.values:
         if noise_is_stated(runs, sensor):
@@ -362,8 +362,8 @@ def error_over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Re
 
 def step_error(fit: Fit, other: SimulationError) -> tuple[float, bool]:
     """The error of the steps over the largest acceptable one, and whether it matters. An error e of
-    the residuals changes a fitted unknown by at most |e| / s of its standard deviation, where s^2 is
-    the variance of the residuals."""
+    the residuals changes a fitted unknown by at most |e| / s of its standard deviation, where s^2
+    is the variance of the residuals."""
     of, x = fit.error, fit.minimum.x
     e = other.residuals(x) - of.residuals(x)
     s = np.sqrt(max(fit.minimum.cost, 1e-300) / max(of.samples - of.size, 1))

@@ -97,7 +97,7 @@ def judge(
         failed.append(f"no sensor has {FEW} samples, which are too few to judge the fit")
     elif np.isnan([*shares.values()]).all():
         failed.append(
-            f"nothing moves ({_list_columns(constant)} constant in all recordings), so the recordings "
+            f"nothing moves ({_list_columns(constant)} constant in all recordings), so they "
             "cannot identify a model of a motion; record one that moves each joint"
         )
     for sensor, share in shares.items():

@@ -9,9 +9,11 @@ reported if that fit has at most half of the error of the fit without the correc
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,8 +44,8 @@ BETTER = 0.5  # largest ratio of the errors with and without a correction
 SUSPECT = 0.3  # least relative error of a column whose sign and place are tested
 TRIED = 3  # corrections that are verified by a fit
 NEAR, SLOW = 0.01, 2e-3  # range of a refined clock rate; least rate that is reported
-#: of a dead sensor: least share of a recording in which it is still, its largest scatter relative to
-#: the expected motion, and the least part of the expected motion in that time
+#: of a dead sensor: least share of a recording in which it is still, its largest scatter relative
+#: to the expected motion, and the least part of the expected motion in that time
 DEAD, QUIET, MUCH = 0.1, 0.02, 0.2
 REPEATS = 3  # of correcting and fitting
 
@@ -68,6 +70,16 @@ class Cause:
 
     def __str__(self) -> str:
         return self.sentence
+
+
+class Hypothesis(NamedTuple):
+    """A possible mistake of the recordings, and its correction."""
+
+    kind: str
+    channels: tuple[str, ...]
+    columns: tuple[str, ...]
+    correction: Correction
+    words: str
 
 
 @dataclass(frozen=True)
@@ -120,9 +132,11 @@ class _Trials:
         self.found, self.max_evaluations, self.say = found, max_evaluations, say
         self.model, self.setup = found.error.setup.model, found.error.setup
         self.guess = np.array([*found.guess.values()])
+        self.make_run = functools.partial(make_run, self.setup, grid=found.grid)
         self.longest = [self.make_run(order_columns(self.model, run)) for run in found.recordings]
 
     def diagnosis(self) -> Diagnosis:
+        """Correct the recordings until no hypothesis reduces the error by half."""
         runs = [order_columns(self.model, run) for run in self.found.recordings]
         x = np.array([*self.found.values.values()])
         x = min((x, self.guess), key=lambda y: self.error(runs, y))
@@ -177,43 +191,37 @@ class _Trials:
         """The correction with the least error of a fit, if it is a cause. Corrections are ranked by
         the ratio of the errors with and without them at the same parameters, the first guess or
         the fit."""
-        tried = []
+        tried, fitted = [], []
         at = (self.guess, x)
         uncorrected = [max(self.error(runs, y), 1e-300) for y in at]
-        for kind, channels, columns, correction, words in self.hypotheses(runs, x):
-            self.say(words)
-            corrected = [correction(run) for run in runs]
+        for one in self.hypotheses(runs, x):
+            self.say(one.words)
+            corrected = [one.correction(run) for run in runs]
             shares = [self.error(corrected, y) / e for y, e in zip(at, uncorrected, strict=True)]
             shares = [np.inf if np.isnan(share) else share for share in shares]  # inf / inf
             if not np.allclose(shares, 1.0, rtol=1e-6):  # as for two equal commands
-                k = int(np.argmin(shares))
-                tried.append((shares[k], k, kind, channels, columns, correction, words))
-        tried.sort(key=lambda one: one[0])
-        fitted = []
-        for _, k, kind, channels, columns, correction, words in tried[:TRIED]:
-            self.say(f"fit: {words}")
-            corrected = [correction(run) for run in runs]
-            y = self.fit(corrected, at[k])
-            helps = kind == "clock" and self.error(corrected, y) < before
+                tried.append((min(shares), at[int(np.argmin(shares))], one))
+        for _, y, one in sorted(tried, key=lambda trial: trial[0])[:TRIED]:
+            self.say(f"fit: {one.words}")
+            corrected = [one.correction(run) for run in runs]
+            y = self.fit(corrected, y)
+            helps = one.kind == "clock" and self.error(corrected, y) < before
             for rate in self.clock_rates(runs, y) if helps else ():
-                correction, words = self.refine_clock(runs, y, rate)
-                corrected = [correction(run) for run in runs]
+                one = self.refine_clock(runs, y, rate)
+                corrected = [one.correction(run) for run in runs]
                 y = self.fit(corrected, y)
-            fitted.append((self.error(corrected, y), kind, channels, columns, correction, words, y))
+            fitted.append((self.error(corrected, y), one, y))
         if not fitted:
             return None
-        after, kind, channels, columns, correction, words, y = min(fitted, key=lambda one: one[0])
+        after, (kind, channels, columns, correction, words), y = min(fitted, key=lambda fit: fit[0])
         if not after <= BETTER * before:
             return None
-        words += (
-            f": with this corrected the error falls from {_percent(before)} to {_percent(after)}"
-        )
+        words += f": with this corrected the error falls from {100 * before:.3g} % to "
+        words += f"{100 * after:.3g} %"
         return Cause(kind, channels, columns, before, after, words), correction, y
 
-    def hypotheses(
-        self, runs: list[Recording], x: np.ndarray
-    ) -> Iterator[tuple[str, tuple[str, ...], tuple[str, ...], Correction, str]]:
-        """Kind, channels, columns, correction and words of each possible mistake."""
+    def hypotheses(self, runs: list[Recording], x: np.ndarray) -> Iterator[Hypothesis]:
+        """The possible mistakes of columns with large errors."""
         seen = self.traces(runs, self.guess)
         first = next(iter(seen.values()))
         doubted: dict[str, list[int]] = {}
@@ -233,17 +241,15 @@ class _Trials:
             where = " and ".join(group)
             among = sorted({*itertools.chain.from_iterable(doubted[s] for s in group)})
             for i in among:
-                yield "sign", group, (columns_of[i],), flip(group, i), (
-                    f"the sign of {columns_of[i]} in channel {where} is wrong"
-                )  # fmt: skip
+                words = f"the sign of {columns_of[i]} in channel {where} is wrong"
+                yield Hypothesis("sign", group, (columns_of[i],), flip(group, i), words)
             for i, j in itertools.combinations(among, 2):
                 pair = columns_of[i], columns_of[j]
-                yield "swap", group, pair, swap(group, i, j), (
-                    f"{pair[0]} and {pair[1]} are swapped in channel {where}"
-                )  # fmt: skip
+                words = f"{pair[0]} and {pair[1]} are swapped in channel {where}"
+                yield Hypothesis("swap", group, pair, swap(group, i, j), words)
         sensors = tuple(s for s in first if s in doubted)
         for rate in self.clock_rates(runs, x):
-            yield "clock", sensors, (), stretch(rate), _describe_clock(sensors, rate)
+            yield _clock_hypothesis(sensors, rate)
 
     def clock_rates(self, runs: Sequence[Recording], x: np.ndarray) -> list[float]:
         """The rate of the sensors' clock, or no rate if it is right. Parameters that were fitted to
@@ -256,9 +262,7 @@ class _Trials:
         rates = {estimate_clock_rate(self.traces(runs, y)) for y in (self.guess, x)}
         return sorted((r for r in rates if abs(r) >= SLOW), key=error)[:1]
 
-    def refine_clock(
-        self, runs: Sequence[Recording], x: np.ndarray, rate: float
-    ) -> tuple[Correction, str]:
+    def refine_clock(self, runs: Sequence[Recording], x: np.ndarray, rate: float) -> Hypothesis:
         """Refine a clock rate by the least error of a fit."""
 
         def square(rate: float) -> float:  # of the error: nearly a parabola
@@ -270,7 +274,7 @@ class _Trials:
             options={"xatol": SLOW / 40},
         )  # fmt: skip
         sensors = tuple(_by_column(self.traces(runs, x)))
-        return stretch(found.x), _describe_clock(sensors, found.x)
+        return _clock_hypothesis(sensors, found.x)
 
     def traces(self, runs: Sequence[Recording], x: np.ndarray) -> Traces:
         """The traces of recordings at x."""
@@ -294,13 +298,9 @@ class _Trials:
         )  # fmt: skip
         return least.x
 
-    def make_run(self, run: Recording) -> Run:
-        """Convert a recording to a run."""
-        return make_run(self.setup, run, self.found.grid)
-
     def make_batch(self, runs: Sequence[Recording]) -> Run:
-        """Convert recordings to a batch of the shape of those that were fitted, each column weighted
-        by its spread."""
+        """Convert recordings to a batch of the shape of those that were fitted, each column
+        weighted by its spread."""
         both = stack_runs([*map(self.make_run, runs), *self.longest])
         data: Run = jax.tree.map(lambda a: a[: len(runs)], both)
         weights = {}
@@ -360,11 +360,10 @@ WORDS = {
 }
 
 
-def _describe_clock(sensors: tuple[str, ...], rate: float) -> str:
-    return (
-        f"the clock of {' and '.join(sensors)} is {abs(100 * rate):.3g} % too "
-        f"{'fast' if rate < 0 else 'slow'} beside that of the commands"
-    )
+def _clock_hypothesis(sensors: tuple[str, ...], rate: float) -> Hypothesis:
+    words = f"the clock of {' and '.join(sensors)} is {abs(100 * rate):.3g} % too "
+    words += f"{'fast' if rate < 0 else 'slow'} compared with that of the commands"
+    return Hypothesis("clock", sensors, (), stretch(rate), words)
 
 
 def _each(seen: Traces) -> Iterator[tuple[str, str, Trace]]:
@@ -399,7 +398,3 @@ def _scatter(x: np.ndarray, window: int) -> np.ndarray:
     mean = ndimage.uniform_filter1d(known, window)
     variance = ndimage.uniform_filter1d(known**2, window) - mean**2
     return np.where(np.isnan(x), np.inf, np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _percent(error: float) -> str:
-    return f"{100 * error:.3g} %"

@@ -323,8 +323,8 @@ def prior_residual(theta: jax.Array, prior: jax.Array) -> jax.Array:
 
 
 def scalar_residual(x: jax.Array) -> jax.Array:
-    """r with r^2 = e^(2x) - 1 - 2x, the divergence of two positive numbers with the quotient e^(2x).
-    Near 0, r ~ sqrt(2) x."""
+    """r with r^2 = e^(2x) - 1 - 2x, the divergence of two positive numbers with the quotient
+    e^(2x). Near 0, r ~ sqrt(2) x."""
     y = 2 * x
     small = jnp.abs(y) < 0.05
     far = jnp.where(small, 1.0, y)

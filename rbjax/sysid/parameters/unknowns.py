@@ -35,27 +35,23 @@ class Parametrisation(Protocol):
 
     def names(self, label: str, target: Any) -> list[str]:
         """The name of each parameter."""
-        ...
 
     def read(self, target: Any) -> jax.Array:
         """Read p (n,) from the set-up."""
-        ...
 
     def write(self, target: Any, p: jax.Array) -> Any:
         """Write p into the set-up."""
-        ...
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         """D(p, p0), convex in p, with its derivatives."""
-        ...
 
 
 class Scalars:
     """Parameters that are free, positive or bounded independently of each other."""
 
-    positive: bool
-    bounds: tuple[float, float] | None
-    scale: float
+    positive: bool = False
+    bounds: tuple[float, float] | None = None
+    scale: float = 1.0
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         if self.bounds is not None:
@@ -224,12 +220,10 @@ class FixedTotal:
 class Tilt(Scalars):
     """Unknown direction of gravity, for a base that is not level.
 
-    gravity = g (sin a, -cos a sin b, -cos a cos b) in the world frame, with angles a, b in rad; both
-    are zero if gravity points to -z.
+    gravity = g (sin a, -cos a sin b, -cos a cos b) in the world frame, with angles a, b in rad;
+    both are zero if gravity points to -z.
     """
 
-    positive = False
-    bounds = None
     scale = 0.1
 
     def names(self, label: str, target: Any) -> list[str]:
@@ -309,9 +303,8 @@ class Unknowns:
 
     def read(self, target: Any) -> jax.Array:
         """Read p of all unknowns."""
-        if not self.members:
-            return jnp.zeros(0)
-        return jnp.concatenate([u.read(target) for u in self.members.values()])
+        parts = [u.read(target) for u in self.members.values()]
+        return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def limits(self, target: Any) -> dict[str, tuple[float, float]]:
         """The bounds (low, high), by name, of the parameters that have bounds."""
@@ -326,8 +319,10 @@ class Unknowns:
 
     def write(self, target: Any, p: jax.Array) -> Any:
         """Write p into the set-up."""
-        for u, x in zip(self.members.values(), self._split(p), strict=True):
-            target = u.write(target, x)
+        end = 0
+        for u, size in zip(self.members.values(), self.sizes, strict=True):
+            target = u.write(target, p[end : end + size])
+            end += size
         return target
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
@@ -353,12 +348,9 @@ class Unknowns:
                 found.append((u, size))
         return found
 
-    def _split(self, x: jax.Array) -> list[jax.Array]:
-        return jnp.split(x, np.cumsum(self.sizes)[:-1]) if self.sizes else []
-
 
 def put(array: Any, index: Any, new: Any) -> jax.Array:
-    """Replace an entry of an array, by numpy unless it is traced, in a hundredth of the time."""
+    """Replace an entry of an array, by numpy in a hundredth of the time unless it is traced."""
     if any(isinstance(x, jax.core.Tracer) for x in (array, new)):
         return jnp.asarray(array).at[index].set(new)
     out = np.array(array)
@@ -368,16 +360,14 @@ def put(array: Any, index: Any, new: Any) -> jax.Array:
 
 def leaf_of(target: Any, leaf: str) -> Any:
     """Find an array of floating-point numbers in a pytree by its dotted name."""
-    value = target
     try:
-        for part in _parts(target, leaf):
-            value = _child(value, part)
+        value = functools.reduce(_child, _parts(target, leaf), target)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         value = None
     numeric = eqx.is_array(value) or isinstance(value, float)
     if not numeric or not jnp.issubdtype(jnp.result_type(value), jnp.floating):
         paths = jax.tree_util.tree_flatten_with_path(target)[0]
-        keys = [jax.tree_util.keystr(p, simple=True, separator=".") for p, _ in paths]
+        keys = (jax.tree_util.keystr(p, simple=True, separator=".") for p, _ in paths)
         known = [key.removeprefix("model.") for key in keys]
         raise UnknownName(f"leaf of {type(target).__name__}", leaf, known)
     return value
@@ -390,10 +380,8 @@ def with_leaf(target: Any, leaf: str, new: Any) -> Any:
 
 def _parts(target: Any, leaf: str) -> list[str]:
     parts = leaf.split(".")
-    inner = getattr(target, "model", None)
-    if isinstance(inner, Model) and not hasattr(target, parts[0]):
-        return ["model", *parts]
-    return parts
+    inside = isinstance(getattr(target, "model", None), Model) and not hasattr(target, parts[0])
+    return ["model", *parts] if inside else parts
 
 
 def _child(value: Any, part: str) -> Any:

@@ -31,8 +31,8 @@ from rbjax.sysid.simulation.setup import (
 
 
 class Part(NamedTuple):
-    """Indices of a part's joints, bodies (with those fixed to the world), actuators, and of the rows
-    of each force element."""
+    """Indices of a part's joints, bodies (with those fixed to the world), actuators, and of the
+    rows of each force element."""
 
     joints: np.ndarray
     bodies: np.ndarray

@@ -36,7 +36,8 @@ BY_JOINT = (JointFriction, JointLimits)
 OF_JOINTS = frozenset("qv")
 #: the part of an unknown that acts on all parts
 ALL = -1
-#: with fewer unknown bodies the regressor takes longer to compile than the derivatives that it saves
+#: with fewer unknown bodies the regressor takes longer to compile than the derivatives that it
+#: saves
 BODIES = 4
 #: leaves of a model on which the regressor does not depend
 DYNAMIC = ("bodies.mass", "bodies.com", "bodies.inertia", "joints.armature", "joints.damping")

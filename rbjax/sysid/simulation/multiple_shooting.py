@@ -117,7 +117,9 @@ class MultipleShooting:
         self.firsts = np.append(0, np.cumsum(counts)[:-1])
         whole = stack_runs([segment for part in cut for segment in part])
         self._before = np.setdiff1d(np.arange(counts.sum()), np.cumsum(counts) - 1)
-        self.segments = of = SimulationError(setup, unknowns, whole, grid, starts=True, loss=loss)
+        self.segments = of = SimulationError(
+            setup, unknowns, whole, grid, estimate_initial_state=True, loss=loss
+        )
         self.continuity_weight = CONTINUITY_WEIGHTS[0]
         # as many readings as a segment has, each with the mean weight
         weight = jnp.sqrt((whole.weights["q"] ** 2).sum() / whole.weights["q"].shape[-1] / of.count)

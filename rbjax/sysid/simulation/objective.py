@@ -16,15 +16,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.tracing.devices import memory_share
 from rbjax.arguments import real_number
+from rbjax.dynamics.tracing.devices import memory_share
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.sysid.arguments import check_how, recordings_of, setup_of
+from rbjax.sysid.arguments import check_options, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
 from rbjax.sysid.simulation.programs import get_cached
-from rbjax.sysid.simulation.runs import Run, batch_of, grid_of
+from rbjax.sysid.simulation.runs import Run, default_grid, make_batch
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError, make_programs
 
@@ -72,7 +72,7 @@ def squares(
     unknowns: Mapping[str, Parametrisation],
     *,
     grid: Grid | None = None,
-    starts: bool | None = None,
+    estimate_initial_state: bool | None = None,
     loss: str = "squares",
     mode: str | None = None,
     memory: float | None = None,
@@ -82,7 +82,7 @@ def squares(
     Use it with an optimiser of your own, or to fit many parameters such as a network's weights.
 
     Args:
-        model, recordings, unknowns, grid, starts, loss: as in `identify`.
+        model, recordings, unknowns, grid, estimate_initial_state, loss: as in `identify`.
         mode: "forward" or "reverse"; None for the faster one.
         memory: bytes for the states that reverse mode saves, for all runs; with less memory more
             steps are computed twice. None: an eighth of the memory of the devices. At least
@@ -102,20 +102,28 @@ def squares(
         >>> from rbjax.sysid import Channel, Recording, Unknown, squares
         >>> model, t = rb.load("pendulum"), np.arange(51) * 0.01
         >>> swing = Recording("swing", {"q": Channel(t, 0.1 * np.cos(3 * t)[:, None])})
-        >>> error = squares(model, swing, {"mass": Unknown("bodies.mass", 0)}, starts=False)
+        >>> mass = {"mass": Unknown("bodies.mass", 0)}
+        >>> error = squares(model, swing, mass, estimate_initial_state=False)
         >>> value, slope = error.value_and_grad(error.x)
         >>> slope.shape
         (1,)
     """
     setup, runs = setup_of("squares", model), recordings_of("squares", recordings)
-    check_how("squares", loss, starts)
+    check_options("squares", loss, estimate_initial_state)
     if not (mode is None or mode in ("forward", "reverse")):
         raise InputError(f'squares: mode is {mode!r}, expected "forward", "reverse" or None')
     if memory is not None:
         real_number("squares", "memory", memory, "a positive number of bytes", above=0.0)
     sought = Unknowns.of("squares", unknowns, setup)
-    grid = grid_of(runs, setup) if grid is None else grid
-    of = SimulationError(setup, sought, batch_of(setup, runs, grid), grid, starts=starts, loss=loss)
+    grid = default_grid(runs, setup) if grid is None else grid
+    of = SimulationError(
+        setup,
+        sought,
+        make_batch(setup, runs, grid),
+        grid,
+        estimate_initial_state=estimate_initial_state,
+        loss=loss,
+    )
     mode = mode or faster(of.shared + of.own, of.count, setup.model.gravity.dtype.itemsize)
     budget = memory_share() if memory is None else memory
     keep = _keep(setup, of.runs, grid, budget) if mode == "reverse" else None

@@ -25,9 +25,9 @@ from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknowns import Unknowns
 from rbjax.sysid.simulation.equal_parts import equal_parts, simulate_parts
 from rbjax.sysid.simulation.jacobian_colouring import Colouring, colour_jacobian
+from rbjax.sysid.simulation.parallel_in_time import count_windows
 from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run
-from rbjax.sysid.simulation.parallel_in_time import count_windows
 from rbjax.sysid.simulation.setup import Grid, Path, Setup, read_sensor
 from rbjax.sysid.statistics.fit_statistics import Column, Rows
 
@@ -43,7 +43,8 @@ class Programs(NamedTuple):
     Fields:
         simulate: (x, run) -> set-up and motion of one run, traced.
         compare: (set-up, motion, run) -> residual of one run, traced.
-        readings, residuals, slopes: of a batch, compiled. The slopes are along the seeds of `colour`,
+        readings, residuals, slopes: of a batch, compiled. The slopes are along the seeds of
+        `colour`,
             or along each unknown.
         colour: sensors of the runs -> `Colouring`, or None.
     """
@@ -142,16 +143,18 @@ class SimulationError:
 
     def __init__(
         self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
-        starts: bool | None = None, loss: str = "squares",
+        estimate_initial_state: bool | None = None, loss: str = "squares",
     ):  # fmt: skip
         self.setup, self.unknowns, self.grid, self.loss = setup, unknowns, grid, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
-        self.all_starts = starts is True  # even initial states that the recordings give
+        self.all_starts = (
+            estimate_initial_state is True
+        )  # even initial states that the recordings give
         self.runs = self._mark_known(runs)
-        if starts is None:
-            starts = not np.asarray(runs.known).all()
-        self.own = 2 * setup.model.nv if starts else 0
+        if estimate_initial_state is None:
+            estimate_initial_state = not np.asarray(runs.known).all()
+        self.own = 2 * setup.model.nv if estimate_initial_state else 0
         self.programs: Programs = get_cached(make_programs, setup, unknowns, grid, self.own, loss)
         self._last: tuple[np.ndarray, Any] | None = None
 

@@ -62,8 +62,8 @@ def held_out(
 ) -> HeldOut:
     """Judge a model by its residuals on recordings that were not fitted.
 
-    The model holds if R2 is at least 99 % (with `measured`), and its error is at most 1.25 times the
-    error on fitted data, at most 1.5 times the noise (with `noise`), and white (columns of 20
+    The model holds if R2 is at least 99 % (with `measured`), and its error is at most 1.25 times
+    the error on fitted data, at most 1.5 times the noise (with `noise`), and white (columns of 20
     samples or more). Checks without data are left out.
 
     Args:

@@ -6,9 +6,10 @@ A fit minimises the sum over rows of rho(r); psi = rho' / 2 is r for squares, an
     H = sum_c a_c J_c^T J_c,        a_c = mean psi'_c,        cov = H^-1 M H^-1
     M = sum_c s_c^2 J_c^T J_c,      s_c^2 = sum psi_c^2 / (m_c - h_c)       if psi is white
     M = sum_|l|<=L (1 - |l| / (L + 1)) sum_t g_t g_(t+l)^T    if not
-where g_t are the scores of the innovations of psi (`_scores`), m_c is the number of rows of a column
-(an attitude has three columns), and h_c is the number of estimates that the column determines (the
-trace of the hat matrix). So intervals follow the residuals, even if the stated noise is wrong.
+where g_t are the scores of the innovations of psi (`_scores`), m_c is the number of rows of a
+column (an attitude has three columns), and h_c is the number of estimates that the column
+determines (the trace of the hat matrix). So intervals follow the residuals, even if the stated
+noise is wrong.
 
 Source: Huber, *Robust Statistics*, 6.3 and 7.6; White, Econometrica 48(4), 1980; Newey & West,
 Econometrica 55(3), 1987; Andrews, Econometrica 59(3), 1991; Andrews & Monahan, Econometrica 60(4),

@@ -244,7 +244,8 @@ def tolerance_for(jacobian: Any) -> float:
 
 
 def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
-    """The lengths of the columns, and singular values, right vectors and null space of J / lengths."""
+    """The lengths of the columns, and singular values, right vectors and null space of J /
+    lengths."""
     lengths = linalg.norm(J, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)
     scaled = J / lengths

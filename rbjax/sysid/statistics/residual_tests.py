@@ -59,7 +59,8 @@ class Whiteness:
 def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
     """Test whether a residual is white noise, as the residual of a complete model is.
 
-    Q = n (n + 2) sum_(k<=h) rho_k^2 / (n - k), chi-squared with h degrees of freedom for white noise
+    Q = n (n + 2) sum_(k<=h) rho_k^2 / (n - k), chi-squared with h degrees of freedom for white
+    noise
 
     Args:
         residual: (samples,) at a constant rate, of one channel of one recording.
@@ -114,7 +115,8 @@ def long_run_covariance(scores: Sequence[np.ndarray], lag: int | None = None) ->
 
 
 def _optimal_lag(scores: Sequence[np.ndarray]) -> int:
-    """Andrews' lag of least error of Bartlett's window, for scores that are first-order processes."""
+    """Andrews' lag of least error of Bartlett's window, for scores that are first-order
+    processes."""
     before = np.concatenate([s[:-1] for s in scores])
     after = np.concatenate([s[1:] for s in scores])
     power = np.sum(before**2, 0)

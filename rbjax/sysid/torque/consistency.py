@@ -217,7 +217,8 @@ class _Problem:
         self.positive = np.repeat([term in POSITIVE for term in joint_terms], each).astype(bool)
         values = np.asarray(parameter_values(model, joint_terms))
         known = values[10 * model.nb :]
-        # a joint parameter that is 0 in the model has no prior, and starts from linear least squares
+        # a joint parameter that is 0 in the model has no prior, and starts from linear least
+        # squares
         self.known = self.positive & (known > 0)
         guess = linear.parameters(values)[10 * model.nb :]
         size = np.linalg.norm(R[:, 10 * model.nb :], axis=0)

@@ -4,11 +4,11 @@
 
 Incremental encoders have another zero in each recording. Dry friction holds an arm anywhere within
 F / (m g r) of the vertical, a few hundredths of a radian, and the error of the gravity torque
-biases friction and inertias. w is the standard deviation of the zeros, a prior that is needed, since
-a common zero of all recordings is equivalent to a shifted centre of mass or a tilted base. Each step
-is a linear regression on pi and the changes of all z (Gauss-Newton), so the intervals of pi account
-for the estimated zeros. A zero of 0.1 rad has an error of second order, 5 mrad; `torque_rows` at
-the estimated zeros reduces it.
+biases friction and inertias. w is the standard deviation of the zeros, a prior that is needed,
+since a common zero of all recordings is equivalent to a shifted centre of mass or a tilted base.
+Each step is a linear regression on pi and the changes of all z (Gauss-Newton), so the intervals of
+pi account for the estimated zeros. A zero of 0.1 rad has an error of second order, 5 mrad;
+`torque_rows` at the estimated zeros reduces it.
 """
 
 from __future__ import annotations
