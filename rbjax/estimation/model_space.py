@@ -23,7 +23,8 @@ from rbjax.estimation.kalman import StateSpace
 from rbjax.model import Model, State
 from rbjax.motion.field import Dynamics, dynamics_of, free_motion
 from rbjax.motion.integrators import Integrator, integrator_of
-from rbjax.motion.linearise import box_minus, box_plus, step
+from rbjax.motion.linearise import box_minus, box_plus
+from rbjax.motion.step import step
 
 
 def model_state_space(
