@@ -100,7 +100,7 @@ def _pose_along(curve: Curve, s: jax.Array) -> jax.Array:
 _pose = compiled(_pose_along, options=wide_vectors)
 
 
-@takes(start="planar_pose", goal="planar_pose", radius="positive")
+@takes(positive=["radius"], start="planar_pose", goal="planar_pose", radius="scalar")
 def dubins(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Curve:
     """The shortest path of a car that only drives forwards: the best of six words.
 
@@ -127,7 +127,7 @@ def dubins(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Curve:
     return shortest(words.DUBINS, words.forwards, start, goal, radius)
 
 
-@takes(start="planar_pose", goal="planar_pose", radius="positive")
+@takes(positive=["radius"], start="planar_pose", goal="planar_pose", radius="scalar")
 def reeds_shepp(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Curve:
     """The shortest path of a car that drives in both directions: the best of 48 words.
 
