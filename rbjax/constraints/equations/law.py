@@ -28,10 +28,10 @@ from rbjax.dynamics.algorithms.aba import aba
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, add, mul, neg
+from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
 
 #: (force (nv,), or None for what the method leaves at a_0; c of the rows) -> da (nv,), dl (rows,)

@@ -23,11 +23,10 @@ from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.manifold import retract
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
-from rbjax.lanes.arrays import matvec
+from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model, State
 
 #: (force (nv,), c (rows,)) -> x (nv,), l (rows,) of M x = force + G^T l, G' x = c

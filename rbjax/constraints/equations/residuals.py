@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.equations.system import gradient_matrix, rows_of
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.context import Context
+from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
 
 

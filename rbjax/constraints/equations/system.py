@@ -41,12 +41,11 @@ from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, accelerated, eliminated, solve
 from rbjax.dynamics.algorithms.link_forces import LinkForces, added
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, sub, total
-from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec, pack
 from rbjax.lanes.factorization import LeastNorm, damped, least
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force

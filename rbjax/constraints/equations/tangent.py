@@ -35,9 +35,8 @@ from rbjax.dynamics.algorithms.aba import factorize
 from rbjax.dynamics.algorithms.aba import solve as solved
 from rbjax.dynamics.algorithms.manifold import difference_lanes, retract, velocity_lanes
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.context import Context
-from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec, pack
 from rbjax.lanes.factorization import least
 from rbjax.model import Model, State
 

@@ -33,11 +33,10 @@ from rbjax.constraints.rows.geometry import AXES, cosine, displacement, turn
 from rbjax.constraints.rows.pairs import Pair
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.crba import mass_matrix
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
 from rbjax.lanes import Lane, sub
-from rbjax.lanes.arrays import matvec
+from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_fields, check_number, floats

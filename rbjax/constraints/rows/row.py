@@ -18,10 +18,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, is_literal, mul, neg, sub
+from rbjax.lanes.arrays import pack
 
 
 @dataclass(frozen=True)
