@@ -37,7 +37,7 @@ def planning(folder: Path, say: Callable[[str], None]) -> Section:
     curve = reeds_shepp(np.array(START), np.array(GOAL), RADIUS)
     field = grid.distance_field()
     rows = []
-    drawn = {"grid_dijkstra": plan.poses, "reeds_shepp": np.asarray(curve.poses(80))}
+    drawn = {"grid_dijkstra": plan.poses, "reeds_shepp": np.asarray(curve.sample_poses(80))}
     for name, poses in drawn.items():
         length = np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()
         free = bool(np.asarray(clear(field, poses, shape)).all())

@@ -35,7 +35,7 @@ def wheels(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> S
     speeds = wheeled.commands(robot, np.array(TWIST)).speeds
     controls = jnp.tile(speeds, (steps, 1))
 
-    def on(friction: jax.Array) -> wheeled.Fidelity:
+    def on(friction: jax.Array) -> wheeled.RobotModel:
         grip, smooth = jnp.asarray(15.0), jnp.asarray(0.3)
         tyre = wheeled.Fiala(stiffness=grip, friction=friction, smooth_speed=smooth)
         return wheeled.at(robot, "slipping", tyre=tyre)

@@ -53,7 +53,7 @@ def loads(model: Model, now: Context) -> tuple[list[Lane], LinkForces]:
             later.append((element, seen))
         elif not element.actuates:
             passive = passive + _given(element, seen)
-        elif now.u is not None:
+        elif now.ctrl is not None:
             driven = driven + _given(element, seen)
     driven = _limited(model, driven, now)
     for element, seen in later:
@@ -135,13 +135,13 @@ def applied(
     """Generalized forces (nv,), forces on links, and x' (`advance`: x after the step), on checked
     arrays. dt: the step that elements see, or None."""
     now = Context.of(model, t, state, inputs.ctrl, dt)
-    tau, pushes = loads(model, now)
+    tau, f_ext = loads(model, now)
     if inputs.tau is not None:
         tau = [add(x, inputs.tau[i]) for i, x in enumerate(tau)]
     if inputs.wrenches is not None:
         given = on_links(now.links.driver, now.links.joints, inputs.wrenches)
-        pushes = added(pushes, given)
-    return pack(tau, state.v), pushes, states(model, now, dt if advance else None)
+        f_ext = added(f_ext, given)
+    return pack(tau, state.v), f_ext, states(model, now, dt if advance else None)
 
 
 @algorithm("state", "ctrl", "t")
@@ -176,9 +176,9 @@ def applied_forces(
     if not model.nv:
         return jnp.zeros(0, state.q.dtype)
     now = Context.of(model, t, state, ctrl)
-    tau, pushes = loads(model, now)
-    if pushes:
-        summed = now.generalized_of(pushes)
+    tau, f_ext = loads(model, now)
+    if f_ext:
+        summed = now.generalized_of(f_ext)
         tau = [add(x, summed[i]) for i, x in enumerate(tau)]
     return pack(tau, state.v)
 

@@ -28,16 +28,22 @@ from rbjax.spatial import Force, Motion, Transform
 
 @dataclass(frozen=True)
 class Context:
-    """Time t, configuration q (nq,), velocity v (nv,), controls u (nu,) or None, the element's own
-    state x (size,), the length dt of the step in which it stands, or None where that is not fixed;
-    the accelerations a (nv,) for those of frames, zero where None; bodies, sites and joints by name
-    or index."""
+    """The state of motion at an instant, as a force element, a constraint or a sensor reads it.
+
+    Fields:
+        t: time in s.
+        q, v: configuration (nq,), velocity (nv,).
+        ctrl: controls (nu,), or None.
+        x: the element's own state (size,).
+        dt: the time step in s, None if no step is fixed.
+        a: accelerations (nv,) for those of frames; zero if None.
+    """
 
     model: Model
     t: Any
     q: jax.Array
     v: jax.Array
-    u: Any
+    ctrl: Any
     x: Any
     links: LinkMotion
     dt: Any = None
@@ -58,7 +64,7 @@ class Context:
         model: Model,
         t: Any,
         state: State,
-        u: Any,
+        ctrl: Any,
         dt: Any = None,
         d: Driver | None = None,
     ) -> Context:
@@ -66,7 +72,7 @@ class Context:
         None."""
         links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
         own = without_constants(model)  # a user's element may change the leaves
-        return cls(own, t, state.q, state.v, u, state.x, links, dt)
+        return cls(own, t, state.q, state.v, ctrl, state.x, links, dt)
 
     def accelerating(self, a: jax.Array) -> Context:
         """The same with the accelerations a (nv,)."""

@@ -60,14 +60,14 @@ class GravityCompensation(Element):
         return {"fraction": (len(self.bodies),)}
 
     def loads(self, now: Context) -> Loads:
-        pushes = Loads()
+        f_ext = Loads()
         for frame, force in self._lifted(now):
-            pushes = pushes + frame.push(force)
+            f_ext = f_ext + frame.push(force)
         if self.joints is None and not self.actuated:
-            return pushes
-        if not pushes.wrenches:
+            return f_ext
+        if not f_ext.wrenches:
             return Loads()
-        top, tau = now.model.topology, now.generalized_of(pushes.wrenches)
+        top, tau = now.model.topology, now.generalized_of(f_ext.wrenches)
         named = range(len(top.joint_kinds)) if self.joints is None else self.joints
         joints = [now.model.joint(j) for j in named]
         at = [top.joint_v[j] + k for j in joints for k in range(top.joints[j].nv)]

@@ -15,8 +15,7 @@ from typing import Any, Protocol, TypeGuard
 
 import jax
 
-from rbjax.constraints.formulation import Formulation, TangentSpace
-from rbjax.constraints.registry import formulation_of
+from rbjax.constraints.formulation import Formulation, TangentSpace, formulation_of
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
@@ -31,20 +30,18 @@ from rbjax.model import Model, State, without_constants
 class Dynamics(Protocol):
     """From forces to accelerations (nv,), of one sample.
 
-    state: `State`; tau: (nv,) generalized forces; pushes: forces on links, in their axes at their
+    state: `State`; tau: (nv,) generalized forces; f_ext: forces on links, in their axes at their
     origins. It must be differentiable in all of them, and in the model.
     """
 
     def __call__(
-        self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array: ...
 
 
-def free_motion(
-    model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
-) -> jax.Array:
+def free_motion(model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
     """v' = M^-1 (tau - b + sum of J_i^T f_i)."""
-    return acceleration(model, state.q, state.v, tau, pushes)
+    return acceleration(model, state.q, state.v, tau, f_ext)
 
 
 @dataclass(frozen=True)
@@ -82,12 +79,12 @@ class Field:
         return applied(self.precomputed, t, state, u, self.dt)
 
     def _found(self, forces: Callable, t: Any, state: State, u: Inputs) -> tuple:
-        tau, pushes, x = forces(t, state, u)
-        return self._accelerated(t, state, tau, pushes), x
+        tau, f_ext, x = forces(t, state, u)
+        return self._accelerated(t, state, tau, f_ext), x
 
-    def _accelerated(self, t: Any, state: State, tau: jax.Array, pushes: LinkForces) -> jax.Array:
+    def _accelerated(self, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
         """v' by the dynamics."""
-        a = self.dynamics(self._of_law, t, state, tau, pushes)
+        a = self.dynamics(self._of_law, t, state, tau, f_ext)
         if self.dynamics is free_motion:
             return a
         what = "the result of the dynamics"
@@ -106,11 +103,11 @@ class Field:
         is free motion, they are the inverse dynamics of its acceleration: with constraint
         forces."""
 
-        tau, pushes, x = self.applied(t, state, u)
+        tau, f_ext, x = self.applied(t, state, u)
         if self.dynamics is not free_motion:
-            a = self._accelerated(t, state, tau, pushes)
-            tau = forces_of(self.precomputed, state.q, state.v, a, pushes)
-        return tau, pushes, x
+            a = self._accelerated(t, state, tau, f_ext)
+            tau = forces_of(self.precomputed, state.q, state.v, a, f_ext)
+        return tau, f_ext, x
 
     def retract(self, q: jax.Array, dq: jax.Array) -> jax.Array:
         """q (+) dq."""
@@ -156,7 +153,7 @@ def dynamics_of(where: str, model: Model, dynamics: Any, constraints: Any) -> Dy
     check_model(where, model)
     if dynamics is free_motion:
         return formulation_of(where, model, constraints) or dynamics
-    check_takes(where, "dynamics", dynamics, "model", "t", "state", "tau", "pushes")
+    check_takes(where, "dynamics", dynamics, "model", "t", "state", "tau", "f_ext")
     if constraints is not None:
         raise InputError(
             f"{where}: got dynamics and constraints={constraints!r}; give one of them: a "

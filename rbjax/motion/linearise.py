@@ -226,9 +226,9 @@ def generalized_forces(
     model: Model, t: Any, state: State, inputs: Inputs, dt: Any = None
 ) -> tuple[jax.Array, jax.Array | None]:
     """All forces that act, as generalized forces (nv,), and x' (nx,)."""
-    tau, pushes, x = applied(model, t, state, inputs, dt)
-    if pushes:
-        tau = tau + Context.of(model, t, state, None).generalized_of(pushes)
+    tau, f_ext, x = applied(model, t, state, inputs, dt)
+    if f_ext:
+        tau = tau + Context.of(model, t, state, None).generalized_of(f_ext)
     return tau, x
 
 

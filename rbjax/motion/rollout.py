@@ -42,7 +42,7 @@ from rbjax.motion.trajectory import Trajectory, all_finite
 def rollout(
     model: Model,
     state: State,
-    ctrls: jax.Array | Source | None = None,
+    ctrl: jax.Array | Source | None = None,
     dt: float | None = None,
     *,
     tau: jax.Array | Source | None = None,
@@ -83,7 +83,7 @@ def rollout(
         model: the robot.
         state: q (nq,) or (B, nq), v likewise; a leading axis is a batch. x (nx,) likewise, where
             force elements have states.
-        ctrls: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,),
+        ctrl: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,),
             evaluated once a step; or None for no actuation. The last two need `steps`.
         dt: step in seconds; the model's timestep if None.
         tau: generalized forces beside those of the model: (steps, nv), or (B, steps, nv); or a
@@ -98,7 +98,7 @@ def rollout(
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
         save_every: keep every so many states; it must divide the number of steps.
-        steps: the number of steps, where ctrls does not give it.
+        steps: the number of steps, where ctrl does not give it.
         kernel: whether a sample is a thread of a GPU or a lane of machine code (False: a scan under
             XLA). None: where either runs.
         memory: bytes in which a reverse gradient of threads may keep states, for the whole batch;
@@ -114,7 +114,7 @@ def rollout(
         InputError: shapes, dtypes, values that are not finite, unknown integrator, a step that is
             not positive, no steps, a policy that returns anything but nu numbers.
 
-    Differentiable in state, ctrls, model and what a policy closes over, in forward and in reverse
+    Differentiable in state, ctrl, model and what a policy closes over, in forward and in reverse
     mode. The reverse gradient keeps steps / save_every + save_every states a sample.
 
     On a GPU (docs/threads.md):
@@ -138,7 +138,7 @@ def rollout(
         (11, 2)
     """
     path, step, dynamics = integrated(
-        model, state, ctrls, dt, tau, wrenches, integrator, dynamics, constraints, save_every,
+        model, state, ctrl, dt, tau, wrenches, integrator, dynamics, constraints, save_every,
         steps, kernel, memory,
     )  # fmt: skip
     if not isinstance(path.ok, jax.core.Tracer):
@@ -147,7 +147,7 @@ def rollout(
 
 
 def integrated(
-    model: Model, state: State, ctrls: Any, dt: Any, tau: Any = None, wrenches: Any = None,
+    model: Model, state: State, ctrl: Any, dt: Any, tau: Any = None, wrenches: Any = None,
     integrator: Any = None, dynamics: Dynamics = free_motion, constraints: Any = None,
     save_every: int = 1,
     steps: int | None = None, kernel: bool | None = None, memory: float | None = None,
@@ -156,7 +156,7 @@ def integrated(
     dynamics = dynamics_of("rollout", model, dynamics, constraints)
     advance = integrator_of("rollout", integrator, dynamics)
     _check_where(kernel, memory)
-    state, sources, steps, batched = _checked(model, state, Inputs(ctrls, tau, wrenches), steps)
+    state, sources, steps, batched = _checked(model, state, Inputs(ctrl, tau, wrenches), steps)
     integer("rollout", "save_every", save_every, least=1, why=f", a divisor of the {steps} steps")
     if steps % save_every:
         raise InputError(

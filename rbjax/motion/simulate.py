@@ -42,12 +42,12 @@ def simulate(
     model: Model,
     state: State,
     ts: jax.Array,
-    control: Source | None = None,
+    ctrl: Source | None = None,
     *,
     tau: jax.Array | Source | None = None,
     wrenches: jax.Array | Source | None = None,
     solver: diffrax.AbstractSolver | None = None,
-    dt0: float | jax.Array | None = None,
+    dt: float | jax.Array | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     constraints: str | Formulation | None = None,
@@ -71,7 +71,7 @@ def simulate(
     reverse gradient where `max_steps` or the adjoint's checkpoints are few; otherwise it runs under
     XLA (docs/threads.md).
 
-    A new function (control, tau, wrenches, dynamics) is not compiled if it differs from an earlier
+    A new function (ctrl, tau, wrenches, dynamics) is not compiled if it differs from an earlier
     one only in numbers that it reads (see `rollout`). For arrays on a mesh with explicit axes call
     `simulate` inside `jax.jit`: outside, each call compiles.
 
@@ -79,7 +79,7 @@ def simulate(
         model: the robot.
         state: initial q (nq,), v (nv,).
         ts: (T,) increasing times in seconds, the first that of the state.
-        control: (t, state) -> (nu,); None for no actuation.
+        ctrl: (t, state) -> (nu,); None for no actuation.
         tau: generalized forces beside those of the model: (nv,), or (t, state) -> (nv,).
         wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6), or
             (t, state) -> (nb, 6).
@@ -87,8 +87,8 @@ def simulate(
             form, splittings and Lie groups move along the manifold of configurations. Constraints
             of index 2 and 3 take radau_iia, gauss_legendre, lobatto_iiic or bdf; radau_iia(3) if
             None.
-        dt0: first step, or the fixed step where no controller is given.
-        stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
+        dt: first step, or the fixed step where no controller is given.
+        stepsize_controller: diffrax's; without it and without dt, adaptive to 1e-8 (f64) or 1e-5.
         adjoint: diffrax's. None: checkpointed reverse mode, for `grad` and `jacrev`. Give
             diffrax.ForwardMode() for `jvp` and `jacfwd`, diffrax.DirectAdjoint() for both.
         dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
@@ -105,7 +105,7 @@ def simulate(
         InputError: shapes, dtypes, times that do not increase, a step that is not positive or is
             below the rounding of time; a control that is not a function or returns anything but nu
             numbers; something else than a solver, or a solver without an estimate of its error and
-            no dt0; a forward derivative through the default adjoint.
+            no dt; a forward derivative through the default adjoint.
 
     Source: Kidger, *On Neural Differential Equations*, 2021 (diffrax).
 
@@ -118,7 +118,7 @@ def simulate(
     state = check_arrays("simulate", model, {"state": state})["state"]
     check_moves("simulate", model)
     ts, elapsed = _times(ts, state.q.dtype)
-    inputs = _inputs(model, control, tau, wrenches, state.q.dtype)
+    inputs = _inputs(model, ctrl, tau, wrenches, state.q.dtype)
     if max_steps is not None:
         integer("simulate", "max_steps", max_steps, least=1)
     dynamics = dynamics_of("simulate", model, dynamics, constraints)
@@ -126,24 +126,24 @@ def simulate(
     check_takes_robots(solver)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
-    if dt0 is not None:
-        _advances(check_step("simulate", "dt0", dt0, state.q.dtype), elapsed)
+    if dt is not None:
+        _advances(check_step("simulate", "dt", dt, state.q.dtype), elapsed)
     if wanted():
         model = on_threads(model, state.q.dtype)
     if not inside_jit() or is_traced(model):
         model = with_constants(model, state.q.dtype)
     if stepsize_controller is None:
-        if dt0 is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
+        if dt is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
             raise InputError(
                 f"simulate: {type(solver).__name__} estimates no error to choose steps by, "
-                "expected dt0, the fixed step; or diffrax.HalfSolver around the solver"
+                "expected dt, the fixed step; or diffrax.HalfSolver around the solver"
             )
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
-        stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
+        stepsize_controller = adaptive if dt is None else diffrax.ConstantStepSize()
     by_kernel = wanted() and not progress
     how = _How(
-        solver, dt0, stepsize_controller,
+        solver, dt, stepsize_controller,
         diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         max_steps, throw and not by_kernel, progress, by_kernel,
     )  # fmt: skip
@@ -165,7 +165,7 @@ def simulate(
             q,
             ~ok,
             "simulate: the solver gave up, or the motion has values that are not finite; take a "
-            "smaller dt0, an adaptive stepsize_controller or more max_steps, or throw=False to "
+            "smaller dt, an adaptive stepsize_controller or more max_steps, or throw=False to "
             "look at the trajectory and its result; if no step helps, see that rb.mass_matrix of "
             "the state is not singular (a joint that moves no mass)",
         )
@@ -177,7 +177,7 @@ class _How(NamedTuple):
     cannot raise, so `throw` is False."""
 
     solver: diffrax.AbstractSolver
-    dt0: Any
+    dt: Any
     stepsize_controller: diffrax.AbstractStepSizeController
     adjoint: diffrax.AbstractAdjoint
     max_steps: int | None
@@ -202,7 +202,7 @@ def _solved(
             solver=project_after_steps(how.solver, dynamics, of_args, start),
             t0=elapsed[0],
             t1=elapsed[-1],
-            dt0=how.dt0,
+            dt0=how.dt,
             y0=state,
             args=args,
             saveat=diffrax.SaveAt(ts=elapsed, fn=_Saved(of_args, dynamics, start)),
@@ -235,14 +235,14 @@ class _Saved(eqx.Module):
         return Field(model, self.dynamics).project(self.start + t, y)
 
 
-def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> Inputs:
+def _inputs(model: Model, ctrl: Any, tau: Any, wrenches: Any, dtype: Any) -> Inputs:
     """The inputs, arrays checked."""
-    if control is not None and not callable(control):
+    if ctrl is not None and not callable(ctrl):
         raise InputError(
-            f"simulate: control is {type(control).__name__}, expected a function (t, state) -> "
+            f"simulate: ctrl is {type(ctrl).__name__}, expected a function (t, state) -> "
             "(nu,) or None; controls in an array are for rollout"
         )
-    for name, f in {"control": control, "tau": tau, "wrenches": wrenches}.items():
+    for name, f in {"ctrl": ctrl, "tau": tau, "wrenches": wrenches}.items():
         if callable(f):
             check_takes("simulate", name, f, "t", "state")
     found = {"tau": tau, "wrenches": wrenches}
@@ -250,7 +250,7 @@ def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> 
         if x is not None and not callable(x):
             fix = f"; or a function (t, state) -> {shape}, or None"
             found[name] = check_array("simulate", name, x, shape, fix=fix).astype(dtype)
-    return Inputs(control, **found)
+    return Inputs(ctrl, **found)
 
 
 def _check_kind(name: str, value: Any, kind: type) -> None:
@@ -286,7 +286,7 @@ def _advances(step: jax.Array, elapsed: jax.Array) -> None:
     least = np.spacing(np.asarray(elapsed)[-1])
     if not np.asarray(step) > least:
         raise InputError(
-            f"simulate: dt0 is {step}, which {elapsed.dtype} cannot add to a time of "
+            f"simulate: dt is {step}, which {elapsed.dtype} cannot add to a time of "
             f"{elapsed[-1]} s; expected more than {least}, a state in float64, or a shorter ts"
         )
 

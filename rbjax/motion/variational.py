@@ -84,8 +84,8 @@ class VariationalMidpoint:
         def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
             """R(w), F and x' at the midpoint."""
             at = State(field.retract(q0, half * w), w, x)
-            tau, pushes, rate = field.forces(t + half, at, u)
-            p, dp = momentum_and_rate(model, at.q, w, tau, pushes)
+            tau, f_ext, rate = field.forces(t + half, at, u)
+            p, dp = momentum_and_rate(model, at.q, w, tau, f_ext)
             force = with_spin(model.topology, w, p, dp)
             return residual(model.topology, half, w, p, p0, force), force, rate
 

@@ -18,7 +18,7 @@ from rbjax.forces.acting import applied
 from rbjax.motion.implicit import increment, stages
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import motion
-from rbjax.solvers.common.steps import mixed
+from rbjax.solvers.steps import weighted_sums
 from tests.constraints.test_formulations import hung_twice, pendulum, skate
 from tests.oracles import load
 from tests.tolerances import GRADIENT
@@ -73,7 +73,7 @@ def by_stages(solver, law: rc.Formulation) -> Callable:
         def once(i, at):
             state, l = at
             found = stages(law, tableau, model, forces, i * h, state, h)
-            u = increment(model, mixed(tableau.b, found.k))
+            u = increment(model, weighted_sums(tableau.b, found.k))
             l = jnp.where(found.ok, l + to_end @ (found.w[:, 0] - l), jnp.nan)
             return rb.State(state.q + u.q, state.v + u.v), l
 
@@ -111,7 +111,7 @@ def by_simulate(solver) -> Callable:
 
     def run(n):
         path = rb.simulate(
-            model, REST, ts, solver=solver, dt0=SECONDS / n, constraints="multipliers"
+            model, REST, ts, solver=solver, dt=SECONDS / n, constraints="multipliers"
         )
         end = path.state(-1)
         return off(end.q, end.v, rc.multipliers(model, end)[0])
@@ -342,10 +342,10 @@ def test_stiff_forces(name: str) -> None:
 def test_steps_that_are_not_solved() -> None:
     """A value, not an exception: a fixed step says so, adaptive ones become shorter."""
     model, ts = pendulum(), jnp.array([0.0, 3.0])
-    path = rb.simulate(model, REST, ts, dt0=3.0, constraints="ggl", throw=False)
+    path = rb.simulate(model, REST, ts, dt=3.0, constraints="ggl", throw=False)
     assert not path.ok and path.result == diffrax.RESULTS.nonlinear_divergence
     controller = diffrax.PIDController(rtol=1e-8, atol=1e-8)
-    path = rb.simulate(model, REST, ts, dt0=3.0, stepsize_controller=controller, constraints="ggl")
+    path = rb.simulate(model, REST, ts, dt=3.0, stepsize_controller=controller, constraints="ggl")
     assert path.ok and path.stats["num_rejected_steps"] > 0
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 
 
 @functools.cache
@@ -152,7 +152,7 @@ def test_reactions_of_a_hanging_rod() -> None:
         ),
         (lambda m, s: m.with_constraints(rc.Spherical), "the class Spherical"),
         (
-            lambda m, s: rb.step(m, s, dynamics=lambda model, t, state, tau, pushes: tau,
+            lambda m, s: rb.step(m, s, dynamics=lambda model, t, state, tau, f_ext: tau,
                                  constraints="projected"),
             "a formulation is a dynamics",
         ),

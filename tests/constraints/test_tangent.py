@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from benchmarks.cases.mechanisms import four_bars, pendulum, spatial_slider_crank
 from rbjax import constraints as rc
-from rbjax.constraints.equations.tangent import across
+from rbjax.constraints.equations.projection import across
 
 DOWN = np.array([0.0, -9.81])
 START = np.array([0.6, -0.8, 1.04, 0.78])
@@ -96,7 +96,7 @@ def test_so_is_a_motion(way: str) -> None:
     else:
         ts = jnp.array([0.0, steps * dt])
         path = rb.simulate(
-            windy(), start, ts, dt0=dt, solver=rb.solvers.RK4(), constraints="tangent_space"
+            windy(), start, ts, dt=dt, solver=rb.solvers.RK4(), constraints="tangent_space"
         )
     np.testing.assert_allclose([*path.q[-1], *path.v[-1]], y, rtol=0, atol=1e-12)
 

@@ -8,7 +8,7 @@ from mujoco import mjx
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.methods.compliant import compliant_motion
+from rbjax.constraints.methods.soft import compliant_motion
 from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs
 from rbjax.loading import compile_model
@@ -45,8 +45,8 @@ def test_accelerations_are_those_of_mujoco(shift: int) -> None:
 
     @jax.jit
     def ours(state):
-        tau, pushes, _ = applied(model, 0.0, state, Inputs(None))
-        return compliant_motion(model, 0.0, state, tau, pushes)[0]
+        tau, f_ext, _ = applied(model, 0.0, state, Inputs(None))
+        return compliant_motion(model, 0.0, state, tau, f_ext)[0]
 
     for key in jax.random.split(jax.random.key(1), 3):
         state = model.random_state(key)

@@ -638,7 +638,7 @@ def rolled(policy, **how):
 
 
 def solved(policy, **how):
-    return rb.simulate(scene(), S, jnp.linspace(0.0, 0.02, 3), policy, dt0=0.01, **how).q[-1]
+    return rb.simulate(scene(), S, jnp.linspace(0.0, 0.02, 3), policy, dt=0.01, **how).q[-1]
 
 
 @pytest.mark.parametrize("march", [rolled, pytest.param(solved, marks=pytest.mark.slow)])
@@ -666,7 +666,7 @@ def test_twenty_lambdas_are_one_program(march):
 
 def test_laws_integrators_and_forces_are_read_too():
     def run(k):
-        def law(model, t, state, tau, pushes):
+        def law(model, t, state, tau, f_ext):
             return k * tau
 
         def euler(field, t, state, inputs, dt):

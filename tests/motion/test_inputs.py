@@ -114,7 +114,7 @@ def test_a_law_and_an_integrator_of_a_user(kernel):
     model = rb.load("cart_pole")
     state = rb.State(jnp.array([[0.0, 0.5], [0.1, 1.0]]), jnp.zeros((2, 2)))
 
-    def held(model, t, state, tau, pushes):
+    def held(model, t, state, tau, f_ext):
         M = rb.mass_matrix(model, state.q)
         b = rb.bias_forces(model, state.q, state.v)
         return jnp.stack([jnp.zeros(()), (tau[1] - b[1]) / M[1, 1]])
@@ -152,5 +152,5 @@ def test_what_a_law_returns_is_checked():
         with pytest.raises(rb.InputError, match=r"what the law returned has shape \(3,\), expec"):
             rb.step(
                 model, model.default_state(), dt=DT, integrator=integrator,
-                dynamics=lambda model, t, state, tau, pushes: jnp.zeros(3),
+                dynamics=lambda model, t, state, tau, f_ext: jnp.zeros(3),
             )  # fmt: skip

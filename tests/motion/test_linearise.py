@@ -57,7 +57,7 @@ def test_a_step_takes_what_a_rollout_takes():
         a, _ = field.rates(t, state, inputs)
         return rb.State(field.retract(state.q, dt * state.v), state.v + dt * a)
 
-    def held(model, t, state, tau, pushes):
+    def held(model, t, state, tau, f_ext):
         return jnp.zeros(2)
 
     after = rb.step(model, state, dt=0.01, integrator=euler, dynamics=held)

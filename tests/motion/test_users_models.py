@@ -28,8 +28,8 @@ def lighter_gravity(model):
 
 
 def law(change):
-    def heavy_law(model, t, state, tau, pushes):
-        return free_motion(change(model), t, state, tau, pushes)
+    def heavy_law(model, t, state, tau, f_ext):
+        return free_motion(change(model), t, state, tau, f_ext)
 
     return heavy_law
 
@@ -68,8 +68,8 @@ def test_a_law_that_changes_the_model_is_heeded(change, kernel, dtype):
 @pytest.mark.slow
 def test_simulate_heeds_it_too():
     state, ts = start(jnp.float64, 0), jnp.array([0.0, 0.03])
-    found = rb.simulate(MODEL, state, ts, dynamics=law(heavier), tau=jnp.ones(2), dt0=0.01)
-    want = rb.simulate(heavier(MODEL), state, ts, tau=jnp.ones(2), dt0=0.01)
+    found = rb.simulate(MODEL, state, ts, dynamics=law(heavier), tau=jnp.ones(2), dt=0.01)
+    want = rb.simulate(heavier(MODEL), state, ts, tau=jnp.ones(2), dt=0.01)
     assert relative_error(found.v, want.v) < F64_IDENTITY
 
 
@@ -161,8 +161,8 @@ def test_a_law_under_xla_takes_forces_that_are_constants():
     model = MODEL.with_forces(Steady(jnp.array([3.0, 0.0, 0.0])))
     state = start(jnp.float64, 4)
 
-    def plain(model, t, state, tau, pushes):
-        return acceleration(model, state.q, state.v, tau, pushes)
+    def plain(model, t, state, tau, f_ext):
+        return acceleration(model, state.q, state.v, tau, f_ext)
 
     def run(state, **how):
         return rb.rollout(model, state, None, 0.01, steps=2, **how).v

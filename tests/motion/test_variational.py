@@ -119,7 +119,7 @@ def test_order_two_with_forces(which):
     model = with_states() if which == "states" else rb.load(scene)
     state, u = model.random_state(jax.random.key(0)), 0.3 * jnp.ones(model.nu)
 
-    def held(model, t, state, tau, pushes):
+    def held(model, t, state, tau, f_ext):
         M, b = rb.mass_matrix(model, state.q), rb.bias_forces(model, state.q, state.v)
         return jnp.array([0.0, 1.0]) * (tau - b) / jnp.diag(M)
 

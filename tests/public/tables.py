@@ -69,7 +69,7 @@ def rolled_out(model, state, tau):
 
 def simulated(model, state, tau):
     ts = jnp.array([0.0, 0.02], state.q.dtype)
-    path = rb.simulate(model, state, ts, tau=tau[0], dt0=0.01, solver=diffrax.Midpoint())
+    path = rb.simulate(model, state, ts, tau=tau[0], dt=0.01, solver=diffrax.Midpoint())
     return path.q, path.v
 
 
@@ -165,7 +165,7 @@ FAR = POSES + np.array([4.0, 2.0, 0.5])
 def curve(name: str) -> Callable:
     def found(start, goal):
         path = getattr(planning, name)(start, goal, jnp.asarray(0.5, start.dtype))
-        return path.poses(5)
+        return path.sample_poses(5)
 
     return found
 

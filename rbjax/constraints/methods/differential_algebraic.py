@@ -10,7 +10,7 @@ through RNEA: no mass matrix is inverted.
 (Gear, Leimkuhler & Gupta, *Automatic integration of Euler-Lagrange equations with constraints*,
 1985; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VII; Masarati, ch. 7.)
 
-Singular positions are passed in f64 (`rbjax.solvers.constrained.stage_matrix`): ten seconds of a
+Singular positions are passed in f64: ten seconds of a
 parallelogram, some fifteen passages, are as accurate as the steps, wherever stages fall, and also
 if every joint is given twice (redundant rows). In f32 only GGL passes them: index 2 does not
 correct positions, and the rows of index 3 carry the rounding of positions divided by the square of
@@ -26,9 +26,8 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.equations.law import constrained_motion
-from rbjax.constraints.equations.system import as_free_bodies, rows_of, with_multipliers
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.equations.constrained_motion import as_free_bodies, constrained_motion
+from rbjax.constraints.equations.model_rows import rows_of, with_multipliers
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.link_forces import LinkForces
@@ -62,8 +61,8 @@ class DifferentialAlgebraic(Method):
     family: ClassVar[str] = "redundant"
     has_feedback: ClassVar[bool] = False
 
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(model, t, state, tau, pushes)[0]
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        return constrained_motion(model, t, state, tau, f_ext)[0]
 
     def held(self, row: Row) -> tuple[Lane, int]:
         """The quantity that is zero (g or g'), and the number of integrations from acceleration to
@@ -100,13 +99,13 @@ class DifferentialAlgebraic(Method):
         def f(t: Any, y: jax.Array, rate: jax.Array, w: jax.Array) -> jax.Array:
             (u, v, x), (du, a, dx) = (jnp.split(z, (nv, 2 * nv)) for z in (y, rate))
             at = State(retract(model, q, u), v, x if model.nx else None)
-            tau, pushes, x_rate = forces(t, at)
+            tau, f_ext, x_rate = forces(t, at)
             d = driver(model, dtype)
             now = Context.of(model, t, at, None, d=d)
             rows = rows_of(model, now)
             l, mu = list(w[: len(rows)]), list(w[len(rows) :])
-            tau, pushes = with_multipliers(d, rows, l, tau, pushes)
-            needed = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, pushes)
+            tau, f_ext = with_multipliers(d, rows, l, tau, f_ext)
+            needed = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, f_ext)
             drift = du - increment_rate(model, u, v)
             values = self.held_by_mu(rows)
             if values:
@@ -120,19 +119,12 @@ class DifferentialAlgebraic(Method):
         return f
 
 
-def stepped(dynamics: Any) -> DifferentialAlgebraic | None:
-    """The method whose equations an implicit integrator steps, if the dynamics has such a
-    method."""
-    method = dynamics.method if isinstance(dynamics, Formulation) else dynamics
-    return method if isinstance(method, DifferentialAlgebraic) else None
-
-
 def _pushed(
     d: Driver, q: jax.Array, x: jax.Array, rows: Sequence[Row], mu: Sequence[Lane]
 ) -> jax.Array:
     """M x - G^T mu."""
-    tau, pushes = with_multipliers(d, rows, mu, jnp.zeros_like(x), {})
-    return d.pack(rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), pushes), x) - tau
+    tau, f_ext = with_multipliers(d, rows, mu, jnp.zeros_like(x), {})
+    return d.pack(rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), f_ext), x) - tau
 
 
 def _rate(row: Row) -> tuple[Lane, int]:

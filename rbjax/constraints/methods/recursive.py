@@ -30,16 +30,19 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 
-from rbjax.constraints.equations.law import Solve, System, constrained_motion, range_space
-from rbjax.constraints.equations.system import (
+from rbjax.constraints.equations.constrained_motion import (
     ROWS_ON_LANES,
+    Solve,
+    System,
     as_free_bodies,
+    constrained_motion,
     eliminated_along,
+    range_space,
     response,
     shared,
     triangle,
 )
-from rbjax.constraints.methods.clusters import Cluster, clusters
+from rbjax.constraints.equations.model_rows import by_link
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
@@ -47,11 +50,53 @@ from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.context import Context
-from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
+from rbjax.forces.element import Loads
+from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, sub
 from rbjax.lanes.arrays import pack, unpack
 from rbjax.lanes.factorization import LeastNorm
-from rbjax.model import WORLD
+from rbjax.model import WORLD, Topology
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
+
+
+class Cluster(NamedTuple):
+    """Fields: parent, the link on which it hangs, or WORLD; links, those that its joints move;
+    rows, by index."""
+
+    parent: int
+    links: frozenset[int]
+    rows: tuple[int, ...]
+
+
+def clusters(topology: Topology, rows: Sequence[Row]) -> list[Cluster]:
+    """The clusters that rows form. A row whose gradient is zero forms one without joints."""
+    found: list[Cluster] = []
+    for r, row in enumerate(rows):
+        new = Cluster(*reach(topology, row.gradient), (r,))
+        for met in [x for x in found if x.links & new.links]:
+            found.remove(met)
+            # each has all links from its own to its parent: one parent carries the other
+            parent = min(met.parent, new.parent)
+            new = Cluster(parent, met.links | new.links, (*met.rows, *new.rows))
+        found.append(new)
+    return found
+
+
+def reach(topology: Topology, gradient: Loads) -> tuple[int, frozenset[int]]:
+    """The link below which the forces of a row stay, and the links below it on which they act or
+    that carry such."""
+    pushed = [i for i, f in by_link(gradient).items() if not all(map(is_zero, f))]
+    turned = [i for i, x in gradient.tau.items() if not is_zero(x)]
+    tops = [topology.parents[i] for i in turned]
+    tops += pushed if gradient.internal else [WORLD] * len(pushed)
+    shared = set.intersection(*(_chain(topology, i) for i in tops)) if tops else set()
+    parent = max(shared, default=WORLD)  # indices grow along a chain
+    carrying = {j for i in pushed + turned for j in _chain(topology, i)}
+    return parent, frozenset(carrying - _chain(topology, parent))
+
+
+def _chain(topology: Topology, link: int) -> set[int]:
+    """The link and those that carry it."""
+    return set() if link == WORLD else set(topology.ancestors[link])
 
 
 @dataclass(frozen=True)
@@ -84,26 +129,26 @@ class Recursive(Method):
     family: ClassVar[str] = "minimal"
     index: ClassVar[int] = 0
 
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(model, t, state, tau, pushes, alpha, beta, method=by_clusters)[0]
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method=by_clusters)[0]
 
 
 def by_clusters(
-    d: Driver, now: Context, tau: jax.Array, pushes: LinkForces
+    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array | None, None, System]:
     """From accelerations zero on, cluster by cluster; from free motion on where links are a loop of
     the program."""
     if not d.listed:
-        return range_space(d, now, tau, pushes)
+        return range_space(d, now, tau, f_ext)
     joints, gravity = now.links.joints, d.prepared.gravity
 
     def system(now: Context, rows: Sequence[Row]) -> Solve:
         found = clusters(d.topology, rows)
         if max((len(cluster.rows) for cluster in found), default=0) > ROWS_ON_LANES:
             by_rows = response(d, factorize(d, joints), now, rows)
-            left = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, pushes), tau)
+            left = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
             return lambda f, c: by_rows.solved(left if f is None else f, c)
-        moved = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, pushes))
+        moved = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, f_ext))
         tree = ClusterTree(d, joints, [X for X, _ in moved], rows, found, tau)
         own = {i: -f for i, (_, f) in enumerate(moved)}
         return lambda f, c: tree.solved(tau, own, c) if f is None else tree.solved(f, {}, c)

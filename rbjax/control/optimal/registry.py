@@ -17,7 +17,7 @@ from rbjax.control.optimal.shooting.single_shooting import (
 )
 from rbjax.control.optimal.shooting.sqp import by_sqp
 from rbjax.errors import UnknownName
-from rbjax.solvers.common.tableau import Tableau, gauss, lobatto_iiia, radau_iia
+from rbjax.solvers.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 
 
 class Method(NamedTuple):

@@ -135,17 +135,17 @@ class Actuator(Element):
         return {n: mul(mul(arm, arm), own) for n, arm in seen.reach.arms.items()}
 
     def rate(self, now: Context) -> Sequence[Lane]:
-        return [0.0] * self.size if now.u is None else self.law.rate(self._signals(now))
+        return [0.0] * self.size if now.ctrl is None else self.law.rate(self._signals(now))
 
     def advance(self, now: Context, dt: Any) -> Sequence[Lane]:
-        return now.x if now.u is None else self.law.advanced(self._signals(now), dt)
+        return now.x if now.ctrl is None else self.law.advanced(self._signals(now), dt)
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
         return self.law.within(list(x), x.dtype, self.transmission.turn)
 
     def _signals(self, now: Context) -> Signals:
         limits = table(self.ctrlrange, now.q.dtype)
-        u = [clip(now.u[k], limits, i) for i, k in enumerate(self.controls)]
+        u = [clip(now.ctrl[k], limits, i) for i, k in enumerate(self.controls)]
         return Signals(now, u, self.transmission)
 
 

@@ -68,13 +68,13 @@ class OrientationServo(Element):
         return Loads(tau)
 
     def rate(self, now: Context) -> Sequence[Lane]:
-        if self.activation is None or now.u is None:
+        if self.activation is None or now.ctrl is None:
             return [0.0] * self.size
         u = zip(self._inputs(now), now.x, strict=True)
         return [self.activation.rate(u, a) for u, a in u]
 
     def advance(self, now: Context, dt: Any) -> Sequence[Lane]:
-        if self.activation is None or now.u is None:
+        if self.activation is None or now.ctrl is None:
             return now.x
         return self._nearest(self._next(now, dt))
 
@@ -98,7 +98,7 @@ class OrientationServo(Element):
 
     def _inputs(self, now: Context) -> list[Lane]:
         limits = table(self.ctrlrange, now.q.dtype)
-        return [clip(now.u[k], limits, i) for i, k in enumerate(self.controls)]
+        return [clip(now.ctrl[k], limits, i) for i, k in enumerate(self.controls)]
 
     def _target(self, now: Context) -> list[Lane]:
         """The quaternion of the target, of any length."""

@@ -26,7 +26,7 @@ from rbjax.model import Model, State
 from rbjax.motion.integrators import INTEGRATORS
 from rbjax.motion.rollout import rollout
 from rbjax.motion.simulate import simulate
-from rbjax.solvers.explicit.dop853 import DOP853
+from rbjax.solvers.tableau import DOP853
 from rbjax.stability.methods import Solver, made, stepping
 from rbjax.stability.runs.linearisation import at_rest
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
@@ -179,7 +179,7 @@ def _deviation(
         control = None if ctrl is None else (lambda t, _: ctrl)
         ts = jnp.array([0.0, 1.0]) * dt * steps * (1 - 1e-12)
         path = simulate(
-            model, beside, ts, control, solver=method, dt0=dt, throw=False, max_steps=steps + 1,
+            model, beside, ts, control, solver=method, dt=dt, throw=False, max_steps=steps + 1,
             adjoint=diffrax.ForwardMode(),
         )  # fmt: skip
 

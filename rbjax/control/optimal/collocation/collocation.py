@@ -52,7 +52,7 @@ from rbjax.control.optimal.shooting.filter_search import Filter, Pair
 from rbjax.control.optimal.shooting.search_state import MAX_STALLED, count_stalled
 from rbjax.control.optimal.solution import SearchResult, StageValues
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
-from rbjax.solvers.common.tableau import Tableau
+from rbjax.solvers.tableau import Tableau
 
 FIRST_MU = 0.1
 LEAST_REG, MOST_REG, HARDER, EASIER = 1e-4, 1e10, 8.0, 3.0

@@ -30,7 +30,7 @@ from rbjax.control.optimal.collocation.transcription import (
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.expansion import Quadratic
 from rbjax.lanes.arrays import matmat, matvec
-from rbjax.solvers.common.tableau import Tableau
+from rbjax.solvers.tableau import Tableau
 
 
 class Rows(NamedTuple):

@@ -3,7 +3,7 @@
     K_i = f(t_i, x (+) xi_i, u_i),   xi_i = h sum_j a_ij K_j,   x+ = x (+) h sum_i b_i K_i
     cost = sum of h b_i L(t_i, x (+) xi_i, u_i) + Phi(x_N)
 
-a, b and c are a collocation tableau (`rbjax.solvers.common.tableau`): Gauss-Legendre has order 2 s,
+a, b and c are a collocation tableau (`rbjax.solvers.tableau`): Gauss-Legendre has order 2 s,
 Radau IIA 2 s - 1, Lobatto IIIA 2 s - 2; with three stages the last is Hermite and Simpson's rule in
 its separated form. Each stage has its own controls, which may jump at knots.
 The increments xi are in the tangent coordinates about the knot, where attitudes are a vector
@@ -21,7 +21,7 @@ import jax.numpy as jnp
 
 from rbjax.control.optimal.objective import knot_cost
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
-from rbjax.solvers.common.tableau import Tableau
+from rbjax.solvers.tableau import Tableau
 
 
 class Inner(NamedTuple):
