@@ -24,6 +24,7 @@ from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.errors import InputError, listed
 from rbjax.model import Model, State
+from rbjax.rank_tolerances import rank_tolerance
 
 
 class Mobility(NamedTuple):
@@ -76,7 +77,7 @@ def mobility(
     if tolerance is not None:
         real_number("mobility", "tolerance", tolerance, least=0.0, traced=True)
     else:
-        tolerance = 1e-7 if rows.dtype == jnp.float64 else 1e-4
+        tolerance = rank_tolerance("mobility", rows.dtype)
     G = np.asarray(rows, float)
     root = np.linalg.cholesky(np.asarray(mass_matrix(model, q), float))
     B = np.linalg.solve(root, G.T).T
@@ -98,8 +99,6 @@ def mobility(
 
 
 STEPS, HALVINGS = 60, 12
-#: the least singular value that a step uses, relative to the largest one, in f64 and in f32
-LEAST = 1e-9, 1e-5
 #: how far a guess is moved, rad or m, if its residual or Jacobian is NaN, as at half a turn
 MOVED = 0.03
 
@@ -164,7 +163,7 @@ def assemble(
     for name in pinned:
         free[model.v_slice(name)] = False
     model, whole = _half_angles(model), model
-    rounding = LEAST[0] if dtype == jnp.float64 else LEAST[1]
+    rounding = rank_tolerance("assembly", dtype)
     root = np.linalg.cholesky(np.asarray(mass_matrix(model, state.q), float)[np.ix_(free, free)])
 
     def least(off: np.ndarray, q: Any) -> np.ndarray:

@@ -39,7 +39,7 @@ from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, neg, sub, total
 from rbjax.lanes.arrays import matmat, matvec, pack
-from rbjax.lanes.factorization import LeastNorm, damped, least
+from rbjax.lanes.factorization import LeastNorm, diagonal_floor, regularization
 from rbjax.model import WORLD, Model, State
 from rbjax.spatial import Force
 
@@ -290,9 +290,9 @@ def least_norm(
 ) -> jax.Array:
     """l of A l = c, of least norm; B (rows,) of free bodies, zero where it is not known; damping as
     `response`."""
-    eps, vanishing, again = damped(A.dtype, damping)
+    eps, vanishing, again = regularization(A.dtype, damping)
     diagonal = jnp.diagonal(A)
-    D = diagonal + least(diagonal, B, vanishing) / eps
+    D = diagonal + diagonal_floor(diagonal, B, vanishing) / eps
     s = jnp.where(D > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(D > 0, D, 1.0))
     scaled = s[:, None] * A * s[None]
     factors = jax.scipy.linalg.cho_factor(scaled + eps * jnp.eye(len(A), dtype=A.dtype))

@@ -30,8 +30,9 @@ from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
 from rbjax.lanes.arrays import matmat, matvec, pack
-from rbjax.lanes.factorization import least
+from rbjax.lanes.factorization import diagonal_floor
 from rbjax.model import Model, State
+from rbjax.rank_tolerances import rank_tolerance
 
 #: (force (nv,), c (rows,)) -> x (nv,), l (rows,) of M x = force + G^T l, G' x = c
 Solve = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
@@ -130,8 +131,6 @@ def _joined(x: jax.Array, l: jax.Array) -> jax.Array:
 Residual = Callable[[jax.Array], jax.Array]
 #: by bytes of a number
 ITERATIONS = {4: 1, 8: 2}
-#: eps and e of `system`, by bytes of a number
-DAMPING = {4: 1e-3, 8: 1e-6}
 
 
 def projected(
@@ -154,7 +153,9 @@ def _projection(
 ) -> Changes:
     now = Context.of(model, t, State(q, v), None, d=d)
     rows = rows_of(model, now)
-    answer = response(d, factorize(d, now.links.joints), now, rows, DAMPING[q.dtype.itemsize])
+    answer = response(
+        d, factorize(d, now.links.joints), now, rows, rank_tolerance("projection", q.dtype)
+    )
 
     def iterated(f: Residual, begun: jax.Array, force: Any = None) -> tuple[jax.Array, jax.Array]:
         """x and l of M x = force + G^T l and f(x) = 0, from x = 0, where f is `begun`."""
@@ -229,7 +230,7 @@ def _newton(
     factors = factorize(d, first.links.joints)
     begun = OnMatrices(d, factors, first, rows)
     size, usual = jnp.diagonal(begun.A), begun.usual  # a row that vanishes stays short
-    size = size + least(size, usual, 1.0)
+    size = size + diagonal_floor(size, usual, 1.0)
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
     def nearest(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:

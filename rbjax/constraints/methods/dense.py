@@ -43,12 +43,9 @@ from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane
 from rbjax.lanes.arrays import matmat, matvec, pack
-from rbjax.lanes.factorization import VANISHING, least
+from rbjax.lanes.factorization import diagonal_floor
+from rbjax.rank_tolerances import rank_tolerance
 
-#: singular values below it, of the largest, are zero, by bytes of a number
-NEGLIGIBLE = {4: 1e-2, 8: float(np.sqrt(np.finfo(float).eps))}
-#: what is added to the square of a row's length, relative to that of free bodies
-SHORT = {4: 1.0, 8: VANISHING[8]}
 #: a (nv,) and l (rows,)
 Solution = tuple[jax.Array, jax.Array]
 
@@ -110,17 +107,19 @@ class Dense(Method):
         G = G * s
         squares = (G * G).sum(1)
         root = float(np.sqrt(jnp.finfo(G.dtype).eps))
-        squares = squares + least(squares, usual, SHORT[G.dtype.itemsize], root)
+        squares = squares + diagonal_floor(
+            squares, usual, rank_tolerance("short row", G.dtype), root
+        )
         r = 1.0 / jnp.sqrt(jnp.where(squares > 0, squares, 1.0))
         a, l = self.solution(s[:, None] * M * s, r[:, None] * G, s * f, r * c)
         return s * a, r * l
 
 
 def inverted(x: jax.Array, power: int = 1) -> jax.Array:
-    """1 / x where x, against the largest of them, is above `NEGLIGIBLE` to a power, else 0: of
-    numbers that a rank is decided by."""
+    """Invert x, except elements that are zero relative to the largest one: below the tolerance of
+    constraint rows to a power. Their inverse is 0."""
     size = jnp.abs(x)
-    held = size > NEGLIGIBLE[x.dtype.itemsize] ** power * size.max()
+    held = size > rank_tolerance("constraint rows", x.dtype) ** power * size.max()
     return jnp.where(held, 1.0 / jnp.where(held, x, 1.0), 0.0)
 
 
@@ -237,7 +236,7 @@ class Partitioning(Minimal):
 
     def split(self, G: jax.Array) -> tuple[jax.Array, jax.Array]:
         m, n = G.shape
-        zero = NEGLIGIBLE[G.dtype.itemsize] * jnp.abs(G).max()
+        zero = rank_tolerance("constraint rows", G.dtype) * jnp.abs(G).max()
 
         def eliminate(_: int, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             W, chosen = x  # G and 1, reduced so far (Gauss-Jordan); the pivots

@@ -32,7 +32,7 @@ import jax.numpy as jnp
 
 from rbjax.lanes import batch_first, matvec
 from rbjax.lanes.arrays import each
-from rbjax.lanes.factorization import proximal
+from rbjax.rank_tolerances import rank_tolerance
 from rbjax.solvers.constrained.schur_complement import Complement, Factored, Matrix, complement
 from rbjax.solvers.constrained.simplified import (
     Blocks,
@@ -53,9 +53,8 @@ STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
 LINEAR_NOISE = 100
 #: the same for sweeps, by bytes of a number
 SWEPT_NOISE = {4: 1e3, 8: 1e5}
-#: iterations with the matrices of the stages: towards the last w, then towards a constant one; the
-#: weight of it, by bytes of a number
-FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
+#: iterations with the matrices of the stages: towards the last w, then towards a constant one
+FREE, HELD = 6, 9
 #: sweeps of a GPU thread towards a constant w
 SWEEPS = 24
 #: unknowns of all stages for whose matrix a GPU thread has memory
@@ -204,7 +203,7 @@ class System:
         def push(d: jax.Array) -> jax.Array:
             return jax.jvp(lambda x: self.residual(x, h, t, y, weights, read), (x,), (d,))[1]
 
-        near = NEAR[y.dtype.itemsize]
+        near = rank_tolerance("stages", y.dtype)
         return complement(push, shared.free, free_diagonal, len(y), self.n, near)
 
     def slopes(self, x, h, t, y, weights, read) -> jax.Array:
@@ -243,7 +242,7 @@ class System:
 
         def newton(x: jax.Array, target: jax.Array, count: jax.Array) -> tuple:
             slopes = self.slopes(x, h, t, y, weights, read)
-            near = NEAR[y.dtype.itemsize]
+            near = rank_tolerance("stages", y.dtype)
             matrix = Factored(self.matrix(slopes, h, weights), free_diagonal, near)
             target = jnp.where(count < FREE, x[:, n:], target)
             r = self.residual(x, h, t, y, weights, read)
@@ -309,7 +308,9 @@ class System:
                 def directly(_: tuple) -> tuple:
                     matrix = self.matrix(self.slopes(x, h, t, y, weights, read), h, weights)
                     matrix = matrix.transposed if transposed else matrix
-                    exact = Factored(matrix, free_diagonal, proximal(b.dtype)[0]).solved(b)
+                    exact = Factored(
+                        matrix, free_diagonal, rank_tolerance("regularization", b.dtype)
+                    ).solved(b)
                     return exact, jnp.array(True)
 
                 def by_sweeps(_: tuple) -> tuple:

@@ -29,7 +29,7 @@ from jax.scipy.linalg import lu_factor, lu_solve, solve_triangular
 
 from rbjax.lanes import inverse, matvec
 from rbjax.lanes.arrays import each
-from rbjax.lanes.factorization import damped, least
+from rbjax.lanes.factorization import diagonal_floor, regularization
 
 #: (b, c) -> w
 Solve = Callable[[jax.Array, jax.Array], jax.Array]
@@ -61,7 +61,7 @@ class Factored:
         self, matrix: Matrix, free_diagonal: jax.Array, least_squares: float | None = None
     ):
         self._matrix = matrix
-        eps, vanishing, self._refinements = damped(matrix.w.dtype)
+        eps, vanishing, self._refinements = regularization(matrix.w.dtype)
         self._rates = lu_factor(matrix.rates)
         self._response = lu_solve(self._rates, matrix.w)
         S = matrix.row_w - _product(matrix.row_rates, self._response)
@@ -69,10 +69,10 @@ class Factored:
         B = jnp.tile(free_diagonal, len(D) // max(len(free_diagonal), 1))
         if least_squares:
             rounding = float(jnp.finfo(D.dtype).eps)
-            size = D + least(D, B, 1.0, rounding / least_squares)
+            size = D + diagonal_floor(D, B, 1.0, rounding / least_squares)
             self._solve = _by_least_squares(S, jnp.where(size > 0, size, 1.0), least_squares)
         else:
-            E = eps * D + least(D, B, vanishing)
+            E = eps * D + diagonal_floor(D, B, vanishing)
             self._solve = _by_shift(S, jnp.where(E > 0, E, 1.0))
 
     def once(self, r: jax.Array, c: jax.Array | float = 0.0) -> jax.Array:

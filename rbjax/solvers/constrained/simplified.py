@@ -33,7 +33,7 @@ import numpy as np
 
 from rbjax.lanes import inverse
 from rbjax.lanes.arrays import each
-from rbjax.lanes.factorization import damped, least
+from rbjax.lanes.factorization import diagonal_floor, regularization
 from rbjax.solvers.steps import weighted_sums
 
 
@@ -235,9 +235,9 @@ def _product(x: tuple, y: tuple) -> tuple:
 
 def _regular(S: Inverse, free_diagonal: jax.Array) -> Inverse:
     """Invert S + E, E the regularization."""
-    eps, vanishing, _ = damped(free_diagonal.dtype)
+    eps, vanishing, _ = regularization(free_diagonal.dtype)
     size = jnp.abs(jnp.diagonal(S[0]))
-    E = eps * size + least(size, free_diagonal, vanishing)
+    E = eps * size + diagonal_floor(size, free_diagonal, vanishing)
     E = jnp.where(E > 0, E, 1.0) * jnp.eye(len(size), dtype=size.dtype)
     return inverse(S[0] + E, *S[1:])
 
