@@ -13,8 +13,7 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import jax
 
-from rbjax.constraints.formulation import Formulation, TangentSpace
-from rbjax.constraints.registry import formulation_of
+from rbjax.constraints.formulation import Formulation, TangentSpace, formulation_of
 from rbjax.dynamics.algorithms import forward
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract

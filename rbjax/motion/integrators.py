@@ -18,7 +18,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.methods.differential_algebraic import stepped
+from rbjax.constraints.formulation import stepped
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
@@ -26,9 +26,8 @@ from rbjax.model import State
 from rbjax.motion.field import Field, VelocityDynamics, free_motion
 from rbjax.motion.implicit import ByStages, stepped_by
 from rbjax.motion.variational import variational_midpoint
-from rbjax.solvers.common.steps import combine, explicit_stages, scaled
-from rbjax.solvers.common.tableau import KUTTA4, Tableau, of_diffrax
-from rbjax.solvers.explicit.dop853 import DOP853
+from rbjax.solvers.steps import combine, explicit_stages, scale
+from rbjax.solvers.tableau import DOP853, KUTTA4, Tableau, of_diffrax
 
 #: stages times velocity coordinates up to which the stages of a step are written out
 WRITTEN_UP_TO = 13
@@ -75,7 +74,7 @@ def runge_kutta(
         written = table.stages * field.model.nv <= WRITTEN_UP_TO
     stages = explicit_stages(rate, table, t, dt, written=written)
     start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0))
-    dq, dv, *dx = scaled(dt, combine(table.b, stages(start)))
+    dq, dv, *dx = scale(dt, combine(table.b, stages(start)))
     return stage_state(t + dt, dq, dv, None if x0 is None else x0 + dx[0])
 
 

@@ -16,8 +16,7 @@ from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.status import CONVERGED, SENTENCES
 from rbjax.errors import InputError, UnknownName
 from rbjax.progress import progress_line
-from rbjax.recommend.recommendation import Recommendation
-from rbjax.recommend.request import fastest
+from rbjax.recommend.recommendation import Recommendation, fastest
 
 SAME = 1e-6  # relative: costs that count as equal
 

@@ -34,8 +34,7 @@ from rbjax.forces.inputs import Source
 from rbjax.model import Model, State, with_constants
 from rbjax.motion.simulate import simulate
 from rbjax.progress import Say, progress_line
-from rbjax.recommend.recommendation import Recommendation
-from rbjax.recommend.request import check_request, double
+from rbjax.recommend.recommendation import Recommendation, check_request, double
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.stability.runs.linearisation import motion_matrices
 

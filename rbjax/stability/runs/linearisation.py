@@ -17,9 +17,7 @@ from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
 from rbjax.motion.field import dynamics_of, free_motion
 from rbjax.motion.linearise import box_plus, linearise, linearised
-
-#: relative cutoff of singular values in a Newton step, by the bytes of a float
-RANK = {8: 1e-10, 4: 1e-5}
+from rbjax.rank_tolerances import rank_tolerance
 
 
 @algorithm("state", "ctrl")
@@ -244,7 +242,7 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
                 )
             return state
         dx = np.zeros(len(A))
-        dx[rest] = np.linalg.lstsq(slope, -left, rcond=RANK[A.dtype.itemsize])[0]
+        dx[rest] = np.linalg.lstsq(slope, -left, rcond=rank_tolerance("equilibrium", A.dtype))[0]
         dx = dx * min(1.0, 0.5 / max(np.abs(dx).max(), 1e-300))
         state = box_plus(model, state, jnp.asarray(dx, state.q.dtype))
     raise InputError(

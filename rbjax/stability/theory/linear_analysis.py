@@ -9,8 +9,8 @@ from fractions import Fraction
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.solvers.common import tableau as tables
-from rbjax.solvers.implicit.rosenbrock import RosenbrockW, holds
+from rbjax.solvers import tableau as tables
+from rbjax.solvers.rosenbrock import RosenbrockW, holds
 from rbjax.stability.methods import made
 from rbjax.stability.theory import regions
 from rbjax.stability.theory.multistep_roots import Characteristic, Method, Theory, characteristic

@@ -24,7 +24,7 @@ from jax.flatten_util import ravel_pytree
 from rbjax.arguments import real_array, real_number
 from rbjax.errors import InputError
 from rbjax.solvers import Adams, GeneralizedAlpha
-from rbjax.solvers.multistep.linear_multistep import AbstractMultistep
+from rbjax.solvers.multistep import AbstractMultistep
 from rbjax.stability.methods import Solver, stepping
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
 from rbjax.stability.theory.regions import imaginary_limit

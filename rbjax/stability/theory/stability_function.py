@@ -20,7 +20,7 @@ import numpy as np
 
 from rbjax import solvers
 from rbjax.errors import InputError
-from rbjax.solvers.common import tableau as tables
+from rbjax.solvers import tableau as tables
 from rbjax.stability.methods import Solver, made
 from rbjax.stability.theory.polynomials import (
     EPS,

@@ -24,8 +24,7 @@ from rbjax.wheeled.files.bodies import View, bodies_of, clean, view_of
 from rbjax.wheeled.files.drives import drives_of
 from rbjax.wheeled.files.joints import Patterns, Roles, roles
 from rbjax.wheeled.files.wheels import FileWheel, LeftOut, file_wheels
-from rbjax.wheeled.robot.parts import Steering, Wheel
-from rbjax.wheeled.robot.robot import Robot
+from rbjax.wheeled.robot.robot import Robot, Steering, Wheel
 
 _SHOWN = 12  # of what is left out
 
@@ -151,7 +150,7 @@ def from_file(
 
 
 def _by_wheel(named: Roles, what: str, given: Mapping[str, float]) -> dict[int, float]:
-    """Numbers by joints, of numbers by names."""
+    """Parameters by joints, of numbers by names."""
     pairs = _mapping(what, given).items()
     return {j: value for name, value in pairs for j in named.wheels_named(what, name)}
 

@@ -27,7 +27,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -39,10 +38,9 @@ from rbjax.forces.joints.limits import stop_energy, stop_force
 from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model
-from rbjax.model.record import check_number, floats
+from rbjax.wheeled.fields import check_ranges, number
 from rbjax.wheeled.tyres.relaxation import Relaxing
-from rbjax.wheeled.tyres.rolling_resistance import RollingResistance
-from rbjax.wheeled.tyres.tyre import Pair, Tyre, check_above, check_at_least
+from rbjax.wheeled.tyres.tyre import Pair, RollingResistance, Tyre
 
 
 class Contact(NamedTuple):
@@ -96,10 +94,10 @@ class TyreOnGround(Element):
     a: Place
     b: Place
     tyre: Tyre | Relaxing
-    radius: jax.Array = eqx.field(converter=floats)
-    stiffness: jax.Array = eqx.field(converter=floats)
-    damping: jax.Array = eqx.field(converter=floats, default=0.0)
-    onset: jax.Array = eqx.field(converter=floats, default=1e-4)
+    radius: jax.Array = number()
+    stiffness: jax.Array = number()
+    damping: jax.Array = number(default=0.0)
+    onset: jax.Array = number(default=1e-4)
     resistance: RollingResistance | None = None
 
     def __check_init__(self) -> None:
@@ -112,10 +110,8 @@ class TyreOnGround(Element):
                     f"TyreOnGround({name}=...): got {type(got).__name__}, expected {expected} (of "
                     "rbjax.wheeled)"
                 )
-        for name in ("radius", "stiffness", "damping", "onset"):
-            check_number(self, name)
-        check_above(self, radius=0.0, stiffness=0.0, onset=0.0)
-        check_at_least(self, damping=0.0)
+        above = dict.fromkeys(("radius", "stiffness", "onset"), 0.0)
+        check_ranges(self, above=above, least={"damping": 0.0})
 
     def may_be_endless(self, name: str) -> bool:
         return False

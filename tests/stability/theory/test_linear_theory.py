@@ -14,7 +14,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import stability
-from rbjax.solvers.common import tableau
+from rbjax.solvers import tableau
 from rbjax.stability.theory.polynomials import value
 from rbjax.stability.theory.stability_function import of_tableau
 from tests.oracles import load
