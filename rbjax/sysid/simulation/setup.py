@@ -23,7 +23,7 @@ from rbjax.model import Model, State
 from rbjax.model.links import with_constants
 from rbjax.model.record import Record
 from rbjax.motion.integrators import Integrator
-from rbjax.motion.linearise import step
+from rbjax.motion.step import step
 from rbjax.sensors import Columns, Context, Sensor, sensor_of
 from rbjax.sysid.simulation.parallel_in_time import simulate_windows
 
@@ -318,9 +318,8 @@ def _context_at(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
     if _has_delay(setup, grid):
         late = jnp.clip(setup.delay, 0.0, grid.longest_delay * T)
     ctrl = path.ctrls[jnp.clip(jnp.floor((t - late) / T + 1e-3).astype(int), 0, last)]
-    return Context(
-        t, interpolate_state(setup.model, path, T, t), ctrl, setup.model, T / grid.substeps
-    )
+    state = interpolate_state(setup.model, path, T, t)
+    return Context.of(setup.model, t, state, ctrl, T / grid.substeps)
 
 
 def interpolate_state(model: Model, path: Path, T: float, t: Any) -> State:
