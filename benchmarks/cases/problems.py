@@ -65,7 +65,7 @@ def arm(seed: int = 0) -> Problem:
         "q": Channel(t, path.q), "v": Channel(t, path.v), "ctrl": Channel(t[:-1], ctrl),
     })  # fmt: skip
     # RK4 is within 1e-11 of the recorded motion, and the first readings are the state
-    how = {"grid": Grid(T), "starts": False}
+    how = {"grid": Grid(T), "estimate_initial_state": False}
     return Problem(of.write(setup, jnp.asarray(guess)), run, unknowns, truth, how)
 
 

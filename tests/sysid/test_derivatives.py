@@ -295,7 +295,7 @@ def shooting() -> Case:
     single = [make_run(SETUP, recording("q", "v"), GRID)]
     of = MultipleShooting(SETUP, SOUGHT, single, GRID, 4 * T)
     x = np.append([1.2, 0.1], 0.05 * np.random.default_rng(4).normal(size=of.size - 2))
-    of.tie = 0.7
+    of.continuity_weight = 0.7
 
     def squares(x: Any) -> float:
         return float((of.residuals(x) ** 2).sum())

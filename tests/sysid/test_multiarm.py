@@ -47,7 +47,7 @@ def shot(runs, seconds, grid=GRID):
 def test_the_slopes_of_pieces_and_gaps():
     of, x = shot([swing(ONE, 24, 1e-3), swing(ONE, 13, 1e-3, seed=1)], 8 * T)
     assert of.segments.count == 5 and of.firsts.tolist() == [0, 3] and of.gaps(x).shape == (3, 2)
-    of.tie = 3.0
+    of.continuity_weight = 3.0
     x[2:] = 0.01 * np.random.default_rng(2).normal(size=x.size - 2)
     R, r = of.triangle(x), of.residuals(x)
     np.testing.assert_allclose(R[:, -1] @ R[:, -1], r @ r, rtol=1e-10)
@@ -90,9 +90,9 @@ def test_a_noise_free_motion_gives_the_numbers():
 @pytest.mark.parametrize(
     ("change", "error"),
     [
-        ({"shooting": 0.0}, "shooting is 0.0, expected seconds above 0"),
-        ({"shooting": 5.0}, "above 0 and shorter than the longest"),
-        ({"shooting": 0.1, "grid": Grid(T, 1, "rk4", 2)}, "delayed commands"),
+        ({"multiple_shooting": 0.0}, "multiple_shooting is 0.0, expected seconds above 0"),
+        ({"multiple_shooting": 5.0}, "above 0 and shorter than the longest"),
+        ({"multiple_shooting": 0.1, "grid": Grid(T, 1, "rk4", 2)}, "delayed commands"),
     ],
 )
 def test_bad_pieces_are_named(change, error):
@@ -134,7 +134,7 @@ def test_a_chaotic_triple_pendulum_from_a_poor_guess():
         "inertia": Unknown("bodies.inertia", (np.arange(2), 1, 1), positive=True),
         "viscous": Unknown("joints.damping", positive=True),
     }
-    how = {"grid": Grid(0.01, 2), "starts": True}
+    how = {"grid": Grid(0.01, 2), "estimate_initial_state": True}
     found = identify(chain(guess), run, sought, multiple_shooting=0.2, **how)
     assert found.success
     np.testing.assert_allclose(found.rms["q"], noise, rtol=0.1)
