@@ -24,7 +24,7 @@ robot = wheeled.kinds()["omni_3"].make(motor=wheeled.SpeedServo(0.5, 1.0))
 vehicle = wheeled.at(robot, "slipping", tyre=wheeled.Fiala(15.0, 0.08))
 speeds = wheeled.commands(robot, [0.8, 0.0, 1.5]).speeds
 path = wheeled.rollout(vehicle, wheeled.start(vehicle), jnp.tile(speeds, (400, 1)), 0.005,
-                       method="linearly_implicit_euler")"""
+                       integrator="linearly_implicit_euler")"""
 
 
 def wheels(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> Section:
@@ -43,7 +43,7 @@ def wheels(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> S
     def moved(friction: jax.Array) -> Trajectory:
         vehicle = on(friction)
         return wheeled.rollout(
-            vehicle, wheeled.start(vehicle), controls, DT, method="linearly_implicit_euler",
+            vehicle, wheeled.start(vehicle), controls, DT, integrator="linearly_implicit_euler",
             save_every=max(1, steps // 40),
         )  # fmt: skip
 
