@@ -1,13 +1,17 @@
-"""The state of a search and the decision of an iteration: which trial step is taken, the next
-regularisation, the next penalty of the constraints, and whether the search ends.
+"""The iterations of differential dynamic programming and of sequential quadratic programming.
 
-The longest trial is taken that a method accepts. The regularisation falls tenfold after a step
-longer than half. It rises tenfold after a step of a hundredth or none, or without gains (Mastalli
-et al. 2020); with constraints, after a quarter of a step. A search is stuck if no regularisation
-gives a step, or if many steps lower the cost by rounding only. If the expected decrease of the cost
-is small relative to the cost, the constraints get new multipliers, or the search has converged.
-Regularisation makes this decrease small anywhere, so under it the gradient must be small too. A
-decision is one program of one sample (`rb.threads`), so one kernel on a GPU.
+An iteration expands the problem at its knots, computes gains, makes trial steps by a `StepPolicy`,
+and decides which trial is taken, the next regularisation, the next penalty of the constraints, and
+whether the search ends. The longest trial is taken that the policy accepts. The regularisation
+falls tenfold after a step longer than half. It rises tenfold after a step of a hundredth or none,
+or without gains (Mastalli et al. 2020); with constraints, after a quarter of a step. A search is
+stuck if no regularisation gives a step, or if many steps lower the cost by rounding only. If the
+expected decrease of the cost is small relative to the cost, the constraints get new multipliers, or
+the search has converged. Regularisation makes this decrease small anywhere, so under it the
+gradient must be small too.
+
+Expansion, passes, trials and the decision are programs of one sample (`rb.threads`): of a knot, of
+a problem, of a trial.
 """
 
 from __future__ import annotations
@@ -20,9 +24,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.control.optimal.options import StoppingRule
-from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY_MOST, next_penalty
+from rbjax.compiler import threads
+from rbjax.control.optimal.objective import (
+    PENALTY_MOST,
+    Multipliers,
+    motion_cost,
+    next_penalty,
+    no_multipliers,
+    row_count,
+)
+from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.shooting.backward_pass import Bounds, Feedback, backward_pass
+from rbjax.control.optimal.shooting.expansion import (
+    Expanded,
+    add_curvature,
+    expand,
+    largest_gap,
+    updated_multipliers,
+)
 from rbjax.control.optimal.shooting.filter_search import rounding
+from rbjax.control.optimal.solution import Options, SearchResult, StoppingRule
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
@@ -204,3 +225,147 @@ def count_stalled(
 def gap_tolerance(dtype: Any) -> float:
     """The largest gap that counts as none: 4e-10 in f64."""
     return float(jnp.finfo(dtype).eps) ** 0.6
+
+
+class Iterate(NamedTuple):
+    """The iterate of a search: knots (N + 1, ...), ctrls (N, m), multipliers, the gains K
+    (N, m, n), the state of the search, and the costs (history,) of its iterations."""
+
+    knots: Knot
+    ctrls: jax.Array
+    multipliers: Multipliers
+    K: jax.Array
+    search: SearchState
+    costs: jax.Array
+
+
+class StepPolicy(NamedTuple):
+    """How a method steps.
+
+    accept: which trials may be taken.
+    closes_gaps: whether a full step leaves no gap.
+    trials: (problem, now, expanded, gaps, gains) -> trials with the costs, violations and more of
+        `IterationValues`.
+    apply: (problem, now, trials, decision) -> knots and controls.
+    """
+
+    accept: Accept
+    closes_gaps: bool
+    trials: Callable[..., Any]
+    apply: Callable[..., tuple[Knot, jax.Array]]
+
+
+def search(
+    policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
+    options: Options, history: int, exact: bool = False,
+) -> SearchResult:  # fmt: skip
+    """`solve` by the steps of a policy."""
+    last = iterate(policy, problem, start, knots, ctrls, options, history, exact)
+    path, end = last.multipliers.path, last.multipliers.end
+    if problem.constraints:  # the gradient of the augmented Lagrangian is that with these
+        path, end = updated_multipliers(problem, last.knots, last.ctrls, last.multipliers)
+    at, cost = last.search, motion_cost(problem, last.knots, last.ctrls)
+    return SearchResult(
+        last.knots, last.ctrls, cost, at.status, at.iterations, at.expected_decrease,
+        largest_gap(problem, start, last.knots, last.ctrls), at.violation, last.costs,
+        last.K, path, end, penalty=last.multipliers.penalty,
+    )  # fmt: skip
+
+
+def gains_of(
+    problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any,
+    boxed: bool = False,
+) -> Feedback:  # fmt: skip
+    """The backward pass at knots. boxed: whether k obeys all bounds, or only the bounds at which
+    the controls already are.
+
+    k is the step if the state stays at its knot. If gaps or a long step move the state, a bound
+    that binds k need not bind k + K dx. A bound that binds removes its row of K, so the closed loop
+    may be unstable, and the bound then binds in all later iterations.
+    """
+    bounds = None
+    if problem.bounded:
+        low, high = (x.astype(ctrls.dtype) - ctrls for x in (problem.low, problem.high))
+        huge = jnp.finfo(ctrls.dtype).max
+        if not boxed:
+            low, high = jnp.where(low < 0, -huge, low), jnp.where(high > 0, huge, high)
+        bounds = Bounds(jnp.maximum(low, -huge), jnp.minimum(high, huge))
+    first = None
+    if problem.free_first_knot:
+        free = jnp.asarray([*problem.free, *[True] * problem.parameter_count], ctrls.dtype)
+        low, high = problem.start_bounds(ctrls.dtype)
+        zero = jnp.zeros(problem.system.n, ctrls.dtype)
+        parameters = jnp.concatenate([zero, knots.parameters[0]])
+        first = (free, low - parameters, high - parameters)
+    reg = jnp.where(reg > LEAST, reg, 0.0)
+    return threads(backward_pass, team=True)(
+        found.path.A, found.path.B, gaps, found.path.cost, found.end, bounds, first, reg,
+        problem.at(knots.parameters[0])[1] if problem.by_velocities else None,
+    )  # fmt: skip
+
+
+def iterate(
+    policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
+    options: Options, history: int, exact: bool,
+) -> Iterate:  # fmt: skip
+    """The iterations, from states and controls."""
+    constrained = bool(problem.constraints)
+    decision = threads(functools.partial(decide, policy.accept, policy.closes_gaps, constrained))
+
+    def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
+        reg = now.search.reg
+        # with second derivatives, steps along the dynamics are short: k obeys all bounds there
+        boxed = exact and policy.closes_gaps
+        plain = functools.partial(gains_of, problem, now.knots, now.ctrls, boxed=boxed)
+        if not exact:
+            return plain(found, gaps, reg)
+        full = plain(
+            add_curvature(problem, now.knots, now.ctrls, now.multipliers, found), gaps, reg
+        )
+        return jax.lax.cond(full.ok, lambda: full, lambda: plain(found, gaps, reg))
+
+    def turn(now: Iterate) -> Iterate:
+        at = now.search
+        found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
+        gaps = jnp.where(at.feasible, 0.0, found.gaps) if policy.closes_gaps else found.gaps
+        gains = gains_at(now, found, gaps)
+        trials = policy.trials(problem, now, found, gaps, gains)
+        decided = decision(
+            at, options.rule,
+            IterationValues(
+                found.cost, found.gap, found.violation, gains.slope, gains.curvature, gains.square,
+                gains.ok, trials.costs, trials.violations, trials.more,
+            ),
+        )  # fmt: skip
+        knots, ctrls = policy.apply(problem, now, trials, decided)
+        after, multipliers = decided.search, now.multipliers
+        if constrained:
+            new = updated_multipliers(problem, knots, ctrls, multipliers)
+            path, end = jax.tree.map(
+                lambda x, old: jnp.where(decided.new_multipliers, x, old), new, multipliers[:2]
+            )
+            multipliers = Multipliers(path, end, after.penalty)
+        if options.report is not None:
+            jax.debug.callback(options.report, after.iterations, after.cost, after.violation)
+        costs = now.costs.at[jnp.minimum(at.iterations, history - 1)].set(after.cost)
+        return Iterate(knots, ctrls, multipliers, gains.K, after, costs)
+
+    begin = initial_iterate(problem, knots, ctrls, options.rule, history, options.multipliers)
+    return jax.lax.while_loop(lambda now: now.search.status == GOING, turn, begin)
+
+
+def initial_iterate(
+    problem: Problem, knots: Knot, ctrls: jax.Array, rule: StoppingRule, history: int,
+    multipliers: Multipliers | None = None,
+) -> Iterate:  # fmt: skip
+    """The iterate from which a search starts."""
+    dtype, N = ctrls.dtype, problem.horizon
+    ctrls = problem.within_bounds(ctrls)
+    if multipliers is None:
+        path, end = (row_count(problem, where) for where in ("path", "end"))
+        multipliers = no_multipliers(N, path, end, dtype)
+    return Iterate(
+        knots, ctrls, multipliers, jnp.zeros((N, problem.nu, problem.n), dtype),
+        initial_search_state(rule, bool(problem.constraints), multipliers.penalty),
+        jnp.full(history, jnp.nan, dtype),
+    )  # fmt: skip
