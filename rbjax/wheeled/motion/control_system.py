@@ -30,7 +30,7 @@ from rbjax.wheeled.motion.rollout import INTEGRATORS, advance
 class RobotSystem(System):
     """A wheeled robot at a fidelity, as a `System`: states `State(q, v, x)`, n = nq + nv + nx.
 
-    Fields: robot_model. Static: integrator, of `rollout`; parts, its steps in a step of the problem.
+    Fields: robot_model. Static: integrator, of `rollout`; parts, its steps in one of the problem.
     """
 
     robot_model: RobotModel
