@@ -15,7 +15,7 @@ import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.errors import UnsupportedFeature, listed
-from rbjax.forces.actuators.affine import is_affine, to_columns
+from rbjax.forces.actuators.actuator import is_affine, to_columns
 from rbjax.loading.checks import joints_that_cancel, refuse_nan_in, within_range
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuator_kinds import reflected

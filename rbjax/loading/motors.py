@@ -11,8 +11,7 @@ import numpy as np
 
 from rbjax.constraints import JointPolynomial
 from rbjax.forces.acting import elements
-from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias
-from rbjax.forces.actuators.affine import from_columns, to_columns
+from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias, from_columns, to_columns
 from rbjax.forces.actuators.transmissions import JointAxis, SiteWrench
 from rbjax.forces.context import Context
 from rbjax.model import Model

@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from rbjax.forces import Element
-from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias
-from rbjax.forces.actuators.affine import from_columns, is_affine
+from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias, from_columns, is_affine
 from rbjax.forces.actuators.orientation_servo import OrientationServo
 from rbjax.forces.actuators.transmissions import (
     JointAxis,
