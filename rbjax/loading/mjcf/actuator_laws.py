@@ -16,8 +16,7 @@ from rbjax.forces.actuators.activation import Activation, Filter, Integrator, Mu
 from rbjax.forces.actuators.actuator import Active, Affine, ForceLaw, GainBias, Passive
 from rbjax.forces.actuators.dc_motor import DCMotor, Heat, LuGre, Windings
 from rbjax.forces.actuators.pid import INPUTS, PID, Controller
-from rbjax.loading.mjcf.actuator_kinds import Bias, Dyn, Gain, is_circular
-from rbjax.loading.mjcf.fields import leaf
+from rbjax.loading.mjcf.fields import Bias, Dyn, Gain, is_circular, leaf
 from rbjax.loading.write.draft import text
 
 Table = dict[str, tuple[str, ...]]

@@ -25,8 +25,7 @@ from rbjax.forces.actuators.transmissions import (
 )
 from rbjax.loading.checks import refuse_nan
 from rbjax.loading.mjcf import actuator_laws as laws
-from rbjax.loading.mjcf.actuator_kinds import Gain, Trn, Wrap, is_off, what_is_left_out
-from rbjax.loading.mjcf.fields import Off, is_on, leaf
+from rbjax.loading.mjcf.fields import Gain, Off, Trn, Wrap, is_off, is_on, leaf, what_is_left_out
 from rbjax.loading.write.draft import Draft, text
 
 _GROUP_OFF = 30  # the group of controls without an actuator, which the file disables
