@@ -262,7 +262,7 @@ def test_rows_are_staged_where_they_are_neither_short_nor_long():
 def test_only_what_is_written_at_once_leaves_through_the_tile(in_turn, read):
     """Two results share a warp's tile: entries in turn, or one that is read again, would meet."""
     b = Builder()
-    both = [b.outside(np.float32, 3, "result") for _ in range(2)]
+    both = [b.external_array(np.float32, 3, "result") for _ in range(2)]
     places = [(array, k) for array in both for k in range(3)]
     for array, k in sorted(places, key=lambda x: x[1]) if in_turn else places:
         b.store(array, None, k, np.float32(k))
@@ -372,7 +372,7 @@ def test_staged_rows_are_memory():
     """Entries are written under a condition, read again and written again, in loops; each thread
     has a row of its own, those beyond the batch too."""
     b, size, n = Builder(), 40, 12
-    x, y = b.outside(np.float64, 1, "operand"), b.outside(np.float64, n, "result")
+    x, y = b.external_array(np.float64, 1, "operand"), b.external_array(np.float64, n, "result")
     number = b.load(x, None, 0)
     for k in reversed(range(n)):
         b.store(y, None, k, np.float64(k))

@@ -20,7 +20,7 @@ import pytest
 from rbjax.compiler import disk_cache
 from rbjax.compiler.cuda import device, driver_cache, nvrtc
 from rbjax.compiler.ir.program import batch_first
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.statements import Unsupported
 from rbjax.compiler.jax import backend, host_call, launch, primitive
 from rbjax.compiler.jax.function import threaded
 from rbjax.compiler.jax.uncollected import SEARCH_FROM, uncollected

@@ -1,6 +1,6 @@
 """Powers and roots of vectors, through a logarithm in twice the precision (Dekker, 1971).
 
-    x^y = exp(y log x): an error of log x is multiplied by up to 700
+x^y = exp(y log x): an error of log x is multiplied by up to 700
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rbjax.compiler.ir.elementary import (
     two_sum,
 )
 from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.values import BOOL, I64
+from rbjax.compiler.ir.statements import BOOL, I64
 from rbjax.lanes.trigonometry import horner
 
 #: a sum of two numbers that do not overlap
