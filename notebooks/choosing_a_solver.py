@@ -135,7 +135,7 @@ print(choice.name, f"with steps of {choice.dt:.3g} s")
 print(choice.reason)
 path = rb.simulate(
     stiff, rb.State(jnp.array([0.5, 0.0]), jnp.zeros(2)), jnp.linspace(0, 1, 101),
-    solver=choice.solver, dt0=choice.dt,
+    solver=choice.solver, dt=choice.dt,
 )  # fmt: skip
 
 figure, axis = plt.subplots(figsize=(8, 2.8))

@@ -40,10 +40,10 @@ list(rb.joints.kinds())
 # %%
 class Parabola(rb.joints.Node):
     name, coordinates = "parabola", 1
-    numbers = {"opening": 1.0}  # 1/m
+    params = {"opening": 1.0}  # 1/m
 
-    def pose(self, q, numbers):
-        return Transform(Mat3.identity(), Vec3(q[0], 0.0, numbers[0] * q[0] * q[0]))
+    def pose(self, q, params):
+        return Transform(Mat3.identity(), Vec3(q[0], 0.0, params[0] * q[0] * q[0]))
 
 
 rb.joints.register(Parabola())
@@ -81,7 +81,7 @@ right.legend(frameon=False)
 
 # %%
 def after_two_seconds(opening):
-    model = bead.replace(joints=bead.joints.replace(numbers=opening[None]))
+    model = bead.replace(joints=bead.joints.replace(params=opening[None]))
     return rb.rollout(model, start, None, 0.005, steps=400, integrator="rk4").q[-1, 0]
 
 

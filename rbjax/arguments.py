@@ -62,6 +62,7 @@ def real_number(
     *,
     above: float = -math.inf,
     least: float = -math.inf,
+    most: float = math.inf,
     finite: bool = True,
     traced: bool = False,
 ) -> Any:
@@ -74,6 +75,7 @@ def real_number(
         expected: what is expected, for the message, if a number and its limits say too little.
         above: the value must be larger.
         least: the value must be at least this.
+        most: the value must be at most this; `least` is given too.
         finite: whether infinity is rejected. NaN always is.
         traced: whether a traced number is accepted; it is returned as it is.
 
@@ -83,7 +85,8 @@ def real_number(
     if traced and isinstance(value, jax.core.Tracer) and value.shape == ():
         return value
     limit = f" above {above:g}".replace("above 0", "above zero") if above > -math.inf else ""
-    limit += f" of at least {least:g}" if least > -math.inf else ""
+    if least > -math.inf:
+        limit += f" of at least {least:g}" if most == math.inf else f" from {least:g} to {most:g}"
     if isinstance(value, bool | np.bool_):
         value = str(value)  # a flag is not a number
     x = real_array(where, name, value, expected, finite=False)
@@ -95,23 +98,41 @@ def real_number(
     if math.isnan(number) or (finite and math.isinf(number)):
         finite_number = f"a finite number{limit}"
         raise InputError(f"{where}: {name} is {number}, expected {expected or finite_number}")
-    if not (number > above or above == -math.inf) or number < least:
+    if not (number > above or above == -math.inf) or not least <= number <= most:
         raise InputError(f"{where}: {name} is {number}, expected {expected or f'a number{limit}'}")
     return number
 
 
-def integer(where: str, name: str, value: Any, *, least: int | None = None) -> int:
+def integer(
+    where: str,
+    name: str,
+    value: Any,
+    *,
+    least: int | None = None,
+    most: int | None = None,
+    why: str = "",
+) -> int:
     """An int.
 
+    Args:
+        where: the function, for the message.
+        name: the argument, for the message.
+        value: what the user gave.
+        least: the value must be at least this.
+        most: the value must be at most this; `least` is given too.
+        why: the reason of the limits, which ends the message.
+
     Raises:
-        InputError: not an integer, less than `least`, or more than floats count exactly.
+        InputError: not an integer, out of range, or more than floats count exactly.
     """
     known = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     if known and abs(value) > 2**53:
         raise InputError(f"{where}: {name} is {shown(value)}, expected at most 2**53")
-    if not known or (least is not None and value < least):
+    too_small = known and least is not None and value < least
+    if not known or too_small or (known and most is not None and value > most):
         limit = "" if least is None else f" of at least {least}"
-        raise InputError(f"{where}: {name} is {shown(value)}, expected an integer{limit}")
+        limit = limit if most is None else f" from {least} to {most}"
+        raise InputError(f"{where}: {name} is {shown(value)}, expected an integer{limit}{why}")
     return int(value)
 
 

@@ -232,7 +232,7 @@ def _simulate(
         return rb.rollout(model, state, ctrls, step, integrator=solver)
     solvers = {"tsit5": diffrax.Tsit5, "dopri5": diffrax.Dopri5, "dopri8": diffrax.Dopri8}
     ts = jnp.linspace(0.0, seconds, max(2, round(100 * seconds) + 1))
-    return rb.simulate(model, state, ts, lambda t, state: ctrl, solver=solvers[solver](), dt0=dt)
+    return rb.simulate(model, state, ts, lambda t, state: ctrl, solver=solvers[solver](), dt=dt)
 
 
 def _plot(

@@ -117,7 +117,7 @@ INTEGRATORS = {
     "wrong shape": lambda f, t, s, u, dt: rb.State(s.q[:1], s.v), "a list": ["rk4"],
     "a solver": diffrax.Tsit5(), "object": object(),
 }  # fmt: skip
-LAWS = {
+DYNAMICS = {
     "None": None, "misspelt": "free", "wrong arity": lambda m: m, "number": 1.0,
     "returns None": lambda m, t, s, tau, w: None, "returns a word": lambda m, t, s, tau, w: "a",
     "wrong shape": lambda m, t, s, tau, w: jnp.zeros(7), "scalar": lambda m, t, s, tau, w: 0.0,
@@ -162,7 +162,7 @@ GOOD: dict[str, Any] = {
     "q": np.array([0.1, 0.2]), "q0": np.array([0.1, 0.2]), "q1": np.array([0.3, 0.2]),
     "v": np.array([0.3, -0.1]), "a": np.ones(2), "dq": np.ones(2), "tau": np.ones(2),
     "wrenches": np.ones((2, 6)), "point": np.ones(3), "ctrl": np.ones(1), "state": STATE,
-    "dt": 0.01, "integrator": "rk4", "t": 0.0, "law": field.free_motion,
+    "dt": 0.01, "integrator": "rk4", "t": 0.0, "dynamics": field.free_motion,
 }  # fmt: skip
 QUATERNIONS = {"zero": np.zeros(4), "tiny": np.full(4, 1e-200), "endless": np.full(4, 1e200)}
 LEAVES = ("mass", "com", "inertia", "position", "orientation")
@@ -171,15 +171,18 @@ LEAVES = ("mass", "com", "inertia", "position", "orientation")
 def bad_values(name: str, value: Any) -> dict[str, Any]:
     """Bad values for an argument."""
     known = {
-        "model": MODELS, "state": STATES, "dt": STEPS, "dt0": STEPS, "steps": COUNTS,
-        "save_every": COUNTS, "max_steps": COUNTS, "body": NAMES, "site": NAMES, "law": LAWS,
-        "integrator": INTEGRATORS, "ctrls": POLICIES, "control": POLICIES, "ts": TIMES,
+        "model": MODELS, "state": STATES, "dt": STEPS, "steps": COUNTS,
+        "save_every": COUNTS, "max_steps": COUNTS, "body": NAMES, "site": NAMES,
+        "dynamics": DYNAMICS,
+        "integrator": INTEGRATORS, "ts": TIMES,
         "solver": SOLVERS, "source": SOURCES, "elements": ELEMENTS,
         "name": NAMES, "kind": KINDS,
         "a": ELEMENTS, "joints": JOINTS, "bodies": JOINTS, "dtype": DTYPES, "number": COUNTS,
     } | OTHERS  # fmt: skip
     if name == "a" and eqx.is_array_like(value):  # accelerations; of a spring it is an end
         return arrays(np.shape(value))
+    if name == "ctrl" and np.shape(value) != (1,):  # of a motion: an array or a policy
+        return POLICIES
     return known.get(name) or arrays(np.shape(value))
 
 
@@ -196,15 +199,15 @@ def doors() -> Iterator[tuple[str, Callable, dict[str, Any]]]:
         yield name, function, given
     row = np.zeros((5, 1))
     yield "rollout", rb.rollout, {
-        "model": MODEL, "state": STATE, "ctrls": row, "dt": 0.01, "tau": np.zeros((5, 2)),
+        "model": MODEL, "state": STATE, "ctrl": row, "dt": 0.01, "tau": np.zeros((5, 2)),
         "wrenches": np.zeros((5, 2, 6)), "integrator": "semi_implicit_euler", "save_every": 1,
-        "steps": 5, "law": field.free_motion, "memory": 1e9, "kernel": False,
+        "steps": 5, "dynamics": field.free_motion, "memory": 1e9, "kernel": False,
     }  # fmt: skip
     yield "simulate", rb.simulate, {
-        "model": MODEL, "state": STATE, "ts": [0.0, 0.02], "control": CONTROL, "tau": np.zeros(2),
-        "wrenches": np.zeros((2, 6)), "solver": diffrax.Euler(), "dt0": 0.01, "max_steps": 100,
+        "model": MODEL, "state": STATE, "ts": [0.0, 0.02], "ctrl": CONTROL, "tau": np.zeros(2),
+        "wrenches": np.zeros((2, 6)), "solver": diffrax.Euler(), "dt": 0.01, "max_steps": 100,
         "stepsize_controller": diffrax.ConstantStepSize(), "constraints": None,
-        "law": field.free_motion, "adjoint": diffrax.RecursiveCheckpointAdjoint(),
+        "dynamics": field.free_motion, "adjoint": diffrax.RecursiveCheckpointAdjoint(),
     }  # fmt: skip
     yield "load", rb.load, {"source": "pendulum"}
     spring = F.PointSpring.of(F.Place.on(), F.Place.on(body="pole"))
@@ -235,8 +238,11 @@ def numbers_of_elements() -> dict[str, dict[str, Any]]:
         "JointLimits": {**limits, "joints": names},
         "JointFriction": {**dict.fromkeys(friction, two), "joints": names},
         "JointCurves": {
-            "range": jnp.array([[-1.0, 1.0]] * 2), "torque": two[:, None],
-            "coulomb": two[:, None], **dict.fromkeys(friction[1:4], two), "joints": names,
+            "range": jnp.array([[-1.0, 1.0]] * 2),
+            "torque": two[:, None],
+            "coulomb": two[:, None],
+            **dict.fromkeys(friction[1:4], two),
+            "joints": names,
         },
         "GearLoss": {"loss": two, "smoothing": two, "joints": names},
         "JointPolynomials": {"stiffness": two[:, None], "damping": two[:, None], "joints": names},

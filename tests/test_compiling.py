@@ -28,7 +28,7 @@ def rolled(model, start):
 
 
 def simulated(model, start):
-    solve = {"dt0": 0.01, "adjoint": diffrax.ForwardMode()}
+    solve = {"dt": 0.01, "adjoint": diffrax.ForwardMode()}
     return rb.simulate(model, start, jnp.array([0.0, 0.08]), **solve).q[-1]
 
 
@@ -108,14 +108,14 @@ def test_simulate_traces_a_control_for_one_robot_and_not_for_its_other_numbers()
     start = rb.State(jnp.array([0.3, -0.2]), jnp.array([1.0, 0.4]))
     control = chex.assert_max_traces(lambda t, s: -s.v[:1], n=1)
     paths = [
-        rb.simulate(m, start, ts + k, control, dt0=0.01).q[-1]
+        rb.simulate(m, start, ts + k, control, dt=0.01).q[-1]
         for k, m in enumerate([model, *others(model)])
     ]
     told = np.unique(np.round([q[0] for q in paths], 12))
     assert len(told) == len(paths) - 1  # all but the range
     with pytest.raises(AssertionError, match="traced > 1 times"):
         for m in of_another_structure(model):
-            rb.simulate(m, start, ts, control, dt0=0.01)
+            rb.simulate(m, start, ts, control, dt=0.01)
 
 
 def test_rollout_traces_a_policy_once() -> None:

@@ -124,7 +124,7 @@ def child_simulate():
 
     def one(w, q, v):
         control = Partial(act, w)
-        out = rb.simulate(model, rb.State(q, v), jnp.linspace(0, 0.02, 3), control, dt0=0.01)
+        out = rb.simulate(model, rb.State(q, v), jnp.linspace(0, 0.02, 3), control, dt=0.01)
         return out.q
 
     many = jax.vmap(one, (None, 0, 0))

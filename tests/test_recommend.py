@@ -18,7 +18,7 @@ TS = np.linspace(0.0, 1.0, 24)  # not the times that it was chosen at
 
 def delivered(model, state, r, truth) -> float:
     """The largest error of a configuration coordinate in the user's simulation."""
-    path = rb.simulate(model, state, TS, solver=r.solver, dt0=r.dt)
+    path = rb.simulate(model, state, TS, solver=r.solver, dt=r.dt)
     gap = jax.jit(jax.vmap(lambda a, b: rb.difference(model, a, b)))(truth, path.q)
     return float(np.abs(np.asarray(gap)).max())
 
@@ -43,7 +43,7 @@ def test_a_smooth_motion_is_decided_by_accuracy(capfd: pytest.CaptureFixture) ->
     for accuracy in (1e-4, 1e-8):
         r = rb.recommend.solver(model, state, accuracy)
         assert (r.name, type(r.solver)) == ("rk4", rb.solvers.RK4)
-        path = rb.simulate(model, state, TS, solver=r.solver, dt0=jnp.asarray(r.dt))
+        path = rb.simulate(model, state, TS, solver=r.solver, dt=jnp.asarray(r.dt))
         error = np.abs(path.q[:, 0] - found.y[0]).max()
         assert accuracy / 100 < error < 2 * accuracy, (error, r.reason)
         assert r.predicted_error < accuracy
@@ -110,7 +110,7 @@ def test_a_long_conservative_motion_is_decided_by_the_horizon() -> None:
     assert r.reason.startswith("the horizon decides: over 1000 s")
     assert "grows with t, that of rk4 with t^2" in r.reason
     ts = np.array([0.0, 999.0, 1000.0])
-    path = rb.simulate(model, state, ts, solver=r.solver, dt0=r.dt, max_steps=10**7)
+    path = rb.simulate(model, state, ts, solver=r.solver, dt=r.dt, max_steps=10**7)
     slope = float(stability.state_matrix(model, model.default_state())[1, 0])
     found = solve_ivp(
         lambda t, y: [y[1], slope * np.sin(y[0])],

@@ -113,7 +113,7 @@ class Air(rb.forces.Element):
 
     drag: jax.Array  # (nb,) N m s^2/rad^2
 
-    def loads(self, now: rb.forces.Instant) -> rb.forces.Loads:
+    def loads(self, now: rb.forces.Context) -> rb.forces.Loads:
         def turn(body: rb.forces.Frame, drag: Any) -> rb.forces.Loads:
             w = body.angular_velocity
             return body.push(jnp.zeros(3), w * (-drag * w.norm(1e-6)))

@@ -75,7 +75,7 @@ def row(robot: str, name: str) -> dict[str, Any]:
     ts, solver = jnp.array([0.0, STEPS * DT]), solver_of(name)
 
     def run(model, state, control=None):
-        path = rb.simulate(model, state, ts, control, solver=solver, dt0=DT, throw=False)
+        path = rb.simulate(model, state, ts, control, solver=solver, dt=DT, throw=False)
         return path.q, path.v, path.ok
 
     out: dict[str, Any] = {"robot": robot, "nv": model.nv, "solver": name}

@@ -32,7 +32,7 @@ class Wind(rb.forces.Element):
     air: jax.Array
     drag: jax.Array
 
-    def loads(self, now: rb.forces.Instant) -> rb.forces.Loads:
+    def loads(self, now: rb.forces.Context) -> rb.forces.Loads:
         body = now.body(0)
         return body.push(self.drag * (self.air - body.velocity))
 

@@ -69,7 +69,7 @@ def implicit(model: rb.Model, method: str, batch: int):
 
     def one(k, state, dt):
         path = rb.simulate(
-            stiffened(model, k), state, jnp.array([0.0, SECONDS]), None, solver=make(), dt0=dt,
+            stiffened(model, k), state, jnp.array([0.0, SECONDS]), None, solver=make(), dt=dt,
             adjoint=diffrax.ForwardMode(), throw=False, max_steps=1_000_000,
         )  # fmt: skip
         return path.q[-1], path.v[-1]

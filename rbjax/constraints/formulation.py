@@ -106,7 +106,7 @@ class TangentSpace(Factor):
 class Formulation:
     """How constraints are enforced: a method, a feedback and a projection.
 
-    It is a law of motion, (model, t, state, tau, pushes) -> v' (nv,), which `rb.rollout` and
+    It is a `Dynamics`, (model, t, state, tau, f_ext) -> v' (nv,), which `rb.rollout` and
     `rb.simulate` take as `constraints=`. They also take one factor: the others are then the
     defaults here.
 
@@ -155,12 +155,12 @@ class Formulation:
         return 0 if isinstance(self.projection, TangentSpace) else self.method.index
 
     def __call__(
-        self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
-        """v' (nv,), as `rbjax.motion.field.Law`."""
+        """v' (nv,), as `rbjax.motion.field.Dynamics`."""
         x = self.feedback
         gains = () if x is None else (x.alpha, x.beta)
-        return self.method(model, t, state, tau, pushes, *gains)
+        return self.method(model, t, state, tau, f_ext, *gains)
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
         """The state at which the rates of a stage are taken, of a step that began at t0 in `start`;

@@ -26,7 +26,7 @@ from rbjax.constraints.methods.dense import Dense
 from rbjax.constraints.methods.redundant import KKT
 from rbjax.constraints.rows.user_function import check_function, evaluate
 from rbjax.errors import InputError
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 
 FULL = KKT()
 
@@ -155,12 +155,12 @@ class LagrangeSystem:
         value, rate, _ = self._rows(t, q, v, args)[0]
         return Residual(value, rate)
 
-    def settled(
+    def project(
         self, t: Any, q: jax.Array, v: jax.Array, args: Any = None, iterations: int = 3
     ) -> tuple[jax.Array, jax.Array]:
         """q and v put on the constraints by the least change in the norm of M, as `solve`; each
         iteration squares what the one before it left."""
-        t, q, v = _arrays("LagrangeSystem.settled", t, q, v)
+        t, q, v = _arrays("LagrangeSystem.project", t, q, v)
         for _ in range(iterations):
             (value, _, _), G = self._rows(t, q, v, args)
             M = self._mass(t, q, args)

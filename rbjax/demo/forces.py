@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rbjax.demo.report import Section
-from rbjax.forces import Element, Instant, JointFriction, JointLimits, Loads
+from rbjax.forces import Context, Element, JointFriction, JointLimits, Loads
 from rbjax.loading import load
 from rbjax.model import Model
 from rbjax.motion.rollout import rollout
@@ -38,7 +38,7 @@ class Fan(Element):
     air: jax.Array
     drag: jax.Array
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         bob = now.body(0).at(now.model.bodies.com[0])
         wind = self.air - bob.velocity
         return bob.push(wind * (self.drag * wind.norm(1e-6)))

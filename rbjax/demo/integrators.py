@@ -89,7 +89,7 @@ def ours(model: Model, state: State, ctrl: np.ndarray, seconds: float) -> dict[s
                 jnp.array([0.0, seconds]),
                 lambda t, state: jnp.asarray(ctrl),
                 solver=solver,
-                dt0=dt,
+                dt=dt,
                 adjoint=diffrax.ForwardMode(),
                 throw=False,
             )

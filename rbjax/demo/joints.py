@@ -27,10 +27,10 @@ OPENINGS, COLOURS = (0.2, 0.5, 1.0), (GREEN, ORANGE, BLUE)  # 1/m
 _CODE = """\
 class Rail(rb.joints.Node):
     name, coordinates = "rail", 1
-    numbers = {"opening": 0.0}                      # 1/m
+    params = {"opening": 0.0}                      # 1/m
 
-    def pose(self, q, numbers):
-        height = numbers[0] * q[0] * q[0]
+    def pose(self, q, params):
+        height = params[0] * q[0] * q[0]
         return Transform(Mat3.identity(), Vec3(q[0], 0.0, height))
 
 rb.joints.register(Rail())
@@ -41,10 +41,10 @@ class Rail(kinds.Node):
     """A rail in the form of a parabola: one coordinate."""
 
     name, coordinates = "rail", 1
-    numbers = MappingProxyType({"opening": 0.0})
+    params = MappingProxyType({"opening": 0.0})
 
-    def pose(self, q: Sequence[Lane], numbers: Sequence[Lane]) -> Transform:
-        height = numbers[0] * q[0] * q[0]
+    def pose(self, q: Sequence[Lane], params: Sequence[Lane]) -> Transform:
+        height = params[0] * q[0] * q[0]
         return Transform(Mat3.identity(), Vec3(q[0], 0.0, height))
 
 
@@ -57,7 +57,7 @@ def joints(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> S
     start = State(jnp.array([1.0, 0.3]), jnp.zeros(2))
 
     def run(opening: jax.Array) -> tuple[jax.Array, ...]:
-        model = cart.replace(joints=cart.joints.replace(numbers=opening[None]))
+        model = cart.replace(joints=cart.joints.replace(params=opening[None]))
         path = rollout(model, start, None, DT, steps=steps, integrator="rk4")
 
         def seen(q: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -86,8 +86,8 @@ def joints(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> S
         title="Your own joints",
         text=(
             "A joint is defined by the pose of its body. Its axes and their rates follow. Screws, "
-            "cylindrical, planar and universal joints are in the library. The numbers of a joint, "
-            "here the opening of the rail, can be differentiated.",
+            "cylindrical, planar and universal joints are in the library. The parameters of a "
+            "joint, here the opening of the rail, can be differentiated.",
         ),
         pictures=(("joints.png", "A cart with a hanging pole, let go at 1 m on three rails."),),
         columns=("opening [1/m]", "cart at the end [m]", "energy lost, of all"),

@@ -79,14 +79,10 @@ def check_arrays(
     return out
 
 
-def check_model(
-    where: str, model: Any, fix: str = "for a batch of models, use jax.vmap"
-) -> None:
+def check_model(where: str, model: Any, fix: str = "for a batch of models, use jax.vmap") -> None:
     """Refuse what is no model, or is several in one; `fix` says what to do with those."""
     if not isinstance(model, Model):
-        raise InputError(
-            f"{where}: model is {type(model).__name__}, expected a Model (rbjax.load)"
-        )
+        raise InputError(f"{where}: model is {type(model).__name__}, expected a Model (rbjax.load)")
     several = model.several()
     if several is not None:
         name, shape, axes = several

@@ -37,7 +37,7 @@ def real(where: str, name: str, x: Any, expected: str, *, finite: bool = True) -
 def check_fits(where: str, space: Any, state: Any, P: jax.Array, given: Any, W: Any) -> None:
     """Reject a covariance, or process noise, that is not of the states of a `StateSpace`. given:
     the inputs of a step; W: None if no step is made."""
-    if space.beside is not operator.add:
+    if space.box_plus is not operator.add:
         return
     shape = jnp.shape(state)
     if shape != P.shape[:1]:

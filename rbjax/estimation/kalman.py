@@ -33,7 +33,7 @@ from rbjax.errors import InputError
 from rbjax.estimation.arguments import check_fits, check_inputs, matrix, real
 
 
-def _apart(x0: jax.Array, x1: jax.Array) -> jax.Array:
+def _difference(x0: jax.Array, x1: jax.Array) -> jax.Array:
     return x1 - x0
 
 
@@ -45,10 +45,11 @@ SPACE = "a StateSpace, as StateSpace.of(move, read)"
 
 
 class StateSpace(NamedTuple):
-    """A discrete model with noise. States are arrays (n,), or pytrees with `beside` and `apart`.
+    """A discrete model with noise. States are arrays (n,), or pytrees with `box_plus` and
+    `box_minus`.
 
-    Fields: move, (x, u, w) -> the next state; innovation, (x, y) -> y (-) h(x) (m,); beside,
-    (x, dx) -> x (+) dx; apart, (x0, x1) -> x1 (-) x0 (n,).
+    Fields: move, (x, u, w) -> the next state; innovation, (x, y) -> y (-) h(x) (m,);
+    box_plus, (x, dx) -> x (+) dx; box_minus, (x0, x1) -> x1 (-) x0 (n,).
 
     Example:
         >>> from rbjax.estimation import StateSpace
@@ -59,8 +60,8 @@ class StateSpace(NamedTuple):
 
     move: Callable[[Any, Any, jax.Array], Any]
     innovation: Callable[[Any, Any], jax.Array]
-    beside: Callable[[Any, jax.Array], Any] = operator.add
-    apart: Callable[[Any, Any], jax.Array] = _apart
+    box_plus: Callable[[Any, jax.Array], Any] = operator.add
+    box_minus: Callable[[Any, Any], jax.Array] = _difference
 
     @classmethod
     def of(cls, move: Callable, read: Callable) -> StateSpace:
@@ -148,7 +149,7 @@ def kalman_filter(
     )
     m = R.shape[0]
     instance("kalman_filter", "space", space, StateSpace, SPACE)
-    if space.beside is operator.add:
+    if space.box_plus is operator.add:
         start = real("kalman_filter", "start", start, "the mean (n,) of the first state")
     check_inputs("kalman_filter", inputs, samples=True)
     first = jax.tree.map(lambda x: jnp.asarray(x)[0], inputs)
@@ -230,7 +231,7 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
         L = f.kept.T @ L @ f.kept + f.reads.T @ SH
         return (l, (L + L.T) / 2), (Smoothed(state, (P + P.T) / 2))
 
-    # the slopes that lead to a sample stand beside it
+    # the slopes that lead to a sample are in its row
     led = jnp.concatenate([jnp.zeros_like(filtered.slopes[:1]), filtered.slopes[:-1]])
 
     def back(carry: Any, given: Any) -> Any:
@@ -250,7 +251,7 @@ def _updated(
     n, m = P.shape[0], R.shape[0]
 
     def innovation(dx: jax.Array) -> tuple[jax.Array, jax.Array]:
-        z = jnp.where(there, space.innovation(space.beside(x, dx), y), 0.0)
+        z = jnp.where(there, space.innovation(space.box_plus(x, dx), y), 0.0)
         return z, z
 
     H, z = jax.jacfwd(innovation, has_aux=True)(jnp.zeros(n, P.dtype))
@@ -276,11 +277,13 @@ def _predicted(
     n, l = P.shape[0], W.shape[0]
 
     def move(dw: jax.Array) -> tuple[Any, Any]:
-        new = space.move(space.beside(state, dw[:n]), u, dw[n:])
+        new = space.move(space.box_plus(state, dw[:n]), u, dw[n:])
         return new, new
 
     slopes, new = jax.jacfwd(move, has_aux=True)(jnp.zeros(n + l, P.dtype))
-    columns = jax.vmap(lambda d: jax.jvp(lambda y: space.apart(new, y), (new,), (d,))[1], -1, -1)
+    columns = jax.vmap(
+        lambda d: jax.jvp(lambda y: space.box_minus(new, y), (new,), (d,))[1], -1, -1
+    )
     A, G = jnp.split(columns(slopes), [n], 1)
     after = A @ P @ A.T + G @ W @ G.T
     return new, (after + after.T) / 2, A
@@ -388,8 +391,8 @@ def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: A
 
 def _moved(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | None]:
     """x (+) dx, and what takes tangent vectors there, from x (+) the vector; None for arrays."""
-    if space.beside is operator.add:
+    if space.box_plus is operator.add:
         return x + dx, None
-    new = space.beside(x, dx)
-    turn = jax.jacfwd(lambda e: space.apart(new, space.beside(x, dx + e)))(jnp.zeros_like(dx))
+    new = space.box_plus(x, dx)
+    turn = jax.jacfwd(lambda e: space.box_minus(new, space.box_plus(x, dx + e)))(jnp.zeros_like(dx))
     return new, turn

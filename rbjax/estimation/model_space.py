@@ -21,9 +21,9 @@ from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_model, check_step, check_takes
 from rbjax.estimation.kalman import StateSpace
 from rbjax.model import Model, State
-from rbjax.motion.field import Law, free_motion, law_of
+from rbjax.motion.field import Dynamics, dynamics_of, free_motion
 from rbjax.motion.integrators import Integrator, integrator_of
-from rbjax.motion.linearise import apart, beside, step
+from rbjax.motion.linearise import box_minus, box_plus, step
 
 
 def model_state_space(
@@ -32,7 +32,7 @@ def model_state_space(
     dt: Any = None,
     *,
     integrator: str | Integrator | None = None,
-    law: Law = free_motion,
+    dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> StateSpace:
     """Build the state space of a Kalman filter from a model: steps of `rollout`, each followed by
@@ -42,7 +42,7 @@ def model_state_space(
         model: the robot.
         read: a function of a state that returns (m,).
         dt: seconds; the model's timestep if None.
-        integrator, law, constraints: as in `rb.step`.
+        integrator, dynamics, constraints: as in `rb.step`.
 
     Returns:
         `StateSpace`, for `kalman_update`, `kalman_predict` and `kalman_filter`.
@@ -66,14 +66,24 @@ def model_state_space(
     if dt is not None:
         check_step("model_state_space", "dt", dt, jnp.zeros(()).dtype)
     integrator_of(
-        "model_state_space", integrator, law_of("model_state_space", model, law, constraints)
+        "model_state_space",
+        integrator,
+        dynamics_of("model_state_space", model, dynamics, constraints),
     )
 
     def move(state: State, ctrl: Any, w: jax.Array) -> State:
-        new = step(model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints)
-        return beside(model, new, w)
+        new = step(
+            model,
+            state,
+            ctrl,
+            dt,
+            integrator=integrator,
+            dynamics=dynamics,
+            constraints=constraints,
+        )
+        return box_plus(model, new, w)
 
     return StateSpace(
-        move, lambda state, y: y - read(state), functools.partial(beside, model),
-        functools.partial(apart, model),
+        move, lambda state, y: y - read(state), functools.partial(box_plus, model),
+        functools.partial(box_minus, model),
     )  # fmt: skip

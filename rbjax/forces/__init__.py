@@ -3,11 +3,11 @@
 from rbjax.forces.acting import applied_forces, elastic_energy
 from rbjax.forces.actuators.gear_loss import GearLoss
 from rbjax.forces.bushing import Bushing
+from rbjax.forces.context import Context, Frame, Joint
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.fluid.ellipsoid import EllipsoidFluid
 from rbjax.forces.fluid.inertia_box import InertiaBoxFluid
 from rbjax.forces.gravity_compensation import GravityCompensation
-from rbjax.forces.instant import Frame, Instant, Joint
 from rbjax.forces.joints.curves import JointCurves
 from rbjax.forces.joints.friction import JointFriction
 from rbjax.forces.joints.limits import JointLimits
@@ -25,7 +25,7 @@ __all__ = [
     "GearLoss",
     "GravityCompensation",
     "InertiaBoxFluid",
-    "Instant",
+    "Context",
     "Joint",
     "JointCurves",
     "JointFriction",

@@ -20,9 +20,9 @@ from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.actuators.affine import from_columns
 from rbjax.forces.actuators.limits import clip
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
-from rbjax.forces.instant import Instant
 from rbjax.forces.joints.polynomials import linear_springs
 from rbjax.lanes import Lane, add, is_zero, total
 from rbjax.model import Model, State
@@ -34,7 +34,7 @@ def elements(model: Model) -> tuple[Element, ...]:
     return (linear_springs(model), *from_columns(model), *model.forces)
 
 
-def sighted(model: Model, now: Instant) -> list[tuple[Element, Instant]]:
+def sighted(model: Model, now: Context) -> list[tuple[Element, Context]]:
     """Each element with the instant as it sees it: with its own part of x."""
     out, at = [], 0
     for element in elements(model):
@@ -45,7 +45,7 @@ def sighted(model: Model, now: Instant) -> list[tuple[Element, Instant]]:
     return out
 
 
-def loads(model: Model, now: Instant) -> tuple[list[Lane], LinkForces]:
+def loads(model: Model, now: Context) -> tuple[list[Lane], LinkForces]:
     """Generalized forces, one lane a velocity coordinate, and forces on links."""
     passive, driven, later = Loads(), Loads(), []
     for element, seen in sighted(model, now):
@@ -53,7 +53,7 @@ def loads(model: Model, now: Instant) -> tuple[list[Lane], LinkForces]:
             later.append((element, seen))
         elif not element.actuates:
             passive = passive + _given(element, seen)
-        elif now.u is not None:
+        elif now.ctrl is not None:
             driven = driven + _given(element, seen)
     driven = _limited(model, driven, now)
     for element, seen in later:
@@ -62,7 +62,7 @@ def loads(model: Model, now: Instant) -> tuple[list[Lane], LinkForces]:
     return tau, (passive + Loads({}, driven.wrenches)).wrenches
 
 
-def _given(element: Element, seen: Instant) -> Loads:
+def _given(element: Element, seen: Context) -> Loads:
     found = element.loads(seen)
     if not isinstance(found, Loads):
         raise InputError(
@@ -72,7 +72,7 @@ def _given(element: Element, seen: Instant) -> Loads:
     return found
 
 
-def _limited(model: Model, driven: Loads, now: Instant) -> Loads:
+def _limited(model: Model, driven: Loads, now: Context) -> Loads:
     """Actuators' forces within the force ranges of the joints."""
     top, limits = model.topology, table(model.joints.forcerange, now.v.dtype)
     endless = isinstance(limits, np.ndarray) and bool(np.isinf(limits).all())
@@ -86,7 +86,7 @@ def _limited(model: Model, driven: Loads, now: Instant) -> Loads:
     return Loads(tau, driven.wrenches)
 
 
-def states(model: Model, now: Instant, dt: Any = None) -> jax.Array | None:
+def states(model: Model, now: Context, dt: Any = None) -> jax.Array | None:
     """x' (nx,), or x after a step dt where that is given; None where no element has a state."""
     if not model.nx:
         return None
@@ -101,13 +101,13 @@ def states(model: Model, now: Instant, dt: Any = None) -> jax.Array | None:
     return pack(found, now.x)
 
 
-def chord(model: Model, t: Any, state: State, ctrl: Any, dt: Any) -> dict[int, Lane]:
-    """What the forces of a step dt add to the diagonal of the mass matrix, as `Element.chord`, by
-    velocity coordinate where it is not known to be zero."""
+def implicit_stiffness(model: Model, t: Any, state: State, ctrl: Any, dt: Any) -> dict[int, Lane]:
+    """What the forces of a step dt add to the diagonal of the mass matrix, as
+    `Element.implicit_stiffness`, by velocity coordinate where it is not known to be zero."""
     out: dict[int, Lane] = {}
-    for element, seen in sighted(model, Instant.of(model, t, state, ctrl, dt)):
+    for element, seen in sighted(model, Context.of(model, t, state, ctrl, dt)):
         if ctrl is not None or not element.actuates:
-            for i, x in element.chord(seen, dt).items():
+            for i, x in element.implicit_stiffness(seen, dt).items():
                 out[i] = add(out.get(i, 0.0), x)
     return {i: x for i, x in out.items() if not is_zero(x)}
 
@@ -134,14 +134,14 @@ def applied(
 ) -> tuple[jax.Array, LinkForces, jax.Array | None]:
     """Generalized forces (nv,), forces on links, and x' (`advance`: x after the step), on checked
     arrays. dt: the step that elements see, or None."""
-    now = Instant.of(model, t, state, inputs.ctrl, dt)
-    tau, pushes = loads(model, now)
+    now = Context.of(model, t, state, inputs.ctrl, dt)
+    tau, f_ext = loads(model, now)
     if inputs.tau is not None:
         tau = [add(x, inputs.tau[i]) for i, x in enumerate(tau)]
     if inputs.wrenches is not None:
         given = on_links(now.links.driver, now.links.joints, inputs.wrenches)
-        pushes = added(pushes, given)
-    return pack(tau, state.v), pushes, states(model, now, dt if advance else None)
+        f_ext = added(f_ext, given)
+    return pack(tau, state.v), f_ext, states(model, now, dt if advance else None)
 
 
 @algorithm("state", "ctrl", "t")
@@ -175,10 +175,10 @@ def applied_forces(
     """
     if not model.nv:
         return jnp.zeros(0, state.q.dtype)
-    now = Instant.of(model, t, state, ctrl)
-    tau, pushes = loads(model, now)
-    if pushes:
-        summed = now.generalized_of(pushes)
+    now = Context.of(model, t, state, ctrl)
+    tau, f_ext = loads(model, now)
+    if f_ext:
+        summed = now.generalized_of(f_ext)
         tau = [add(x, summed[i]) for i, x in enumerate(tau)]
     return pack(tau, state.v)
 
@@ -199,6 +199,6 @@ def elastic_energy(model: Model, q: jax.Array) -> jax.Array:
         0.0
     """
     state = State(q, jnp.zeros(model.nv, q.dtype), model.start(q.dtype))
-    now = Instant.of(model, 0.0, state, None)
+    now = Context.of(model, 0.0, state, None)
     energy = total(element.energy(seen) for element, seen in sighted(model, now))
     return jnp.asarray(energy, q.dtype)

@@ -19,8 +19,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import check_array
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.forces.instant import Instant
 from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Mat3, Vec3, inner, is_zero, mul
 from rbjax.model import Model
@@ -74,7 +74,7 @@ class Bushing(Element):
     def shapes(self, model: Model) -> Shapes:
         return {"stiffness": (6,), "damping": (6,)}
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         a, b = self.a.frame(now), self.b.frame(now)
         k, d = self._numbers(self.stiffness, now), self._numbers(self.damping, now)
         E, line = a.rotation.T, b.position - a.position
@@ -91,7 +91,7 @@ class Bushing(Element):
         torque, force = a.rotation @ torque, a.rotation @ force
         return a.push(force, torque, at=b.position) + b.push(-force, -torque)
 
-    def energy(self, now: Instant) -> Lane:
+    def energy(self, now: Context) -> Lane:
         """(d . K_l d + phi . K_a phi) / 2."""
         a, b, k = self.a.frame(now), self.b.frame(now), self._numbers(self.stiffness, now)
         E = a.rotation.T
@@ -100,7 +100,7 @@ class Bushing(Element):
         pairs = zip(k, [*phi, *way], strict=True)
         return mul(0.5, inner(*zip(*((mul(s, x), x) for s, x in pairs), strict=True)))
 
-    def _numbers(self, numbers: jax.Array, now: Instant) -> list[Lane]:
+    def _numbers(self, numbers: jax.Array, now: Context) -> list[Lane]:
         known = table(numbers, now.q.dtype)
         return [lane(known, i) for i in range(6)]
 

@@ -27,7 +27,7 @@ from rbjax.model.record import Record, check_above_zero, check_fields
 from rbjax.spatial import Force
 
 if TYPE_CHECKING:
-    from rbjax.forces.instant import Instant
+    from rbjax.forces.context import Context
 
 #: the shapes of an element's numbers by the names of its fields; None for any length
 Shapes = Mapping[str, tuple[int | None, ...]]
@@ -126,7 +126,7 @@ class Element(Record):
         """Whether `loads` reads `now.driven`, the generalized forces of all actuators."""
         return False
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         """The forces on the robot at an instant."""
         raise NotImplementedError(f"{type(self).__name__} has no method loads(self, now) -> Loads")
 
@@ -134,19 +134,19 @@ class Element(Record):
         """The state (size,) from which a motion begins, unless its `State` gives one."""
         return jnp.zeros(self.size)
 
-    def rate(self, now: Instant) -> Sequence[Lane]:
+    def rate(self, now: Context) -> Sequence[Lane]:
         """The rate (size,) of its own state."""
         raise NotImplementedError(
             f"{type(self).__name__} has a state of size {self.size}, and no method "
             "rate(self, now) -> (size,)"
         )
 
-    def advance(self, now: Instant, dt: Any) -> Sequence[Lane]:
+    def advance(self, now: Context, dt: Any) -> Sequence[Lane]:
         """Its own state after a step dt of `semi_implicit_euler`: x + dt x', unless the element
         overrides it, for limits or an exact solution."""
         return [add(x, mul(dt, rate)) for x, rate in zip(now.x, self.rate(now), strict=True)]
 
-    def chord(self, now: Instant, h: Any) -> Mapping[int, Lane]:
+    def implicit_stiffness(self, now: Context, h: Any) -> Mapping[int, Lane]:
         """h D / 2 + h^2 K / 4 by velocity coordinate, where -D and -K are the slopes of its
         generalized forces: what these, taken at the middle of a step h, add to the diagonal of the
         mass matrix. Only how fast an implicit step converges depends on it."""
@@ -157,7 +157,7 @@ class Element(Record):
         integrator."""
         return list(x)
 
-    def energy(self, now: Instant) -> Lane:
+    def energy(self, now: Context) -> Lane:
         """The energy that it stores, in joules."""
         return 0.0
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Vec3, inner, is_zero, mul, total
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -59,28 +59,28 @@ class GravityCompensation(Element):
     def shapes(self, model: Model) -> Shapes:
         return {"fraction": (len(self.bodies),)}
 
-    def loads(self, now: Instant) -> Loads:
-        pushes = Loads()
+    def loads(self, now: Context) -> Loads:
+        f_ext = Loads()
         for frame, force in self._lifted(now):
-            pushes = pushes + frame.push(force)
+            f_ext = f_ext + frame.push(force)
         if self.joints is None and not self.actuated:
-            return pushes
-        if not pushes.wrenches:
+            return f_ext
+        if not f_ext.wrenches:
             return Loads()
-        top, tau = now.model.topology, now.generalized_of(pushes.wrenches)
+        top, tau = now.model.topology, now.generalized_of(f_ext.wrenches)
         named = range(len(top.joint_kinds)) if self.joints is None else self.joints
         joints = [now.model.joint(j) for j in named]
         at = [top.joint_v[j] + k for j in joints for k in range(top.joints[j].nv)]
         return Loads({i: tau[i] for i in at})
 
-    def energy(self, now: Instant) -> Lane:
+    def energy(self, now: Context) -> Lane:
         """sum of c m g . p, where the forces act on all joints; those on only some of them are
         the gradient of no energy, and count as none."""
         if self.joints is not None:
             return 0.0
         return total(-inner(force, frame.position) for frame, force in self._lifted(now))
 
-    def _lifted(self, now: Instant) -> list:
+    def _lifted(self, now: Context) -> list:
         """The frame at the centre of mass of each lifted body, and the force on it."""
         model, dtype, out = now.model, now.q.dtype, []
         mass, com = table(model.bodies.mass, dtype), table(model.bodies.com, dtype)

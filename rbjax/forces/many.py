@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers.unrolled import Unrolled
+from rbjax.forces.context import Context, Frame
 from rbjax.forces.element import Loads
-from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Vec3, as_arrays, is_literal
 from rbjax.model import WORLD
 from rbjax.model.leaves import table
@@ -24,7 +24,7 @@ from rbjax.model.links import lane
 from rbjax.spatial import Force, Motion, Transform
 
 
-def on_each(now: Instant, bodies: Sequence[int], act: Callable[..., Loads], *numbers: Any) -> Loads:
+def on_each(now: Context, bodies: Sequence[int], act: Callable[..., Loads], *numbers: Any) -> Loads:
     """The sum of act(frame, *numbers) over bodies.
 
     Args:

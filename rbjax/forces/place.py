@@ -11,7 +11,7 @@ import numpy as np
 
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
-from rbjax.forces.instant import Frame, Instant
+from rbjax.forces.context import Context, Frame
 from rbjax.lanes import Vec3, quaternion_matrix
 from rbjax.model import WORLD
 from rbjax.model.leaves import table
@@ -61,17 +61,17 @@ class Place(Record):
         axis = check_array("Place.on", "axis", axis, (3,)).astype(float)
         return cls(point, turn_z_to(axis), body, site)
 
-    def frame(self, now: Instant) -> Frame:
+    def frame(self, now: Context) -> Frame:
         """The frame at an instant."""
         quat = table(self.orientation, now.q.dtype)
         turn = quaternion_matrix(*(lane(quat, k) for k in range(4)))
         return _named_frame(self, now).then(Transform(turn, self._position(now)))
 
-    def point(self, now: Instant) -> Frame:
+    def point(self, now: Context) -> Frame:
         """A frame with the same origin, in the axes of the body or site."""
         return _named_frame(self, now).at(self._position(now))
 
-    def _position(self, now: Instant) -> Vec3:
+    def _position(self, now: Context) -> Vec3:
         p = table(self.position, now.q.dtype)
         return Vec3(*(lane(p, k) for k in range(3)))
 
@@ -89,7 +89,7 @@ def _check_named(place: Any) -> None:
             raise InputError(f"{kind}: {what} is {name!r}, expected its name, its index, or None")
 
 
-def _named_frame(place: Any, now: Instant) -> Frame:
+def _named_frame(place: Any, now: Context) -> Frame:
     """The frame of the body or site of a place; of the world if it has neither."""
     if place.site is not None:
         return now.site(place.site)

@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import check_array, shape_of
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.forces.instant import Instant
 from rbjax.forces.joints.polynomials import polynomial
 from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Vec3, add, is_literal, is_zero, mul, sub
@@ -86,7 +86,7 @@ class PointSpring(Element):
     def shapes(self, model: Model) -> Shapes:
         return {"stiffness": (None,), "damping": (None,), "slack": (2,)}
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         a, b = self.a.point(now), self.b.point(now)
         k, d = self._numbers(self.stiffness, now), self._numbers(self.damping, now)
         springy, damped = (not all(map(is_zero, c)) for c in (k, d))
@@ -105,7 +105,7 @@ class PointSpring(Element):
         force = line * scale
         return a.push(force) + b.push(-force)
 
-    def energy(self, now: Instant) -> Lane:
+    def energy(self, now: Context) -> Lane:
         """x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
         k = self._numbers(self.stiffness, now)
         if all(map(is_zero, k)):
@@ -116,14 +116,14 @@ class PointSpring(Element):
         shares = [mul(1 / n, c) for n, c in enumerate(k, 2)]
         return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
 
-    def _numbers(self, numbers: jax.Array, now: Instant) -> list[Lane]:
+    def _numbers(self, numbers: jax.Array, now: Context) -> list[Lane]:
         known = table(numbers, now.q.dtype)
         found = [lane(known, i) for i in range(known.shape[0])]
         while len(found) > 1 and is_zero(found[-1]):
             found.pop()
         return found
 
-    def _stretch(self, length: Lane, inverse: Lane, now: Instant) -> tuple[Lane, Lane]:
+    def _stretch(self, length: Lane, inverse: Lane, now: Context) -> tuple[Lane, Lane]:
         """x, and x / l, where each is smooth."""
         slack = table(self.slack, now.q.dtype)
         low, high = lane(slack, 0), lane(slack, 1)

@@ -2,9 +2,9 @@
 
     twist = S(q) qd,   bias = S'(q, qd) qd,   S_i = [vee(R^T dR/dq_i); R^T dr/dq_i]
 
-in the body's axes. Only `pose` is needed: an axis and its rate are its derivatives. Write them by
-hand where that pays. Nodes are for joints on curves and surfaces, rolling contacts, linkages in
-closed form, and the frames that a flexible body's modes move.
+in the body's axes. Only `pose` is needed; by default JAX differentiates it for the axes and their
+rates. Nodes are for joints on curves and surfaces, rolling contacts, linkages in closed form, and
+frames on flexible bodies.
 """
 
 from __future__ import annotations
@@ -14,14 +14,13 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from rbjax.joints.joint import Joint, LinkForm, LinkKind
-from rbjax.joints.joint_motion import JointMotion, NodeMotion, Placed
+from rbjax.joints.joint import DofKind, DofSpec, Joint, JointMotion, NodeMotion, Placed
 from rbjax.lanes import Lane, Mat3, Vec3, as_arrays, is_zero
 from rbjax.spatial import Motion, Transform
 
 
 class Node(Joint):
-    """A joint of k coordinates. Subclasses name themselves, set `coordinates`, and give `pose`.
+    """A joint of k coordinates. Subclasses define `name`, `coordinates` and `pose`.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -29,7 +28,7 @@ class Node(Joint):
         >>> from rbjax.spatial import Transform
         >>> class OnParabola(rb.joints.Node):
         ...     name, coordinates = "on_parabola", 1
-        ...     def pose(self, q, numbers):
+        ...     def pose(self, q, params):
         ...         return Transform(Mat3.identity(), Vec3(q[0], 0.0, q[0] * q[0]))
         >>> rb.joints.register(OnParabola())
         >>> model = rb.load("pendulum").with_joint("hinge", "on_parabola")
@@ -41,22 +40,20 @@ class Node(Joint):
 
     def __init__(self) -> None:
         every = range(self.coordinates)
-        self.nq = self.coordinates
-        self.links = tuple(
-            LinkForm(NodeLink(self, k), every, every, node=every, from_reference=False)
-            for k in every
+        self.dofs = tuple(
+            DofSpec(NodeDof(self, k), every, every, node=every, from_reference=False) for k in every
         )
 
-    def pose(self, q: Sequence[Lane], numbers: Sequence[Lane]) -> Transform:
+    def pose(self, q: Sequence[Lane], params: Sequence[Lane]) -> Transform:
         """The pose of the body's frame against the joint's frame, both at the anchor."""
-        raise NotImplementedError(f"{type(self).__name__} needs a pose(q, numbers)")
+        raise NotImplementedError(f"{type(self).__name__} needs a pose(q, params)")
 
-    def axis(self, q: Sequence[Lane], numbers: Sequence[Lane], k: int) -> Motion:
+    def axis(self, q: Sequence[Lane], params: Sequence[Lane], k: int) -> Motion:
         """S_k in the body's axes."""
         qs = _arrays(q)
 
         def lanes(*q: Lane) -> list[jax.Array]:
-            T = self.pose(q, numbers)
+            T = self.pose(q, params)
             return as_arrays([*T.R, *T.p], qs[0])
 
         unit = [jnp.ones_like(x) if i == k else jnp.zeros_like(x) for i, x in enumerate(qs)]
@@ -66,44 +63,43 @@ class Node(Joint):
         return Motion(Vec3(W[7], W[2], W[3]), E @ Vec3(*rate[9:]))
 
     def axis_rate(
-        self, q: Sequence[Lane], v: Sequence[Lane], numbers: Sequence[Lane], k: int
+        self, q: Sequence[Lane], v: Sequence[Lane], params: Sequence[Lane], k: int
     ) -> Motion:
         """S_k' in the body's axes."""
         qs = _arrays(q)
 
         def lanes(*q: Lane) -> list[jax.Array]:
-            return as_arrays([*self.axis(q, numbers, k)], qs[0])
+            return as_arrays([*self.axis(q, params, k)], qs[0])
 
         vs = [jnp.broadcast_to(jnp.asarray(x, qs[0].dtype), qs[0].shape) for x in v]
         return Motion.from_lanes(jax.jvp(lanes, tuple(qs), tuple(vs))[1])
 
 
-class NodeLink(LinkKind):
-    """The k-th link of a node: the first carries the motion and asks for all axes, each other for
-    its own."""
+class NodeDof(DofKind):
+    """The k-th dof of a node: the first has the motion of all, each other only its axis."""
 
-    straight = False
+    constant_axis = False
 
     def __init__(self, joint: Node, k: int):
         self.joint, self.k = joint, k
 
-    def motion(self, q: Sequence[Lane], v: Sequence[Lane], link: Placed) -> JointMotion:
-        joint, numbers, zero = self.joint, link.numbers, Motion.zero()
+    def motion(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> JointMotion:
+        joint, params, zero = self.joint, dof.params, Motion.zero()
         moves = not all(map(is_zero, v))
 
         def own(k: int) -> tuple[Motion, Motion]:
-            rate = joint.axis_rate(q, v, numbers, k) if moves else zero
-            return joint.axis(q, numbers, k), rate
+            rate = joint.axis_rate(q, v, params, k) if moves else zero
+            return joint.axis(q, params, k), rate
 
         if self.k > 0:
             axis, rate = own(self.k)
             one, none = Mat3.identity(), Vec3.zero()
             return NodeMotion(one, none, axis, none, v[self.k], none, zero, rate)
-        at, twist, bias = joint.pose(q, numbers), zero, zero
+        at, twist, bias = joint.pose(q, params), zero, zero
         every = [own(k) for k in range(joint.coordinates)]
         for (axis, rate), speed in zip(every, v, strict=True):
             twist, bias = twist + axis * speed, bias + rate * speed
-        # of the origin seen from the parent, whose axes do not turn with the body
+        # relative to the parent, whose axes do not rotate with the body
         bias = Motion(bias.ang, bias.lin + twist.ang.cross(twist.lin))
         axis, rate = every[0]
         return NodeMotion(at.R, at.p, axis, twist.ang, v[0], twist.lin, bias, rate)

@@ -1,19 +1,15 @@
-"""The kinds of joints by name. A new one is a file in this room and a line here."""
+"""The kinds of joints by name."""
 
 from __future__ import annotations
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.joints.ball import Ball
-from rbjax.joints.cylindrical import Cylindrical
-from rbjax.joints.free import Free
-from rbjax.joints.hinge import Hinge
+from rbjax.joints import lower_pairs as pairs
 from rbjax.joints.joint import Joint
-from rbjax.joints.planar import Planar
-from rbjax.joints.screw import Screw
-from rbjax.joints.slide import Slide
-from rbjax.joints.universal import Universal
 
-_ALL = (Hinge(), Slide(), Ball(), Free(), Screw(), Cylindrical(), Planar(), Universal())
+_ALL = (
+    pairs.Hinge(), pairs.Slide(), pairs.Ball(), pairs.Free(),
+    pairs.Screw(), pairs.Cylindrical(), pairs.Planar(), pairs.Universal(),
+)  # fmt: skip
 _KINDS: dict[str, Joint] = {joint.name: joint for joint in _ALL}
 _BUILT_IN = frozenset(_KINDS)
 
@@ -37,7 +33,7 @@ def kind(name: str) -> Joint:
 
     Example:
         >>> import rbjax as rb
-        >>> dict(rb.joints.kind("screw").numbers)
+        >>> dict(rb.joints.kind("screw").params)
         {'pitch': 0.0}
     """
     if not isinstance(name, str) or name not in _KINDS:
@@ -49,7 +45,7 @@ def register(joint: Joint) -> None:
     """Add a kind of joint, for `Model.with_joint` and whatever makes a `Topology`.
 
     Args:
-        joint: an instance of a subclass of `Node`, or of `Joint` with links of its own.
+        joint: an instance of a subclass of `Node`, or of `Joint` with dofs of its own.
 
     A class that is defined again, as in a notebook, replaces the earlier class of the same module
     and name.

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import flag
+from rbjax.arguments import flag, integer
 from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
@@ -43,7 +43,6 @@ from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic
 from rbjax.model import Model
 from rbjax.model.record import Record
-from rbjax.solvers.common.arguments import check_whole
 
 WHERE = "inverse_kinematics"
 #: a row of J is redundant if the squared part outside of the other rows is below this share of it,
@@ -158,9 +157,9 @@ def inverse_kinematics(
             f"{WHERE}: the model has constraints, which this search does not keep; remove them "
             "with model.replace(constraints=()), or add a goal for each closed loop"
         )
-    check_whole(WHERE, "seeds", seeds, 1)
-    check_whole(WHERE, "side_by_side", side_by_side, 1, seeds, ": no more than seeds")
-    check_whole(WHERE, "iterations", iterations, 1)
+    integer(WHERE, "seeds", seeds, least=1)
+    integer(WHERE, "side_by_side", side_by_side, least=1, most=seeds, why=": no more than seeds")
+    integer(WHERE, "iterations", iterations, least=1)
     dtype = jnp.result_type(*(x for g in goals for x in g.arrays))
     given = {"start": start, "posture": posture}
     for name, value in given.items():
@@ -378,4 +377,3 @@ def _free(model: Model, ranges: Ranges, q: jax.Array, step: jax.Array | None) ->
             low, high = low & (step[at.v] < 0), high & (step[at.v] > 0)
         out[at.v] = jnp.where(low | high, 0.0, 1.0).astype(q.dtype)
     return jnp.stack(out)
-

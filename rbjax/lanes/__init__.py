@@ -1,16 +1,11 @@
 """Lanes: the scalars, small vectors and matrices of the algorithms.
 
     algebra           lanes, Vec3, Mat3, Sym3; literal zeros and ones vanish
-    products          stacks of matrices, without `dot`
-    fusion_barrier    a point where XLA's CPU compiler computes values once and stores them
-    ldlt              L D L^T of small symmetric matrices
-    extremes          the smallest and largest entry, with finite derivatives
-    inverse           inverses of small matrices, real or complex
-    proximal          how singular systems are regularized
-    sincos            cosine and sine by polynomials
-    batch_axis        the position of a result's batch under `vmap`
+    arrays            products without `dot`, extreme entries, maps over rows
+    factorization     L D L^T of small symmetric matrices, regularization of singular ones
+    primitives        fusion barrier, batch axis, inverse, cosine and sine
 
-This package knows no frames and no physics.
+There are no frames and no physics here.
 """
 
 from rbjax.lanes.algebra import (
@@ -31,12 +26,17 @@ from rbjax.lanes.algebra import (
     sub,
     total,
 )
-from rbjax.lanes.barriers import fusion_barrier
-from rbjax.lanes.batch_axis import batch_first, batch_last
+from rbjax.lanes.arrays import matmat, matrix_transpose, matvec, outer
 from rbjax.lanes.factorization import LDLT, elimination_order, ldlt
-from rbjax.lanes.inversion import inverse
-from rbjax.lanes.products import matmat, matrix_transpose, matvec, outer
-from rbjax.lanes.trigonometry import horner, polynomial_sincos, sincos
+from rbjax.lanes.primitives import (
+    batch_first,
+    batch_last,
+    fusion_barrier,
+    horner,
+    inverse,
+    polynomial_sincos,
+    sincos,
+)
 
 __all__ = [
     "LDLT",

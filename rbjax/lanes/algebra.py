@@ -4,8 +4,6 @@ A *lane* is one scalar of an algorithm. It is a Python float if its value is a c
 program (a structural zero, a one, a constant of a model that is closed over), otherwise an array of
 shape () or (batch,). Products with a literal 0 or 1 vanish while tracing, so an axis along z or a
 planar chain costs only the arithmetic it needs. No `dot` is ever emitted, so f32 is true f32.
-
-This module knows no frames and no physics.
 """
 
 from __future__ import annotations
@@ -36,8 +34,8 @@ def neg(a: Lane) -> Lane:
 
 
 def _typed(a: Lane, b: Lane) -> tuple[Lane, Lane] | None:
-    """Both as the primitives of `lax` take them, which trace in half the time of operators; None
-    where operators are needed, to promote or to broadcast."""
+    """Return both as arguments of a `lax` primitive, which traces in half the time of an operator;
+    None if an operator must promote or broadcast them."""
     if isinstance(a, Tracer):
         if isinstance(b, Tracer):
             return (a, b) if a.dtype == b.dtype and a.shape == b.shape else None
@@ -243,7 +241,7 @@ class Sym3(Lanes):
 
     @property
     def isotropic(self) -> bool:
-        """Whether this is known to be a multiple of the identity while tracing."""
+        """Whether this is structurally a multiple of the identity."""
         xx, yy, zz, *rest = self
         one = xx is yy and yy is zz
         one = one or (is_literal(xx) and is_literal(yy) and is_literal(zz) and xx == yy == zz)
@@ -289,7 +287,7 @@ def quaternion_matrix(w: Lane, x: Lane, y: Lane, z: Lane) -> Mat3:
 
 
 def as_arrays(tree: Any, like: jax.Array) -> Any:
-    """The pytree with every lane as an array of at least the shape of `like`, to be carried."""
+    """Convert every lane to an array of at least the shape of `like`, for the carry of a loop."""
 
     def array(x: Lane) -> jax.Array:
         x = jnp.asarray(x, like.dtype)

@@ -1,26 +1,30 @@
-"""L D L^T of small symmetric matrices on lanes, for one sample a GPU thread.
+"""L D L^T of small symmetric matrices on lanes, and the regularization of singular ones.
 
     A = L D L^T,  L unit lower triangular, D diagonal                   (n^3 / 6 products)
     A x = b:      L y = b,  z = D^-1 y,  L^T x = z                      (n^2)
 
-Entries are lanes. Structural zeros cost nothing and fill in only where elimination couples them.
-So a matrix of separate blocks (separate loops of a robot, separate robots of a scene) costs only
-its blocks. The order of elimination decides the fill-in: `elimination_order` takes the row with the
-fewest neighbours first (minimum degree).
+Structural zeros cost nothing and fill in only where elimination couples them. So a matrix of
+separate blocks costs only its blocks. A pivot that is not above `least` times its original diagonal
+entry belongs to a redundant row; its solution and its derivative are zero.
 
-A pivot that is not above `least` times its original diagonal entry belongs to a redundant row. Its
-solution and its derivative are zero (the row is dropped, the others are solved).
+A singular system is regularized by E = eps diag(A) + e B, whose effect iteration removes:
+
+    (A + E) dx = b - A x,     x <- x + dx;     or (A + E) x <- b + E x
+
+This converges to the solution of least norm, in the norm of E, without a decision about rank
+(Carpentier, Budhiraja & Mansard, *Proximal and sparse resolution of constrained dynamics*, 2021).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
-from rbjax.lanes.algebra import Lane, is_literal, is_zero, mul, sub
-from rbjax.lanes.barriers import fusion_barrier
+from rbjax.lanes.algebra import Lane, add, is_literal, is_zero, mul, sub, total
+from rbjax.lanes.primitives import fusion_barrier
 
 Rows = Sequence[Sequence[Lane]]
 
@@ -106,3 +110,66 @@ def elimination_order(A: Rows) -> list[int]:
             near[i] |= near[first] - {i}
             near[i].discard(first)
     return order
+
+
+#: eps, relative to the diagonal, and the refinements, by bytes of a number: components of A above
+#: 1e-3 of the diagonal are exact to rounding
+PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
+#: e, relative to B
+VANISHING = {4: 1e-4, 8: 1e-10}
+
+
+def proximal(dtype: Any) -> tuple[float, int]:
+    """Return eps and the number of refinements after which the result is exact to rounding."""
+    return PROXIMAL[dtype.itemsize]
+
+
+def damped(dtype: Any, damping: float | None = None) -> tuple[float, float, int]:
+    """Return eps, e and the number of refinements; with `damping`, eps = e = damping and one."""
+    if damping is not None:
+        return damping, damping, 1
+    eps, again = proximal(dtype)
+    return eps, VANISHING[dtype.itemsize], again
+
+
+def least(
+    diagonal: jax.Array, usual: jax.Array | float, factor: float, unknown: float | None = None
+) -> jax.Array:
+    """Return `factor` times `usual`, the diagonal of a configuration without vanishing rows. Where
+    that is 0 (not known), return the sum of the diagonal times `unknown`, by default eps."""
+    unknown = float(jnp.finfo(diagonal.dtype).eps) if unknown is None else unknown
+    usual = jnp.asarray(usual, diagonal.dtype)
+    return jnp.where(usual > 0, factor * usual, unknown * diagonal.sum())
+
+
+class LeastNorm:
+    """The solution of least norm of A x = b, for a symmetric A on lanes.
+
+    Args:
+        A: its lower triangle, row by row.
+        usual: its diagonal in a configuration without vanishing rows; 0 where that is not known.
+        damping: eps and e, with one refinement; None: those of the dtype.
+    """
+
+    def __init__(
+        self,
+        A: Sequence[Sequence[Lane]],
+        usual: Sequence[Lane],
+        dtype: Any,
+        damping: float | None = None,
+    ):
+        eps, vanishing, self._again = damped(dtype, damping)
+        diagonal = [row[-1] for row in A]
+        least = mul(float(jnp.finfo(dtype).eps), total(diagonal))
+        more = [least if is_zero(x) else mul(vanishing, x) for x in usual]
+        self._added = [add(mul(eps, x), e) for x, e in zip(diagonal, more, strict=True)]
+        self._factors = ldlt(
+            [[*row[:-1], add(row[-1], e)] for row, e in zip(A, self._added, strict=True)]
+        )
+
+    def solve(self, b: Sequence[Lane]) -> list[Lane]:
+        x = fusion_barrier(self._factors.solve(b))
+        for _ in range(self._again):
+            known = [add(y, mul(e, z)) for y, e, z in zip(b, self._added, x, strict=True)]
+            x = fusion_barrier(self._factors.solve(known))
+        return x

@@ -1,8 +1,8 @@
-"""Robot files: how an MJCF or a URDF becomes a `Model`, and a `Model` an MJCF or the
-numbers of the user's own file; bundled scenes."""
+"""Robot files: read MJCF and URDF, write MJCF or a user's own file; bundled scenes."""
 
 from rbjax.loading.builder import ModelBuilder
-from rbjax.loading.loader import compile_model, load, scenes
+from rbjax.loading.loader import load
+from rbjax.loading.sources import compile_model, scenes
 from rbjax.loading.write.back import write_back
 from rbjax.loading.write.mjcf import write_mjcf
 

@@ -14,12 +14,12 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.loading.loader import compile_model
+from rbjax.loading.checks import data_of
 from rbjax.loading.mjcf.actuator_kinds import Bias, Dyn, Gain, Trn, Wrap, is_off, reflected
 from rbjax.loading.mjcf.actuator_kinds import what_is_left_out as left_out_of
-from rbjax.loading.mjcf.names import names_of
+from rbjax.loading.mjcf.fields import names_of
 from rbjax.loading.round_shapes import Round, round_shape
-from rbjax.loading.singular import data_of
+from rbjax.loading.sources import compile_model
 
 _OBJ = mujoco.mjtObj
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

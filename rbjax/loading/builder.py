@@ -12,7 +12,8 @@ import numpy as np
 
 from rbjax.arguments import choice, real_array
 from rbjax.errors import InputError, UnknownName
-from rbjax.loading.loader import load, spec_of
+from rbjax.loading.loader import load
+from rbjax.loading.sources import spec_of
 from rbjax.loading.write.mjcf import write_mjcf
 from rbjax.model import Model
 

@@ -1,15 +1,12 @@
-"""From a robot file to a `Model`, through MuJoCo's own compiler.
+"""From a robot file to a `Model`, through MuJoCo's compiler.
 
-Whatever MuJoCo reads, this reads; what the compiled model holds beyond a tree of joints with
-springs, dampers and actuators is listed in `model.dropped`.
+`model.dropped` lists the features of the compiled model that rbjax does not support.
 """
 
 from __future__ import annotations
 
-import re
 import warnings
-from collections.abc import Collection
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -17,24 +14,19 @@ import mujoco
 import numpy as np
 
 from rbjax.arguments import flag
-from rbjax.errors import ModelError, UnknownName, UnsupportedFeature, listed
+from rbjax.errors import UnsupportedFeature, listed
 from rbjax.forces.actuators.affine import is_affine, to_columns
-from rbjax.loading.complaints import fix_of, sentence
-from rbjax.loading.meshes import without_missing_mesh
+from rbjax.loading.checks import joints_that_cancel, refuse_nan_in, within_range
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuator_kinds import reflected
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of
-from rbjax.loading.mjcf.finite import refuse_nan_in, within_range
-from rbjax.loading.mjcf.forces import elements
-from rbjax.loading.mjcf.geoms import geoms_of
-from rbjax.loading.mjcf.names import names_of
+from rbjax.loading.mjcf.fields import Off, is_on, names_of
+from rbjax.loading.mjcf.fluid import inertial_frame
+from rbjax.loading.mjcf.forces import force_elements
 from rbjax.loading.motors import with_motors
-from rbjax.loading.singular import joints_that_cancel
-from rbjax.loading.urdf.inertials import write_inertials
-from rbjax.loading.urdf.mimics import Mimics
-from rbjax.loading.urdf.reader import read_urdf
-from rbjax.loading.urdf.tree import is_urdf
+from rbjax.loading.sources import compile_source, describe
+from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
 
@@ -45,20 +37,7 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
 _SHOWN = 8  # names listed before "and N more"
-_LONG = 300  # characters of a path that a message shows
 _ACTIVE = "numbers that no passive joint has, used as the file gives them"
-_SCENES = Path(__file__).parent / "scenes"
-
-
-def scenes() -> tuple[str, ...]:
-    """The names of the bundled scenes, for `load`.
-
-    Example:
-        >>> import rbjax as rb
-        >>> "cart_pole" in rb.scenes()
-        True
-    """
-    return tuple(sorted(p.stem for p in _SCENES.glob("*.xml")))
 
 
 def load(
@@ -107,14 +86,14 @@ def load(
         flag("load", name, given)
     for name, given in (("motors", motors), ("constraints", constraints), ("compliant", compliant)):
         flag("load", name, given)
-    compiled, odd, mimics, lost = _compile_source(
+    compiled, odd, mimics, lost = compile_source(
         source, floating_base=bool(floating_base), shapes=None
     )
     if floating_base is False:
         lost = tuple(x for x in lost if not x.startswith(features.FIXED))
     if odd:
         warnings.warn(
-            f"{_describe(source)}: inertials that no rigid body has, used as the file gives them: "
+            f"{describe(source)}: inertials that no rigid body has, used as the file gives them: "
             f"{odd}; expected a positive mass, and positive moments none of which exceeds the sum "
             f"of the other two; correct the file if these links matter",
             stacklevel=2,
@@ -126,7 +105,7 @@ def load(
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
     texts = [
-        f"{_describe(source)}: {what}: {'; '.join(map(features.cured, entries))}"
+        f"{describe(source)}: {what}: {'; '.join(map(features.cured, entries))}"
         for what, entries in (("left out of the model", dropped), (_ACTIVE, active))
         if entries
     ]
@@ -141,120 +120,12 @@ def load(
     undone = joints_that_cancel(compiled)
     if undone:
         warnings.warn(
-            f"{_describe(source)}: joints that together move no mass: {listed(undone, _SHOWN)}; "
+            f"{describe(source)}: joints that together move no mass: {listed(undone, _SHOWN)}; "
             f"the mass matrix is singular and forward dynamics has no finite answer; give one of "
             f"them an armature, or remove one that does what the others do",
             stacklevel=2,
         )
     return with_motors(model) if motors else model
-
-
-def compile_model(
-    source: Any, *, floating_base: bool | None = False, shapes: Collection[str] = ()
-) -> mujoco.MjModel:
-    """The `mujoco.MjModel` of any source that `load` takes (what `validate` runs beside ours).
-
-    floating_base None: a URDF floats, MJCF is as it is. shapes: links of a URDF that keep theirs.
-    """
-    return _compile_source(source, floating_base=floating_base, shapes=shapes)[0]
-
-
-def _compile_source(
-    source: Any, *, floating_base: bool | None, shapes: Collection[str] | None = ()
-) -> tuple[mujoco.MjModel, str, Mimics, tuple[str, ...]]:
-    """The compiled model. Of a URDF also a text about impossible inertials, its mimic joints, and
-    its entries of `Model.dropped`. shapes None: the shapes of a URDF that are no meshes."""
-    if isinstance(source, mujoco.MjModel):
-        return source, "", Mimics(), ()
-    name, spec = _describe(source), spec_of(source)
-    if spec is not None:
-        if floating_base and not isinstance(source, mujoco.MjSpec):
-            raise ModelError(
-                f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
-            )
-        return _compile(spec, name), "", Mimics(), ()
-    text, path = _read(source)
-    folder, floats = Path() if path is None else path.parent, floating_base is not False
-    urdf = read_urdf(text, name, floating_base=floats, shapes=shapes, folder=folder)
-    compiled = _compile(urdf.spec, name)
-    odd = write_inertials(compiled, urdf.inertials, name)
-    return compiled, odd, urdf.mimics, urdf.left_out
-
-
-def spec_of(source: Any) -> mujoco.MjSpec | None:
-    """The spec of an MJCF source; None for a URDF."""
-    if isinstance(source, mujoco.MjSpec):
-        return source
-    if not isinstance(source, (str, Path)):
-        raise ModelError(
-            f"load: source is {type(source).__name__}, expected a path, an XML string, "
-            f"mujoco.MjSpec, mujoco.MjModel or one of the scenes {', '.join(scenes())}"
-        )
-    text, path = _read(source)
-    name = _describe(source)
-    if is_urdf(text, name):
-        return None
-    try:
-        read = mujoco.MjSpec
-        return read.from_string(text) if path is None else read.from_file(str(path))
-    except Exception as error:
-        message = sentence(error)
-        raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{fix_of(message)}") from error
-
-
-def _read(source: str | Path) -> tuple[str, Path | None]:
-    """The text of a source, and its path where it has one."""
-    if isinstance(source, str):
-        if source.lstrip().startswith("<"):
-            return source, None
-        if source in scenes():
-            source = _SCENES / f"{source}.xml"
-    path = Path(source)
-    if not _exists(path):
-        if isinstance(source, str) and path.suffix == "":
-            raise UnknownName("scene", _describe(source), scenes())
-        raise ModelError(f"{_describe(path)}: no such file; give an existing MJCF or URDF path")
-    if not path.is_file():  # reading a device or a pipe may never end
-        raise ModelError(f"{path}: not a regular file; give an MJCF or URDF file")
-    try:
-        raw = path.read_bytes()
-        declared = re.match(rb"""\s*<\?xml[^>]*\sencoding=["']([\w.-]+)""", raw)
-        return raw.decode(declared[1].decode() if declared else "utf-8"), path
-    except (UnicodeDecodeError, LookupError, OSError) as error:
-        raise ModelError(
-            f"{path}: cannot be read as text ({error}); give an MJCF or URDF file"
-        ) from error
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):  # a name too long, or with a zero in it
-        return False
-
-
-def _describe(source: Any) -> str:
-    if isinstance(source, (mujoco.MjModel, mujoco.MjSpec)):
-        return type(source).__name__
-    text = str(source)
-    if text.lstrip().startswith("<"):
-        return "XML string"
-    return text if len(text) <= _LONG else f"{text[:_LONG]}... ({len(text):,} characters)"
-
-
-def _compile(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
-    """The compiled spec, without absent meshes that are only seen; the spec stays as it is."""
-    while True:
-        try:
-            return spec.compile()
-        except Exception as error:
-            message = sentence(error)
-            smaller = without_missing_mesh(spec, message)
-            if smaller is None:
-                raise ModelError(
-                    f"{name}: MuJoCo cannot compile it: {message}{fix_of(message)}"
-                ) from error
-            spec = smaller
 
 
 def from_compiled(
@@ -272,11 +143,8 @@ def from_compiled(
     def array(x):
         return within_range(np.asarray(x, np.float64))
 
-    off = m.opt.disableflags
-    bit = mujoco.mjtDisableBit
-
-    def unless(flag, x):
-        return np.zeros_like(x) if off & int(flag) else x
+    def enabled(flag, x):
+        return x if is_on(m, flag) else np.zeros_like(x)
 
     obj = mujoco.mjtObj
     topology = Topology(
@@ -290,20 +158,15 @@ def from_compiled(
         site_bodies=tuple(int(b) - 1 for b in m.site_bodyid),
         keyframe_names=names_of(m, obj.mjOBJ_KEY, m.nkey),
     )
-    # MuJoCo computes with frames that coincide within 1e-6 as one frame; so then do we
-    same = m.body_sameframe[:, None]
-    centre = np.where(same == int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY), 0.0, m.body_ipos)
-    aligned = (same == int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY)) | (
-        same == int(mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT)
-    )
-    turn = np.empty((m.nbody, 9))
-    for row, quat in zip(turn, np.where(aligned, [1.0, 0, 0, 0], m.body_iquat), strict=True):
+    frames = [inertial_frame(m, b) for b in range(m.nbody)]
+    centre, turn = np.array([p for p, _ in frames]), np.empty((m.nbody, 9))
+    for row, (_, quat) in zip(turn, frames, strict=True):
         mujoco.mju_quat2Mat(row, quat)
     turn = turn.reshape(-1, 3, 3)
     inertia = np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
     limited = m.jnt_actfrclimited.astype(bool)[:, None]
     armature, damping, _ = reflected(m)
-    ranged = unless(bit.mjDSBL_LIMIT, m.jnt_limited).astype(bool) & ~features.inverted_limits(m)
+    ranged = enabled(Off.mjDSBL_LIMIT, m.jnt_limited).astype(bool) & ~features.inverted_limits(m)
     ranged = ranged[:, None]
     driven = actuator_elements(m)
     affine = [x for x in driven if is_affine(x)]
@@ -321,22 +184,22 @@ def from_compiled(
             axis=array(m.jnt_axis),
             reference=array(m.qpos0),
             armature=array(m.dof_armature + armature),
-            damping=array(unless(bit.mjDSBL_DAMPER, m.dof_damping + damping)),
-            stiffness=array(unless(bit.mjDSBL_SPRING, m.jnt_stiffness)),
+            damping=array(enabled(Off.mjDSBL_DAMPER, m.dof_damping + damping)),
+            stiffness=array(enabled(Off.mjDSBL_SPRING, m.jnt_stiffness)),
             springref=array(m.qpos_spring),
             forcerange=array(np.where(limited, m.jnt_actfrcrange, [-np.inf, np.inf])),
             range=array(np.where(ranged, m.jnt_range, [-np.inf, np.inf])),
-            numbers=array(np.zeros(0)),
+            params=array(np.zeros(0)),
         ),
         actuators=jax.tree.map(array, to_columns(affine, m.nu)),
         geoms=geoms_of(m, array),
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
         keyframes=_keyframes(m, array),
-        gravity=array(unless(bit.mjDSBL_GRAVITY, m.opt.gravity)),
+        gravity=array(enabled(Off.mjDSBL_GRAVITY, m.opt.gravity)),
         topology=topology,
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
-        forces=(*elements(m, limits=limits, friction=friction), *others),
+        forces=(*force_elements(m, limits=limits, friction=friction), *others),
         constraints=constraints_of(m, compliant=compliant) if constraints else (),
     )
 
@@ -354,3 +217,31 @@ def _keyframes(m: mujoco.MjModel, array) -> Keyframes:
     states = key_states(m)
     x = array(states) if states.shape[1] else None
     return Keyframes(q=array(m.key_qpos), v=array(m.key_qvel), ctrl=array(m.key_ctrl), x=x)
+
+
+def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
+    """All geoms, in the file's order. array: makes a leaf of a model."""
+
+    def static(x: np.ndarray) -> tuple:
+        return tuple(x.tolist())
+
+    colors = [m.geom_rgba[i] if k < 0 else m.mat_rgba[k] for i, k in enumerate(m.geom_matid)]
+    return Geoms(
+        size=array(m.geom_size),
+        position=array(m.geom_pos),
+        orientation=array(m.geom_quat),
+        friction=array(m.geom_friction),
+        solref=array(m.geom_solref),
+        solimp=array(m.geom_solimp),
+        margin=array(m.geom_margin),
+        gap=array(m.geom_gap),
+        names=names_of(m, mujoco.mjtObj.mjOBJ_GEOM, m.ngeom),
+        types=tuple(mujoco.mjtGeom(int(t)).name[7:].lower() for t in m.geom_type),
+        bodies=static(m.geom_bodyid - 1),
+        contype=static(m.geom_contype),
+        conaffinity=static(m.geom_conaffinity),
+        condim=static(m.geom_condim),
+        priority=static(m.geom_priority),
+        group=static(m.geom_group),
+        rgba=tuple(tuple(x.tolist()) for x in colors),
+    )

@@ -14,7 +14,7 @@ from rbjax.forces.acting import elements
 from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias
 from rbjax.forces.actuators.affine import from_columns, to_columns
 from rbjax.forces.actuators.transmissions import JointAxis, SiteWrench
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.model import Model
 
 _UNLIMITED = np.array([-np.inf, np.inf])
@@ -60,11 +60,11 @@ def _driven(model: Model) -> set[int]:
     """The joints that an actuator drives by a joint or tendon transmission. A wrench at a site does
     not count as a motor of the joints that carry the site."""
     transmissions = [x.transmission for x in elements(model) if isinstance(x, Actuator)]
-    now = Instant.of(model, 0.0, model.default_state(), None)
+    now = Context.of(model, 0.0, model.default_state(), None)
     dofs = {
         i for x in transmissions if not isinstance(x, SiteWrench) for i in x.reach(now).arms
     }  # fmt: skip
-    return {model.topology.links[i].joint for i in dofs}
+    return {model.topology.dofs[i].joint for i in dofs}
 
 
 def _followers(model: Model) -> set[int]:

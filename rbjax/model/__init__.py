@@ -18,7 +18,7 @@ from rbjax.model.model import (
     Sites,
     State,
 )
-from rbjax.model.topology import WORLD, Link, Topology, spans
+from rbjax.model.topology import WORLD, Dof, Topology, spans
 
 __all__ = [
     "DRIVER_NAMES",
@@ -28,7 +28,7 @@ __all__ = [
     "Group",
     "Joints",
     "Keyframes",
-    "Link",
+    "Dof",
     "LinkConstants",
     "Model",
     "Partition",

@@ -13,7 +13,7 @@ from rbjax.model.record import Record
 #: the leaves of bodies and joints from which, with gravity, the link constants follow
 _CONSTANTS = (
     "mass", "com", "inertia", "position", "orientation",
-    "placement", "axis", "reference", "armature", "numbers",
+    "placement", "axis", "reference", "armature", "params",
 )  # fmt: skip
 
 

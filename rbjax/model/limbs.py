@@ -56,14 +56,14 @@ def partition(top: Topology) -> Partition:
     shapes = [0] * top.nv
     members: list[tuple[int, ...]] = [()] * top.nv
     for i in reversed(range(top.nv)):
-        link = top.links[i]
+        link = top.dofs[i]
         below = sorted(children.get(i, ()), key=lambda k: (shapes[k], k))
-        shape = (link.form, *(shapes[k] for k in below))
+        shape = (link.spec, *(shapes[k] for k in below))
         shapes[i] = numbers.setdefault(shape, len(numbers))
         members[i] = (i, *(k for child in below for k in members[child]))
 
     begins = [
-        i for i, link in enumerate(top.links)
+        i for i, link in enumerate(top.dofs)
         if top.joint_v[link.joint] == i
         and (link.parent == WORLD or len(children[link.parent]) > 1)
     ]  # fmt: skip

@@ -58,7 +58,7 @@ class LinkConstants:
     armature: Lane
     reference: Lane
     #: the joint's own numbers; none where no joint of the model has any
-    numbers: tuple[Lane, ...] = ()
+    params: tuple[Lane, ...] = ()
 
 
 @jax.tree_util.register_dataclass
@@ -124,7 +124,7 @@ def with_constants(model: Model, dtype: Any) -> Model:
     c, gravity = made.columns, np.array([_cell(x) for x in made.gravity], object)
     columns = LinkConstants(
         sparse(c.R, units=True),
-        *map(sparse, (c.p, c.inertia, c.armature, c.reference, c.numbers)),
+        *map(sparse, (c.p, c.inertia, c.armature, c.reference, c.params)),
     )
     body_R, body_p = (x.astype(dtype) for x in (made.body_R, made.body_p))
     return model.replace(constants=(columns, body_R, body_p, sparse(gravity)))
@@ -151,14 +151,14 @@ def _cell(x: Lane) -> Any:
 
 def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     given = SimpleNamespace(**leaves)
-    links, n = top.links, top.nv
+    links, n = top.dofs, top.nv
     weld_R, weld_p, body_R = _welds(top, given, xp)
 
     # each link's frame in its body, before (own) and after (moved) a motion that turns the body
     joint = np.array([link.joint for link in links], int)
-    numbers = _own_numbers(top, given.numbers, xp)
-    moved_R = _link_axes(top, given.axis, given.numbers, xp)
-    starts = np.array([link.form.turns_body for link in links], bool)[:, None, None]
+    params = _joint_params(top, given.params, xp)
+    moved_R = _link_axes(top, given.axis, given.params, xp)
+    starts = np.array([link.spec.turns_body for link in links], bool)[:, None, None]
     own_R = xp.where(starts, np.eye(3), moved_R)
     anchor = given.placement[joint]
 
@@ -197,7 +197,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     m = _gather(mass, carrier_link, n, xp)
 
     q_of = np.array([link.q[0] if len(link.q) else 0 for link in links], int)
-    scalar = np.array([link.form.from_reference for link in links], bool)
+    scalar = np.array([link.spec.from_reference for link in links], bool)
     reference = xp.where(scalar, given.reference[q_of], 0.0) if n else np.zeros(0)
     if xp is np:
         R, to_link_R = _snap(R), _snap(to_link_R)
@@ -220,7 +220,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
         ),
         armature=cast(given.armature),
         reference=cast(reference),
-        numbers=tuple(cast(numbers[:, k]) for k in range(numbers.shape[1])),
+        params=tuple(cast(params[:, k]) for k in range(params.shape[1])),
     )
     lanes = Vec3(*(lane(cast(given.gravity), i) for i in range(3)))
     return Prepared(columns, whole(to_link_R), whole(to_link_p), lanes)
@@ -244,33 +244,33 @@ def _welds(top: Topology, bodies, xp):
     return R, p, body_R
 
 
-def _own_numbers(top: Topology, given, xp):
+def _joint_params(top: Topology, given, xp):
     """The own numbers of each link's joint (nv, most), with zeros behind them."""
     counts = [len(joint.defaults) for joint in top.joints]
     most, starts = max(counts, default=0), np.cumsum([0, *counts])
     out = xp.concatenate([given, np.zeros(1)])  # the last for those that have fewer
     rows = [
         [starts[link.joint] + k if k < counts[link.joint] else -1 for k in range(most)]
-        for link in top.links
+        for link in top.dofs
     ]
     return out[np.array(rows, int).reshape(len(rows), most)]
 
 
 def _link_axes(top: Topology, axis, given, xp):
     """The axes (nv, 3, 3) of each link in its body, z along its own."""
-    links, starts = top.links, np.cumsum([0, *(len(joint.defaults) for joint in top.joints)])
+    links, starts = top.dofs, np.cumsum([0, *(len(joint.defaults) for joint in top.joints)])
     shortest = np.array([joint.shortest_turn for joint in top.joints], bool)
     align = _alignments(axis, xp, shortest)[np.array([link.joint for link in links], int)]
     of_body = np.array([not top.joints[link.joint].aligned for link in links], bool)
     cycle = np.eye(3)[:, [[1, 2, 0], [2, 0, 1], [0, 1, 2]]].swapaxes(0, 1)  # z to x, y, z
-    turned = cycle[np.array([link.form.axis for link in links], int)]
-    if any(link.form.axis != 2 and not own for link, own in zip(links, of_body, strict=True)):
+    turned = cycle[np.array([link.spec.axis for link in links], int)]
+    if any(link.spec.axis != 2 and not own for link, own in zip(links, of_body, strict=True)):
         align = matmat(xp.where(of_body[:, None, None], np.eye(3), align), turned)
     elif of_body.any():
         align = xp.where(of_body[:, None, None], turned, align)
     for i, link in enumerate(links):
-        if link.form.own_axis is not None:
-            at = starts[link.joint] + link.form.own_axis
+        if link.spec.own_axis is not None:
+            at = starts[link.joint] + link.spec.own_axis
             own = _alignments(given[at : at + 3][None], xp)
             align = xp.concatenate([align[:i], own, align[i + 1 :]])
     return align

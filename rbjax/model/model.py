@@ -32,7 +32,7 @@ AXES = {
     "bodies.mass": 1, "bodies.com": 2, "bodies.inertia": 3, "bodies.position": 2,
     "bodies.orientation": 2, "joints.placement": 2, "joints.axis": 2, "joints.reference": 1,
     "joints.armature": 1, "joints.damping": 1, "joints.stiffness": 1, "joints.springref": 1,
-    "joints.forcerange": 2, "joints.range": 2, "joints.numbers": 1,
+    "joints.forcerange": 2, "joints.range": 2, "joints.params": 1,
     "actuators.gear": 2, "actuators.gain": 2, "actuators.bias": 2, "actuators.ctrlrange": 2,
     "actuators.forcerange": 2, "gravity": 1,
 }  # fmt: skip
@@ -84,7 +84,7 @@ class Joints(Record):
     springref: jax.Array
     forcerange: jax.Array
     range: jax.Array
-    numbers: jax.Array
+    params: jax.Array
 
 
 class Actuators(Record):

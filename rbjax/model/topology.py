@@ -14,7 +14,7 @@ from functools import cached_property
 from itertools import accumulate
 from typing import Any, NamedTuple
 
-from rbjax.joints import Joint, LinkForm, LinkKind, kind
+from rbjax.joints import DofKind, DofSpec, Joint, kind
 
 WORLD = -1
 
@@ -38,14 +38,14 @@ def spans(top: Any) -> Iterator[Span]:
 
 
 @dataclass(frozen=True)
-class Link:
+class Dof:
     """One velocity coordinate: where it sits and how it moves."""
 
     body: int
     joint: int
     parent: int  # link, or WORLD
     first_on_body: bool
-    form: LinkForm
+    spec: DofSpec
     #: the coordinates in q and in v that its motion reads
     q: range
     v: range
@@ -53,9 +53,9 @@ class Link:
     node: range
 
     @property
-    def kind(self) -> LinkKind:
+    def kind(self) -> DofKind:
         """How it moves."""
-        return self.form.kind
+        return self.spec.kind
 
 
 @dataclass(frozen=True)
@@ -116,21 +116,21 @@ class Topology:
         return tuple(span.attitude[1].start for span in spans(self) if span.attitude)
 
     @cached_property
-    def links(self) -> tuple[Link, ...]:
-        """The links, in the order of v; parents come before children."""
+    def dofs(self) -> tuple[Dof, ...]:
+        """The dofs, in the order of v; parents come before children."""
         last = self.last_links
-        out: list[Link] = []
+        out: list[Dof] = []
         for j, (joint, body) in enumerate(zip(self.joints, self.joint_bodies, strict=True)):
             first = j == 0 or self.joint_bodies[j - 1] != body
             q, v = self.joint_q[j], self.joint_v[j]
-            for n, form in enumerate(joint.links):
+            for n, spec in enumerate(joint.dofs):
                 start = first and n == 0
                 parent = len(out) - 1
                 if start:
                     carrier = self._carrier(self.body_parents[body])
                     parent = WORLD if carrier == WORLD else last[carrier]
-                at = _moved(form.q, q), _moved(form.v, v), _moved(form.node, v)
-                out.append(Link(body, j, parent, start, form, *at))
+                at = _moved(spec.q, q), _moved(spec.v, v), _moved(spec.node, v)
+                out.append(Dof(body, j, parent, start, spec, *at))
         return tuple(out)
 
     @cached_property
@@ -169,7 +169,7 @@ class Topology:
     @cached_property
     def parents(self) -> tuple[int, ...]:
         """The parent link of each link, or WORLD."""
-        return tuple(link.parent for link in self.links)
+        return tuple(link.parent for link in self.dofs)
 
     @cached_property
     def ancestors(self) -> tuple[tuple[int, ...], ...]:
@@ -180,9 +180,9 @@ class Topology:
         return tuple(out)
 
     @cached_property
-    def straight(self) -> bool:
-        """Whether the axis of each link is constant in the link's frame."""
-        return all(link.kind.straight for link in self.links)
+    def constant_axes(self) -> bool:
+        """Whether the axis of each dof is constant in the frame of the dof."""
+        return all(dof.kind.constant_axis for dof in self.dofs)
 
 
 def _moved(some: range, start: int) -> range:

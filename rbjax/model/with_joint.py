@@ -21,7 +21,7 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
     """As `Model.with_joint`."""
     j, new, top = model.joint(name), kind_of(kind), model.topology
     old, joints, keys = top.joints[j], model.joints, model.keyframes
-    given = _numbers(given, new, kind, joints.numbers.dtype)
+    given = _numbers(given, new, kind, joints.params.dtype)
     same, single = (new.nq, new.nv) == (old.nq, old.nv), new.nv == old.nv == 1
     if not same:
         _check_forces(model, j, name, kind)
@@ -34,7 +34,7 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
         start = jnp.concatenate([model.bodies.position[body], model.bodies.orientation[body]])
         start = start.astype(dtype)
     before = sum(len(joint.defaults) for joint in top.joints[:j])
-    own = jnp.concatenate([jnp.zeros(0), *(given[key].reshape(-1) for key in new.numbers)])
+    own = jnp.concatenate([jnp.zeros(0), *(given[key].reshape(-1) for key in new.params)])
 
     def along_q(x: Any) -> Any:
         return x if same else _spliced(x, q, start)
@@ -66,7 +66,7 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
             springref=along_q(joints.springref),
             forcerange=row(joints.forcerange, [-np.inf, np.inf]),
             range=row(joints.range, [-np.inf, np.inf]),
-            numbers=_spliced(joints.numbers, slice(before, before + len(old.defaults)), own),
+            params=_spliced(joints.params, slice(before, before + len(old.defaults)), own),
         ),
         keyframes=dataclasses.replace(keys, q=along_q(keys.q), v=along_v(keys.v)),
         execution=model.execution.replace(zeros=None, constants=None),
@@ -91,15 +91,15 @@ def _spliced(x: Any, at: slice, put: Any) -> jax.Array:
 def _numbers(given: dict[str, Any], joint: Joint, kind: str, dtype: Any) -> dict[str, jax.Array]:
     """What is given, checked, beside the kind's own numbers where they are not."""
     shapes = {"axis": (3,), "reference": (joint.nq,)}
-    shapes |= {key: np.shape(x) for key, x in joint.numbers.items()}
+    shapes |= {key: np.shape(x) for key, x in joint.params.items()}
     for key in given:
         if key not in shapes:
             raise UnknownName(f"number of a {kind} joint", key, sorted(shapes))
-    starts = accumulate(map(np.size, joint.numbers.values()), initial=0)
-    named = dict(zip(starts, joint.numbers, strict=False))
-    axes = {"axis", *(named[at] for link in joint.links if (at := link.own_axis) is not None)}
+    starts = accumulate(map(np.size, joint.params.values()), initial=0)
+    named = dict(zip(starts, joint.params, strict=False))
+    axes = {"axis", *(named[at] for link in joint.dofs if (at := link.own_axis) is not None)}
     out = {}
-    for key, x in (dict(joint.numbers) | given).items():
+    for key, x in (dict(joint.params) | given).items():
         where = f"with_joint({key}=...)"
         out[key] = array_like(where, x, shapes[key], dtype, endless=False)
         if key in axes:

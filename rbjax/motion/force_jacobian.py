@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers.choice import CPU_UNROLLED_UP_TO
-from rbjax.lanes.products import matmat
+from rbjax.lanes.arrays import matmat
 from rbjax.model import Model
 
 Forces = Callable[[jax.Array, jax.Array], jax.Array]

@@ -58,7 +58,7 @@ class Stages(NamedTuple):
 
 
 def stages(
-    law: DifferentialAlgebraic,
+    dynamics: DifferentialAlgebraic,
     tableau: Tableau,
     model: Model,
     forces: Forces,
@@ -68,7 +68,7 @@ def stages(
 ) -> Stages:
     """The stages of a Runge-Kutta step."""
     dtype = state.q.dtype
-    equations, start = begun(law, model, forces, t, state)
+    equations, start = begun(dynamics, model, forces, t, state)
     c = jnp.asarray(tableau.c, jnp.result_type(h))
     base = jnp.broadcast_to(start.y, (tableau.stages, start.y.size))
     found = solve(equations, h, t + c * h, base, weights(np.array(tableau.a), dtype), start)
@@ -77,7 +77,7 @@ def stages(
 
 def error_of(
     found: Stages,
-    law: DifferentialAlgebraic,
+    dynamics: DifferentialAlgebraic,
     tableau: Tableau,
     model: Model,
     forces: Forces,
@@ -85,10 +85,10 @@ def error_of(
     h: Any,
 ) -> jax.Array:
     """The error of a step by the tableau's weights, damped."""
-    law, start = law.damping, found.start
+    dynamics, start = dynamics.damping, found.start
     at_start, *others = tableau.error
     raw = mixed(others, found.k) + at_start * h * start.rate
-    equations = equations_of(law, model, forces, start.t, state)
+    equations = equations_of(dynamics, model, forces, start.t, state)
     w = _padded(start.w, len(equations.depth))
     return damped(equations, tableau.filter * h, start._replace(w=w), raw)
 
@@ -99,12 +99,12 @@ def _padded(w: jax.Array, size: int) -> jax.Array:
 
 
 def begun(
-    law: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
+    dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
 ) -> tuple[Equations, Point]:
     """The equations from a state on, and its rates and multipliers as those of index 1."""
-    tau, pushes, dx = forces(t, state)
-    a, l = constrained_motion(model, t, state, tau, pushes)
-    equations = equations_of(law, model, forces, t, state)
+    tau, f_ext, dx = forces(t, state)
+    a, l = constrained_motion(model, t, state, tau, f_ext)
+    equations = equations_of(dynamics, model, forces, t, state)
     w = _padded(l, len(equations.depth))
     still = jnp.zeros_like(state.v)
     y = jnp.concatenate([still, state.v, *([] if state.x is None else [state.x])])
@@ -113,11 +113,11 @@ def begun(
 
 
 def equations_of(
-    law: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
+    dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
 ) -> Equations:
     """The equations from a state on."""
-    f = law.equations(model, state.q, forces)
-    depth, usual, again = law.algebraic(model, t, state)
+    f = dynamics.equations(model, state.q, forces)
+    depth, usual, again = dynamics.algebraic(model, t, state)
     return Equations(f, depth, usual, model.nv, again)
 
 
@@ -162,12 +162,12 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         term, h = unwrapped(terms), t1 - t0
         h = jnp.where(h == 0, 1.0, h)
-        (model, forces, start), law = seen(term.vector_field, args), self.formulation
-        found = stages(law, self.tableau, model, forces, start + t0, y0, h)
+        (model, forces, start), dynamics = seen(term.vector_field, args), self.formulation
+        found = stages(dynamics, self.tableau, model, forces, start + t0, y0, h)
         y1 = term.group.retract(y0, increment(model, mixed(self.tableau.b, found.k)))
         error = None
         if self.tableau.error:
-            off = error_of(found, law, self.tableau, model, forces, y0, h)
+            off = error_of(found, dynamics, self.tableau, model, forces, y0, h)
             beside = term.group.retract(y1, increment(model, off))
             error = refused(found.ok, jax.tree.map(jnp.subtract, beside, y1))
         coefficients = increment(model, found.polynomial(self.tableau, h))
@@ -186,7 +186,7 @@ def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
     return model, forces, vector_field.start
 
 
-def stepped_by(where: str, law: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
+def stepped_by(where: str, dynamics: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
     """The tableau of the implicit method that steps a formulation. given: a name, a solver, or None
     for the default; also: what else `where` takes."""
     if given is None:
@@ -196,8 +196,8 @@ def stepped_by(where: str, law: DifferentialAlgebraic, given: Any, also: str = "
         return solver.tableau
     got = given if isinstance(given, str) else type(given).__name__
     raise InputError(
-        f"{where}: constraints={law.name!r} with {got}, expected an implicit method whose stages "
-        f"are all implicit, of rb.solvers.all(): {', '.join(FITTING)}{also}; "
+        f"{where}: constraints={dynamics.name!r} with {got}, expected an implicit method "
+        f"whose stages are all implicit, of rb.solvers.all(): {', '.join(FITTING)}{also}; "
         "rb.solvers.radau_iia(1) (backward Euler); or None for radau_iia3. Other methods are for "
         "other formulations, as 'projected'"
     )

@@ -91,12 +91,12 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return jnp.pad(coefficients, ((0, self._degree - len(coefficients)), (0, 0)))
 
     def _begin(self, term: Any, args: Any, t0: Any, h: Any, y0: State) -> Step:
-        (model, forces, start), law = seen(term.vector_field, args), self.formulation
+        (model, forces, start), dynamics = seen(term.vector_field, args), self.formulation
         tableau = radau_iia(1 if self.formula_order == 1 else 3).tableau
-        found = stages(law, tableau, model, forces, start + t0, y0, h)
+        found = stages(dynamics, tableau, model, forces, start + t0, y0, h)
         return Step(
             mixed(tableau.b, found.k),
-            error_of(found, law, tableau, model, forces, y0, h),
+            error_of(found, dynamics, tableau, model, forces, y0, h),
             self._padded(found.polynomial(tableau, h)),
             found.ok,
         )
@@ -104,8 +104,8 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     def _formula(
         self, term: Any, args: Any, t0: Any, h: Any, y0: State, ts: Any, states: State
     ) -> Step:
-        (model, forces, first), law = seen(term.vector_field, args), self.formulation
-        equations, start = begun(law, model, forces, first + t0, y0)
+        (model, forces, first), dynamics = seen(term.vector_field, args), self.formulation
+        equations, start = begun(dynamics, model, forces, first + t0, y0)
         past = jax.vmap(lambda y: term.group.difference(y0, y))(states)
         past = jnp.concatenate([past.q, past.v, *([] if past.x is None else [past.x])], -1)
         nodes = jnp.concatenate([jnp.array([1.0, 0.0], ts.dtype), (ts - t0) / h])

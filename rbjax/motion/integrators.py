@@ -23,7 +23,7 @@ from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
-from rbjax.motion.field import Field, Law, free_motion
+from rbjax.motion.field import Dynamics, Field, free_motion
 from rbjax.motion.implicit import ByStages, stepped_by
 from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.common.steps import combine, explicit_stages, scaled
@@ -65,11 +65,11 @@ def runge_kutta(
 
     begun = t
 
-    def staged(t, dq, dv, x):
-        return field.staged(t, State(field.retract(q0, dq), v0 + dv, x), begun, state)
+    def stage_state(t, dq, dv, x):
+        return field.stage_state(t, State(field.retract(q0, dq), v0 + dv, x), begun, state)
 
     def rate(t, k):
-        at = staged(t, k[0], k[1], None if x0 is None else x0 + k[2])
+        at = stage_state(t, k[0], k[1], None if x0 is None else x0 + k[2])
         a, x = field.rates(t, at, u)
         return _given(field.increment_rate(k[0], at.v), a, x)
 
@@ -78,7 +78,7 @@ def runge_kutta(
     stages = explicit_stages(rate, table, t, dt, written=written)
     start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0))
     dq, dv, *dx = scaled(dt, combine(table.b, stages(start)))
-    return staged(t + dt, dq, dv, None if x0 is None else x0 + dx[0])
+    return stage_state(t + dt, dq, dv, None if x0 is None else x0 + dx[0])
 
 
 def _given(*parts: Any) -> tuple:
@@ -100,10 +100,10 @@ def looped(name: str) -> Integrator:
 
 
 def integrator_of(
-    where: str, integrator: str | Integrator | None, law: Law = free_motion
+    where: str, integrator: str | Integrator | None, dynamics: Dynamics = free_motion
 ) -> Integrator:
-    """The integrator of a law: by its name, or itself, or the default."""
-    formulation = stepped(law)
+    """The integrator of a dynamics: by its name, or itself, or the default."""
+    formulation = stepped(dynamics)
     if formulation is not None:
         return ByStages(formulation, stepped_by(where, formulation, integrator))
     if integrator is None:
@@ -139,4 +139,4 @@ def advanced(
             f"an integrator returned {type(after).__name__} of {got}, expected a State of "
             f"{[shape for shape, _ in due]} in {state.q.dtype}, as the state that it was given"
         )
-    return field.settled(t + dt, State(after.q, after.v, field.within(after.x)))
+    return field.project(t + dt, State(after.q, after.v, field.within(after.x)))

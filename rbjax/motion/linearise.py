@@ -20,12 +20,12 @@ from rbjax.dynamics.algorithms.derivatives import accelerated_derivatives
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.acting import applied
+from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs
-from rbjax.forces.instant import Instant
-from rbjax.lanes.products import matmat
+from rbjax.lanes.arrays import matmat
 from rbjax.model import Model, State
 from rbjax.model.record import Record
-from rbjax.motion.field import Field, Law, free_motion, law_of
+from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
 from rbjax.motion.force_jacobian import by_joint, times_jacobian
 from rbjax.motion.integrators import Integrator, advanced, integrator_of, semi_implicit_euler
 
@@ -56,7 +56,7 @@ def step(
     *,
     t: Any = 0.0,
     integrator: str | Integrator | None = None,
-    law: Law = free_motion,
+    dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> State:
     """The state after one step, the controls held over it: what `rollout` does once.
@@ -68,7 +68,7 @@ def step(
         dt: step in seconds; the model's timestep if None.
         t: time in seconds, for force elements that look at it.
         integrator: as in `rollout`.
-        law: from forces to accelerations (`rbjax.motion.field.Law`).
+        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
 
@@ -88,9 +88,9 @@ def step(
         (2,)
     """
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
-    law = law_of("step", model, law, constraints)
-    integrator = integrator_of("step", integrator, law)
-    return advanced(integrator, Field(model, law, dt), t, state, Inputs(ctrl), dt)
+    dynamics = dynamics_of("step", model, dynamics, constraints)
+    integrator = integrator_of("step", integrator, dynamics)
+    return advanced(integrator, Field(model, dynamics, dt), t, state, Inputs(ctrl), dt)
 
 
 @algorithm("state", "ctrl", "dt", "t", pairs=True)
@@ -102,7 +102,7 @@ def linearise(
     *,
     t: Any = 0.0,
     integrator: str | Integrator | None = None,
-    law: Law = free_motion,
+    dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> Linear:
     """A and B of the motion linearised about a state and controls, with all forces that act.
@@ -116,7 +116,7 @@ def linearise(
         dt: step in seconds of the discrete form; None for the continuous one.
         t: time in seconds, for force elements that look at it.
         integrator: of the discrete form, as in `rollout`.
-        law: from forces to accelerations (`rbjax.motion.field.Law`).
+        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
 
@@ -138,25 +138,25 @@ def linearise(
         >>> A.shape, B.shape
         ((4, 4), (4, 1))
     """
-    law = law_of("linearise", model, law, constraints)
+    dynamics = dynamics_of("linearise", model, dynamics, constraints)
     if dt is None:
-        rates, A, B = linearised(model, state, ctrl, t, law)
+        rates, A, B = linearised(model, state, ctrl, t, dynamics)
         return Linear(A, B, rates[: model.nv])
-    integrator = integrator_of("linearise", integrator, law)
+    integrator = integrator_of("linearise", integrator, dynamics)
     u = jnp.zeros(0, state.q.dtype) if ctrl is None else ctrl
-    if integrator is semi_implicit_euler and law is free_motion and ctrl is not None:
+    if integrator is semi_implicit_euler and dynamics is free_motion and ctrl is not None:
         found = euler_linearised(model, t, state, ctrl, dt)
         if found is not None:
             after, A, B = found
             return Linear(A, B, (after.v - state.v) / dt)
     advance = functools.partial(advanced, integrator)
-    field = Field(model, law, dt)
+    field = Field(model, dynamics, dt)
     after = advance(field, t, state, Inputs(ctrl), dt)
 
     def moved(dx: jax.Array, du: jax.Array) -> jax.Array:
         inputs = Inputs(None if ctrl is None else ctrl + du)
-        new = advance(field, t, beside(model, state, dx), inputs, dt)
-        return apart(model, after, new)
+        new = advance(field, t, box_plus(model, state, dx), inputs, dt)
+        return box_minus(model, after, new)
 
     n = 2 * model.nv + model.nx
     A, B = jax.jacfwd(moved, (0, 1))(jnp.zeros(n, u.dtype), jnp.zeros_like(u))
@@ -164,13 +164,13 @@ def linearise(
 
 
 def linearised(
-    model: Model, state: State, ctrl: Any, t: Any = 0.0, law: Law = free_motion
+    model: Model, state: State, ctrl: Any, t: Any = 0.0, dynamics: Dynamics = free_motion
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The rates (nv + nx,) of v and of the elements' states, A and B of the continuous form."""
     n, dtype = model.nv, state.q.dtype
     u = jnp.zeros(0, dtype) if ctrl is None else ctrl
-    find = _free_rates if law is free_motion and n else _rates
-    found, lower, B = find(model, state, ctrl, u, t, law)
+    find = _free_rates if dynamics is free_motion and n else _rates
+    found, lower, B = find(model, state, ctrl, u, t, dynamics)
     turning = jnp.zeros((n, n), dtype)
     for at in model.topology.turn_starts:
         rows = slice(at, at + 3)
@@ -181,13 +181,13 @@ def linearised(
 
 
 def _rates(
-    model: Model, state: State, ctrl: Any, u: jax.Array, t: Any, law: Law
+    model: Model, state: State, ctrl: Any, u: jax.Array, t: Any, dynamics: Dynamics
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The rates (nv + nx,), and their derivatives by dx and by du, of any law."""
+    """The rates (nv + nx,), and their derivatives by dx and by du, of any dynamics."""
 
     def rates(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
         inputs = Inputs(None if ctrl is None else ctrl + du)
-        a, x = Field(model, law).rates(t, beside(model, state, dx), inputs)
+        a, x = Field(model, dynamics).rates(t, box_plus(model, state, dx), inputs)
         found = a if x is None else jnp.concatenate([a, x])
         return found, found
 
@@ -197,7 +197,7 @@ def _rates(
 
 
 def _free_rates(
-    model: Model, state: State, ctrl: Any, u: jax.Array, t: Any, law: Law
+    model: Model, state: State, ctrl: Any, u: jax.Array, t: Any, dynamics: Dynamics
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """`_rates` of free motion, by the closed form of the derivatives of forward dynamics, which
     compiles in a tenth of the time of one tangent for each column."""
@@ -205,7 +205,7 @@ def _free_rates(
 
     def forces(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
         inputs = Inputs(None if ctrl is None else ctrl + du)
-        tau, x = generalized_forces(model, t, beside(model, state, dx), inputs)
+        tau, x = generalized_forces(model, t, box_plus(model, state, dx), inputs)
         found = tau if x is None else jnp.concatenate([tau, x])
         return found, found
 
@@ -226,20 +226,20 @@ def generalized_forces(
     model: Model, t: Any, state: State, inputs: Inputs, dt: Any = None
 ) -> tuple[jax.Array, jax.Array | None]:
     """All forces that act, as generalized forces (nv,), and x' (nx,)."""
-    tau, pushes, x = applied(model, t, state, inputs, dt)
-    if pushes:
-        tau = tau + Instant.of(model, t, state, None).generalized_of(pushes)
+    tau, f_ext, x = applied(model, t, state, inputs, dt)
+    if f_ext:
+        tau = tau + Context.of(model, t, state, None).generalized_of(f_ext)
     return tau, x
 
 
-def beside(model: Model, state: State, dx: jax.Array) -> State:
+def box_plus(model: Model, state: State, dx: jax.Array) -> State:
     """The state moved by dx = [dq; dv; dx_e]."""
     n = model.nv
     x = None if state.x is None else state.x + dx[2 * n :]
     return State(integrate(model, state.q, dx[:n]), state.v + dx[n : 2 * n], x)
 
 
-def apart(model: Model, one: State, other: State) -> jax.Array:
+def box_minus(model: Model, one: State, other: State) -> jax.Array:
     """dx from one state to another."""
     dx = [difference(model, one.q, other.q), other.v - one.v]
     if one.x is not None and other.x is not None:
@@ -261,7 +261,7 @@ def euler_linearised(
 
     def forces(dx: jax.Array, du: jax.Array) -> jax.Array:
         inputs = Inputs(ctrl + du)
-        return generalized_forces(model, t, beside(model, state, dx), inputs, dt)[0]
+        return generalized_forces(model, t, box_plus(model, state, dx), inputs, dt)[0]
 
     tau = forces(jnp.zeros(2 * n, dtype), jnp.zeros_like(ctrl))
     a, by = accelerated_derivatives(model, state.q, state.v, tau)

@@ -10,12 +10,12 @@ import numpy as np
 
 from rbjax.errors import RbjaxError
 from rbjax.model import Model, State
-from rbjax.motion.field import Law
+from rbjax.motion.field import Dynamics
 from rbjax.motion.linearise import linearise
 from rbjax.motion.trajectory import Trajectory
 
 
-def warn_if_not_finite(model: Model, path: Trajectory, dt: jax.Array, law: Law) -> None:
+def warn_if_not_finite(model: Model, path: Trajectory, dt: jax.Array, dynamics: Dynamics) -> None:
     """Warn once of all samples of a rollout that are not finite: how many, the first time, and the
     largest stable step. The trajectory must be known (not traced)."""
     if not path.ok.is_fully_addressable:  # a part is on another process
@@ -34,18 +34,22 @@ def warn_if_not_finite(model: Model, path: Trajectory, dt: jax.Array, law: Law) 
     warnings.warn(
         f"rollout: {count} values that are not finite, the first at t = "
         f"{float(path.ts[at]):.6g} s{which}; dt is {float(dt):.4g} s. "
-        f"{_advice(model, given, float(dt), law)}",
+        f"{_advice(model, given, float(dt), dynamics)}",
         stacklevel=3,
     )
 
 
-def _advice(model: Model, state: State, dt: float, law: Law) -> str:
+def _advice(model: Model, state: State, dt: float, dynamics: Dynamics) -> str:
     largest = np.nan
     try:
         ctrl = jnp.zeros(model.nu, state.q.dtype) if model.nu else None
-        A = np.asarray(linearise(model, state, ctrl, law=law).A)
+        A = np.asarray(linearise(model, state, ctrl, dynamics=dynamics).A)
         largest = np.abs(np.linalg.eigvals(A)).max(initial=0.0) if np.isfinite(A).all() else np.nan
-    except (RbjaxError, TypeError, NotImplementedError):  # `linearise` does not support the law
+    except (
+        RbjaxError,
+        TypeError,
+        NotImplementedError,
+    ):  # `linearise` does not support the dynamics
         pass
     if not np.isfinite(largest) or largest == 0:
         return "Take a smaller dt; if no step helps, check that rb.mass_matrix is not singular"

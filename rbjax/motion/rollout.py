@@ -1,7 +1,7 @@
 """`rollout`: fixed steps for throughput.
 
-All steps of a sample are one program (`march`): a thread on a GPU, a lane of machine code on a CPU.
-Without either, XLA maps the loop of one sample over the batch.
+All steps of a sample are one program (`checkpointed_rollout`): a thread on a GPU, a lane of machine
+code on a CPU. Without either, XLA maps the loop of one sample over the batch.
 
 Memory of the reverse gradient under XLA: the scan over saved states keeps one state
 each; between two saved states only the first is kept and the steps are run again. So a sample keeps
@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import integer
 from rbjax.compiler import wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
@@ -30,25 +31,24 @@ from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
 from rbjax.motion.closures.captured import Captured, with_captured
-from rbjax.motion.field import Field, Law, free_motion, law_of
+from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
 from rbjax.motion.integrators import Integrator, advanced, integrator_of
 from rbjax.motion.not_finite import warn_if_not_finite
 from rbjax.motion.sources import Sources, check_sources
 from rbjax.motion.threaded import Steps, on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.common.arguments import check_whole
 
 
 def rollout(
     model: Model,
     state: State,
-    ctrls: jax.Array | Source | None = None,
+    ctrl: jax.Array | Source | None = None,
     dt: float | None = None,
     *,
     tau: jax.Array | Source | None = None,
     wrenches: jax.Array | Source | None = None,
     integrator: str | Integrator | None = None,
-    law: Law = free_motion,
+    dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
     save_every: int = 1,
     steps: int | None = None,
@@ -74,16 +74,16 @@ def rollout(
 
     Force elements see the step dt. States of elements end each step within their ranges.
 
-    A function (policy, tau, wrenches, law, integrator) is known by what it reads, and not by which
-    object it is: lambdas that differ in floats and arrays compile once. One that branches on a
-    float compiles for each value. One that cannot be read (it counts its calls, or draws numpy's
+    A function (policy, tau, wrenches, dynamics, integrator) is known by what it reads, and not by
+    which object it is: lambdas that differ in floats and arrays compile once. One that branches on
+    a float compiles for each value. One that cannot be read (it counts its calls, or draws numpy's
     random numbers) compiles where it is another object. Programs of the last 64 functions are kept.
 
     Args:
         model: the robot.
         state: q (nq,) or (B, nq), v likewise; a leading axis is a batch. x (nx,) likewise, where
             force elements have states.
-        ctrls: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,),
+        ctrl: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,),
             evaluated once a step; or None for no actuation. The last two need `steps`.
         dt: step in seconds; the model's timestep if None.
         tau: generalized forces beside those of the model: (steps, nv), or (B, steps, nv); or a
@@ -94,11 +94,11 @@ def rollout(
             "dop853"; or a function (field, t, state, inputs, dt) -> state
             (`rbjax.motion.integrators.Integrator`); "semi_implicit_euler" if None. For constraints
             of index 2 and 3 a fully implicit method (`rbjax.constraints.DifferentialAlgebraic`).
-        law: from forces to accelerations (`rbjax.motion.field.Law`).
+        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
         save_every: keep every so many states; it must divide the number of steps.
-        steps: the number of steps, where ctrls does not give it.
+        steps: the number of steps, where ctrl does not give it.
         kernel: whether a sample is a thread of a GPU or a lane of machine code (False: a scan under
             XLA). None: where either runs.
         memory: bytes in which a reverse gradient of threads may keep states, for the whole batch;
@@ -114,7 +114,7 @@ def rollout(
         InputError: shapes, dtypes, values that are not finite, unknown integrator, a step that is
             not positive, no steps, a policy that returns anything but nu numbers.
 
-    Differentiable in state, ctrls, model and what a policy closes over, in forward and in reverse
+    Differentiable in state, ctrl, model and what a policy closes over, in forward and in reverse
     mode. The reverse gradient keeps steps / save_every + save_every states a sample.
 
     On a GPU (docs/threads.md):
@@ -137,26 +137,27 @@ def rollout(
         >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
         (11, 2)
     """
-    path, step, law = integrated(
-        model, state, ctrls, dt, tau, wrenches, integrator, law, constraints, save_every, steps,
-        kernel, memory,
+    path, step, dynamics = integrated(
+        model, state, ctrl, dt, tau, wrenches, integrator, dynamics, constraints, save_every,
+        steps, kernel, memory,
     )  # fmt: skip
     if not isinstance(path.ok, jax.core.Tracer):
-        warn_if_not_finite(model, path, step, law)
+        warn_if_not_finite(model, path, step, dynamics)
     return path
 
 
 def integrated(
-    model: Model, state: State, ctrls: Any, dt: Any, tau: Any = None, wrenches: Any = None,
-    integrator: Any = None, law: Law = free_motion, constraints: Any = None, save_every: int = 1,
+    model: Model, state: State, ctrl: Any, dt: Any, tau: Any = None, wrenches: Any = None,
+    integrator: Any = None, dynamics: Dynamics = free_motion, constraints: Any = None,
+    save_every: int = 1,
     steps: int | None = None, kernel: bool | None = None, memory: float | None = None,
-) -> tuple[Trajectory, jax.Array, Law]:  # fmt: skip
-    """The trajectory of `rollout` without its warning; the step in s, and the law."""
-    law = law_of("rollout", model, law, constraints)
-    advance = integrator_of("rollout", integrator, law)
+) -> tuple[Trajectory, jax.Array, Dynamics]:  # fmt: skip
+    """The trajectory of `rollout` without its warning; the step in s, and the dynamics."""
+    dynamics = dynamics_of("rollout", model, dynamics, constraints)
+    advance = integrator_of("rollout", integrator, dynamics)
     _check_where(kernel, memory)
-    state, sources, steps, batched = _checked(model, state, Inputs(ctrls, tau, wrenches), steps)
-    check_whole("rollout", "save_every", save_every, 1, why=f", a divisor of the {steps} steps")
+    state, sources, steps, batched = _checked(model, state, Inputs(ctrl, tau, wrenches), steps)
+    integer("rollout", "save_every", save_every, least=1, why=f", a divisor of the {steps} steps")
     if steps % save_every:
         raise InputError(
             f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
@@ -166,10 +167,10 @@ def integrated(
     memory = memory_share() if memory is None else memory
     how = (int(save_every), steps, batched)
 
-    def march(*functions: Any) -> Trajectory:
-        *asked, law, advance = functions
+    def run_steps(*functions: Any) -> Trajectory:
+        *asked, dynamics, advance = functions
         given = dataclasses.replace(sources, functions=Inputs(*asked))
-        numbers, rest = eqx.partition((given, law, advance), eqx.is_array)
+        numbers, rest = eqx.partition((given, dynamics, advance), eqx.is_array)
         traced = split_tracers((model, state, numbers, step))[0]
         hidden = any(callable(f) and not isinstance(f, Captured) for f in asked)
         eager = traced and (hidden or inside_jit())
@@ -179,19 +180,19 @@ def integrated(
         return run(model, state, numbers, step, key, how, threads, memory)
 
     if advance is integrator:  # the caller's function
-        path = with_captured(march, *sources.functions, law, advance)
+        path = with_captured(run_steps, *sources.functions, dynamics, advance)
     else:
-        path = with_captured(lambda *f: march(*f, advance), *sources.functions, law)
-    return path, step, law
+        path = with_captured(lambda *f: run_steps(*f, advance), *sources.functions, dynamics)
+    return path, step, dynamics
 
 
 def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
     rest = jax.tree.unflatten(key[0], key[1:])
-    march = functools.partial(on_threads, memory=memory) if threads else _under_xla
+    run_steps = functools.partial(on_threads, memory=memory) if threads else _under_xla
 
     def moved(model: Model, state: State, numbers: Any, dt: jax.Array) -> State:
-        given, law, advance = eqx.combine(numbers, rest)
-        return march(model, state, given, dt, Steps(law, advance, *how))
+        given, dynamics, advance = eqx.combine(numbers, rest)
+        return run_steps(model, state, given, dt, Steps(dynamics, advance, *how))
 
     save_every, count, batched = how
     rows = numbers[0].rows
@@ -230,7 +231,7 @@ def _states(
     model: Model, state: State, rows: Any, sources: Sources, dt: jax.Array, how: Steps
 ) -> State:
     """The states of one sample from the first one on."""
-    field = Field(model, how.law, dt)
+    field = Field(model, how.dynamics, dt)
 
     def once(state: State, i: jax.Array) -> tuple[State, None]:
         given = [] if rows is None else [rows[i]]
@@ -263,7 +264,7 @@ def _checked(
     state = check_arrays("rollout", model, {"state": state}, batch)["state"]
     check_moves("rollout", model)
     if steps is not None:
-        check_whole("rollout", "steps", steps, 1)
+        integer("rollout", "steps", steps, least=1)
     sources, steps = check_sources(model, given, steps, batch, state.q.dtype)
     return state, sources, steps, batched
 

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
@@ -30,11 +31,10 @@ from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
-from rbjax.motion.field import Field, Law, free_motion, law_of
-from rbjax.motion.settling import settling, solver_of
+from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
+from rbjax.motion.projected_solver import project_after_steps, solver_of
 from rbjax.motion.term import check_takes_robots, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.common.arguments import check_whole
 
 
 @automatic
@@ -42,16 +42,16 @@ def simulate(
     model: Model,
     state: State,
     ts: jax.Array,
-    control: Source | None = None,
+    ctrl: Source | None = None,
     *,
     tau: jax.Array | Source | None = None,
     wrenches: jax.Array | Source | None = None,
     solver: diffrax.AbstractSolver | None = None,
-    dt0: float | jax.Array | None = None,
+    dt: float | jax.Array | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     constraints: str | Formulation | None = None,
-    law: Law = free_motion,
+    dynamics: Dynamics = free_motion,
     progress: bool = False,
     throw: bool = True,
     max_steps: int = 100_000,
@@ -71,15 +71,15 @@ def simulate(
     reverse gradient where `max_steps` or the adjoint's checkpoints are few; otherwise it runs under
     XLA (docs/threads.md).
 
-    A new function (control, tau, wrenches, law) is not compiled if it differs from an earlier one
-    only in numbers that it reads (see `rollout`). For arrays on a mesh with explicit axes call
+    A new function (ctrl, tau, wrenches, dynamics) is not compiled if it differs from an earlier
+    one only in numbers that it reads (see `rollout`). For arrays on a mesh with explicit axes call
     `simulate` inside `jax.jit`: outside, each call compiles.
 
     Args:
         model: the robot.
         state: initial q (nq,), v (nv,).
         ts: (T,) increasing times in seconds, the first that of the state.
-        control: (t, state) -> (nu,); None for no actuation.
+        ctrl: (t, state) -> (nu,); None for no actuation.
         tau: generalized forces beside those of the model: (nv,), or (t, state) -> (nv,).
         wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6), or
             (t, state) -> (nb, 6).
@@ -87,11 +87,11 @@ def simulate(
             form, splittings and Lie groups move along the manifold of configurations. Constraints
             of index 2 and 3 take radau_iia, gauss_legendre, lobatto_iiic or bdf; radau_iia(3) if
             None.
-        dt0: first step, or the fixed step where no controller is given.
-        stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
+        dt: first step, or the fixed step where no controller is given.
+        stepsize_controller: diffrax's; without it and without dt, adaptive to 1e-8 (f64) or 1e-5.
         adjoint: diffrax's. None: checkpointed reverse mode, for `grad` and `jacrev`. Give
             diffrax.ForwardMode() for `jvp` and `jacfwd`, diffrax.DirectAdjoint() for both.
-        law: from forces to accelerations (`rbjax.motion.field.Law`).
+        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
         progress: show diffrax's meter.
@@ -105,7 +105,7 @@ def simulate(
         InputError: shapes, dtypes, times that do not increase, a step that is not positive or is
             below the rounding of time; a control that is not a function or returns anything but nu
             numbers; something else than a solver, or a solver without an estimate of its error and
-            no dt0; a forward derivative through the default adjoint.
+            no dt; a forward derivative through the default adjoint.
 
     Source: Kidger, *On Neural Differential Equations*, 2021 (diffrax).
 
@@ -118,32 +118,32 @@ def simulate(
     state = check_arrays("simulate", model, {"state": state})["state"]
     check_moves("simulate", model)
     ts, elapsed = _times(ts, state.q.dtype)
-    inputs = _inputs(model, control, tau, wrenches, state.q.dtype)
+    inputs = _inputs(model, ctrl, tau, wrenches, state.q.dtype)
     if max_steps is not None:
-        check_whole("simulate", "max_steps", max_steps, 1)
-    law = law_of("simulate", model, law, constraints)
-    solver = solver_of(solver, law)
+        integer("simulate", "max_steps", max_steps, least=1)
+    dynamics = dynamics_of("simulate", model, dynamics, constraints)
+    solver = solver_of(solver, dynamics)
     check_takes_robots(solver)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
-    if dt0 is not None:
-        _advances(check_step("simulate", "dt0", dt0, state.q.dtype), elapsed)
+    if dt is not None:
+        _advances(check_step("simulate", "dt", dt, state.q.dtype), elapsed)
     if wanted():
         model = on_threads(model, state.q.dtype)
     if not inside_jit() or is_traced(model):
         model = with_constants(model, state.q.dtype)
     if stepsize_controller is None:
-        if dt0 is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
+        if dt is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
             raise InputError(
                 f"simulate: {type(solver).__name__} estimates no error to choose steps by, "
-                "expected dt0, the fixed step; or diffrax.HalfSolver around the solver"
+                "expected dt, the fixed step; or diffrax.HalfSolver around the solver"
             )
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
-        stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
+        stepsize_controller = adaptive if dt is None else diffrax.ConstantStepSize()
     by_kernel = wanted() and not progress
     how = _How(
-        solver, dt0, stepsize_controller,
+        solver, dt, stepsize_controller,
         diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         max_steps, throw and not by_kernel, progress, by_kernel,
     )  # fmt: skip
@@ -155,7 +155,7 @@ def simulate(
         return run(model, state, ts[0], elapsed, functions, how)
 
     with _only_reverse():
-        path, result, stats = with_captured(solved, *inputs, law)
+        path, result, stats = with_captured(solved, *inputs, dynamics)
     q, failed = path.q, result != diffrax.RESULTS.successful
     ok = all_finite(path) & ~failed
     if throw and not inside_jit():
@@ -165,7 +165,7 @@ def simulate(
             q,
             ~ok,
             "simulate: the solver gave up, or the motion has values that are not finite; take a "
-            "smaller dt0, an adaptive stepsize_controller or more max_steps, or throw=False to "
+            "smaller dt, an adaptive stepsize_controller or more max_steps, or throw=False to "
             "look at the trajectory and its result; if no step helps, see that rb.mass_matrix of "
             "the state is not singular (a joint that moves no mass)",
         )
@@ -177,7 +177,7 @@ class _How(NamedTuple):
     cannot raise, so `throw` is False."""
 
     solver: diffrax.AbstractSolver
-    dt0: Any
+    dt: Any
     stepsize_controller: diffrax.AbstractStepSizeController
     adjoint: diffrax.AbstractAdjoint
     max_steps: int | None
@@ -190,22 +190,22 @@ def _solved(
     model: Model, state: State, start: jax.Array, elapsed: jax.Array, functions: tuple, how: _How
 ) -> tuple:
     """The saved states, the result and the statistics of diffrax."""
-    *given, law = functions
+    *given, dynamics = functions
     args, of_args = split_tracers(model)
 
     def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
         term, state = motion(
-            of_args(args), state, how.solver, Inputs(*given), of_args, law, start
+            of_args(args), state, how.solver, Inputs(*given), of_args, dynamics, start
         )
         out = diffrax.diffeqsolve(
             term,
-            solver=settling(how.solver, law, of_args, start),
+            solver=project_after_steps(how.solver, dynamics, of_args, start),
             t0=elapsed[0],
             t1=elapsed[-1],
-            dt0=how.dt0,
+            dt0=how.dt,
             y0=state,
             args=args,
-            saveat=diffrax.SaveAt(ts=elapsed, fn=_Saved(of_args, law, start)),
+            saveat=diffrax.SaveAt(ts=elapsed, fn=_Saved(of_args, dynamics, start)),
             stepsize_controller=how.stepsize_controller,
             adjoint=how.adjoint,
             max_steps=how.max_steps,
@@ -223,26 +223,26 @@ _compiled = compiled(_solved, jit=eqx.filter_jit)
 
 
 class _Saved(eqx.Module):
-    """What is kept of a state: the same with unit quaternions, settled by the law."""
+    """What is kept of a state: the same with unit quaternions, projected by the dynamics."""
 
     model: Callable[[Any], Model]
-    law: Law
+    dynamics: Dynamics
     start: Any
 
     def __call__(self, t, y: State, args) -> State:
         model = self.model(args)
         y = State(unit(model.topology, y.q), y.v, y.x)
-        return Field(model, self.law).settled(self.start + t, y)
+        return Field(model, self.dynamics).project(self.start + t, y)
 
 
-def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> Inputs:
+def _inputs(model: Model, ctrl: Any, tau: Any, wrenches: Any, dtype: Any) -> Inputs:
     """The inputs, arrays checked."""
-    if control is not None and not callable(control):
+    if ctrl is not None and not callable(ctrl):
         raise InputError(
-            f"simulate: control is {type(control).__name__}, expected a function (t, state) -> "
+            f"simulate: ctrl is {type(ctrl).__name__}, expected a function (t, state) -> "
             "(nu,) or None; controls in an array are for rollout"
         )
-    for name, f in {"control": control, "tau": tau, "wrenches": wrenches}.items():
+    for name, f in {"ctrl": ctrl, "tau": tau, "wrenches": wrenches}.items():
         if callable(f):
             check_takes("simulate", name, f, "t", "state")
     found = {"tau": tau, "wrenches": wrenches}
@@ -250,7 +250,7 @@ def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> 
         if x is not None and not callable(x):
             fix = f"; or a function (t, state) -> {shape}, or None"
             found[name] = check_array("simulate", name, x, shape, fix=fix).astype(dtype)
-    return Inputs(control, **found)
+    return Inputs(ctrl, **found)
 
 
 def _check_kind(name: str, value: Any, kind: type) -> None:
@@ -286,7 +286,7 @@ def _advances(step: jax.Array, elapsed: jax.Array) -> None:
     least = np.spacing(np.asarray(elapsed)[-1])
     if not np.asarray(step) > least:
         raise InputError(
-            f"simulate: dt0 is {step}, which {elapsed.dtype} cannot add to a time of "
+            f"simulate: dt is {step}, which {elapsed.dtype} cannot add to a time of "
             f"{elapsed[-1]} s; expected more than {least}, a state in float64, or a shorter ts"
         )
 

@@ -13,7 +13,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, check_returned, joined, shapes
 from rbjax.model import Model, State
 
-NAMES = ("ctrls", "tau", "wrenches")
+NAMES = ("ctrl", "tau", "wrenches")
 
 
 class Sources(eqx.Module):

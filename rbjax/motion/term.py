@@ -1,7 +1,7 @@
 """The term of a robot's motion: what a diffrax solver sees of it.
 
     q' = the motion of the configuration at velocity v (for attitudes q quaternion (0, w / 2)),
-    v' = law(q, v, forces),   x' = the rates of force elements
+    v' = dynamics(q, v, forces),   x' = the rates of force elements
 The attitude enters only as the direction of its quaternion, and its rate is linear in it, so the
 length that a solver loses or gains to its error has no effect until it is no number any more
 (Euler, 0.4 rad a step, 40,000 steps), which `ok` shows; what is returned has unit length.
@@ -23,7 +23,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import NO_INPUTS, Inputs, evaluated
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State, Topology, spans
-from rbjax.motion.field import Field, Law, free_motion
+from rbjax.motion.field import Dynamics, Field, free_motion
 from rbjax.rotations import quaternion
 from rbjax.solvers import AbstractGroup, AbstractGroupSolver, OnGroup
 
@@ -59,7 +59,7 @@ class VectorField(eqx.Module):
 
     inputs: Inputs
     model: Callable[[Any], Model]
-    law: Law = free_motion
+    dynamics: Dynamics = free_motion
     start: Any = None
     tangent: bool = eqx.field(static=True, default=False)
     begun: tuple[Any, State] | None = None
@@ -69,8 +69,8 @@ class VectorField(eqx.Module):
         model = self.model(args)
         t = t if self.start is None else self.start + t
         at = State(unit(model.topology, y.q), y.v, y.x)
-        field = Field(model, self.law)
-        at = field.staged(t, at, *((t, at) if self.begun is None else self.begun))
+        field = Field(model, self.dynamics)
+        at = field.stage_state(t, at, *((t, at) if self.begun is None else self.begun))
         inputs = evaluated("simulate", model, self.inputs, t, at)
         a, x = field.rates(t, at, inputs)
         rate = at.v if self.tangent else configuration_rate(model.topology, y.q, at.v)
@@ -119,16 +119,16 @@ def motion(
     solver: diffrax.AbstractSolver,
     inputs: Inputs = NO_INPUTS,
     of_args: Callable[[Any], Model] = itself,
-    law: Law = free_motion,
+    dynamics: Dynamics = free_motion,
     start: Any = None,
 ) -> tuple[diffrax.AbstractTerm, State]:
     """The term of a robot's motion that a solver takes, and where it starts: solvers on groups move
     along the manifold, from quaternions of unit length. The term's args hold the model."""
     if not isinstance(solver, AbstractGroupSolver):
-        return diffrax.ODETerm(VectorField(inputs, of_args, law, start)), state
+        return diffrax.ODETerm(VectorField(inputs, of_args, dynamics, start)), state
     top = model.topology
     check_takes_robots(solver)
-    field = VectorField(inputs, of_args, law, start, tangent=True)
+    field = VectorField(inputs, of_args, dynamics, start, tangent=True)
     term = OnGroup(field, Manifold(top), Momentum(of_args))
     return term, State(unit(top, state.q), state.v, state.x)
 

@@ -21,9 +21,9 @@ from rbjax.dynamics.tracing.devices import on_each_device
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import joined, shapes
 from rbjax.model import Model, State
-from rbjax.motion.field import Field, Law
+from rbjax.motion.checkpointed_rollout import CheckpointedRollout, keep_every
+from rbjax.motion.field import Dynamics, Field
 from rbjax.motion.integrators import Integrator, advanced
-from rbjax.motion.march import March, keep_every
 from rbjax.motion.sources import Sources
 
 #: operations of a step from which on it is faster to keep what it leaves than to compute it again
@@ -34,10 +34,10 @@ POLICY_UP_TO = 4_000
 
 @dataclass(frozen=True)
 class Steps:
-    """How a rollout goes: its law, its integrator, which states it keeps, how many steps there are,
-    and whether there is a batch."""
+    """How a rollout goes: its dynamics, its integrator, which states it keeps, how many steps there
+    are, and whether there is a batch."""
 
-    law: Law
+    dynamics: Dynamics
     integrator: Integrator
     save_every: int
     count: int
@@ -73,7 +73,7 @@ def on_threads(
         if sources.asks and not between:
             numbers.append(sources.asked(model, i * dt, state))
         inputs = sources.inputs(model, *numbers)
-        field = Field(model, how.law, dt)
+        field = Field(model, how.dynamics, dt)
         return jax.tree.leaves(advanced(how.integrator, field, i * dt, state, inputs, dt))
 
     control = [jnp.zeros(_width(sources, model, rows, between), dtype)] if driven else []
@@ -83,19 +83,19 @@ def on_threads(
     step, shared = divided(step, known, [*shared, *[None] * own, *moving], run)
     if between:
         return _between(model, step, shared, state, sources, dt, how, memory)
-    march = functools.partial(March, step, size, steps, save_every, driven)
+    run_steps = functools.partial(CheckpointedRollout, step, size, steps, save_every, driven)
     each = sum(x.size * x.dtype.itemsize for x in one)
 
     @functools.cache
     def sized(batch: int, moving: Moving) -> Program:
-        left = march(1).pullback(moving).bytes
+        left = run_steps(1).pullback(moving).bytes
         fits = left and steps * batch * (each + left) <= memory
         whole = functools.partial(_run, step)  # one equation: nothing is traced again
         if fits and operation_count(whole, *step.inputs).total > LEAVING_ABOVE:
-            return march(1, leaving=True).program(plain)
-        return march(keep_every(save_every, steps, batch * each, memory)).program(plain)
+            return run_steps(1, keep_residuals=True).program(plain)
+        return run_steps(keep_every(save_every, steps, batch * each, memory)).program(plain)
 
-    plain = march(save_every).program()
+    plain = run_steps(save_every).program()
     program = Program(plain.closed, sized=sized)
     operands = given if rows is None else [*given, rows]
     f = functools.partial(_run, program)

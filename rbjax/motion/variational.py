@@ -12,13 +12,14 @@ where on attitudes, with y = h w / 2 in body axes, E = exp(-[y]), J = J_r(y), S 
 too. (Marsden & West, *Acta Numerica* 2001; Bou-Rabee & Marsden, *Foundations of Computational
 Mathematics* 9, 2009, on Lie groups.) The states of force elements go by the implicit midpoint rule.
 
-R = 0 is looked for by a chord: w - (M + h D / 2 + h^2 K / 4)^-1 R(w), the matrix at q0 (+) h v0 / 2
-with the dampers D and springs K of joints and the gains of their servos, by its articulated-body
-factors. Each evaluation is O(n), and divides the error by about h |dM/dq v| / |M|. Of an element
-without a `chord`, a spring k on a mass m converges for h < 2 sqrt(m / k), as explicit methods are
-stable. Nor is what a constraint does part of the chord: at a singular value sigma of its rows each
-evaluation multiplies a velocity across them by about h v / sigma, so a step whose midpoint comes
-that near to a singular position does not converge in f64; in f32 the law damps sigma below 1e-2.
+R = 0 is solved by a chord iteration: w - (M + h D / 2 + h^2 K / 4)^-1 R(w), the matrix at q0 (+) h
+v0 / 2 with the dampers D and springs K of joints and the gains of their servos, by its
+articulated-body factors. Each evaluation is O(n), and divides the error by about h |dM/dq v| / |M|.
+Of an element without its implicit stiffness, a spring k on a mass m converges for h < 2 sqrt(m /
+k), as explicit methods are stable. The chord matrix has no constraint terms: at a singular value
+sigma of its rows each evaluation multiplies a velocity across them by about h v / sigma, so a step
+whose midpoint comes that near to a singular position does not converge in f64; in f32 the
+constraint equations damp sigma below 1e-2.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.algorithms.momenta import (
+    linearly_implicit_velocity,
     momentum_and_rate,
     momentum_of,
-    nearby_velocity,
     velocity_of,
 )
 from rbjax.errors import InputError
@@ -77,14 +78,14 @@ class VariationalMidpoint:
         model, q0, v0, x0 = field.precomputed, state.q, state.v, state.x
         p0, half = momentum_of(model, q0, v0), dt / 2
         middle = field.retract(q0, half * v0)
-        extra = field.chord(t + half, State(middle, v0, x0), u, dt)
-        correction = nearby_velocity(model, middle, jax.lax.stop_gradient(extra))
+        extra = field.implicit_stiffness(t + half, State(middle, v0, x0), u, dt)
+        correction = linearly_implicit_velocity(model, middle, jax.lax.stop_gradient(extra))
 
         def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
             """R(w), F and x' at the midpoint."""
             at = State(field.retract(q0, half * w), w, x)
-            tau, pushes, rate = field.forces(t + half, at, u)
-            p, dp = momentum_and_rate(model, at.q, w, tau, pushes)
+            tau, f_ext, rate = field.forces(t + half, at, u)
+            p, dp = momentum_and_rate(model, at.q, w, tau, f_ext)
             force = with_spin(model.topology, w, p, dp)
             return residual(model.topology, half, w, p, p0, force), force, rate
 

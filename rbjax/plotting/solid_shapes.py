@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from rbjax.loading import compile_model
-from rbjax.loading.mjcf.geoms import geoms_of
+from rbjax.loading.loader import geoms_of
 from rbjax.model import Model
 from rbjax.model.geoms import Geoms
 

@@ -10,14 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.control import Problem, methods, solve
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.status import CONVERGED, SENTENCES
 from rbjax.errors import InputError, UnknownName
 from rbjax.progress import progress_line
-from rbjax.recommend.recommendation import Recommendation
-from rbjax.recommend.request import fastest
-from rbjax.solvers.common.arguments import check_whole
+from rbjax.recommend.recommendation import Recommendation, fastest
 
 SAME = 1e-6  # relative: costs that count as equal
 
@@ -104,7 +103,7 @@ def control_method(
         raise InputError(
             f"recommend: problem is {type(problem).__name__}, expected an rb.control.Problem"
         )
-    check_whole("recommend", "guesses", guesses, 1)
+    integer("recommend", "guesses", guesses, least=1)
     known = methods()
     able = {k: m for k, m in known.items() if m.constraints or not problem.constraints}
     names = tuple(able) if candidates is None else tuple(candidates)
@@ -127,14 +126,10 @@ def control_method(
             trials.append(_trial(problem, start, name, every, iterations))
     best = _best(trials)
     why = _reason(best, trials, guesses)
-    return MethodRecommendation(
-        best.name, best.cost, tuple(trials), why, best.objective, every
-    )
+    return MethodRecommendation(best.name, best.cost, tuple(trials), why, best.objective, every)
 
 
-def _trial(
-    problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int
-) -> Trial:
+def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int) -> Trial:
     def run(ctrls: jax.Array) -> Any:
         return solve(problem, start, method=name, ctrls=ctrls, iterations=iterations)
 

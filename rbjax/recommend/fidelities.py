@@ -1,12 +1,12 @@
-"""The fidelity of a wheeled robot for a manoeuvre, measured and explained in a sentence.
+"""`fidelity`: choose the fidelity of a wheeled robot for a manoeuvre, by trial runs.
 
     1. the manoeuvre at the finest fidelity, "slipping", with steps that are halved until they agree
-    2. each coarser one, likewise: how far the next finer one is from it
-    3. the largest stable step at which each is as near to the finest motion as requested
+    2. each coarser one in the same way, with its deviation from the next finer one
+    3. for each, the largest stable step whose motion is accurate enough
     4. the cheapest of these per second of motion
 All fidelities take the same controls, in the units of the robot's motors. "kinematic" moves at the
-free speeds of the motors, as if they were ideal servos, so a torque says nothing to it. Those that
-roll with inertia are equal, so one of them is measured, and if it is chosen their costs decide.
+free speeds of the motors, so it takes no torques. The fidelities that roll with inertia have equal
+motions, so one of them is measured, and if it is chosen the costs of all of them decide.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,44 +23,24 @@ import numpy as np
 from rbjax.dynamics.arguments import check_array, check_takes, shape_of
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
-from rbjax.progress import Say, progress_line
-from rbjax.recommend.manoeuvre import MOST_STEPS, Demand, Manoeuvre, apart, demand, first_lift
-from rbjax.recommend.recommendation import Recommendation
-from rbjax.recommend.request import check_request, double
+from rbjax.progress import progress_line
+from rbjax.recommend.halved_steps import Trial, cost_decides
+from rbjax.recommend.manoeuvre import Demand, Manoeuvre, demand, first_lift
+from rbjax.recommend.recommendation import Recommendation, check_request, double
 from rbjax.wheeled import Fidelity, Robot, at, fidelities
 from rbjax.wheeled.models.rolling import Rolling
 from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.models.states import with_twist
 
-AGREE = 1 / 8  # of the accuracy: two runs whose poses differ by less have converged
-#: compiles for a minute and costs ten times what its equals do
-ASKED_FOR = ("constrained",)
-
-
-class Trial(NamedTuple):
-    """A fidelity on the manoeuvre. Fields: name; dt in seconds; error, the largest deviation of the
-    chassis' place, m, or heading, rad, from the motion at the finest fidelity; gap, that of the
-    converged motion from the next finer one's; step_us, microseconds of a step; ok, whether the
-    error is as requested."""
-
-    name: str
-    dt: float
-    error: float
-    gap: float
-    step_us: float
-    ok: bool
-
-    @property
-    def cost(self) -> float:
-        """Microseconds per second of motion."""
-        return self.step_us / self.dt
+#: tried only if it is named: it compiles for a minute, and its equals cost a tenth
+ON_REQUEST = ("constrained",)
 
 
 @dataclass(frozen=True)
 class FidelityRecommendation(Recommendation):
     """A fidelity and a step: `rb.wheeled.rollout(r.vehicle, r.state, controls, r.dt)`.
 
-    Fields, besides those of `Recommendation`, whose cost is in microseconds per second of motion:
+    Fields, in addition to those of `Recommendation` (cost: microseconds per second of motion):
         vehicle: the robot at the fidelity.
         state: its start.
         dt: seconds.
@@ -138,7 +118,7 @@ def fidelity(
         raise InputError(f"recommend: robot is {type(robot).__name__}, expected a Robot")
     times = {"dt": dt} if horizon is None else {"dt": dt, "horizon": horizon}
     check_request(accuracy, **times)
-    names = [x for x in fidelities() if x not in ASKED_FOR] if among is None else list(among)
+    names = [x for x in fidelities() if x not in ON_REQUEST] if among is None else list(among)
     for name in names:
         if name not in fidelities():
             raise UnknownName("fidelity", name, fidelities())
@@ -148,10 +128,11 @@ def fidelity(
         start = jnp.zeros(robot.layout.nq) if q is None else q
         start = check_array("recommend", "q", start, (robot.layout.nq,)).astype(jnp.float64)
         twist = check_array("recommend", "twist", twist, (3,)).astype(jnp.float64)
-        run = Manoeuvre(start, twist, *_controls(robot, controls, horizon, float(dt)))
+        controls = _controls(robot, controls, horizon, float(dt))
         vehicles = [jax.tree.map(double, x) for x in given]
         with progress_line("recommend", progress) as say:
-            found = _Choice(run, vehicles, float(accuracy), why_not, say).made()
+            run = Manoeuvre(vehicles, start, twist, *controls, float(accuracy), say)
+            found = _choose(run, vehicles, why_not)
     # as given, and in the caller's dtype
     vehicle, dtype = given[names.index(found.name)], jnp.result_type(float)
     state = with_twist(vehicle, *(jnp.asarray(np.asarray(x), dtype) for x in (start, twist)))
@@ -161,7 +142,7 @@ def fidelity(
 def _controls(
     robot: Robot, controls: Any, horizon: float | None, dt: float
 ) -> tuple[Any, float, int]:
-    """Controls as a table or a function, a step, and the number of steps."""
+    """Return the controls as a table or a function, a step, and the number of steps."""
     seconds = 1.0 if horizon is None else float(horizon)
     steps = max(1, math.ceil(seconds / dt * (1 - 1e-9)))
     if callable(controls):
@@ -181,7 +162,7 @@ def _controls(
 
 
 def _possible(robot: Robot, names: Sequence[str]) -> tuple[list[str], str]:
-    """The fidelities that can obey the controls, the coarsest first; why others cannot."""
+    """Return the fidelities that take the controls, the coarsest first; why others do not."""
     ordered = [x for x in fidelities() if x in names]
     why_not = ""
     if "kinematic" in ordered:
@@ -197,7 +178,7 @@ def _possible(robot: Robot, names: Sequence[str]) -> tuple[list[str], str]:
 
 
 def _no_speeds(robot: Robot) -> str:
-    """Why its motors do not say how fast a robot moves; empty if they do."""
+    """Explain why the motors do not determine the velocities; empty if they do."""
     free = robot.arrangement.mobility
     if len(robot.drives) < free:
         return f"{len(robot.drives)} drives do not decide {free} free velocities"
@@ -209,116 +190,77 @@ def _no_speeds(robot: Robot) -> str:
     return ""
 
 
-class _Choice:
-    """The measurements, and what follows from them."""
+def _choose(run: Manoeuvre, vehicles: Sequence[Fidelity], why_not: str) -> FidelityRecommendation:
+    """Measure the fidelities, given from the coarsest to the finest, and choose one."""
+    equals = [x.name for x in vehicles if not isinstance(x, Slipping) and x.nv][1:]
+    names = [x.name for x in reversed(vehicles) if x.name not in equals]
+    ends = {name: run.converge_stably(name) for name in names}
+    paths = [run.path(name, k) for name, k in ends.items()]
 
-    def __init__(
-        self, run: Manoeuvre, vehicles: list[Fidelity], accuracy: float, why_not: str, say: Say
-    ):
-        self.run, self.accuracy, self.why_not, self.say = run, accuracy, why_not, say
-        equal = [x for x in vehicles if not isinstance(x, Slipping) and x.nv]
-        self.equals = equal[1:]
-        # one for each kind of motion, the finest first
-        again = {x.name for x in self.equals}
-        self.vehicles = [x for x in reversed(vehicles) if x.name not in again]
-        self._paths: dict[tuple[str, int], State] = {}
-        self._least: dict[str, int] = {}  # halvings with which steps are stable
+    def trial(name: str, least: int, most: int, gap: float) -> Trial:
+        def measure(path: State) -> tuple[float, float, bool]:
+            error = run.deviation(path, paths[0])
+            return error, gap, error <= run.accuracy
 
-    def made(self) -> FidelityRecommendation:
-        ends = [self._converged(vehicle) for vehicle in self.vehicles]
-        paths = [self._path(v, k) for v, k in zip(self.vehicles, ends, strict=True)]
-        trials: list[Trial] = []
-        for i, (vehicle, most) in enumerate(zip(self.vehicles, ends, strict=True)):
-            gap = apart(paths[i], paths[i - 1]) if i else 0.0
-            least = self._least[vehicle.name]
-            trials.append(self._trial(vehicle, least, most, gap, paths[0]))
-        best = min((x for x in trials if x.ok), key=lambda x: x.cost)
-        vehicle = self.vehicles[trials.index(best)]
-        if isinstance(vehicle, Rolling) or vehicle.name in ASKED_FOR:
-            equal = {x.name: x for x in (vehicle, *self.equals)}
-            ways = self._least[vehicle.name], ends[self.vehicles.index(vehicle)]
-            others = [self._trial(x, *ways, best.gap, paths[0]) for x in self.equals]
-            trials += others
-            best = min((x for x in (best, *others) if x.ok), key=lambda x: x.cost)
-            vehicle = equal[best.name]
-        needed, lifts = self._contacts(paths)
-        why = self._reason(best, trials, needed, lifts)
-        return FidelityRecommendation(
-            best.name, best.cost, tuple(trials), why, vehicle, self.run.start(vehicle), best.dt,
-            best.error, needed.share, lifts,
-        )  # fmt: skip
+        return run.trial(name, range(least, most + 1), measure)
 
-    def _path(self, vehicle: Fidelity, k: int) -> State:
-        if (vehicle.name, k) not in self._paths:
-            self.say(f"{vehicle.name} with steps of {self.run.dt(k):.2g} s")
-            self._paths[vehicle.name, k] = self.run.path(vehicle, k)
-        return self._paths[vehicle.name, k]
+    trials = []
+    for i, (name, most) in enumerate(ends.items()):
+        gap = run.deviation(paths[i], paths[i - 1]) if i else 0.0
+        trials.append(trial(name, run.least[name], most, gap))
+    best = min((x for x in trials if x.ok), key=lambda x: x.cost)
+    if isinstance(run.vehicles[best.name], Rolling) or best.name in ON_REQUEST:
+        least, most = run.least[best.name], ends[best.name]
+        trials += [trial(name, least, most, best.gap) for name in equals]
+        best = min((best, *(x for x in trials[-len(equals) :] if x.ok)), key=lambda x: x.cost)
+    vehicle = run.vehicles[best.name]
+    needed, lifts = _contacts(run, names, paths)
+    why = _reason(run, best, trials, names[0], why_not, needed, lifts)
+    return FidelityRecommendation(
+        best.name, best.cost, tuple(trials), why, vehicle, run.start(vehicle), best.dt, best.error,
+        needed.share, lifts,
+    )  # fmt: skip
 
-    def _converged(self, vehicle: Fidelity) -> int:
-        """The halvings after which the motion changes by far less than the accuracy."""
-        start = jax.tree.map(lambda x: x[None], self.run.start(vehicle))
-        k = self.run.stable_halvings(vehicle, start)
-        while self.run.steps(k + 1) <= MOST_STEPS:
-            k += 1
-            path = self._path(vehicle, k)
-            if apart(path, self._path(vehicle, k - 1)) < AGREE * self.accuracy:
-                self._least[vehicle.name] = least = self.run.stable_halvings(vehicle, path)
-                if least < k:
-                    return k
-                k = least
-        raise InputError(
-            f"recommend: the motion at {vehicle.name!r} over {self.run.times[-1]:.3g} s does not "
-            f"converge to {self.accuracy:.1e} with steps down to {self.run.dt(k):.1e} s; give a "
-            "larger accuracy, a shorter manoeuvre, or tyres with a larger smooth_speed"
-        )
 
-    def _trial(self, vehicle: Fidelity, least: int, most: int, gap: float, truth: State) -> Trial:
-        """With the largest step that is good enough; else with the smallest that was tried."""
-        for k in range(least, most + 1):
-            error = apart(self._path(vehicle, k), truth)
-            if error <= self.accuracy:
-                cost = self.run.step_us(vehicle, k)
-                return Trial(vehicle.name, self.run.dt(k), error, gap, cost, True)
-        return Trial(vehicle.name, self.run.dt(most), error, gap, math.inf, False)
+def _contacts(run: Manoeuvre, names: Sequence[str], paths: list[State]) -> tuple[Demand, float]:
+    """Compute the traction that rolling needs, and the time at which a wheel lifts."""
+    unknown = Demand(math.nan, math.nan)
+    slipping, *others = (run.vehicles[name] for name in names)
+    if not isinstance(slipping, Slipping):
+        return unknown, math.nan
+    run.say("contacts")
+    rolls = others and isinstance(others[0], Rolling)
+    needed = demand(run, others[0], slipping, paths[1]) if rolls else unknown
+    return needed, first_lift(run, slipping, paths[0])
 
-    def _contacts(self, paths: list[State]) -> tuple[Demand, float]:
-        """What rolling needs of the ground, and when a wheel lifts."""
-        slipping, *others = self.vehicles
-        if not isinstance(slipping, Slipping):
-            return Demand(math.nan, math.nan), math.nan
-        self.say("contacts")
-        needed = Demand(math.nan, math.nan)
-        if others and isinstance(others[0], Rolling):
-            needed = demand(self.run, others[0], slipping, paths[1])
-        return needed, first_lift(self.run, slipping, paths[0])
 
-    def _reason(self, best: Trial, trials: list[Trial], needed: Demand, lifts: float) -> str:
-        """The deciding criterion, with its number."""
-        finest = self.vehicles[0].name
-        truth = "its limit" if best.name == finest else finest
-        met = (
-            f"{best.name} with steps of {best.dt:.2g} s is off by {best.error:.1e} m or rad from "
-            f"{truth} (requested: {self.accuracy:.1e}) over {self.run.times[-1]:.3g} s, at "
-            f"{best.cost:.2g} us per second of motion"
-        )
-        lifted = f"; a wheel lifts at {lifts:.2g} s, which no fidelity follows"
-        return f"{self._decided(best, trials, needed)}; {met}{lifted if lifts < math.inf else ''}"
+def _reason(
+    run: Manoeuvre, best: Trial, trials: list[Trial], finest: str, why_not: str, needed: Demand,
+    lifts: float,
+) -> str:  # fmt: skip
+    """Explain the choice by the deciding criterion, with its number."""
+    truth = "its limit" if best.name == finest else finest
+    lifted = f"; a wheel lifts at {lifts:.2g} s, which no fidelity follows"
+    return (
+        f"{_decided(best, trials, why_not, needed)}; {best.name} with steps of {best.dt:.2g} s is "
+        f"off by {best.error:.1e} m or rad from {truth} (requested: {run.accuracy:.1e}) over "
+        f"{run.seconds:.3g} s, at {best.cost:.2g} us per second of motion"
+        f"{lifted if lifts < math.inf else ''}"
+    )
 
-    def _decided(self, best: Trial, trials: list[Trial], needed: Demand) -> str:
-        order = list(fidelities())
-        failed = [x for x in trials if not x.ok and order.index(x.name) < order.index(best.name)]
-        if failed:
-            other = max(failed, key=lambda x: order.index(x.name))
-            what = "slip"
-            if other.name == "kinematic":
-                what = "accuracy" if best.name == "slipping" else "inertia"
-            short = f"{what} decides: {other.name} is off by {other.error:.1e}"
-            if what == "slip" and math.isfinite(needed.share):
-                return f"{short}, rolling needs {needed.share:.2g} of the traction of all tyres"
-            return short
-        others = [x for x in trials if x is not best and x.ok]
-        start = f"kinematic is not tried, because {self.why_not}; " if self.why_not else ""
-        if not others:
-            return f"{start}nothing decides: {best.name} is the only fidelity left"
-        other = min(others, key=lambda x: x.cost)
-        return f"{start}cost decides: {other.name} would take {other.cost:.2g} us"
+
+def _decided(best: Trial, trials: list[Trial], why_not: str, needed: Demand) -> str:
+    order = list(fidelities())
+    failed = [x for x in trials if not x.ok and order.index(x.name) < order.index(best.name)]
+    if failed:
+        other = max(failed, key=lambda x: order.index(x.name))
+        what = "slip"
+        if other.name == "kinematic":
+            what = "accuracy" if best.name == "slipping" else "inertia"
+        short = f"{what} decides: {other.name} is off by {other.error:.1e}"
+        if what == "slip" and math.isfinite(needed.share):
+            return f"{short}, rolling needs {needed.share:.2g} of the traction of all tyres"
+        return short
+    start = f"kinematic is not tried, because {why_not}; " if why_not else ""
+    only = f"nothing decides: {best.name} is the only fidelity left"
+    return start + (cost_decides(best, trials) or only)

@@ -1,19 +1,17 @@
-"""The formulation of a robot's constraints for a motion, measured and explained in a sentence.
+"""`formulation`: choose the formulation of a model's constraints for a motion, by trial runs.
 
     1. the motion itself, by "projected" with steps that are halved until they agree
     2. the rank of the rows along it: redundant rows, singular positions
-    3. each candidate with steps halved until the gap of the rows and the error are as requested
+    3. each candidate with steps halved until the residual of the rows (the gap) and the error are
+       as requested
     4. the cheapest of these per second of motion
-Beyond the trial run gaps of positions are taken to grow with t^2 and those of velocities with t,
-where nothing takes them back, and errors with t^2.
+Beyond the trial run, errors and residuals of positions are assumed to grow with t^2 and residuals
+of velocities with t, unless the formulation corrects them.
 
-Where rows are redundant, only formulations that decide no rank are candidates: the range space with
-proximal multipliers. At a singular position what the rows are off by is divided by a singular value
-near zero, by luck of where the steps fall; there only those of them that put the rows back are.
-(benchmarks/results/work-formulations-*.json: two four-bars, each singular twice)
-
-Where no motion is given it is the default of `rollout` and `simulate`: one that is right for any
-motion, horizon and rank.
+If rows are redundant, the candidates are those without a decision on the rank: proximal
+multipliers. If the motion meets a singular position, where residuals are divided by a singular
+value near zero, they must also correct the residual
+(benchmarks/results/work-formulations-*.json).
 """
 
 from __future__ import annotations
@@ -30,22 +28,21 @@ from rbjax.dynamics.arguments import check_arrays, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
 from rbjax.model import Model, State
-from rbjax.progress import Say, progress_line
-from rbjax.recommend.constrained_runs import RESTORING, Rank, Runs, Trial
-from rbjax.recommend.recommendation import Recommendation
-from rbjax.recommend.request import check_request, double
+from rbjax.progress import progress_line
+from rbjax.recommend.constrained_runs import RESTORING, ConstrainedRuns, Rank
+from rbjax.recommend.halved_steps import Trial, cost_decides
+from rbjax.recommend.recommendation import Recommendation, check_request, double
 
 HALVINGS = 8  # of the step
-MOST_STEPS = 200_000
-CLOSED = 1e-6  # m, rad, and per second: a start that is further off is on no constraint
+CLOSED = 1e-6  # m, rad, and per second: the largest residual of a start
 PROXIMAL = ("multipliers", *RESTORING)
 BY_RANK = ("null_space_qr",)
 FREE = "nothing decides: the model has 0 rows, its motion is free"
-#: of the defaults
+#: the reasons for the defaults
 WHY = {
     "projected": "keeps the rows at rounding over any horizon, decides no rank and has no number "
     "to choose",
-    "compliant": "is the law of rows that yield, which the model has",
+    "compliant": "enforces rows that yield, which the model has",
 }
 
 
@@ -54,7 +51,7 @@ class FormulationRecommendation(Recommendation):
     """A formulation and a step: `rb.rollout(model, state, None, r.dt, constraints=r.formulation)`.
     Measured values are nan if no motion was given.
 
-    Fields, besides those of `Recommendation`, whose cost is in microseconds per second of motion:
+    Fields, in addition to those of `Recommendation` (cost: microseconds per second of motion):
         formulation: None if the model has no rows.
         dt: seconds.
         gap: the largest residual of a row (m, rad) or of its rate over the horizon.
@@ -145,8 +142,10 @@ def formulation(
                 f"{CLOSED:.0e}; rb.constraints.assemble(model, state) finds one that is on them"
             )
         with progress_line("recommend", progress) as say:
-            runs = Runs(model, state, float(horizon), largest, integrator, control)
-            return _recommended(runs, float(accuracy), float(horizon), say)
+            runs = ConstrainedRuns(
+                model, state, float(horizon), largest, integrator, control, float(accuracy), say
+            )
+            return _recommended(runs, float(horizon))
 
 
 def _of_any_motion(model: Model, dt: float | None) -> FormulationRecommendation:
@@ -161,75 +160,42 @@ def _of_any_motion(model: Model, dt: float | None) -> FormulationRecommendation:
     )
 
 
-def _recommended(
-    runs: Runs, accuracy: float, horizon: float, say: Say
-) -> FormulationRecommendation:
-    truth = _truth(runs, accuracy, say)
-    say("the rank of the rows")
+def _recommended(runs: ConstrainedRuns, horizon: float) -> FormulationRecommendation:
+    truth = runs.path("projected", runs.converge("projected"))
+    runs.say("the rank of the rows")
     rank = runs.rank(truth)
     independent = PROXIMAL if rank.redundant else PROXIMAL + BY_RANK
     names = RESTORING if rank.singular else independent
-    trials = [_trial(runs, name, truth, accuracy, say) for name in names]
+    trials = [_trial(runs, name, truth) for name in names]
     good = [x for x in trials if x.ok]
     if not good:
         raise InputError(
-            f"recommend: none of {', '.join(names)} keeps gap and error within {accuracy:.1e} over "
-            f"{horizon:g} s with steps down to {trials[-1].dt:.1e} s; give a larger accuracy, a "
-            "shorter horizon or a smaller dt"
+            f"recommend: none of {', '.join(names)} keeps gap and error within "
+            f"{runs.accuracy:.1e} over {horizon:g} s with steps down to {trials[-1].dt:.1e} s; "
+            f"{runs.cure}"
         )
     best = min(good, key=lambda x: x.cost)
-    why = _reason(best, trials, rank, accuracy, horizon)
+    why = (
+        f"{_ruled_out(rank)}{_decided(best, trials)}; {best.name} with steps of {best.dt:.2g} s "
+        f"leaves a gap of {best.gap:.1e} and an error of {best.error:.1e} (requested: "
+        f"{runs.accuracy:.1e}) over {horizon:g} s, at {best.cost:.2g} us per second of motion"
+    )
     return FormulationRecommendation(
         best.name, best.cost, tuple(trials), why, formulations()[best.name], best.dt, best.gap,
         best.error, rank.redundant, rank.closest,
     )  # fmt: skip
 
 
-def _truth(runs: Runs, accuracy: float, say: Say) -> State:
-    """The motion, by "projected", with an error far below the accuracy."""
-    before = None
-    for k in range(HALVINGS + 2):
-        if k and runs.steps(k) > MOST_STEPS:
-            break
-        say(f"the motion itself, with steps of {runs.dt(k):.2g} s")
-        now = runs.path("projected", k)
-        if before is not None and runs.apart(before, now) < accuracy / 8:
-            return now
-        before = now
-    raise InputError(
-        f"recommend: the motion over {runs.seconds:.3g} s does not converge to {accuracy:.1e} with "
-        f"steps down to {runs.dt(k - 1):.1e} s; give a larger accuracy, a shorter horizon or a "
-        "smaller dt"
-    )
+def _trial(runs: ConstrainedRuns, name: str, truth: State) -> Trial:
+    def measure(path: State) -> tuple[float, float, bool]:
+        error, gap = runs.deviation(path, truth), runs.gap(name, path)
+        return error, gap, max(error, gap) <= runs.accuracy
 
-
-def _trial(runs: Runs, name: str, truth: State, accuracy: float, say: Say) -> Trial:
-    """With the largest step that is good enough; else with the smallest that was tried."""
-    for k in range(HALVINGS + 1):
-        if k and runs.steps(k) > MOST_STEPS:
-            break
-        say(f"{name} with steps of {runs.dt(k):.2g} s")
-        path = runs.path(name, k)
-        gap, error = runs.gap(name, path), runs.apart(path, truth)
-        if max(gap, error) <= accuracy:
-            return Trial(name, runs.dt(k), gap, error, runs.step_us(name, k), True)
-    return Trial(name, runs.dt(k), gap, error, math.inf, False)
-
-
-def _reason(
-    best: Trial, trials: list[Trial], rank: Rank, accuracy: float, horizon: float
-) -> str:
-    """The deciding criterion, with its number."""
-    met = (
-        f"{best.name} with steps of {best.dt:.2g} s leaves a gap of {best.gap:.1e} and an error of "
-        f"{best.error:.1e} (requested: {accuracy:.1e}) over {horizon:g} s, at {best.cost:.2g} us "
-        "per second of motion"
-    )
-    return f"{_ruled_out(rank)}{_against(best, trials)}; {met}"
+    return runs.trial(name, range(HALVINGS + 1), measure)
 
 
 def _ruled_out(rank: Rank) -> str:
-    """What the rank of the rows says about candidates."""
+    """Explain which candidates the rank of the rows rules out."""
     if rank.singular:
         return (
             f"a singular position is met at {rank.at:.2g} s, where the least singular value of the "
@@ -244,8 +210,8 @@ def _ruled_out(rank: Rank) -> str:
     return ""
 
 
-def _against(best: Trial, trials: list[Trial]) -> str:
-    """Why it is this one of them."""
+def _decided(best: Trial, trials: list[Trial]) -> str:
+    """Explain the choice among the candidates."""
     bare = next((x for x in trials if x.name == "multipliers"), best)
     if best.name in RESTORING and best.dt > bare.dt:
         needs = f"needs steps of {bare.dt:.2g} s"
@@ -253,6 +219,5 @@ def _against(best: Trial, trials: list[Trial]) -> str:
             needs = f"is off by {max(bare.gap, bare.error):.1e} with steps of {bare.dt:.2g} s"
         return f"drift decides: multipliers, which puts nothing back, {needs}"
     other = min((x for x in trials if x is not best), key=lambda x: x.cost)
-    if not other.ok:
-        return f"accuracy decides: {other.name} is off by {max(other.gap, other.error):.1e}"
-    return f"cost decides: {other.name} would take {other.cost:.2g} us per second of motion"
+    short = f"accuracy decides: {other.name} is off by {max(other.gap, other.error):.1e}"
+    return cost_decides(best, trials) or short

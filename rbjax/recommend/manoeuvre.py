@@ -1,10 +1,9 @@
-"""One manoeuvre of a wheeled robot at its fidelities: trial runs, deviations, costs, contacts."""
+"""Trial runs of a manoeuvre of a wheeled robot at its fidelities: motions, stability, contacts."""
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +13,8 @@ import numpy as np
 from rbjax.compiling import compiler_options
 from rbjax.lanes import Lane, add, mul
 from rbjax.model import State
-from rbjax.recommend.request import fastest
+from rbjax.progress import Say
+from rbjax.recommend.halved_steps import HalvedSteps
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.wheeled.kinematics.numbers import Numbers, stacked
 from rbjax.wheeled.models.fidelity import Fidelity, as_state
@@ -24,54 +24,52 @@ from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.models.states import with_twist
 from rbjax.wheeled.motion.rollout import Lists, advanced
 
-MOST_LOOKS = 64  # times at which poses are compared and contacts looked at
-MOST_STEPS = 1_000_000
-SECONDS = 0.05  # of the clock, at least
+#: the number of times at which poses are compared and contacts computed
+MOST_LOOKS = 64
 
 
-class Manoeuvre:
+class Manoeuvre(HalvedSteps):
     """A start, controls and times, which all fidelities of a robot share.
 
-    Steps are dt / 2^halvings. Controls are constant over a step, as in `rbjax.wheeled.rollout`;
-    those of a table (steps, nu) over its own steps of dt.
+    Controls are constant over a step, as in `rbjax.wheeled.rollout`; those of a table (steps, nu)
+    over its own steps of dt.
     """
 
-    def __init__(self, q: jax.Array, twist: jax.Array, controls: Any, dt: float, steps: int):
-        self.q, self.twist, self.controls = q, twist, controls
-        self._dt, self._steps = dt, steps
-        ends = np.round(np.linspace(0, steps, min(MOST_LOOKS, steps) + 1)).astype(int)
-        self._ends, self._counts = ends, np.diff(ends)
-        self._programs: dict[str, Callable] = {}
+    most_steps = 1_000_000
+    cure = "give a larger accuracy, a shorter manoeuvre, or tyres with a larger smooth_speed"
 
-    def dt(self, halvings: int) -> float:
-        return self._dt / 2**halvings
+    def __init__(
+        self, vehicles: Sequence[Fidelity], q: jax.Array, twist: jax.Array, controls: Any,
+        dt: float, steps: int, accuracy: float, say: Say,
+    ):  # fmt: skip
+        super().__init__(dt, accuracy, say)
+        self.vehicles = {x.name: x for x in vehicles}
+        self.q, self.twist, self.controls, self._steps = q, twist, controls, steps
+        self._ends = np.round(np.linspace(0, steps, min(MOST_LOOKS, steps) + 1)).astype(int)
+        self.times = dt * self._ends
+        self.seconds = dt * steps
+        #: of each fidelity, the halvings from which on steps are stable
+        self.least: dict[str, int] = {}
 
-    def steps(self, halvings: int) -> int:
-        return self._steps << halvings
-
-    @property
-    def times(self) -> np.ndarray:
-        return self._dt * self._ends
+    def steps(self, k: int) -> int:
+        return self._steps << k
 
     def start(self, vehicle: Fidelity) -> State:
-        """The state in which no wheel slides."""
+        """Return the start at a fidelity, in which no wheel slides."""
         return with_twist(vehicle, self.q, self.twist)
 
     def control(self, t: Any, step: Any, state: State) -> jax.Array:
-        """The controls (nu,) at a time, in a step of dt."""
+        """Return the controls (nu,) at a time, in a step of dt."""
         if callable(self.controls):
             return jnp.asarray(self.controls(t, state), jnp.float64)
         return self.controls[jnp.minimum(step, len(self.controls) - 1)]
 
-    def path(self, vehicle: Fidelity, halvings: int) -> State:
-        """The states at `times`, the first at the start."""
-        if vehicle.name not in self._programs:
-            self._programs[vehicle.name] = self._program(vehicle)
-        parts = jnp.asarray(1 << halvings), jnp.asarray(self.dt(halvings))
-        return jax.block_until_ready(self._programs[vehicle.name](*parts))
+    def arguments(self, k: int) -> tuple:
+        return jnp.asarray(1 << k), jnp.asarray(self.dt(k))
 
-    def _program(self, vehicle: Fidelity) -> Callable:
-        """(parts of a step of dt, a part) -> states; one program for all steps."""
+    def motion(self, name: str) -> Callable[..., State]:
+        """(parts of a step of dt, step of a part) -> states at `times`, the first at the start."""
+        vehicle, counts = self.vehicles[name], np.diff(self._ends)
 
         def run(parts: Any, h: Any) -> State:
             n, now = vehicle.instant(self.start(vehicle))
@@ -87,19 +85,31 @@ class Manoeuvre:
                 return x, as_state(*x[1], jnp.float64)
 
             begin = now.q, now.v, now.x
-            later = jax.lax.scan(look, (jnp.asarray(0), begin), self._counts)[1]
+            later = jax.lax.scan(look, (jnp.asarray(0), begin), counts)[1]
             first = as_state(*begin, jnp.float64)
             return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, later)
 
-        return jax.jit(run, compiler_options=compiler_options())
+        return run
 
-    def step_us(self, vehicle: Fidelity, halvings: int) -> float:
-        """Microseconds of a step, of the fastest run."""
-        run = functools.partial(self.path, vehicle, halvings)
-        return 1e6 * fastest(run, SECONDS) / self.steps(halvings)
+    def deviation(self, a: State, b: State) -> float:
+        """Return the largest deviation of the chassis' place, m, or heading, rad."""
+        off = np.asarray(a.q[:, :3] - b.q[:, :3])
+        if not np.isfinite(off).all():
+            return math.inf
+        return float(max(np.hypot(off[:, 0], off[:, 1]).max(), np.abs(off[:, 2]).max()))
+
+    def converge_stably(self, name: str) -> int:
+        """Halve the step until the motion has converged and is stable. Return the halvings."""
+        vehicle = self.vehicles[name]
+        least = self._stable_halvings(vehicle, jax.tree.map(lambda x: x[None], self.start(vehicle)))
+        while True:
+            k = self.converge(name, least)
+            least = self.least[name] = self._stable_halvings(vehicle, self.path(name, k))
+            if least < k:
+                return k
 
     def along(self, path: State, look: Callable[[State, jax.Array], Any]) -> np.ndarray:
-        """`look` of the states of a path, or of its first states, and their controls."""
+        """Apply `look` to the states of a path, or to its first states, and their controls."""
         count = len(path.q)
 
         def one(state: State, t: Any, step: Any) -> Any:
@@ -108,11 +118,11 @@ class Manoeuvre:
         every = jax.jit(jax.vmap(one), compiler_options=compiler_options())
         return np.asarray(every(path, self.times[:count], self._ends[:count]))
 
-    def stable_halvings(self, vehicle: Fidelity, path: State) -> int:
-        """Those that make steps stable along a path: every mode that decays then does so in steps.
+    def _stable_halvings(self, vehicle: Fidelity, path: State) -> int:
+        """Return the halvings at which steps are stable along a path.
 
-        A step that is too large need not show in the pose: tyres that saturate hold the speeds of
-        wheels that chatter.
+        An unstable step may not show in the pose: tyres that saturate bound the speeds of wheels
+        that chatter.
         """
         if not vehicle.nv:
             return 0
@@ -136,25 +146,21 @@ class Manoeuvre:
         return math.ceil(math.log2(self._dt / limit)) if 0 < limit < self._dt else 0
 
 
-def apart(a: State, b: State) -> float:
-    """The largest deviation of the chassis' place, m, or heading, rad."""
-    off = np.asarray(a.q[:, :3] - b.q[:, :3])
-    if not np.isfinite(off).all():
-        return math.inf
-    return float(max(np.hypot(off[:, 0], off[:, 1]).max(), np.abs(off[:, 2]).max()))
-
-
 class Demand(NamedTuple):
-    """What rolling needs of the ground. Fields: share, at least so much of the traction that tyres
-    give under loads at rest; at, its time in s."""
+    """The traction that rolling needs.
+
+    Fields:
+        share: the part of the traction that tyres give under the loads at rest, at least.
+        at: its time, s.
+    """
 
     share: float
     at: float
 
 
 def demand(run: Manoeuvre, rolling: Rolling, slipping: Slipping, path: State) -> Demand:
-    """The largest share on a path of a fidelity that rolls, of the force on all wheels together and
-    of that of each shaft."""
+    """Compute the largest share of the traction on a path of a rolling robot: for the force on all
+    wheels together and for the force of each shaft."""
 
     def look(state: State, u: jax.Array) -> jax.Array:
         n, now = rolling.instant(state, u)
@@ -172,7 +178,7 @@ def demand(run: Manoeuvre, rolling: Rolling, slipping: Slipping, path: State) ->
 
 
 def _traction(n: Numbers, slipping: Slipping) -> tuple[Lane, list[Lane]]:
-    """The most that tyres give in any direction, N: of all wheels, and along those of a shaft."""
+    """Return the largest force of all tyres in any direction, N, and along those of each shaft."""
     whole: Lane = 0.0
     of_shafts: list[Lane] = [0.0] * len(n.shafts)
     for wheel, load, tyre in zip(n.wheels, wheel_loads(n), slipping.tyres, strict=True):
@@ -183,7 +189,7 @@ def _traction(n: Numbers, slipping: Slipping) -> tuple[Lane, list[Lane]]:
 
 
 def first_lift(run: Manoeuvre, slipping: Slipping, path: State) -> float:
-    """When the ground would first have to pull a wheel, s; inf if it never does."""
+    """Return the first time at which the load of a wheel is negative, s; inf if it never is."""
 
     def look(state: State, u: jax.Array) -> jax.Array:
         n, now = slipping.instant(state, u)

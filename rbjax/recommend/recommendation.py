@@ -1,18 +1,31 @@
-"""The protocol of all recommendations: the choice, its cost, the candidates, the reason."""
+"""The result of all recommendations, and their common checks and measurements."""
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+import jax.numpy as jnp
+
+from rbjax.arguments import real_number
+from rbjax.errors import InputError
+
+#: runs in a measurement of time
+ROUNDS = 5
+#: the reference motion is not more accurate than this
+FINEST = 1e-10
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """A choice with its reason. Each kind of choice is a subclass, which adds its own fields.
+    """A choice with its reason. Each recommender returns a subclass, which adds fields.
 
     Fields:
-        name: of the choice, in the registry of its kind.
-        cost: what the choice minimises.
+        name: the name of the choice, in the registry of its kind.
+        cost: the cost of the choice, which is the least one.
         candidates: a record of each candidate that was measured, with at least its `name`, its
             `cost`, and `ok`, whether it fulfils the request.
         reason: a sentence with the deciding number.
@@ -24,20 +37,48 @@ class Recommendation:
     reason: str
 
     def table(self) -> str:
-        """The candidates as a table, one a line."""
+        """Return the candidates as a table, one a line."""
         if not self.candidates:
             return "no candidate was measured"
         heads = [*self.candidates[0]._fields]
         heads += [] if "cost" in heads else ["cost"]
-        rows = [heads, *([_shown(getattr(x, h)) for h in heads] for x in self.candidates)]
+        rows = [heads, *([_text(getattr(x, h)) for h in heads] for x in self.candidates)]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         return "\n".join(lines)
 
     def summary(self) -> str:
-        """The reason and the table."""
+        """Return the reason and the table."""
         return f"{self.reason}\n\n{self.table()}"
 
 
-def _shown(x: Any) -> str:
+def _text(x: Any) -> str:
     return f"{x:.3g}" if isinstance(x, float) else str(x)
+
+
+def check_request(accuracy: Any, **times: Any) -> None:
+    """Raise `InputError` if the accuracy is too fine, or if a time is not positive."""
+    real_number("recommend", "accuracy", accuracy, "a number", finite=False)
+    if not accuracy >= FINEST:
+        raise InputError(
+            f"recommend: accuracy is {accuracy}, expected at least {FINEST:.0e}: the reference is "
+            "not more accurate"
+        )
+    for name, x in times.items():
+        real_number("recommend", name, x, "a positive time in seconds", above=0.0)
+
+
+def fastest(run: Callable[[], object], seconds: float = 0.0) -> float:
+    """Return the seconds of the fastest of at least five runs, which take at least `seconds`."""
+    taken: list[float] = []
+    while len(taken) < ROUNDS or math.fsum(taken) < seconds:
+        begin = time.perf_counter()
+        run()
+        taken.append(time.perf_counter() - begin)
+    return min(taken)
+
+
+def double(x: Any) -> Any:
+    """Convert floating numbers to f64."""
+    floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
+    return jnp.asarray(x, jnp.float64) if floating else x

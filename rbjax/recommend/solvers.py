@@ -34,8 +34,7 @@ from rbjax.forces.inputs import Source
 from rbjax.model import Model, State, with_constants
 from rbjax.motion.simulate import simulate
 from rbjax.progress import Say, progress_line
-from rbjax.recommend.recommendation import Recommendation
-from rbjax.recommend.request import check_request, double
+from rbjax.recommend.recommendation import Recommendation, check_request, double
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.stability.runs.linearisation import motion_matrices
 
@@ -64,7 +63,7 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True)
 class SolverRecommendation(Recommendation):
-    """A solver and a step for `rb.simulate(model, state, ts, solver=r.solver, dt0=r.dt)`.
+    """A solver and a step for `rb.simulate(model, state, ts, solver=r.solver, dt=r.dt)`.
 
     Fields, besides those of `Recommendation`, whose cost is in evaluations of forward dynamics per
     second of motion:
@@ -107,7 +106,7 @@ def _error(
 ) -> jax.Array:
     """The largest deviation of a configuration coordinate from the truth (T, nq)."""
     path = simulate(
-        model, state, ts, control, solver=solver, dt0=dt, throw=False, max_steps=MOST_STEPS,
+        model, state, ts, control, solver=solver, dt=dt, throw=False, max_steps=MOST_STEPS,
         adjoint=diffrax.ForwardMode(),
     )  # fmt: skip
     gap = jax.vmap(lambda a, b: difference(model, a, b))(truth, path.q)
@@ -299,9 +298,7 @@ def _recommended(
     h, e, best = min(good, key=lambda x: x[2].evaluations / x[0])
     trials = tuple(_trial(name, x) for name, x in found.items())
     why = _reason(best, h, e, accuracy, horizon, explicit, held, limit, abs(fastest), by_stability)
-    return SolverRecommendation(
-        best.name, best.evaluations / h, trials, why, best.solver, h, e
-    )
+    return SolverRecommendation(best.name, best.evaluations / h, trials, why, best.solver, h, e)
 
 
 def _trial(name: str, found: tuple[float, float, Candidate] | None) -> Trial:

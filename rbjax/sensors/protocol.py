@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State
-from rbjax.motion.field import Field, free_motion, law_of
+from rbjax.motion.field import Field, dynamics_of, free_motion
 from rbjax.sensors.columns import Columns
 
 
@@ -36,8 +36,8 @@ class Context:
     @property
     def acceleration(self) -> jax.Array:
         """v' (nv,), by the dynamics."""
-        law = law_of("Context", self.model, free_motion, None)
-        field = Field(self.model, law, self.step)
+        dynamics = dynamics_of("Context", self.model, free_motion, None)
+        field = Field(self.model, dynamics, self.step)
         rates = field.rates(self.t, self.state, Inputs(self.ctrl))[0]
         return jnp.stack(fusion_barrier(list(rates)))
 

@@ -1,18 +1,18 @@
 """Wheeled robots: rolling without slipping, and slipping when they must.
 
-    parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
-    robots         kinds, with_trailers; from_file, of MJCF and URDF
-    fidelities     at(robot, name) -> a vehicle; fidelities
-    as a Model     full_model, with rolling rows; full_model_state
-    as a file      write_mjcf, with wheels that touch a plane
-    motion         start, rates, rollout, simulate, contacts
-    following      commands, pure_pursuit, stanley, tracking_gains
-    control        controlled, the system of an rb.control.Problem
-    odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
-    equations      reduced, undetermined: the terms S, M, C, B, f, and A with its multipliers
-    motors         TorqueSource, SpeedServo, DCMotor
-    tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
-    on any model   TyreOnGround, a force element
+parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
+robots         kinds, with_trailers; from_file, of MJCF and URDF
+fidelities     at(robot, name) -> a vehicle; fidelities
+as a Model     full_model, with rolling rows; full_model_state
+as a file      write_mjcf, with wheels that touch a plane
+motion         start, rates, rollout, simulate, contacts
+following      commands, pure_pursuit, stanley, tracking_gains
+control        controlled, the system of an rb.control.Problem
+odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
+equations      reduced, undetermined: the terms S, M, C, B, f, and A with its multipliers
+motors         TorqueSource, SpeedServo, DCMotor
+tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
+on any model   TyreOnGround, a force element
 """
 
 from rbjax.wheeled.files.reading import from_file
@@ -37,13 +37,11 @@ from rbjax.wheeled.registry import at, fidelities, kinds
 from rbjax.wheeled.robot.arrangement import Arrangement
 from rbjax.wheeled.robot.catalogue import with_trailers
 from rbjax.wheeled.robot.motors import DCMotor, Motor, SpeedServo, TorqueSource
-from rbjax.wheeled.robot.parts import Body, Drive, Steering, Wheel
-from rbjax.wheeled.robot.robot import Robot
+from rbjax.wheeled.robot.robot import Body, Drive, Robot, Steering, Wheel
 from rbjax.wheeled.tyres.element import Contact, TyreOnGround
 from rbjax.wheeled.tyres.laws import Coulomb, Fiala, Linear, Pacejka, TMeasy
 from rbjax.wheeled.tyres.relaxation import Relaxing
-from rbjax.wheeled.tyres.rolling_resistance import RollingResistance
-from rbjax.wheeled.tyres.tyre import Tyre, traction_along
+from rbjax.wheeled.tyres.tyre import RollingResistance, Tyre, traction_along
 
 __all__ = [
     "Arrangement",

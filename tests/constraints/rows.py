@@ -10,7 +10,7 @@ import numpy as np
 import rbjax as rb
 from rbjax.constraints import Row
 from rbjax.constraints.equations.system import gradient_matrix, rows_of
-from rbjax.forces import Instant
+from rbjax.forces import Context
 
 T = 0.3
 
@@ -28,8 +28,8 @@ def tree(floating: bool = True) -> rb.Model:
       </body></worldbody></mujoco>""")
 
 
-def rows_at(model: rb.Model, q, v, t=T, a=None) -> tuple[Instant, Sequence[Row]]:
-    now = Instant.of(model, t, rb.State(q, v), None)
+def rows_at(model: rb.Model, q, v, t=T, a=None) -> tuple[Context, Sequence[Row]]:
+    now = Context.of(model, t, rb.State(q, v), None)
     now = now if a is None else now.accelerating(a)
     return now, rows_of(model, now)
 

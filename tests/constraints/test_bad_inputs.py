@@ -16,14 +16,14 @@ HERE, LOWER = rc.Place.on(), rc.Place.on(body="lower")
 class TwoOfOne(rc.Constraint):
     size = 2
 
-    def rows(self, now: rb.forces.Instant) -> Sequence[rc.Row]:
+    def rows(self, now: rb.forces.Context) -> Sequence[rc.Row]:
         return [rc.coordinate(now, "elbow")]
 
 
 class Numbers(rc.Constraint):
     size = 1
 
-    def rows(self, now: rb.forces.Instant) -> Sequence[rc.Row]:
+    def rows(self, now: rb.forces.Context) -> Sequence[rc.Row]:
         return [3.0]  # type: ignore[list-item]
 
 
@@ -60,9 +60,7 @@ MADE: dict[str, Callable] = {
     "Baumgarte.for_step: dt is 0": lambda: rc.Baumgarte.for_step(0),
     "Penalty: stiffness is -1.0": lambda: rc.Penalty(-1.0),
     "Projection: iterations is 0": lambda: rc.Projection(iterations=0),
-    "AugmentedLagrangian: iterations is 1.5": lambda: rc.AugmentedLagrangian(
-        iterations=1.5
-    ),
+    "AugmentedLagrangian: iterations is 1.5": lambda: rc.AugmentedLagrangian(iterations=1.5),
     "ratio=...): got nan": lambda: rc.Gear("elbow", "shoulder", np.nan),
     "radius=...): got the shape .2,., expected a number": lambda: rc.Rack("a", "b", [1.0, 2.0]),
     "radius=...): got -1.0": lambda: rc.RollingSphere(HERE, LOWER, -1.0),

@@ -64,7 +64,7 @@ def test_numbers_are_leaves() -> None:
 
     def value(c):
         (coupling,) = model.constraints
-        now = rb.forces.Instant.of(model, 0.0, state, None)
+        now = rb.forces.Context.of(model, 0.0, state, None)
         return coupling.replace(coefficients=c).rows(now)[0].value
 
     x = float(state.q[0] - 0.4)
@@ -85,4 +85,4 @@ def test_numbers_are_leaves() -> None:
 def test_joints_that_cannot_be_coupled(coupling: rc.Constraint, words: str) -> None:
     model = chain()
     with pytest.raises(rb.InputError, match=words):
-        coupling.rows(rb.forces.Instant.of(model, 0.0, model.default_state(), None))
+        coupling.rows(rb.forces.Context.of(model, 0.0, model.default_state(), None))

@@ -89,7 +89,7 @@ def by_bdf(k: int, law: rc.Formulation) -> Callable:
     @jax.jit
     def run(n):
         h = SECONDS / n
-        term, y0 = motion(model, REST, solver, law=law, start=jnp.zeros(()))
+        term, y0 = motion(model, REST, solver, dynamics=law, start=jnp.zeros(()))
 
         def once(i, at):
             y, history, _ = at
@@ -111,7 +111,7 @@ def by_simulate(solver) -> Callable:
 
     def run(n):
         path = rb.simulate(
-            model, REST, ts, solver=solver, dt0=SECONDS / n, constraints="multipliers"
+            model, REST, ts, solver=solver, dt=SECONDS / n, constraints="multipliers"
         )
         end = path.state(-1)
         return off(end.q, end.v, rc.multipliers(model, end)[0])
@@ -342,12 +342,10 @@ def test_stiff_forces(name: str) -> None:
 def test_steps_that_are_not_solved() -> None:
     """A value, not an exception: a fixed step says so, adaptive ones become shorter."""
     model, ts = pendulum(), jnp.array([0.0, 3.0])
-    path = rb.simulate(model, REST, ts, dt0=3.0, constraints="ggl", throw=False)
+    path = rb.simulate(model, REST, ts, dt=3.0, constraints="ggl", throw=False)
     assert not path.ok and path.result == diffrax.RESULTS.nonlinear_divergence
     controller = diffrax.PIDController(rtol=1e-8, atol=1e-8)
-    path = rb.simulate(
-        model, REST, ts, dt0=3.0, stepsize_controller=controller, constraints="ggl"
-    )
+    path = rb.simulate(model, REST, ts, dt=3.0, stepsize_controller=controller, constraints="ggl")
     assert path.ok and path.stats["num_rejected_steps"] > 0
 
 

@@ -247,7 +247,7 @@ def test_baumgarte_residual() -> None:
 
     def residuals(one: rc.Formulation) -> jax.Array:
         path = rb.simulate(
-            model, state, ts, solver=diffrax.Dopri8(), dt0=0.01, constraints=one, max_steps=1000,
+            model, state, ts, solver=diffrax.Dopri8(), dt=0.01, constraints=one, max_steps=1000,
             stepsize_controller=diffrax.PIDController(rtol=1e-12, atol=1e-12),
         )  # fmt: skip
         return (path.q**2).sum(1)[1:] - 1.0

@@ -199,7 +199,7 @@ def test_time_in_the_lagrangian_and_in_the_rows() -> None:
 
 def test_states_are_put_on_the_constraints() -> None:
     system = pendulum(2)
-    q, v = system.settled(0.0, 1.1 * STATE[0], STATE[1] + 0.1, NUMBERS, iterations=5)
+    q, v = system.project(0.0, 1.1 * STATE[0], STATE[1] + 0.1, NUMBERS, iterations=5)
     assert np.abs(system.residual(0.0, q, v, NUMBERS)).max() < 1e-14
     np.testing.assert_allclose(q, STATE[0], atol=1e-14)
 

@@ -131,9 +131,7 @@ def test_reactions_of_a_hanging_rod() -> None:
     model = rb.load("""<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod">
       <freejoint/><inertial pos="0.5 0 0" mass="2" diaginertia="1 1 1"/>
     </body></worldbody></mujoco>""")
-    ends = [
-        rc.Spherical.between(model, None, "rod", point=[x, 0.0, 0.0]) for x in (0.0, 1.0)
-    ]
+    ends = [rc.Spherical.between(model, None, "rod", point=[x, 0.0, 0.0]) for x in (0.0, 1.0)]
     model = model.with_constraints(*ends)
     found = rc.joint_wrenches(model, model.default_state())
     np.testing.assert_allclose(found[:, 5], 9.81, atol=1e-6)
@@ -154,9 +152,9 @@ def test_reactions_of_a_hanging_rod() -> None:
         ),
         (lambda m, s: m.with_constraints(rc.Spherical), "the class Spherical"),
         (
-            lambda m, s: rb.step(m, s, law=lambda model, t, state, tau, pushes: tau,
+            lambda m, s: rb.step(m, s, dynamics=lambda model, t, state, tau, f_ext: tau,
                                  constraints="projected"),
-            "a formulation is a law",
+            "a formulation is a dynamics",
         ),
     ],
 )  # fmt: skip

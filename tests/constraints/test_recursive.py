@@ -29,7 +29,7 @@ from rbjax.constraints.equations.system import rows_of
 from rbjax.constraints.methods.clusters import Cluster, clusters
 from rbjax.constraints.methods.recursive import by_clusters
 from rbjax.dynamics.drivers.choice import driver
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
 from rbjax.model import WORLD
 from rbjax.spatial import Force
@@ -106,7 +106,7 @@ def found_clusters(model: rb.Model) -> list[Cluster]:
     found: list[Cluster] = []
 
     def traced(q, v):
-        now = Instant.of(model, 0.0, rb.State(q, v), None, d=driver(model, q.dtype))
+        now = Context.of(model, 0.0, rb.State(q, v), None, d=driver(model, q.dtype))
         found.extend(clusters(model.topology, rows_of(model, now)))
 
     start = model.default_state()
@@ -139,9 +139,9 @@ def leg() -> tuple[rb.Model, jax.Array]:
     return model.replace(driver="unrolled"), start.q
 
 
-def both(model: rb.Model, q, v, tau, pushes=None, t=0.0):
+def both(model: rb.Model, q, v, tau, f_ext=None, t=0.0):
     """a and l of "multipliers", and of recursion."""
-    given = model, t, rb.State(q, v), tau, pushes or {}
+    given = model, t, rb.State(q, v), tau, f_ext or {}
     return constrained_motion(*given), constrained_motion(*given, method=by_clusters)
 
 
@@ -213,8 +213,8 @@ def test_rows_of_all_kinds_with_forces_on_links() -> None:
     model = _arm().replace(driver="unrolled")
     state = model.random_state(jax.random.key(2))
     v, tau = drawn(model)
-    pushes = {2: Force(Vec3(1.0, -2.0, 0.5), Vec3(3.0, 0.1, -4.0)), 6: Force.zero()}
-    (a, l), (own, multipliers) = jax.jit(functools.partial(both, model))(state.q, v, tau, pushes)
+    f_ext = {2: Force(Vec3(1.0, -2.0, 0.5), Vec3(3.0, 0.1, -4.0)), 6: Force.zero()}
+    (a, l), (own, multipliers) = jax.jit(functools.partial(both, model))(state.q, v, tau, f_ext)
     assert off(own, a) < 1e-10 and off(multipliers, l) < 1e-10
 
 

@@ -15,7 +15,7 @@ import rbjax as rb
 from rbjax.constraints.equations.system import gradient_matrix
 from rbjax.constraints.rows.geometry import time
 from rbjax.constraints.rows.row import Row, angle, function_of
-from rbjax.forces import Instant
+from rbjax.forces import Context
 
 MODEL = rb.load("double_pendulum")
 T = 0.3
@@ -36,7 +36,7 @@ class Pair:
         return self.row.value is not None
 
 
-def atoms(now: Instant) -> list[Pair]:
+def atoms(now: Context) -> list[Pair]:
     x, y, t = rb.constraints.coordinate(now, 0), rb.constraints.coordinate(now, 1), time(now)
     return [
         Pair(x, lambda t, q, v: q[0]),
@@ -48,7 +48,7 @@ def atoms(now: Instant) -> list[Pair]:
     ]
 
 
-def checked(now: Instant, pair: Pair, dtype: type) -> None:
+def checked(now: Context, pair: Pair, dtype: type) -> None:
     row, s = pair.row, pair.scalar
     q, v, a = (jnp.asarray(x) for x in (Q, V, A))
 
@@ -69,11 +69,9 @@ def checked(now: Instant, pair: Pair, dtype: type) -> None:
     np.testing.assert_allclose(gradient_matrix(now, [row])[0], G, rtol=0, atol=ATOL[dtype])
 
 
-def instant(dtype: type) -> Instant:
+def instant(dtype: type) -> Context:
     state = rb.State(jnp.asarray(Q, dtype), jnp.asarray(V, dtype))
-    return Instant.of(MODEL, jnp.asarray(T, dtype), state, None).accelerating(
-        jnp.asarray(A, dtype)
-    )
+    return Context.of(MODEL, jnp.asarray(T, dtype), state, None).accelerating(jnp.asarray(A, dtype))
 
 
 def combined(what: str, one: Pair, two: Pair, c: float) -> Pair:
@@ -139,7 +137,7 @@ class Speed(rb.constraints.Constraint):
     wanted: jax.Array
     size = 1
 
-    def rows(self, now: Instant) -> list[Row]:
+    def rows(self, now: Context) -> list[Row]:
         return [rb.constraints.coordinate(now, "slider").time_derivative - self.wanted]
 
 

@@ -96,7 +96,7 @@ def test_so_is_a_motion(way: str) -> None:
     else:
         ts = jnp.array([0.0, steps * dt])
         path = rb.simulate(
-            windy(), start, ts, dt0=dt, solver=rb.solvers.RK4(), constraints="tangent_space"
+            windy(), start, ts, dt=dt, solver=rb.solvers.RK4(), constraints="tangent_space"
         )
     np.testing.assert_allclose([*path.q[-1], *path.v[-1]], y, rtol=0, atol=1e-12)
 

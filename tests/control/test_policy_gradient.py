@@ -95,9 +95,7 @@ def test_targets_are_weighted_sums():
         for k in range(h):
             most = h - k
             want = trace ** (most - 1) * length(k, most)
-            want = want + (1 - trace) * sum(
-                trace ** (n - 1) * length(k, n) for n in range(1, most)
-            )
+            want = want + (1 - trace) * sum(trace ** (n - 1) * length(k, n) for n in range(1, most))
             assert np.abs(found[:, k] - want).max() < 1e-14
     value = policy_loss(jnp.asarray(c), jnp.asarray(V[:, -1]), g)
     assert abs(value - length(0, h).mean()) < 1e-14
@@ -192,6 +190,7 @@ def test_all_runs_once():
 def test_a_sample_that_is_lost_does_not_stop_the_value_function():
     """The cost of every other start is nan: the value function learns from the samples that are
     left."""
+
     def start_of(key):
         return rb.State(jnp.array([jnp.where(jax.random.bernoulli(key), 9.0, 0.1), 0.2]),
                         jnp.zeros(2))  # fmt: skip
@@ -211,7 +210,7 @@ def test_a_sample_that_is_lost_does_not_stop_the_value_function():
 @pytest.mark.parametrize(
     "call, error, said",
     [
-        (lambda: environment(episode=0), InputError, "episode = 0"),
+        (lambda: environment(episode=0), InputError, "episode is 0"),
         (lambda: environment(dt=-1.0), InputError, "dt is -1"),
         (lambda: Environment(MODEL, lambda s: 0.0, start), InputError, "cost takes"),
         (lambda: Environment(MODEL, lambda s, u: s.q, start), InputError, "cost returned shape"),
@@ -222,9 +221,9 @@ def test_a_sample_that_is_lost_does_not_stop_the_value_function():
         (lambda: actor_critic(environment(), network(KEY, (4, 2)), KEY), InputError, "shape"),
         (lambda: actor_critic(environment(), lambda o: o[:1], KEY), InputError, "no floating"),
         (lambda: through_time(environment(), network(KEY, (4, 1)), KEY, batch=0), InputError,
-         "batch = 0"),
+         "batch is 0"),
         (lambda: actor_critic(environment(), network(KEY, (4, 1)), KEY, discount=2.0), InputError,
-         "discount = 2"),
+         "discount is 2"),
         (lambda: network(KEY, (4,)), InputError, "sizes is"),
         (lambda: network(KEY, (4, 1), "relu6"), UnknownName, "activation of network"),
     ],

@@ -73,8 +73,13 @@ def test_a_long_motion_goes_in_parts(monkeypatch):
 
     def ask():
         return region_of_attraction(
-            model, law, model.default_state(), [("x", -1.0, 1.0), ("x'", -0.5, 0.5)],
-            points=(5, 3), duration=6.3, dt=0.1,
+            model,
+            law,
+            model.default_state(),
+            [("x", -1.0, 1.0), ("x'", -0.5, 0.5)],
+            points=(5, 3),
+            duration=6.3,
+            dt=0.1,
         )
 
     whole = ask()
@@ -92,8 +97,8 @@ def test_a_long_motion_goes_in_parts(monkeypatch):
         ({"axes": [("x", -1, 1), ("x", -1, 1)]}, InputError, "both axes"),
         ({"axes": [("x", 1, -1), ("x'", -1, 1)]}, InputError, "low < high"),
         ({"axes": [("y", -1, 1), ("x'", -1, 1)]}, UnknownName, "coordinate of region"),
-        ({"axes": [(7, -1, 1), ("x'", -1, 1)]}, InputError, "coordinate = 7"),
-        ({"points": 1}, InputError, "points = 1"),
+        ({"axes": [(7, -1, 1), ("x'", -1, 1)]}, InputError, "coordinate is 7"),
+        ({"points": 1}, InputError, "points is 1"),
         ({"duration": 0.0}, InputError, "number of steps"),
         ({"equilibrium": 0.0}, InputError, "equilibrium is float"),
         ({"policy": 3}, InputError, "policy is int"),

@@ -159,9 +159,9 @@ def test_numbers_and_free_starts_are_drawn():
     [
         ({"update": "mpi"}, UnknownName, "update of Sampling"),
         ({"spline": "b"}, UnknownName, "spline of Sampling"),
-        ({"samples": 2}, InputError, "samples = 2"),
-        ({"cooling": 1.5}, InputError, "cooling = 1.5"),
-        ({"points": 0}, InputError, "points = 0"),
+        ({"samples": 2}, InputError, "samples is 2"),
+        ({"cooling": 1.5}, InputError, "cooling is 1.5"),
+        ({"points": 0}, InputError, "points is 0"),
     ],
 )
 def test_bad_input(what, error, said):

@@ -53,7 +53,7 @@ class OnCurve(rb.joints.Node):
 
     name, coordinates = "on_curve", 1
 
-    def pose(self, q, numbers):
+    def pose(self, q, params):
         c, s = sincos(q[0])
         return Transform(rotation_z(c, s), Vec3(0.3 * c, 0.2 * s, 0.1 * q[0] * q[0]))
 
@@ -63,7 +63,7 @@ class Bent(rb.joints.Node):
 
     name, coordinates = "bent", 2
 
-    def pose(self, q, numbers):
+    def pose(self, q, params):
         (c, s), (d, e) = sincos(1.5 * q[0]), sincos(1.2 * q[1])
         R = Mat3(1.0, 0.0, 0.0, 0.0, d, -e, 0.0, e, d)
         short = 0.5 - 0.6 * (q[0] * q[0] + q[1] * q[1])
@@ -75,7 +75,7 @@ class Cardan(rb.joints.Node):
 
     name, coordinates = "cardan", 2
 
-    def pose(self, q, numbers):
+    def pose(self, q, params):
         (c, s), (d, e) = sincos(q[0]), sincos(q[1])
         return Transform(rotation_z(c, s) @ Mat3(1, 0, 0, 0, d, -e, 0, e, d), Vec3.zero())
 
@@ -371,10 +371,10 @@ def test_gradients_by_the_pitch() -> None:
         model, q, v, a = moving(kind)
 
         def tau(numbers, model=model, q=q, v=v, a=a):
-            joints = model.joints.replace(numbers=numbers)
+            joints = model.joints.replace(params=numbers)
             return rb.inverse_dynamics(model.replace(joints=joints), q, v, a).sum()
 
-        numbers = model.joints.numbers
+        numbers = model.joints.params
         h = 1e-6 * jnp.ones_like(numbers)
         got = jax.grad(tau)(numbers) @ h
         np.testing.assert_allclose(got, (tau(numbers + h) - tau(numbers - h)) / 2, rtol=1e-6)
@@ -392,7 +392,7 @@ def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
     assert wide.nq == model.nq + 2 and wide.keyframes.q.shape == (len(wide.keyframe_names), wide.nq)
     assert wide.q_slice(name) == slice(2, 5)
     np.testing.assert_array_equal(wide.default_state().q[2:5], [0.1, 0.2, 0.3])
-    np.testing.assert_array_equal(model.with_joint(name, "universal").joints.numbers, [0, 1, 0])
+    np.testing.assert_array_equal(model.with_joint(name, "universal").joints.params, [0, 1, 0])
     fixed = screw.fix_zeros()
     assert fixed.with_joint(name, "hinge").execution.zeros is not None
     with pytest.raises(rb.UnknownName, match="screw"):
@@ -427,7 +427,7 @@ def test_a_kind_registered_anew_is_another_program() -> None:
         class Rail(rb.joints.Node):
             name, coordinates = "tilted_rail", 1
 
-            def pose(self, q, numbers):
+            def pose(self, q, params):
                 return Transform(Mat3.identity(), Vec3(q[0], 0.0, height * q[0]))
 
         rb.joints.register(Rail())

@@ -143,7 +143,7 @@ def test_limbs_of_a_group_are_isomorphic_and_disjoint(seed: int):
             assert carrier == WORLD or carrier in trunk
             for k, (i, parent) in enumerate(zip(limb, group.parents, strict=True)):
                 assert top.parents[i] == (carrier if parent == WORLD else limb[parent])
-                assert top.links[i].form == top.links[group.links[0][k]].form
+                assert top.dofs[i].spec == top.dofs[group.links[0][k]].spec
 
 
 # ------------------------------------------------------------------- what it computes

@@ -8,9 +8,9 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics.algorithms.momenta import (
+    linearly_implicit_velocity,
     momentum_and_rate,
     momentum_of,
-    nearby_velocity,
     velocity_of,
 )
 from tests.robots import at, mass_matrix, robot
@@ -52,7 +52,7 @@ def test_momenta_and_their_rates(name, driver):
             rate,
             momentum_of(model, q, v),
             velocity_of(model, q, f),
-            nearby_velocity(model, q, extra)(f),
+            linearly_implicit_velocity(model, q, extra)(f),
         )
 
     p, rate, alone, speed, nearby = found(q, v, tau, f)

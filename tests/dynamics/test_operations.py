@@ -14,7 +14,7 @@ from tests.forces.test_drivers import TWO_ARMED
 from tests.oracles.random_actuators import random_actuated
 from tests.robots import load_quietly
 
-NO_ELEMENTS = {"Place", "Element", "Frame", "Instant", "Joint", "Loads", "applied_forces",
+NO_ELEMENTS = {"Place", "Element", "Frame", "Context", "Joint", "Loads", "applied_forces",
                "elastic_energy", "on_each"}  # fmt: skip
 
 ONCE = jax.ShapeDtypeStruct((), float)
@@ -46,10 +46,14 @@ COUNTED = {
         lambda x: jax.lax.cond(x[0] > 0, lambda y: y * y * y, lambda y: y, x),
         OperationCount(0, 6),
     ),
-    "Cholesky": (lambda x: jnp.linalg.cholesky(jnp.diag(x), symmetrize_input=False),
-                 OperationCount(4, 4, 3, 3)),
-    "triangle": (lambda x: jax.scipy.linalg.solve_triangular(jnp.diag(x), x),
-                 OperationCount(3, 3, 3)),
+    "Cholesky": (
+        lambda x: jnp.linalg.cholesky(jnp.diag(x), symmetrize_input=False),
+        OperationCount(4, 4, 3, 3),
+    ),
+    "triangle": (
+        lambda x: jax.scipy.linalg.solve_triangular(jnp.diag(x), x),
+        OperationCount(3, 3, 3),
+    ),
     "LU": (lambda x: jax.lax.linalg.lu(jnp.diag(x))[0], OperationCount(5, 5, 3)),
     "whole numbers": (lambda x: jnp.argmax(x) + 3, OperationCount()),
     "checkpoint": (jax.checkpoint(lambda x: x + 1), OperationCount(3)),

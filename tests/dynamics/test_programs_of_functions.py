@@ -45,5 +45,5 @@ def test_steps_and_linearisations_do_not_grow(function) -> None:
     model = rb.load("pendulum")
     state = model.default_state()
     limit = entry.PROGRAMS_OF_FUNCTIONS
-    found = alive(lambda law: function(model, state, None, 0.01, law=law), limit + 8)
+    found = alive(lambda law: function(model, state, None, 0.01, dynamics=law), limit + 8)
     assert found <= limit

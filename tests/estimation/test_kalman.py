@@ -9,7 +9,7 @@ from scipy import stats
 import rbjax as rb
 from rbjax.errors import InputError
 from rbjax.estimation.kalman import StateSpace, kalman_filter, kalman_smoother
-from rbjax.motion.linearise import apart, beside
+from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.rotations import quaternion
 
 N, n, l, m = 9, 3, 2, 2  # transitions, state, process noise, readings
@@ -158,7 +158,7 @@ def test_attitudes_are_filtered_wherever_they_point():
 
     space = StateSpace(
         move, lambda x, y: rb.difference(model, x.q, y),
-        lambda x, dx: beside(model, x, dx), lambda a, b: apart(model, a, b),
+        lambda x, dx: box_plus(model, x, dx), lambda a, b: box_minus(model, a, b),
     )  # fmt: skip
     x = rb.State(jnp.array([1.0, 0, 0, 0]), jnp.array([2.0, -1.0, 3.0]))
     truth, seen, sigma = [], [], 0.1

@@ -13,7 +13,7 @@ import numpy as np
 import rbjax as rb
 from benchmarks.cases.random_trees import random_state
 from rbjax.forces.acting import states
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from tests.robots import load_quietly
 
 Array = np.ndarray
@@ -77,7 +77,7 @@ class Samples:
 
 def actuation(model: rb.Model, state: rb.State, u: Any) -> tuple[Any, ...]:
     """The actuators' forces on the joints, the states' rates, and the states after a step."""
-    now = Instant.of(model, 0.0, state, u)
+    now = Context.of(model, 0.0, state, u)
     rate, after = states(model, now), states(model, now, model.timestep)
     passive = rb.applied_forces(model, state)
     nothing = jnp.zeros(0)

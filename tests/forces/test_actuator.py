@@ -8,7 +8,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.forces.acting import loads, states
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from tests.compiler.host import COMPILER, on_host
 from tests.forces.actuated import Samples, actuation, errors, limbs, motion_errors, ours
 from tests.oracles.random_actuators import random_actuated
@@ -65,7 +65,7 @@ def test_derivatives_by_numbers_and_controls():
     weights = [jnp.asarray(rng.normal(size=n)) for n in (m.nv, m.na)]
 
     def loss(forces, u, x):
-        now = Instant.of(model.replace(forces=forces), 0.0, state.replace(x=x), u)
+        now = Context.of(model.replace(forces=forces), 0.0, state.replace(x=x), u)
         tau = jnp.stack([jnp.asarray(a, float) for a in loads(now.model, now)[0]])
         return (tau * weights[0]).sum() + (states(now.model, now) * weights[1]).sum()
 

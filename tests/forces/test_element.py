@@ -8,7 +8,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.forces import Element, Loads
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.model import with_constants
 from tests.forces.elements import Lag, Wind
 from tests.tolerances import F64_IDENTITY, relative_error
@@ -52,7 +52,7 @@ class Everywhere(Element):
 def test_a_push_on_the_world_is_no_load():
     """It is no link's: its number, -1, would be the last link's among columns."""
     model = rb.load("cart_pole")
-    now = Instant.of(model, 0.0, model.default_state(), None)
+    now = Context.of(model, 0.0, model.default_state(), None)
     assert rb.forces.Place.on().frame(now).push(jnp.ones(3)) == Loads()
 
 

@@ -9,7 +9,7 @@ import rbjax as rb
 from rbjax.forces.acting import states
 from rbjax.forces.actuators.activation import Integrator
 from rbjax.forces.actuators.orientation_servo import OrientationServo
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from tests.forces.actuated import errors, limbs
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY
@@ -32,7 +32,7 @@ def test_against_mujoco():
 def test_a_target_of_more_than_half_a_turn_becomes_the_shorter_one():
     model = load_quietly(limbs(SERVOS[4].replace(' actrange="-1 1"', "")))
     state = model.default_state().replace(x=jnp.array([0.0, 3.1, 0.0]))
-    now = Instant.of(model, 0.0, state, jnp.array([0.0, 1, 0]))
+    now = Context.of(model, 0.0, state, jnp.array([0.0, 1, 0]))
     np.testing.assert_allclose(states(model, now, 0.1), [0, 3.2 - 2 * np.pi, 0], atol=1e-15)
 
 
@@ -53,7 +53,8 @@ def test_its_early_target_is_that_of_the_step_and_not_of_the_models_timestep(bat
     text = (
         '<mujoco><option gravity="0 0 0" timestep="{}"/><worldbody><body>'
         '<joint type="ball"/><geom type="box" size=".1 .2 .3"/></body></worldbody><actuator>'
-        + '<general joint="joint0"/>' * 3 + "</actuator></mujoco>"
+        + '<general joint="joint0"/>' * 3
+        + "</actuator></mujoco>"
     ).replace('<joint type="ball"/>', '<joint name="joint0" type="ball"/>')
     ends = []
     for timestep in (0.002, 0.02):

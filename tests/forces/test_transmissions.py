@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from tests.forces.actuated import Samples, limbs
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, GRADIENT, relative_error
@@ -39,7 +39,7 @@ def reaches(m: mujoco.MjModel, driver: str):
     model = load_quietly(m).replace(driver=driver)
 
     def one(state):
-        now = Instant.of(model, 0.0, state, None)
+        now = Context.of(model, 0.0, state, None)
         found = [element.transmission.reach(now) for element in model.forces]
         lengths = jnp.stack([jnp.asarray(x.length, float) for x in found])
         speeds = jnp.stack([jnp.asarray(x.speed(now), float) for x in found])

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.lanes.extremes import largest, smallest
+from rbjax.lanes.arrays import largest, smallest
 
 BOTH = [(smallest, np.min), (largest, np.max)]
 

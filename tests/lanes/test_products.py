@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rbjax import lanes
-from rbjax.lanes.products import matrix_transpose, outer
+from rbjax.lanes.arrays import matrix_transpose, outer
 from rbjax.spatial.operators import along
 from tests.tolerances import F64_ROUNDING, relative_error
 

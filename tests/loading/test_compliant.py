@@ -45,8 +45,8 @@ def test_accelerations_are_those_of_mujoco(shift: int) -> None:
 
     @jax.jit
     def ours(state):
-        tau, pushes, _ = applied(model, 0.0, state, Inputs(None))
-        return compliant_motion(model, 0.0, state, tau, pushes)[0]
+        tau, f_ext, _ = applied(model, 0.0, state, Inputs(None))
+        return compliant_motion(model, 0.0, state, tau, f_ext)[0]
 
     for key in jax.random.split(jax.random.key(1), 3):
         state = model.random_state(key)

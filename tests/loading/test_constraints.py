@@ -43,7 +43,7 @@ EQUALITIES = {  # one of each form; its kind here
 
 def rows_and_gradients(model: rb.Model):
     def found(q):
-        now = rb.forces.Instant.of(model, 0.0, rb.State(q, np.zeros(model.nv)), None)
+        now = rb.forces.Context.of(model, 0.0, rb.State(q, np.zeros(model.nv)), None)
         rows = rows_of(model, now)
         return jax.numpy.stack([row.value for row in rows]), gradient_matrix(now, rows)
 
@@ -212,7 +212,7 @@ def urdf(mimic: str, driver: str = "continuous") -> str:
 def test_a_mimic_is_a_coupling(mimic: str, driver: str, value: float) -> None:
     model = rb.load(urdf(mimic, driver), strict=True, floating_base=False)
     state = rb.State(np.array([0.5, 0.7])[-model.nq :], np.zeros(model.nv))
-    (row,) = rows_of(model, rb.forces.Instant.of(model, 0.0, state, None))
+    (row,) = rows_of(model, rb.forces.Context.of(model, 0.0, state, None))
     assert float(row.value) == pytest.approx(value, abs=1e-15)
 
 

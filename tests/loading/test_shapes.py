@@ -6,8 +6,8 @@ import pytest
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.loading.at_rest import at_rest
-from rbjax.loading.loader import compile_model
 from rbjax.loading.round_shapes import round_shape
+from rbjax.loading.sources import compile_model
 from rbjax.loading.urdf.shapes import find_mesh
 
 AXLE = np.array([0.0, 1.0, 0.0])

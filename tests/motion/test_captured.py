@@ -570,6 +570,7 @@ def test_what_it_does_not_name_is_compiled_at_each_call_and_said(make):
 
 def test_identity_of_arrays_within_a_transformation():
     """Arrays that are operands are one operand where they are one array."""
+
     def run(k):
         f = lambda t, s, one=k: (1.0 if one is k else 2.0) * k * s.v  # noqa: E731
         return value(f).sum()
@@ -637,7 +638,7 @@ def rolled(policy, **how):
 
 
 def solved(policy, **how):
-    return rb.simulate(scene(), S, jnp.linspace(0.0, 0.02, 3), policy, dt0=0.01, **how).q[-1]
+    return rb.simulate(scene(), S, jnp.linspace(0.0, 0.02, 3), policy, dt=0.01, **how).q[-1]
 
 
 @pytest.mark.parametrize("march", [rolled, pytest.param(solved, marks=pytest.mark.slow)])
@@ -665,7 +666,7 @@ def test_twenty_lambdas_are_one_program(march):
 
 def test_laws_integrators_and_forces_are_read_too():
     def run(k):
-        def law(model, t, state, tau, pushes):
+        def law(model, t, state, tau, f_ext):
             return k * tau
 
         def euler(field, t, state, inputs, dt):
@@ -673,7 +674,9 @@ def test_laws_integrators_and_forces_are_read_too():
             return rb.State(field.retract(state.q, dt * state.v), state.v + k * dt * a)
 
         tau = lambda t, s: jnp.array([k, 1.0])  # noqa: E731
-        return rb.rollout(scene(), S, None, 0.01, tau=tau, law=law, integrator=euler, steps=2).v[1]
+        return rb.rollout(
+            scene(), S, None, 0.01, tau=tau, dynamics=law, integrator=euler, steps=2
+        ).v[1]
 
     run(1.0)
     with compilations() as compiled:

@@ -9,7 +9,7 @@ import rbjax as rb
 from rbjax.dynamics.drivers import choice
 from rbjax.forces.inputs import Inputs
 from rbjax.motion import force_jacobian
-from rbjax.motion.linearise import beside, generalized_forces
+from rbjax.motion.linearise import box_plus, generalized_forces
 from tests.tolerances import F64_ROUNDING, relative_error
 
 HINGE, SLIDE = (
@@ -56,7 +56,7 @@ def test_against_one_tangent_a_column(case, dtype, monkeypatch):
     M = jax.random.normal(jax.random.key(2), (model.nv, model.nv), dtype)
 
     def forces(model, dx, du):
-        return generalized_forces(model, 0.0, beside(model, state, dx), Inputs(u + du))[0]
+        return generalized_forces(model, 0.0, box_plus(model, state, dx), Inputs(u + du))[0]
 
     def found(model):
         return force_jacobian.times_jacobian(model, lambda *x: forces(model, *x), model.nu, M)

@@ -68,9 +68,7 @@ def test_functions_are_arrays_of_their_values(functions, kernel):
     def at(values):
         return lambda t, state: values[jnp.round(t / DT).astype(int)]
 
-    mixed = Inputs(*(
-        at(x) if name in functions else x for name, x in given._asdict().items()
-    ))
+    mixed = Inputs(*(at(x) if name in functions else x for name, x in given._asdict().items()))
     run = functools.partial(rb.rollout, model, states, dt=DT, steps=STEPS, kernel=kernel)
     one = run(given.ctrl, tau=given.tau, wrenches=given.wrenches)
     other = run(mixed.ctrl, tau=mixed.tau, wrenches=mixed.wrenches)
@@ -98,8 +96,15 @@ def test_simulate_holds_arrays():
     start = rb.State(jnp.array([0.3, 0.1]), jnp.zeros(2))
     ts = jnp.linspace(0.0, 0.5, 3)
     held = rb.simulate(model, start, ts, tau=jnp.array([1.0, 0.0]))
-    fine = rb.rollout(model, start, None, 1e-3, steps=500, tau=lambda t, s: jnp.array([1.0, 0.0]),
-                      integrator="rk4")
+    fine = rb.rollout(
+        model,
+        start,
+        None,
+        1e-3,
+        steps=500,
+        tau=lambda t, s: jnp.array([1.0, 0.0]),
+        integrator="rk4",
+    )
     np.testing.assert_allclose(held.q[-1], fine.q[-1], atol=1e-7)
 
 
@@ -109,14 +114,16 @@ def test_a_law_and_an_integrator_of_a_user(kernel):
     model = rb.load("cart_pole")
     state = rb.State(jnp.array([[0.0, 0.5], [0.1, 1.0]]), jnp.zeros((2, 2)))
 
-    def held(model, t, state, tau, pushes):
+    def held(model, t, state, tau, f_ext):
         M = rb.mass_matrix(model, state.q)
         b = rb.bias_forces(model, state.q, state.v)
         return jnp.stack([jnp.zeros(()), (tau[1] - b[1]) / M[1, 1]])
 
-    path = rb.rollout(model, state, None, DT, steps=20, law=held, kernel=kernel)
+    path = rb.rollout(model, state, None, DT, steps=20, dynamics=held, kernel=kernel)
     assert np.ptp(path.q[..., 0], axis=-1).max() == 0
-    long = rb.simulate(model, rb.State(state.q[0], state.v[0]), jnp.linspace(0, 0.2, 3), law=held)
+    long = rb.simulate(
+        model, rb.State(state.q[0], state.v[0]), jnp.linspace(0, 0.2, 3), dynamics=held
+    )
     np.testing.assert_allclose(long.q[-1], path.q[0, -1], atol=2e-2)
 
     def explicit(field, t, state, inputs, dt):
@@ -145,5 +152,5 @@ def test_what_a_law_returns_is_checked():
         with pytest.raises(rb.InputError, match=r"what the law returned has shape \(3,\), expec"):
             rb.step(
                 model, model.default_state(), dt=DT, integrator=integrator,
-                law=lambda model, t, state, tau, pushes: jnp.zeros(3),
+                dynamics=lambda model, t, state, tau, f_ext: jnp.zeros(3),
             )  # fmt: skip

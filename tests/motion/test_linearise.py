@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.motion.linearise import apart, beside
+from rbjax.motion.linearise import box_minus, box_plus
 from tests.forces.elements import Lag, Wind
 from tests.tolerances import F64_IDENTITY, relative_error
 
@@ -57,12 +57,12 @@ def test_a_step_takes_what_a_rollout_takes():
         a, _ = field.rates(t, state, inputs)
         return rb.State(field.retract(state.q, dt * state.v), state.v + dt * a)
 
-    def held(model, t, state, tau, pushes):
+    def held(model, t, state, tau, f_ext):
         return jnp.zeros(2)
 
-    after = rb.step(model, state, dt=0.01, integrator=euler, law=held)
+    after = rb.step(model, state, dt=0.01, integrator=euler, dynamics=held)
     np.testing.assert_allclose(after.q - state.q, [0.01, 0.02], rtol=1e-12)
-    A, _ = rb.linearise(model, state, dt=0.01, integrator=euler, law=held)
+    A, _ = rb.linearise(model, state, dt=0.01, integrator=euler, dynamics=held)
     np.testing.assert_allclose(A[:2], np.eye(4)[:2] + 0.01 * np.eye(4)[2:], rtol=1e-12)
 
 
@@ -75,8 +75,8 @@ def test_a_step_is_differentiated(key):
 
     @jax.jit
     def moved(dx, du):
-        after = rb.step(model, beside(model, state, dx), u + du, 0.01)
-        return apart(model, rb.step(model, state, u, 0.01), after)
+        after = rb.step(model, box_plus(model, state, dx), u + du, 0.01)
+        return box_minus(model, rb.step(model, state, u, 0.01), after)
 
     def differences(f, size):
         return np.stack([(f(e) - f(-e)) / (2 * EPS) for e in EPS * np.eye(size)], -1)

@@ -80,16 +80,17 @@ def test_order_with_free_attitudes(integrator, order, steps):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("integrator", "solver"), [
-    ("tsit5", "Tsit5"), pytest.param("dopri8", "Dopri8", marks=pytest.mark.slow)
-])
+@pytest.mark.parametrize(
+    ("integrator", "solver"),
+    [("tsit5", "Tsit5"), pytest.param("dopri8", "Dopri8", marks=pytest.mark.slow)],
+)
 def test_tableaus_are_diffrax_s_without_attitudes(integrator, solver, key):
     """On hinges the manifold is flat, and a step is that of the same tableau in `simulate`."""
     model = rb.load("double_pendulum")
     state, steps, dt = model.random_state(key), 5, 0.02
     here = rb.rollout(model, state, None, dt, integrator=integrator, steps=steps)
     ts = jnp.array([0.0, steps * dt])
-    there = rb.simulate(model, state, ts, solver=getattr(diffrax, solver)(), dt0=dt * (1 + 1e-13))
+    there = rb.simulate(model, state, ts, solver=getattr(diffrax, solver)(), dt=dt * (1 + 1e-13))
     assert relative_error(here.q[-1], there.q[-1]) < F64_IDENTITY
     assert relative_error(here.v[-1], there.v[-1]) < F64_IDENTITY
 
@@ -180,17 +181,17 @@ def test_memory_of_the_gradient_follows_the_law(key):
             "expected one of .'semi_implicit_euler', 'variational_midpoint', 'rk4'",
         ),
         ({"save_every": 7}, "expected a divisor of the 10 steps"),
-        ({"ctrls": np.zeros((10, 3))}, "ctrls has shape .10, 3., expected .10, 1."),
-        ({"ctrls": np.full((10, 1), np.nan)}, r"ctrls\[0, 0\] is nan, expected finite"),
-        ({"ctrls": np.zeros((10, 1), complex)}, "ctrls has dtype complex128, expected float"),
-        ({"ctrls": np.zeros((0, 1))}, r"shape \(0, 1\), expected \(1, 1\): a row .* policy"),
-        ({"ctrls": "none"}, "ctrls is str, expected an array"),
-        ({"ctrls": None}, "steps is None"),
-        ({"ctrls": None, "steps": -3}, "steps = -3, expected a whole number of at least 1"),
-        ({"ctrls": None, "steps": 0}, "steps = 0, expected a whole number of at least 1"),
-        ({"ctrls": None, "steps": 2.0}, "steps = 2.0, expected a whole number of at least 1"),
-        ({"save_every": 2.5}, "save_every = 2.5, expected a whole number .* divisor of the 10"),
-        ({"save_every": 0}, "save_every = 0, expected a whole number of at least 1"),
+        ({"ctrl": np.zeros((10, 3))}, "ctrl has shape .10, 3., expected .10, 1."),
+        ({"ctrl": np.full((10, 1), np.nan)}, r"ctrl\[0, 0\] is nan, expected finite"),
+        ({"ctrl": np.zeros((10, 1), complex)}, "ctrl has dtype complex128, expected float"),
+        ({"ctrl": np.zeros((0, 1))}, r"shape \(0, 1\), expected \(1, 1\): a row .* policy"),
+        ({"ctrl": "none"}, "ctrl is str, expected an array"),
+        ({"ctrl": None}, "steps is None"),
+        ({"ctrl": None, "steps": -3}, "steps is -3, expected an integer of at least 1"),
+        ({"ctrl": None, "steps": 0}, "steps is 0, expected an integer of at least 1"),
+        ({"ctrl": None, "steps": 2.0}, "steps is 2.0, expected an integer of at least 1"),
+        ({"save_every": 2.5}, "save_every is 2.5, expected an integer .* divisor of the 10"),
+        ({"save_every": 0}, "save_every is 0, expected an integer of at least 1"),
         ({"state": rb.State(jnp.zeros(3), jnp.zeros(2))}, "q has shape .3,., expected .2,."),
         ({"state": rb.State(None, jnp.zeros(2))}, "q is NoneType, expected an array"),
         ({"state": rb.State(jnp.zeros(2, complex), jnp.zeros(2))}, "q has dtype complex128"),
@@ -206,9 +207,9 @@ def test_memory_of_the_gradient_follows_the_law(key):
 )
 def test_bad_arguments_are_named(arguments, message):
     model = rb.load("cart_pole")
-    given = {"state": model.default_state(), "ctrls": np.zeros((10, 1)), "dt": 0.01, **arguments}
+    given = {"state": model.default_state(), "ctrl": np.zeros((10, 1)), "dt": 0.01, **arguments}
     with pytest.raises(rb.InputError, match=message):
-        rb.rollout(model, given.pop("state"), given.pop("ctrls"), **given)
+        rb.rollout(model, given.pop("state"), given.pop("ctrl"), **given)
 
 
 @pytest.mark.parametrize("batch", [(), (3,)], ids=["one", "batch"])

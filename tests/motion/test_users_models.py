@@ -28,8 +28,8 @@ def lighter_gravity(model):
 
 
 def law(change):
-    def heavy_law(model, t, state, tau, pushes):
-        return free_motion(change(model), t, state, tau, pushes)
+    def heavy_law(model, t, state, tau, f_ext):
+        return free_motion(change(model), t, state, tau, f_ext)
 
     return heavy_law
 
@@ -60,7 +60,7 @@ def test_a_law_that_changes_the_model_is_heeded(change, kernel, dtype):
     tau, model = jnp.ones((4, 2), dtype), MODEL.astype(dtype)
     for batch in (0, 1):
         state = start(dtype, batch)
-        found = rb.rollout(model, state, None, 0.01, tau=tau, law=law(change), kernel=kernel)
+        found = rb.rollout(model, state, None, 0.01, tau=tau, dynamics=law(change), kernel=kernel)
         want = rb.rollout(change(model), state, None, 0.01, tau=tau, kernel=kernel)
         assert relative_error(found.v, want.v) < (F64_IDENTITY if dtype == jnp.float64 else 1e-5)
 
@@ -68,8 +68,8 @@ def test_a_law_that_changes_the_model_is_heeded(change, kernel, dtype):
 @pytest.mark.slow
 def test_simulate_heeds_it_too():
     state, ts = start(jnp.float64, 0), jnp.array([0.0, 0.03])
-    found = rb.simulate(MODEL, state, ts, law=law(heavier), tau=jnp.ones(2), dt0=0.01)
-    want = rb.simulate(heavier(MODEL), state, ts, tau=jnp.ones(2), dt0=0.01)
+    found = rb.simulate(MODEL, state, ts, dynamics=law(heavier), tau=jnp.ones(2), dt=0.01)
+    want = rb.simulate(heavier(MODEL), state, ts, tau=jnp.ones(2), dt=0.01)
     assert relative_error(found.v, want.v) < F64_IDENTITY
 
 
@@ -100,7 +100,9 @@ def test_a_gradient_by_masses_reaches_a_law_that_changes_zeros():
     def end(mass, change_first):
         model = eqx.tree_at(lambda m: m.bodies.mass, MODEL, mass)
         model, how = (beside(model), free_motion) if change_first else (model, law(beside))
-        return rb.rollout(model, start(jnp.float64, 0), None, 0.01, steps=3, law=how).v[-1].sum()
+        return (
+            rb.rollout(model, start(jnp.float64, 0), None, 0.01, steps=3, dynamics=how).v[-1].sum()
+        )
 
     found, want = (jax.grad(end)(MODEL.bodies.mass, first) for first in (False, True))
     assert relative_error(found, want) < F64_IDENTITY
@@ -159,13 +161,13 @@ def test_a_law_under_xla_takes_forces_that_are_constants():
     model = MODEL.with_forces(Steady(jnp.array([3.0, 0.0, 0.0])))
     state = start(jnp.float64, 4)
 
-    def plain(model, t, state, tau, pushes):
-        return acceleration(model, state.q, state.v, tau, pushes)
+    def plain(model, t, state, tau, f_ext):
+        return acceleration(model, state.q, state.v, tau, f_ext)
 
     def run(state, **how):
         return rb.rollout(model, state, None, 0.01, steps=2, **how).v
 
-    found = jax.jit(lambda s: run(s, law=plain, kernel=False))(state)
+    found = jax.jit(lambda s: run(s, dynamics=plain, kernel=False))(state)
     assert relative_error(found, run(state)) < F64_IDENTITY
 
 
@@ -189,5 +191,3 @@ def test_a_batch_that_is_not_finite_is_said_once():
 def test_within_a_program_it_is_a_value_only():
     blown = rb.State(jnp.ones(2), 1e200 * jnp.ones(2))
     assert not jax.jit(lambda s: rb.rollout(MODEL, s, None, 1.0, steps=3).ok)(blown)
-
-

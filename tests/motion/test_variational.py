@@ -119,7 +119,7 @@ def test_order_two_with_forces(which):
     model = with_states() if which == "states" else rb.load(scene)
     state, u = model.random_state(jax.random.key(0)), 0.3 * jnp.ones(model.nu)
 
-    def held(model, t, state, tau, pushes):
+    def held(model, t, state, tau, f_ext):
         M, b = rb.mass_matrix(model, state.q), rb.bias_forces(model, state.q, state.v)
         return jnp.array([0.0, 1.0]) * (tau - b) / jnp.diag(M)
 
@@ -205,7 +205,7 @@ def test_a_law_gives_the_acceleration():
     """Of a cart whose law lets nothing accelerate: only what a midpoint neglects is left."""
     model = rb.load("cart_pole")
     state = rb.State(jnp.array([0.0, 1.0]), jnp.array([0.3, 0.2]))
-    after = rb.step(model, state, dt=1e-3, integrator=NAME, law=lambda *_: jnp.zeros(2))
+    after = rb.step(model, state, dt=1e-3, integrator=NAME, dynamics=lambda *_: jnp.zeros(2))
     np.testing.assert_allclose(after.v, state.v, atol=1e-7)
 
 
@@ -261,9 +261,9 @@ def test_springs_and_dampers_of_joints_may_be_stiff():
     assert path.ok and np.abs(path.v).max() < 30
 
 
-@pytest.mark.parametrize("kind", [
-    "slide", pytest.param("screw", marks=SLOW), pytest.param("planar", marks=SLOW)
-])
+@pytest.mark.parametrize(
+    "kind", ["slide", pytest.param("screw", marks=SLOW), pytest.param("planar", marks=SLOW)]
+)
 def test_servos_of_joints_may_be_stiff(kind):
     """On whatever joint of coordinates that add: h = 19 sqrt(m / k) and more."""
     model = rb.load("cart_pole").with_joint("slider", kind)

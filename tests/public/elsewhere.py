@@ -12,7 +12,7 @@ ELSEWHERE: dict[str, set[str]] = {
     "body": {"formulation", "formulations"},
     "dynamics": set(),
     "forces": {"on_each"},
-    "joints": {"kind", "kinds", "register", "turning"},
+    "joints": {"kind", "kinds", "register", "hinge_motion"},
     "loading": {"compile_model", "load", "scenes", "write_back", "write_mjcf"},
     # rows are functions of frames: tests/constraints/test_pairs.py and test_rows.py
     "constraints": {"along", "assemble", "coordinate", "cosine", "displacement", "distance",

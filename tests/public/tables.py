@@ -69,7 +69,7 @@ def rolled_out(model, state, tau):
 
 def simulated(model, state, tau):
     ts = jnp.array([0.0, 0.02], state.q.dtype)
-    path = rb.simulate(model, state, ts, tau=tau[0], dt0=0.01, solver=diffrax.Midpoint())
+    path = rb.simulate(model, state, ts, tau=tau[0], dt=0.01, solver=diffrax.Midpoint())
     return path.q, path.v
 
 

@@ -23,9 +23,7 @@ def start(model):
 def robot(name: str):
     """The model, and how far a path lies from where it is at TS to rounding."""
     model = rb.load(name)
-    exact = rb.simulate(
-        model, start(model), TS, stepsize_controller=FINE, solver=diffrax.Dopri8()
-    )
+    exact = rb.simulate(model, start(model), TS, stepsize_controller=FINE, solver=diffrax.Dopri8())
 
     @jax.jit
     def apart(path):
@@ -50,7 +48,7 @@ def program(scene: str, name: str):
     """One that knows its robot, whatever the step."""
     model, _ = robot(scene)
     solver = SOLVERS[name].make()
-    return jax.jit(lambda state, dt: rb.simulate(model, state, TS, solver=solver, dt0=dt))
+    return jax.jit(lambda state, dt: rb.simulate(model, state, TS, solver=solver, dt=dt))
 
 
 @pytest.mark.slow
@@ -88,7 +86,7 @@ def test_the_splitting_of_rigid_bodies_names_its_term() -> None:
         ("rk4", r"solver is 'rk4', expected .*: rb.solvers.all\(\)\['rk4'\]\.make\(\)"),
         (SOLVERS["rk4"], r"solver is Entry\(.*, expected .*: the entry's make\(\)"),
         (4, r"solver is 4, expected a solver of diffrax"),
-        (rb.solvers.newmark(), r"GeneralizedAlpha estimates no error.* expected dt0"),
+        (rb.solvers.newmark(), r"GeneralizedAlpha estimates no error.* expected dt"),
     ],
 )
 def test_what_is_no_solver_or_has_no_steps_is_named(solver, message: str) -> None:
@@ -114,7 +112,7 @@ def test_gradients_along_the_manifold() -> None:
 
     @jax.jit
     def loss(v):
-        path = rb.simulate(model, rb.State(state.q, v), TS, solver=rb.solvers.rkmk(3), dt0=0.02)
+        path = rb.simulate(model, rb.State(state.q, v), TS, solver=rb.solvers.rkmk(3), dt=0.02)
         return (path.q[-1] ** 3).sum()
 
     gradient = jax.jit(jax.grad(loss))(state.v)

@@ -116,7 +116,7 @@ def test_a_stiff_robot_with_large_steps(name: str) -> None:
     @jax.jit
     def run(elbow, dt):
         state = rb.State(jnp.array([1.0, elbow]), jnp.array([0.5, 0.0]))
-        return rb.simulate(model, state, TIMES, solver=solver, dt0=dt, throw=False)
+        return rb.simulate(model, state, TIMES, solver=solver, dt=dt, throw=False)
 
     for dt, bound in zip((0.01, 0.05), ROBOTS[name], strict=True):
         path = run(0.0, dt)

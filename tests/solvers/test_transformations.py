@@ -98,7 +98,7 @@ def test_a_gain_that_the_control_of_a_robot_closes_over(name: str) -> None:
         def control(t, state):
             return -gain * state.q
 
-        found = rb.simulate(model, start, ts, control, solver=solver, dt0=0.02, adjoint=adjoint)
+        found = rb.simulate(model, start, ts, control, solver=solver, dt=0.02, adjoint=adjoint)
         return found.q[-1, 0]
 
     back = jax.grad(end)(2.0)

@@ -93,7 +93,7 @@ def test_bad_arguments():
     model = load_quietly("double_pendulum")
     with pytest.raises(InputError, match="all of q, v and a"):
         sysid.torque.base_parameters(model, np.zeros((3, 2)))
-    with pytest.raises(InputError, match="samples = 0"):
+    with pytest.raises(InputError, match="samples is 0"):
         sysid.torque.base_parameters(model, samples=0)
     still = '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>'
     with pytest.raises(InputError, match="nothing moves"):

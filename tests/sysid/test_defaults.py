@@ -157,7 +157,7 @@ def test_a_delay_that_the_grid_would_cut_is_an_error():
         run_of(late, seen(), Grid(T, longest_delay=2))
     run_of(late, seen(), Grid(T, longest_delay=3))
     run_of(Setup.of(MODEL, delay=0.0), seen(), Grid(T))
-    with pytest.raises(rb.InputError, match="substeps of the grid = 0"):
+    with pytest.raises(rb.InputError, match="substeps of the grid is 0"):
         run_of(Setup.of(MODEL), seen(), Grid(T, 0))
 
 

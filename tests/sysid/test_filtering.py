@@ -108,7 +108,7 @@ def test_columns_are_filtered_each():
         ({"x": np.where(EVEN[7] == EVEN, np.nan, EVEN)}, "x is nan at sample 7"),
         ({"x": EVEN[:-1]}, r"t has shape \(3000,\) and x \(2999,\)"),
         ({"t": EVEN[::-1]}, "t does not increase"),
-        ({"times": 3}, "times = 3, expected a whole number from 0 to 2"),
+        ({"times": 3}, "times is 3, expected an integer from 0 to 2"),
     ],
 )
 def test_bad_arguments_are_named(given, message):

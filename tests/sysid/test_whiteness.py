@@ -105,5 +105,5 @@ def test_coverage_of_the_sandwich():
 def test_bad_arguments_are_named():
     with pytest.raises(rb.InputError, match=r"residual has shape \(3,\), expected \(samples,\)"):
         whiteness([1, 2, 3])
-    with pytest.raises(rb.InputError, match="lags = 50, expected a whole number from 1 to 19"):
+    with pytest.raises(rb.InputError, match="lags is 50, expected an integer from 1 to 19"):
         whiteness(np.arange(20), lags=50)

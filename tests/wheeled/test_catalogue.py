@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.wheeled import Body, Drive, Robot, Steering, Wheel, kinds
-from rbjax.wheeled.kinematics.instant import Instant
+from rbjax.wheeled.kinematics.context import Context
 from rbjax.wheeled.kinematics.numbers import numbers_of
 from rbjax.wheeled.kinematics.odometry import HeadingSlip
 from rbjax.wheeled.kinematics.planar import Moving, inverse_root
@@ -77,7 +77,7 @@ def test_axles_of_a_steered_car_meet_in_one_point(turned):
     layout = robot.layout
     q = [0.0] * layout.nq
     q[layout.steerings.start] = 0.4
-    ahead = np.array(Instant(numbers_of(robot, jnp.float64), q, [], [], []).shape.wheels, float)
+    ahead = np.array(Context(numbers_of(robot, jnp.float64), q, [], [], []).shape.wheels, float)
     np.testing.assert_allclose((ahead**2).sum(1), 1.0, rtol=1e-14)
     reach = (ahead * places).sum(1)  # e . (p - c) = 0 for the centre c
     centre = np.linalg.lstsq(ahead, reach, rcond=None)[0]

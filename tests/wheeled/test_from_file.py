@@ -14,7 +14,7 @@ import pytest
 
 from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName, UnsupportedFeature
-from rbjax.loading.loader import compile_model
+from rbjax.loading.sources import compile_model
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, SpeedServo, TorqueSource
 from rbjax.wheeled.kinematics.numbers import numbers_of

@@ -13,7 +13,7 @@ from rbjax import wheeled
 from rbjax.constraints import KKT, jacobian, mobility
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
-from rbjax.wheeled.kinematics.instant import coordinate_rates
+from rbjax.wheeled.kinematics.context import coordinate_rates
 from rbjax.wheeled.kinematics.planar import Moving, rate_of
 from rbjax.wheeled.kinematics.velocities import ideal, rows
 from rbjax.wheeled.models.constrained import Constrained, full_state

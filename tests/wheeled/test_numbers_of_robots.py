@@ -48,7 +48,7 @@ PARTS: dict[str, Callable] = {
     "Wheel.mass=.*at least 0": lambda: Wheel([0.0, 0.0], mass=-1.0),
     "Wheel.inertia=.*at least 0": lambda: Wheel([0.0, 0.0], inertia=-1.0),
     "Wheel.damping=.*at least 0": lambda: Wheel([0.0, 0.0], damping=-1.0),
-    "Wheel.radius=.*number above zero": lambda: Wheel([0.0, 0.0], radius=0.0),
+    "Wheel.radius=.*numbers above 0": lambda: Wheel([0.0, 0.0], radius=0.0),
     "Steering: lag is 0.0.*above zero": lambda: Steering((0,), 0.0),
     "expected rbjax.wheeled.TorqueSource": lambda: wheeled.Drive((0,), 3.0),
     "at: robot is NoneType": lambda: wheeled.at(None, "kinematical"),

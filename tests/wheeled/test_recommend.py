@@ -17,7 +17,7 @@ slow = pytest.mark.slow
 def steady_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """A step of the first fidelity takes a microsecond, of the second two, and so on."""
     cost = {name: i + 1.0 for i, name in enumerate(wheeled.fidelities())}
-    monkeypatch.setattr(Manoeuvre, "step_us", lambda self, vehicle, _: cost[vehicle.name])
+    monkeypatch.setattr(Manoeuvre, "step_us", lambda self, name, _: cost[name])
 
 
 def cart(motor=None, **numbers):
@@ -47,7 +47,9 @@ def test_inertia_decides_by_the_lag_of_the_servo(steady_clock) -> None:
     coarse = recommend.fidelity(robot, [speed, speed], 1.1 * behind, among=rolls)
     check(coarse, 1.1 * behind)
     assert coarse.name == "kinematic"
-    assert coarse.reason.startswith("cost decides: kinematical would take 2e+02 us; kinematic with")
+    assert coarse.reason.startswith(
+        "cost decides: kinematical would take 2e+02 us per second of motion; "
+    )
     np.testing.assert_allclose(coarse.error, behind, rtol=1e-3)
     assert np.isnan(coarse.share) and np.isnan(coarse.lifts)
     fine = recommend.fidelity(robot, [speed, speed], 0.9 * behind, among=rolls)

@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.forces import Instant
+from rbjax.forces import Context
 from rbjax.wheeled import Coulomb, Fiala, Linear, Relaxing, RollingResistance, TyreOnGround
 from tests.constraints.rows import tree
 from tests.constraints.test_rolling import ORACLE, disc, on_the_plane
@@ -52,11 +52,11 @@ def test_power(law, damping):
         state = model.random_state(key)
         if wheel.size:
             state = state.replace(x=0.01 * jax.random.normal(key, (2,)))
-        now = Instant.of(model, 0.0, state, None)
+        now = Context.of(model, 0.0, state, None)
         at = wheel.contact(now)
 
         def stored(q):
-            now = Instant.of(model, 0.0, state.replace(q=q), None)
+            now = Context.of(model, 0.0, state.replace(q=q), None)
             bare = wheel.replace(tyre=LAWS["linear"]) if law == "relaxing" else wheel
             return jnp.asarray(bare.energy(now))
 
@@ -206,7 +206,7 @@ def test_the_roll_speed_is_that_of_the_contact_on_the_ground():
 
     def at(s):
         q = rb.integrate(free, start.q, s * start.v)
-        found = wheel.contact(Instant.of(free, 0.0, start.replace(q=q), None))
+        found = wheel.contact(Context.of(free, 0.0, start.replace(q=q), None))
         return found.p.array, (found.x.array, jnp.stack([*found.sliding, found.roll_speed]))
 
     (_, (x, speeds)), (dp, _) = jax.jit(lambda: jax.jvp(at, (0.0,), (1.0,)))()

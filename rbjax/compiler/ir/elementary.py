@@ -15,7 +15,7 @@ import numpy as np
 
 from rbjax.compiler.ir.expressions import Number
 from rbjax.compiler.ir.statements import F64, I32, I64
-from rbjax.lanes.trigonometry import SERIES, horner
+from rbjax.lanes.primitives import SERIES, horner
 
 #: pi / 2 and ln 2 in parts, whose products with small integers are exact, and the rest
 QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21,

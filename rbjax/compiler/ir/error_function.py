@@ -12,7 +12,7 @@ from __future__ import annotations
 from rbjax.compiler.ir.elementary import Found, limited, power_of_two, scaled
 from rbjax.compiler.ir.expressions import Number
 from rbjax.compiler.ir.powers import product
-from rbjax.lanes.trigonometry import horner
+from rbjax.lanes.primitives import horner
 
 #: erf x / x in x^2, up to 1
 NEAR = (

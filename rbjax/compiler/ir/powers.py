@@ -22,7 +22,7 @@ from rbjax.compiler.ir.elementary import (
 )
 from rbjax.compiler.ir.expressions import Number
 from rbjax.compiler.ir.statements import BOOL, I64
-from rbjax.lanes.trigonometry import horner
+from rbjax.lanes.primitives import horner
 
 #: a sum of two numbers that do not overlap
 Double = tuple[Number, Number]

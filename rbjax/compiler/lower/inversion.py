@@ -1,4 +1,4 @@
-"""The rule of `rbjax.lanes.inversion`: Gauss and Jordan's elimination in place, with pivots.
+"""The rule of `rbjax.lanes.primitives`: Gauss and Jordan's elimination in place, with pivots.
 
 Step k makes column k of the matrix that of the inverse: with the pivot p = a_kk,
     a_kj <- a_kj / p,    a_ij <- a_ij - a_ik a_kj,    column k: -a_ik / p and 1 / p

@@ -21,9 +21,9 @@ from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied
+from rbjax.forces.context import Context, Frame
 from rbjax.forces.element import Loads
 from rbjax.forces.inputs import Inputs
-from rbjax.forces.instant import Frame, Instant
 from rbjax.model import Model, State
 from rbjax.spatial import Force, Transform
 
@@ -80,11 +80,11 @@ def constrained_dynamics(
     """
     if not model.nv:
         return ConstrainedMotion(jnp.zeros(0, q.dtype), jnp.zeros(0, q.dtype))
-    pushes: Any = None
+    f_ext: Any = None
     if wrenches is not None:
         d = driver(model, q.dtype)
-        pushes = on_links(d, d.joints(q, None), wrenches)
-    return ConstrainedMotion(*_motion(model, t, State(q, v), tau, pushes))
+        f_ext = on_links(d, d.joints(q, None), wrenches)
+    return ConstrainedMotion(*_motion(model, t, State(q, v), tau, f_ext))
 
 
 @algorithm("state", "ctrl", "t")
@@ -110,14 +110,14 @@ def multipliers(
 
 
 def _solved(model: Model, state: State, ctrl: Any, t: Any) -> jax.Array:
-    tau, pushes, _ = applied(model, t, state, Inputs(ctrl))
-    return _motion(model, t, state, tau, pushes)[1]
+    tau, f_ext, _ = applied(model, t, state, Inputs(ctrl))
+    return _motion(model, t, state, tau, f_ext)[1]
 
 
-def _motion(model: Model, t: Any, state: State, tau: Any, pushes: Any) -> tuple:
+def _motion(model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
     """a and l by the default formulation of a rollout; all rigid formulations give the same a."""
     solve = compliant_motion if is_soft(model) else constrained_motion
-    return solve(model, t, state, tau, pushes)
+    return solve(model, t, state, tau, f_ext)
 
 
 @algorithm("state", "ctrl", "t")
@@ -130,7 +130,7 @@ def joint_wrenches(
     Args: as `multipliers`.
     """
     l = _solved(model, state, ctrl, t)
-    now = Instant.of(model, t, state, None)
+    now = Context.of(model, t, state, None)
     out, at = [], 0
     for constraint in model.constraints:
         joint = constraint.of if isinstance(constraint, Soft) else constraint
@@ -155,7 +155,7 @@ class _End(Frame):
     """A frame that records wrenches in its own axes, at its origin, instead of on its link. So the
     frame may be on the world, or on the same link as the other end of the joint."""
 
-    def __init__(self, now: Instant, frame: Frame, *moved: Transform):
+    def __init__(self, now: Context, frame: Frame, *moved: Transform):
         super().__init__(now.links, frame.link, *frame._placed, *moved)
         self._now, self._frame, self._moved = now, frame, moved
 

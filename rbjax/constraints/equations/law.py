@@ -30,31 +30,31 @@ from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, add, mul, neg
 from rbjax.model import Model, State
 
 #: (force (nv,), or None for what the method leaves at a_0; c of the rows) -> da (nv,), dl (rows,)
 Solve = Callable[[jax.Array | None, Sequence[Lane]], tuple[jax.Array, jax.Array]]
 #: (instant, rows) -> how their equations are solved
-System = Callable[[Instant, Sequence[Row]], Solve]
-#: (driver, instant, tau, pushes) -> a_0 or None for zero, the forces left there or None if the
+System = Callable[[Context, Sequence[Row]], Solve]
+#: (driver, instant, tau, f_ext) -> a_0 or None for zero, the forces left there or None if the
 #: system knows them, the system
 Method = Callable[
-    [Driver, Instant, jax.Array, LinkForces], tuple[jax.Array | None, jax.Array | None, System]
+    [Driver, Context, jax.Array, LinkForces], tuple[jax.Array | None, jax.Array | None, System]
 ]
 
 #: (instant, rows, l or None for zero, alpha, beta) -> residuals of the rows' equations
-Left = Callable[[Instant, Sequence[Row], jax.Array | None, Any, Any], Sequence[Lane]]
+Left = Callable[[Context, Sequence[Row], jax.Array | None, Any, Any], Sequence[Lane]]
 
 
 def range_space(
-    d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array, None, System]:
     """From free motion on (no force is left): A dl = c - G M^-1 f, da = M^-1 (f + G^T dl)."""
-    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
+    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
-    def system(now: Instant, rows: Sequence[Row]) -> Solve:
+    def system(now: Context, rows: Sequence[Row]) -> Solve:
         return response(d, factors, now, rows).solved
 
     return d.pack(qdd, tau), None, system
@@ -65,7 +65,7 @@ def constrained_motion(
     t: Any,
     state: State,
     tau: jax.Array,
-    pushes: LinkForces,
+    f_ext: LinkForces,
     alpha: Any = 0.0,
     beta: Any = 0.0,
     method: Method = range_space,
@@ -73,7 +73,7 @@ def constrained_motion(
 ) -> tuple[jax.Array, jax.Array]:
     """a (nv,) and l (rows,) of a sample, on checked arrays. `left_of`: of rows with another
     equation than that above, which `method` solves."""
-    given, rebuilt = split_tracers((model, pushes, t, alpha, beta))
+    given, rebuilt = split_tracers((model, f_ext, t, alpha, beta))
     nv = model.nv
 
     def left_at(now, rows, l, alpha, beta):
@@ -82,10 +82,10 @@ def constrained_motion(
         return [asked(row, alpha, beta) for row in rows]
 
     def run(changed, q, v, tau):
-        model, pushes, t, alpha, beta = rebuilt(changed)
+        model, f_ext, t, alpha, beta = rebuilt(changed)
         d = driver(model, q.dtype)
-        now = Instant.of(model, t, State(q, v), None, d=d)
-        start, left, system = method(d, now, tau, pushes)
+        now = Context.of(model, t, State(q, v), None, d=d)
+        start, left, system = method(d, now, tau, f_ext)
         now = now if start is None else now.accelerating(start)
         rows = rows_of(model, now)
         solve = system(now, rows)
@@ -105,14 +105,14 @@ def constrained_motion(
         return (x,), [solution]
 
     def residual(changed, q, v, tau, x):
-        model, pushes, t, alpha, beta = rebuilt(changed)
+        model, f_ext, t, alpha, beta = rebuilt(changed)
         a, l = x[:nv], x[nv:]
         d = driver(model, q.dtype)
-        now = Instant.of(model, t, State(q, v), None, d=d).accelerating(a)
+        now = Context.of(model, t, State(q, v), None, d=d).accelerating(a)
         rows = rows_of(model, now)
         joints = now.links.joints  # first: a driver learns from them what its lanes are
-        tau, pushes = with_multipliers(d, rows, list(l), tau, pushes)
-        forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, pushes)
+        tau, f_ext = with_multipliers(d, rows, list(l), tau, f_ext)
+        forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, f_ext)
         off = pack(left_at(now, rows, l, alpha, beta), a)
         return jnp.concatenate([tau - d.pack(forces, tau), off])
 

@@ -25,9 +25,9 @@ from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 from rbjax.model import Model, State
 
 #: (force (nv,), c (rows,)) -> x (nv,), l (rows,) of M x = force + G^T l, G' x = c
@@ -73,10 +73,10 @@ def least_changes(
         """The driver, the instant and the rows at q, and G^T l - M x there."""
         model, t0, _ = rebuilt(changed)
         d = driver(model, q.dtype)
-        now = Instant.of(model, t0, State(q, v), None, d=d)
+        now = Context.of(model, t0, State(q, v), None, d=d)
         rows = rows_of(model, now)
-        tau, pushes = with_multipliers(d, rows, list(l), jnp.zeros_like(x), {})
-        needed = rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), pushes)
+        tau, f_ext = with_multipliers(d, rows, list(l), jnp.zeros_like(x), {})
+        needed = rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), f_ext)
         return d, now, rows, tau - d.pack(needed, tau)
 
     def of_positions(changed, q, u, v, x):
@@ -101,7 +101,7 @@ def off(
     d: Driver, model: Model, t: Any, q: jax.Array, u: jax.Array, v: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """g and G v + g_t (rows,) at q + u."""
-    now = Instant.of(model, t, State(retract(model, q, u), v), None, d=d)
+    now = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
     return off_of(rows_of(model, now), v)
 
 
@@ -110,7 +110,7 @@ def off_of(rows: Sequence[Row], like: jax.Array) -> tuple[jax.Array, jax.Array]:
     return pack([row.residual for row in rows], like), pack([row.rate for row in rows], like)
 
 
-def leveled(now: Instant, rows: Sequence[Row], level: jax.Array, dq: jax.Array) -> jax.Array:
+def leveled(now: Context, rows: Sequence[Row], level: jax.Array, dq: jax.Array) -> jax.Array:
     """g, or G dq of a row that has only a rate, at `now`."""
     free = np.array([r for r, row in enumerate(rows) if not row.holonomic], int)
     if not free.size:

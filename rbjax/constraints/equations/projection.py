@@ -35,7 +35,7 @@ from rbjax.constraints.equations.system import response, rows_of
 from rbjax.dynamics.algorithms.aba import factorize
 from rbjax.dynamics.algorithms.manifold import retract
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.model import Model, State
 
 #: x (nv,) -> what rows are off by (rows,)
@@ -64,7 +64,7 @@ def projected(
 def _projection(
     d: Driver, model: Model, t: Any, q: jax.Array, v: jax.Array, many: int, positions: bool
 ) -> Changes:
-    now = Instant.of(model, t, State(q, v), None, d=d)
+    now = Context.of(model, t, State(q, v), None, d=d)
     rows = rows_of(model, now)
     answer = response(d, factorize(d, now.links.joints), now, rows, DAMPING[q.dtype.itemsize])
 

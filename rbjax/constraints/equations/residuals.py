@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from rbjax.constraints.equations.system import gradient_matrix, rows_of
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.model import Model, State
 
 
@@ -42,7 +42,7 @@ def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
         >>> rb.constraints.residual(model, model.default_state()).value.shape
         (2,)
     """
-    rows = rows_of(model, Instant.of(model, t, state, None))
+    rows = rows_of(model, Context.of(model, t, state, None))
     values, rates = [row.residual for row in rows], [row.rate for row in rows]
     return Residual(pack(values, state.v), pack(rates, state.v))
 
@@ -56,5 +56,5 @@ def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
         q: (nq,) configuration.
         t: time in seconds, for rows that depend on it.
     """
-    now = Instant.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)
+    now = Context.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)
     return gradient_matrix(now, rows_of(model, now))

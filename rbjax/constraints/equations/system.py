@@ -43,11 +43,11 @@ from rbjax.dynamics.algorithms.link_forces import LinkForces, added
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
+from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, sub, total
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import LeastNorm, damped, least
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import LeastNorm, damped, least
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force
 
@@ -55,7 +55,7 @@ from rbjax.spatial import Force
 ROWS_ON_LANES = 24
 
 
-def rows_of(model: Model, now: Instant) -> list[Row]:
+def rows_of(model: Model, now: Context) -> list[Row]:
     """All rows of the model's constraints, one constraint after the other."""
     out: list[Row] = []
     for constraint in model.constraints:
@@ -75,7 +75,7 @@ def rows_of(model: Model, now: Instant) -> list[Row]:
     return out
 
 
-def _computed(row: Row, now: Instant) -> Row:
+def _computed(row: Row, now: Context) -> Row:
     """The row, its lanes computed once."""
     known = (now.q, now.v, now.a, now.t)
     parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
@@ -90,7 +90,7 @@ def by_link(loads: Loads) -> Mapping[int, Force]:
     return loads.wrenches
 
 
-def arms(now: Instant, row: Row) -> dict[int, Lane]:
+def arms(now: Context, row: Row) -> dict[int, Lane]:
     """The gradient of a row by velocity coordinate."""
     out = dict(row.gradient.tau)
     for link, force in by_link(row.gradient).items():
@@ -99,7 +99,7 @@ def arms(now: Instant, row: Row) -> dict[int, Lane]:
     return out
 
 
-def gradient_matrix(now: Instant, rows: Sequence[Row]) -> jax.Array:
+def gradient_matrix(now: Context, rows: Sequence[Row]) -> jax.Array:
     """G (m, nv)."""
     out = jnp.zeros((len(rows), now.model.nv), now.q.dtype)
     for r, row in enumerate(rows):
@@ -110,11 +110,11 @@ def gradient_matrix(now: Instant, rows: Sequence[Row]) -> jax.Array:
 
 
 def with_multipliers(
-    d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, pushes: LinkForces
+    d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array, LinkForces]:
     """tau + G^T l, in two parts: generalized forces (nv,) and forces on links."""
     held = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
-    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(pushes, held.wrenches)
+    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(f_ext, held.wrenches)
 
 
 def as_free_bodies(d: Driver, row: Row) -> Lane:
@@ -141,7 +141,7 @@ def _over(load: Vec3, inertia: Lane) -> Lane:
 
 
 def response(
-    d: Driver, factors: Any, now: Instant, rows: Sequence[Row], damping: float | None = None
+    d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None = None
 ) -> Response:
     """By lanes where the driver walks the tree link by link; by matrices otherwise. damping: eps
     and e, taken back once, for one of several iterations; None: those of the dtype."""
@@ -188,7 +188,7 @@ class Response:
     """What multipliers do, from the factors of the mass matrix."""
 
     def __init__(
-        self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], damping: float | None
+        self, d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None
     ):
         self._d, self._factors, self._like, self._damping = d, factors, now.v, damping
         self._free = [as_free_bodies(d, row) for row in rows]
@@ -203,7 +203,7 @@ class OnLanes(Response):
     """A from the forces that are left at the joints which two rows share."""
 
     def __init__(
-        self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], damping: float | None
+        self, d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None
     ):
         super().__init__(d, factors, now, rows, damping)
         links = dict(enumerate(d.whole(factors)))
@@ -238,7 +238,7 @@ class OnMatrices(Response):
         self,
         d: Driver,
         factors: Any,
-        now: Instant,
+        now: Context,
         rows: Sequence[Row],
         damping: float | None = None,
         R: jax.Array | None = None,

@@ -36,9 +36,9 @@ from rbjax.dynamics.algorithms.aba import solve as solved
 from rbjax.dynamics.algorithms.manifold import difference_lanes, retract, velocity_lanes
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack
-from rbjax.forces.instant import Instant
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import least
+from rbjax.forces.context import Context
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import least
 from rbjax.model import Model, State
 
 #: of Newton's method, by bytes of a number: from the error of a stage, below 0.1, to rounding
@@ -72,8 +72,8 @@ def _newton(
     v: jax.Array,
     many: int,
 ) -> Changes:
-    def seen(t: Any, u: jax.Array, v: jax.Array) -> tuple[Instant, list[Row]]:
-        now = Instant.of(model, t, State(retract(model, q, u), v), None, d=d)
+    def seen(t: Any, u: jax.Array, v: jax.Array) -> tuple[Context, list[Row]]:
+        now = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
         return now, rows_of(model, now)
 
     first, rows = seen(t0, jnp.zeros_like(u), v)

@@ -27,7 +27,7 @@ from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import aba
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane
 from rbjax.model import Model, State
 
@@ -48,9 +48,8 @@ class Compliant(Method):
     family: ClassVar[str] = "unconstrained"
     index: ClassVar[int] = 0
 
-
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return compliant_motion(model, t, state, tau, pushes, alpha, beta)[0]
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        return compliant_motion(model, t, state, tau, f_ext, alpha, beta)[0]
 
     def projected_rows(self, model: Model) -> Model:
         rigid = tuple(x for x in model.constraints if not isinstance(x, Soft))
@@ -58,29 +57,29 @@ class Compliant(Method):
 
 
 def compliant_motion(
-    model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces,
+    model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces,
     alpha: Any = 0.0, beta: Any = 0.0,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
     """a (nv,) and the forces f (rows,) on the rows, of a sample."""
     return constrained_motion(
-        model, t, state, tau, pushes, alpha, beta, method=yielding, left_of=left_of
+        model, t, state, tau, f_ext, alpha, beta, method=yielding, left_of=left_of
     )
 
 
 def yielding(
-    d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array, None, System]:
     """From free motion on: (A + R) df = c - G M^-1 f."""
-    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
+    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
-    def system(now: Instant, rows: Sequence[Row]) -> Solve:
+    def system(now: Context, rows: Sequence[Row]) -> Solve:
         return OnMatrices(d, factors, now, rows, R=softness(now, rows)[0]).solved
 
     return d.pack(qdd, tau), None, system
 
 
 def left_of(
-    now: Instant, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
+    now: Context, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
     """The right-hand side - g'' - R f."""
     R, left = softness(now, rows, alpha, beta)

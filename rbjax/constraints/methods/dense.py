@@ -36,10 +36,10 @@ from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane
-from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import VANISHING, least
+from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.factorization import VANISHING, least
 
 #: singular values below it, of the largest, are zero, by bytes of a number
 NEGLIGIBLE = {4: 1e-2, 8: float(np.sqrt(np.finfo(float).eps))}
@@ -57,19 +57,17 @@ class Dense(Method):
         """a and l of M a = f + G^T l, G a = c, linear in f and c; G may have redundant rows."""
         raise NotImplementedError(f"{type(self).__name__} has no method solution(M, G, f, c)")
 
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(
-            model, t, state, tau, pushes, alpha, beta, method=self._method
-        )[0]
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method=self._method)[0]
 
     def _method(
-        self, d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+        self, d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
     ) -> tuple[None, jax.Array, System]:
         joints, gravity = now.links.joints, d.prepared.gravity
         M = crba(d, joints, tau)
-        force = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, pushes), tau)
+        force = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
 
-        def system(now: Instant, rows: Sequence[Row]) -> Solve:
+        def system(now: Context, rows: Sequence[Row]) -> Solve:
             G = gradient_matrix(now, rows)
             usual = pack([as_free_bodies(d, row) for row in rows], tau)
 

@@ -36,7 +36,7 @@ from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.packing import pack
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model, State
 
@@ -49,9 +49,9 @@ class DifferentialAlgebraic(Method):
     """A formulation whose equations an implicit method steps: Radau IIA of three stages, or another
     one given as `integrator=` of `rollout` or `solver=` of `simulate`.
 
-    As a law it gives the accelerations of index 1, which are those of consistent states. A step
-    whose equations are not solved is a value: `Trajectory.ok` is False, and adaptive steps become
-    shorter. `Projection` puts states back on all levels after steps.
+    As a dynamics it gives the accelerations of index 1, which are those of consistent states. A
+    step whose equations are not solved is a value: `Trajectory.ok` is False, and adaptive steps
+    become shorter. `Projection` puts states back on all levels after steps.
 
     Example:
         >>> import rbjax as rb
@@ -62,8 +62,8 @@ class DifferentialAlgebraic(Method):
     family: ClassVar[str] = "redundant"
     has_feedback: ClassVar[bool] = False
 
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(model, t, state, tau, pushes)[0]
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        return constrained_motion(model, t, state, tau, f_ext)[0]
 
     def held(self, row: Row) -> tuple[Lane, int]:
         """The quantity that is zero (g or g'), and the number of integrations from acceleration to
@@ -85,7 +85,7 @@ class DifferentialAlgebraic(Method):
         """The depth of each algebraic equation (integrations from acceleration), the scale of its
         diagonal (`as_free_bodies`), and the number of GGL rows."""
         d = driver(model, state.q.dtype)
-        now = Instant.of(model, t, state, None, d=d)
+        now = Context.of(model, t, state, None, d=d)
         _ = now.links.joints  # a driver learns from them what its lanes are
         rows = rows_of(model, now)
         again = self.held_by_mu(rows)
@@ -100,13 +100,13 @@ class DifferentialAlgebraic(Method):
         def f(t: Any, y: jax.Array, rate: jax.Array, w: jax.Array) -> jax.Array:
             (u, v, x), (du, a, dx) = (jnp.split(z, (nv, 2 * nv)) for z in (y, rate))
             at = State(retract(model, q, u), v, x if model.nx else None)
-            tau, pushes, x_rate = forces(t, at)
+            tau, f_ext, x_rate = forces(t, at)
             d = driver(model, dtype)
-            now = Instant.of(model, t, at, None, d=d)
+            now = Context.of(model, t, at, None, d=d)
             rows = rows_of(model, now)
             l, mu = list(w[: len(rows)]), list(w[len(rows) :])
-            tau, pushes = with_multipliers(d, rows, l, tau, pushes)
-            needed = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, pushes)
+            tau, f_ext = with_multipliers(d, rows, l, tau, f_ext)
+            needed = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, f_ext)
             drift = du - increment_rate(model, u, v)
             values = self.held_by_mu(rows)
             if values:
@@ -120,9 +120,10 @@ class DifferentialAlgebraic(Method):
         return f
 
 
-def stepped(law: Any) -> DifferentialAlgebraic | None:
-    """The method whose equations an implicit integrator steps, if the law has such a method."""
-    method = law.method if isinstance(law, Formulation) else law
+def stepped(dynamics: Any) -> DifferentialAlgebraic | None:
+    """The method whose equations an implicit integrator steps, if the dynamics has such a
+    method."""
+    method = dynamics.method if isinstance(dynamics, Formulation) else dynamics
     return method if isinstance(method, DifferentialAlgebraic) else None
 
 
@@ -130,8 +131,8 @@ def _pushed(
     d: Driver, q: jax.Array, x: jax.Array, rows: Sequence[Row], mu: Sequence[Lane]
 ) -> jax.Array:
     """M x - G^T mu."""
-    tau, pushes = with_multipliers(d, rows, mu, jnp.zeros_like(x), {})
-    return d.pack(rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), pushes), x) - tau
+    tau, f_ext = with_multipliers(d, rows, mu, jnp.zeros_like(x), {})
+    return d.pack(rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), f_ext), x) - tau
 
 
 def _rate(row: Row) -> tuple[Lane, int]:

@@ -54,7 +54,7 @@ class Method(Factor):
     has_feedback: ClassVar[bool] = True
 
     def __call__(
-        self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces,
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces,
         alpha: Any = 0.0, beta: Any = 0.0,
     ) -> jax.Array:  # fmt: skip
         """v' (nv,) with g'' = -2 alpha g' - beta^2 g."""
@@ -79,5 +79,5 @@ class Multipliers(Method):
     family: ClassVar[str] = "redundant"
     index: ClassVar[int] = 1
 
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(model, t, state, tau, pushes, alpha, beta)[0]
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        return constrained_motion(model, t, state, tau, f_ext, alpha, beta)[0]

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.methods.dense import NEGLIGIBLE, Dense, Solution, inverted, solve_positive
-from rbjax.lanes.products import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec
 
 
 @dataclass(frozen=True)

@@ -47,9 +47,9 @@ from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.packing import pack, unpack
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
-from rbjax.lanes.proximal import LeastNorm
+from rbjax.lanes.factorization import LeastNorm
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
@@ -84,28 +84,26 @@ class Recursive(Method):
     family: ClassVar[str] = "minimal"
     index: ClassVar[int] = 0
 
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
-        return constrained_motion(
-            model, t, state, tau, pushes, alpha, beta, method=by_clusters
-        )[0]
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method=by_clusters)[0]
 
 
 def by_clusters(
-    d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array | None, None, System]:
     """From accelerations zero on, cluster by cluster; from free motion on where links are a loop of
     the program."""
     if not d.listed:
-        return range_space(d, now, tau, pushes)
+        return range_space(d, now, tau, f_ext)
     joints, gravity = now.links.joints, d.prepared.gravity
 
-    def system(now: Instant, rows: Sequence[Row]) -> Solve:
+    def system(now: Context, rows: Sequence[Row]) -> Solve:
         found = clusters(d.topology, rows)
         if max((len(cluster.rows) for cluster in found), default=0) > ROWS_ON_LANES:
             by_rows = response(d, factorize(d, joints), now, rows)
-            left = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, pushes), tau)
+            left = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
             return lambda f, c: by_rows.solved(left if f is None else f, c)
-        moved = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, pushes))
+        moved = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, f_ext))
         tree = ClusterTree(d, joints, [X for X, _ in moved], rows, found, tau)
         own = {i: -f for i, (_, f) in enumerate(moved)}
         return lambda f, c: tree.solved(tau, own, c) if f is None else tree.solved(f, {}, c)

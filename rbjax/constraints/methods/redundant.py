@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.methods.dense import Dense, Solution, inverted
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 
 
 @dataclass(frozen=True)

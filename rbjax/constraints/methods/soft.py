@@ -35,9 +35,9 @@ from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
-from rbjax.forces.instant import Frame, Instant
+from rbjax.forces.context import Context, Frame
 from rbjax.lanes import Lane, sub
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_fields, check_number, floats
@@ -115,7 +115,7 @@ class Soft(Constraint):
     def size(self) -> int:
         return self.of.size
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         return self.of.rows(now)
 
     def yielding(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
@@ -174,7 +174,7 @@ class QuaternionWeld(Pair):
         super().__check_init__()
         check_number(self, "scale")
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         trace = sum(cosine(A, e, B, e) for e in AXES)
         scale = scalar(self.scale, now.q.dtype)
         # sin(x) n / (2 cos(x / 2)), with 1 + trace = 4 cos(x / 2)^2
@@ -183,7 +183,7 @@ class QuaternionWeld(Pair):
 
 
 def softness(
-    now: Instant, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
+    now: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
 ) -> tuple[jax.Array, jax.Array]:
     """R (rows,), zero where a constraint is not soft, and what is left of the rows' equations at
     the accelerations of the instant without forces on them: asked - g''; of rigid ones those of

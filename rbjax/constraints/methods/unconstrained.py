@@ -18,9 +18,9 @@ from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.drivers.choice import driver
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, add, mul, neg
-from rbjax.lanes.products import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec
 
 
 @dataclass(frozen=True)
@@ -123,14 +123,14 @@ class Penalty(Method):
     index: ClassVar[int] = 0
     has_feedback: ClassVar[bool] = False
 
-    def __call__(self, model, t, state, tau, pushes, alpha=0.0, beta=0.0):
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
         d = driver(model, state.q.dtype)
-        now = Instant.of(model, t, state, None, d=d)
+        now = Context.of(model, t, state, None, d=d)
         _ = now.links.joints  # a driver learns from them what its lanes are
         rows = rows_of(model, now)
         l = [neg(self._force(row)) for row in rows]
-        tau, pushes = with_multipliers(d, rows, l, tau, pushes)
-        return acceleration(model, state.q, state.v, tau, pushes)
+        tau, f_ext = with_multipliers(d, rows, l, tau, f_ext)
+        return acceleration(model, state.q, state.v, tau, f_ext)
 
     def _force(self, row: Row) -> Lane:
         return add(mul(self.stiffness, row.residual), mul(self.damping, row.rate))

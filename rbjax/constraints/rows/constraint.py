@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rbjax.constraints.rows.row import Row
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.model.record import Record, check_fields
 
 
@@ -35,6 +35,6 @@ class Constraint(Record):
         """How many rows it has."""
         raise NotImplementedError(f"{type(self).__name__} does not say its size")
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         """Its rows at an instant."""
         raise NotImplementedError(f"{type(self).__name__} has no method rows(self, now) -> rows")

@@ -24,7 +24,7 @@ from rbjax.constraints.rows.row import Row
 from rbjax.constraints.rows.user_function import check_function, evaluate
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.model.leaves import numbers, scalar, table
 from rbjax.model.links import lane
 from rbjax.model.record import check_fields, check_number, floats
@@ -56,7 +56,7 @@ class JointPolynomial(Constraint):
                 "expected (n,) with n at least 1, c_0 first"
             )
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         c = numbers(self.coefficients, now.q.dtype)
         if self.driver is None:
             return [moved(now, self.joint) - c[0]]
@@ -80,7 +80,7 @@ class Gear(Constraint):
     def __check_init__(self) -> None:
         check_number(self, "ratio")
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         turned = moved(now, self.driver, "hinge")
         return [moved(now, self.joint, "hinge") - turned * scalar(self.ratio, now.q.dtype)]
 
@@ -100,7 +100,7 @@ class Rack(Constraint):
     def __check_init__(self) -> None:
         check_number(self, "radius")
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         turned = moved(now, self.driver, "hinge")
         return [moved(now, self.joint, "slide") - turned * scalar(self.radius, now.q.dtype)]
 
@@ -126,7 +126,7 @@ class Prescribed(Constraint):
         check_function("Prescribed(function=...)", self.function)
         check_takes("Prescribed", "function", self.function, "t")
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         _check_kind(now, self.joint, None)
 
         def wanted(t: Any) -> Any:
@@ -135,7 +135,7 @@ class Prescribed(Constraint):
         return [coordinate(now, self.joint) - time(now).applied(wanted)]
 
 
-def moved(now: Instant, joint: str | int, kind: str | None = None) -> Row:
+def moved(now: Context, joint: str | int, kind: str | None = None) -> Row:
     """q - r of a joint of one coordinate; of this kind, if one is named."""
     _check_kind(now, joint, kind)
     start = now.model.topology.joint_q[now.model.joint(joint)]
@@ -143,7 +143,7 @@ def moved(now: Instant, joint: str | int, kind: str | None = None) -> Row:
     return coordinate(now, joint) - reference
 
 
-def _check_kind(now: Instant, joint: str | int, kind: str | None) -> None:
+def _check_kind(now: Context, joint: str | int, kind: str | None) -> None:
     found = now.joint(joint)
     if len(found.q) != 1 or kind not in (None, found.kind):
         raise InputError(

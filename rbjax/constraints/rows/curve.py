@@ -40,7 +40,7 @@ from rbjax.constraints.rows.user_function import (
 )
 from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
 from rbjax.errors import InputError
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.forces.place import Place, check_places
 from rbjax.model.record import check_fields, floats
 
@@ -49,7 +49,7 @@ from rbjax.model.record import check_fields, floats
 NEWTON_STEPS = 8
 
 
-def _position(a: Place, b: Place, now: Instant) -> list[Row]:
+def _position(a: Place, b: Place, now: Context) -> list[Row]:
     """The origin of b in a's axes."""
     A, B = a.frame(now), b.frame(now)
     return [along(A, u, B) for u in AXES]
@@ -86,7 +86,7 @@ class PointOnSurface(Constraint):
         check_function("PointOnSurface(f=...)", self.f)
         check_leaves("PointOnSurface(numbers=...)", self.numbers)
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         def height(x: jax.Array) -> jax.Array:
             return evaluate("PointOnSurface: f", self.f, self.numbers, (x,), (), x.dtype)[None]
 
@@ -139,7 +139,7 @@ class PointOnCurve(Constraint):
         """The parameter () of the point of the curve nearest to x (3,), with its derivatives."""
         return _nearest(self.c)(x, self.numbers, self.starts.astype(x.dtype))
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         def across(x: jax.Array) -> jax.Array:
             c, dc = _with_slope(self.point, self.nearest(x))
             return jnp.stack([_inner(n, x - c) for n in _normals(dc)])

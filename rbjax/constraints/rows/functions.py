@@ -35,19 +35,19 @@ from rbjax.constraints.rows.user_function import (
 from rbjax.dynamics.algorithms.manifold import integrate_lanes
 from rbjax.dynamics.arguments import check_takes
 from rbjax.forces import Loads
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 
 
-def _moved(now: Instant, dq: jax.Array) -> jax.Array:
+def _moved(now: Context, dq: jax.Array) -> jax.Array:
     """q (+) dq."""
     return jnp.stack(integrate_lanes(now.model.topology, list(now.q), list(dq)))
 
 
-def _acceleration(now: Instant) -> jax.Array:
+def _acceleration(now: Context) -> jax.Array:
     return jnp.zeros_like(now.v) if now.a is None else now.a
 
 
-def _start(now: Instant) -> tuple[jax.Array, jax.Array]:
+def _start(now: Context) -> tuple[jax.Array, jax.Array]:
     """s = 0, and its rate."""
     return jnp.zeros((), now.q.dtype), jnp.ones((), now.q.dtype)
 
@@ -85,11 +85,11 @@ class Holonomic(Constraint):
         check_size("Holonomic(size=...)", self.size)
         check_leaves("Holonomic(numbers=...)", self.numbers)
 
-    def _residual(self, now: Instant, dq: jax.Array, s: jax.Array) -> jax.Array:
+    def _residual(self, now: Context, dq: jax.Array, s: jax.Array) -> jax.Array:
         at = jnp.asarray(now.t, now.q.dtype) + s, _moved(now, dq)
         return evaluate("Holonomic: f", self.f, self.numbers, at, (self.size,), now.q.dtype)
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         v, a, (zero, one) = now.v, _acceleration(now), _start(now)
 
         def rate(s: jax.Array) -> tuple:
@@ -135,7 +135,7 @@ class Pfaffian(Constraint):
         check_size("Pfaffian(size=...)", self.size)
         check_leaves("Pfaffian(numbers=...)", self.numbers)
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         v, a, dtype, (zero, one) = now.v, _acceleration(now), now.q.dtype, _start(now)
         shape = self.size, now.model.nv
 

@@ -17,19 +17,19 @@ import jax.numpy as jnp
 
 from rbjax.constraints.rows.row import Row
 from rbjax.forces import Frame, Loads
-from rbjax.forces.instant import Instant
+from rbjax.forces.context import Context
 from rbjax.lanes import Vec3, add, mul, sub
 
 X, Y, Z = (Vec3(*(float(i == k) for i in range(3))) for k in range(3))
 AXES = (X, Y, Z)
 
 
-def time(now: Instant) -> Row:
+def time(now: Context) -> Row:
     """t."""
     return Row(now.t, 1.0, Loads(), 0.0)
 
 
-def coordinate(now: Instant, joint: str | int, k: int = 0) -> Row:
+def coordinate(now: Context, joint: str | int, k: int = 0) -> Row:
     """A coordinate of a joint of one coordinate or of a chain of such."""
     j = now.joint(joint)
     i = j.start + k

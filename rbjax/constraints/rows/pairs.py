@@ -45,7 +45,7 @@ from rbjax.constraints.rows.place import places
 from rbjax.constraints.rows.row import Row, angle
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
-from rbjax.forces.instant import Frame, Instant
+from rbjax.forces.context import Context, Frame
 from rbjax.forces.place import Place, check_places
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
@@ -101,10 +101,10 @@ class Pair(Constraint):
                 f"{cls.__name__}.between: got the numbers {sorted(numbers)}, expected {fields}"
             ) from error
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         return self.between_frames(self.a.frame(now), self.b.frame(now), now)
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         """The rows, of the two frames."""
         raise NotImplementedError(f"{type(self).__name__} has no method between_frames")
 
@@ -124,7 +124,7 @@ class HalfAngle(Constraint):
     def size(self) -> int:
         return self.of.size
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         A, B = self.of.a.frame(now), self.of.b.frame(now)
         rows = list(self.of.between_frames(A, B, now))
         trace = Row.constant(0.0)
@@ -146,7 +146,7 @@ class Spherical(Pair):
 
     size = 3
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return displacement(A, B)
 
 
@@ -155,7 +155,7 @@ class Revolute(Pair):
 
     size = 5
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [*displacement(A, B), *parallel(A, B)]
 
 
@@ -164,7 +164,7 @@ class Cylindrical(Pair):
 
     size = 4
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [along(A, X, B), along(A, Y, B), *parallel(A, B)]
 
 
@@ -174,7 +174,7 @@ class Prismatic(Pair):
     size = 5
     turns = slice(2, 5)
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [along(A, X, B), along(A, Y, B), *turn(A, B)]
 
 
@@ -196,7 +196,7 @@ class Screw(Pair):
                 "without a pitch the joint is a Revolute"
             )
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         lead = scalar(self.pitch, now.q.dtype) / (2 * math.pi)
         turned = along(A, Z, B) * (1.0 / lead)
         sine, cosine_ = cosine(A, Y, B, X), cosine(A, X, B, X)
@@ -210,7 +210,7 @@ class Planar(Pair):
 
     size = 3
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [along(A, Z, B), *parallel(A, B)]
 
 
@@ -222,7 +222,7 @@ class Universal(Pair):
 
     size = 4
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [*displacement(A, B), cosine(A, X, B, Z)]
 
 
@@ -233,7 +233,7 @@ class Weld(Pair):
     size = 6
     turns = slice(3, 6)
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [*displacement(A, B), *turn(A, B)]
 
 
@@ -242,7 +242,7 @@ class Inline(Pair):
 
     size = 2
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [along(A, X, B), along(A, Y, B)]
 
 
@@ -251,7 +251,7 @@ class Inplane(Pair):
 
     size = 1
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [along(A, Z, B)]
 
 
@@ -260,7 +260,7 @@ class Parallel(Pair):
 
     size = 2
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return parallel(A, B)
 
 
@@ -269,7 +269,7 @@ class Orthogonal(Pair):
 
     size = 1
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [cosine(A, X, B, Z)]
 
 
@@ -335,5 +335,5 @@ class Distance(Pair):
     def __check_init__(self) -> None:
         check_number(self, "length", positive=True)
 
-    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [distance(A, B) - scalar(self.length, now.q.dtype)]

@@ -32,7 +32,7 @@ import jax.numpy as jnp
 from rbjax.constraints.rows.constraint import Constraint
 from rbjax.constraints.rows.geometry import X, Y, Z, along, cosine, opposed
 from rbjax.constraints.rows.row import Row
-from rbjax.forces.instant import Frame, Instant
+from rbjax.forces.context import Context, Frame
 from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Vec3, add
 from rbjax.model.leaves import scalar
@@ -84,7 +84,7 @@ class Rolling(Constraint):
         check_places(self)
         check_number(self, "radius", positive=True)
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         A, B = self.a.frame(now), self.b.frame(now)
         height, arm = self.contact(A, B, scalar(self.radius, now.q.dtype))
         return [height, *slip(A, B, arm, [swept(A, X), swept(A, Y)])]
@@ -162,7 +162,7 @@ class KnifeEdge(Constraint):
     def __check_init__(self) -> None:
         check_places(self)
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         A, B = self.a.frame(now), self.b.frame(now)
         (n, dn), (d, dd) = swept(A, Z), swept(B, Z)
         still = Vec3.zero(), Vec3.zero()

@@ -24,8 +24,8 @@ from rbjax.errors import InputError
 from rbjax.forces import applied_forces
 from rbjax.forces.acting import sighted
 from rbjax.forces.actuators.actuator import Actuator, GainBias
+from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, sub
 from rbjax.model import Model, State
 
@@ -120,7 +120,7 @@ def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
     """b, nv lanes, and the columns of B, one a control, each of nv lanes; zero where a control has
     no effect on a coordinate."""
     free = _unlimited(model)
-    now = Instant.of(free, 0.0, state, None)
+    now = Context.of(free, 0.0, state, None)
     zero, one = (jnp.asarray(x, state.q.dtype) for x in (0.0, 1.0))
 
     def at(u: list) -> list[Lane]:

@@ -17,15 +17,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import flag
+from rbjax.arguments import flag, integer, real_number
 from rbjax.dynamics.arguments import check_array, check_model, check_step, check_takes
 from rbjax.errors import InputError, UnknownName
 from rbjax.kinematics.arguments import check_at_least, check_several
 from rbjax.model import Model, State
 from rbjax.model.record import Record
-from rbjax.motion.linearise import apart, beside
+from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.motion.rollout import integrated
-from rbjax.solvers.common.arguments import check_between, check_whole
 
 KEPT = 2**23  # numbers of states that are kept at once: 64 MiB in f64
 
@@ -74,7 +73,7 @@ def region_of_attraction(
     tolerance: float = 0.05,
     angles: bool = True,
     integrator: Any = None,
-    **law: Any,
+    **dynamics: Any,
 ) -> RegionMap:
     """Which starts about an equilibrium come back under a feedback.
 
@@ -93,7 +92,7 @@ def region_of_attraction(
         dt: the step, s; the model's timestep if None.
         tolerance: of each number (m, rad, m/s, rad/s).
         angles: whether positions of hinges count modulo a turn.
-        integrator: as `rb.rollout`; **law: its `law` and `constraints`.
+        integrator: as `rb.rollout`; **dynamics: its `dynamics` and `constraints`.
 
     Returns:
         `RegionMap`.
@@ -123,12 +122,12 @@ def region_of_attraction(
         raise InputError(
             f"{where}: equilibrium is {type(equilibrium).__name__}, expected an rb.State"
         )
-    check_between(where, "tolerance", tolerance, 0.0, 1e12)
+    real_number(where, "tolerance", tolerance, least=0.0, most=1e12, traced=True)
     dtype = equilibrium.q.dtype
     step: Any = check_step(where, "dt", model.timestep if dt is None else dt, dtype)
     angles = flag(where, "angles", angles)
     steps = round(float(check_at_least(where, "duration", duration, ())) / float(step))
-    check_whole(where, "the number of steps duration / dt", steps, 1)
+    integer(where, "the number of steps duration / dt", steps, least=1)
     places, names, lines = _axes(where, model, axes, points, dtype)
     nx, ny = (len(line) for line in lines)
     n = 2 * model.nv + model.nx
@@ -136,11 +135,11 @@ def region_of_attraction(
     plane = plane.at[..., places[0]].set(lines[0]).at[..., places[1]].set(lines[1][:, None])
     x = equilibrium.x if equilibrium.x is not None else model.start(dtype)
     about = State(equilibrium.q, equilibrium.v, x)
-    states = jax.vmap(lambda dx: beside(model, about, dx))(plane.reshape(-1, n))
+    states = jax.vmap(lambda dx: box_plus(model, about, dx))(plane.reshape(-1, n))
     turns = _turns(model, angles)
 
     def off(q: jax.Array, v: jax.Array, x: Any) -> jax.Array:
-        dx = apart(model, about, State(q, v, x))[: 2 * model.nv]
+        dx = box_minus(model, about, State(q, v, x))[: 2 * model.nv]
         dq = dx[: model.nv]
         dq = jnp.where(turns, dq - 2 * jnp.pi * jnp.round(dq / (2 * jnp.pi)), dq)
         far = jnp.abs(jnp.concatenate([dq, dx[model.nv :]])).max()
@@ -158,7 +157,7 @@ def region_of_attraction(
         part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
         # without the warning of `rollout`: motions that are not finite are part of the answer
         run, _, _ = integrated(
-            model, states, part, step, steps=few, integrator=integrator, **law
+            model, states, part, step, steps=few, integrator=integrator, **dynamics
         )
         far = distances(run.q, run.v, run.x)
         outside = far > tolerance
@@ -206,7 +205,7 @@ def _axes(
         raise InputError(f"{where}: points is {points!r}, expected a number or (nx, ny)")
     places, names, lines = [], [], []
     for (name, low, high), count in zip(axes, counts, strict=True):
-        check_whole(where, "points", count, 2)
+        integer(where, "points", count, least=2)
         low, high = (check_array(where, f"an end of axis {name!r}", x, ()) for x in (low, high))
         if not low < high:
             raise InputError(
@@ -223,7 +222,7 @@ def _axes(
 def _place(where: str, model: Model, name: Any) -> int:
     n = 2 * model.nv
     if not isinstance(name, str):
-        check_whole(where, "a coordinate", name, 0, n - 1)
+        integer(where, "a coordinate", name, least=0, most=n - 1)
         return int(name)
     joint, rate = name.removesuffix("'"), name.endswith("'")
     single = [j for j in model.joint_names if model.v_slice(j).stop - model.v_slice(j).start == 1]

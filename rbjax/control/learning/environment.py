@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag
+from rbjax.arguments import flag, integer
 from rbjax.dynamics.arguments import check_model, check_step, check_takes
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -24,7 +24,6 @@ from rbjax.model.record import Record
 from rbjax.motion.field import free_motion
 from rbjax.motion.integrators import integrator_of
 from rbjax.motion.rollout import rollout
-from rbjax.solvers.common.arguments import check_whole
 
 
 class Segment(NamedTuple):
@@ -91,7 +90,7 @@ class Environment(Record):
             check_takes("Environment", "randomise", randomise, "key", "model")
         if lost is not None:
             check_takes("Environment", "lost", lost, "state")
-        check_whole("Environment", "episode", episode, 1)
+        integer("Environment", "episode", episode, least=1)
         self.model, self.cost, self.start = model, cost, start
         dtype = jnp.zeros(()).dtype
         self.dt = check_step("Environment", "dt", model.timestep if dt is None else dt, dtype)

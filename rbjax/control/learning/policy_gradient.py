@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from rbjax.arguments import instance, real_number
+from rbjax.arguments import instance, integer, real_number
 from rbjax.control.learning.environment import Environment, Segment
 from rbjax.control.learning.iterations import iterated
 from rbjax.control.learning.networks import network
@@ -32,7 +32,6 @@ from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
 from rbjax.model import State
 from rbjax.model.record import Record
-from rbjax.solvers.common.arguments import check_between, check_whole
 
 GROUPS = 32  # of samples, whose gradients are computed side by side
 
@@ -140,10 +139,10 @@ def actor_critic(
         # near zero to begin with: else its first slopes lead the policy astray
         return network(key, layers, "elu", last=0.01)
 
-    check_whole("actor_critic", "horizon", horizon, 1)
-    check_whole("actor_critic", "value_steps", value_steps, 1)
+    integer("actor_critic", "horizon", horizon, least=1)
+    integer("actor_critic", "value_steps", value_steps, least=1)
     for what, x in (("discount", discount), ("trace", trace), ("slow", slow)):
-        check_between("actor_critic", what, x, 0.0, 1.0)
+        real_number("actor_critic", what, x, least=0.0, most=1.0, traced=True)
     numbers, rest = eqx.partition(policy, eqx.is_inexact_array)
     values, value_rest = eqx.partition(
         eqx.filter_eval_shape(fresh, key) if value is None else value, _is_number
@@ -160,9 +159,7 @@ def actor_critic(
         return jax.vmap(lambda state: V(env.observe(state))[0])(states)
 
     def loss(numbers: Any, values: Any, samples: Samples) -> tuple[jax.Array, Segment]:
-        segment = env.unroll(
-            eqx.combine(numbers, rest), samples.models, samples.states, horizon
-        )
+        segment = env.unroll(eqx.combine(numbers, rest), samples.models, samples.states, horizon)
         last = jax.tree.map(lambda x: x[:, -1], segment.states)
         return policy_loss(segment.costs, worth(values, last), discount), segment
 
@@ -344,9 +341,7 @@ def renewed(
     ages = samples.ages + steps
     batch = ages.shape[0]
     over = ages >= env.episode
-    over = over | ~jnp.stack(
-        [jnp.isfinite(x).all(-1) for x in jax.tree.leaves(last)]
-    ).all(0)
+    over = over | ~jnp.stack([jnp.isfinite(x).all(-1) for x in jax.tree.leaves(last)]).all(0)
     if env.lost is not None:
         over = over | jax.vmap(env.lost)(last)
     models, states = jax.vmap(env.begun)(jax.random.split(key, batch))
@@ -383,5 +378,5 @@ def _check(
             f"{where}: the policy has no floating arrays to train; give one that is a pytree of "
             "them, such as rb.control.network(...) or jax.tree_util.Partial(function, gains)"
         )
-    check_whole(where, "iterations", iterations, 1)
-    check_whole(where, "batch", batch, 1)
+    integer(where, "iterations", iterations, least=1)
+    integer(where, "batch", batch, least=1)

@@ -35,7 +35,7 @@ from rbjax.arguments import instance
 from rbjax.control.linear.riccati import MADE, Gains, LinearQuadratic, check_start, definite_factor
 from rbjax.control.products import product
 from rbjax.errors import UnknownName
-from rbjax.lanes.products import matrix_transpose, matvec
+from rbjax.lanes.arrays import matrix_transpose, matvec
 
 
 class Stretch(NamedTuple):

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import flag
+from rbjax.arguments import flag, integer
 from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.linear.algebraic_riccati import riccati
@@ -31,10 +31,9 @@ from rbjax.dynamics.arguments import check_array, check_arrays, check_model, sha
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import known_array
 from rbjax.model import Model, State
-from rbjax.motion.field import Law, free_motion
+from rbjax.motion.field import Dynamics, free_motion
 from rbjax.motion.integrators import Integrator
-from rbjax.motion.linearise import apart, linearise
-from rbjax.solvers.common.arguments import check_whole
+from rbjax.motion.linearise import box_minus, linearise
 
 
 class Regulator(NamedTuple):
@@ -116,7 +115,7 @@ def lqr_at(
     *,
     dt: Any = None,
     integrator: str | Integrator | None = None,
-    law: Law = free_motion,
+    dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> Regulator:
     """The regulator of a model about a state that its controls hold still.
@@ -131,7 +130,7 @@ def lqr_at(
         R: (nu, nu), or the weights (nu,).
         S: (n, nu); 0 if None.
         dt: seconds, for controls that are held over a step of `rollout`; None for continuous time.
-        integrator, law, constraints: as in `rb.linearise`.
+        integrator, dynamics, constraints: as in `rb.linearise`.
 
     Returns:
         `Regulator`. `feedback` makes a policy of its K. If its acceleration is not zero, ctrl does
@@ -159,7 +158,7 @@ def lqr_at(
             "time has no integrator"
         )
     linear = linearise(
-        model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints
+        model, state, ctrl, dt, integrator=integrator, dynamics=dynamics, constraints=constraints
     )
     A, B, Q, R, S = _matrices("lqr_at", linear.A, linear.B, Q, R, S)
     P, K, residual, error, status = riccati(A, B, Q, R, S, dt is not None)
@@ -193,7 +192,7 @@ def lqr_finite(
         (5, 1, 1)
     """
     A, B, Q, R, S = _matrices("lqr_finite", A, B, Q, R, S)
-    check_whole("lqr_finite", "horizon", horizon, 1, why=" steps")
+    integer("lqr_finite", "horizon", horizon, least=1, why=" steps")
     end = Q if terminal is None else weights("lqr_finite", "terminal", terminal, A.shape[0])
     return _finite(A, B, Q, R, int(horizon), end, S)
 
@@ -226,8 +225,8 @@ def feedback(model: Model, state: State, ctrl: Any, K: Any) -> Any:
         >>> model = rb.load("pendulum")
         >>> up, u = rb.State(jnp.array([jnp.pi]), jnp.zeros(1)), jnp.zeros(1)
         >>> K = lqr_at(model, up, u, jnp.ones(2), jnp.ones(1)).K
-        >>> beside = rb.State(up.q + 0.1, up.v)
-        >>> path = rb.rollout(model, beside, feedback(model, up, u, K), 0.01, steps=1000)
+        >>> start = rb.State(up.q + 0.1, up.v)
+        >>> path = rb.rollout(model, start, feedback(model, up, u, K), 0.01, steps=1000)
         >>> bool(abs(path.q[-1, 0] - jnp.pi) < 1e-3)
         True
     """
@@ -240,7 +239,7 @@ def feedback(model: Model, state: State, ctrl: Any, K: Any) -> Any:
 
 def _feedback(model: Model, held: State, ctrl: Any, K: Any, t: Any, state: State) -> jax.Array:
     del t
-    return ctrl - (K * apart(model, held, state)).sum(-1)
+    return ctrl - (K * box_minus(model, held, state)).sum(-1)
 
 
 def weights(where: str, name: str, value: Any, n: int) -> jax.Array:

@@ -23,10 +23,9 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-from rbjax.arguments import instance
+from rbjax.arguments import instance, integer
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, shape_of
-from rbjax.solvers.common.arguments import check_whole
 
 MADE = "a LinearQuadratic, such as rb.control.linear.constant_problem returns"
 
@@ -304,7 +303,7 @@ def constant_problem(
         (4, 2)
     """
     where = "constant_problem"
-    check_whole(where, "horizon", horizon, 1)
+    integer(where, "horizon", horizon, least=1)
     n, m = (*shape_of(where, "A", A), 0)[0], (*shape_of(where, "R", R), 0)[0]
     due = [("A", A, (n, n)), ("B", B, (n, m)), ("Q", Q, (n, n)), ("R", R, (m, m))]
     A, B, Q, R = (check_array(where, name, x, shape) for name, x, shape in due)

@@ -24,12 +24,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import integer, real_number
 from rbjax.compiling import compiled
 from rbjax.control.linear.lyapunov_equation import cayley, is_stable, pace
 from rbjax.control.linear.systems import pair
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, check_step
-from rbjax.solvers.common.arguments import check_between, check_whole
 
 CROSSINGS = 16  # of each kind that are refined
 HALVINGS = 50
@@ -78,8 +78,8 @@ def margins(
     A, B = pair("margins", A, B, "B", 0)
     K = check_array("margins", "K", K, B.shape[::-1]).astype(A.dtype)
     step = None if dt is None else check_step("margins", "dt", dt, A.dtype)
-    check_whole("margins", "frequencies", frequencies, 2)
-    check_between("margins", "decades", decades, 0.0, 30.0)
+    integer("margins", "frequencies", frequencies, least=2)
+    real_number("margins", "decades", decades, least=0.0, most=30.0, traced=True)
     return _margins(A, B, K, step, frequencies, decades)
 
 

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance
+from rbjax.arguments import instance, real_number
 from rbjax.compiling import compiled
 from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
 from rbjax.control.products import product
@@ -32,7 +32,6 @@ from rbjax.dynamics.arguments import check_array, check_model, check_step, shape
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least
 from rbjax.model import Model
-from rbjax.solvers.common.arguments import check_between
 
 
 class Reach(NamedTuple):
@@ -159,7 +158,7 @@ def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -
     check_model("unreachable_directions", model)
     expected = "what controllability or observability returns"
     instance("unreachable_directions", "reach", reach, Reach, expected)
-    check_between("unreachable_directions", "least", least, 0.0, 1.0)
+    real_number("unreachable_directions", "least", least, least=0.0, most=1.0, traced=True)
     n = 2 * model.nv + model.nx
     if reach.inside.shape != (n, n):
         raise InputError(

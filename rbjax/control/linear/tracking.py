@@ -24,9 +24,9 @@ from rbjax.dynamics.arguments import check_array, check_model, check_step, shape
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.model.record import Record
-from rbjax.motion.field import Law, free_motion
+from rbjax.motion.field import Dynamics, free_motion
 from rbjax.motion.integrators import Integrator
-from rbjax.motion.linearise import apart, linearise
+from rbjax.motion.linearise import box_minus, linearise
 
 
 class Tracking(Record):
@@ -51,7 +51,7 @@ class Tracking(Record):
         k = jnp.clip(k, 0, self.ctrls.shape[0] - 1)
         K, u = self.K[k], self.ctrls[k]
         here = jax.tree.map(lambda x: x[k], self.states)
-        return u - (K * apart(self.model, here, state)).sum(-1)
+        return u - (K * box_minus(self.model, here, state)).sum(-1)
 
 
 def time_varying_lqr(
@@ -64,7 +64,7 @@ def time_varying_lqr(
     terminal: Any = None,
     *,
     integrator: str | Integrator | None = None,
-    law: Law = free_motion,
+    dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> Tracking:
     """The regulator along a motion of `rollout`.
@@ -79,7 +79,7 @@ def time_varying_lqr(
         Q: (n, n) or the weights (n,), n = 2 nv + nx.
         R: (nu, nu) or (nu,).
         terminal: Q_N, (n, n) or (n,); Q if None.
-        integrator, law, constraints: of the motion, as in `rb.linearise`.
+        integrator, dynamics, constraints: of the motion, as in `rb.linearise`.
 
     Returns:
         `Tracking`, which is a policy for `rb.rollout` and `rb.simulate`.
@@ -128,7 +128,13 @@ def time_varying_lqr(
 
     def of(state: State, ctrl: jax.Array) -> Any:
         return linearise(
-            model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints
+            model,
+            state,
+            ctrl,
+            dt,
+            integrator=integrator,
+            dynamics=dynamics,
+            constraints=constraints,
         )
 
     A, B = jax.vmap(of)(starts, u)

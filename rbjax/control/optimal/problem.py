@@ -90,7 +90,8 @@ class Problem(Record):
             depend on time.
         free_start: which coordinates of the start's tangent space are found too: True for all, or
             (n,) booleans.
-        integrator, law, held: as `integrator`, `law`, `constraints` of `rb.rollout`, for a Model.
+        integrator, dynamics, held: as `integrator`, `dynamics`, `constraints` of `rb.rollout`, for
+        a Model.
 
     Raises:
         InputError: no knot, no cost, bounds that contradict each other, wrong types.
@@ -126,9 +127,9 @@ class Problem(Record):
         constraints: Sequence[Constraint] = (), bounds: Any = "model", integral: bool = True,
         design: Design | None = None, free_time: Any = None, free_start: Any = False,
         start_time: Any = 0.0,
-        integrator: Any = None, law: Any = free_motion, held: Any = None,
+        integrator: Any = None, dynamics: Any = free_motion, held: Any = None,
     ) -> None:  # fmt: skip
-        self.system = system_of("Problem", model, integrator, law, held)
+        self.system = system_of("Problem", model, integrator, dynamics, held)
         if not isinstance(horizon, int) or horizon < 1:
             raise InputError(f"Problem: horizon is {horizon!r}, expected one step or more")
         self.horizon = horizon

@@ -21,9 +21,8 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from rbjax.arguments import flag
+from rbjax.arguments import flag, integer, real_number
 from rbjax.compiler import threads
 from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.controller_memory import (
@@ -45,7 +44,6 @@ from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.common.arguments import check_between, check_whole
 
 HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
@@ -134,7 +132,7 @@ class PredictiveController:
             plant: the controlled system: an `rb.Model`, a `System`, or a function
                 (t, state, ctrl, dt) -> state; None for the system of the problem.
         """
-        check_whole("closed_loop", "steps", steps, 1)
+        integer("closed_loop", "steps", steps, least=1)
         if plant is None:
             move = self.problem.system.step
         elif callable(plant) and not hasattr(plant, "nq"):
@@ -318,9 +316,9 @@ def mpc(
         ("iterations", iterations, 1), ("delay", delay, 0), ("patience", patience, 0),
         ("first", first, 1),
     ):  # fmt: skip
-        check_whole("mpc", name, value, least)
+        integer("mpc", name, value, least=least)
     for name, number in (("tolerance", tolerance), ("violation", violation)):
-        check_between("mpc", name, number, 0.0, np.inf)
+        real_number("mpc", name, number, least=0.0, finite=False, traced=True)
     if fallback is None:
         nu = example.nu
         fallback = lambda t, state: jnp.zeros(nu)  # noqa: E731
@@ -342,9 +340,7 @@ def _multipliers(found: Any) -> Multipliers | None:
 def _problem_at(problem: Any) -> Callable[[Any], Problem]:
     if isinstance(problem, Problem):
         begin = problem.start_time
-        return lambda t: eqx.tree_at(
-            lambda p: p.start_time, problem, jnp.asarray(t, begin.dtype)
-        )
+        return lambda t: eqx.tree_at(lambda p: p.start_time, problem, jnp.asarray(t, begin.dtype))
     if not callable(problem):
         raise InputError(
             f"mpc: problem is {type(problem).__name__}, expected an rb.control.Problem or a "

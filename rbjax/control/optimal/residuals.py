@@ -27,7 +27,7 @@ from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
 from rbjax.kinematics.arguments import check_rotation, known_array
 from rbjax.model import Model, State
-from rbjax.motion.linearise import apart, beside
+from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.rotations import se3
 
 
@@ -56,7 +56,7 @@ class StateError(Term):
         if isinstance(reference, State) and reference.x is None and state.x is not None:
             reference = State(reference.q, reference.v, state.x)
         if isinstance(model, Model):
-            return apart(model, reference, state)
+            return box_minus(model, reference, state)
         system = as_system(model)
         if system is None:
             raise InputError(f"StateError: {type(model).__name__} is not a System")
@@ -117,7 +117,7 @@ class Jerk(Term):
             dx = jnp.concatenate([h * state.v, h * a])
             if state.x is not None:
                 dx = jnp.concatenate([dx, jnp.zeros_like(state.x)])
-            return acceleration(model, t, beside(model, state, dx), ctrl)
+            return acceleration(model, t, box_plus(model, state, dx), ctrl)
 
         h = jnp.zeros((), state.q.dtype)
         return jax.jvp(along, (h,), (jnp.ones_like(h),))[1]

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance
+from rbjax.arguments import instance, integer, real_number
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.optimal.constants import ConstantRobots
 from rbjax.control.optimal.constraint_rows import constraint_violations, rows_along
@@ -24,7 +24,6 @@ from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
 from rbjax.errors import InputError
 from rbjax.motion.closures.captured import with_captured
 from rbjax.progress import Say, progress_line
-from rbjax.solvers.common.arguments import check_between, check_whole
 
 
 def solve(
@@ -93,9 +92,9 @@ def solve(
     if problem.constraints and not method_of(method).constraints:
         able = [name for name, m in METHODS.items() if m.constraints]
         raise InputError(f"solve: method {method!r} does not support constraints; these do: {able}")
-    check_whole("solve", "iterations", iterations, 1)
+    integer("solve", "iterations", iterations, least=1)
     for name, value in (("tolerance", tolerance), ("violation", violation)):
-        check_between("solve", name, value, 0.0, np.inf)
+        real_number("solve", name, value, least=0.0, finite=False, traced=True)
     for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
                         ("numbers", parameters)):  # fmt: skip
         _check_finite(name, value)

@@ -22,9 +22,9 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
 from rbjax.model.record import Record
-from rbjax.motion.field import Field, free_motion, law_of
+from rbjax.motion.field import Field, dynamics_of, free_motion
 from rbjax.motion.integrators import advanced, integrator_of, semi_implicit_euler
-from rbjax.motion.linearise import apart, beside, euler_linearised
+from rbjax.motion.linearise import box_minus, box_plus, euler_linearised
 
 
 class Linearised(NamedTuple):
@@ -115,16 +115,16 @@ class System(Record):
 
 
 class Robot(System):
-    """A `Model` under an integrator and a law.
+    """A `Model` under an integrator and a dynamics.
 
     Fields: robot, whose actuators take any control: a control clipped to its range would have no
-    derivative at a bound, so the optimiser holds the ranges; integrator and law, as `rb.rollout`
-    takes them; ranges (nu, 2), of the controls.
+    derivative at a bound, so the optimiser holds the ranges; integrator and dynamics, as
+    `rb.rollout` takes them; ranges (nu, 2), of the controls.
     """
 
     robot: Model
     integrator: Any
-    law: Any
+    dynamics: Any
     ranges: jax.Array
 
     @property
@@ -132,7 +132,7 @@ class Robot(System):
         return self.robot
 
     def with_model(self, model: Model) -> Robot:
-        return Robot(unlimited(model), self.integrator, self.law, self.ranges)
+        return Robot(unlimited(model), self.integrator, self.dynamics, self.ranges)
 
     @property
     def n(self) -> int:
@@ -171,7 +171,7 @@ class Robot(System):
 
     @property
     def by_velocities(self) -> bool:
-        plain = self.integrator is semi_implicit_euler and self.law is free_motion
+        plain = self.integrator is semi_implicit_euler and self.dynamics is free_motion
         return plain and not self.robot.nx and not self.robot.topology.turn_starts
 
     def spans(self) -> list[slice]:
@@ -179,24 +179,24 @@ class Robot(System):
         return [slice(0, nv), slice(nv, 2 * nv), slice(2 * nv, n)][: 2 + (n > 2 * nv)]
 
     def step(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> State:
-        field = Field(self.robot, self.law, dt)
+        field = Field(self.robot, self.dynamics, dt)
         return advanced(self.integrator, field, t, state, Inputs(ctrl), dt)
 
     def rates(self, t: Any, base: State, dx: jax.Array, ctrl: jax.Array) -> jax.Array:
-        field = Field(self.robot, self.law)
+        field = Field(self.robot, self.dynamics)
         now = self.plus(base, dx)
         a, x = field.rates(t, now, Inputs(ctrl))
         turning = field.increment_rate(dx[: self.robot.nv], now.v)
         return jnp.concatenate([turning, a] if x is None else [turning, a, x])
 
     def plus(self, state: State, dx: jax.Array) -> State:
-        return beside(self.robot, state, dx)
+        return box_plus(self.robot, state, dx)
 
     def minus(self, one: State, other: State) -> jax.Array:
-        return apart(self.robot, other, one)
+        return box_minus(self.robot, other, one)
 
     def linear(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> Linearised:
-        if self.integrator is semi_implicit_euler and self.law is free_motion:
+        if self.integrator is semi_implicit_euler and self.dynamics is free_motion:
             found = euler_linearised(self.robot, t, state, ctrl, dt)
             if found is not None:
                 return Linearised(*found)
@@ -306,15 +306,19 @@ def as_system(model: Any) -> System | None:
 
 
 def system_of(
-    where: str, model: Any, integrator: Any = None, law: Any = free_motion, constraints: Any = None
+    where: str,
+    model: Any,
+    integrator: Any = None,
+    dynamics: Any = free_motion,
+    constraints: Any = None,
 ) -> System:
     """The system of a model, or a system itself."""
     if isinstance(model, Model):
-        law = law_of(where, model, law, constraints)
+        dynamics = dynamics_of(where, model, dynamics, constraints)
         ranges = jnp.asarray(model.actuators.ctrlrange)
-        return Robot(unlimited(model), integrator_of(where, integrator, law), law, ranges)
-    if integrator is not None or law is not free_motion or constraints is not None:
-        raise InputError(f"{where}: integrator, law and constraints are for an rb.Model")
+        return Robot(unlimited(model), integrator_of(where, integrator, dynamics), dynamics, ranges)
+    if integrator is not None or dynamics is not free_motion or constraints is not None:
+        raise InputError(f"{where}: integrator, dynamics and constraints are for an rb.Model")
     system = as_system(model)
     if system is not None:
         return system

@@ -82,9 +82,9 @@ def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -
 
 
 def aba(
-    d: Driver, joints: Any, tau: Any, gravity: Vec3, pushes: LinkForces | None = None
+    d: Driver, joints: Any, tau: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> tuple[Any, Any]:
-    """Accelerations per link, and the factors of the mass matrix. `pushes`: external forces on
+    """Accelerations per link, and the factors of the mass matrix. `f_ext`: external forces on
     links."""
 
     def outward(x, w_parent):
@@ -103,7 +103,7 @@ def aba(
         return (to_parent(motion.X, I_a, factor, mass), motion.X.T(p_a)), (factor, u, motion.c)
 
     zero = (ArticulatedInertia.zero(), Force.zero())
-    xs = d.zip(d.constants, joints, tau, per_link(d, pushes))
+    xs = d.zip(d.constants, joints, tau, per_link(d, f_ext))
     ys = d.out_and_in(outward, Vec3.zero(), inward, zero, xs)
 
     def accelerate(x, a_parent):

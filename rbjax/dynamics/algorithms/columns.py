@@ -79,7 +79,7 @@ def inverse_mass_rows(model: Model, q: jax.Array) -> jax.Array:
     the axes depend on q, S follows below."""
     d = driver(model, q.dtype)
     X, S, U, inverse_D = d.unzip(factorize(d, d.joints(q, None)), 4)
-    moving = () if model.topology.straight else (S,)
+    moving = () if model.topology.constant_axes else (S,)
     return _lane_rows(d, d.zip(X, U, inverse_D, *moving), q[:1])
 
 
@@ -146,9 +146,9 @@ def inverse_mass_by_columns(model: Model, q: jax.Array) -> jax.Array:
     rows = _kernel(lambda q: inverse_mass_rows(model, q), q)
     inward, outward = batch_first((rows, rows))
 
-    prepared, links = prepare(model, q.dtype), enumerate(model.topology.links)
+    prepared, links = prepare(model, q.dtype), enumerate(model.topology.dofs)
     axes = [
-        link.kind.axis(prepared.link(i).numbers) if link.kind.straight else None
+        link.kind.axis(prepared.link(i).params) if link.kind.constant_axis else None
         for i, link in links
     ]
 

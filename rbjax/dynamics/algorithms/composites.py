@@ -31,7 +31,7 @@ def link_axes(d: Driver, poses: Any, joints: Any) -> Any:
 def axis_rates(d: Driver, V: Any, S: Any, poses: Any, joints: Any) -> Any:
     """S' of each link in world axes."""
     moved = d.each(Motion.cross, turning(d, V), S)
-    if d.topology.straight:
+    if d.topology.constant_axes:
         return moved
     own = d.whole(axes(d, joints)[1])
     return d.each(lambda moved, pose, own: moved + pose.motion_to_parent(own), moved, poses, own)
@@ -51,7 +51,7 @@ def link_twists(d: Driver, S: Any, v: jax.Array) -> Any:
 def turning(d: Driver, V: Any) -> Any:
     """The twist T with S' = T x S of each link's axis. It is the twist of the link itself. For the
     three links of a ball it is that of the last, because their axes are fixed in the body."""
-    return d.take(V, [link.node[-1] for link in d.topology.links])
+    return d.take(V, [link.node[-1] for link in d.topology.dofs])
 
 
 def link_inertias(d: Driver, poses: Any) -> Any:

@@ -52,12 +52,12 @@ class ForwardDynamicsDerivatives(NamedTuple):
 
 
 def _inverse_apart(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
-    by = inverse_by_columns if model.topology.straight else differentiated_inverse
+    by = inverse_by_columns if model.topology.constant_axes else differentiated_inverse
     return by(model, *given)
 
 
 def _forward_apart(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
-    by = forward_by_columns if model.topology.straight else differentiated_forward
+    by = forward_by_columns if model.topology.constant_axes else differentiated_forward
     return by(model, *given)
 
 
@@ -84,7 +84,7 @@ def inverse_dynamics_derivatives(
     """
     if not model.nv:
         return InverseDynamicsDerivatives(*(jnp.zeros((0, 0), q.dtype),) * 3)
-    if not model.topology.straight:
+    if not model.topology.constant_axes:
         return InverseDynamicsDerivatives(*differentiated_inverse(model, q, v, a))
     d = driver(model, q.dtype)
     joints = d.joints(q, None)
@@ -127,7 +127,7 @@ def accelerated_derivatives(
     if not model.nv:
         none = jnp.zeros((0, 0), q.dtype)
         return jnp.zeros(0, q.dtype), ForwardDynamicsDerivatives(none, none, none)
-    if not model.topology.straight:
+    if not model.topology.constant_axes:
         a = acceleration(model, q, v, tau)
         return a, ForwardDynamicsDerivatives(*differentiated_forward(model, q, v, tau))
     d = driver(model, q.dtype)

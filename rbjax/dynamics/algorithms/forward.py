@@ -51,33 +51,33 @@ def acceleration(
     q: jax.Array,
     v: jax.Array,
     tau: jax.Array,
-    pushes: LinkForces | None = None,
+    f_ext: LinkForces | None = None,
 ) -> jax.Array:
     """a = M^-1 (tau - b + sum of J_i^T f_i) on checked arrays (nv, ...), with the derivative above.
 
-    `pushes`: forces f_i on links, in their axes at their origins. Leaves of the model and lanes of
+    `f_ext`: forces f_i on links, in their axes at their origins. Leaves of the model and lanes of
     forces that are known while tracing are no arguments of the custom derivative, so they stay
     known.
     """
-    given, rebuilt = split_tracers((model, pushes))
+    given, rebuilt = split_tracers((model, f_ext))
 
     def plain(changed, q, v, tau):
-        model, pushes = rebuilt(changed)
+        model, f_ext = rebuilt(changed)
         d = driver(model, q.dtype)
-        qdd, _ = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, pushes)
+        qdd, _ = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, f_ext)
         return (d.pack(qdd, tau),)
 
     def solved(changed, q, v, tau):
-        model, pushes = rebuilt(changed)
+        model, f_ext = rebuilt(changed)
         d = driver(model, q.dtype)
-        qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, pushes)
+        qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, f_ext)
         a, factors = _left(d.pack(qdd, tau), factors)
         return (a,), [lambda change: d.pack(solve(d, factors, d.lanes(change)), tau)]
 
     def residual(changed, q, v, tau, a):
-        model, pushes = rebuilt(changed)
+        model, f_ext = rebuilt(changed)
         d = driver(model, q.dtype)
-        forces = rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, pushes)
+        forces = rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, f_ext)
         return tau - d.pack(forces, tau)
 
     return with_implicit_jvp(plain, solved, residual)(given, q, v, tau)[0]
@@ -118,11 +118,11 @@ def forward_dynamics(
     if not model.nv:
         return jnp.zeros(0, q.dtype)
     model = with_constants(model, q.dtype)  # all samples share them: outside of the derivative rule
-    pushes = None
+    f_ext = None
     if wrenches is not None:
         d = driver(model, q.dtype)
-        pushes = on_links(d, d.joints(q, None), wrenches)
-    return acceleration(model, q, v, tau, pushes)
+        f_ext = on_links(d, d.joints(q, None), wrenches)
+    return acceleration(model, q, v, tau, f_ext)
 
 
 @algorithm("q", pairs=True, apart=inverse_mass_by_columns)

@@ -135,7 +135,7 @@ def jacobian_rate(
     joints = d.joints(q, v)
     links = d.each(in_world, *map(d.whole, sweep(d, joints, POSE, TWIST)))
     here = d.each(moving, d.take(links, [link]))
-    carriers = d.take(links, [x.node[-1] for x in d.topology.links])
+    carriers = d.take(links, [x.node[-1] for x in d.topology.dofs])
 
     def column(x, carrier, point, moves, S, S_rate=None):
         (pose, V), (_, T), (at, speed) = x, carrier, point
@@ -150,7 +150,7 @@ def jacobian_rate(
         return Motion(spin, spin.cross(at - pose.p) + z.cross(speed - V.lin) + slip)
 
     points, S = d.take(here, [0] * model.nv), [own_axes(d, joints)]
-    if not d.topology.straight:
+    if not d.topology.constant_axes:
         S.append(d.whole(axes(d, joints)[1]))
     columns = d.each(column, links, carriers, points, _moves(d, link), *S)
     return d.stack(columns, lambda m: m, q).T

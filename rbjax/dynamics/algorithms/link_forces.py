@@ -24,11 +24,11 @@ from rbjax.spatial import Force
 LinkForces = Mapping[int, Force] | Force
 
 
-def per_link(d: Driver, pushes: LinkForces | None) -> Any:
+def per_link(d: Driver, f_ext: LinkForces | None) -> Any:
     """The force on each link, in the driver's form."""
-    if isinstance(pushes, Force):
-        return jax.tree.map(lambda *x: Force.from_lanes(x), *map(d.lanes, pushes))
-    return d.scattered(pushes or {}, Force.zero())
+    if isinstance(f_ext, Force):
+        return jax.tree.map(lambda *x: Force.from_lanes(x), *map(d.lanes, f_ext))
+    return d.scattered(f_ext or {}, Force.zero())
 
 
 def added(a: LinkForces, b: LinkForces) -> LinkForces:
@@ -54,7 +54,7 @@ def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force
     return jax.tree.map(lambda x: nothing.at[links].add(x), forces)
 
 
-def generalized(d: Driver, joints: Any, pushes: LinkForces) -> Any:
+def generalized(d: Driver, joints: Any, f_ext: LinkForces) -> Any:
     """Generalized forces per link of forces on links."""
 
     def inward(x, children):
@@ -62,7 +62,7 @@ def generalized(d: Driver, joints: Any, pushes: LinkForces) -> Any:
         f = push + children
         return joint.transform(link).T(f), joint.S.dot(f)
 
-    return d.inward(inward, Force.zero(), d.zip(d.constants, joints, per_link(d, pushes)))
+    return d.inward(inward, Force.zero(), d.zip(d.constants, joints, per_link(d, f_ext)))
 
 
 def on_links(d: Driver, joints: Any, wrenches: jax.Array) -> LinkForces:

@@ -35,9 +35,7 @@ class LinkMotion:
     """Poses in the world, twists and accelerations of the links of a robot at (q, v, a); v None is
     at rest, a None is zero."""
 
-    def __init__(
-        self, d: Driver, q: jax.Array, v: jax.Array | None, a: jax.Array | None = None
-    ):
+    def __init__(self, d: Driver, q: jax.Array, v: jax.Array | None, a: jax.Array | None = None):
         self.driver, self._q, self._v, self._a = d, q, v, a
         #: quantity -> its value of each link that was asked for, or its columns
         self._found: dict[Quantity, Any] = {}
@@ -71,7 +69,7 @@ class LinkMotion:
         for i in self.driver.topology.ancestors[link]:
             if i in found:
                 continue
-            parent = found[self.driver.topology.links[i].parent]
+            parent = found[self.driver.topology.dofs[i].parent]
             joint, constants = self._links[i]
             hop = Hop(joint.transform(constants), joint)
             if quantity is ACCELERATION and self._a is not None:
@@ -87,9 +85,9 @@ class LinkMotion:
 
     def axis(self, link: int) -> Motion:
         """The axis S of a link in its own axes, where links are columns."""
-        if self.driver.topology.straight:
-            kind = self.driver.topology.links[link].kind
-            return kind.axis(self.driver.prepared.link(link).numbers)
+        if self.driver.topology.constant_axes:
+            kind = self.driver.topology.dofs[link].kind
+            return kind.axis(self.driver.prepared.link(link).params)
         return _row(self._axes, link)
 
     def weld(self, body: int) -> Transform:

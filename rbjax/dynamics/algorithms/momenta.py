@@ -37,7 +37,7 @@ def momentum_and_rate(
     q: jax.Array,
     v: jax.Array,
     tau: jax.Array,
-    pushes: LinkForces | None = None,
+    f_ext: LinkForces | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """p = M(q) v and p' (nv, ...) under generalized forces and forces on links, on checked
     arrays."""
@@ -59,7 +59,7 @@ def momentum_and_rate(
         return (X.T(h), X.T(f)), (p, rate)
 
     d = driver(model, q.dtype)
-    xs = d.zip(d.constants, d.joints(q, v), d.lanes(tau), per_link(d, pushes))
+    xs = d.zip(d.constants, d.joints(q, v), d.lanes(tau), per_link(d, f_ext))
     root = (Motion.zero(), d.prepared.gravity)
     found = d.out_and_in(outward, root, inward, (Force.zero(), Force.zero()), xs)
     p, rate = d.unzip(found, 2)
@@ -95,7 +95,7 @@ def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
     return with_implicit_jvp(plain, solved, residual)(given, q, p)[0]
 
 
-def nearby_velocity(
+def linearly_implicit_velocity(
     model: Model, q: jax.Array, extra: Mapping[int, Lane] | None = None
 ) -> Callable[[jax.Array], jax.Array]:
     """The function p -> (M(q) + diag(extra))^-1 p of arrays (nv, ...); all calls share one

@@ -95,7 +95,7 @@ def whole_operands(d: Driver, *args: Any) -> Operands:
 def _before(top: Topology, i: int) -> int:
     """The link whose motion moves the axis of link i while the joint of i is at rest: the parent of
     the first link for a ball, else the link itself, because S x S = 0."""
-    node = top.links[i].node
+    node = top.dofs[i].node
     return i if len(node) == 1 else top.parents[node[0]]
 
 

@@ -32,9 +32,9 @@ def newton_euler(x: Any, parent: tuple[Vec3, Motion]) -> tuple[tuple[Vec3, Motio
 
 
 def rnea(
-    d: Driver, joints: Any, accelerations: Any, gravity: Vec3, pushes: LinkForces | None = None
+    d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
-    """Generalized forces per link, from `accelerations` per link. `pushes`: external forces on
+    """Generalized forces per link, from `accelerations` per link. `f_ext`: external forces on
     links."""
 
     def inward(x, children):
@@ -42,16 +42,16 @@ def rnea(
         f = f + children
         return X.T(f), add(joint.S.dot(f), mul(link.armature, qdd))
 
-    xs = d.zip(d.constants, joints, accelerations, per_link(d, pushes))
+    xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.out_and_in(newton_euler, _root(gravity), inward, Force.zero(), xs)
 
 
 def forces_on_links(
-    d: Driver, joints: Any, accelerations: Any, gravity: Vec3, pushes: LinkForces | None = None
+    d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
     """As `rnea`, per link: its pose in its parent, and the force that it needs beyond its push, in
     its axes at its origin."""
-    xs = d.zip(d.constants, joints, accelerations, per_link(d, pushes))
+    xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.outward(newton_euler, _root(gravity), xs)
 
 
@@ -60,15 +60,15 @@ def _root(gravity: Vec3) -> tuple[Vec3, Motion]:
 
 
 def _run(
-    model: Model, q, v, a, gravity: Vec3 | None = None, wrenches=None, pushes=None
+    model: Model, q, v, a, gravity: Vec3 | None = None, wrenches=None, f_ext=None
 ) -> jax.Array:
     if not model.nv:
         return jnp.zeros(0, q.dtype)
     d = driver(model, q.dtype)
     g = d.prepared.gravity if gravity is None else gravity
     joints = d.joints(q, v)
-    pushes = pushes if wrenches is None else on_links(d, joints, wrenches)
-    tau = rnea(d, joints, d.lanes(a), g, pushes)
+    f_ext = f_ext if wrenches is None else on_links(d, joints, wrenches)
+    tau = rnea(d, joints, d.lanes(a), g, f_ext)
     return d.pack(tau, jnp.zeros((model.nv, *q.shape[1:]), q.dtype))
 
 
@@ -78,10 +78,10 @@ def momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def forces_of(
-    model: Model, q: jax.Array, v: jax.Array, a: jax.Array, pushes: LinkForces
+    model: Model, q: jax.Array, v: jax.Array, a: jax.Array, f_ext: LinkForces
 ) -> jax.Array:
     """The generalized forces (nv,) that, with forces on links, give the acceleration a."""
-    return _run(model, q, v, a, pushes=pushes)
+    return _run(model, q, v, a, f_ext=f_ext)
 
 
 @algorithm("q", "v", "a", "wrenches")

@@ -63,9 +63,7 @@ class Driver(Protocol):
     def inward(self, step: Step, zero: Any, xs: PerLink) -> PerLink:
         """message_i, y_i = step(x_i, sum of the children's messages), from the tips in; the y_i."""
 
-    def out_and_in(
-        self, outward: Step, root: Any, inward: Step, zero: Any, xs: PerLink
-    ) -> PerLink:
+    def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: PerLink) -> PerLink:
         """An outward sweep with the steps outward(x_i, carry) gives y_i. Then an inward one with
         the steps inward((x_i, y_i), messages) gives the result."""
 
@@ -100,5 +98,3 @@ class Sweeps:
     def unzip(self: Driver, tuples: PerLink, count: int) -> tuple[PerLink, ...]:
         """As `Driver.unzip`."""
         return tuple(self.part(tuples, k) for k in range(count))
-
-

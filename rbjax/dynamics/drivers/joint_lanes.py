@@ -13,15 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers.contract import Driver
-from rbjax.joints import HINGE, SLIDE, JointMotion, LinkKind, NodeMotion, turning
+from rbjax.joints import HINGE, SLIDE, DofKind, JointMotion, NodeMotion, hinge_motion
 from rbjax.lanes import Lane, Vec3, is_literal, rotation_z, sincos
-from rbjax.model import Link, LinkConstants, Prepared, Topology
+from rbjax.model import Dof, LinkConstants, Prepared, Topology
 from rbjax.model.cells import stacked
 from rbjax.spatial import Motion
 
 
 def joint_lanes(
-    link: Link, constants: LinkConstants, q: Sequence[Lane], v: Sequence[Lane]
+    link: Dof, constants: LinkConstants, q: Sequence[Lane], v: Sequence[Lane]
 ) -> JointMotion:
     """The motion of one link, from the coordinates of all links."""
     return link.kind.motion([q[k] for k in link.q], [v[k] for k in link.v], constants)
@@ -34,7 +34,7 @@ def joint_columns(
 
     The function makes a `JointMotion` from the columns (nv - start, ...) or from one link's lanes.
     """
-    links = top.links[start:]
+    links = top.dofs[start:]
     batch = (1,) * (q.ndim - 1)
 
     def mask(flags):
@@ -48,7 +48,7 @@ def joint_columns(
     v = None if v is None else v[start:]
     qd = 0.0 if v is None else v
     if hinge.all():
-        return turning, [*sincos(at), qd]
+        return hinge_motion, [*sincos(at), qd]
     J = rotation_z(*sincos(jnp.where(hinge, at, 0.0)))
     rate = Vec3.zero() if v is None else Vec3(0.0, 0.0, jnp.where(hinge, v, 0.0))
     S = HINGE.axis(())
@@ -58,10 +58,10 @@ def joint_columns(
         S = Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, 1 - turns))
         moves = jnp.where(slide, at, 0.0)
     motion = JointMotion(J, Vec3(0.0, 0.0, moves), S, rate, qd)
-    bent = not all(link.kind.straight for link in links)
+    bent = not all(link.kind.constant_axis for link in links)
     motion = NodeMotion.of(motion) if bent else motion
 
-    def with_kind(motion: JointMotion, kind: LinkKind, rows: np.ndarray) -> JointMotion:
+    def with_kind(motion: JointMotion, kind: DofKind, rows: np.ndarray) -> JointMotion:
         """The motion whose rows of a kind are its own."""
         some = [links[i] for i in rows]
         qs = [q[np.array(of)] for of in zip(*(link.q for link in some), strict=True)]
@@ -77,9 +77,9 @@ def joint_columns(
         return jax.tree.map(lambda column, x: _insert(column, rows, x, at), motion, own)
 
     # what else there is, kind by kind; what stands still is as above
-    others: dict[LinkKind, list[int]] = {}
+    others: dict[DofKind, list[int]] = {}
     for i, link in enumerate(links):
-        if link.kind not in (HINGE, SLIDE) and not link.kind.still:
+        if link.kind not in (HINGE, SLIDE) and not link.kind.rigid_to_previous:
             others.setdefault(link.kind, []).append(i)
     for kind, rows in others.items():
         motion = with_kind(motion, kind, np.array(rows))
@@ -106,12 +106,12 @@ def axes(d: Driver, joints: Any) -> tuple[Any, Any]:
 
 def own_axes(d: Driver, joints: Any) -> Any:
     """S of each link in its own axes, in the form of `Driver.whole`."""
-    kinds = [link.kind for link in d.topology.links]
-    if not all(kind.straight and kind.alike for kind in kinds):
+    kinds = [link.kind for link in d.topology.dofs]
+    if not all(kind.constant_axis and kind.shared_axis for kind in kinds):
         return d.whole(axes(d, joints)[0])
 
     def axis(turns: Lane, slides: Lane) -> Motion:
         return Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, slides))
 
-    turns, slides = d.known([k.turns for k in kinds]), d.known([k.slides for k in kinds])
+    turns, slides = d.known([k.angular for k in kinds]), d.known([k.linear for k in kinds])
     return d.each(axis, turns, slides)

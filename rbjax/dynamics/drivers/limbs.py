@@ -24,10 +24,10 @@ from rbjax.dynamics.drivers import unrolled
 from rbjax.dynamics.drivers.contract import Step, Sweeps
 from rbjax.dynamics.drivers.joint_lanes import joint_lanes
 from rbjax.dynamics.drivers.packing import pack
-from rbjax.joints import HINGE, JointMotion, PosedJoint, turning
+from rbjax.joints import HINGE, JointMotion, PosedJoint, hinge_motion
 from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, sincos, sub
-from rbjax.lanes.barriers import whole_cotangent
-from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, partition
+from rbjax.lanes.primitives import whole_cotangent
+from rbjax.model import WORLD, Dof, Group, LinkConstants, Model, Prepared, partition
 from rbjax.model.links import lane
 
 
@@ -47,7 +47,7 @@ jax.tree_util.register_pytree_node(
 class LimbJoint:
     """Among the columns: the joint motions at one position of a group."""
 
-    def __init__(self, link: Link, constants: LinkConstants, q: list, v: list, trig: Any):
+    def __init__(self, link: Dof, constants: LinkConstants, q: list, v: list, trig: Any):
         self.link, self.columns = link, (constants, q, v, trig)
 
     def of(self, lane_of: Callable[[Any], Lane]) -> PosedJoint:
@@ -56,7 +56,7 @@ class LimbJoint:
         if trig is None:
             return PosedJoint(self.link.kind.motion(q, v, constants), constants)
         c, s = trig
-        return PosedJoint(turning(c, s, v[0]), constants)
+        return PosedJoint(hinge_motion(c, s, v[0]), constants)
 
 
 class PoseLane:
@@ -132,7 +132,7 @@ class Limbs(Sweeps, unrolled.Listed):
     def joints(self, q: jax.Array, v: jax.Array | None) -> Parts:
         """As `Unrolled.joints`."""
         self._like = jnp.zeros(q.shape[1:], q.dtype)
-        links = self.topology.links
+        links = self.topology.dofs
         hinges = [i for i, link in enumerate(links) if link.kind is HINGE]
         place = {i: n for n, i in enumerate(hinges)}
         c, s = jnp.zeros((2, 0), q.dtype)
@@ -144,7 +144,7 @@ class Limbs(Sweeps, unrolled.Listed):
 
         def trunk(i: int, constants: LinkConstants) -> JointMotion:
             if i in place:
-                return turning(c[place[i]], s[place[i]], vs[i])
+                return hinge_motion(c[place[i]], s[place[i]], vs[i])
             return joint_lanes(links[i], constants, qs, vs)
 
         def limbs(index: Sequence[int], constants: LinkConstants) -> LimbJoint:

@@ -22,9 +22,8 @@ from rbjax.model.cells import stacked
 
 
 def movers(top: Topology, i: int) -> list[int]:
-    """The links whose coordinates move link i: those that carry it and those that share its frame.
-    """
-    return list(top.ancestors[top.links[i].node[-1]])
+    """The links whose coordinates move link i: its ancestors and the dofs that share its frame."""
+    return list(top.ancestors[top.dofs[i].node[-1]])
 
 
 def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array:

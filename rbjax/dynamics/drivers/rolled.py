@@ -23,7 +23,7 @@ from rbjax.dynamics.drivers.joint_lanes import joint_columns, joint_lanes
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.joints import JointMotion, PosedJoint
 from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal
-from rbjax.lanes.barriers import whole_cotangent
+from rbjax.lanes.primitives import whole_cotangent
 from rbjax.model import WORLD, Model, Prepared
 from rbjax.model.cells import lane_of
 
@@ -88,7 +88,7 @@ class Rolled(Sweeps):
         self._like = jnp.zeros(q.shape[1:], q.dtype)
         qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v
-        links = enumerate(self.topology.links[: self.head])
+        links = enumerate(self.topology.dofs[: self.head])
         head = [joint_lanes(link, self.constants.head[i], qs, vs) for i, link in links]
         make, columns = joint_columns(self.topology, self.prepared, q, v, self.head)
         head, columns = fusion_barrier((head, columns))
@@ -237,8 +237,7 @@ class Rolled(Sweeps):
         return Values(ys, rest)
 
     def _scan(self, body, carry, xs, *, reverse: bool) -> tuple[Any, Any]:
-        """`lax.scan` over the columns of xs. Literals stay literals; known values are not written.
-        """
+        """`lax.scan` over the columns of xs. Literals and known values are not written."""
         leaves, treedef = jax.tree.flatten(xs)
         dtype = self._like.dtype
         numbers, of_constants = jax.tree.flatten(self._columns)

@@ -61,10 +61,8 @@ class Unrolled(Sweeps, Listed):
         """The joint motion of each link."""
         qs = unpack(q)
         vs = self.lanes(v)
-        links = enumerate(self.topology.links)
-        return fusion_barrier(
-            [joint_lanes(link, self.constants[i], qs, vs) for i, link in links]
-        )
+        links = enumerate(self.topology.dofs)
+        return fusion_barrier([joint_lanes(link, self.constants[i], qs, vs) for i, link in links])
 
     def lanes(self, x: jax.Array | None) -> list[Lane]:
         """An array (nv, ...) as one lane per link; zeros if None."""

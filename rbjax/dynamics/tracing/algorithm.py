@@ -32,7 +32,7 @@ from rbjax.meshes import on_auto_axes, on_explicit_axes
 from rbjax.model import Model
 
 #: arguments that are part of the program
-STATIC = ("body", "site", "integrator", "law", "constraints")
+STATIC = ("body", "site", "integrator", "dynamics", "constraints")
 #: programs that an algorithm keeps, by the functions that it was called with (laws, integrators)
 PROGRAMS_OF_FUNCTIONS = 64
 

@@ -1,4 +1,4 @@
-"""Link constants, computed before the programs that read them."""
+"""Dof constants, computed before the programs that read them."""
 
 from __future__ import annotations
 

@@ -20,8 +20,8 @@ from rbjax.forces.actuators.activation import Activation
 from rbjax.forces.actuators.limits import clip
 from rbjax.forces.actuators.muscle import Muscle
 from rbjax.forces.actuators.transmissions import JointAxis, Reach, Transmission
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
 from rbjax.model.leaves import numbers, table
 from rbjax.model.model import Record
@@ -31,7 +31,7 @@ class Signals:
     """What the law of an actuator sees: its controls u within their ranges, its state x, the length
     and speed of its transmission, and the step h: the model's timestep where none is fixed."""
 
-    def __init__(self, now: Instant, u: Sequence[Lane], transmission: Transmission):
+    def __init__(self, now: Context, u: Sequence[Lane], transmission: Transmission):
         self.u, self.x, self.dtype = u, now.x, now.q.dtype
         self.h = now.h
         self._now, self._transmission = now, transmission
@@ -61,7 +61,7 @@ class Signals:
         return angle - self.turn * jnp.round((angle - to) / self.turn)
 
 
-class Law(Record):
+class ForceLaw(Record):
     """From an actuator's controls, state, length and speed to its force."""
 
     @property
@@ -99,7 +99,7 @@ class Actuator(Element):
     the file sets none. Static: `controls`, their indices among those of the model."""
 
     transmission: Transmission
-    law: Law
+    law: ForceLaw
     ctrlrange: jax.Array
     forcerange: jax.Array
     controls: tuple[int, ...] = eqx.field(static=True)
@@ -112,14 +112,14 @@ class Actuator(Element):
     def actuates(self) -> bool:
         return True
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         seen = self._signals(now)
         limits = table(self.forcerange, seen.dtype)[None]
         force = jnp.asarray(self.law.force(seen), seen.dtype)
         force = add(clip(force, limits, 0), self.law.friction(seen))
         return Loads({n: mul(arm, force) for n, arm in seen.reach.arms.items()})
 
-    def chord(self, now: Instant, h: Any) -> dict[int, Lane]:
+    def implicit_stiffness(self, now: Context, h: Any) -> dict[int, Lane]:
         """The implicit stiffness of servos and dampers on joints whose coordinates add, which those
         of an attitude do not. It is zero while the force is at the end of its range."""
         joint = self.transmission.joint if isinstance(self.transmission, JointAxis) else -1
@@ -134,18 +134,18 @@ class Actuator(Element):
         own = jnp.where(clip(force, limits, 0) == force, jnp.maximum(own, 0.0), 0.0)
         return {n: mul(mul(arm, arm), own) for n, arm in seen.reach.arms.items()}
 
-    def rate(self, now: Instant) -> Sequence[Lane]:
-        return [0.0] * self.size if now.u is None else self.law.rate(self._signals(now))
+    def rate(self, now: Context) -> Sequence[Lane]:
+        return [0.0] * self.size if now.ctrl is None else self.law.rate(self._signals(now))
 
-    def advance(self, now: Instant, dt: Any) -> Sequence[Lane]:
-        return now.x if now.u is None else self.law.advanced(self._signals(now), dt)
+    def advance(self, now: Context, dt: Any) -> Sequence[Lane]:
+        return now.x if now.ctrl is None else self.law.advanced(self._signals(now), dt)
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
         return self.law.within(list(x), x.dtype, self.transmission.turn)
 
-    def _signals(self, now: Instant) -> Signals:
+    def _signals(self, now: Context) -> Signals:
         limits = table(self.ctrlrange, now.q.dtype)
-        u = [clip(now.u[k], limits, i) for i, k in enumerate(self.controls)]
+        u = [clip(now.ctrl[k], limits, i) for i, k in enumerate(self.controls)]
         return Signals(now, u, self.transmission)
 
 
@@ -184,7 +184,7 @@ class Passive(Record):
         return self.muscle.passive(seen.length, seen.dtype)
 
 
-class GainBias(Law):
+class GainBias(ForceLaw):
     """f = gain a + bias, with a the activation, or the control where there is none.
 
     `early`: the force is that of the activation after the step. `circular`: a is an angle; of all

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.actuators.activation import at_least, decayed
-from rbjax.forces.actuators.actuator import Law, Signals
+from rbjax.forces.actuators.actuator import ForceLaw, Signals
 from rbjax.forces.actuators.pid import Controller
 from rbjax.lanes import Lane, add
 from rbjax.model.leaves import numbers, scalar
@@ -73,7 +73,7 @@ class LuGre(Record):
         return stiffness * jnp.abs(speed) / at_least(g)
 
 
-class DCMotor(Law):
+class DCMotor(ForceLaw):
     """Fields: `cogging` (3,), amplitude, number of poles, phase; the others None where the motor
     has none. `voltage`: whether the last control is a terminal voltage. States, where they are: the
     controller's, T - Ta, z, i."""

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import check_array, check_model
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes, coordinates
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, is_zero, mul, neg
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -79,7 +79,7 @@ class GearLoss(Element):
     def shapes(self, model: Model) -> Shapes:
         return dict.fromkeys(("loss", "smoothing"), (coordinates(model, self.joints),))
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         motors = now.driven
         loss, smoothing = (table(x, now.v.dtype) for x in (self.loss, self.smoothing))
         at = [(i, v) for j in map(now.joint, self.joints) for i, v in enumerate(j.v, j.start)]

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from rbjax.forces.actuators.activation import Activation
 from rbjax.forces.actuators.limits import clip
 from rbjax.forces.actuators.transmissions import Arms, between, merged, relative
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Vec3, add, is_zero, mul, total
 from rbjax.model.leaves import numbers, table
 from rbjax.rotations import quaternion
@@ -49,7 +49,7 @@ class OrientationServo(Element):
     def actuates(self) -> bool:
         return True
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         current, rows = self._turned(now)
         inverse = [current[0], *(-x for x in current[1:])]
         error = quaternion.log_lanes(quaternion.product(inverse, self._target(now)))
@@ -67,14 +67,14 @@ class OrientationServo(Element):
             tau = merged(tau, {n: mul(arm, share * x) for n, arm in row.items()})
         return Loads(tau)
 
-    def rate(self, now: Instant) -> Sequence[Lane]:
-        if self.activation is None or now.u is None:
+    def rate(self, now: Context) -> Sequence[Lane]:
+        if self.activation is None or now.ctrl is None:
             return [0.0] * self.size
         u = zip(self._inputs(now), now.x, strict=True)
         return [self.activation.rate(u, a) for u, a in u]
 
-    def advance(self, now: Instant, dt: Any) -> Sequence[Lane]:
-        if self.activation is None or now.u is None:
+    def advance(self, now: Context, dt: Any) -> Sequence[Lane]:
+        if self.activation is None or now.ctrl is None:
             return now.x
         return self._nearest(self._next(now, dt))
 
@@ -91,16 +91,16 @@ class OrientationServo(Element):
         share = jnp.where(far, 1 - turns / jnp.where(far, angle, 1.0), 1.0)
         return [x * share for x in phi]
 
-    def _next(self, now: Instant, dt: Any) -> list[Lane]:
+    def _next(self, now: Context, dt: Any) -> list[Lane]:
         assert self.activation is not None
         u = zip(self._inputs(now), now.x, strict=True)
         return [self.activation.advanced(u, a, dt) for u, a in u]
 
-    def _inputs(self, now: Instant) -> list[Lane]:
+    def _inputs(self, now: Context) -> list[Lane]:
         limits = table(self.ctrlrange, now.q.dtype)
-        return [clip(now.u[k], limits, i) for i, k in enumerate(self.controls)]
+        return [clip(now.ctrl[k], limits, i) for i, k in enumerate(self.controls)]
 
-    def _target(self, now: Instant) -> list[Lane]:
+    def _target(self, now: Context) -> list[Lane]:
         """The quaternion of the target, of any length."""
         if self.activation is None:
             u = self._inputs(now)
@@ -111,7 +111,7 @@ class OrientationServo(Element):
         phi = self._next(now, now.h) if self.early else list(now.x)
         return quaternion.exp_lanes(phi)
 
-    def _turned(self, now: Instant) -> tuple[list[Lane], list[Arms]]:
+    def _turned(self, now: Context) -> tuple[list[Lane], list[Arms]]:
         """The attitude as a quaternion, and the arms of a torque about each of its axes."""
         if self.joint >= 0:
             top = now.model.topology

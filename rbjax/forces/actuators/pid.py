@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.actuators.actuator import Law, Signals
+from rbjax.forces.actuators.actuator import ForceLaw, Signals
 from rbjax.forces.actuators.limits import clip
 from rbjax.lanes import Lane, add, mul, neg, sub
 from rbjax.model.leaves import numbers, scalar, table
@@ -97,7 +97,7 @@ class Controller(Record):
         return x
 
 
-class PID(Law):
+class PID(ForceLaw):
     """A controller whose output is a force; `offset` () is a constant force beside it, `limits`
     (2,) the range of its states. `early`: the force is that of the integral after the step."""
 

@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.instant import Frame, Instant
+from rbjax.forces.context import Context, Frame
 from rbjax.lanes import Lane, Vec3, add, inner, is_zero, mul, quaternion_matrix, sub, total
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.model import Record
@@ -33,7 +33,7 @@ class Reach(NamedTuple):
     length: Lane
     arms: Arms
 
-    def speed(self, now: Instant) -> Lane:
+    def speed(self, now: Context) -> Lane:
         """l'."""
         return total(mul(arm, now.v[n]) for n, arm in self.arms.items())
 
@@ -46,7 +46,7 @@ class Transmission(Record):
     """From a configuration to a length and moment arms."""
 
     @abc.abstractmethod
-    def reach(self, now: Instant) -> Reach:
+    def reach(self, now: Context) -> Reach:
         """The length and the moment arms at an instant."""
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
@@ -62,7 +62,7 @@ class JointAxis(Transmission):
     joint: int = eqx.field(static=True)
     in_parent: bool = eqx.field(static=True, default=False)
 
-    def reach(self, now: Instant) -> Reach:
+    def reach(self, now: Context) -> Reach:
         return joint_reach(now, self.joint, numbers(self.gear, now.q.dtype), self.in_parent)
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
@@ -75,7 +75,7 @@ class SiteWrench(Transmission):
     gear: jax.Array
     site: int = eqx.field(static=True)
 
-    def reach(self, now: Instant) -> Reach:
+    def reach(self, now: Context) -> Reach:
         force, torque = halves(numbers(self.gear, now.q.dtype))
         return Reach(0.0, now.site(self.site).arms(Force(torque, force)))
 
@@ -87,7 +87,7 @@ class SitePose(Transmission):
     site: int = eqx.field(static=True)
     reference: int = eqx.field(static=True)
 
-    def reach(self, now: Instant) -> Reach:
+    def reach(self, now: Context) -> Reach:
         site, base = now.site(self.site), now.site(self.reference)
         force, torque = halves(numbers(self.gear, now.q.dtype))
         length: Lane = 0.0
@@ -112,7 +112,7 @@ class SliderCrank(Transmission):
     crank: int = eqx.field(static=True)
     slider: int = eqx.field(static=True)
 
-    def reach(self, now: Instant) -> Reach:
+    def reach(self, now: Context) -> Reach:
         dtype = now.q.dtype
         crank, slider = now.site(self.crank), now.site(self.slider)
         rod = scalar(self.rod, dtype)
@@ -138,7 +138,7 @@ class JointSum(Transmission):
     coefficients: jax.Array
     joints: tuple[int, ...] = eqx.field(static=True)
 
-    def reach(self, now: Instant) -> Reach:
+    def reach(self, now: Context) -> Reach:
         top, out = now.model.topology, Reach(0.0, {})
         for c, j in zip(numbers(self.coefficients, now.q.dtype), self.joints, strict=True):
             length = add(out.length, mul(c, now.q[top.joint_q[j]]))
@@ -153,7 +153,7 @@ class SitePath(Transmission):
     divisors: jax.Array
     segments: tuple[tuple[int, int], ...] = eqx.field(static=True)
 
-    def reach(self, now: Instant) -> Reach:
+    def reach(self, now: Context) -> Reach:
         dtype, out = now.q.dtype, Reach(0.0, {})
         for divisor, (a, b) in zip(numbers(self.divisors, dtype), self.segments, strict=True):
             start, end = now.site(a), now.site(b)
@@ -168,7 +168,7 @@ class SitePath(Transmission):
         return out.scaled(numbers(self.gear, dtype)[0])
 
 
-def joint_reach(now: Instant, joint: int, gear: list[Lane], in_parent: bool = False) -> Reach:
+def joint_reach(now: Context, joint: int, gear: list[Lane], in_parent: bool = False) -> Reach:
     """The length and arms of a gear (6 lanes) on a joint."""
     top, q = now.model.topology, now.q
     kind, at, start = top.joint_kinds[joint], top.joint_v[joint], top.joint_q[joint]

@@ -24,9 +24,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.forces.context import Context, Frame
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.fluid.inertia_box import in_lanes, relative_twist, rotations
-from rbjax.forces.instant import Frame, Instant
 from rbjax.forces.many import on_each
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_literal, is_zero, mul
 from rbjax.model import Model
@@ -82,7 +82,7 @@ class EllipsoidFluid(Element):
         rows = {"semi_axes": (n, 3), "position": (n, 3), "orientation": (n, 4)}
         return alone | rows | dict.fromkeys(("virtual_mass", "virtual_inertia"), (n, 3))
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         """The forces on each ellipsoid."""
         wind, axes = in_lanes(self.wind, now), rotations(table(self.orientation, now.q.dtype))
 
@@ -92,7 +92,7 @@ class EllipsoidFluid(Element):
 
         return on_each(now, self.bodies, acted, axes, self.position, self._ellipsoids(now))
 
-    def _ellipsoids(self, now: Instant) -> _Ellipsoid:
+    def _ellipsoids(self, now: Context) -> _Ellipsoid:
         """The coefficients of the forces, columns over the ellipsoids."""
         drags = self.blunt_drag, self.slender_drag, self.angular_drag
         lifts = self.kutta_lift, self.magnus_lift

@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.forces.context import Context, Frame
 from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.forces.instant import Frame, Instant
 from rbjax.forces.many import on_each
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_zero, mul, quaternion_matrix
 from rbjax.model import WORLD, Model
@@ -92,7 +92,7 @@ class InertiaBoxFluid(Element):
         rho, mu, wind = (jnp.asarray(x, dtype) for x in (density, viscosity, wind))
         return cls(rho, mu, wind, orientation, tuple(index))
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         """The drag of each body's box."""
         com = now.model.bodies.com[np.array(self.bodies)]
         wind, axes = in_lanes(self.wind, now), rotations(table(self.orientation, now.q.dtype))
@@ -105,7 +105,7 @@ class InertiaBoxFluid(Element):
 
         return on_each(now, self.bodies, dragged, axes, com, self._drag(now))
 
-    def _drag(self, now: Instant) -> _Drag:
+    def _drag(self, now: Context) -> _Drag:
         """The boxes' drag coefficients, columns over the bodies."""
         bodies, index = now.model.bodies, np.array(self.bodies)
         own = bodies.mass[index], bodies.inertia[index], self.orientation
@@ -142,9 +142,7 @@ class _Drag(NamedTuple):
 
 def _against(u: Vec3, viscous: Lane, quadratic: Vec3) -> Vec3:
     """-(k + c_i |u_i|) u_i."""
-    return -Vec3(
-        *(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True))
-    )
+    return -Vec3(*(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True)))
 
 
 def relative_twist(frame: Frame, wind: Vec3) -> Motion:
@@ -160,7 +158,7 @@ def rotations(orientation: Any) -> Mat3:
     return quaternion_matrix(*(orientation[:, k] for k in range(4)))
 
 
-def in_lanes(vector: Any, now: Instant) -> Vec3:
+def in_lanes(vector: Any, now: Context) -> Vec3:
     """An element's vector (3,) in lanes."""
     x = table(vector, now.q.dtype)
     return Vec3(*(lane(x, k) for k in range(3)))

@@ -25,8 +25,8 @@ import numpy as np
 
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -127,7 +127,7 @@ class JointCurves(Element):
             "breakaway": (n,), "stribeck": (n,), "smoothing": (n,),
         }  # fmt: skip
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         dtype = now.v.dtype
         torque, coulomb = table(self.torque, dtype), table(self.coulomb, dtype)
         given = (self.breakaway, self.stribeck, self.smoothing)
@@ -143,7 +143,7 @@ class JointCurves(Element):
             out[joint.start] = neg(add(c, F))
         return Loads(out)
 
-    def energy(self, now: Instant) -> Lane:
+    def energy(self, now: Context) -> Lane:
         """The integral of c from the middle of the range."""
         torque = table(self.torque, now.q.dtype)
 
@@ -154,7 +154,7 @@ class JointCurves(Element):
 
         return total(stored(row) for row in range(len(self.joints)))
 
-    def _place(self, now: Instant, row: int) -> tuple[Lane, Lane, Lane]:
+    def _place(self, now: Context, row: int) -> tuple[Lane, Lane, Lane]:
         """x within -1 and 1, half the range, and how far the joint is beyond it."""
         ends = table(self.range, now.q.dtype)
         low, high = lane(ends[:, 0], row), lane(ends[:, 1], row)

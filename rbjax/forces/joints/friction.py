@@ -23,8 +23,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import check_array, check_model
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes, coordinates
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, is_zero, mul, neg, sub
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -98,7 +98,7 @@ class JointFriction(Element):
         names = ("coulomb", "breakaway", "stribeck", "smoothing", "viscous")
         return dict.fromkeys([k for k in names if getattr(self, k) is not None], (n,))
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         breakaway = self.coulomb if self.breakaway is None else self.breakaway
         given = (self.coulomb, breakaway, self.stribeck, self.smoothing, self.viscous)
         columns = [table(x, now.v.dtype) for x in given]

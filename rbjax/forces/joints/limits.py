@@ -31,8 +31,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.forces.context import Context, Joint
 from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.forces.instant import Instant, Joint
 from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, sub, total
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -77,7 +77,7 @@ class JointLimits(Element):
     def shapes(self, model: Model) -> Shapes:
         return dict.fromkeys(("stiffness", "damping", "margin", "width"), (len(self.joints),))
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         out: dict[int, Lane] = {}
         for n, joint, depth, along in self._stops(now):
             k, d, w = (_entry(x, n, depth) for x in (self.stiffness, self.damping, self.width))
@@ -87,18 +87,18 @@ class JointLimits(Element):
                 out[i] = add(out.get(i, 0.0), neg(mul(a, f)))
         return Loads(out)
 
-    # No `chord`: with one, variational steps much longer than sqrt(m / k) do converge, but a body
-    # that strikes the stop leaves it faster than it came. Without it they fail, and
+    # No `implicit_stiffness`: with one, variational steps much longer than sqrt(m / k) do converge,
+    # but a body that strikes the stop leaves it faster than it came. Without it they fail, and
     # `Trajectory.ok` says so.
 
-    def energy(self, now: Instant) -> Lane:
+    def energy(self, now: Context) -> Lane:
         """sum of k S(p)."""
         return total(
             stop_energy(depth, *(_entry(x, n, depth) for x in (self.stiffness, self.width)))
             for n, _, depth, _ in self._stops(now)
         )
 
-    def _stops(self, now: Instant) -> Iterator[tuple[int, Joint, Lane, list[Lane]]]:
+    def _stops(self, now: Context) -> Iterator[tuple[int, Joint, Lane, list[Lane]]]:
         """Each stop: its joint's place among the fields, its joint, how deep that is in it, and the
         direction in which it goes deeper."""
         given = (now.model.joints.range, self.stiffness, self.margin)

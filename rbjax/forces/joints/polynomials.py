@@ -27,8 +27,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.algorithms.manifold import difference_lanes
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes, coordinates
-from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg, total
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -76,7 +76,7 @@ class JointPolynomials(Element):
             "damping": (coordinates(model, self.joints), None),
         }
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         out: dict[int, Lane] = {}
         for coefficients, at, x in self._springs(now):
             k = self._polynomial(coefficients, x)
@@ -92,7 +92,7 @@ class JointPolynomials(Element):
                 row += 1
         return Loads(out)
 
-    def chord(self, now: Instant, h: Any) -> dict[int, Lane]:
+    def implicit_stiffness(self, now: Context, h: Any) -> dict[int, Lane]:
         """The implicit stiffness of the linear terms."""
         if self.lowest:
             return {}
@@ -104,7 +104,7 @@ class JointPolynomials(Element):
                 out[i] = add(mul(h / 2, lane(damping[:, 0], len(out))), spring)
         return out
 
-    def energy(self, now: Instant) -> Lane:
+    def energy(self, now: Context) -> Lane:
         """sum of x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...)."""
 
         def stored(coefficients: Sequence[Lane], x: Sequence[Lane]) -> Lane:
@@ -113,7 +113,7 @@ class JointPolynomials(Element):
 
         return total(stored(coefficients, x) for coefficients, _, x in self._springs(now))
 
-    def _springs(self, now: Instant) -> list[tuple[list[Lane], int, list[Lane]]]:
+    def _springs(self, now: Context) -> list[tuple[list[Lane], int, list[Lane]]]:
         """Coefficients, first velocity coordinate and displacement of each spring; of a free joint
         the three slides are one and the ball another."""
         stiffness, out = table(self.stiffness, now.q.dtype), []
@@ -143,7 +143,7 @@ def linear_springs(model: Model) -> JointPolynomials:
     return JointPolynomials(stiffness, damping, (*range(len(model.joint_names)),), lowest=0)
 
 
-def displacement(now: Instant, joint: int) -> list[Lane]:
+def displacement(now: Context, joint: int) -> list[Lane]:
     """The displacement of a joint from the rest of its spring, in the coordinates of v."""
     top, rest = now.model.topology, table(now.model.joints.springref, now.q.dtype)
     kind, start = top.joints[joint], top.joint_q[joint]

@@ -1,21 +1,14 @@
-"""Which actuators of a compiled MuJoCo model rbjax has, and what it says of the others."""
+"""The actuators of a compiled MuJoCo model that rbjax supports, and the reasons for the others."""
 
 from __future__ import annotations
-
-from types import SimpleNamespace
-from typing import Any
 
 import mujoco
 import numpy as np
 
+from rbjax.loading.mjcf.fields import Off, is_on, members
 
-def _numbered(enum: Any) -> SimpleNamespace:
-    """The members of an enumeration without their prefix, as what a model's arrays hold."""
-    return SimpleNamespace(**{n.split("_")[1]: int(x) for n, x in enum.__members__.items()})
-
-
-Trn, Dyn, Gain = map(_numbered, (mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain))
-Bias, Wrap = map(_numbered, (mujoco.mjtBias, mujoco.mjtWrap))
+Trn, Dyn, Gain = map(members, (mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain))
+Bias, Wrap = map(members, (mujoco.mjtBias, mujoco.mjtWrap))
 _LAST_GROUP = 30  # of those that a file can disable
 _ACTIVATIONS = (Dyn.NONE, Dyn.INTEGRATOR, Dyn.FILTER, Dyn.FILTEREXACT, Dyn.MUSCLE)
 
@@ -23,8 +16,8 @@ _ACTIVATIONS = (Dyn.NONE, Dyn.INTEGRATOR, Dyn.FILTER, Dyn.FILTEREXACT, Dyn.MUSCL
 def is_off(m: mujoco.MjModel, i: int) -> bool:
     """Whether the file switches actuator i off: all of them, or its group."""
     group = int(m.actuator_group[i])
-    all_off = m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
-    return bool(all_off or (0 <= group <= _LAST_GROUP and m.opt.disableactuator >> group & 1))
+    grouped = 0 <= group <= _LAST_GROUP and m.opt.disableactuator >> group & 1
+    return bool(grouped or not is_on(m, Off.mjDSBL_ACTUATION))
 
 
 def is_at_joint(m: mujoco.MjModel, i: int) -> bool:
@@ -51,7 +44,7 @@ def is_circular(m: mujoco.MjModel, i: int) -> bool:
 
 
 def what_is_left_out(m: mujoco.MjModel, i: int) -> str:
-    """Why rbjax goes without actuator i, in words; nothing where it does not."""
+    """The reason for which actuator i is left out; empty if it is supported."""
     transmission, tendon = m.actuator_trntype[i], m.actuator_trnid[i, 0]
     if is_off(m, i):
         return ""
@@ -71,8 +64,8 @@ def what_is_left_out(m: mujoco.MjModel, i: int) -> str:
 
 
 def reflected(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What actuators add to the coordinates of their joints: armature and linear damping (nv,),
-    and damping by higher powers of the velocity (nv, n)."""
+    """The armature and linear damping (nv,) of actuators at their joints, and their damping by
+    higher powers of the velocity (nv, n)."""
     armature, damping = np.zeros(m.nv), np.zeros(m.nv)
     polynomial = np.zeros_like(m.dof_dampingpoly)
     for i in range(m.nactuator):

@@ -1,19 +1,20 @@
-"""The actuators of a compiled model as force elements."""
+"""Actuators of a compiled MuJoCo model as force elements, and as <general> elements of a file."""
 
 from __future__ import annotations
 
+import dataclasses
+import re
+import xml.etree.ElementTree as ET
+from typing import Any
+
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from rbjax.forces import Element
-from rbjax.forces.actuators.activation import Activation, Filter, Integrator, Recruitment
-from rbjax.forces.actuators.actuator import Active, Actuator, Affine, GainBias, Law, Passive
-from rbjax.forces.actuators.dc_motor import DCMotor, Heat, LuGre, Windings
-from rbjax.forces.actuators.muscle import Muscle
+from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias
+from rbjax.forces.actuators.affine import from_columns, is_affine
 from rbjax.forces.actuators.orientation_servo import OrientationServo
-from rbjax.forces.actuators.pid import INPUTS, PID, Controller
 from rbjax.forces.actuators.transmissions import (
     JointAxis,
     JointSum,
@@ -23,23 +24,18 @@ from rbjax.forces.actuators.transmissions import (
     SliderCrank,
     Transmission,
 )
-from rbjax.loading.mjcf.actuator_kinds import (
-    Bias,
-    Dyn,
-    Gain,
-    Trn,
-    Wrap,
-    is_circular,
-    is_off,
-    what_is_left_out,
-)
-from rbjax.loading.mjcf.finite import refuse_nan
+from rbjax.loading.checks import refuse_nan
+from rbjax.loading.mjcf import actuator_laws as laws
+from rbjax.loading.mjcf.actuator_kinds import Gain, Trn, Wrap, is_off, what_is_left_out
+from rbjax.loading.mjcf.fields import Off, is_on, leaf
+from rbjax.loading.write.draft import Draft, text
 
-_VOLTAGE = 8  # mjINPUT_VOLTAGE, a bit of actuator_ctrlspec
+_GROUP_OFF = 30  # the group of controls without an actuator, which the file disables
+_RANGES = {"pos": "ctrlrange", "vel": "velrange", "ff": "ffrange"}
 
 
 def actuator_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
-    """All actuators that the file does not switch off and that rbjax has, in the file's order."""
+    """Read the actuators that are enabled and supported, in the file's order."""
     found = tuple(_element(m, i) for i in _modelled(m))
     for element in found:
         refuse_nan(element)
@@ -60,34 +56,33 @@ def _modelled(m: mujoco.MjModel) -> list[int]:
 
 def _element(m: mujoco.MjModel, i: int) -> Element:
     first, count = int(m.actuator_ctrladr[i]), int(m.actuator_ctrlnum[i])
-    controls = tuple(range(first, first + count))
-    clamped = not m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-    rows = slice(first, first + count)
-    limited = m.actuator_ctrllimited[rows].astype(bool)[:, None] & clamped
-    ctrlrange = array(np.where(limited, m.actuator_ctrlrange[rows], [-np.inf, np.inf]))
+    controls, rows = tuple(range(first, first + count)), slice(first, first + count)
+    limited = m.actuator_ctrllimited[rows].astype(bool)[:, None] & is_on(m, Off.mjDSBL_CLAMPCTRL)
+    ctrlrange = leaf(np.where(limited, m.actuator_ctrlrange[rows], [-np.inf, np.inf]))
     if m.actuator_gaintype[i] == Gain.SO3:
         return _orientation_servo(m, i, controls, ctrlrange)
-    return Actuator(_transmission(m, i), _law(m, i), ctrlrange, _forcerange(m, i), controls)
+    law = laws.read_law(m, i)
+    return Actuator(_transmission(m, i), law, ctrlrange, _forcerange(m, i), controls)
 
 
 def _forcerange(m: mujoco.MjModel, i: int) -> jax.Array:
-    """The force range of an actuator, within which its tendon's range is."""
+    """The force range of an actuator, within that of its tendon."""
     own = m.actuator_forcerange[i] if m.actuator_forcelimited[i] else np.array([-np.inf, np.inf])
     tendon = m.actuator_trnid[i, 0]
     if m.actuator_trntype[i] == Trn.TENDON and m.tendon_actfrclimited[tendon]:
-        return array(np.clip(m.tendon_actfrcrange[tendon], *own))
-    return array(own)
+        return leaf(np.clip(m.tendon_actfrcrange[tendon], *own))
+    return leaf(own)
 
 
 def _transmission(m: mujoco.MjModel, i: int) -> Transmission:
     kind, (target, other) = m.actuator_trntype[i], map(int, m.actuator_trnid[i])
-    gear = array(m.actuator_gear[m.actuator_outadr[i]])
+    gear = leaf(m.actuator_gear[m.actuator_outadr[i]])
     if kind in (Trn.JOINT, Trn.JOINTINPARENT):
         return JointAxis(gear, target, bool(kind == Trn.JOINTINPARENT))
     if kind == Trn.SITE:
         return SiteWrench(gear, target) if other < 0 else SitePose(gear, target, other)
     if kind == Trn.SLIDERCRANK:
-        return SliderCrank(gear, array(m.actuator_cranklength[i]), target, other)
+        return SliderCrank(gear, leaf(m.actuator_cranklength[i]), target, other)
     return _tendon(m, target, gear)
 
 
@@ -96,7 +91,7 @@ def _tendon(m: mujoco.MjModel, tendon: int, gear: jax.Array) -> Transmission:
     rows = slice(at, at + int(m.tendon_num[tendon]))
     kinds, things, given = m.wrap_type[rows], m.wrap_objid[rows], m.wrap_prm[rows]
     if (kinds == Wrap.JOINT).all():
-        return JointSum(gear, array(given), tuple(int(j) for j in things))
+        return JointSum(gear, leaf(given), tuple(int(j) for j in things))
     segments, divisors, divisor, last = [], [], 1.0, -1
     for kind, thing, number in zip(kinds, things, given, strict=True):
         if kind == Wrap.PULLEY:
@@ -106,92 +101,7 @@ def _tendon(m: mujoco.MjModel, tendon: int, gear: jax.Array) -> Transmission:
             segments.append((last, int(thing)))
             divisors.append(divisor)
         last = int(thing)
-    return SitePath(gear, array(divisors), tuple(segments))
-
-
-def _law(m: mujoco.MjModel, i: int) -> Law:
-    gain, bias = m.actuator_gaintype[i], m.actuator_biastype[i]
-    if gain == Gain.PID:
-        return _pid(m, i)
-    if gain == Gain.DCMOTOR:
-        return _dc_motor(m, i)
-    strength: Affine | Active
-    if gain == Gain.MUSCLE:
-        strength = Active(_muscle(m, i, m.actuator_gainprm[i]))
-    else:
-        strength = Affine(array(m.actuator_gainprm[i, : 3 if gain == Gain.AFFINE else 1]))
-    offset: Affine | Passive | None = None
-    if bias == Bias.MUSCLE:
-        offset = Passive(_muscle(m, i, m.actuator_biasprm[i]))
-    elif bias == Bias.AFFINE:
-        offset = Affine(array(m.actuator_biasprm[i, :3]))
-    early, circular = bool(m.actuator_actearly[i]), is_circular(m, i)
-    return GainBias(strength, offset, _activation(m, i), early, circular)
-
-
-def _muscle(m: mujoco.MjModel, i: int, parameters: np.ndarray) -> Muscle:
-    out = m.actuator_outadr[i]
-    return Muscle(
-        array(parameters[:9]), array(m.actuator_lengthrange[out]), array(m.actuator_acc0[out]),
-        scaled=bool(parameters[2] < 0),
-    )  # fmt: skip
-
-
-def _activation(m: mujoco.MjModel, i: int) -> Activation | None:
-    kind, given = m.actuator_dyntype[i], m.actuator_dynprm[i]
-    limits = _actrange(m, i)
-    if kind == Dyn.NONE:
-        return None
-    if kind == Dyn.INTEGRATOR:
-        return Integrator(limits)
-    if kind == Dyn.MUSCLE:
-        smooth = bool(given[2] >= mujoco.mjMINVAL)
-        return Recruitment(limits, array(given[:2]), array(given[2]), smooth)
-    return Filter(limits, array(given[0]), bool(kind == Dyn.FILTEREXACT))
-
-
-def _actrange(m: mujoco.MjModel, i: int) -> jax.Array:
-    return array(m.actuator_actrange[i] if m.actuator_actlimited[i] else [-np.inf, np.inf])
-
-
-def _controller(m: mujoco.MjModel, i: int, gains: list, windup: float, slew: float) -> Controller:
-    spec = int(m.actuator_ctrlspec[i])
-    inputs = tuple(name for k, name in enumerate(INPUTS) if spec >> k & 1)
-    return Controller(
-        array(gains), array(_or_infinite(windup)), array(_or_infinite(slew)), inputs,
-        slews=bool(slew > 0), integrates=bool(gains[1] > 0),
-        circular=is_circular(m, i), clipped=bool(m.actuator_gaintype[i] == Gain.DCMOTOR),
-    )  # fmt: skip
-
-
-def _pid(m: mujoco.MjModel, i: int) -> PID:
-    (offset, kp, kv), (windup, slew) = m.actuator_biasprm[i, :3], m.actuator_dynprm[i, :2]
-    gains = [-kp, m.actuator_gainprm[i, 0], -kv]
-    controller = _controller(m, i, gains, windup, slew)
-    return PID(controller, array(offset), _actrange(m, i), bool(m.actuator_actearly[i]))
-
-
-def _dc_motor(m: mujoco.MjModel, i: int) -> DCMotor:
-    R, K, alpha, T0, kp, ki, kd, drive = m.actuator_gainprm[i, :8]
-    te, current_rate, RT, C, Ta, s0, s1, slew, windup = m.actuator_dynprm[i, :9]
-    cogging, (FC, FS, vS) = m.actuator_biasprm[i, :3], m.actuator_biasprm[i, 3:6]
-    windings = Windings(
-        resistance=array(R),
-        constant=array(K),
-        drive=array(_or_infinite(drive)),
-        time_constant=array(te),
-        current_rate=array(_or_infinite(current_rate)),
-        inductive=bool(te > 0),
-    )
-    commanded = any((kp, ki, kd)) or slew > 0 or int(m.actuator_ctrlspec[i]) & 7
-    return DCMotor(
-        windings,
-        array(cogging),
-        _controller(m, i, [kp, ki, kd], windup, slew) if commanded else None,
-        Heat(array([RT, C, Ta, alpha, T0])) if RT > 0 else None,
-        LuGre(array([s0, s1, FC, FS, vS])) if s0 > 0 else None,
-        voltage=bool(int(m.actuator_ctrlspec[i]) & _VOLTAGE),
-    )
+    return SitePath(gear, leaf(divisors), tuple(segments))
 
 
 def _orientation_servo(
@@ -199,19 +109,140 @@ def _orientation_servo(
 ) -> OrientationServo:
     target, base = map(int, m.actuator_trnid[i])
     strongest = m.actuator_forcerange[i, 1] if m.actuator_forcelimited[i] else np.inf
-    gains = [m.actuator_gainprm[i, 0], m.actuator_biasprm[i, 0], -m.actuator_biasprm[i, 2]]
+    given = laws.parameters(m, i, laws.SERVO)
     where = {"joint": target} if base < 0 else {"site": target, "reference": base}
-    early = bool(m.actuator_actearly[i])
     return OrientationServo(
-        array(gains), ctrlrange, array(strongest), _activation(m, i), controls, early=early, **where
+        leaf([given.kp, given.constant, given.kv]),
+        ctrlrange,
+        leaf(strongest),
+        laws.read_activation(m, i),
+        controls,
+        early=bool(m.actuator_actearly[i]),
+        **where,
     )
 
 
-def _or_infinite(x: float) -> float:
-    """A limit, where zero means that there is none."""
-    return float(x) if x > 0 else np.inf
+def write_actuators(draft: Draft) -> list[Element]:
+    """Write the actuators in the order of their controls; return the elements as `load` will read
+    them."""
+    model, elements = draft.model, []
+    at: dict[float, Element | None] = dict.fromkeys(range(model.nu))
+    at |= {one.controls[0]: _shortest(one) for one in from_columns(model)}
+    last = -0.5
+    for element in model.forces:
+        if type(element) in (Actuator, OrientationServo):
+            # an actuator without controls follows the one before it
+            last = element.controls[0] if element.controls else np.nextafter(last, np.inf)
+            for control in element.controls:
+                at.pop(control, None)
+            at[last] = element
+    for row, element in sorted(at.items(), key=lambda item: item[0]):
+        if element is None:
+            _write_unused(draft, model.actuator_names[int(row)])
+        else:
+            elements.append(_write_element(draft, element))
+    return [x for x in elements if not is_affine(x)]
 
 
-def array(x: object) -> jax.Array:
-    """As a leaf of a model."""
-    return jnp.asarray(np.asarray(x, np.float64))
+def _shortest(row: Actuator) -> Actuator:
+    """A row of `model.actuators` without a bias of zeros, and with a constant gain if it has no
+    bias. With a bias its gain is affine: MuJoCo treats a constant one as a servo on an angle."""
+    law: Any = row.law
+    bias = law.bias if law.bias.coefficients.any() else None
+    constant = bias is None and not law.gain.coefficients[1:].any()
+    gain = Affine(law.gain.coefficients[:1]) if constant else law.gain
+    return dataclasses.replace(row, law=GainBias(gain, bias, None))
+
+
+def _write_unused(draft: Draft, name: str) -> None:
+    """Write a control without an actuator, so that the other controls keep their indices."""
+    if not draft.joints:
+        draft.note("controls that drive nothing, left out for want of a joint", [name])
+        return
+    draft.option.set("actuatorgroupdisable", str(_GROUP_OFF))
+    ET.SubElement(
+        draft.actuator, "general", name=name, joint=draft.joint(0), gear="0", group=str(_GROUP_OFF)
+    )
+
+
+def _name(draft: Draft, controls: tuple[int, ...]) -> dict[str, str]:
+    """The name of an actuator: of several controls, their common name without the index."""
+    names = [draft.model.actuator_names[c] for c in controls]
+    if not names:
+        return {}
+    return {"name": names[0] if len(names) == 1 else re.sub(r"\[0\]$", "", names[0])}
+
+
+def _write_element(draft: Draft, element: Any) -> Element:
+    entry = ET.SubElement(draft.actuator, "general", _name(draft, element.controls))
+    if isinstance(element, OrientationServo):
+        return _write_servo(draft, entry, element)
+    written = laws.write_law(element.law)
+    if written is None:
+        draft.actuator.remove(entry)
+        kind, name = type(element.law).__name__, entry.get("name", "without a name")
+        draft.note(f"no MJCF form, left out: actuators with the law {kind}", [name])
+        for control in element.controls:
+            _write_unused(draft, draft.model.actuator_names[control])
+        return element
+    found, inputs, law = written
+    entry.attrib |= _write_transmission(draft, element.transmission)
+    entry.attrib |= laws.limits_text("forcerange", element.forcerange) | found
+    for which, limits in zip(inputs, element.ctrlrange, strict=True):
+        entry.attrib |= laws.limits_text(_RANGES.get(which, "ctrlrange"), limits)
+    return dataclasses.replace(element, law=law)
+
+
+def _write_transmission(draft: Draft, x: Transmission) -> dict[str, str]:
+    if isinstance(x, JointAxis):
+        ends = {"jointinparent" if x.in_parent else "joint": draft.joint(x.joint)}
+    elif isinstance(x, SiteWrench):
+        ends = {"site": draft.sites[x.site]}
+    elif isinstance(x, SitePose):
+        ends = {"site": draft.sites[x.site], "refsite": draft.sites[x.reference]}
+    elif isinstance(x, SliderCrank):
+        ends = {"cranksite": draft.sites[x.crank], "slidersite": draft.sites[x.slider]}
+        ends["cranklength"] = text(x.rod)
+    elif isinstance(x, (JointSum, SitePath)):
+        ends = {"tendon": f"tendon{len(draft.tendon)}"}
+        _write_tendon(draft, ends["tendon"], x)
+    else:
+        raise TypeError(f"no MJCF form of the transmission {type(x).__name__}")
+    return ends | {"gear": laws.shortened(x.gear)}
+
+
+def _write_tendon(draft: Draft, name: str, x: JointSum | SitePath) -> None:
+    """Write a tendon. Of a path: its sites in order, and a pulley where a segment does not begin at
+    the end of the last one."""
+    if isinstance(x, JointSum):
+        tendon = ET.SubElement(draft.tendon, "fixed", name=name)
+        for joint, c in zip(x.joints, x.coefficients, strict=True):
+            ET.SubElement(tendon, "joint", joint=draft.joint(joint), coef=text(c))
+        return
+    tendon = ET.SubElement(draft.tendon, "spatial", name=name)
+    last, divisor = -1, 1.0
+    for (a, b), own in zip(x.segments, x.divisors, strict=True):
+        if own != divisor or (last >= 0 and last != a):
+            ET.SubElement(tendon, "pulley", divisor=text(own))
+            last, divisor = -1, own
+        if last < 0:
+            ET.SubElement(tendon, "site", site=draft.sites[a])
+        ET.SubElement(tendon, "site", site=draft.sites[b])
+        last = b
+
+
+def _write_servo(draft: Draft, entry: ET.Element, servo: OrientationServo) -> OrientationServo:
+    kp, constant, kv = servo.gains
+    if servo.joint >= 0:
+        entry.set("joint", draft.joint(servo.joint))
+    else:
+        entry.set("site", draft.sites[servo.site])
+        entry.set("refsite", draft.sites[servo.reference])
+    entry.attrib |= {"gaintype": "so3", "biastype": "so3"}
+    entry.attrib |= laws.attributes(laws.SERVO, kp=kp, constant=constant, kv=kv)
+    entry.attrib |= {"input": "quat"} if len(servo.controls) == 4 else {}
+    entry.attrib |= laws.write_activation(servo.activation, servo.early)
+    entry.attrib |= laws.limits_text("ctrlrange", servo.ctrlrange[0])
+    if np.isfinite(servo.strongest):
+        entry.set("forcerange", text([0.0, servo.strongest]))
+    return servo

@@ -1,44 +1,50 @@
-"""The constraints of a compiled MuJoCo model: its equalities.
+"""Equalities of MuJoCo as constraints, and constraints as equalities of a file.
 
     connect                   Spherical
-    weld                      Weld; Spherical where torquescale is zero
+    weld                      Weld; Spherical if torquescale is zero
     joint                     JointPolynomial
-They hold exactly. MuJoCo's are soft, as `solref` and `solimp` say: so are these if `compliant` is
-asked for, with the same accelerations (`Soft`, of a weld `QuaternionWeld`). torquescale only weighs
-rotation against translation there.
+They hold exactly. MuJoCo's are soft, with `solref` and `solimp`. With `compliant` they are soft
+here as well, with MuJoCo's accelerations (`Soft`, of a weld `QuaternionWeld`); torquescale then
+weighs rotation against translation.
 """
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from rbjax.constraints import (
     Constraint,
+    Gear,
     JointPolynomial,
+    Pair,
     Place,
     QuaternionWeld,
+    Rack,
     Soft,
     Spherical,
     Weld,
 )
 from rbjax.errors import ModelError
+from rbjax.loading.mjcf.fields import Off, is_on, leaf
+from rbjax.loading.write.draft import Draft, place_in_body, text
+from rbjax.model import WORLD, Model
 
 _KIND = mujoco.mjtEq
 _LOADED = {int(_KIND.mjEQ_CONNECT), int(_KIND.mjEQ_WELD), int(_KIND.mjEQ_JOINT)}
+_TAGS: dict[type, str] = {Spherical: "connect", Weld: "weld"}
 _TERMS = 5  # of MuJoCo's polynomials
 
 
 def constraints_of(m: mujoco.MjModel, *, compliant: bool = False) -> tuple[Constraint, ...]:
-    """The equalities that are on and have a kind here, in the file's order."""
+    """Read the active equalities of supported kinds, in the file's order."""
     found = []
     if equalities_are_on(m):
         for i in np.flatnonzero(m.eq_active0).tolist():
-            if is_loaded(m, i) and _moves(m, i):
+            if is_loaded(m, i) and _ends_move(m, i):
                 _refuse_nan(m, i)
                 found.append(_soft(m, i) if compliant else _constraint(m, i))
     return tuple(found)
@@ -46,12 +52,11 @@ def constraints_of(m: mujoco.MjModel, *, compliant: bool = False) -> tuple[Const
 
 def equalities_are_on(m: mujoco.MjModel) -> bool:
     """Whether the file has not switched all equalities off."""
-    bits = mujoco.mjtDisableBit
-    return not m.opt.disableflags & (int(bits.mjDSBL_CONSTRAINT) | int(bits.mjDSBL_EQUALITY))
+    return is_on(m, Off.mjDSBL_CONSTRAINT, Off.mjDSBL_EQUALITY)
 
 
 def is_loaded(m: mujoco.MjModel, i: int) -> bool:
-    """Whether equality i is of a kind that loads."""
+    """Whether equality i is of a supported kind."""
     return int(m.eq_type[i]) in _LOADED
 
 
@@ -70,13 +75,12 @@ def _constraint(m: mujoco.MjModel, i: int) -> Constraint:
     kind, data = int(m.eq_type[i]), m.eq_data[i]
     first, second = int(m.eq_obj1id[i]), int(m.eq_obj2id[i])
     if kind == int(_KIND.mjEQ_JOINT):
-        driver = None if second < 0 else second
-        return JointPolynomial(first, driver, _array(data[:_TERMS]))
+        return JointPolynomial(first, None if second < 0 else second, leaf(data[:_TERMS]))
     is_weld = kind == int(_KIND.mjEQ_WELD)
     if _has_sites(m, i):
         a, b = (Place.on(site=s) for s in (first, second))
-    elif is_weld:  # of the second body its anchor, of the first where that is in it, and its axes
-        a = _on_body(first, data[3:6], data[6:10])
+    elif is_weld:  # the anchor is in the second body; 3:10 is its pose in the first
+        a = _on_body(first, data[3:6], data[6:10] / np.linalg.norm(data[6:10]))
         b = _on_body(second, data[:3])
     else:
         a, b = _on_body(first, data[:3]), _on_body(second, data[3:6])
@@ -84,49 +88,103 @@ def _constraint(m: mujoco.MjModel, i: int) -> Constraint:
 
 
 def _soft(m: mujoco.MjModel, i: int) -> Soft:
-    """An equality with its softness; a time constant is at least two of the file's steps, unless
-    the file switches that off."""
+    """An equality with its softness; a time constant is at least two time steps, unless the file
+    switches that off."""
     one = _constraint(m, i)
     if isinstance(one, Weld):
-        one = QuaternionWeld(one.a, one.b, _array(m.eq_data[i, 10]))
+        one = QuaternionWeld(one.a, one.b, leaf(m.eq_data[i, 10]))
     solref = m.eq_solref[i].copy()
-    if solref[0] > 0 and not m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE):
+    if solref[0] > 0 and is_on(m, Off.mjDSBL_REFSAFE):
         solref[0] = max(solref[0], 2 * m.opt.timestep)
-    solref, solimp, weight = map(_array, (solref, m.eq_solimp[i], _weights(m, i, one.size)))
+    solref, solimp, weight = map(leaf, (solref, m.eq_solimp[i], _weights(m, i, one.size)))
     return Soft(one, solref, solimp, weight, bias=not isinstance(one, JointPolynomial))
 
 
 def _weights(m: mujoco.MjModel, i: int, rows: int) -> np.ndarray:
-    """MuJoCo's estimate of diag(G M^-1 G^T), from the file's own configuration."""
-    ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
+    """MuJoCo's estimate of diag(G M^-1 G^T) at the reference configuration."""
     if int(m.eq_type[i]) == int(_KIND.mjEQ_JOINT):
+        ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
         return m.dof_invweight0[m.jnt_dofadr[ends[ends >= 0]]].sum(keepdims=True)
-    bodies = m.site_bodyid[ends] if _has_sites(m, i) else ends
-    along, about = m.body_invweight0[bodies].sum(0)
+    along, about = m.body_invweight0[_end_bodies(m, i)].sum(0)
     return np.array([along] * 3 + [about] * (rows - 3))
 
 
-def _on_body(body: int, point: np.ndarray, quat: np.ndarray | None = None) -> Place:
-    return Place(_array(point), _quaternion(quat), body - 1 if body else None)
-
-
-def _quaternion(quat: np.ndarray | None) -> jax.Array:
-    return _array([1.0, 0.0, 0.0, 0.0] if quat is None else quat / np.linalg.norm(quat))
+def _on_body(body: int, point: np.ndarray, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> Place:
+    return Place(leaf(point), leaf(quat), body - 1 if body else None)
 
 
 def _has_sites(m: mujoco.MjModel, i: int) -> bool:
     return int(m.eq_objtype[i]) == int(mujoco.mjtObj.mjOBJ_SITE)
 
 
-def _moves(m: mujoco.MjModel, i: int) -> bool:
-    """Whether a joint lies between the two bodies; else MuJoCo has no rows of it either."""
+def _end_bodies(m: mujoco.MjModel, i: int) -> np.ndarray:
+    ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
+    return m.site_bodyid[ends] if _has_sites(m, i) else ends
+
+
+def _ends_move(m: mujoco.MjModel, i: int) -> bool:
+    """Whether a joint lies between the two bodies; otherwise MuJoCo has no rows of it either."""
     if int(m.eq_type[i]) == int(_KIND.mjEQ_JOINT):
         return True
-    ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
-    bodies = m.site_bodyid[ends] if _has_sites(m, i) else ends
-    first, second = m.body_weldid[bodies]
+    first, second = m.body_weldid[_end_bodies(m, i)]
     return bool(first != second)
 
 
-def _array(x: Any) -> jax.Array:
-    return jnp.asarray(np.asarray(x, np.float64))
+def write_constraints(draft: Draft) -> list[Constraint]:
+    """Write the constraints; return them as `load` will read them, in that order."""
+    written: list[Constraint] = []
+    for given in draft.model.constraints:
+        one = _rigid(given)
+        kind, coupling = type(one), _polynomial(draft.model, one)
+        if isinstance(one, Pair) and kind in _TAGS and _places_move(draft.model, one):
+            ends = {"site1": draft.site(one.a), "site2": draft.site(one.b)}
+            element = ET.SubElement(draft.equality, _TAGS[kind], ends)
+            written.append(one)
+        elif coupling is not None:
+            joints = {"joint1": coupling.joint, "joint2": coupling.driver}
+            given_ends = ((k, draft.model.joint(x)) for k, x in joints.items() if x is not None)
+            element = ET.SubElement(draft.equality, "joint", polycoef=text(coupling.coefficients))
+            element.attrib |= {k: draft.joint(j) for k, j in given_ends}
+            written.append(coupling)
+        else:
+            draft.note(f"no MJCF form, left out: constraint {kind.__name__}")
+            continue
+        _write_softness(element, given)
+    return written
+
+
+def _rigid(one: Constraint) -> Constraint:
+    """A constraint as it is read without its softness."""
+    one = one.of if isinstance(one, Soft) else one
+    return Weld(one.a, one.b) if isinstance(one, QuaternionWeld) else one
+
+
+def _write_softness(element: ET.Element, given: Constraint) -> None:
+    """Write solref and solimp; MuJoCo computes the weights."""
+    if isinstance(given, Soft):
+        element.set("solref", text(given.solref))
+        element.set("solimp", text(given.solimp))
+        if isinstance(given.of, QuaternionWeld):
+            element.set("torquescale", text(np.atleast_1d(given.of.scale)))
+
+
+def _places_move(model: Model, pair: Pair) -> bool:
+    """Whether a joint lies between the two ends: otherwise MuJoCo has no rows of it."""
+    carriers = (WORLD, *model.topology.carriers)
+    a, b = (place_in_body(model, place)[0] for place in (pair.a, pair.b))
+    return carriers[a + 1] != carriers[b + 1]
+
+
+def _polynomial(model: Model, one: Constraint) -> JointPolynomial | None:
+    """A coupling of two joints as a polynomial of as many terms as MJCF has, if it is one."""
+    given: Any = one
+    if type(one) is JointPolynomial:
+        terms = given.coefficients
+    elif type(one) in (Gear, Rack):
+        terms = np.array([0.0, given.ratio if type(one) is Gear else given.radius])
+    else:
+        return None
+    itself = given.driver is not None and model.joint(given.joint) == model.joint(given.driver)
+    padded: Any = np.concatenate([terms, np.zeros(_TERMS)])[:_TERMS]
+    fits = not itself and not terms[_TERMS:].any()
+    return JointPolynomial(given.joint, given.driver, padded) if fits else None

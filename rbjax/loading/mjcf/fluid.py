@@ -32,7 +32,7 @@ def fluid_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
     geoms = np.flatnonzero(moving[m.geom_bodyid] & shaped).tolist()
     wind = jnp.asarray(m.opt.wind)
     if boxes:
-        orientation = _rows([_inertial_frame(m, b)[1] for b in boxes])
+        orientation = _rows([inertial_frame(m, b)[1] for b in boxes])
         medium = jnp.asarray(max(rho, 0.0)), jnp.asarray(max(mu, 0.0))
         out.append(InertiaBoxFluid(*medium, wind, orientation, tuple(b - 1 for b in boxes)))
     if geoms:
@@ -75,8 +75,8 @@ def _semi_axes(m: mujoco.MjModel, g: int) -> Array:
     return np.array(axes.get(int(m.geom_type[g]), m.geom_size[g]))
 
 
-def _inertial_frame(m: mujoco.MjModel, b: int) -> tuple[Array, Array]:
-    """Where MuJoCo takes a body's inertial frame to be: frames within 1e-6 are one frame."""
+def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[Array, Array]:
+    """The inertial frame of a body as MuJoCo uses it: frames that coincide within 1e-6 are one."""
     same, kinds = int(m.body_sameframe[b]), mujoco.mjtSameFrame
     if same == int(kinds.mjSAMEFRAME_BODY):
         return np.zeros(3), _ALIGNED
@@ -85,9 +85,9 @@ def _inertial_frame(m: mujoco.MjModel, b: int) -> tuple[Array, Array]:
 
 
 def _geom_frame(m: mujoco.MjModel, g: int) -> tuple[Array, Array]:
-    """Where MuJoCo takes a geom to be in its body, likewise."""
+    """The frame of a geom in its body as MuJoCo uses it."""
     same, kinds = int(m.geom_sameframe[g]), mujoco.mjtSameFrame
-    position, attitude = _inertial_frame(m, m.geom_bodyid[g])
+    position, attitude = inertial_frame(m, m.geom_bodyid[g])
     if same == int(kinds.mjSAMEFRAME_BODY):
         return np.zeros(3), _ALIGNED
     if same == int(kinds.mjSAMEFRAME_INERTIA):

@@ -1,23 +1,175 @@
-"""The force elements of a compiled MuJoCo model.
+"""Force elements of a compiled model: joints, gravity compensation, tendons, with MuJoCo's numbers.
 
-What MuJoCo computes as a force becomes an element with MuJoCo's own numbers. What it computes as a
-constraint (limits, friction loss) becomes a smooth element only where the caller asks for it.
+Limits and friction loss are constraints in MuJoCo, solved softly:
+
+    a_ref = -b v - k d(r) r,    f = (a_ref - a) / R at the solution,    R = (1 - d) / d * A
+
+with r the depth, d its impedance, A the inverse inertia at the coordinate (`dof_invweight0`), and
+k, b computed from `solref` (MuJoCo, *Computation*, constraint model). They become elements only if
+the caller asks for them. At rest a = v = 0, so a stop carries f = d^2 k r / ((1 - d) A): a spring.
+Its stiffness here is that at half the width over which d grows, and its damper has solref's damping
+ratio for this spring and the inertia 1 / A. Friction loss creeps at v = f R / b under a load f, so
+v_0 = F_c R / b in `JointFriction`; or 2 h F_c A for a time step h if that is larger, which an
+explicit step can follow.
 """
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import mujoco
+import numpy as np
 
-from rbjax.forces import Element
-from rbjax.loading.mjcf.finite import refuse_nan
+from rbjax.forces import (
+    Element,
+    GravityCompensation,
+    JointFriction,
+    JointLimits,
+    JointPolynomials,
+    Place,
+    PointSpring,
+)
+from rbjax.loading.checks import refuse_nan
+from rbjax.loading.mjcf.actuator_kinds import reflected
+from rbjax.loading.mjcf.dropped import inverted_limits, tendon_is_supported
+from rbjax.loading.mjcf.fields import Off, is_on, leaf
 from rbjax.loading.mjcf.fluid import fluid_elements
-from rbjax.loading.mjcf.joint_forces import joint_elements
+
+_IMPEDANCES = (1e-4, 0.9999)  # within which MuJoCo holds d
+_SIZES = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
 
 
-def elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[Element, ...]:
-    """The force elements other than the joints' linear springs and the actuators."""
-    joints = joint_elements(m, limits=limits, friction=friction)
-    found = (*joints, *fluid_elements(m))
+def force_elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[Element, ...]:
+    """Read the force elements other than actuators and the linear springs of joints."""
+    found: list[Element] = [*_polynomials(m)]
+    if limits and is_on(m, Off.mjDSBL_CONSTRAINT, Off.mjDSBL_LIMIT):
+        found += _limits(m)
+    if friction and is_on(m, Off.mjDSBL_CONSTRAINT, Off.mjDSBL_FRICTIONLOSS):
+        found += _friction(m)
+    found += [*_gravity_compensation(m), *_tendons(m), *fluid_elements(m)]
     for element in found:
         refuse_nan(element)
+    return tuple(found)
+
+
+def _of(m: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
+    """The velocity coordinates of these joints, in their order."""
+    spans = [m.jnt_dofadr[j] + np.arange(_SIZES.get(int(m.jnt_type[j]), 1)) for j in joints]
+    return np.concatenate([np.zeros(0, int), *spans])
+
+
+def _polynomials(m: mujoco.MjModel) -> list[Element]:
+    stiffness = m.jnt_stiffnesspoly * is_on(m, Off.mjDSBL_SPRING)
+    damping = (m.dof_dampingpoly + reflected(m)[2]) * is_on(m, Off.mjDSBL_DAMPER)
+    has = stiffness.any(-1)
+    has[m.dof_jntid[damping.any(-1)]] = True
+    joints = np.flatnonzero(has)
+    if not len(joints):
+        return []
+    numbers = (leaf(stiffness[joints]), leaf(damping[_of(m, joints)]))
+    return [JointPolynomials(*numbers, tuple(joints.tolist()))]
+
+
+def _limits(m: mujoco.MjModel) -> list[Element]:
+    joints = np.flatnonzero(m.jnt_limited & ~inverted_limits(m))
+    if not len(joints):
+        return []
+    rows = [_stop(m, int(j)) for j in joints]
+    stiffness, damping, width = map(leaf, zip(*rows, strict=True))
+    margin = leaf(m.jnt_margin[joints])
+    return [JointLimits(stiffness, damping, margin, width, tuple(joints.tolist()))]
+
+
+def _stop(m: mujoco.MjModel, joint: int) -> tuple[float, float, float]:
+    """Stiffness, damping and width of the stop of a joint. The width is a tenth of the
+    impedance's."""
+    mobility = max(m.dof_invweight0[m.jnt_dofadr[joint]], mujoco.mjMINVAL)
+    width = max(m.jnt_solimp[joint, 2], mujoco.mjMINVAL)
+    k, b = _reference(m, m.jnt_solref[joint], m.jnt_solimp[joint])
+    d = _impedance(m.jnt_solimp[joint], width / 2)
+    stiffness = d * d * k / ((1 - d) * mobility)
+    ratio = b / (2 * np.sqrt(k))
+    return stiffness, 2 * ratio * np.sqrt(stiffness / mobility), max(width / 10, 1e-6)
+
+
+def _friction(m: mujoco.MjModel) -> list[Element]:
+    joints = np.unique(m.dof_jntid[m.dof_frictionloss > 0])
+    if not len(joints):
+        return []
+    at = _of(m, joints)
+    loss, creep = m.dof_frictionloss[at], []
+    for i in at:
+        d = _impedance(m.dof_solimp[i], 0.0)
+        soft = (1 - d) / d / _reference(m, m.dof_solref[i], m.dof_solimp[i])[1]
+        creep.append(m.dof_invweight0[i] * max(soft, 2 * m.opt.timestep))
+    return [
+        JointFriction(
+            coulomb=leaf(loss),
+            breakaway=None,
+            stribeck=jnp.ones(len(at)),
+            smoothing=leaf(np.where(loss > 0, loss * np.array(creep), 1.0)),
+            viscous=jnp.zeros(len(at)),
+            joints=tuple(joints.tolist()),
+        )
+    ]
+
+
+def _reference(m: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
+    """k and b of a_ref = -b v - k d r."""
+    top = float(np.clip(solimp[1], *_IMPEDANCES))
+    if solref[0] <= 0:
+        return -solref[0] / top**2, -solref[1] / top
+    time, ratio = solref
+    if is_on(m, Off.mjDSBL_REFSAFE):
+        time = max(time, 2 * m.opt.timestep)
+    return 1 / max(mujoco.mjMINVAL, (top * time * ratio) ** 2), 2 / max(mujoco.mjMINVAL, top * time)
+
+
+def _impedance(solimp: np.ndarray, depth: float) -> float:
+    """d at a depth: from solimp's first number to its second over its width, by two powers that
+    meet at its midpoint."""
+    low, high = np.clip(solimp[:2], *_IMPEDANCES)
+    width, middle = max(solimp[2], 0.0), float(np.clip(solimp[3], *_IMPEDANCES))
+    power = max(solimp[4], 1.0)
+    if low == high or width <= mujoco.mjMINVAL:
+        return float(low + high) / 2
+    x = min(depth / width, 1.0)
+    share = x
+    if power > 1 and x < 1:
+        near = x <= middle
+        share = x**power / middle ** (power - 1)
+        share = share if near else 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
+    return float(low + share * (high - low))
+
+
+def _gravity_compensation(m: mujoco.MjModel) -> list[Element]:
+    """Gravity compensation, a passive force: MuJoCo computes none without springs and dampers."""
+    bodies = np.flatnonzero(m.body_gravcomp[1:])
+    if not len(bodies) or not (is_on(m, Off.mjDSBL_SPRING) or is_on(m, Off.mjDSBL_DAMPER)):
+        return []
+    fraction, at = leaf(m.body_gravcomp[1:][bodies]), tuple(bodies.tolist())
+    driven = np.flatnonzero(m.jnt_actgravcomp)
+    if not len(driven):
+        return [GravityCompensation(fraction, at)]
+    passive = np.flatnonzero(~m.jnt_actgravcomp.astype(bool))
+    found: list[Element] = []
+    if len(passive):
+        found.append(GravityCompensation(fraction, at, tuple(passive.tolist())))
+    if m.nactuator and is_on(m, Off.mjDSBL_ACTUATION):  # else MuJoCo loses the actuators' share
+        found.append(GravityCompensation(fraction, at, tuple(driven.tolist()), actuated=True))
+    return found
+
+
+def _tendons(m: mujoco.MjModel) -> list[Element]:
+    """The springs and dampers of spatial tendons between two sites."""
+    found: list[Element] = []
+    for i in filter(lambda i: tendon_is_supported(m, i), range(m.ntendon)):
+        stiffness = np.array([m.tendon_stiffness[i], *m.tendon_stiffnesspoly[i]])
+        damping = np.array([m.tendon_damping[i], *m.tendon_dampingpoly[i]])
+        stiffness *= is_on(m, Off.mjDSBL_SPRING)
+        damping *= is_on(m, Off.mjDSBL_DAMPER)
+        if stiffness.any() or damping.any():
+            start = m.tendon_adr[i]
+            a, b = (Place.on(site=int(s)) for s in m.wrap_objid[start : start + 2])
+            numbers = (stiffness, damping, m.tendon_lengthspring[i])
+            found.append(PointSpring(a, b, *map(jnp.asarray, numbers)))
     return found

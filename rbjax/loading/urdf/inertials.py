@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, listed
-from rbjax.loading.singular import data_of, joints_that_cancel, mass_matrix
-from rbjax.loading.urdf.numbers import origin, read_numbers
+from rbjax.loading.checks import data_of, joints_that_cancel, mass_matrix
+from rbjax.loading.urdf.tree import origin, read_numbers
 
 #: a moment beyond the sum of the other two by less than this part of it is the file's rounding
 ROUNDING = 1e-6

@@ -20,22 +20,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from rbjax.constraints import JointPolynomial
 from rbjax.errors import ModelError
-from rbjax.loading.complaints import fix_of, sentence
+from rbjax.loading.mjcf.fields import message_of
 from rbjax.loading.urdf.inertials import Inertial, add_placeholder, read_inertial
-from rbjax.loading.urdf.mimics import Mimics, read_mimics
-from rbjax.loading.urdf.numbers import number, origin, read_numbers
 from rbjax.loading.urdf.shapes import add_primitives, add_shapes
-from rbjax.loading.urdf.tree import GROUND, Joint, Tree, left_out, read_tree
+from rbjax.loading.urdf.tree import (
+    GROUND,
+    Joint,
+    Tree,
+    left_out,
+    number,
+    origin,
+    read_numbers,
+    read_tree,
+)
 
 _FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
 _SLIDE, _HINGE = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
 _TYPES = {
     "revolute": _HINGE, "continuous": _HINGE, "prismatic": _SLIDE, "spherical": _BALL,
 }  # fmt: skip
+_MOVING = ("revolute", "continuous", "prismatic")  # of one coordinate
 _AXES = {"TX": (1, 0, 0), "TY": (0, 1, 0), "TZ": (0, 0, 1)}
 #: settings of MuJoCo's compiler that change inertials, or that concern MJCF files
 _IGNORED = (
@@ -45,8 +55,27 @@ _IGNORED = (
 
 
 @dataclass(frozen=True)
+class Mimics:
+    """The mimics of a file.
+
+    couplings: the constraints of joints of one coordinate; one on a fixed joint is held.
+    names: of the couplings, "joint of driver".
+    others: of joints of several coordinates, which are not modelled.
+    """
+
+    couplings: tuple[JointPolynomial, ...] = ()
+    names: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+
+    def left_out(self, *, constraints: bool) -> tuple[str, ...]:
+        """The entries of `Model.dropped`."""
+        names = ", ".join((*(() if constraints else self.names), *self.others))
+        return (f"mimic joints, which move on their own ({names})",) if names else ()
+
+
+@dataclass(frozen=True)
 class Urdf:
-    """A URDF as a spec, and the parts that MuJoCo does not get.
+    """A URDF as a spec, and the parts that the spec does not contain.
 
     spec: the tree, with placeholders as inertials.
     inertials: by link.
@@ -150,8 +179,7 @@ def _settings(robot: ET.Element, name: str) -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
     except ValueError as error:
-        message = sentence(error)
-        raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{fix_of(message)}") from error
+        raise ModelError(f"{name}: MuJoCo cannot parse it: {message_of(error)}") from error
 
 
 def _add_joints(body: Any, joint: Joint, at: str) -> None:
@@ -190,3 +218,25 @@ def _add_joints(body: Any, joint: Joint, at: str) -> None:
     elif joint.kind != "fixed":
         kind = _TYPES[joint.kind]
         body.add_joint(name=joint.name, type=kind, axis=along, **limits, **passive)
+
+
+def read_mimics(tree: Tree, name: str) -> Mimics:
+    """The mimics of a robot. A fixed joint has nothing to mimic with."""
+    kinds = {joint.name: joint.kind for joint in tree.joints}
+    couplings, names, others = [], [], []
+    for joint in tree.joints:
+        for mimic in () if joint.element is None else joint.element.findall("mimic"):
+            driver, where = mimic.get("joint", ""), f"{name}: joint {joint.name!r}"
+            if driver not in kinds or driver == joint.name:
+                raise ModelError(
+                    f"{where} mimics {driver!r}, expected another one of the joints "
+                    f"{', '.join(sorted(kinds))}"
+                )
+            line = [number(mimic, "offset", where), number(mimic, "multiplier", where, 1.0)]
+            if joint.kind in _MOVING and kinds[driver] in (*_MOVING, "fixed"):
+                leader = None if kinds[driver] == "fixed" else driver
+                couplings.append(JointPolynomial(joint.name, leader, jnp.asarray(line, float)))
+                names.append(f"{joint.name} of {driver}")
+            elif joint.kind != "fixed":
+                others.append(f"{joint.name} of {driver}")
+    return Mimics(tuple(couplings), tuple(names), tuple(others))

@@ -15,7 +15,7 @@ from urllib.parse import unquote
 import mujoco
 
 from rbjax.errors import ModelError
-from rbjax.loading.urdf.numbers import number, origin, read_numbers
+from rbjax.loading.urdf.tree import number, origin, read_numbers
 
 #: how many numbers the size of a shape has
 _SIZES = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2}

@@ -17,7 +17,8 @@ import numpy as np
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, ModelError
 from rbjax.forces import JointFriction
-from rbjax.loading.loader import _compile_source, _read, from_compiled
+from rbjax.loading.loader import from_compiled
+from rbjax.loading.sources import compile_source, read_text
 from rbjax.loading.urdf.tree import is_urdf
 from rbjax.loading.write.draft import text
 from rbjax.model import Model
@@ -58,10 +59,10 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
         raise InputError(
             f"write_back: source is {type(source).__name__}, expected a path or the text of a file"
         )
-    given, place = _read(source)
+    given, place = read_text(source)
     urdf = is_urdf(given, str(source))
     floating = urdf and "free" in model.topology.joint_kinds
-    compiled = _compile_source(source, floating_base=floating)[0]
+    compiled = compile_source(source, floating_base=floating)[0]
     before = from_compiled(compiled)
     for what in ("body_names", "joint_names", "actuator_names"):
         ours, theirs = getattr(model, what), getattr(before, what)
@@ -73,11 +74,11 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
     model, before = (jax.tree.map(np.asarray, m) for m in (model, before))
     out = _urdf(model, before, given) if urdf else _mjcf(model, before, given, compiled)
     if urdf or place is None:
-        again = from_compiled(_compile_source(out, floating_base=floating)[0])
+        again = from_compiled(compile_source(out, floating_base=floating)[0])
     else:
         spec = mujoco.MjSpec.from_string(out)
         spec.modelfiledir = str(place.parent.resolve())  # so that its meshes are found
-        again = from_compiled(_compile_source(spec, floating_base=False)[0])
+        again = from_compiled(compile_source(spec, floating_base=False)[0])
     _check(model, jax.tree.map(np.asarray, again), urdf)
     if path is not None:
         Path(path).write_text(out, encoding="utf-8")

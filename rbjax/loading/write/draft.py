@@ -1,4 +1,4 @@
-"""An MJCF file in the making: its elements by body and joint, and what it cannot say."""
+"""The XML elements of an MJCF file that is being written, and notes on what it cannot express."""
 
 from __future__ import annotations
 
@@ -7,19 +7,28 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from rbjax.errors import listed
+from rbjax.forces import Place
 from rbjax.model import WORLD, Model
 
 _SHOWN = 8  # names listed before "and N more"
+_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 _USUAL = {("pos", "0 0 0"), ("quat", "1 0 0 0"), ("gear", "1")}
 
 
 @dataclass
 class Draft:
-    """The file of a model: `root` and its sections, the elements of bodies and of joints by their
-    index, the names of sites, and notes on what is written otherwise or not at all."""
+    """An MJCF file before it is text.
+
+    model: the robot, with NumPy leaves.
+    root, option, world, tendon, equality, actuator: elements of the file.
+    bodies, joints: elements by index.
+    sites: names.
+    notes: parts of the model that are written differently, or left out.
+    """
 
     model: Model
     root: ET.Element
@@ -54,7 +63,7 @@ class Draft:
         return self.world if index == WORLD else self.bodies[index]
 
     def add(self, body: int, tag: str, **attributes: str) -> ET.Element:
-        """A joint, site or geom of a body, before the bodies that it carries."""
+        """Add a joint, site or geom to a body, before its child bodies."""
         owner, element = self.body(body), ET.Element(tag, unusual(**attributes))
         owner.insert(next((i for i, x in enumerate(owner) if x.tag == "body"), len(owner)), element)
         return element
@@ -63,28 +72,52 @@ class Draft:
         """The name under which a joint is written."""
         return self.joints[index].get("name", "")
 
+    def site(self, place: Place) -> str:
+        """The name of the site at a place; the site is added if there is none."""
+        still = (np.asarray(place.orientation) == _IDENTITY).all()
+        if place.site is not None and still and not np.any(place.position):
+            return self.sites[self.model.site(place.site)]
+        body, p, quat = place_in_body(self.model, place)
+        name = unique(["place"], self.sites)[0]
+        self.sites.append(name)
+        self.add(body, "site", name=name, pos=text(p), quat=text(quat))
+        return name
+
     def note(self, what: str, names: Iterable[str] = ()) -> None:
-        """Say that something is not written as the model has it; once for each text."""
+        """Note a difference between the file and the model, once for each text."""
         some = list(names)
         text = f"{what} ({listed(some, _SHOWN)})" if some else what
         if text not in self.notes:
             self.notes.append(text)
 
 
+def place_in_body(model: Model, place: Place) -> tuple[int, np.ndarray, np.ndarray]:
+    """The body of a place, and its position and quaternion in the frame of the body."""
+    p, quat = (np.asarray(x, np.float64) for x in (place.position, place.orientation))
+    if place.site is None:
+        return (WORLD if place.body in (None, WORLD) else model.body(place.body)), p, quat
+    site, own = model.site(place.site), model.sites
+    at, turn = (np.asarray(x[site], np.float64) for x in (own.position, own.orientation))
+    point, product = np.empty(3), np.empty(4)
+    mujoco.mju_rotVecQuat(point, p, turn / np.linalg.norm(turn))
+    mujoco.mju_mulQuat(product, turn, quat)
+    return model.topology.site_bodies[site], at + point, product
+
+
 def free_bodies(model: Model) -> set[int]:
-    """The bodies on free joints, whose frame a file gives as the start of the joint."""
+    """The bodies on free joints, whose frame in a file is the reference of the joint."""
     top = model.topology
     kinds = zip(top.joint_bodies, top.joint_kinds, strict=True)
     return {body for body, kind in kinds if kind == "free"}
 
 
 def unusual(**attributes: str) -> dict[str, str]:
-    """The attributes without those that have MJCF's own value."""
+    """The attributes that differ from MJCF's default."""
     return {key: x for key, x in attributes.items() if (key, x) not in _USUAL}
 
 
 def text(x: Any) -> str:
-    """Numbers as MJCF writes them: the shortest decimals that are the same number in their dtype.
+    """Format numbers as the shortest decimals that give the same number in their dtype.
 
     >>> text(np.array([1.0, 0.1, -np.inf])), text(np.float32(0.1))
     ('1 0.1 -inf', '0.1')
@@ -93,7 +126,7 @@ def text(x: Any) -> str:
 
 
 def unique(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
-    """The names, with a number behind those that came before.
+    """Make names unique by a number at their end.
 
     >>> unique(["a", "b", "a"])
     ['a', 'b', 'a_2']

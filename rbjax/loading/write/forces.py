@@ -22,9 +22,8 @@ from rbjax.forces import (
 )
 from rbjax.forces.actuators.actuator import Actuator
 from rbjax.forces.actuators.orientation_servo import OrientationServo
-from rbjax.lanes import Vec3, quaternion_matrix
-from rbjax.loading.write.draft import Draft, text, unique
-from rbjax.model import WORLD, Model
+from rbjax.loading.write.draft import Draft, text
+from rbjax.model import Model
 
 Array = np.ndarray
 _TERMS = 2  # of MJCF's polynomials, beyond the linear one
@@ -167,7 +166,7 @@ def _driven_joints(model: Model, elements: list[GravityCompensation]) -> list[in
 
 def _write_spring(draft: Draft, spring: PointSpring) -> Element:
     """A spatial tendon between two sites."""
-    ends = [_site_of(draft, anchor) for anchor in (spring.a, spring.b)]
+    ends = [draft.site(place) for place in (spring.a, spring.b)]
     k, d = (_padded(draft, x) for x in (spring.stiffness, spring.damping))
     tendon = ET.SubElement(
         draft.tendon, "spatial", name=f"spring{len(draft.tendon)}", stiffness=text(k),
@@ -183,26 +182,6 @@ def _padded(draft: Draft, x: Any) -> Array:
     if x[1 + _TERMS :].any():
         draft.note(f"PointSpring of more than {_TERMS + 1} terms, the first of which are written")
     return np.concatenate([x, np.zeros(1 + _TERMS)])[: 1 + _TERMS]
-
-
-def _site_of(draft: Draft, anchor: Place) -> str:
-    """The name of the site at an anchor, made if there is none."""
-    model = draft.model
-    point: Any = np.asarray(anchor.position, np.float64)
-    body = WORLD
-    if anchor.site is not None:
-        site = model.site(anchor.site)
-        if not point.any():
-            return draft.sites[site]
-        body = model.topology.site_bodies[site]
-        turn = quaternion_matrix(*np.asarray(model.sites.orientation[site], np.float64))
-        point = model.sites.position[site] + np.array([*(turn @ Vec3(*point))])
-    elif anchor.body not in (None, WORLD):
-        body = model.body(anchor.body)
-    name = unique(["anchor"], draft.sites)[0]
-    draft.sites.append(name)
-    draft.add(body, "site", name=name, pos=text(point))
-    return name
 
 
 def _write_fluids(draft: Draft, boxes: list, ellipsoids: list) -> list[Element]:

@@ -19,11 +19,11 @@ import numpy as np
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, ModelError, UnsupportedFeature, listed
 from rbjax.loading.loader import from_compiled
-from rbjax.loading.write.actuators import write_actuators
-from rbjax.loading.write.constraints import write_constraints
+from rbjax.loading.mjcf.actuators import write_actuators
+from rbjax.loading.mjcf.constraints import write_constraints
+from rbjax.loading.write.differences import differences
 from rbjax.loading.write.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.write.forces import box_axes, write_forces
-from rbjax.loading.write.read_back import differences
 from rbjax.model import WORLD, Model
 
 _KINDS = {"free", "ball", "slide", "hinge"}

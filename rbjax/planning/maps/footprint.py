@@ -19,7 +19,7 @@ import numpy as np
 
 from rbjax.arguments import real_number
 from rbjax.errors import InputError
-from rbjax.lanes.extremes import largest, smallest
+from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.maps.occupancy import DistanceField
 from rbjax.rotations.arguments import takes

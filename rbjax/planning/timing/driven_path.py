@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.lanes.extremes import largest
+from rbjax.lanes.arrays import largest
 from rbjax.model import State
 from rbjax.planning.paths.path import Path
 from rbjax.planning.timing.limits import Limits

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes.extremes import smallest
+from rbjax.lanes.arrays import smallest
 
 SHORT = 0.99  # of the way to where something is zero
 FIRST = 0.1  # slack to begin with

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 from rbjax.arguments import integer
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
-from rbjax.lanes.extremes import largest, smallest
+from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, cast_floats
 from rbjax.planning.maps.footprint import Footprint, placed
 from rbjax.planning.maps.occupancy import DistanceField

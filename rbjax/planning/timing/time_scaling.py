@@ -25,7 +25,7 @@ import jax.numpy as jnp
 
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
-from rbjax.lanes.extremes import largest, smallest
+from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, cast_floats
 from rbjax.planning.paths.path import Path
 from rbjax.planning.timing.driven_path import DrivenPath, Sides, driven

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import inverse
-from rbjax.lanes.each import each
+from rbjax.lanes.arrays import each
 
 #: of x (s, n + m), or of a change of it; F of (s, n)
 Function = Callable[[jax.Array], jax.Array]

@@ -36,8 +36,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import batch_first, matvec
-from rbjax.lanes.each import each
-from rbjax.lanes.proximal import proximal
+from rbjax.lanes.arrays import each
+from rbjax.lanes.factorization import proximal
 from rbjax.solvers.common.steps import mixed
 from rbjax.solvers.constrained.complement import Complement, complement
 from rbjax.solvers.constrained.simplified import Blocks, Simplified, Sizes, simplified

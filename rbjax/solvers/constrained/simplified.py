@@ -26,8 +26,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import inverse
-from rbjax.lanes.each import each
-from rbjax.lanes.proximal import damped, least
+from rbjax.lanes.arrays import each
+from rbjax.lanes.factorization import damped, least
 from rbjax.solvers.common.steps import mixed
 from rbjax.solvers.constrained.spectrum import Weights
 

@@ -3,10 +3,10 @@
     [K  C] [k]   [r]            S = D - B K^-1 C,     S w = b,     b = r_w - B K^-1 r
     [B  D] [w] = [r_w]
 S is singular where rows say the same twice and where rows vanish. Where all stages share a matrix,
-S is nearly G M^-1 G^T, so it is not negative: E is added to it (`rbjax.lanes.proximal`), eps of its
-diagonal and e of what that is where no row vanishes. Where each stage has its own, a row's gradient
-may turn round from one to the next, and S has eigenvalues of either sign: (S + E)^-1 may be larger
-than S^-1. Then w is that of least squares,
+S is nearly G M^-1 G^T, so it is not negative and is regularized (`rbjax.lanes.factorization`) by
+eps of its diagonal and e of a diagonal without vanishing rows. Where each stage has its own, a
+row's gradient may turn round from one to the next, and S has eigenvalues of either sign:
+(S + E)^-1 may be larger than S^-1. Then w is that of least squares,
 
     min |S w - b|^2 + eps^2 |w - c|^2,      c what w was, or zero
 in which a singular value s of S counts by s / (s^2 + eps^2). (Levenberg 1944; Hairer & Wanner,
@@ -23,7 +23,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve, solve_triangular
 
 from rbjax.lanes import matvec
-from rbjax.lanes.proximal import damped, least
+from rbjax.lanes.factorization import damped, least
 
 #: (b, c) -> w
 Solve = Callable[[jax.Array, jax.Array], jax.Array]

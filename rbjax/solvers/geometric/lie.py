@@ -18,8 +18,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import integer
 from rbjax.solvers.common import tableau as tables
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.solvers.common.field import Field, field
 from rbjax.solvers.common.groups import AbstractGroup, group_of
 from rbjax.solvers.common.steps import (
@@ -69,7 +69,7 @@ def rkmk(order: int) -> MuntheKaas:
     Raises:
         InputError: another order.
     """
-    check_whole("rkmk", "order", order, 2, 5)
+    integer("rkmk", "order", order, least=2, most=5)
     table = {
         2: tables.HEUN,
         3: tables.of_diffrax(diffrax.Bosh3, 3),

@@ -13,7 +13,6 @@ Sources: Newmark 1959; Hilber, Hughes & Taylor 1977; Chung & Hulbert 1993; Arnol
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -24,7 +23,7 @@ import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 
-from rbjax.solvers.common.arguments import check_between
+from rbjax.arguments import real_number
 from rbjax.solvers.common.field import field, forwards
 from rbjax.solvers.common.groups import group_of, unwrapped
 from rbjax.solvers.common.newton import MAX_STEPS, chord, root, verdict
@@ -174,7 +173,7 @@ def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
 
 def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
     """Chung and Hulbert's: order 2, spectral radius rho_inf (0 to 1) at infinite frequency."""
-    check_between("generalized_alpha", "rho_inf", rho_inf, 0, 1)
+    real_number("generalized_alpha", "rho_inf", rho_inf, least=0, most=1, traced=True)
     m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)
 
@@ -182,14 +181,14 @@ def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
 def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlpha:
     """Newmark's method: order 2 if gamma is 1/2; a larger gamma damps. beta 1/4 is the average
     acceleration, which is A-stable."""
-    check_between("newmark", "beta", beta, 0, sys.float_info.max)
-    check_between("newmark", "gamma", gamma, 0.5, sys.float_info.max)  # below, oscillations grow
+    real_number("newmark", "beta", beta, least=0, traced=True)
+    real_number("newmark", "gamma", gamma, least=0.5, traced=True)  # below, oscillations grow
     return GeneralizedAlpha(0.0, 0.0, beta, gamma, **options)
 
 
 def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
     """Hilber, Hughes and Taylor's: order 2, A-stable; alpha is -1/3 (most damping) to 0."""
-    check_between("hht_alpha", "alpha", alpha, -1 / 3, 0)
+    real_number("hht_alpha", "alpha", alpha, least=-1 / 3, most=0, traced=True)
     return GeneralizedAlpha(0.0, -alpha, (1 - alpha) ** 2 / 4, 1 / 2 - alpha, **options)
 
 

@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 import optimistix as optx
 
+from rbjax.arguments import integer
 from rbjax.solvers.common import tableau as tables
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.solvers.common.field import Field, flattened
 from rbjax.solvers.common.newton import MAX_STEPS, chord, refused, verdict
 from rbjax.solvers.common.stages import Start, damped, solve, start
@@ -96,23 +96,23 @@ def trapezoid(**options) -> ImplicitRungeKutta:
 
 def gauss_legendre(stages: int = 2, **options) -> ImplicitRungeKutta:
     """Gauss-Legendre: order 2 s, A-stable, symplectic."""
-    check_whole("gauss_legendre", "stages", stages, 1, MOST_STAGES)
+    integer("gauss_legendre", "stages", stages, least=1, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.gauss(stages), **options)
 
 
 def radau_iia(stages: int = 3, **options) -> ImplicitRungeKutta:
     """Radau IIA: order 2 s - 1, L-stable, for stiff equations; one stage is backward Euler."""
-    check_whole("radau_iia", "stages", stages, 1, MOST_STAGES)
+    integer("radau_iia", "stages", stages, least=1, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.radau_iia(stages), **options)
 
 
 def lobatto_iiia(stages: int = 3, **options) -> ImplicitRungeKutta:
     """Lobatto IIIA: order 2 s - 2, A-stable, symmetric."""
-    check_whole("lobatto_iiia", "stages", stages, 2, MOST_STAGES)
+    integer("lobatto_iiia", "stages", stages, least=2, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiia(stages), **options)
 
 
 def lobatto_iiic(stages: int = 3, **options) -> ImplicitRungeKutta:
     """Lobatto IIIC: order 2 s - 2, L-stable."""
-    check_whole("lobatto_iiic", "stages", stages, 2, MOST_STAGES)
+    integer("lobatto_iiic", "stages", stages, least=2, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiic(stages), **options)

@@ -25,9 +25,9 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 
 from rbjax._jax_compat import any_of_batch
+from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.solvers.common import tableau as tables
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.solvers.common.field import Field, flattened
 from rbjax.solvers.common.newton import MAX_STEPS, chord, refused, verdict
 from rbjax.solvers.common.stages import Start, solve, start
@@ -148,7 +148,7 @@ class Adams(AbstractMultistep):
             raise InputError(f"Adams: corrector {self.corrector!r}, expected {expected}")
         name, least = ADAMS[self.corrector]
         why = ", the order of its start; backward Euler is bdf(1)"
-        check_whole(name, "order", self.formula_order, least, 5, why)
+        integer(name, "order", self.formula_order, least=least, most=5, why=why)
 
     @property
     def past(self) -> int:
@@ -223,7 +223,9 @@ class BDF(AbstractMultistep):
     root_find_max_steps: int = MAX_STEPS
 
     def __check_init__(self):
-        check_whole("BDF", "order", self.formula_order, 1, 6, ", where it is zero-stable")
+        integer(
+            "BDF", "order", self.formula_order, least=1, most=6, why=", where it is zero-stable"
+        )
 
     @property
     def past(self) -> int:

@@ -179,7 +179,7 @@ def _deviation(
         control = None if ctrl is None else (lambda t, _: ctrl)
         ts = jnp.array([0.0, 1.0]) * dt * steps * (1 - 1e-12)
         path = simulate(
-            model, beside, ts, control, solver=method, dt0=dt, throw=False, max_steps=steps + 1,
+            model, beside, ts, control, solver=method, dt=dt, throw=False, max_steps=steps + 1,
             adjoint=diffrax.ForwardMode(),
         )  # fmt: skip
 

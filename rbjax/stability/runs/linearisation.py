@@ -14,8 +14,8 @@ from rbjax.dynamics.arguments import check_arrays, check_model
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.model import Model, State
-from rbjax.motion.field import free_motion, law_of
-from rbjax.motion.linearise import beside, linearise, linearised
+from rbjax.motion.field import dynamics_of, free_motion
+from rbjax.motion.linearise import box_plus, linearise, linearised
 
 #: relative cutoff of singular values in a Newton step, by the bytes of a float
 RANK = {8: 1e-10, 4: 1e-5}
@@ -45,8 +45,8 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
         >>> rb.stability.state_matrix(model, model.default_state()).shape
         (2, 2)
     """
-    law = law_of("state_matrix", model, free_motion, None)
-    return linearised(model, state, ctrl, law=law)[1]
+    dynamics = dynamics_of("state_matrix", model, free_motion, None)
+    return linearised(model, state, ctrl, dynamics=dynamics)[1]
 
 
 class Reduced(NamedTuple):
@@ -62,9 +62,7 @@ class Reduced(NamedTuple):
     basis: np.ndarray
 
 
-def reduced_linearisation(
-    model: Model, state: State, ctrl: Any = None, dt: Any = None
-) -> Reduced:
+def reduced_linearisation(model: Model, state: State, ctrl: Any = None, dt: Any = None) -> Reduced:
     """The motion linearised about an equilibrium, on the tangent space of the constraints:
 
         d/dt dz = A dz + B du,     dx = T dz,     [g_q 0; g'_q g'_v] T = 0
@@ -119,7 +117,7 @@ def _tangent(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
     """The residuals of values and of rates, and their derivatives by dx."""
 
     def off(dx: jax.Array) -> tuple[jax.Array, jax.Array]:
-        found = jnp.concatenate(residual(model, beside(model, state, dx)))
+        found = jnp.concatenate(residual(model, box_plus(model, state, dx)))
         return found, found
 
     C, found = jax.jacfwd(off, has_aux=True)(jnp.zeros(2 * model.nv + model.nx, state.q.dtype))
@@ -129,8 +127,8 @@ def _tangent(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
 @jax.jit
 def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
     """The rates (nv + nx,) and A, with the constraints of the model."""
-    law = law_of("state_matrix", model, free_motion, None)
-    return linearised(model, state, ctrl, law=law)[:2]
+    dynamics = dynamics_of("state_matrix", model, free_motion, None)
+    return linearised(model, state, ctrl, dynamics=dynamics)[:2]
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
@@ -247,7 +245,7 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         dx = np.zeros(len(A))
         dx[rest] = np.linalg.lstsq(slope, -left, rcond=RANK[A.dtype.itemsize])[0]
         dx = dx * min(1.0, 0.5 / max(np.abs(dx).max(), 1e-300))
-        state = beside(model, state, jnp.asarray(dx, state.q.dtype))
+        state = box_plus(model, state, jnp.asarray(dx, state.q.dtype))
     raise InputError(
         f"equilibrium: an acceleration of {np.abs(a).max():.1e} is left after {steps} steps, "
         + (f"and a residual of constraints of {np.abs(off).max():.1e}, " if off.size else "")

@@ -26,9 +26,7 @@ from rbjax.stability.runs.verdicts import MOTION, Outcome, Verdict, verdict
 TOLERANCE, BUDGET = 1e-6, 10_000
 
 
-def attempt(
-    solver: Solver, scene: Scene, true: Truth | None = None
-) -> Verdict | None:
+def attempt(solver: Solver, scene: Scene, true: Truth | None = None) -> Verdict | None:
     """Run a solver on a scene and judge the result; None if the solver cannot run the scene.
 
     max_k |x_k - r_k| at 201 samples, or the kind of failure.
@@ -140,7 +138,7 @@ def _simulated(model: Model, state: State, ts: jax.Array, solver: Any) -> Trajec
     # zero-stability of multistep methods needs steps that grow slowly
     controller = diffrax.PIDController(rtol=TOLERANCE, atol=TOLERANCE, factormax=2.0)
     return simulate(
-        model, state, ts, _hold, solver=solver, dt0=1e-4, stepsize_controller=controller,
+        model, state, ts, _hold, solver=solver, dt=1e-4, stepsize_controller=controller,
         adjoint=diffrax.ForwardMode(), throw=False, max_steps=BUDGET,
     )  # fmt: skip
 

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from scipy import interpolate, signal
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
-from rbjax.solvers.common.arguments import check_whole
 
 EVEN = 0.01  # steps may differ so much of their median on an even clock
 FLAT = 0.01  # the amplitude within the bandwidth
@@ -109,8 +109,8 @@ def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int =
         True
     """
     where = "differentiate" if times else "low_pass"
-    check_whole(where, "times", times, 0, 2)
-    check_whole(where, "order", order, 1)
+    integer(where, "times", times, least=0, most=2)
+    integer(where, "order", order, least=1)
     t, x = _signal(where, t, x)
     steps = np.diff(t)
     h = float((t[-1] - t[0]) / len(steps))

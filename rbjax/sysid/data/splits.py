@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import floats, recordings_of
 from rbjax.sysid.data.recording import Recording
 
@@ -55,7 +55,7 @@ def split(
         >>> [len(part) for part in split(runs)]
         [6, 2, 2]
     """
-    check_whole("split", "seed", seed, 0)
+    integer("split", "seed", seed, least=0)
     recordings = recordings_of("split", recordings, empty=True)
     shares = floats("split", "(train, validation, test)", [train, validation, test], "numbers")
     if not (shares >= 0).all() or abs(shares.sum() - 1) > 1e-9 or train <= 0:

@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
-from rbjax.solvers.common.arguments import check_whole
 
 DEGREE = 5  # of the splines: the acceleration is smooth
 
@@ -94,7 +94,7 @@ class Fourier(eqx.Module):
     ) -> Fourier:
         """Normal coefficients, whose velocity is about `speed` in rad/s."""
         q0 = _random("Fourier.random", key, q0, speed)
-        check_whole("Fourier.random", "harmonics", harmonics, 1)
+        integer("Fourier.random", "harmonics", harmonics, least=1)
         shape = (2, len(q0), harmonics)
         a, b = speed / np.sqrt(harmonics) * jax.random.normal(key, shape)
         return cls(q0, a, b, period)
@@ -152,7 +152,7 @@ class Spline(eqx.Module):
     ) -> Spline:
         """From q0 and back, by control points that are about `size` in rad away."""
         q0 = _random("Spline.random", key, q0, size)
-        check_whole("Spline.random", "points", points, 3)
+        integer("Spline.random", "points", points, least=3)
         away = size * jax.random.normal(key, (len(q0), points))
         return cls(q0[:, None] + away.at[:, [0, -1]].set(0.0), duration)
 

@@ -27,11 +27,11 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import cho_solve
 
+from rbjax.arguments import integer
 from rbjax.dynamics import inverse_dynamics
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 from rbjax.progress import progress_line
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.design.excitation import Fourier, Spline
 
 FINE = 10  # samples of the check at the end for each one of the optimisation
@@ -201,7 +201,7 @@ def design_experiment(
     if criterion not in CRITERIA:
         raise UnknownName("criterion", criterion, CRITERIA)
     for name, number in (("samples", samples), ("rounds", rounds), ("steps", steps)):
-        check_whole("design_experiment", name, number, 1)
+        integer("design_experiment", name, number, least=1)
     if not isinstance(start, (Fourier, Spline)):
         raise InputError(
             f"design_experiment: start is {type(start).__name__}, expected a motion: Fourier or "

@@ -16,10 +16,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import Say, progress_line
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import check_how, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording, says_its_noise
 from rbjax.sysid.estimators.fit_file import read_fit
@@ -113,8 +113,8 @@ def identify(
         1.3
     """
     setup, runs = setup_of("identify", model), recordings_of("identify", recordings)
-    check_whole("identify", "steps", steps, 1)
-    check_whole("identify", "restarts", restarts, 0)
+    integer("identify", "steps", steps, least=1)
+    integer("identify", "restarts", restarts, least=0)
     check_how("identify", loss, starts, pieces=pieces, shooting=shooting)
     if not (save is None or isinstance(save, (str, Path))):
         raise InputError(f"identify: save is {type(save).__name__}, expected the path of a file")

@@ -26,9 +26,9 @@ from rbjax.errors import InputError
 from rbjax.estimation.kalman import KalmanFiltered, StateSpace, kalman_filter
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
-from rbjax.motion.field import Field, free_motion, law_of
+from rbjax.motion.field import Field, dynamics_of, free_motion
 from rbjax.motion.integrators import advanced, integrator_of
-from rbjax.motion.linearise import apart, beside
+from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknowns import Unknowns
@@ -75,8 +75,8 @@ class Likelihood:
         self.drives, self.reads = (np.flatnonzero(x) for x in (drives, reads))
         self.size = n + self.drives.size + self.reads.size
         self.levels = levels
-        law = law_of("prediction_error", setup.model, free_motion, None)
-        integrator = integrator_of("prediction_error", grid.integrator, law)
+        dynamics = dynamics_of("prediction_error", setup.model, free_motion, None)
+        integrator = integrator_of("prediction_error", grid.integrator, dynamics)
 
         def space(now: Setup) -> StateSpace:
             model, T, count = now.model, grid.period, grid.substeps
@@ -93,7 +93,7 @@ class Likelihood:
                 inputs = Inputs(ctrl, w if drive == "torque" else None)
 
                 def once(i: Any, x: State) -> State:
-                    return advanced(integrator, Field(model, law, h), t + i * h, x, inputs, h)
+                    return advanced(integrator, Field(model, dynamics, h), t + i * h, x, inputs, h)
 
                 # a loop of known length, which has a derivative in both modes
                 x = once(0, x)
@@ -102,7 +102,7 @@ class Likelihood:
                 if drive == "torque":
                     return x
                 still = jnp.zeros(model.nx, w.dtype)
-                return beside(model, x, jnp.concatenate([w * T**2 / 2, w * T, still]))
+                return box_plus(model, x, jnp.concatenate([w * T**2 / 2, w * T, still]))
 
             def innovation(x: State, y: dict[str, Any]) -> jax.Array:
                 seen = read(x)
@@ -110,7 +110,10 @@ class Likelihood:
                 return jnp.concatenate([*rows, y["v"] - seen.v] if "v" in y else rows)
 
             return StateSpace(
-                move, innovation, functools.partial(beside, model), functools.partial(apart, model)
+                move,
+                innovation,
+                functools.partial(box_plus, model),
+                functools.partial(box_minus, model),
             )
 
         def filtered(x: jax.Array, s: Series) -> KalmanFiltered:

@@ -14,10 +14,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import check_how, floats, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.fits import Fits
@@ -141,8 +141,8 @@ def many_starts(
     sought = Unknowns.of("many_starts", unknowns, setup)
     check_how("many_starts", loss, starts)
     for name, count in (("first_steps", first_steps), ("finalists", finalists)):
-        check_whole("many_starts", name, count, 1)
-    check_whole("many_starts", "seed", seed, 0)
+        integer("many_starts", name, count, least=1)
+    integer("many_starts", "seed", seed, least=0)
     spread_of = floats("many_starts", "spread", spread, "a number above 0")
     if spread_of.shape != () or not 0 < spread_of < np.inf:
         raise InputError(f"many_starts: spread is {spread!r}, expected a number above 0")
@@ -221,7 +221,7 @@ def _batched(one: Programs) -> tuple[Callable, Callable]:
 def _guesses(given: Any, sought: Unknowns, setup: Setup, spread: float, seed: int) -> np.ndarray:
     n = sum(sought.sizes)
     if np.ndim(given) == 0:
-        check_whole("many_starts", "guesses", given, 1)
+        integer("many_starts", "guesses", given, least=1)
         return drawn(sought, setup, int(given), spread, seed)
     points = floats("many_starts", "guesses", given, "a number, or an array (K, n)")
     if points.ndim != 2 or points.shape[1] != n or not len(points):

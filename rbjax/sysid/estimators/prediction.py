@@ -18,13 +18,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.dynamics import mass_matrix
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.errors import InputError, UnknownName
 from rbjax.estimation.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.model import Model
 from rbjax.progress import progress_line
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identified import Identified
@@ -202,7 +202,7 @@ def prediction_error(
     setup, grid = _setup(model, grid)
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     runs = recordings_of(where, recordings)
-    check_whole(where, "steps", steps, 1)
+    integer(where, "steps", steps, least=1)
     if drive not in DRIVES:
         raise InputError(f"{where}: drive is {drive!r}, expected one of {DRIVES}")
     sought = Unknowns.of(where, unknowns, setup)

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage, optimize
 
+from rbjax.arguments import integer
 from rbjax.progress import Say, progress_line
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import check_kind
 from rbjax.sysid.data.corrections import Lost, Mend, flip, stretch, swap, without
 from rbjax.sysid.data.recording import HELD, Recording
@@ -97,7 +97,7 @@ def diagnose(found: Identified, *, steps: int = 15, progress: bool = False) -> D
         [('sign', ('v',))]
     """
     check_kind("diagnose", "found", found, Identified, "the result of `identify`")
-    check_whole("diagnose", "steps", steps, 1)
+    integer("diagnose", "steps", steps, least=1)
     with progress_line("diagnose", progress) as say:
         return _Bench(found, steps, say).diagnosis()
 

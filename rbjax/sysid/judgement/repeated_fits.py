@@ -17,9 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.progress import progress_line
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import check_kind
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.estimators.identification import fitted
@@ -117,8 +117,8 @@ def monte_carlo(
         (20, 1)
     """
     check_kind("monte_carlo", "found", found, Identified, "the result of `identify`")
-    check_whole("monte_carlo", "repetitions", repetitions, 2)
-    check_whole("monte_carlo", "seed", seed, 0)
+    integer("monte_carlo", "repetitions", repetitions, least=2)
+    integer("monte_carlo", "seed", seed, least=0)
     if not isinstance(level, (int, float)) or not 0 < level < 1:
         raise InputError(f"monte_carlo: level is {level}, expected a number between 0 and 1")
     of, said = found.error, found.estimates

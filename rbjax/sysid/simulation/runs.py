@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.integrators import integrator_of
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.data.recording import HELD, JOINT_SENSORS, Channel, Recording
 from rbjax.sysid.simulation.setup import Grid, Setup
 
@@ -51,8 +51,8 @@ def _check_grid(setup: Setup, grid: Grid) -> None:
     if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
         raise InputError(f"identify: grid has period {period!r}, expected seconds above 0")
     integrator_of("identify", grid.integrator)
-    check_whole("identify", "substeps of the grid", grid.substeps, 1)
-    check_whole("identify", "longest_delay of the grid", grid.longest_delay, 0)
+    integer("identify", "substeps of the grid", grid.substeps, least=1)
+    integer("identify", "longest_delay of the grid", grid.longest_delay, least=0)
     delay = 0.0 if setup.delay is None else float(np.max(np.asarray(setup.delay)))
     if delay > grid.longest_delay * period * (1 + 1e-6):
         raise InputError(

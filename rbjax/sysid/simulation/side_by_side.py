@@ -34,7 +34,7 @@ class Part(NamedTuple):
 def equal_parts(setup: Setup) -> tuple[Part, ...] | None:
     """The parts of a set-up, where there are several and all have one shape."""
     islands = islands_of(setup)
-    if islands is None or setup.model.joints.numbers.size:
+    if islands is None or setup.model.joints.params.size:
         return None
     model, top = setup.model, setup.model.topology
     of_body = np.array([islands[i] if i != WORLD else -1 for i in top.body_links])
@@ -90,7 +90,7 @@ def cut(setup: Setup, part: Part) -> Setup:
     act = rows(model.actuators, Actuators, part.actuators, joints=driven, sites=(-1,) * nu)
     small = Model(
         bodies=rows(model.bodies, Bodies, part.bodies),
-        joints=rows(model.joints, Joints, at, numbers=zero(0)), actuators=act,
+        joints=rows(model.joints, Joints, at, params=zero(0)), actuators=act,
         sites=Sites(zero((0, 3)), zero((0, 4))),
         keyframes=Keyframes(zero((0, n)), zero((0, n)), zero((0, nu))),
         gravity=model.gravity, topology=topology, timestep=model.timestep, dropped=(),

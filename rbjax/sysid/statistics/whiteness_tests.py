@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from scipy import signal, stats
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import floats
 
 ALPHA = 0.01  # a p value below it is no chance
@@ -70,7 +70,7 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
         )
     n = len(r)
     h = min(20, n // 5) if lags is None else lags
-    check_whole("whiteness", "lags", h, 1, n - 1)
+    integer("whiteness", "lags", h, least=1, most=n - 1)
     r = r - r.mean()
     every = signal.correlate(r, r, method="fft")[n - 1 :]
     every = every / every[0]

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.dynamics.arguments import check_model, check_moves
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.statistics.rank import Combinations, combinations
 from rbjax.sysid.torque.regressors import observation_matrix, parameter_names
 
@@ -102,7 +102,7 @@ def random_motions(
         ((5, 7), (5, 6))
     """
     check_model("random_motions", model)
-    check_whole("random_motions", "samples", samples, 1)
+    integer("random_motions", "samples", samples, least=1)
     rng = np.random.default_rng(seed)
     q = np.asarray(model.joints.reference) + rng.uniform(-3.0, 3.0, (samples, model.nq))
     for start in model.topology.quaternion_starts:

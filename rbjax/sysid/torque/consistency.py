@@ -26,10 +26,10 @@ import scipy.linalg
 import scipy.optimize
 import scipy.stats
 
+from rbjax.arguments import integer
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.parameters.inertia_metric import prior_residual, scalar_residual
 from rbjax.sysid.parameters.log_cholesky import (
     log_cholesky_parameters,
@@ -149,7 +149,7 @@ def consistent(
     where = "consistent"
     check_model(where, model)
     names = parameter_names(model, joint_terms)
-    check_whole(where, "max_steps", max_steps, 1)
+    integer(where, "max_steps", max_steps, least=1)
     eq = equations(W, tau, names, noise=noise, base=base, lengths=lengths)
     try:
         spread = np.asarray(spread, float)

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.torque.regression import Regression, regress
 from rbjax.sysid.torque.rows import TorqueRows
 
@@ -91,7 +91,7 @@ def regress_with_zeros(
     where = "regress_with_zeros"
     rows = _checked(where, rows)
     _check_spread(where, spread)
-    check_whole(where, "max_steps", max_steps, 1)
+    integer(where, "max_steps", max_steps, least=1)
     names, tau = rows[0].names, np.concatenate([r.tau for r in rows])
     p, (N, k) = len(names), tau.shape
     changes = [f"{r.name}.zero[{i}]" for r in rows for i in range(k)]

@@ -27,8 +27,8 @@ import numpy as np
 import scipy.linalg
 import scipy.stats
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.statistics.whiteness_tests import meat_of
 from rbjax.sysid.torque.regression_statistics import (
@@ -209,7 +209,7 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
     """
     if loss not in LOSSES:
         raise UnknownName("loss", loss, LOSSES)
-    check_whole("robust", "max_steps", max_steps, 1)
+    integer("robust", "max_steps", max_steps, least=1)
     sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
     found, done, step = _weighted(eq, sd), False, 0
     stages = ["huber"] if loss == "huber" else ["huber", loss]
@@ -256,7 +256,7 @@ def instrumental(
     estimate is repeated from `start` (None: weighted least squares) until no base parameter moves
     by more than `tolerance` standard deviations.
     """
-    check_whole("instrumental", "max_steps", max_steps, 1)
+    integer("instrumental", "max_steps", max_steps, least=1)
     found, (N, k) = weighted(eq) if start is None else start, eq.tau.shape
     count = int(eq.counted.sum())
     steps = max_steps if callable(instruments) else 3  # noise of channels settles at once

@@ -172,10 +172,10 @@ def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str,
     check_model("parameter_names", model)
     _check_terms("parameter_names", joint_terms)
     inertial = [f"{body}.{name}" for body in model.body_names for name in PARAMETERS]
-    links, names = model.topology.links, model.joint_names
+    links, names = model.topology.dofs, model.joint_names
     coordinates = [links[i] for i in joint_coordinates(model)]
     places = [
-        "" if len(model.topology.joints[k.joint].links) == 1 else f"[{k.v.start - s}]"
+        "" if len(model.topology.joints[k.joint].dofs) == 1 else f"[{k.v.start - s}]"
         for k in coordinates
         for s in [model.topology.joint_v[k.joint]]
     ]
@@ -211,7 +211,7 @@ def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array
 def joint_coordinates(model: Model) -> np.ndarray:
     """The places in v of all joints but the free ones: those that may have a motor and friction."""
     top = model.topology
-    return np.array([i for i, k in enumerate(top.links) if top.joint_kinds[k.joint] != "free"], int)
+    return np.array([i for i, k in enumerate(top.dofs) if top.joint_kinds[k.joint] != "free"], int)
 
 
 def coordinate_rows(model: Model, rows: Sequence[int | str] | slice | None) -> np.ndarray:

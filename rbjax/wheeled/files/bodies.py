@@ -19,7 +19,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.wheeled.files.joints import Roles, check_upright
 from rbjax.wheeled.files.wheels import FileWheel, LeftOut
-from rbjax.wheeled.robot.parts import Body
+from rbjax.wheeled.robot.robot import Body
 
 #: m, and radians: smaller is rounding of the file's frames
 NOTHING = 1e-12

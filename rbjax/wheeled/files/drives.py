@@ -21,7 +21,7 @@ from rbjax.loading.at_rest import FileActuator
 from rbjax.wheeled.files.joints import Roles
 from rbjax.wheeled.files.wheels import FileWheel, LeftOut
 from rbjax.wheeled.robot.motors import Motor, SpeedServo, TorqueSource
-from rbjax.wheeled.robot.parts import Drive
+from rbjax.wheeled.robot.robot import Drive
 
 #: what to drive: names or patterns, a tuple of them behind one differential; with motors or without
 Driven = str | tuple[str, ...]

@@ -24,8 +24,7 @@ from rbjax.wheeled.files.bodies import View, bodies_of, clean, view_of
 from rbjax.wheeled.files.drives import drives_of
 from rbjax.wheeled.files.joints import Patterns, Roles, roles
 from rbjax.wheeled.files.wheels import FileWheel, LeftOut, file_wheels
-from rbjax.wheeled.robot.parts import Steering, Wheel
-from rbjax.wheeled.robot.robot import Robot
+from rbjax.wheeled.robot.robot import Robot, Steering, Wheel
 
 _SHOWN = 12  # of what is left out
 

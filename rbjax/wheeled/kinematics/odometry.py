@@ -20,7 +20,7 @@ import numpy as np
 from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError
-from rbjax.lanes.products import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec
 from rbjax.model.record import Record, check_fields, check_number, floats
 from rbjax.wheeled.kinematics.numbers import indices, numbers_of, stacked
 from rbjax.wheeled.kinematics.velocities import ideal, shaft_speed

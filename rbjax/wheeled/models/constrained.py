@@ -21,7 +21,7 @@ from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError, UnknownName
 from rbjax.lanes import Lane, add, mul, sub
 from rbjax.model import Model, State
-from rbjax.wheeled.kinematics.instant import Instant, coordinate_rates, steering_rates
+from rbjax.wheeled.kinematics.context import Context, coordinate_rates, steering_rates
 from rbjax.wheeled.kinematics.numbers import Numbers, indices, stacked
 from rbjax.wheeled.kinematics.planar import Pair, direction, turned_back
 from rbjax.wheeled.kinematics.velocities import shaft_speed
@@ -43,7 +43,7 @@ class Constrained(Fidelity):
         M a + b = tau + G^T l,   G a = -(G' v + ...)
 
     Rates are taken where the velocities obey the rows: `full` puts them there by the least change
-    in the norm of the mass matrix, and `settled` does so to the state after a step.
+    in the norm of the mass matrix, and `project` does so to the state after a step.
 
     Fields: robot. Static: formulation, one of `rbjax.constraints.formulations`.
 
@@ -75,18 +75,18 @@ class Constrained(Fidelity):
     def nv(self) -> int:
         return self.robot.layout.nw
 
-    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+    def full(self, n: Numbers, now: Context) -> list[Lane]:
         model, state = full_state(n, now, now.v)
         return full_velocities(n, now, model, projected(model, 0.0, state, positions=False).v)
 
-    def settled(self, n: Numbers, now: Instant) -> list[Lane]:
+    def project(self, n: Numbers, now: Context) -> list[Lane]:
         """v put on the rows, after a step."""
         return self.full(n, now)
 
-    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, n: Numbers, now: Context, w: list[Lane]) -> list[Lane]:
         return list(w)
 
-    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
         w = self.full(n, now)
         model, state = full_state(n, now, w)
         tau = torques(n, now, model, w)
@@ -95,7 +95,7 @@ class Constrained(Fidelity):
         a[0], a[1] = add(a[0], mul(w[2], w[1])), sub(a[1], mul(w[2], w[0]))
         return a
 
-    def wheel_forces(self, n: Numbers, now: Instant) -> list[Pair]:
+    def wheel_forces(self, n: Numbers, now: Context) -> list[Pair]:
         """The force of the ground on each wheel, ahead and to the left of it, in N.
 
         Rows of wheels on one axle are redundant: of all forces that do, those of the least norm, in
@@ -113,19 +113,19 @@ class Constrained(Fidelity):
             out.append((force.get("ahead", 0.0), force.get("left", 0.0)))
         return out
 
-    def skidding_force(self, n: Numbers, now: Instant) -> Lane:
+    def skidding_force(self, n: Numbers, now: Context) -> Lane:
         """The force to the left on the axis on which skidding wheels turn, N; 0 if none skids."""
         if not any(leader.what == "skidding" for leader in n.robot.arrangement.leaders):
             return 0.0
         return self._multipliers(n, now)[sum(len(contact_ways(n, i)) for i in range(len(n.wheels)))]
 
-    def _multipliers(self, n: Numbers, now: Instant) -> jax.Array:
+    def _multipliers(self, n: Numbers, now: Context) -> jax.Array:
         w = self.full(n, now)
         model, state = full_state(n, now, w)
         return constrained_motion(model, 0.0, state, torques(n, now, model, w), {})[1]
 
 
-def full_state(n: Numbers, now: Instant, w: Sequence[Lane]) -> tuple[Model, State]:
+def full_state(n: Numbers, now: Context, w: Sequence[Lane]) -> tuple[Model, State]:
     """The multibody model, its steerings turning as they do now, and its state at velocities w."""
     layout, rates = n.layout, coordinate_rates(n, now, w)
     steering = steering_rates(n, now)
@@ -203,7 +203,7 @@ def full_model_state(
     )
 
 
-def full_velocities(n: Numbers, now: Instant, model: Model, v: Any) -> list[Lane]:
+def full_velocities(n: Numbers, now: Context, model: Model, v: Any) -> list[Lane]:
     """Those of the robot, of velocities of the multibody model: the chassis' in its own axes."""
     trailers = [f"hitch_{k}" for k in range(1, len(n.bodies))]
     axles = [wheel_joint(i) for i in n.layout.setters]
@@ -211,7 +211,7 @@ def full_velocities(n: Numbers, now: Instant, model: Model, v: Any) -> list[Lane
     return [*turned_back((v[0], v[1]), now.pose), v[2], *own]
 
 
-def torques(n: Numbers, now: Instant, model: Model, w: Sequence[Lane]) -> jax.Array:
+def torques(n: Numbers, now: Context, model: Model, w: Sequence[Lane]) -> jax.Array:
     """Generalized forces (nv,) of drives and of rolling resistance, at the axles of shafts."""
     out: list[Lane] = [0.0] * model.nv
     for i, torque in zip(n.layout.setters, torques_at_rest_loads(n, now, w), strict=True):

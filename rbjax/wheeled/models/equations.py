@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, ldlt, mul, neg, sub, total
-from rbjax.wheeled.kinematics.instant import Instant
+from rbjax.wheeled.kinematics.context import Context
 from rbjax.wheeled.kinematics.numbers import BodyNumbers, Numbers
 from rbjax.wheeled.kinematics.planar import Twist, cross, rate_of, turned_back, value_of
 from rbjax.wheeled.kinematics.velocities import Motion, Shape, motion
@@ -93,7 +93,7 @@ def columns_of(n: Numbers, shape: Shape, velocities: Velocities, size: int) -> l
 
 def project(
     n: Numbers,
-    now: Instant,
+    now: Context,
     w: Sequence[Lane],
     velocities: Velocities,
     nu: Sequence[Lane],
@@ -156,7 +156,7 @@ def motion_and_rate(
     return now, then
 
 
-def _steering_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
+def _steering_torques(n: Numbers, now: Context, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
     """What bodies feel as their steered wheels turn faster about the vertical, at b'' = 0.
 
     Wheels that turn by the angle b itself turn evenly; those of Ackermann's geometry do not.

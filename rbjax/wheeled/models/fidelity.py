@@ -16,7 +16,7 @@ from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, inner, mul, neg, sub, total
 from rbjax.model import State
 from rbjax.model.record import Record
-from rbjax.wheeled.kinematics.instant import Instant, coordinate_rates
+from rbjax.wheeled.kinematics.context import Context, coordinate_rates
 from rbjax.wheeled.kinematics.numbers import Numbers, numbers_of, stacked
 from rbjax.wheeled.kinematics.planar import dot, turned
 from rbjax.wheeled.kinematics.velocities import Shape, motion, shaft_speed
@@ -63,48 +63,48 @@ class Fidelity(Record):
 
     # what a fidelity is
 
-    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+    def full(self, n: Numbers, now: Context) -> list[Lane]:
         """The full velocities w."""
         raise NotImplementedError(f"{type(self).__name__} has no method full")
 
-    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
         """v'."""
         raise NotImplementedError(f"{type(self).__name__} has no method accelerations")
 
-    def damped_accelerations(self, n: Numbers, now: Instant, h: Lane) -> list[Lane]:
+    def damped_accelerations(self, n: Numbers, now: Context, h: Lane) -> list[Lane]:
         """The mean of v' over a step h that takes what damps at its end; v' where nothing does."""
         return self.accelerations(n, now)
 
-    def relaxation(self, n: Numbers, now: Instant) -> list[Lane]:
+    def relaxation(self, n: Numbers, now: Context) -> list[Lane]:
         """x'."""
         return []
 
-    def settled(self, n: Numbers, now: Instant) -> list[Lane]:
+    def project(self, n: Numbers, now: Context) -> list[Lane]:
         """v after a step, put back on what it must satisfy."""
         return now.v
 
-    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, n: Numbers, now: Context, w: list[Lane]) -> list[Lane]:
         """v by full velocities that the fidelity allows."""
         raise NotImplementedError(f"{type(self).__name__} has no method start_velocities")
 
     # what all share
 
-    def coordinate_rates(self, n: Numbers, now: Instant) -> list[Lane]:
+    def coordinate_rates(self, n: Numbers, now: Context) -> list[Lane]:
         """q'."""
         return coordinate_rates(n, now, self.full(n, now))
 
-    def rates(self, n: Numbers, now: Instant) -> tuple[list[Lane], list[Lane], list[Lane]]:
+    def rates(self, n: Numbers, now: Context) -> tuple[list[Lane], list[Lane], list[Lane]]:
         """q', v', x'."""
         rates = self.coordinate_rates(n, now)
         return rates, self.accelerations(n, now), self.relaxation(n, now)
 
-    def instant(self, state: State, u: Any = None) -> tuple[Numbers, Instant]:
+    def instant(self, state: State, u: Any = None) -> tuple[Numbers, Context]:
         """The robot's numbers and a state as lanes."""
         dtype = state.q.dtype
         given = jnp.zeros(self.nu, dtype) if u is None else u
         x = state.x if self.nx else None
         n = numbers_of(self.robot, dtype)
-        return n, Instant(
+        return n, Context(
             n,
             [state.q[i] for i in range(self.nq)],
             [state.v[i] for i in range(self.nv)],
@@ -113,7 +113,7 @@ class Fidelity(Record):
         )
 
 
-def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+def shaft_torques(n: Numbers, now: Context, w: Sequence[Lane]) -> list[Lane]:
     """The torques of the drives and of damping on each shaft."""
     rates = w[2 + len(n.bodies) :]
     out = [neg(mul(c, rate)) for c, rate in zip(n.damping, rates, strict=True)]
@@ -125,7 +125,7 @@ def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
     return out
 
 
-def motor_dampers(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Damper]:
+def motor_dampers(n: Numbers, now: Context, w: Sequence[Lane]) -> list[Damper]:
     """How the torques of drives and of damping oppose the speeds of shafts."""
     first, rates = 2 + len(n.bodies), w[2 + len(n.bodies) :]
     units = [[1.0 if k == first + i else 0.0 for k in range(len(w))] for i in range(len(rates))]
@@ -140,7 +140,7 @@ def motor_dampers(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Damper]:
     return out
 
 
-def torques_at_rest_loads(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+def torques_at_rest_loads(n: Numbers, now: Context, w: Sequence[Lane]) -> list[Lane]:
     """The torques of drives and of rolling resistance on each shaft, with the loads at rest."""
     driving = shaft_torques(n, now, w)
     if n.resistance is None:
@@ -158,7 +158,7 @@ def kinetic_energy(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Lane:
     return 0.5 * add(bodies, total(mul(i, mul(rate, rate)) for i, rate in parts.turns))
 
 
-def potential_energy(n: Numbers, now: Instant) -> Lane:
+def potential_energy(n: Numbers, now: Context) -> Lane:
     """The energy of the centres of mass on the slope."""
     poses, energy = now.bodies(), 0.0
     for body, (origin, e) in zip(n.bodies, poses, strict=True):

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Lane, add, inner, ldlt, mul, total
-from rbjax.wheeled.kinematics.instant import Instant, angle_rates, angles_of
+from rbjax.wheeled.kinematics.context import Context, angle_rates, angles_of
 from rbjax.wheeled.kinematics.numbers import Numbers, stacked
 from rbjax.wheeled.kinematics.planar import cross, moving, rate_of, value_of
 from rbjax.wheeled.kinematics.velocities import (
@@ -51,7 +51,7 @@ class QuasiVelocities(Rolling):
 
     name: ClassVar[str] = "quasi_velocities"
 
-    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
         dtype = n.dtype
         free = self.full(n, now)
         s, ds = (stacked(x, dtype) for x in (angles_of(n, now), angle_rates(n, now, free)))
@@ -92,7 +92,7 @@ class QuasiVelocities(Rolling):
         M = [[columns[j][i] for j in range(len(nu))] for i in range(len(nu))]
         return ldlt(M).solve([f[i] for i in range(len(nu))])
 
-    def _loads(self, n: Numbers, now: Instant, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
+    def _loads(self, n: Numbers, now: Context, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
         """Q: the gradient of the potential energy, and the torques on shafts."""
         dtype = n.dtype
         pose = stacked(now.q[:3], dtype)

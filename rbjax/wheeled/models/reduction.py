@@ -21,9 +21,9 @@ import jax.numpy as jnp
 from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 from rbjax.model import State
-from rbjax.wheeled.kinematics.instant import Instant
+from rbjax.wheeled.kinematics.context import Context
 from rbjax.wheeled.kinematics.numbers import Numbers, stacked
 from rbjax.wheeled.kinematics.planar import Twist, rate_of
 from rbjax.wheeled.kinematics.velocities import ideal, motion, rows, shaft_speed
@@ -166,7 +166,7 @@ def _matrix(columns: Sequence[Sequence[Any]], n: Numbers) -> jax.Array:
 
 
 def _terms(
-    n: Numbers, now: Instant, w: Sequence[Any], velocities: Velocities, nu: Sequence[Any]
+    n: Numbers, now: Context, w: Sequence[Any], velocities: Velocities, nu: Sequence[Any]
 ) -> tuple[jax.Array, ...]:
     """M, C, B, f and tau for velocities nu."""
     size, dtype = len(nu), n.dtype

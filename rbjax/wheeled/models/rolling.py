@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from rbjax.lanes import Lane, inner, ldlt, mul, neg, sub, total
-from rbjax.wheeled.kinematics.instant import Instant
+from rbjax.wheeled.kinematics.context import Context
 from rbjax.wheeled.kinematics.numbers import Numbers
 from rbjax.wheeled.kinematics.planar import Twist, moving, rate_of
 from rbjax.wheeled.kinematics.velocities import (
@@ -46,7 +46,7 @@ class Kinematic(Fidelity):
     def nv(self) -> int:
         return 0
 
-    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+    def full(self, n: Numbers, now: Context) -> list[Lane]:
         shape = now.shape
         size = n.robot.arrangement.mobility
         columns = []
@@ -63,10 +63,10 @@ class Kinematic(Fidelity):
         f = [inner(x, speeds) for x in columns]
         return ideal(n, shape, ldlt(M).solve(f))
 
-    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
         return []
 
-    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, n: Numbers, now: Context, w: list[Lane]) -> list[Lane]:
         return []
 
 
@@ -77,13 +77,13 @@ class Rolling(Fidelity):
     def nv(self) -> int:
         return self.robot.arrangement.mobility
 
-    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+    def full(self, n: Numbers, now: Context) -> list[Lane]:
         return ideal(n, now.shape, now.v)
 
-    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, n: Numbers, now: Context, w: list[Lane]) -> list[Lane]:
         return free_velocities(n, now.shape, Twist(*w[:3]))
 
-    def holding(self, n: Numbers, now: Instant) -> list[Lane]:
+    def holding(self, n: Numbers, now: Context) -> list[Lane]:
         """What the ground must do so that wheels roll, M w' - f: by the full velocities, the force
         (2,) on the robot in the chassis' axes, N, moments, and torques on shafts, N m."""
         w = self.full(n, now)
@@ -112,14 +112,14 @@ class Kinematical(Rolling):
 
     name: ClassVar[str] = "kinematical"
 
-    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
         return self._equations(n, now, self.full(n, now)).accelerations
 
-    def damped_accelerations(self, n: Numbers, now: Instant, h: Lane) -> list[Lane]:
+    def damped_accelerations(self, n: Numbers, now: Context, h: Lane) -> list[Lane]:
         w = self.full(n, now)
         return self._equations(n, now, w).damped(motor_dampers(n, now, w), h)
 
-    def _equations(self, n: Numbers, now: Instant, w: list[Lane]) -> Equations:
+    def _equations(self, n: Numbers, now: Context, w: list[Lane]) -> Equations:
         return project(
             n, now, w, ideal, now.v,
             weights(n, now.pose, now.shape), torques_at_rest_loads(n, now, w),
@@ -142,7 +142,7 @@ class Dynamical(Rolling):
 
     name: ClassVar[str] = "dynamical"
 
-    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
         w = self.full(n, now)
         shape, moved = now.shape, now.turning(w)
         M, f, _ = project(

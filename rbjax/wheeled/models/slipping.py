@@ -23,7 +23,7 @@ import jax.numpy as jnp
 
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul, neg, sub
-from rbjax.wheeled.kinematics.instant import Instant
+from rbjax.wheeled.kinematics.context import Context
 from rbjax.wheeled.kinematics.numbers import Numbers, WheelNumbers, with_lanes
 from rbjax.wheeled.kinematics.planar import Pair, Twist, cross, turned
 from rbjax.wheeled.kinematics.velocities import contact, twists_of
@@ -95,13 +95,13 @@ class Slipping(Fidelity):
     def nx(self) -> int:
         return sum(tyre.size for tyre in self.tyres)
 
-    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+    def full(self, n: Numbers, now: Context) -> list[Lane]:
         return now.v
 
-    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, n: Numbers, now: Context, w: list[Lane]) -> list[Lane]:
         return w
 
-    def contacts(self, n: Numbers, now: Instant) -> tuple[list[Pair], list[Lane]]:
+    def contacts(self, n: Numbers, now: Context) -> tuple[list[Pair], list[Lane]]:
         """The traction of each wheel for each newton of load, along its heading and to its left;
         the rates of the states of tyres."""
         shape = now.shape
@@ -126,7 +126,7 @@ class Slipping(Fidelity):
                 states.extend(rate)
         return out, states
 
-    def forces(self, n: Numbers, now: Instant) -> tuple[list[Lane], list[Pair]]:
+    def forces(self, n: Numbers, now: Context) -> tuple[list[Lane], list[Pair]]:
         """The loads of wheels, N, and the forces on them, N, along x and y of their bodies."""
         shape = now.shape
         pulls, _ = self.contacts(n, now)
@@ -136,15 +136,15 @@ class Slipping(Fidelity):
             (mul(load, x), mul(load, y)) for load, (x, y) in zip(loads, pulls, strict=True)
         ]
 
-    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
         return self._equations(n, now)[0].accelerations
 
-    def damped_accelerations(self, n: Numbers, now: Instant, h: Lane) -> list[Lane]:
+    def damped_accelerations(self, n: Numbers, now: Context, h: Lane) -> list[Lane]:
         equations, loads = self._equations(n, now)
         dampers = self._contact_dampers(n, now, loads, h) + motor_dampers(n, now, now.v)
         return equations.damped(dampers, h)
 
-    def _equations(self, n: Numbers, now: Instant) -> tuple[Equations, list[Lane]]:
+    def _equations(self, n: Numbers, now: Context) -> tuple[Equations, list[Lane]]:
         """The equations, and the loads of wheels."""
         shape = now.shape
         loads, forces = self.forces(n, now)
@@ -160,7 +160,7 @@ class Slipping(Fidelity):
         return project(n, now, now.v, all_of, now.v, pulls, torques), loads
 
     def _contact_dampers(
-        self, n: Numbers, now: Instant, loads: Sequence[Lane], h: Lane
+        self, n: Numbers, now: Context, loads: Sequence[Lane], h: Lane
     ) -> list[Damper]:
         """How the forces of the ground oppose the velocities at which contacts slide."""
         units = columns_of(n, now.shape, all_of, self.nv)
@@ -176,7 +176,7 @@ class Slipping(Fidelity):
                 out.append((mul(load, found[k]), [column[i][k] for column in columns]))
         return out
 
-    def _all_slides(self, n: Numbers, now: Instant, w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
+    def _all_slides(self, n: Numbers, now: Context, w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
         """The velocities at which each contact slides, at full velocities w."""
         twists, rates = twists_of(n, now.shape, w), w[2 + len(n.bodies) :]
         return [
@@ -184,7 +184,7 @@ class Slipping(Fidelity):
             for i, wheel in enumerate(n.wheels)
         ]
 
-    def relaxation(self, n: Numbers, now: Instant) -> list[Lane]:
+    def relaxation(self, n: Numbers, now: Context) -> list[Lane]:
         return self.contacts(n, now)[1] if self.nx else []
 
 

@@ -18,11 +18,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import choice
+from rbjax.arguments import choice, integer
 from rbjax.control.optimal.system import System, as_system
 from rbjax.errors import InputError
 from rbjax.model import State
-from rbjax.solvers.common.arguments import check_whole
 from rbjax.wheeled.models.fidelity import Fidelity, as_state
 from rbjax.wheeled.models.states import check_state, check_vehicle
 from rbjax.wheeled.motion.rollout import METHODS, advanced
@@ -43,7 +42,7 @@ class Vehicle(System):
     def __check_init__(self) -> None:
         check_vehicle("Vehicle", self.vehicle)
         choice("method", self.method, METHODS)
-        check_whole("Vehicle", "parts", self.parts, 1)
+        integer("Vehicle", "parts", self.parts, least=1)
 
     @property
     def model(self) -> Fidelity:

@@ -25,7 +25,7 @@ from rbjax.lanes import Lane, add, fusion_barrier, mul
 from rbjax.model import State
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.wheeled.kinematics.instant import Instant
+from rbjax.wheeled.kinematics.context import Context
 from rbjax.wheeled.kinematics.numbers import Numbers
 from rbjax.wheeled.models.fidelity import Fidelity, as_state
 from rbjax.wheeled.models.states import check_state, check_vehicle
@@ -47,13 +47,13 @@ def _plus(a: Sequence[Lane], b: Sequence[Lane], h: Lane) -> list[Lane]:
 
 def _moved(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane]) -> Lists:
     # XLA's CPU compiler would compute a stage again wherever a later one uses it
-    return fusion_barrier(vehicle.rates(n, Instant(n, *y, u)))
+    return fusion_barrier(vehicle.rates(n, Context(n, *y, u)))
 
 
 def _semi_implicit_euler(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane) -> Lists:
     """v+ = v + h v'(q, v),  q+ = q + h q'(q, v+)."""
     q, v, x = y
-    now = Instant(n, q, v, x, u)
+    now = Context(n, q, v, x, u)
     v = _plus(v, vehicle.accelerations(n, now), h)
     x = _plus(x, vehicle.relaxation(n, now), h)
     return _plus(q, vehicle.coordinate_rates(n, now.with_velocities(v, x)), h), v, x
@@ -64,7 +64,7 @@ def _linearly_implicit_euler(
 ) -> Lists:
     """v+ = v + h v'(q, v, v+),  x+ = x + h x'(q, v+),  q+ = q + h q'(q, v+)."""
     q, v, x = y
-    now = Instant(n, q, v, x, u)
+    now = Context(n, q, v, x, u)
     then = now.with_velocities(_plus(v, vehicle.damped_accelerations(n, now, h), h), x)
     x = _plus(x, vehicle.relaxation(n, then), h)
     return _plus(q, vehicle.coordinate_rates(n, then), h), then.v, x
@@ -96,7 +96,7 @@ METHODS: dict[str, Callable[..., Lists]] = {
 def advanced(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane, method: str) -> Lists:
     """The lists after a step, their velocities put back on what they must satisfy."""
     q, v, x = METHODS[method](vehicle, n, y, u, h)
-    v = vehicle.settled(n, Instant(n, q, v, x, u))
+    v = vehicle.project(n, Context(n, q, v, x, u))
     q, v, x = ([jnp.asarray(a, n.dtype) for a in part] for part in (q, v, x))
     return q, v, x
 

@@ -24,12 +24,12 @@ from rbjax.constraints import Constraint, Place, Row, along, coordinate
 from rbjax.constraints.rows.geometry import Y, Z
 from rbjax.constraints.rows.rolling import slip, swept
 from rbjax.errors import UnknownName
-from rbjax.forces.instant import Frame, Instant
+from rbjax.forces.context import Context, Frame
 from rbjax.forces.place import check_places
 from rbjax.lanes import Lane, Vec3, add, mul, neg
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import check_number, floats
-from rbjax.wheeled.kinematics.instant import Instant as RobotInstant
+from rbjax.wheeled.kinematics.context import Context as RobotContext
 from rbjax.wheeled.kinematics.numbers import Numbers, numbers_of
 from rbjax.wheeled.kinematics.planar import Moving, cross, direction, rate_of, value_of
 from rbjax.wheeled.robot.robot import Robot
@@ -78,7 +78,7 @@ class WheelContact(Constraint):
     def size(self) -> int:
         return len(self.ways) + self.touches
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         A, B = self.a.frame(now), self.b.frame(now)
         radius, dtype = scalar(self.radius, now.q.dtype), now.q.dtype
         n, dn = swept(A, Z)
@@ -115,7 +115,7 @@ class SteeringRate(Constraint):
     def __check_init__(self) -> None:
         check_number(self, "rate")
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         rate = scalar(self.rate, now.q.dtype)
         return [coordinate(now, self.joint).time_derivative - rate]
 
@@ -134,7 +134,7 @@ class Linkage(Constraint):
     column: str = eqx.field(static=True)
     size = 1
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         b = coordinate(now, self.column)
         n = numbers_of(self.robot, now.q.dtype)
         first, second, angle = linked(n, self.steering, self.wheel, b.value)
@@ -149,7 +149,7 @@ def linked(n: Numbers, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, 
     layout = n.layout
     q: list[Any] = [0.0] * layout.nq
     q[layout.steerings.start + steering] = Moving(Moving(b, 1.0), Moving(1.0, 0.0))
-    e = RobotInstant(n, q, [], [], []).shape.wheels[wheel]
+    e = RobotContext(n, q, [], [], []).shape.wheels[wheel]
     now = tuple(value_of(value_of(x)) for x in e)
     once = tuple(rate_of(value_of(x)) for x in e)
     twice = tuple(rate_of(rate_of(x)) for x in e)
@@ -169,7 +169,7 @@ class Differential(Constraint):
     wheels: tuple[str, ...] = eqx.field(static=True)
     size = 1
 
-    def rows(self, now: Instant) -> Sequence[Row]:
+    def rows(self, now: Context) -> Sequence[Row]:
         out = coordinate(now, self.joint)
         shares = numbers(self.split, now.q.dtype)
         for wheel, share in zip(self.wheels, shares, strict=True):

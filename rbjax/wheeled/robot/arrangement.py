@@ -23,8 +23,7 @@ import numpy as np
 from rbjax.errors import InputError
 
 if TYPE_CHECKING:
-    from rbjax.wheeled.robot.parts import Wheel
-    from rbjax.wheeled.robot.robot import Robot
+    from rbjax.wheeled.robot.robot import Robot, Wheel
 
 #: relative singular values below this are zero, or below so many roundings of the robot's numbers
 RANK, ROUNDINGS = 1e-9, 16

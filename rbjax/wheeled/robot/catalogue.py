@@ -16,8 +16,7 @@ import numpy as np
 from rbjax.arguments import instance, integer, real_number
 from rbjax.errors import InputError, UnknownName
 from rbjax.wheeled.robot.motors import Motor, TorqueSource
-from rbjax.wheeled.robot.parts import Body, Drive, Steering, Wheel
-from rbjax.wheeled.robot.robot import Robot
+from rbjax.wheeled.robot.robot import Body, Drive, Robot, Steering, Wheel
 
 
 def _check(kind: str, **lengths: Any) -> None:

@@ -1,82 +1,82 @@
-"""Motors of wheels: the torque that a command makes on a shaft at its speed, and what it costs.
+"""Motors of wheels: torque on a shaft by command and speed, and power.
 
     TorqueSource    tau = u
     SpeedServo      tau = L tanh(k (u - Omega) / L)
     DCMotor         V = V_b tanh(u / V_b),   i = (V - n K Omega) / R,   tau = n K i - b Omega
 
-Omega is the speed of the driven shaft, behind a gear of ratio n. What comes in is torque and heat,
-
-    P = tau Omega + Q,          DCMotor: P = V i,   Q = R i^2 + b Omega^2
-
-and the rotor adds n^2 J to the inertia of the shaft. `forces.dc_motor` is the motor of a MuJoCo
-file, with inductance, temperature and cogging.
+Omega is the speed of the driven shaft, behind a gear of ratio n. The power taken in is
+P = tau Omega + Q, with the heat Q; for a DCMotor P = V i, Q = R i^2 + b Omega^2.
 """
 
 from __future__ import annotations
 
 import abc
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
 from rbjax.lanes import Lane
-from rbjax.model.record import Record, check_number, floats
-from rbjax.wheeled.tyres.tyre import check_above, check_at_least
-
-
-def _number(**given: Any) -> Any:
-    return eqx.field(converter=floats, **given)
+from rbjax.model.record import Record
+from rbjax.wheeled.fields import check_ranges, number
 
 
 class Motor(Record):
     """A motor of a shaft. A subclass defines `torque`, `free_speed`, `command_for` and `heat`.
 
-    Class field: unit, the unit of the command.
+    Class fields: unit, of the command; positive, the fields above zero; nonnegative, the fields of
+    at least zero; unlimited, the field that may be infinite.
     """
 
     unit: ClassVar[str]
+    positive: ClassVar[tuple[str, ...]] = ()
+    nonnegative: ClassVar[tuple[str, ...]] = ()
+    unlimited: ClassVar[str] = ""
+
+    def __check_init__(self) -> None:
+        above, least = (dict.fromkeys(x, 0.0) for x in (self.positive, self.nonnegative))
+        check_ranges(self, above=above, least=least)
+
+    def may_be_endless(self, name: str) -> bool:
+        return name == self.unlimited
 
     @property
     def inertia(self) -> Lane:
-        """What it adds to the inertia of the shaft, kg m^2."""
+        """The inertia that the rotor adds to the shaft, kg m^2."""
         return 0.0
 
     @property
     def command_range(self) -> tuple[Lane, Lane]:
-        """The smallest and the largest command that make a difference."""
+        """The smallest and the largest command below saturation."""
         return -math.inf, math.inf
 
     @abc.abstractmethod
     def torque(self, u: Lane, speed: Lane) -> Lane:
-        """The torque on the shaft, N m, of a command u at the shaft's speed, rad/s."""
+        """Compute the torque on the shaft, N m, by the command u and the shaft's speed, rad/s."""
 
     @abc.abstractmethod
     def free_speed(self, u: Lane) -> Lane:
-        """The speed without load, rad/s: where `torque` is zero."""
+        """Compute the no-load speed, rad/s, at which `torque` is zero."""
 
     def command_for(self, speed: Lane) -> Lane:
-        """The command whose free speed is `speed`, rad/s: the inverse of `free_speed`. Only
-        `Commands.controls` uses it."""
+        """Compute the command whose free speed is `speed`, rad/s, for `Commands.controls`."""
         raise InputError(
             f"{type(self).__name__} does not define `command_for(speed)`, the inverse of "
             "`free_speed`; give the class this method, or compute the controls yourself"
         )
 
     def damping(self, u: Lane, speed: Lane) -> Lane:
-        """By how much the torque falls for each rad/s towards the free speed, N m s/rad: the secant
-        torque / (free speed - speed)."""
+        """Compute the secant torque / (free speed - speed), N m s/rad."""
         return 0.0
 
     def heat(self, u: Lane, speed: Lane) -> Lane:
-        """The power that is lost in the motor and its gear, W."""
+        """Compute the power lost in the motor and its gear, W."""
         return 0.0
 
     def power_in(self, u: Lane, speed: Lane) -> Lane:
-        """The power that it takes in, W; negative where it brakes and gives back."""
+        """Compute the power taken in, W; negative if it brakes and recovers power."""
         return self.torque(u, speed) * speed + self.heat(u, speed)
 
 
@@ -105,9 +105,9 @@ class TorqueSource(Motor):
 
 
 class SpeedServo(Motor):
-    """A drive that holds a speed: the command is that speed, rad/s. It is without losses.
+    """A speed controller without losses: the command is the speed, rad/s.
 
-        tau = L tanh(k (u - Omega) / L),    k (u - Omega) for an endless L
+        tau = L tanh(k (u - Omega) / L),    k (u - Omega) for an infinite L
 
     Fields: gain k (), N m s/rad, above 0; limit L (), N m, above 0.
 
@@ -118,14 +118,10 @@ class SpeedServo(Motor):
     """
 
     unit = "rad/s"
-    gain: jax.Array = _number()
-    limit: jax.Array = _number(default=math.inf)
-
-    def __check_init__(self) -> None:
-        _check_numbers(self, "gain", "limit")
-
-    def may_be_endless(self, name: str) -> bool:
-        return name == "limit"
+    positive = ("gain", "limit")
+    unlimited = "limit"
+    gain: jax.Array = number()
+    limit: jax.Array = number(default=math.inf)
 
     def torque(self, u: Lane, speed: Lane) -> Lane:
         return limited(self.gain * (u - speed), self.limit)
@@ -147,9 +143,16 @@ class DCMotor(Motor):
 
         V = V_b tanh(u / V_b),   i = (V - n K Omega) / R,   tau = n K i - b Omega
 
-    Fields, all (): resistance R, ohm, above 0; torque_constant K, N m/A, which is also V s/rad;
-    gear n; battery V_b, V, the limit of the voltage, above 0, infinite for none; friction b, N m
-    s/rad at the shaft; rotor_inertia J, kg m^2, before the gear.
+    The rotor adds n^2 J to the inertia of the shaft. `rb.forces.DCMotor` is the motor of a MuJoCo
+    file, with inductance, temperature and cogging.
+
+    Fields, all ():
+        resistance: R, ohm, above 0.
+        torque_constant: K, N m/A, which is also V s/rad.
+        gear: n.
+        battery: V_b, V, the limit of the voltage, above 0; infinite for none.
+        friction: b, N m s/rad at the shaft.
+        rotor_inertia: J, kg m^2, before the gear.
 
     Source: Corke, *Robotics, Vision and Control*, 9.1; Dhaouadi & Abu Hatab, Adv. Robot. Autom. 2,
     2013, eq. 46-50, for a differential drive.
@@ -162,23 +165,19 @@ class DCMotor(Motor):
     """
 
     unit = "V"
-    resistance: jax.Array = _number()
-    torque_constant: jax.Array = _number()
-    gear: jax.Array = _number(default=1.0)
-    battery: jax.Array = _number(default=math.inf)
-    friction: jax.Array = _number(default=0.0)
-    rotor_inertia: jax.Array = _number(default=0.0)
-
-    def __check_init__(self) -> None:
-        _check_numbers(self, "resistance", "torque_constant", "battery")
-        check_at_least(self, friction=0.0, rotor_inertia=0.0)
-
-    def may_be_endless(self, name: str) -> bool:
-        return name == "battery"
+    positive = ("resistance", "torque_constant", "battery")
+    nonnegative = ("friction", "rotor_inertia")
+    unlimited = "battery"
+    resistance: jax.Array = number()
+    torque_constant: jax.Array = number()
+    gear: jax.Array = number(default=1.0)
+    battery: jax.Array = number(default=math.inf)
+    friction: jax.Array = number(default=0.0)
+    rotor_inertia: jax.Array = number(default=0.0)
 
     @property
     def command_range(self) -> tuple[Lane, Lane]:
-        """Three times the battery: there V is within 0.5 % of its limit."""
+        """Plus and minus three times the battery, where V is within 0.5 % of its limit."""
         return -3 * self.battery, 3 * self.battery
 
     @property
@@ -191,7 +190,7 @@ class DCMotor(Motor):
         return self.gear * self.torque_constant
 
     def current(self, u: Lane, speed: Lane) -> Lane:
-        """i, A."""
+        """Compute the current i, A."""
         return (limited(u, self.battery) - self._constant * speed) / self.resistance
 
     def torque(self, u: Lane, speed: Lane) -> Lane:
@@ -205,7 +204,7 @@ class DCMotor(Motor):
         return k * limited(u, self.battery) / (self.resistance * self.friction + k * k)
 
     def command_for(self, speed: Lane) -> Lane:
-        """The command, clipped to `command_range`: the battery allows no higher speed."""
+        """Compute the command, clipped to `command_range`."""
         k = self._constant
         volts = speed * (self.resistance * self.friction + k * k) / k
         ends = jnp.isfinite(self.battery)
@@ -222,7 +221,7 @@ class DCMotor(Motor):
 
 
 def limited(x: Lane, limit: jax.Array) -> Lane:
-    """L tanh(x / L), smooth and below L; x where L is infinite.
+    """Limit a number smoothly: L tanh(x / L); x if L is infinite.
 
     >>> float(limited(3.0, jnp.array(jnp.inf))), round(float(limited(300.0, jnp.array(2.0))), 6)
     (3.0, 2.0)
@@ -230,9 +229,3 @@ def limited(x: Lane, limit: jax.Array) -> Lane:
     ends = jnp.isfinite(limit)
     width = jnp.where(ends, limit, 1.0)
     return jnp.where(ends, width * jnp.tanh(x / width), x)
-
-
-def _check_numbers(motor: Motor, *above_zero: str) -> None:
-    for name in vars(motor):
-        check_number(motor, name)
-    check_above(motor, **dict.fromkeys(above_zero, 0.0))

@@ -1,9 +1,12 @@
-"""A wheeled robot: its parts, its coordinates, and what its wheels allow.
+"""A wheeled robot: bodies, wheels, drives and steerings.
 
-Coordinates q: the pose (x, y, heading) of the chassis, the angle of each trailer against the body
-ahead, of each steering, of each caster, of each shaft. Full velocities w: the twist (vx, vy and the
-turning rate) of the chassis in its own axes, and the rates of trailers and of shafts. Those of
-casters follow from the others, those of steerings are given.
+A body's frame lies on the ground, x ahead and y to the left. All numbers are leaves: they can be
+differentiated, mapped over and changed with no recompilation.
+
+Coordinates q: the pose (x, y, heading) of the chassis, the angles of trailers against the body
+ahead, of steerings, of casters, of shafts. Full velocities w: the twist (vx, vy, turning rate) of
+the chassis in its own axes, and the rates of trailers and of shafts. The rates of casters follow
+from the others, those of steerings are given.
 """
 
 from __future__ import annotations
@@ -15,19 +18,187 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rbjax.arguments import choice, real_number
 from rbjax.errors import InputError
-from rbjax.model.record import Record, check_number, floats
+from rbjax.model.record import Record, check_fields, floats
+from rbjax.wheeled.fields import check_ranges, number
 from rbjax.wheeled.robot.arrangement import Arrangement, arrange
-from rbjax.wheeled.robot.parts import Body, Drive, Steering, Wheel
-from rbjax.wheeled.tyres.rolling_resistance import RollingResistance
+from rbjax.wheeled.robot.motors import Motor, TorqueSource
+from rbjax.wheeled.tyres.tyre import RollingResistance
+
+KINDS = ("fixed", "steered", "caster", "rollers")
+
+
+class Body(Record):
+    """A chassis, or a trailer behind another body.
+
+    Fields:
+        mass: () kg, without the wheels.
+        inertia: () kg m^2, about the vertical through `com`, without the wheels.
+        com: (2,) m, the centre of mass.
+        height: () m, of the centre of mass with the wheels above the ground.
+        hitch: (2,) m, where a trailer is coupled, in the frame of the body ahead.
+        drawbar: () m, how far the coupling is ahead of the trailer's own origin.
+        ahead: static, the index of the body that pulls a trailer; None for a chassis.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.wheeled.Body(mass=20.0, inertia=0.6, com=[0.05, 0.0]).ahead is None
+        True
+    """
+
+    mass: jax.Array = number(default=0.0)
+    inertia: jax.Array = number(default=0.0)
+    com: jax.Array = number(default=(0.0, 0.0))
+    height: jax.Array = number(default=0.0)
+    hitch: jax.Array = number(default=(0.0, 0.0))
+    drawbar: jax.Array = number(default=0.0)
+    ahead: int | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        least = {"mass": 0.0, "inertia": 0.0, "height": 0.0}
+        check_ranges(self, pairs=("com", "hitch"), least=least)
+
+
+class Wheel(Record):
+    """A wheel on the ground under a body.
+
+    Kinds: "fixed", its axle is fixed in the body; "steered", it turns about the vertical through
+    its centre; "caster", it turns freely about a vertical ahead of its centre; "rollers", its rim
+    has free rollers, as omnidirectional and mecanum wheels have.
+
+    Fields:
+        position: (2,) m, of the centre; of a caster's pivot.
+        heading: () rad, the direction in which it rolls at a positive rate, from x to the left; of
+            a steered wheel at zero steering. A caster does not use it.
+        radius: () m.
+        inertia: () kg m^2, about the axle, with everything that turns with it.
+        mass: () kg; of a caster with its fork.
+        yaw_inertia: () kg m^2, about the vertical; of a caster with its fork, about the pivot.
+        roller: () rad, the angle of the rollers' axes from the heading to the left: 0
+            omnidirectional, +-pi/4 mecanum.
+        trail: () m, how far a caster's centre is behind its pivot.
+        behind: () m, how far the centre of mass of a caster with its fork is behind its pivot.
+        damping: () N m s/rad, of the axle.
+        kind: static.
+        body: static, the index of its body.
+        shaft: static, a name that wheels which turn together share.
+        skids: static, whether it may slide sideways where the others may not, as the wheels of a
+            skid-steer robot.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.wheeled.Wheel([0.0, 0.2], radius=0.08).kind
+        'fixed'
+    """
+
+    position: jax.Array = number()
+    heading: jax.Array = number(default=0.0)
+    radius: jax.Array = number(default=0.1)
+    inertia: jax.Array = number(default=0.0)
+    mass: jax.Array = number(default=0.0)
+    yaw_inertia: jax.Array = number(default=0.0)
+    roller: jax.Array = number(default=0.0)
+    trail: jax.Array = number(default=0.05)
+    behind: jax.Array = number(default=0.0)
+    damping: jax.Array = number(default=0.0)
+    kind: str = eqx.field(static=True, default="fixed")
+    body: int = eqx.field(static=True, default=0)
+    shaft: str | None = eqx.field(static=True, default=None)
+    skids: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        least = dict.fromkeys(("inertia", "mass", "yaw_inertia", "damping"), 0.0)
+        above = {"radius": 0.0, "trail": 0.0}
+        check_ranges(self, pairs=("position",), above=above, least=least)
+        choice("kind of wheel", self.kind, KINDS)
+
+
+class Drive(Record):
+    """A motor on one wheel, or through a differential on several.
+
+        torque of wheel i = split_i torque(u, W),     W = sum split_i phi'_i
+
+    u is the control, W the speed of the differential's cage, phi' the rates of the wheels.
+
+    Fields:
+        wheels: static, the indices of its k wheels.
+        motor: a `Motor`.
+        split: (k,) the shares of the torque, whose sum is 1 behind a differential; of one wheel a
+            gear ratio, negative where motor and wheel turn in opposite directions.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.wheeled.Drive((0, 1)).split.tolist()
+        [0.5, 0.5]
+    """
+
+    wheels: tuple[int, ...] = eqx.field(static=True)
+    motor: Motor = eqx.field(default_factory=TorqueSource)
+    split: Any = None
+
+    def __post_init__(self) -> None:
+        indices = isinstance(self.wheels, (tuple, list)) and all(
+            isinstance(i, (int, np.integer)) for i in self.wheels
+        )
+        if not indices or not self.wheels:
+            raise InputError(f"Drive: wheels is {self.wheels!r}, expected indices, at least one")
+        n = len(self.wheels)
+        self.split = floats([1.0 / n] * n if self.split is None else self.split)
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        if jnp.shape(self.split) != (len(self.wheels),):
+            raise InputError(
+                f"Drive: got {len(self.wheels)} wheels and a split of shape "
+                f"{jnp.shape(self.split)}, expected one share for each of at least one wheel"
+            )
+        if not isinstance(self.motor, Motor):
+            raise InputError(
+                f"Drive: motor is {type(self.motor).__name__}, expected "
+                "rbjax.wheeled.TorqueSource(), SpeedServo(gain) or DCMotor(resistance, "
+                "torque_constant)"
+            )
+
+
+class Steering(Record):
+    """One or several steered wheels with one angle b.
+
+    A steering of one wheel turns it by b. One of several wheels has Ackermann's geometry: b is the
+    angle of a wheel in the middle between them, and all axles meet in one point on the axle of the
+    fixed wheels.
+
+        b' = u,                 lag None: u is the rate of steering, rad/s
+        b' = (u - b) / lag,     u is the requested angle, rad
+
+    Fields:
+        wheels: static, the indices of the steered wheels.
+        lag: () s, or None.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.wheeled.Steering((2, 3)).lag is None
+        True
+    """
+
+    wheels: tuple[int, ...] = eqx.field(static=True)
+    lag: Any = eqx.field(default=None, converter=lambda x: None if x is None else floats(x))
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        if not self.wheels:
+            raise InputError("Steering: got no wheels, expected the numbers of at least one")
+        if self.lag is not None and not isinstance(self.lag, jax.core.Tracer):
+            real_number("Steering", "lag", self.lag, above=0.0)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where coordinates are in q, and full velocities in w; the shaft of each wheel.
+    """The places of coordinates in q and of full velocities in w, and the shafts of wheels.
 
-    shafts: of each shaft, the wheel that sets its rate: the first that is on it.
+    shaft: the shaft of each wheel. setters: the first wheel of each shaft, which sets its rate.
     """
 
     trailers: slice
@@ -44,19 +215,23 @@ class Layout:
 
     @property
     def nw(self) -> int:
-        """Full velocities: three, and the rates of trailers and of shafts."""
+        """The number of full velocities: three, and the rates of trailers and of shafts."""
         return 3 + (self.trailers.stop - self.trailers.start) + len(self.setters)
 
 
 class Robot(Record):
     """A chassis with wheels, drives and steerings, and perhaps trailers.
 
-    Fields: bodies, the chassis first, each trailer behind the body that pulls it; wheels; drives;
-    steerings; gravity, m/s^2; slope (2,), how steeply the ground falls along x and along y, as
-    tangents; resistance, a `RollingResistance` of all wheels, or None; turn_center, m, the x of the
-    axis on which a robot with skidding wheels turns. Static: arrangement, what its wheels allow.
+    The controls u are one number for each drive, then one for each steering.
 
-    Controls u are one number a drive, then one a steering.
+    Fields:
+        bodies: the chassis, then the trailers, each behind the body that pulls it.
+        wheels, drives, steerings: tuples.
+        gravity: () m/s^2.
+        slope: (2,) the tangents by which the ground falls along x and along y.
+        resistance: a `RollingResistance` of all wheels, or None.
+        turn_center: () m, the x of the axis on which a robot with skidding wheels turns.
+        arrangement: static, the motions that the wheels allow.
 
     Example:
         >>> import rbjax as rb
@@ -71,22 +246,19 @@ class Robot(Record):
     wheels: tuple[Wheel, ...]
     drives: tuple[Drive, ...]
     steerings: tuple[Steering, ...] = ()
-    gravity: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(9.81))
-    slope: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.zeros(2))
+    gravity: jax.Array = number(default=9.81)
+    slope: jax.Array = number(default=(0.0, 0.0))
     resistance: RollingResistance | None = None
-    turn_center: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(0.0))
+    turn_center: jax.Array = number(default=0.0)
     arrangement: Arrangement = eqx.field(static=True, default=None)
 
     def __post_init__(self) -> None:
-        _check_numbers_of_parts(self)
+        _check_indices(self)
         given: Any = self.arrangement
         self.arrangement = arrange(self) if given is None else given
 
     def __check_init__(self) -> None:
-        for name in ("gravity", "turn_center"):
-            check_number(self, name)
-        if jnp.shape(self.slope) != (2,):
-            raise InputError(f"Robot: slope has shape {jnp.shape(self.slope)}, expected (2,)")
+        check_ranges(self, pairs=("slope",))
 
     @classmethod
     def of(
@@ -97,12 +269,12 @@ class Robot(Record):
         steerings: Sequence[Steering] = (),
         **others: Any,
     ) -> Robot:
-        """A robot of lists of parts; `others` are fields of `Robot`."""
+        """Make a robot from lists of parts; `others` are fields of `Robot`."""
         bodies = (bodies,) if isinstance(bodies, Body) else tuple(bodies)
         return cls(bodies, tuple(wheels), tuple(drives), tuple(steerings), **others)
 
     def replace(self, **changes: Any) -> Robot:
-        """A copy with the given fields changed. If parts are among them, the arrangement is
+        """Return a copy with the given fields changed. If parts are among them, the arrangement is
         computed again, unless numbers are traced."""
         parts = {"bodies", "wheels", "steerings", "turn_center"} & changes.keys()
         known = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((self, changes)))
@@ -112,22 +284,18 @@ class Robot(Record):
 
     @property
     def layout(self) -> Layout:
-        """Where coordinates and velocities are."""
-        shaft: list[int] = []
-        setters: list[int] = []
-        named: dict[str | int, int] = {}
+        """The places of coordinates and velocities."""
+        setters: dict[str | int, int] = {}
         for i, wheel in enumerate(self.wheels):
-            name = i if wheel.shaft is None else wheel.shaft
-            if name not in named:
-                named[name] = len(setters)
-                setters.append(i)
-            shaft.append(named[name])
+            setters.setdefault(i if wheel.shaft is None else wheel.shaft, i)
+        order = {name: shaft for shaft, name in enumerate(setters)}
+        shaft = (order[i if x.shaft is None else x.shaft] for i, x in enumerate(self.wheels))
         casters = tuple(i for i, wheel in enumerate(self.wheels) if wheel.kind == "caster")
         a = 3 + len(self.bodies) - 1
         b = a + len(self.steerings)
         c = b + len(casters)
         slices = slice(3, a), slice(a, b), slice(b, c), slice(c, c + len(setters))
-        return Layout(*slices, tuple(shaft), tuple(setters), casters)
+        return Layout(*slices, tuple(shaft), tuple(setters.values()), casters)
 
     @property
     def nu(self) -> int:
@@ -135,8 +303,8 @@ class Robot(Record):
         return len(self.drives) + len(self.steerings)
 
 
-def _check_numbers_of_parts(robot: Robot) -> None:
-    """Refuse numbers of bodies and of wheels that are not there, or that are taken twice."""
+def _check_indices(robot: Robot) -> None:
+    """Raise `InputError` if parts name bodies or wheels that do not exist, or name them twice."""
     n, bodies = len(robot.wheels), len(robot.bodies)
     if not n or not bodies:
         raise InputError(f"Robot: got {bodies} bodies and {n} wheels, expected at least one each")

@@ -27,22 +27,20 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.rows.geometry import Z, opposed
 from rbjax.errors import InputError
-from rbjax.forces import Element, Instant, Loads
+from rbjax.forces import Context, Element, Loads
 from rbjax.forces.element import Shapes
 from rbjax.forces.joints.limits import stop_energy, stop_force
 from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model
-from rbjax.model.record import check_number, floats
+from rbjax.wheeled.fields import check_ranges, number
 from rbjax.wheeled.tyres.relaxation import Relaxing
-from rbjax.wheeled.tyres.rolling_resistance import RollingResistance
-from rbjax.wheeled.tyres.tyre import Pair, Tyre, check_above, check_at_least
+from rbjax.wheeled.tyres.tyre import Pair, RollingResistance, Tyre
 
 
 class Contact(NamedTuple):
@@ -96,10 +94,10 @@ class TyreOnGround(Element):
     a: Place
     b: Place
     tyre: Tyre | Relaxing
-    radius: jax.Array = eqx.field(converter=floats)
-    stiffness: jax.Array = eqx.field(converter=floats)
-    damping: jax.Array = eqx.field(converter=floats, default=0.0)
-    onset: jax.Array = eqx.field(converter=floats, default=1e-4)
+    radius: jax.Array = number()
+    stiffness: jax.Array = number()
+    damping: jax.Array = number(default=0.0)
+    onset: jax.Array = number(default=1e-4)
     resistance: RollingResistance | None = None
 
     def __check_init__(self) -> None:
@@ -112,10 +110,8 @@ class TyreOnGround(Element):
                     f"TyreOnGround({name}=...): got {type(got).__name__}, expected {expected} (of "
                     "rbjax.wheeled)"
                 )
-        for name in ("radius", "stiffness", "damping", "onset"):
-            check_number(self, name)
-        check_above(self, radius=0.0, stiffness=0.0, onset=0.0)
-        check_at_least(self, damping=0.0)
+        above = dict.fromkeys(("radius", "stiffness", "onset"), 0.0)
+        check_ranges(self, above=above, least={"damping": 0.0})
 
     def may_be_endless(self, name: str) -> bool:
         return False
@@ -127,7 +123,7 @@ class TyreOnGround(Element):
     def size(self) -> int:
         return self.tyre.size
 
-    def contact(self, now: Instant) -> Contact:
+    def contact(self, now: Context) -> Contact:
         """Where and how it touches, at an instant."""
         A, B, own = self.a.frame(now), self.b.frame(now), self._in(now)
         n, e = A.rotation @ Z, B.rotation @ Z
@@ -153,7 +149,7 @@ class TyreOnGround(Element):
         p = B.position + arm
         return Contact(p, n, x, y, depth, load, lever, (vx, vy), mu, rates, spin, rolls)
 
-    def loads(self, now: Instant) -> Loads:
+    def loads(self, now: Context) -> Loads:
         at, A, B = now.once(self, lambda: self.contact(now)), self.a.frame(now), self.b.frame(now)
         F = (at.n + at.x * at.mu[0] + at.y * at.mu[1]) * at.load
         torque, resistance = Vec3.zero(), self._in(now).resistance
@@ -162,14 +158,14 @@ class TyreOnGround(Element):
             torque = (B.rotation @ Z) * drag
         return opposed(B.push(F, torque, at=at.p), A.push(-F, -torque, at=at.p))
 
-    def rate(self, now: Instant) -> Any:
+    def rate(self, now: Context) -> Any:
         return now.once(self, lambda: self.contact(now)).rates
 
-    def energy(self, now: Instant) -> Lane:
+    def energy(self, now: Context) -> Lane:
         """What the spring stores, and the carcass of a `Relaxing` tyre under its load now."""
         at, own = now.once(self, lambda: self.contact(now)), self._in(now)
         return stop_energy(at.depth, own.stiffness, own.onset) + at.load * own.tyre.stored(now.x)
 
-    def _in(self, now: Instant) -> TyreOnGround:
+    def _in(self, now: Context) -> TyreOnGround:
         """The same, in the precision of the motion."""
         return jax.tree.map(lambda x: jnp.asarray(x, now.q.dtype), self)

@@ -1,31 +1,24 @@
 """Five tyre laws: Coulomb, linear, Fiala's brush, the magic formula, TMeasy.
 
-Each gives the secants G_i of `Tyre`, from the curve f of pure slip that its class names; sigma_i is
-the slip of an axis by which that is measured, rho = |sigma| (see `tyres`).
+Each gives the secants G_i of `Tyre` by its curve f(rho) of pure slip; sigma_i is the normalised
+slip of an axis and rho = |sigma| (see `tyre`).
 """
 
 from __future__ import annotations
 
-from typing import Any
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Lane
-from rbjax.model.record import floats
-from rbjax.wheeled.tyres.tyre import Pair, Tyre, check_above, check_up_to, pair
+from rbjax.wheeled.fields import check_ranges, number
+from rbjax.wheeled.tyres.tyre import Pair, Tyre, pair
 
-#: v_n where none is given, m/s
+#: the default of v_n, m/s
 SMOOTH_SPEED = 0.05
 
 
-def _number(**given: Any) -> Any:
-    return eqx.field(converter=floats, **given)
-
-
 class Linear(Tyre):
-    """Traction in proportion to slip, up to a limit if it has one.
+    """Traction proportional to slip, with or without a limit.
 
         mu_i = -c_i s_i,    with a limit    mu_i = -mu_i* sigma_i / sqrt(1 + rho^2),
                                             sigma_i = c_i s_i / mu_i*
@@ -41,12 +34,10 @@ class Linear(Tyre):
         [0.24, -0.1]
     """
 
-    stiffness: jax.Array = _number()
-    friction: jax.Array | None = _number(default=None)
-    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
-
-    def check_ranges(self) -> None:
-        check_above(self, stiffness=0.0, friction=0.0)
+    positive = ("stiffness", "friction")
+    stiffness: jax.Array = number()
+    friction: jax.Array | None = number(default=None)
+    smooth_speed: jax.Array = number(default=SMOOTH_SPEED)
 
     @property
     def slopes(self) -> Pair:
@@ -63,11 +54,11 @@ class Linear(Tyre):
 
 
 class Coulomb(Tyre):
-    """Friction of one size at any slip, regularised.
+    """Coulomb friction, regularised.
 
         mu_i = -mu_i* sigma_i / sqrt(1 + rho^2),    sigma_i = s_i / w_i
 
-    Fields, () or (2,): friction mu*; width w, the slip at which it has 0.71 of its size;
+    Fields, () or (2,): friction mu*; width w, the slip at which the traction is 0.71 mu*;
     smooth_speed v_n (), m/s.
 
     Example:
@@ -76,12 +67,10 @@ class Coulomb(Tyre):
         [-0.48, -0.64]
     """
 
-    friction: jax.Array = _number()
-    width: jax.Array = _number(default=0.02)
-    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
-
-    def check_ranges(self) -> None:
-        check_above(self, friction=0.0, width=0.0)
+    positive = ("friction", "width")
+    friction: jax.Array = number()
+    width: jax.Array = number(default=0.02)
+    smooth_speed: jax.Array = number(default=SMOOTH_SPEED)
 
     @property
     def slopes(self) -> Pair:
@@ -96,7 +85,7 @@ class Coulomb(Tyre):
 
 
 def _root(square: Lane) -> Lane:
-    """The square root, zero with its derivatives where those of the third order would overflow."""
+    """Compute the square root; zero, with its derivatives, near zero where they would overflow."""
     some = square > jnp.finfo(jnp.result_type(square)).tiny ** (1 / 3)
     return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
 
@@ -109,7 +98,7 @@ def _saturated(slopes: Pair, limits: Pair, sx: Lane, sy: Lane) -> Pair:
 
 
 class Fiala(Tyre):
-    """The brush model: bristles on a parabola of pressure, which adhere or slide.
+    """The brush model: bristles under parabolic pressure, which adhere or slide.
 
         f(rho) = mu* (3 rho - 3 rho^2 + rho^3)   for rho < 1,   mu* beyond
         sigma_i = c_i s_i / (3 mu_i*)
@@ -124,12 +113,10 @@ class Fiala(Tyre):
         [-0.7, -0.0]
     """
 
-    stiffness: jax.Array = _number()
-    friction: jax.Array = _number()
-    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
-
-    def check_ranges(self) -> None:
-        check_above(self, stiffness=0.0, friction=0.0)
+    positive = ("stiffness", "friction")
+    stiffness: jax.Array = number()
+    friction: jax.Array = number()
+    smooth_speed: jax.Array = number(default=SMOOTH_SPEED)
 
     @property
     def slopes(self) -> Pair:
@@ -156,8 +143,8 @@ class Pacejka(Tyre):
         f(rho) = D sin(C atan(rho - E (rho - atan rho))),      sigma_i = B_i s_i
 
     Fields, () or (2,): stiffness_factor B; shape C, above 0 and up to 2; peak D; curvature E, up to
-    1; smooth_speed v_n (), m/s. Beyond these ranges the force would turn round. A C and an E that
-    serve both axes save half of the work.
+    1; smooth_speed v_n (), m/s. Beyond these ranges the force would change its sign. One C and one
+    E for both axes save half of the work.
 
     Source: Pacejka, *Tire and Vehicle Dynamics*, eq. 4.49, without shifts, load and camber;
     combined slip after 4.3.1.
@@ -169,15 +156,15 @@ class Pacejka(Tyre):
         [0.919, -0.0]
     """
 
-    stiffness_factor: jax.Array = _number()
-    shape: jax.Array = _number()
-    peak: jax.Array = _number()
-    curvature: jax.Array = _number(default=0.0)
-    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
+    positive = ("stiffness_factor", "shape", "peak")
+    stiffness_factor: jax.Array = number()
+    shape: jax.Array = number()
+    peak: jax.Array = number()
+    curvature: jax.Array = number(default=0.0)
+    smooth_speed: jax.Array = number(default=SMOOTH_SPEED)
 
-    def check_ranges(self) -> None:
-        check_above(self, stiffness_factor=0.0, shape=0.0, peak=0.0)
-        check_up_to(self, shape=2.0, curvature=1.0)
+    def __check_init__(self) -> None:
+        check_ranges(self, per_axis=True, most={"shape": 2.0, "curvature": 1.0})
 
     @property
     def slopes(self) -> Pair:
@@ -209,15 +196,15 @@ class Pacejka(Tyre):
 
 
 class TMeasy(Tyre):
-    """Rill's law, by the numbers that one reads from a measured curve.
+    """Rill's law, by points of a measured curve.
 
         f(rho) = c s_M rho / (1 + rho (c s_M / f_M - 2 + rho))      up to the peak, rho = 1
         f(rho) = f_M - (f_M - f_S) x^2 (3 - 2 x)                    beyond
         f(rho) = f_S                                                from x = 1 on
 
-    with sigma_i = s_i / s_M,i and x = (rho - 1) / (s_S / s_M - 1). Rill blends the numbers of both
-    axes by the direction of slip, which in between leaves the ellipse of friction. Here each axis
-    keeps its own curve. For tyres that are alike along and across, both are the same.
+    with sigma_i = s_i / s_M,i and x = (rho - 1) / (s_S / s_M - 1). Rill blends the coefficients of
+    both axes by the direction of slip, which can leave the friction ellipse. Here each axis keeps
+    its own curve. For tyres with equal coefficients along and across, both are the same.
 
     Fields, () or (2,): slope c, at no slip (2 f_M / s_M or more for a curve without inflection);
     peak_slip s_M; peak f_M; sliding_slip s_S, above s_M; sliding f_S, up to f_M; smooth_speed v_n
@@ -233,17 +220,17 @@ class TMeasy(Tyre):
         [1.0, -0.0]
     """
 
-    slope: jax.Array = _number()
-    peak_slip: jax.Array = _number()
-    peak: jax.Array = _number()
-    sliding_slip: jax.Array = _number()
-    sliding: jax.Array = _number()
-    smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
+    positive = ("slope", "peak_slip", "peak", "sliding")
+    slope: jax.Array = number()
+    peak_slip: jax.Array = number()
+    peak: jax.Array = number()
+    sliding_slip: jax.Array = number()
+    sliding: jax.Array = number()
+    smooth_speed: jax.Array = number(default=SMOOTH_SPEED)
 
-    def check_ranges(self) -> None:
-        check_above(self, slope=0.0, peak_slip=0.0, peak=0.0, sliding=0.0)
-        check_above(self, sliding_slip=self.peak_slip)
-        check_up_to(self, sliding=self.peak)
+    def __check_init__(self) -> None:
+        above, most = {"sliding_slip": self.peak_slip}, {"sliding": self.peak}
+        check_ranges(self, per_axis=True, above=above, most=most)
 
     @property
     def slopes(self) -> Pair:

@@ -1,46 +1,33 @@
 """Tyres that relax: the carcass is a spring in series with the slip of the contact.
 
-zeta is how far the contact is deflected from the rim. For each newton of load the carcass pulls the
-wheel with c (zeta + tau zeta'), c = C / sigma, C being the law's slope and sigma the relaxation
-length. The contact slides on the ground at v_s + zeta', and grips with the secant G of the law:
+zeta is the deflection of the contact from the rim. For each newton of load the carcass pulls the
+wheel with c (zeta + tau zeta'), c = C / sigma, where C is the slope of the law and sigma the
+relaxation length. The contact slides on the ground at v_s + zeta', with the secant G of the law:
 
     c (zeta + tau zeta') = -G (v_s + zeta') / v,        v = sqrt((r phi')^2 + v_n^2)
-
     zeta' = -(G v_s + c v zeta) / (G + c tau v)
-(Rill & Castro, *Road Vehicle Dynamics*, 3.4; Pacejka, *Tire and Vehicle Dynamics*, 7.2, is its
-linear part, zeta' = -v_s - v zeta / sigma.) Hence
+(Rill & Castro, *Road Vehicle Dynamics*, 3.4; Pacejka, *Tire and Vehicle Dynamics*, 7.2, is the
+linear part, zeta' = -v_s - v zeta / sigma.)
 
-    steady      zeta' = 0 gives the law's own traction.
-    bounds      the traction is a mean, of weights G and c tau v, of the spring's pull and the law's
-                traction now. The spring's lies between tractions that the law had: within the
-                law's limits along and across. Where one length serves both axes, and the law one
-                curve, it is within the ellipse.
-    standing    v = v_n: a spring, which holds a car on a slope. It gives way at v_n C / (G sigma)
-                of its deflection a second, so make v_n small: 1e-4 m/s costs nothing here, since no
-                force changes faster than the spring and the damper c tau have it. As in Dahl's law
-                of friction, a load that comes and goes moves it a little each time.
-    locked      sliding at v_s, it forgets within mu / c of way, so nothing winds up.
-    power       mu . v_s = -d/dt (c zeta^2 / 2) - c tau zeta'^2 - mu^2 v / G, never gained.
+    steady      zeta' = 0 gives the traction of the law.
+    bounds      the traction is a mean, with the weights G and c tau v, of the spring force and the
+                traction of the law, so it is within the limits of the law along and across.
+    standing    v = v_n: a spring, which holds a car on a slope. Its deflection decays at the rate
+                v_n C / (G sigma), so choose a small v_n, such as 1e-4 m/s.
+    power       mu . v_s = -d/dt (c zeta^2 / 2) - c tau zeta'^2 - mu^2 v / G: none is gained.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 
 from rbjax.errors import InputError
 from rbjax.lanes import Lane
-from rbjax.model.record import Record, check_number, floats
-from rbjax.wheeled.tyres.tyre import (
-    Pair,
-    Tyre,
-    check_above,
-    check_at_least,
-    check_coefficients,
-    pair,
-)
+from rbjax.model.record import Record
+from rbjax.wheeled.fields import check_ranges, number
+from rbjax.wheeled.tyres.tyre import Pair, Tyre, pair
 
 
 class Relaxing(Record):
@@ -62,8 +49,8 @@ class Relaxing(Record):
     """
 
     law: Tyre
-    length: jax.Array = eqx.field(converter=floats)
-    damping_time: jax.Array = eqx.field(converter=floats, default=0.0)
+    length: jax.Array = number()
+    damping_time: jax.Array = number(default=0.0)
 
     def __check_init__(self) -> None:
         if not isinstance(self.law, Tyre):
@@ -71,18 +58,16 @@ class Relaxing(Record):
                 f"Relaxing(law=...): got {type(self.law).__name__}, expected a tyre law, as "
                 "rbjax.wheeled.TMeasy"
             )
-        check_coefficients(self)
-        check_number(self, "damping_time")
-        check_above(self, length=0.0)
-        check_at_least(self, damping_time=0.0)
+        above, least = {"length": 0.0}, {"damping_time": 0.0}
+        check_ranges(self, per_axis=True, above=above, least=least)
 
     @property
     def size(self) -> int:
-        """How many numbers of state it has."""
+        """The number of states."""
         return 2
 
     def response(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any) -> tuple[Pair, Pair]:
-        """The traction (mu_x, mu_y) and the rates (zeta_x', zeta_y'), m/s.
+        """Compute the traction (mu_x, mu_y) and the rates (zeta_x', zeta_y'), m/s.
 
         Args:
             ux, uy: the velocity of the wheel's centre, m/s in the wheel's axes.
@@ -101,16 +86,16 @@ class Relaxing(Record):
         return (mu[0], mu[1]), (rates[0], rates[1])
 
     def traction(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any) -> Pair:
-        """The first part of `response`."""
+        """Compute the first part of `response`."""
         return self.response(ux, uy, roll_speed, z)[0]
 
     def rate(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any) -> Pair:
-        """The second part of `response`."""
+        """Compute the second part of `response`."""
         return self.response(ux, uy, roll_speed, z)[1]
 
     def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
-        """c (h + t_d) G / (G + c v t_d), s/m: by how much more the traction at the end of a step h
-        opposes the sliding velocity, which the carcass then has taken up."""
+        """Compute c (h + tau) G / (G + c v tau), s/m: the damping of the sliding velocity by the
+        traction at the end of a step h."""
         v = self.law.reference_speed(roll_speed)
         secants = self.law.secants(vx / v, vy / v)
         along, across = (
@@ -120,13 +105,13 @@ class Relaxing(Record):
         return along, across
 
     def stored(self, z: Any) -> Lane:
-        """(c_x zeta_x^2 + c_y zeta_y^2) / 2, in metres: the energy for each newton of load."""
+        """Compute the energy for each newton of load, (c_x zeta_x^2 + c_y zeta_y^2) / 2, in m."""
         (cx, cy), (x, y) = self.carcass, z
         return (cx * x * x + cy * y * y) / 2
 
     @property
     def limits(self) -> Pair:
-        """Those of the law."""
+        """The limits of the law."""
         return self.law.limits
 
     @property

@@ -87,7 +87,7 @@ def test_what_has_no_equilibrium_is_reported() -> None:
     class Speed(rc.Constraint):
         size = 1
 
-        def rows(self, now: rb.forces.Instant) -> list[rc.Row]:
+        def rows(self, now: rb.forces.Context) -> list[rc.Row]:
             return [rc.coordinate(now, 0).time_derivative - 0.3]
 
     with pytest.raises(rb.InputError, match="demand rates of 3"):

@@ -29,7 +29,7 @@ from rbjax.control.optimal.collocation.transcription import (
 )
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.expansion import Quadratic
-from rbjax.lanes.products import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec
 from rbjax.solvers.common.tableau import Tableau
 
 

@@ -35,7 +35,7 @@ from rbjax.control.optimal.collocation.transcription import (
 from rbjax.control.optimal.constraint_rows import limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback, backward_pass
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 from rbjax.solvers.common.tableau import Tableau
 
 
@@ -113,8 +113,7 @@ class Transcribed(NamedTuple):
         for i, where in enumerate(("path", "end")):
             slack = (point.path, point.end)[i]
             low, high = (
-                jnp.broadcast_to(x, slack.shape)
-                for x in limits(self.problem, where, slack.dtype)
+                jnp.broadcast_to(x, slack.shape) for x in limits(self.problem, where, slack.dtype)
             )
             out.append(Rows(slack, l.slacks[i], l.y[i], l.centre[i], low, high))
         return out[0], out[1]
@@ -222,9 +221,7 @@ class Transcribed(NamedTuple):
             du = k + matvec(K, dx)
             return matvec(A, dx) + matvec(B, du) + gap, (dx, du)
 
-        found: Any = jax.lax.scan(
-            forth, gains.first, (path.A, path.B, gaps[1:], gains.K, gains.k)
-        )
+        found: Any = jax.lax.scan(forth, gains.first, (path.A, path.B, gaps[1:], gains.K, gains.k))
         last, (dx, du) = found
         e = jnp.concatenate([dx, du], 1)
         rates = (matvec(path.Z, e) + path.offset).reshape(point.inner.rates.shape)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.lanes.products import matvec
+from rbjax.lanes.arrays import matvec
 
 TURNS = 20  # at most; a program of m entries seldom takes more than m + 2
 HALVINGS = np.array([0.5**k for k in range(8)])

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer, real_number
 from rbjax.compiler import threads
 from rbjax.control.optimal.constraint_rows import (
     constraint_violations,
@@ -39,7 +40,6 @@ from rbjax.control.optimal.shooting.knots import largest_gap
 from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.common.arguments import check_between, check_whole
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")
@@ -82,8 +82,8 @@ class Sampling:
         for what, names in (("update", UPDATES), ("spline", SPLINES)):
             if getattr(self, what) not in names:
                 raise UnknownName(f"{what} of Sampling", getattr(self, what), names)
-        check_whole("Sampling", "samples", self.samples, 10)
-        check_whole("Sampling", "points", self.points, 1)
+        integer("Sampling", "samples", self.samples, least=10)
+        integer("Sampling", "points", self.points, least=1)
         for what, low, high in (
             ("cooling", 0.0, 1.0), ("smoothing", 0.0, 1.0), ("spread", 1e-12, 1e12),
             ("temperature", 1e-12, 1e12), ("penalty", 0.0, 1e300),
@@ -91,7 +91,7 @@ class Sampling:
             value = getattr(self, what)
             if np.ndim(value):
                 raise InputError(f"Sampling: {what} has shape {np.shape(value)}, expected a number")
-            check_between("Sampling", what, value, low, high)
+            real_number("Sampling", what, value, least=low, most=high, traced=True)
 
     def __call__(
         self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
@@ -115,7 +115,7 @@ class SampledStart:
         if not isinstance(self.sampling, Sampling):
             got = type(self.sampling).__name__
             raise InputError(f"SampledStart: sampling is {got}, expected an rb.control.Sampling")
-        check_whole("SampledStart", "rounds", self.rounds, 1)
+        integer("SampledStart", "rounds", self.rounds, least=1)
 
     def __call__(
         self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
@@ -312,10 +312,7 @@ def rolled(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array
     """The cost () of a draw, penalties of constraints included."""
     dtype, N = draw.points.dtype, problem.horizon
     mu = jnp.asarray(how.penalty, dtype)
-    rows = [
-        jnp.zeros(row_count(problem, where), dtype)
-        for where in ("path", "end")
-    ]
+    rows = [jnp.zeros(row_count(problem, where), dtype) for where in ("path", "end")]
 
     def step(carry: tuple, k: jax.Array) -> tuple[tuple, None]:
         knot, total = carry

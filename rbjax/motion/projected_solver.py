@@ -1,4 +1,4 @@
-"""A diffrax solver whose states a formulation of constraints settles after each step."""
+"""A diffrax solver whose states a formulation of constraints projects after each step."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ import jax
 
 from rbjax.constraints.formulation import Formulation
 from rbjax.constraints.methods.differential_algebraic import stepped
+from rbjax.errors import InputError
 from rbjax.model import Model, State
-from rbjax.motion.field import Law, moves_stages
+from rbjax.motion.field import Dynamics, moves_stages
 from rbjax.motion.implicit import StagesSolver, stepped_by
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import VectorField
 from rbjax.solvers import BDF
-from rbjax.solvers.common.arguments import check_solver
 from rbjax.solvers.common.wrapped import Wrapped
 
 
-class Settling(Wrapped):
+class ProjectedSolver(Wrapped):
     """A solver with the projections of a formulation: `stage_state` at the stages and at the end of
     each step, `project` after it.
 
     The estimate of the error is that of the step before it. A solver that keeps the slope at the
-    end of a step for the next one keeps that of the unsettled state, which differs by less than the
-    error of the step.
+    end of a step for the next one keeps that of the state before it was projected, which differs by
+    less than the error of the step.
     """
 
     formulation: Formulation = eqx.field(static=True)
@@ -48,12 +48,12 @@ class Settling(Wrapped):
         return y1, error, dense | ({"y1": y1} if "y1" in dense else {}), solver_state, result
 
 
-def solver_of(given: diffrax.AbstractSolver | None, law: Law) -> diffrax.AbstractSolver:
-    """The solver of a law: the caller's, that which takes its method to the equations of a
-    formulation of index 2 or 3, or the default."""
+def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffrax.AbstractSolver:
+    """The solver of a dynamics: the caller's, the implicit solver of the equations of a formulation
+    of index 2 or 3, or the default."""
     if given is not None:
-        check_solver("simulate", given)
-    formulation = stepped(law)
+        _check_solver("simulate", given)
+    formulation = stepped(dynamics)
     if formulation is not None:
         if isinstance(given, BDF):
             return BDFSolver(formulation, given.formula_order)
@@ -63,7 +63,7 @@ def solver_of(given: diffrax.AbstractSolver | None, law: Law) -> diffrax.Abstrac
 
 
 def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
-    """The terms, whose fields know where their step began."""
+    """The terms, with the time and state at which their step began."""
 
     def of(x: Any) -> Any:
         return dataclasses.replace(x, begun=begun) if is_field(x) else x
@@ -74,10 +74,25 @@ def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
     return jax.tree.map(of, terms, is_leaf=is_field)
 
 
-def settling(
-    solver: diffrax.AbstractSolver, law: Law, model: Callable[[Any], Model], start: Any
+def project_after_steps(
+    solver: diffrax.AbstractSolver, dynamics: Dynamics, model: Callable[[Any], Model], start: Any
 ) -> diffrax.AbstractSolver:
-    """The solver, with what the law does to states after steps, if it does anything."""
-    if not isinstance(law, Formulation) or law.projection is None:
+    """The solver, with the projection of the dynamics after each step if it has one."""
+    if not isinstance(dynamics, Formulation) or dynamics.projection is None:
         return solver
-    return Settling(solver, law, model, start)
+    return ProjectedSolver(solver, dynamics, model, start)
+
+
+def _check_solver(function: str, solver: Any) -> None:
+    """`InputError` unless solver is an instance of a diffrax solver."""
+    if isinstance(solver, diffrax.AbstractSolver):
+        return
+    got, fix = repr(solver), ""
+    if isinstance(solver, str):
+        fix = f": rb.solvers.all()[{solver!r}].make()"
+    elif hasattr(solver, "make"):
+        fix = ": the entry's make()"
+    elif hasattr(solver, "__name__"):
+        got = f"the {'class' if isinstance(solver, type) else 'function'} {solver.__name__}"
+        fix = f": {solver.__name__}()"
+    raise InputError(f"{function}: solver is {got}, expected a solver of diffrax{fix}")

@@ -13,7 +13,7 @@ from rbjax.wheeled.kinematics.velocities import Shape, caster_rates, shape_along
 
 
 @dataclass(frozen=True)
-class Instant:
+class Context:
     """Coordinates, velocities, tyre states and controls as lanes.
 
     What depends on the angles is computed once.
@@ -25,7 +25,7 @@ class Instant:
     x: list[Lane]
     u: list[Lane]
 
-    def with_velocities(self, v: list[Lane], x: list[Lane]) -> Instant:
+    def with_velocities(self, v: list[Lane], x: list[Lane]) -> Context:
         """At the same coordinates, with other velocities and tyre states."""
         out = replace(self, v=v, x=x)
         known = ("pose", "directions", "shape")
@@ -76,12 +76,12 @@ class Instant:
         )  # fmt: skip
 
 
-def angles_of(n: Numbers, now: Instant) -> list[Lane]:
+def angles_of(n: Numbers, now: Context) -> list[Lane]:
     """The angles on which the shape depends."""
     return now.q[3 : n.layout.casters.stop]
 
 
-def steering_rates(n: Numbers, now: Instant) -> list[Lane]:
+def steering_rates(n: Numbers, now: Context) -> list[Lane]:
     """b' of each steering."""
     out = []
     first = len(n.robot.drives)
@@ -94,13 +94,13 @@ def steering_rates(n: Numbers, now: Instant) -> list[Lane]:
     return out
 
 
-def coordinate_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+def coordinate_rates(n: Numbers, now: Context, w: Sequence[Lane]) -> list[Lane]:
     """q' by the full velocities."""
     x, y = turned((w[0], w[1]), now.pose)
     return [x, y, w[2], *angle_rates(n, now, w), *w[2 + len(n.bodies) :]]
 
 
-def angle_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+def angle_rates(n: Numbers, now: Context, w: Sequence[Lane]) -> list[Lane]:
     """The rates of the angles on which the shape depends."""
     trailers = list(w[3 : 2 + len(n.bodies)])
     casters = []

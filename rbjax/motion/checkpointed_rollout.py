@@ -2,8 +2,8 @@
 
 The forward program keeps the state before every k-th step. The reverse one walks back over these:
 it takes the k steps again, holds their states in the thread's own memory, and transposes them from
-the last to the first. So a sample keeps steps / k states, and holds k more at a time. Where memory
-allows, each step is kept with what it leaves for its transposed derivative (`Pullback`).
+the last to the first. So a sample keeps steps / k states, and holds k more at a time. If memory
+allows, the residuals that the transposed derivative of each step needs (`Pullback`) are saved too.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ HELD_UP_TO = 16 * 1024
 
 
 @dataclass(frozen=True)
-class March:
+class CheckpointedRollout:
     """Steps of `step(i, *state, control, *others) -> state`, which has no control if not `driven`.
 
     size: arrays of the state; k: steps from one kept state to the next, a divisor of save_every;
-    leaving: whether what steps leave is kept too; then k is 1.
+    keep_residuals: whether the residuals of the steps are saved too; then k is 1.
     """
 
     step: Program
@@ -41,7 +41,7 @@ class March:
     save_every: int
     driven: bool
     k: int
-    leaving: bool = False
+    keep_residuals: bool = False
 
     def program(self, plain: Program | None = None) -> Program:
         """(*state, controls (steps, nu), *others) -> states (1 + steps / save_every, ...).
@@ -57,12 +57,12 @@ class March:
 
         @functools.cache
         def keeping(moving: Moving) -> Program:
-            if every and not self.leaving:
+            if every and not self.keep_residuals:
                 return plain
 
             def f(*args: Any) -> list:
                 states, before, left = self._forward(
-                    args, self.pullback(moving) if self.leaving else None
+                    args, self.pullback(moving) if self.keep_residuals else None
                 )
                 return [*states, *([] if every else before), *left]
 
@@ -73,7 +73,7 @@ class March:
         )
 
     def pullback(self, moving: Sequence[bool]) -> Pullback:
-        """Of the step, where these of the arguments of the march move."""
+        """The vjp of the step with respect to the moving arguments of the rollout."""
         first = self.size + self.driven
         own = (False, *[True] * self.size, *moving[self.size : first], *moving[first:])
         return Pullback.of(self.step, own)
@@ -92,7 +92,7 @@ class March:
     def _forward(
         self, args: Sequence[Any], step_vjp: Pullback | None = None
     ) -> tuple[list, list, list]:
-        """States that are saved, states that are kept, and what the steps leave for `step_vjp`."""
+        """Saved states, checkpoints, and the residuals of the steps for `step_vjp`."""
         state, controls, others = self._parts(args)
         saved, kept, k = self._turns
 
@@ -117,7 +117,7 @@ class March:
         )
 
     def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: Pullback | None) -> Any:
-        """The number and the state of the next step, and what the step leaves for `step_vjp`."""
+        """The index and state of the next step, and the residuals of the step for `step_vjp`."""
         i, state = carry
         step = step_vjp.forward if step_vjp else self.step
         new = run(step, [i, *state, *_given(u), *others])  # one equation, however long it is

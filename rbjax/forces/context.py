@@ -27,17 +27,23 @@ from rbjax.spatial import Force, Motion, Transform
 
 
 @dataclass(frozen=True)
-class Instant:
-    """Time t, configuration q (nq,), velocity v (nv,), controls u (nu,) or None, the element's own
-    state x (size,), the length dt of the step in which it stands, or None where that is not fixed;
-    the accelerations a (nv,) for those of frames, zero where None; bodies, sites and joints by name
-    or index."""
+class Context:
+    """The state of motion at an instant, as a force element, a constraint or a sensor reads it.
+
+    Fields:
+        t: time in s.
+        q, v: configuration (nq,), velocity (nv,).
+        ctrl: controls (nu,), or None.
+        x: the element's own state (size,).
+        dt: the time step in s, None if no step is fixed.
+        a: accelerations (nv,) for those of frames; zero if None.
+    """
 
     model: Model
     t: Any
     q: jax.Array
     v: jax.Array
-    u: Any
+    ctrl: Any
     x: Any
     links: LinkMotion
     dt: Any = None
@@ -58,21 +64,21 @@ class Instant:
         model: Model,
         t: Any,
         state: State,
-        u: Any,
+        ctrl: Any,
         dt: Any = None,
         d: Driver | None = None,
-    ) -> Instant:
+    ) -> Context:
         """The instant of a state; its x is that of all elements. d: the driver, the model's if
         None."""
         links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
         own = without_constants(model)  # a user's element may change the leaves
-        return cls(own, t, state.q, state.v, u, state.x, links, dt)
+        return cls(own, t, state.q, state.v, ctrl, state.x, links, dt)
 
-    def accelerating(self, a: jax.Array) -> Instant:
+    def accelerating(self, a: jax.Array) -> Context:
         """The same with the accelerations a (nv,)."""
         return replace(self, a=a, links=self.links.accelerating(a))
 
-    def with_own(self, x: Any) -> Instant:
+    def with_own(self, x: Any) -> Context:
         """The same, as an element with the state x sees it."""
         return replace(self, x=x)
 
@@ -212,7 +218,7 @@ class Frame:
             X, S = self._links.to_parent(at)
             out[at] = S.dot(wrench)
             wrench = X.T(wrench)
-            at = self._links.driver.topology.links[at].parent
+            at = self._links.driver.topology.dofs[at].parent
         return out
 
     def world_arms(self, force: Vec3, torque: Vec3) -> dict[int, Lane]:

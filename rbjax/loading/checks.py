@@ -1,6 +1,12 @@
-"""Numbers that are not finite: MuJoCo compiles them, and the loader rejects them."""
+"""Checks of a compiled model: numbers that are not finite, joints that move no mass.
+
+MuJoCo compiles both. If the motions of two joints cancel, M is singular and M a = tau has no unique
+solution.
+"""
 
 from __future__ import annotations
+
+import copy
 
 import jax
 import jax.numpy as jnp
@@ -8,14 +14,15 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError
+from rbjax.loading.mjcf.actuator_kinds import reflected
 from rbjax.model.record import Record
 
-#: leaves in which infinite means that there is no limit
+#: leaves in which an infinite number means no limit
 _LIMITS = ("range", "limits", "windup", "slew", "drive", "current_rate", "strongest")
 
 
 def refuse_nan(record: Record) -> None:
-    """Refuse a force element of numbers that are not finite."""
+    """Raise if a number of a force element is not finite."""
     for at, leaf in jax.tree_util.tree_leaves_with_path(record):
         name, values = jax.tree_util.keystr(at).lstrip("."), np.asarray(leaf)
         bad = np.isnan(values) if name.endswith(_LIMITS) else ~np.isfinite(values)
@@ -40,7 +47,7 @@ def within_range(x: np.ndarray) -> jax.Array:
 
 
 def refuse_nan_in(m: mujoco.MjModel) -> None:
-    """Reject a compiled model with numbers that are not finite. MuJoCo only warns of them."""
+    """Raise if a number of a compiled model is not finite; MuJoCo only warns."""
     fields = "qpos0 qpos_spring body_mass body_ipos body_iquat body_inertia body_pos body_quat"
     fields += " jnt_pos jnt_axis jnt_stiffness dof_armature dof_damping site_pos site_quat"
     fields += " actuator_gear actuator_gainprm actuator_biasprm key_qpos key_qvel key_ctrl"
@@ -61,3 +68,54 @@ def refuse_nan_in(m: mujoco.MjModel) -> None:
             )
     if not np.isfinite(m.opt.gravity).all():
         raise ModelError(f"gravity is {m.opt.gravity}, which is not finite; correct the file")
+
+
+#: part of the largest below which an eigenvalue of M is rounding, for each velocity
+_SINGULAR = 1e-15
+_SMALL = 300  # velocities up to which eigenvalues take no time
+
+
+def data_of(m: mujoco.MjModel) -> mujoco.MjData:
+    """Make MuJoCo's data of a model."""
+    try:
+        return mujoco.MjData(m)
+    except mujoco.FatalError as error:
+        size = m.narena / 2**20
+        raise ModelError(
+            f"MuJoCo cannot make the data of the model, which take more than {size:.0f} MiB: "
+            f"{error}; free memory, or lower <size memory=...>"
+        ) from error
+
+
+def mass_matrix(m: mujoco.MjModel) -> np.ndarray:
+    """M (nv, nv) at a generic pose."""
+    data = data_of(m)
+    mujoco.mj_integratePos(m, data.qpos, np.cos(np.arange(1.0, m.nv + 1)), 1.0)
+    m = copy.copy(m)  # do not write into the caller's model
+    m.body_subtreemass[:] = m.body_mass
+    for i in range(m.nbody - 1, 0, -1):
+        m.body_subtreemass[m.body_parentid[i]] += m.body_subtreemass[i]
+    mujoco.mj_kinematics(m, data)
+    mujoco.mj_comPos(m, data)
+    mujoco.mj_crb(m, data)
+    M = np.zeros((m.nv, m.nv))
+    mujoco.mj_fullM(m, data, M)
+    return M + np.diag(reflected(m)[0])
+
+
+def joints_that_cancel(m: mujoco.MjModel, M: np.ndarray | None = None) -> list[str]:
+    """The names of joints whose motions cancel, so that M is singular at a generic pose. A large
+    model is not examined."""
+    if not 0 < m.nv <= _SMALL:
+        return []
+    M = mass_matrix(m) if M is None else M
+    size = np.sqrt(np.abs(np.diag(M)))
+    if not np.isfinite(M).all() or not size.all():
+        return []
+    values, motions = np.linalg.eigh(M / size / size[:, None])
+    least = np.argmin(np.abs(values))
+    if np.abs(values[least]) > _SINGULAR * m.nv:
+        return []
+    share = np.abs(motions[:, least])
+    joints = dict.fromkeys(m.dof_jntid[np.flatnonzero(share > 0.1 * share.max())].tolist())
+    return [m.joint(j).name or f"joint{j}" for j in joints]

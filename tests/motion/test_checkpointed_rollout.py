@@ -17,9 +17,9 @@ from rbjax.compiler.jax.programs import traced
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
+from rbjax.motion.checkpointed_rollout import CheckpointedRollout, keep_every
 from rbjax.motion.field import Field
 from rbjax.motion.integrators import semi_implicit_euler
-from rbjax.motion.march import March, keep_every
 from rbjax.motion.pullback import Pullback
 from tests.compiler.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
@@ -29,7 +29,7 @@ STEPS, BATCH, N, NU = 12, 5, 3, 2
 RNG = np.random.default_rng(0)
 OTHER, Q, V = RNG.normal(size=N), RNG.normal(size=(BATCH, N)), RNG.normal(size=(BATCH, N))
 US = RNG.normal(size=(BATCH, STEPS, NU))
-#: save_every, k, and whether what steps leave is kept
+#: save_every, k, and whether the residuals of the steps are kept
 KEPT = [
     (12, 4, False), (4, 1, True), (4, 4, False), (4, 2, False), (1, 1, False), (12, 1, False),
     (12, 12, False), (1, 1, True),
@@ -56,11 +56,11 @@ def undriven(i, q, v, w):
     return step(i, q, v, jnp.zeros(NU), w)
 
 
-def marched(save_every: int, k: int, leaving: bool = False, driven: bool = True):
+def checkpointed(save_every: int, k: int, keep_residuals: bool = False, driven: bool = True):
     shapes = [(N,), (N,), *[(NU,)] * driven, (N,)]
     avals = [jax.ShapeDtypeStruct(s, jnp.float64) for s in shapes]
     one = traced(step if driven else undriven, jax.ShapeDtypeStruct((), jnp.int32), *avals)
-    return March(one, 2, STEPS, save_every, driven, k, leaving).program()
+    return CheckpointedRollout(one, 2, STEPS, save_every, driven, k, keep_residuals).program()
 
 
 def scanned(save_every: int):
@@ -89,11 +89,11 @@ def weighed(f):
 
 
 @pytest.mark.parametrize(
-    ("save_every", "k", "leaving"),
+    ("save_every", "k", "keep_residuals"),
     [*KEPT[:2], *(pytest.param(*x, marks=SLOW) for x in KEPT[2:])],
 )
-def test_a_march_is_a_scan(save_every, k, leaving):
-    program, want = marched(save_every, k, leaving), scanned(save_every)
+def test_a_checkpointed_rollout_is_a_scan(save_every, k, keep_residuals):
+    program, want = checkpointed(save_every, k, keep_residuals), scanned(save_every)
 
     @jax.jit
     def both(w, q, v, us):
@@ -110,8 +110,8 @@ def test_a_march_is_a_scan(save_every, k, leaving):
 
 
 @pytest.mark.parametrize("k", [3, pytest.param(1, marks=SLOW)])
-def test_a_march_without_controls(k):
-    program, want = marched(6, k, driven=False), scanned(6)
+def test_a_checkpointed_rollout_without_controls(k):
+    program, want = checkpointed(6, k, driven=False), scanned(6)
 
     def last(f):
         def loss(w):
@@ -129,14 +129,14 @@ def test_a_march_without_controls(k):
 def test_emitted_states_and_cotangents(kept):
     w = np.tile(OTHER, (BATCH, 1))
     cases, wants = [], []
-    for save_every, k, leaving in kept:
-        program, plain = marched(save_every, k, leaving), scanned(save_every)
+    for save_every, k, keep_residuals in kept:
+        program, plain = checkpointed(save_every, k, keep_residuals), scanned(save_every)
         states = jax.vmap(plain)(Q, V, US, w)
         bars = [RNG.normal(size=x.shape) for x in states]
         keeping = program.keeping((True,) * 4)
         found = jax.vmap(keeping)(Q, V, US, w)
         agree(found[:2], states)
-        assert found[-1].shape == ((BATCH, STEPS, N) if leaving else found[-1].shape)
+        assert found[-1].shape == ((BATCH, STEPS, N) if keep_residuals else found[-1].shape)
         pull = program.transposed((True,) * 4, (True, True))
         cases += [(program, (Q, V, US, w)), (keeping, (Q, V, US, w))]
         cases.append((pull, (Q, V, US, w, *found[program.reads :], *bars)))
@@ -205,8 +205,7 @@ def size(path: rb.Trajectory):
 def compare(f, *args) -> None:
     """f(kernel, *args), with True and with False."""
     got, want = (
-        jax.jit(lambda *a, kernel=kernel: f(kernel, *a))(*args)
-        for kernel in (True, False)
+        jax.jit(lambda *a, kernel=kernel: f(kernel, *a))(*args) for kernel in (True, False)
     )
     agree(got, want, F64_IDENTITY)
 
@@ -224,9 +223,7 @@ def mostly_slow(*quick: str) -> list:
     ]
 
 
-@pytest.mark.parametrize(
-    ("scene", "integrator", "some"), mostly_slow("own controls")
-)
+@pytest.mark.parametrize(("scene", "integrator", "some"), mostly_slow("own controls"))
 def test_controls_and_masses(scene, integrator, some):
     model, state, us, _ = given(scene)
 

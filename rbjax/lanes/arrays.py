@@ -1,0 +1,80 @@
+"""Operations on arrays: products without `dot`, extreme entries, maps over rows.
+
+Products of stacks of matrices and vectors do not use `dot`, so that f32 is f32 on every device. The
+derivative of an extreme entry is that of one entry, chosen by its index. That of `jnp.min` divides
+by the number of equal entries, which XLA may compute as zero.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+Array = Any  # of numpy, of JAX, or an object array of cells
+
+
+def matmat(A: Array, B: Array) -> Array:
+    """A B for stacks of matrices (..., m, n) and (..., n, k)."""
+    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
+
+
+def matvec(A: Array, x: Array) -> Array:
+    """A x for stacks of matrices (..., m, n) and vectors (..., n)."""
+    return (A * x[..., None, :]).sum(-1)
+
+
+def matrix_transpose(A: Array) -> Array:
+    """A^T for stacks of matrices."""
+    return A.swapaxes(-1, -2)
+
+
+def outer(a: Array, b: Array) -> Array:
+    """a b^T for stacks of vectors (..., m) and (..., n)."""
+    return a[..., :, None] * b[..., None, :]
+
+
+Pair = tuple[jax.Array, jax.Array]
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
+def smallest(x: jax.Array, axis: int = -1) -> jax.Array:
+    """The minimum along an axis that is not empty."""
+    return x.min(axis)
+
+
+@smallest.defjvp
+def _smallest_jvp(axis: int, primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> Pair:
+    return _picked(jnp.argmin(*primals, axis, keepdims=True), axis, *primals, *tangents)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
+def largest(x: jax.Array, axis: int = -1) -> jax.Array:
+    """The maximum along an axis that is not empty."""
+    return x.max(axis)
+
+
+@largest.defjvp
+def _largest_jvp(axis: int, primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> Pair:
+    return _picked(jnp.argmax(*primals, axis, keepdims=True), axis, *primals, *tangents)
+
+
+def _picked(index: jax.Array, axis: int, x: jax.Array, dx: jax.Array) -> Pair:
+    one, other = (jnp.take_along_axis(y, index, axis).squeeze(axis) for y in (x, dx))
+    return one, other
+
+
+def each(f: Callable, *xs: Any) -> Any:
+    """Map f over the rows of the arguments and stack the results.
+
+    On a CPU this is `vmap`. A GPU thread computes one row after another in a loop, so that its
+    program contains f once and holds the intermediate values of one row.
+    """
+
+    def loop(*xs: Any) -> Any:
+        return jax.lax.map(jax.checkpoint(lambda x: f(*x)), xs)
+
+    return jax.lax.platform_dependent(*xs, cuda=loop, default=jax.vmap(f))

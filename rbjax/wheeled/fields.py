@@ -1,0 +1,73 @@
+"""Numbers of robots, motors and tyres as fields of records, and checks of their ranges."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.model.record import Record, check_fields, check_numbers, floats
+
+#: coefficients that are one number for both axes of a tyre
+_SHARED = ("smooth_speed", "damping_time")
+_NO_RANGE: Mapping[str, Any] = {}
+
+
+def number(**given: Any) -> Any:
+    """A field of numbers, with a `default` if one is given."""
+    return eqx.field(converter=floats, **given)
+
+
+def check_ranges(
+    record: Record,
+    *,
+    pairs: Sequence[str] = (),
+    per_axis: bool = False,
+    above: Mapping[str, Any] = _NO_RANGE,
+    least: Mapping[str, Any] = _NO_RANGE,
+    most: Mapping[str, Any] = _NO_RANGE,
+) -> None:
+    """Raise `InputError` unless all fields of numbers have their shapes and ranges.
+
+    Args:
+        record: its fields are numbers, other records, or static.
+        pairs: fields of two numbers, x and y.
+        per_axis: whether a field may have one number along the wheel and one across.
+        above, least, most: limits by field. Traced values are not checked.
+    """
+    check_fields(record)
+    for field in dataclasses.fields(record):
+        value, where = getattr(record, field.name), f"{type(record).__name__}({field.name}=...)"
+        if not str(field.type).startswith(("jax.Array", "<class 'jax.Array")) or value is None:
+            continue
+        check_numbers(where, value, endless=record.may_be_endless(field.name))
+        shape = jnp.shape(value)
+        if field.name in pairs:
+            if shape != (2,):
+                raise InputError(f"{where}: got shape {shape}, expected (2,), x and y in m")
+        elif shape != () and not (per_axis and shape == (2,) and field.name not in _SHARED):
+            fix = ", or (2,): one along the wheel and one across" if per_axis else ""
+            raise InputError(
+                f"{where}: got the shape {shape}, expected a number{fix}; for many use jax.vmap"
+            )
+    _check(record, above, np.greater, "above")
+    _check(record, least, np.greater_equal, "of at least")
+    _check(record, most, np.less_equal, "of at most")
+
+
+def _check(record: Record, limits: Mapping[str, Any], within: Callable, text: str) -> None:
+    for name, limit in limits.items():
+        value = getattr(record, name)
+        if value is None or any(isinstance(x, jax.core.Tracer) for x in (value, limit)):
+            continue
+        if not np.all(within(np.asarray(value), np.asarray(limit))):
+            raise InputError(
+                f"{type(record).__name__}({name}=...): got {np.asarray(value).tolist()}, expected "
+                f"numbers {text} {np.asarray(limit).tolist()}"
+            )
