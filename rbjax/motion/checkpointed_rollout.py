@@ -69,7 +69,10 @@ class CheckpointedRollout:
             return traced(f, *avals)
 
         return Program(
-            plain.closed, vjp=self._vjp, keeping=keeping, reads=0 if every else self.size
+            plain.closed,
+            vjp=self._vjp,
+            forward_with_residuals=keeping,
+            first_residual=0 if every else self.size,
         )
 
     def pullback(self, moving: Sequence[bool]) -> Pullback:

@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import Literal, Var, jaxpr_as_fun
 
 from rbjax.compiler.jax.primitive import run
@@ -34,12 +35,10 @@ class Pullback:
     def of(cls, step: Program, moving: tuple[bool, ...]) -> Pullback:
         """The one of this step; made once."""
         key = "pullback", moving
-        if key not in step.derived:
-            step.derived[key] = cls(*(_straight(step, moving) or _by_jax(step, moving)))
-        return step.derived[key]
+        return step.memoize(key, lambda: cls(*(_straight(step, moving) or _by_jax(step, moving))))
 
     @property
-    def left(self) -> jax.ShapeDtypeStruct:
+    def left(self) -> ShapedArray:
         """The vector that a step leaves."""
         return self.forward.outputs[-1]
 

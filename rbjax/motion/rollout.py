@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import integer
-from rbjax.compiler import wanted
+from rbjax.compiler import kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
@@ -163,7 +163,7 @@ def integrated(
             f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
         )
     step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
-    threads = wanted() if kernel is None else kernel
+    threads = kernels_available() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
     how = (int(save_every), steps, batched)
 

@@ -1,12 +1,8 @@
 """Derivatives of a jaxpr, equation by equation, by JAX's own rules.
 
-`jax.jvp` and `jax.vjp` call the rule of each equation and bind the result several times: seconds
-for 5,000 equations. Here JAX differentiates each kind of equation (primitive, parameters, shapes)
-once, and the resulting jaxpr is copied for each equation of that kind.
-
-In reverse mode, the equations of the tangent program that depend on a tangent are linear; they are
-transposed from the last to the first. Programs with loops that compute values and tangents together
-are left to JAX (`Linearised.transposed` returns None).
+JAX differentiates each kind of equation (primitive, parameters, shapes) once, and the resulting
+jaxpr is copied for each equation of that kind. In reverse mode, the equations that depend on a
+tangent are transposed from the last to the first.
 """
 
 from __future__ import annotations
@@ -15,6 +11,7 @@ import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +21,6 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
 from rbjax._jax_compat import custom_rule, equation, without_names
 from rbjax.compiler.jax.garbage import gc_paused
-from rbjax.compiler.lower.lowering import inner_jaxpr
 
 Atom = Var | Literal
 Flags = tuple[bool, ...]
@@ -33,13 +29,10 @@ Flags = tuple[bool, ...]
 INLINED = {"jit", "pjit", "closed_call", "core_call"}
 NO_EFFECTS: frozenset = frozenset()
 
-# ------------------------------------------------------------------- dependences
-
-
 def needed(
     eqns: Sequence[JaxprEqn], outs: Sequence[Atom], given: Sequence[Var], effects: bool = False
 ) -> list[JaxprEqn]:
-    """Return the equations that `outs` need, given `given`; with `effects`, those with effects too."""
+    """Return the equations that compute `outs` from `given`, and also, if wanted, with effects."""
     wanted, known, kept = {a for a in outs if isinstance(a, Var)}, set(given), []
     for eqn in reversed(eqns):
         if (effects and eqn.effects) or any(v in wanted and v not in known for v in eqn.outvars):
@@ -77,6 +70,11 @@ def dependents(eqns: Sequence[JaxprEqn], start: Sequence[Atom]) -> set[Var]:
 
 def _substitute(env: dict[Var, Atom], atoms: Sequence[Atom]) -> list[Atom]:
     return [a if isinstance(a, Literal) else env[a] for a in atoms]
+
+
+def _inner_jaxpr(eqn: JaxprEqn) -> ClosedJaxpr:
+    inner = eqn.params.get("jaxpr", eqn.params.get("call_jaxpr"))
+    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
 
 def _has_subjaxpr(eqn: JaxprEqn) -> bool:
@@ -182,15 +180,16 @@ def _rule_of(
     return (RULES[which] if _has_subjaxpr(eqn) else CACHED[which])(kind)
 
 
+def _aval(atom: Atom) -> ShapedArray:
+    return cast(ShapedArray, atom.aval)
+
+
 def _avals(atoms: Sequence[Atom]) -> tuple:
     """Return the types of one sample's values, without the mesh axes along which they vary."""
     return tuple(
         ShapedArray(x.shape, x.dtype, weak_type=x.weak_type) if type(x) is ShapedArray else x
         for x in (a.aval for a in atoms)
     )
-
-
-# ------------------------------------------------------------------- whole jaxprs
 
 
 class Equations:
@@ -212,7 +211,7 @@ class Equations:
         for eqn in closed.jaxpr.eqns:
             ins = _substitute(env, eqn.invars)
             if eqn.primitive.name in INLINED:
-                outs: Sequence[Atom] = self.inline(inner_jaxpr(eqn), ins, at)
+                outs: Sequence[Atom] = self.inline(_inner_jaxpr(eqn), ins, at)
             else:
                 outs = self.append(eqn, ins, at)
             env.update(zip(eqn.outvars, outs, strict=True))
@@ -226,8 +225,8 @@ class Equations:
         env.update(zip(jaxpr.invars, args, strict=True))
         return env
 
-    def zeros(self, aval: ShapedArray) -> Atom:
-        return self.inline(_zeros(aval), [], None)[0]
+    def zeros(self, of: Atom) -> Atom:
+        return self.inline(_zeros(_aval(of)), [], None)[0]
 
     def close(self, ins: Sequence[Var], outs: Sequence[Atom]) -> ClosedJaxpr:
         """Return the equations that the results need, as a function of `ins`."""
@@ -258,7 +257,7 @@ class Linearised:
     def tangent(self, residuals: Sequence[ShapedArray]) -> ClosedJaxpr:
         """Return (args, residuals, tangents) -> tangents of all results; residuals are not read."""
         outs = [
-            self.eqns.zeros(x.aval) if along is None else along
+            self.eqns.zeros(x) if along is None else along
             for x, along in zip(self.results, self.result_tangents, strict=True)
         ]
         ins = [*self.args, *(Var(a) for a in residuals), *self.tangents]
@@ -281,11 +280,11 @@ class Linearised:
         sums: dict[Var, Atom] = {}
 
         def add(to: Atom | None, cotangent: Atom | None) -> None:
-            if to is None or cotangent is None or isinstance(to, Literal) or to not in linear:
+            if not isinstance(to, Var) or cotangent is None or to not in linear:
                 return
             before = sums.get(to)
             if before is not None:
-                (cotangent,) = eqns.inline(_sum(to.aval), [before, cotangent], None)
+                (cotangent,) = eqns.inline(_sum(_aval(to)), [before, cotangent], None)
             sums[to] = cotangent
 
         along = itertools.compress(self.result_tangents, has_cotangent)
@@ -295,21 +294,21 @@ class Linearised:
             if not any(v in linear for v in eqn.outvars):
                 continue
             out = [sums.get(v) for v in eqn.outvars]
-            present = tuple(x is not None for x in out)
-            if not any(present):
-                continue
+            present = [x is not None for x in out]
             some = [x for x in out if x is not None]
+            if not some:
+                continue
             moving = tuple(isinstance(a, Var) and a in linear for a in eqn.invars)
             if eqn.primitive.name == "fusion_barrier" and all(moving):
                 new: Sequence[Atom] = eqns.append(_barrier(eqn, some), some, eqn)
             else:
-                rule, present = _rule_of(eqn, moving, "transpose", present)
+                rule, present = _rule_of(eqn, moving, "transpose", tuple(present))
                 new = eqns.inline(rule, [*_split(eqn.invars, moving)[0], *some], eqn)
             rest = iter(new)
             found = [next(rest) if p else None for p in present]
             for to, cotangent in zip(itertools.compress(eqn.invars, moving), found, strict=True):
                 add(to, cotangent)
-        outs = [sums[v] if v in sums else eqns.zeros(v.aval) for v in self.tangents]
+        outs = [sums[v] if v in sums else eqns.zeros(v) for v in self.tangents]
         return Transposed(eqns, forward, self.args, cotangents, self.results, outs)
 
 
@@ -353,7 +352,7 @@ def _push_forward(
             out: list[Atom] = list(eqns.append(eqn, ins))
             found = [None] * len(out)
         elif eqn.primitive.name in INLINED:
-            out, found = _push_forward(eqns, inner_jaxpr(eqn), ins, own)
+            out, found = _push_forward(eqns, _inner_jaxpr(eqn), ins, own)
         elif eqn.primitive.name == "fusion_barrier":
             out = list(eqns.append(eqn, ins))
             new = iter(eqns.append(_barrier(eqn, moved), moved, eqn))

@@ -89,9 +89,7 @@ def capability() -> str:
 # ------------------------------------------------------------------- calls from XLA
 
 
-def typed_call(
-    target: str, ctx: mlir.LoweringRuleContext, *operands: mlir.ir.Value, **attributes: object
-) -> Sequence[mlir.ir.Value]:
+def typed_call(target: str, ctx, *operands, **attributes: object):
     """Write a call of a typed FFI handler, marked by StableHLO's own attribute.
 
     JAX marks typed handlers by an attribute that the XLA of jax 0.11 loses when it rewrites a call,

@@ -23,7 +23,7 @@ from rbjax.errors import InputError
 
 
 def compile(f: Callable, *example: object) -> Callable:
-    """Compile f to machine code of this processor, called without JAX's dispatch: for control loops.
+    """Compile f to machine code that is called without JAX's dispatch: for control loops.
 
     g = compile(f, x); g(x) = f(x)
 
@@ -71,8 +71,8 @@ def compile(f: Callable, *example: object) -> Callable:
     for x in (*leaves, *closed.out_avals):
         if not isinstance(x.dtype, np.dtype):
             raise InputError(
-                f"compile: numpy has no dtype {x.dtype}; pass jax.random.key_data(key), and wrap it "
-                "inside f with jax.random.wrap_key_data"
+                f"compile: numpy has no dtype {x.dtype}; pass jax.random.key_data(key), and use "
+                "jax.random.wrap_key_data inside f"
             )
     ins, outs = ([batch_first(a.shape, ()) for a in avals] for avals in (leaves, closed.out_avals))
     operands, results = ([(a.shape, np.dtype(a.dtype)) for a in x]

@@ -62,7 +62,7 @@ def shard_batch(
             out.append(NamedSharding(mesh, PartitionSpec(*spec)))
         return tuple(out)
 
-    def partition(mesh: Mesh, args: Sequence[jax.ShapeDtypeStruct], results: object) -> tuple:
+    def partition(mesh: Mesh, args: Sequence[jax.ShapeDtypeStruct], _: object) -> tuple:
         over = batch_axes(args)
         local = tuple(n // _device_count(mesh, o) for n, o in zip(batch, over, strict=True))
 
@@ -74,7 +74,10 @@ def shard_batch(
                 found.append(jax.lax.psum(x, names) if names else x)
             return tuple(found)
 
-        return mesh, run, shardings(mesh, over, outs, ranks[1]), shardings(mesh, over, ins, ranks[0])
+        operands, results = (
+            shardings(mesh, over, *x) for x in zip((ins, outs), ranks, strict=True)
+        )
+        return mesh, run, results, operands
 
     @custom_partitioning
     def whole(*operands: jax.Array) -> tuple[jax.Array, ...]:  # JAX uses only its shapes

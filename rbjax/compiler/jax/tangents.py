@@ -136,10 +136,8 @@ def _transpose(cotangents, *operands, program, moving, batch, ins, outs):
     for a in axes:  # summed in the kernel if an operand has no batch at all
         whole = all(k is not None for k in a) or all(k is None for k in a)
         positions.append(a if whole else first)
-    found = run(
-        program.transposed(moving, has_cotangent), [*operands[:n], *given], batch, [*ins[:n], *there],
-        positions,
-    )  # fmt: skip
+    transposed = program.transposed(moving, has_cotangent)
+    found = run(transposed, [*operands[:n], *given], batch, [*ins[:n], *there], positions)
     found = [
         x if o == a else place_batch(x, a) for x, o, a in zip(found, positions, axes, strict=True)
     ]

@@ -38,7 +38,7 @@ def layout_is_known() -> bool:
     if np.ndarray.__basicsize__ < FLAGS + 8 or object.__basicsize__ != DATA:
         return False
     x = np.empty((2, 3), np.float32)
-    some = (x, x.T, np.empty((), np.int64), np.empty(0, bool))
+    some: tuple[np.ndarray, ...] = (x, x.T, np.empty((), np.int64), np.empty(0, bool))
     count = ctypes.c_ssize_t.from_address(id(some) + COUNT).value
     items = (ctypes.c_size_t * len(some)).from_address(id(some) + ITEMS)
     same = count == len(some) and [*items] == [id(y) for y in some]

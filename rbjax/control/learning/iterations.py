@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import quickly
+from rbjax.compiler import fast_compile
 from rbjax.progress import progress_line
 
 CHUNKS = 10  # reports of progress
@@ -37,7 +37,7 @@ def iterated(
     )
     more = jax.jit(lambda now, count: jax.lax.scan(turn, now, None, count), static_argnums=1,
                    compiler_options=options)  # fmt: skip
-    with quickly(quick):
+    with fast_compile(quick):
         return _run(where, first, more, given, iterations, progress)
 
 

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import choice, integer
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_array, check_step, check_takes, shape_of
 from rbjax.dynamics.tracing.custom_rules import split_tracers
@@ -203,7 +203,7 @@ def _run(numbers: Any, state: State, dt: Any, key: Any, how: _How) -> State:
 
     mine, tree = jax.tree.flatten((state, rows))
     own, first = functools.partial(jax.tree.unflatten, tree), len(mine)
-    run = threaded(sample) if wanted() else sample
+    run = compile_threads(sample) if kernels_available() else sample
     if not batched:
         return run([*mine, *shared])
     each = None if rows is None or rows.ndim < 3 else 0

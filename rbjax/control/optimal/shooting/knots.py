@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiler import in_parts, side_by_side, threads
+from rbjax.compiler import map_threads, threads, with_multi_kernel
 from rbjax.control.optimal.constraint_rows import knot_violation, limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import (
@@ -79,7 +79,7 @@ def expand(
         return gap, cost, knot_violation(problem, jnp.asarray(N, dtype), last, none, "end")
 
     ks, mu = knot_indices(N, dtype), multipliers.penalty
-    path, gaps, off = jax.vmap(in_parts(one, by_columns, FEW), (0, 0, 0, 0, None, 0))(
+    path, gaps, off = jax.vmap(with_multi_kernel(one, by_columns, FEW), (0, 0, 0, 0, None, 0))(
         ks, body, ctrls, multipliers.path, mu, following
     )
     gap, end, off_end = threads(ends)(start, knots, multipliers.end, mu)
@@ -106,7 +106,7 @@ def columns(
             after, following
         )
 
-    both, gap = side_by_side(column, [jnp.asarray(np.eye(len(none), dtype=none.dtype))], [1])
+    both, gap = map_threads(column, [jnp.asarray(np.eye(len(none), dtype=none.dtype))], [1])
     return both[:, :n], both[:, n:], gap[:, 0]
 
 

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import in_parts, threads
+from rbjax.compiler import threads, with_multi_kernel
 from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
@@ -141,7 +141,7 @@ def _trials(
 
         return threads(read)(k, ctrl, y, du, *rest)
 
-    each = jax.vmap(in_parts(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
+    each = jax.vmap(with_multi_kernel(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
     body, following = (jax.tree.map(lambda x, at=at: x[at], now.knots) for at in (BODY, NEXT))
     path, l = found.path.cost, now.multipliers
     sums, offs = jax.vmap(each, (None,) * 15 + (0,))(
