@@ -40,7 +40,7 @@ curves = {"dubins": rb.planning.dubins, "reeds_shepp": rb.planning.reeds_shepp}
 figure, ax = plt.subplots(figsize=(6, 3.5))
 for name, f in curves.items():
     curve = f(start, goal, 1.0)
-    ax.plot(*curve.poses(200)[:, :2].T, label=f"{name}: {curve.word}, {curve.length:.2f} m")
+    ax.plot(*curve.sample_poses(200)[:, :2].T, label=f"{name}: {curve.word}, {curve.length:.2f} m")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 _ = ax.legend(bbox_to_anchor=(1.05, 1.0), loc="upper left")
 

@@ -22,6 +22,7 @@ from mujoco import mjx
 
 import rbjax as rb
 from rbjax import wheeled
+from rbjax.compiling import WITHOUT_EMITTERS, xla_accepts
 from rbjax.wheeled.models.states import with_twist
 
 SECONDS, SAVED = 4.0, 40
@@ -115,8 +116,8 @@ class Rolling:
         held, most = wheeled.at(self.of.robot, "constrained"), 0.0
         for t, q, v in zip(times(), self.path.q, self.path.v, strict=True):
             u = self.of.controls(t, jnp)
-            n, now = self.vehicle.instant(rb.State(q, v), u)
-            w = jnp.stack([jnp.asarray(x, float) for x in self.vehicle.full(n, now)])
+            now = self.vehicle.context(rb.State(q, v), u)
+            w = jnp.stack([jnp.asarray(x, float) for x in self.vehicle.full_velocities(now)])
             found = wheeled.contacts(held, rb.State(q, w), u)
             most = max(most, float((jnp.linalg.norm(found.forces, axis=1) / found.loads).max()))
         return most
@@ -295,7 +296,7 @@ def mjx_poses(touching: Touching, models: list[mujoco.MjModel]) -> tuple[np.ndar
         return jax.lax.scan(step, data, u)[0].qpos
 
     # the fusion emitters of XLA's CPU compiler slow MJX down by a thousand
-    options = {"xla_cpu_use_fusion_emitters": False}
+    options = dict(option for option in [WITHOUT_EMITTERS] if xla_accepts(*option))
     begin = time.perf_counter()
     program = jax.jit(jax.vmap(one)).lower(given).compile(compiler_options=options)
     compiled = time.perf_counter()

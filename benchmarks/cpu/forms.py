@@ -16,6 +16,7 @@ import rbjax as rb
 from benchmarks.shared.robots import compiled, ours, states
 from benchmarks.shared.timing import markdown_table, measure, save
 from benchmarks.shared.under_xla import under_xla
+from rbjax.compiling import WITHOUT_EMITTERS, xla_accepts
 
 BATCH = 1024
 FUNCTIONS = {
@@ -62,8 +63,9 @@ def main() -> None:
             "rolled": (rolled, None),
             "chunks": (mapped, None),
             "no fusion": (plain, {"xla_disable_hlo_passes": "fusion"}),
-            "no emitters": (plain, {"xla_cpu_use_fusion_emitters": False}),
         }
+        if xla_accepts(*WITHOUT_EMITTERS):
+            forms["no emitters"] = (plain, dict([WITHOUT_EMITTERS]))
         row = {"function": name}
         for form, (g, options) in forms.items():
             timed = measure(g, *given, budget_s=0.4, compiler_options=options)

@@ -35,7 +35,7 @@ def recordings(model: rb.Model, count: int, steps: int) -> list[Recording]:
         path = rb.rollout(model, model.default_state(), ctrl.astype(model.gravity.dtype), T,
                           integrator="rk4")  # fmt: skip
         channels = {"q": Channel(t, path.q), "v": Channel(t, path.v), "ctrl": Channel(t[:-1], ctrl)}
-        found.append(Recording(f"motion {k}", channels))
+        found.append(Recording(f"motion {k}", channels, initial_state=path.state(0)))
     return found
 
 

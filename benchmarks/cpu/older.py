@@ -56,8 +56,9 @@ def measure(robot: str) -> None:
 def measured(tree: Path, robot: str) -> dict[tuple[str, int], float]:
     """Nanoseconds a sample of each algorithm, by the commit that lies in a folder."""
     command = [sys.executable, __file__, "--measure", robot]
+    path = os.pathsep.join(filter(None, [str(tree), os.environ.get("PYTHONPATH")]))
     out = subprocess.run(
-        command, cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, check=True,
+        command, cwd=tree, env=os.environ | {"PYTHONPATH": path}, check=True,
         stdout=subprocess.PIPE, text=True,
     ).stdout  # fmt: skip
     rows = [json.loads(line) for line in out.splitlines() if line.startswith("[")]

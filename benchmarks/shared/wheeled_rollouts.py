@@ -33,7 +33,7 @@ class Case(NamedTuple):
     operations: float
 
 
-def vehicle(scene: str) -> wheeled.Fidelity:
+def vehicle(scene: str) -> wheeled.RobotModel:
     kind, fidelity, tyre = SCENES[scene]
     how = {} if tyre is None else {"tyre": tyre}
     return wheeled.at(wheeled.kinds()[kind].make(), fidelity, **how)

@@ -1,36 +1,40 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
-from rbjax.constraints.analysis.assembly import Assembly, assemble
-from rbjax.constraints.analysis.rank import Mobility, mobility
-from rbjax.constraints.analysis.reactions import (
-    ConstrainedMotion,
-    constrained_dynamics,
-    joint_wrenches,
-    multipliers,
+from rbjax.constraints.assembly import Assembly, Mobility, assemble, mobility
+from rbjax.constraints.equations.model_rows import jacobian, residual
+from rbjax.constraints.formulation import (
+    Baumgarte,
+    Formulation,
+    Projection,
+    TangentSpace,
+    formulations,
+    kinds,
 )
-from rbjax.constraints.equations.residuals import jacobian, residual
-from rbjax.constraints.formulation import Baumgarte, Formulation, Projection, TangentSpace
 from rbjax.constraints.lagrange import LagrangeSystem
-from rbjax.constraints.methods.compliant import Compliant
+from rbjax.constraints.methods.dense import (
+    KKT,
+    AugmentedLagrangian,
+    ForceProjection,
+    NullSpaceQR,
+    NullSpaceSVD,
+    Partitioning,
+    UdwadiaKalaba,
+)
 from rbjax.constraints.methods.differential_algebraic import (
     GGL,
     DifferentialAlgebraic,
     Index2,
     Index3,
 )
-from rbjax.constraints.methods.method import Method, Multipliers
-from rbjax.constraints.methods.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
+from rbjax.constraints.methods.method import Method, Multipliers, Penalty
 from rbjax.constraints.methods.recursive import Recursive
-from rbjax.constraints.methods.redundant import KKT
-from rbjax.constraints.methods.soft import QuaternionWeld, Soft
-from rbjax.constraints.methods.unconstrained import (
-    AugmentedLagrangian,
-    ForceProjection,
-    Penalty,
-    UdwadiaKalaba,
+from rbjax.constraints.methods.soft import Compliant, Soft
+from rbjax.constraints.reactions import (
+    ConstrainedMotion,
+    constrained_dynamics,
+    joint_wrenches,
+    multipliers,
 )
-from rbjax.constraints.registry import formulations, kinds
-from rbjax.constraints.rows.constraint import Constraint
 from rbjax.constraints.rows.couplings import Gear, JointPolynomial, Prescribed, Rack
 from rbjax.constraints.rows.curve import PointOnCurve, PointOnSurface
 from rbjax.constraints.rows.functions import Holonomic, Pfaffian
@@ -40,6 +44,7 @@ from rbjax.constraints.rows.geometry import (
     cosine,
     displacement,
     distance,
+    places,
     time,
     turn,
 )
@@ -53,15 +58,15 @@ from rbjax.constraints.rows.pairs import (
     Parallel,
     Planar,
     Prismatic,
+    QuaternionWeld,
     Revolute,
     Screw,
     Spherical,
     Universal,
     Weld,
 )
-from rbjax.constraints.rows.place import places
 from rbjax.constraints.rows.rolling import KnifeEdge, RollingDisc, RollingSphere
-from rbjax.constraints.rows.row import Row
+from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.forces.place import Place
 
 __all__ = [

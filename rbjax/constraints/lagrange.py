@@ -20,11 +20,10 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.analysis.reactions import ConstrainedMotion
-from rbjax.constraints.equations.residuals import Residual
-from rbjax.constraints.methods.dense import Dense
-from rbjax.constraints.methods.redundant import KKT
-from rbjax.constraints.rows.user_function import check_function, evaluate
+from rbjax.constraints.equations.model_rows import Residual
+from rbjax.constraints.methods.dense import KKT, Dense
+from rbjax.constraints.reactions import ConstrainedMotion
+from rbjax.constraints.rows.functions import check_function, evaluate
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import matvec
 

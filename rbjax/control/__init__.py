@@ -127,4 +127,3 @@ __all__ = [
     "linear",
     "optimal",
 ]
-

@@ -21,7 +21,6 @@ micro Lie theory*, 2018 (tangent spaces); Schweppe, IEEE T-IT 11(1), 1965 (likel
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -30,43 +29,7 @@ from jax.scipy.linalg import cho_solve
 
 from rbjax.arguments import instance
 from rbjax.errors import InputError
-from rbjax.estimation.arguments import check_fits, check_inputs, matrix, real
-
-
-def _difference(x0: jax.Array, x1: jax.Array) -> jax.Array:
-    return x1 - x0
-
-
-def _subtracted(read: Callable[[Any], jax.Array]) -> Callable[[Any, jax.Array], jax.Array]:
-    return lambda x, y: y - read(x)
-
-
-SPACE = "a StateSpace, as StateSpace.of(move, read)"
-
-
-class StateSpace(NamedTuple):
-    """A discrete model with noise. States are arrays (n,), or pytrees with `box_plus` and
-    `box_minus`.
-
-    Fields: move, (x, u, w) -> the next state; innovation, (x, y) -> y (-) h(x) (m,);
-    box_plus, (x, dx) -> x (+) dx; box_minus, (x0, x1) -> x1 (-) x0 (n,).
-
-    Example:
-        >>> from rbjax.estimation import StateSpace
-        >>> walk = StateSpace.of(lambda x, u, w: x + u + w, lambda x: x)
-        >>> walk.innovation(1.0, 3.0)
-        2.0
-    """
-
-    move: Callable[[Any, Any, jax.Array], Any]
-    innovation: Callable[[Any, Any], jax.Array]
-    box_plus: Callable[[Any, jax.Array], Any] = operator.add
-    box_minus: Callable[[Any, Any], jax.Array] = _difference
-
-    @classmethod
-    def of(cls, move: Callable, read: Callable) -> StateSpace:
-        """Of arrays: x' = move(x, u, w), y = read(x) + e."""
-        return cls(move, _subtracted(read))
+from rbjax.estimation.state_space import SPACE, StateSpace, check_fits, check_inputs, matrix, real
 
 
 class KalmanFiltered(NamedTuple):

@@ -22,7 +22,6 @@ import numpy as np
 from rbjax.dynamics.algorithms.frames import carried_point
 from rbjax.dynamics.algorithms.link_motion import LinkMotion
 from rbjax.dynamics.arguments import check_array
-from rbjax.dynamics.drivers.joint_lanes import own_axes
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least, check_rotation
@@ -134,7 +133,7 @@ class GoalErrors:
         self.turning: list[bool] = []
         self._weights = weights
         self._d, self._motion = d, LinkMotion(d, q, None)
-        self._axes = own_axes(d, self._motion.joints)
+        self._axes = d.whole_axes(self._motion.joints)
         self._columns: dict[int, tuple[Vec3, Vec3, Vec3]] = {}
         self.groups: list[tuple[bool, int, int]] = []
         for goal in goals:
@@ -180,9 +179,7 @@ class GoalErrors:
             self.errors.append(entry)
             self.weights.append(scale)
             self.turning.append(turns)
-            self.rows.append(
-                [columns[i][k] if i in columns else 0.0 for i in range(self.model.nv)]
-            )
+            self.rows.append([columns[i][k] if i in columns else 0.0 for i in range(self.model.nv)])
 
     def _column(self, i: int) -> tuple[Vec3, Any]:
         """Angular velocity per unit of coordinate i, and the velocity of a point of the world."""
@@ -248,4 +245,3 @@ def _entries(R: jax.Array, dtype: Any) -> Mat3:
 
 def _arrays(R: Mat3, dtype: Any) -> list[jax.Array]:
     return [jnp.asarray(x, dtype) for x in R]
-

@@ -43,11 +43,9 @@ from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic
 from rbjax.model import Model
 from rbjax.model.record import Record
+from rbjax.rank_tolerances import rank_tolerance
 
 WHERE = "inverse_kinematics"
-#: a row of J is redundant if the squared part outside of the other rows is below this share of it,
-#: in units of rounding
-REDUNDANT = 1e3
 
 
 class InverseKinematics(Record):
@@ -331,7 +329,7 @@ def _configuration_rate(
     if posture is None:
         J = J * free
         rows = [list(r) for r in matmat(J, J.T)]
-        least = REDUNDANT * float(jnp.finfo(q.dtype).eps)
+        least = rank_tolerance("goals", q.dtype)
         y = jnp.stack(ldlt(rows, least=least).solve(list(rate)))
         dq = matvec(J.T, y)
     else:

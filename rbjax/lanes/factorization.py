@@ -25,6 +25,7 @@ import jax.numpy as jnp
 
 from rbjax.lanes.algebra import Lane, add, is_literal, is_zero, mul, sub, total
 from rbjax.lanes.primitives import fusion_barrier
+from rbjax.rank_tolerances import rank_tolerance
 
 Rows = Sequence[Sequence[Lane]]
 
@@ -112,27 +113,20 @@ def elimination_order(A: Rows) -> list[int]:
     return order
 
 
-#: eps, relative to the diagonal, and the refinements, by bytes of a number: components of A above
-#: 1e-3 of the diagonal are exact to rounding
-PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
-#: e, relative to B
-VANISHING = {4: 1e-4, 8: 1e-10}
+#: refinements after which components of A above 1e-3 of the diagonal are exact to rounding, by
+#: bytes of a number
+REFINEMENTS = {4: 3, 8: 2}
 
 
-def proximal(dtype: Any) -> tuple[float, int]:
-    """Return eps and the number of refinements after which the result is exact to rounding."""
-    return PROXIMAL[dtype.itemsize]
-
-
-def damped(dtype: Any, damping: float | None = None) -> tuple[float, float, int]:
+def regularization(dtype: Any, damping: float | None = None) -> tuple[float, float, int]:
     """Return eps, e and the number of refinements; with `damping`, eps = e = damping and one."""
     if damping is not None:
         return damping, damping, 1
-    eps, again = proximal(dtype)
-    return eps, VANISHING[dtype.itemsize], again
+    eps, e = (rank_tolerance(name, dtype) for name in ("regularization", "vanishing row"))
+    return eps, e, REFINEMENTS[dtype.itemsize]
 
 
-def least(
+def diagonal_floor(
     diagonal: jax.Array, usual: jax.Array | float, factor: float, unknown: float | None = None
 ) -> jax.Array:
     """Return `factor` times `usual`, the diagonal of a configuration without vanishing rows. Where
@@ -158,10 +152,10 @@ class LeastNorm:
         dtype: Any,
         damping: float | None = None,
     ):
-        eps, vanishing, self._again = damped(dtype, damping)
+        eps, vanishing, self._refinements = regularization(dtype, damping)
         diagonal = [row[-1] for row in A]
-        least = mul(float(jnp.finfo(dtype).eps), total(diagonal))
-        more = [least if is_zero(x) else mul(vanishing, x) for x in usual]
+        floor = mul(float(jnp.finfo(dtype).eps), total(diagonal))
+        more = [floor if is_zero(x) else mul(vanishing, x) for x in usual]
         self._added = [add(mul(eps, x), e) for x, e in zip(diagonal, more, strict=True)]
         self._factors = ldlt(
             [[*row[:-1], add(row[-1], e)] for row, e in zip(A, self._added, strict=True)]
@@ -169,7 +163,7 @@ class LeastNorm:
 
     def solve(self, b: Sequence[Lane]) -> list[Lane]:
         x = fusion_barrier(self._factors.solve(b))
-        for _ in range(self._again):
+        for _ in range(self._refinements):
             known = [add(y, mul(e, z)) for y, e, z in zip(b, self._added, x, strict=True)]
             x = fusion_barrier(self._factors.solve(known))
         return x

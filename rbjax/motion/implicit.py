@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.methods.differential_algebraic import DifferentialAlgebraic, Forces
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, evaluated
@@ -25,13 +25,13 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Field
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
-from rbjax.solvers.common.groups import unwrapped
-from rbjax.solvers.common.newton import refused, verdict
-from rbjax.solvers.common.steps import AbstractGroupSolver, mixed
-from rbjax.solvers.common.tableau import Tableau
-from rbjax.solvers.constrained.differential_algebraic import Equations, Point, damped, solve
-from rbjax.solvers.constrained.spectrum import weights
-from rbjax.solvers.implicit.runge_kutta import ImplicitRungeKutta
+from rbjax.solvers.constrained.differential_algebraic import Equations, Point, damp_error, solve
+from rbjax.solvers.constrained.simplified import weights
+from rbjax.solvers.groups import unwrap
+from rbjax.solvers.root_finding import mark_failed, step_result
+from rbjax.solvers.runge_kutta import ImplicitRungeKutta
+from rbjax.solvers.steps import AbstractGroupSolver, weighted_sums
+from rbjax.solvers.tableau import Tableau
 
 #: of rbjax.solvers.all(), by name
 FITTING = (
@@ -52,9 +52,9 @@ class Stages(NamedTuple):
     def polynomial(self, tableau: Tableau, h: Any) -> jax.Array:
         """Coefficients of theta, theta^2, ... of the increment."""
         if tableau.dense:
-            return mixed(tuple(zip(*tableau.dense, strict=True)), self.k)
+            return weighted_sums(tuple(zip(*tableau.dense, strict=True)), self.k)
         first = h * self.start.rate
-        return jnp.stack([first, mixed(tableau.b, self.k) - first])
+        return jnp.stack([first, weighted_sums(tableau.b, self.k) - first])
 
 
 def stages(
@@ -87,10 +87,10 @@ def error_of(
     """The error of a step by the tableau's weights, damped."""
     dynamics, start = dynamics.damping, found.start
     at_start, *others = tableau.error
-    raw = mixed(others, found.k) + at_start * h * start.rate
+    raw = weighted_sums(others, found.k) + at_start * h * start.rate
     equations = equations_of(dynamics, model, forces, start.t, state)
     w = _padded(start.w, len(equations.depth))
-    return damped(equations, tableau.filter * h, start._replace(w=w), raw)
+    return damp_error(equations, tableau.filter * h, start._replace(w=w), raw)
 
 
 def _padded(w: jax.Array, size: int) -> jax.Array:
@@ -141,7 +141,7 @@ class ByStages:
 
         model = field.precomputed
         found = stages(self.formulation, self.tableau, model, forces, t, state, dt)
-        du = increment(model, mixed(self.tableau.b, found.k))
+        du = increment(model, weighted_sums(self.tableau.b, found.k))
         x = None if state.x is None or du.x is None else state.x + du.x
         after = State(field.retract(state.q, du.q), state.v + du.v, x)
         return jax.tree.map(lambda x: jnp.where(found.ok, x, jnp.nan), after)
@@ -160,19 +160,19 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return self.tableau.error_order or None
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        term, h = unwrapped(terms), t1 - t0
+        term, h = unwrap(terms), t1 - t0
         h = jnp.where(h == 0, 1.0, h)
         (model, forces, start), dynamics = seen(term.vector_field, args), self.formulation
         found = stages(dynamics, self.tableau, model, forces, start + t0, y0, h)
-        y1 = term.group.retract(y0, increment(model, mixed(self.tableau.b, found.k)))
+        y1 = term.group.retract(y0, increment(model, weighted_sums(self.tableau.b, found.k)))
         error = None
         if self.tableau.error:
             off = error_of(found, dynamics, self.tableau, model, forces, y0, h)
             beside = term.group.retract(y1, increment(model, off))
-            error = refused(found.ok, jax.tree.map(jnp.subtract, beside, y1))
+            error = mark_failed(found.ok, jax.tree.map(jnp.subtract, beside, y1))
         coefficients = increment(model, found.polynomial(self.tableau, h))
         dense = {"y0": y0, "coefficients": coefficients, "group": term.group}
-        return y1, error, dense, solver_state, verdict(found.ok)
+        return y1, error, dense, solver_state, step_result(found.ok)
 
 
 def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:

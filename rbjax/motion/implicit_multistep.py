@@ -20,12 +20,12 @@ from rbjax.constraints.methods.differential_algebraic import DifferentialAlgebra
 from rbjax.model import State
 from rbjax.motion.implicit import begun, error_of, increment, seen, stages
 from rbjax.solvers import radau_iia
-from rbjax.solvers.common.groups import unwrapped
-from rbjax.solvers.common.newton import refused, verdict
-from rbjax.solvers.common.steps import AbstractGroupSolver, mixed
 from rbjax.solvers.constrained.differential_algebraic import solve
-from rbjax.solvers.constrained.spectrum import weight
-from rbjax.solvers.multistep.interpolation import basis, slopes_at_one
+from rbjax.solvers.constrained.simplified import weight
+from rbjax.solvers.groups import unwrap
+from rbjax.solvers.multistep import basis, slopes_at_one
+from rbjax.solvers.root_finding import mark_failed, step_result
+from rbjax.solvers.steps import AbstractGroupSolver, weighted_sums
 
 
 class History(NamedTuple):
@@ -63,7 +63,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return History(ts, same, jnp.array(0))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        term, h = unwrapped(terms), t1 - t0
+        term, h = unwrap(terms), t1 - t0
         h = jnp.where(h == 0, 1.0, h)
         ts, states, filled = solver_state
         filled = jnp.where(made_jump, 0, filled)
@@ -75,13 +75,13 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         model = term.vector_field.model(args)
         y1 = term.group.retract(y0, increment(model, out.u))
         beside = term.group.retract(y1, increment(model, out.error))
-        error = refused(out.ok, jax.tree.map(jnp.subtract, beside, y1))
+        error = mark_failed(out.ok, jax.tree.map(jnp.subtract, beside, y1))
         ts = jnp.concatenate([t0[None], ts[:-1]])
         states = jax.tree.map(lambda x, past: jnp.concatenate([x[None], past[:-1]]), y0, states)
         after = History(ts, states, jnp.minimum(filled + 1, self.formula_order))
         coefficients = increment(model, out.coefficients)
         dense = {"y0": y0, "coefficients": coefficients, "group": term.group}
-        return y1, error, dense, after, verdict(out.ok)
+        return y1, error, dense, after, step_result(out.ok)
 
     @property
     def _degree(self) -> int:
@@ -95,7 +95,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         tableau = radau_iia(1 if self.formula_order == 1 else 3).tableau
         found = stages(dynamics, tableau, model, forces, start + t0, y0, h)
         return Step(
-            mixed(tableau.b, found.k),
+            weighted_sums(tableau.b, found.k),
             error_of(found, dynamics, tableau, model, forces, y0, h),
             self._padded(found.polynomial(tableau, h)),
             found.ok,
@@ -110,10 +110,10 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         past = jnp.concatenate([past.q, past.v, *([] if past.x is None else [past.x])], -1)
         nodes = jnp.concatenate([jnp.array([1.0, 0.0], ts.dtype), (ts - t0) / h])
         weights = basis(nodes[1:])  # of y0, whose increment is zero, and the past
-        predicted = mixed(weights[1:].sum(1), past)  # the polynomials at 1
+        predicted = weighted_sums(weights[1:].sum(1), past)  # the polynomials at 1
         nodes, past = nodes[:-1], past[:-1]
         slopes = slopes_at_one(nodes).astype(past.dtype)
-        known = mixed(slopes[2:], past)
+        known = weighted_sums(slopes[2:], past)
         # h Q'(t1) = slopes_0 u1 + known
         one = weight(1 / slopes[0])
         base = start.y - known / slopes[0]
@@ -121,5 +121,5 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         u = (h * found.rates[0] - known) / slopes[0]
         rows = jnp.delete(basis(nodes), 1, axis=0)[:, 1:]
         share = (1 / (1 - (ts[-1] - t0) / h)).astype(u.dtype)
-        coefficients = mixed(rows.T, jnp.concatenate([u[None], past]))
+        coefficients = weighted_sums(rows.T, jnp.concatenate([u[None], past]))
         return Step(u, share * (u - predicted), self._padded(coefficients), found.ok)

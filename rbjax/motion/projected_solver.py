@@ -10,8 +10,7 @@ import diffrax
 import equinox as eqx
 import jax
 
-from rbjax.constraints.formulation import Formulation
-from rbjax.constraints.methods.differential_algebraic import stepped
+from rbjax.constraints.formulation import Formulation, stepped
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.field import Dynamics, moves_stages
@@ -19,7 +18,7 @@ from rbjax.motion.implicit import StagesSolver, stepped_by
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import VectorField
 from rbjax.solvers import BDF
-from rbjax.solvers.common.wrapped import Wrapped
+from rbjax.solvers.compensated import Wrapped
 
 
 class ProjectedSolver(Wrapped):

@@ -1,7 +1,7 @@
-"""Planning in the plane: a path on a map, and what it is made of.
+"""Planning in the plane: from a map to a path and a motion.
 
     from map to path      plan -> Plan, with its Path
-    shortest curves       dubins, reeds_shepp -> Curve
+    shortest curves       dubins, reeds_shepp -> Path
     maps                  OccupancyGrid, its DistanceField
     robots on maps        Footprint, clear, clearance, clear_along
     searches              hybrid_a_star, grid_a_star, grid_dijkstra, grid_dijkstra_many
@@ -13,14 +13,13 @@ Poses are (x, y, heading) in m and rad; leading axes are a batch.
 
 from rbjax.planning.maps.footprint import Footprint, clear, clearance
 from rbjax.planning.maps.occupancy import DistanceField, OccupancyGrid
-from rbjax.planning.paths.curves import Curve, dubins, reeds_shepp
+from rbjax.planning.paths.curves import dubins, reeds_shepp
 from rbjax.planning.paths.path import Path, Plan, clear_along
 from rbjax.planning.paths.smoothing import Smoothed, smooth
 from rbjax.planning.planner import drives, methods, plan
+from rbjax.planning.search.a_star import grid_a_star, hybrid_a_star
 from rbjax.planning.search.controls import Controls
-from rbjax.planning.search.grid_a_star import grid_a_star
 from rbjax.planning.search.grid_dijkstra import grid_dijkstra
-from rbjax.planning.search.hybrid_a_star import hybrid_a_star
 from rbjax.planning.search.many_searches import grid_dijkstra_many
 from rbjax.planning.timing.limits import Limits, Timed
 from rbjax.planning.timing.refinement import Refined, Residuals, refine
@@ -34,7 +33,6 @@ __all__ = [
     "methods",
     "plan",
     # shortest curves
-    "Curve",
     "dubins",
     "reeds_shepp",
     # maps

@@ -14,10 +14,10 @@ from matplotlib.quiver import Quiver
 from rbjax.compiling import compiled
 from rbjax.model import State
 from rbjax.style import BLUE, GRID, INK, RED
-from rbjax.wheeled.kinematics.numbers import stacked
-from rbjax.wheeled.kinematics.planar import turned
+from rbjax.wheeled.kinematics.parameters import stack_lanes
+from rbjax.wheeled.kinematics.planar import rotate
 from rbjax.wheeled.models.contact_forces import contacts
-from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.models.robot_model import RobotModel
 
 SQUARE = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
 THICK = 0.3  # of a wheel, over its radius
@@ -47,7 +47,7 @@ def vectors(p: Any, e: np.ndarray) -> np.ndarray:
     return np.stack([x * e[0] - y * e[1], x * e[1] + y * e[0]], -1)
 
 
-def places(vehicle: Fidelity, q: Any) -> Places:
+def places(vehicle: RobotModel, q: Any) -> Places:
     """Where bodies and wheels are, at coordinates q (..., nq)."""
     found = _places(vehicle, jnp.asarray(q).reshape(-1, vehicle.nq))
     lead = np.shape(q)[:-1]
@@ -55,14 +55,15 @@ def places(vehicle: Fidelity, q: Any) -> Places:
 
 
 @compiled
-def _places(vehicle: Fidelity, q: jax.Array) -> tuple[jax.Array, ...]:
+def _places(vehicle: RobotModel, q: jax.Array) -> tuple[jax.Array, ...]:
     def one(q: jax.Array) -> tuple[jax.Array, ...]:
-        n, now = vehicle.instant(State(q, jnp.zeros(vehicle.nv), jnp.zeros(vehicle.nx)))
+        now = vehicle.context(State(q, jnp.zeros(vehicle.nv), jnp.zeros(vehicle.nx)))
+        n = now.n
         origins, bodies = zip(*now.bodies(), strict=True)
         wheels = [
-            turned(e, bodies[w.body]) for w, e in zip(n.wheels, now.shape.wheels, strict=True)
+            rotate(e, bodies[w.body]) for w, e in zip(n.wheels, now.shape.wheels, strict=True)
         ]
-        tables = ([stacked(x, q.dtype) for x in rows] for rows in (origins, bodies, wheels))
+        tables = ([stack_lanes(x, q.dtype) for x in rows] for rows in (origins, bodies, wheels))
         return tuple(jnp.stack(x) for x in tables)
 
     return jax.vmap(one)(q)
@@ -78,7 +79,7 @@ def centers(robot: Any, at: Places) -> np.ndarray:
 
 
 def acting(
-    vehicle: Fidelity, state: State, controls: Any, at: Places
+    vehicle: RobotModel, state: State, controls: Any, at: Places
 ) -> tuple[np.ndarray, np.ndarray]:
     """The forces (m, 2) N on wheels, and the velocities (m, 2) m/s at which they slide, both on the
     ground."""
@@ -156,5 +157,3 @@ def quiver(ax: Axes, at: Any, arrows: Any, color: str, zorder: float = 5) -> Qui
         *at.T, *arrows.T, angles="xy", scale_units="xy", scale=1, color=color, width=0.006,
         zorder=zorder,
     )  # fmt: skip
-
-

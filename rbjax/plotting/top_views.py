@@ -30,12 +30,12 @@ from rbjax.plotting.from_above import (
 )
 from rbjax.plotting.moving import canvas_of, check_positive, clock, picture, schedule
 from rbjax.style import GRID, INK, ORANGE
-from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.models.robot_model import RobotModel
 
 
 def top_view(
     ax: Axes,
-    vehicle: Fidelity,
+    vehicle: RobotModel,
     path: Trajectory,
     *,
     robots: int = 5,
@@ -89,7 +89,7 @@ def top_view(
 
 
 def animate_top_view(
-    vehicle: Fidelity,
+    vehicle: RobotModel,
     path: Trajectory,
     file: str | Path,
     *,
@@ -150,7 +150,7 @@ class _Film:
     """The frames of a motion: coordinates, places, forces and sliding."""
 
     def __init__(
-        self, vehicle: Fidelity, path: Trajectory, controls: Any, fps: float, speed: float
+        self, vehicle: RobotModel, path: Trajectory, controls: Any, fps: float, speed: float
     ):
         ts = np.asarray(path.ts, float)
         kept, self.ts = schedule("animate_top_view", ts, np.asarray(path.q), fps, speed)
@@ -232,7 +232,7 @@ def _ground(ax: Axes, grid: Any) -> None:
     ax.imshow(cells, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=2, zorder=0)
 
 
-def _scale(vehicle: Fidelity, arrows: np.ndarray) -> float:
+def _scale(vehicle: RobotModel, arrows: np.ndarray) -> float:
     """Of arrows, so that the longest is as long as the robot."""
     longest = float(np.hypot(arrows[..., 0], arrows[..., 1]).max())
     return reach(vehicle.robot) / longest if longest > 1e-9 else 0.0
@@ -253,8 +253,8 @@ def _given(controls: Any, t: Any, state: State, k: int) -> Any:
     return controls if np.ndim(controls) == 1 else controls[k]
 
 
-def _check(where: str, path: Trajectory, controls: Any, vehicle: Fidelity) -> None:
-    if not isinstance(vehicle, Fidelity):
+def _check(where: str, path: Trajectory, controls: Any, vehicle: RobotModel) -> None:
+    if not isinstance(vehicle, RobotModel):
         raise InputError(f"{where}: vehicle is {type(vehicle).__name__}, expected wheeled.at(...)")
     if not isinstance(path, Trajectory):
         raise InputError(f"{where}: path is {type(path).__name__}, expected a Trajectory")

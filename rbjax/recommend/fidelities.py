@@ -27,7 +27,7 @@ from rbjax.progress import progress_line
 from rbjax.recommend.halved_steps import Trial, cost_decides
 from rbjax.recommend.manoeuvre import Demand, Manoeuvre, demand, first_lift
 from rbjax.recommend.recommendation import Recommendation, check_request, double
-from rbjax.wheeled import Fidelity, Robot, at, fidelities
+from rbjax.wheeled import Robot, RobotModel, at, fidelities
 from rbjax.wheeled.models.rolling import Rolling
 from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.models.states import with_twist
@@ -52,7 +52,7 @@ class FidelityRecommendation(Recommendation):
             never, nan without "slipping".
     """
 
-    vehicle: Fidelity
+    vehicle: RobotModel
     state: State
     dt: float
     error: float
@@ -190,7 +190,7 @@ def _no_speeds(robot: Robot) -> str:
     return ""
 
 
-def _choose(run: Manoeuvre, vehicles: Sequence[Fidelity], why_not: str) -> FidelityRecommendation:
+def _choose(run: Manoeuvre, vehicles: Sequence[RobotModel], why_not: str) -> FidelityRecommendation:
     """Measure the fidelities, given from the coarsest to the finest, and choose one."""
     equals = [x.name for x in vehicles if not isinstance(x, Slipping) and x.nv][1:]
     names = [x.name for x in reversed(vehicles) if x.name not in equals]

@@ -23,7 +23,7 @@ import jax
 import numpy as np
 
 from rbjax.constraints import Formulation, formulations, residual
-from rbjax.constraints.registry import formulation_of
+from rbjax.constraints.formulation import formulation_of
 from rbjax.dynamics.arguments import check_arrays, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Source

@@ -16,13 +16,13 @@ from rbjax.model import State
 from rbjax.progress import Say
 from rbjax.recommend.halved_steps import HalvedSteps
 from rbjax.stability.runs.largest_step import stable_step
-from rbjax.wheeled.kinematics.numbers import Numbers, stacked
-from rbjax.wheeled.models.fidelity import Fidelity, as_state
+from rbjax.wheeled.kinematics.parameters import Parameters, stack_lanes
 from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.models.robot_model import RobotModel, as_state
 from rbjax.wheeled.models.rolling import Rolling
 from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.models.states import with_twist
-from rbjax.wheeled.motion.rollout import Lists, advanced
+from rbjax.wheeled.motion.rollout import Lists, advance
 
 #: the number of times at which poses are compared and contacts computed
 MOST_LOOKS = 64
@@ -39,7 +39,7 @@ class Manoeuvre(HalvedSteps):
     cure = "give a larger accuracy, a shorter manoeuvre, or tyres with a larger smooth_speed"
 
     def __init__(
-        self, vehicles: Sequence[Fidelity], q: jax.Array, twist: jax.Array, controls: Any,
+        self, vehicles: Sequence[RobotModel], q: jax.Array, twist: jax.Array, controls: Any,
         dt: float, steps: int, accuracy: float, say: Say,
     ):  # fmt: skip
         super().__init__(dt, accuracy, say)
@@ -54,7 +54,7 @@ class Manoeuvre(HalvedSteps):
     def steps(self, k: int) -> int:
         return self._steps << k
 
-    def start(self, vehicle: Fidelity) -> State:
+    def start(self, vehicle: RobotModel) -> State:
         """Return the start at a fidelity, in which no wheel slides."""
         return with_twist(vehicle, self.q, self.twist)
 
@@ -72,13 +72,14 @@ class Manoeuvre(HalvedSteps):
         vehicle, counts = self.vehicles[name], np.diff(self._ends)
 
         def run(parts: Any, h: Any) -> State:
-            n, now = vehicle.instant(self.start(vehicle))
+            now = vehicle.context(self.start(vehicle))
+            n = now.n
 
             def once(_: Any, x: tuple[Any, Lists]) -> tuple[Any, Lists]:
                 i, y = x
                 u = self.control(i * h, i // parts, as_state(*y, jnp.float64))
                 given = [u[k] for k in range(vehicle.nu)]
-                return i + 1, advanced(vehicle, n, y, given, h, "rk4")
+                return i + 1, advance(vehicle, n, y, given, h, "rk4")
 
             def look(x: tuple[Any, Lists], count: Any) -> tuple[tuple[Any, Lists], State]:
                 x = jax.lax.fori_loop(0, count * parts, once, x)
@@ -118,7 +119,7 @@ class Manoeuvre(HalvedSteps):
         every = jax.jit(jax.vmap(one), compiler_options=compiler_options())
         return np.asarray(every(path, self.times[:count], self._ends[:count]))
 
-    def _stable_halvings(self, vehicle: Fidelity, path: State) -> int:
+    def _stable_halvings(self, vehicle: RobotModel, path: State) -> int:
         """Return the halvings at which steps are stable along a path.
 
         An unstable step may not show in the pose: tyres that saturate bound the speeds of wheels
@@ -130,9 +131,9 @@ class Manoeuvre(HalvedSteps):
         def look(state: State, u: jax.Array) -> jax.Array:
             def rates(y: jax.Array) -> jax.Array:
                 x = y[vehicle.nv :] if vehicle.nx else None
-                n, now = vehicle.instant(State(state.q, y[: vehicle.nv], x), u)
-                out = [*vehicle.accelerations(n, now), *vehicle.relaxation(n, now)]
-                return stacked(out, jnp.float64)
+                now = vehicle.context(State(state.q, y[: vehicle.nv], x), u)
+                out = [*vehicle.accelerations(now), *vehicle.tyre_rates(now)]
+                return stack_lanes(out, jnp.float64)
 
             y = state.v if state.x is None else jnp.concatenate([state.v, state.x])
             return jax.jacfwd(rates)(y)
@@ -163,8 +164,9 @@ def demand(run: Manoeuvre, rolling: Rolling, slipping: Slipping, path: State) ->
     wheels together and for the force of each shaft."""
 
     def look(state: State, u: jax.Array) -> jax.Array:
-        n, now = rolling.instant(state, u)
-        force = rolling.holding(n, now)
+        now = rolling.context(state, u)
+        n = now.n
+        force = rolling.ground_forces(now)
         most, of_shafts = _traction(n, slipping)
         whole = jnp.hypot(force[0], force[1]) / most
         torques = force[2 + len(n.bodies) :]
@@ -177,7 +179,7 @@ def demand(run: Manoeuvre, rolling: Rolling, slipping: Slipping, path: State) ->
     return Demand(float(shares[k]), float(run.times[k]))
 
 
-def _traction(n: Numbers, slipping: Slipping) -> tuple[Lane, list[Lane]]:
+def _traction(n: Parameters, slipping: Slipping) -> tuple[Lane, list[Lane]]:
     """Return the largest force of all tyres in any direction, N, and along those of each shaft."""
     whole: Lane = 0.0
     of_shafts: list[Lane] = [0.0] * len(n.shafts)
@@ -192,8 +194,8 @@ def first_lift(run: Manoeuvre, slipping: Slipping, path: State) -> float:
     """Return the first time at which the load of a wheel is negative, s; inf if it never is."""
 
     def look(state: State, u: jax.Array) -> jax.Array:
-        n, now = slipping.instant(state, u)
-        return stacked(slipping.forces(n, now)[0], jnp.float64).min()
+        now = slipping.context(state, u)
+        return stack_lanes(slipping.forces(now)[0], jnp.float64).min()
 
     lifted = run.along(path, look) < 0
     return float(run.times[lifted.argmax()]) if lifted.any() else math.inf

@@ -15,42 +15,17 @@ The last three rows take terms `OnGroup`. The first of these three also takes an
 `Compensated` wraps a solver of the first row and keeps what its additions round off.
 """
 
-from rbjax.solvers.common.groups import SE3, SO3, AbstractGroup, OnGroup, Product, Vector
-from rbjax.solvers.common.newton import Settled, chord, newton, very_chord
-from rbjax.solvers.common.steps import AbstractGroupSolver
-from rbjax.solvers.common.tableau import Tableau
 from rbjax.solvers.compensated import Compensated
-from rbjax.solvers.explicit.runge_kutta import RK4
-from rbjax.solvers.geometric.lie import CommutatorFree4, CrouchGrossman3, MuntheKaas, rkmk
-from rbjax.solvers.geometric.rigid_body import RigidBody, RigidBodySplitting
-from rbjax.solvers.geometric.second_order import (
-    CentralDifferences,
-    GeneralizedAlpha,
-    SemiImplicitEuler,
-    VariationalMidpoint,
-    generalized_alpha,
-    hht_alpha,
-    newmark,
+from rbjax.solvers.groups import SE3, SO3, AbstractGroup, OnGroup, Product, Vector
+from rbjax.solvers.lie import (
+    CommutatorFree4,
+    CrouchGrossman3,
+    MuntheKaas,
+    RigidBody,
+    RigidBodySplitting,
+    rkmk,
 )
-from rbjax.solvers.geometric.splitting import (
-    Splitting,
-    stoermer_verlet,
-    symplectic_euler,
-    yoshida4,
-    yoshida6,
-)
-from rbjax.solvers.implicit.rosenbrock import RosenbrockTableau, RosenbrockW, ros2, ros34pw2
-from rbjax.solvers.implicit.runge_kutta import (
-    ImplicitRungeKutta,
-    gauss_legendre,
-    implicit_midpoint,
-    lobatto_iiia,
-    lobatto_iiic,
-    radau_iia,
-    trapezoid,
-)
-from rbjax.solvers.implicit.sdirk import SDIRK2
-from rbjax.solvers.multistep.linear_multistep import (
+from rbjax.solvers.multistep import (
     BDF,
     Adams,
     adams_bashforth,
@@ -59,6 +34,37 @@ from rbjax.solvers.multistep.linear_multistep import (
     pece,
 )
 from rbjax.solvers.registry import KINDS, Entry, all
+from rbjax.solvers.root_finding import RootFinder, chord, newton, very_chord
+from rbjax.solvers.rosenbrock import RosenbrockTableau, RosenbrockW, ros2, ros34pw2
+from rbjax.solvers.runge_kutta import (
+    RK4,
+    SDIRK2,
+    ImplicitRungeKutta,
+    gauss_legendre,
+    implicit_midpoint,
+    lobatto_iiia,
+    lobatto_iiic,
+    radau_iia,
+    trapezoid,
+)
+from rbjax.solvers.second_order import (
+    CentralDifferences,
+    GeneralizedAlpha,
+    SemiImplicitEuler,
+    VariationalMidpoint,
+    generalized_alpha,
+    hht_alpha,
+    newmark,
+)
+from rbjax.solvers.splitting import (
+    Splitting,
+    stoermer_verlet,
+    symplectic_euler,
+    yoshida4,
+    yoshida6,
+)
+from rbjax.solvers.steps import AbstractGroupSolver
+from rbjax.solvers.tableau import Tableau
 
 __all__ = [
     "all",
@@ -115,7 +121,7 @@ __all__ = [
     "RigidBody",
     "RigidBodySplitting",
     # roots
-    "Settled",
+    "RootFinder",
     "newton",
     "chord",
     "very_chord",

@@ -3,9 +3,11 @@
     d = z(h),  of z' = f(t, y0 + z), z(0) = e0
     y1 = y0 + d rounded,  e1 = y0 + d - y1 exactly
 
-A step then has the rounding errors of the increment d and of h f, but not that of y. They are
-smaller by a factor of h |df/dy|, so small steps gain most (Kahan, 1965; Knuth, *The Art of Computer
-Programming* 2, 4.2.2; Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VIII.5).
+A step then has the rounding errors of d and of h f, which are smaller than the rounding of y by a
+factor of h |df/dy|.
+
+Source: Kahan 1965; Knuth, *The Art of Computer Programming* 2, 4.2.2; Hairer, Lubich & Wanner,
+*Geometric Numerical Integration*, VIII.5.
 """
 
 from __future__ import annotations
@@ -19,20 +21,61 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.solvers.common.groups import OnGroup, unwrapped
-from rbjax.solvers.common.wrapped import Wrapped
-from rbjax.solvers.implicit.rosenbrock import RosenbrockW
-from rbjax.solvers.implicit.runge_kutta import ImplicitRungeKutta
-from rbjax.solvers.multistep.linear_multistep import Adams
+from rbjax.solvers.groups import OnGroup, unwrap
+from rbjax.solvers.multistep import Adams
+from rbjax.solvers.rosenbrock import RosenbrockW
+from rbjax.solvers.runge_kutta import ImplicitRungeKutta
+
+
+class Wrapped(diffrax.AbstractWrappedSolver):
+    """A solver with the properties and methods of another one; subclasses override some."""
+
+    solver: Any  # type: ignore[misc]
+
+    @property
+    def term_structure(self):
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):  # type: ignore[override]
+        return self.solver.interpolation_cls
+
+    @property
+    def term_compatible_contr_kwargs(self):
+        return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def scan_kind(self):  # diffrax sets these two on solvers that have them
+        return self.solver.scan_kind
+
+    @property
+    def root_finder(self):
+        return self.solver.root_finder
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def strong_order(self, terms):
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
 
 #: solvers that use the state only to evaluate rates of the vector field
 BY_RATES = (diffrax.AbstractRungeKutta, diffrax.Euler, ImplicitRungeKutta, RosenbrockW, Adams)
 
 
 class Compensated(Wrapped, diffrax.AbstractAdaptiveSolver):
-    """A solver that also carries the low part of the state, so that its additions lose nothing.
+    """A solver that also integrates the digits that its additions round off.
 
-    Use it where rounding limits the accuracy: small steps, long chaotic motions, single precision.
+    Use it if rounding limits the accuracy: small steps, long chaotic motions, single precision.
 
     Fields: solver, one that uses only rates: explicit or fully implicit Runge-Kutta
     (`diffrax.Dopri8`, `gauss_legendre`), Rosenbrock, Adams.
@@ -66,9 +109,9 @@ class Compensated(Wrapped, diffrax.AbstractAdaptiveSolver):
         return _Interpolation(self.solver.interpolation_cls)
 
     def init(self, terms, t0, t1, y0, args):
-        if isinstance(unwrapped(terms), OnGroup):
+        if isinstance(unwrap(terms), OnGroup):
             raise InputError(
-                f"Compensated: the term moves its state on {type(unwrapped(terms).group).__name__},"
+                f"Compensated: the term moves its state on {type(unwrap(terms).group).__name__},"
                 f" expected a vector field, whose increments add"
             )
         low = jax.tree.map(jnp.zeros_like, y0)
@@ -80,12 +123,12 @@ class Compensated(Wrapped, diffrax.AbstractAdaptiveSolver):
             _Increment(terms, y0), t0, t1, low, args, inner, made_jump
         )
         y1 = jax.tree.map(jnp.add, y0, d)
-        low = jax.tree.map(_lost, y0, d, y1)
+        low = jax.tree.map(_rounding_error, y0, d, y1)
         return y1, error, {"y0": y0, "increment": dense}, (low, inner), result
 
 
-def _lost(y: jax.Array, d: jax.Array, total: jax.Array) -> jax.Array:
-    """y + d - total exactly, where total is the rounded sum of any y and d (Knuth)."""
+def _rounding_error(y: jax.Array, d: jax.Array, total: jax.Array) -> jax.Array:
+    """Return y + d - total exactly, total the rounded sum of any y and d (Knuth)."""
     added = total - y
     return (y - (total - added)) + (d - added)
 

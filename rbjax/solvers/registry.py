@@ -8,12 +8,8 @@ from functools import partial
 
 import diffrax
 
-from rbjax.solvers.common.newton import MAX_STEPS, very_chord
-from rbjax.solvers.explicit import runge_kutta as explicit_rk
-from rbjax.solvers.geometric import lie, rigid_body, second_order, splitting
-from rbjax.solvers.implicit import rosenbrock, sdirk
-from rbjax.solvers.implicit import runge_kutta as implicit_rk
-from rbjax.solvers.multistep import linear_multistep as multistep
+from rbjax.solvers import lie, multistep, rosenbrock, runge_kutta, second_order, splitting
+from rbjax.solvers.root_finding import MAX_STEPS, very_chord
 
 KINDS = ("ode", "second-order", "split", "lie")
 
@@ -51,20 +47,20 @@ def all() -> dict[str, Entry]:
 
     add("euler", diffrax.Euler, 1, adaptive=False)
     add("heun", diffrax.Heun, 2)
-    add("rk4", explicit_rk.RK4, 4)
-    add("implicit_midpoint", implicit_rk.implicit_midpoint, 2, implicit=True)
-    add("trapezoid", implicit_rk.trapezoid, 2, implicit=True)
+    add("rk4", runge_kutta.RK4, 4)
+    add("implicit_midpoint", runge_kutta.implicit_midpoint, 2, implicit=True)
+    add("trapezoid", runge_kutta.trapezoid, 2, implicit=True)
     for family, stages, order in (
-        (implicit_rk.gauss_legendre, 2, 4),
-        (implicit_rk.gauss_legendre, 3, 6),
-        (implicit_rk.lobatto_iiia, 3, 4),
-        (implicit_rk.lobatto_iiic, 2, 2),
-        (implicit_rk.lobatto_iiic, 3, 4),
-        (implicit_rk.radau_iia, 2, 3),
-        (implicit_rk.radau_iia, 3, 5),
+        (runge_kutta.gauss_legendre, 2, 4),
+        (runge_kutta.gauss_legendre, 3, 6),
+        (runge_kutta.lobatto_iiia, 3, 4),
+        (runge_kutta.lobatto_iiic, 2, 2),
+        (runge_kutta.lobatto_iiic, 3, 4),
+        (runge_kutta.radau_iia, 2, 3),
+        (runge_kutta.radau_iia, 3, 5),
     ):
         add(f"{family.__name__}{stages}", partial(family, stages), order, implicit=True)
-    add("sdirk2", sdirk.SDIRK2, 2, implicit=True)
+    add("sdirk2", runge_kutta.SDIRK2, 2, implicit=True)
     for kvaerno, order in (
         (diffrax.Kvaerno3, 3),
         (diffrax.Kvaerno4, 4),
@@ -103,5 +99,5 @@ def all() -> dict[str, Entry]:
     add("crouch_grossman3", lie.CrouchGrossman3, 3, "lie", adaptive=False)
     add("commutator_free4", lie.CommutatorFree4, 4, "lie", adaptive=False)
     add("lie_generalized_alpha", second_order.generalized_alpha, 2, "lie", True, False)
-    add("rigid_body_splitting", rigid_body.RigidBodySplitting, 2, "lie", adaptive=False)
+    add("rigid_body_splitting", lie.RigidBodySplitting, 2, "lie", adaptive=False)
     return out

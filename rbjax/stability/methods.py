@@ -11,7 +11,7 @@ import numpy as np
 from rbjax import solvers
 from rbjax.errors import InputError, UnknownName
 from rbjax.solvers import Tableau
-from rbjax.solvers.common.newton import very_chord
+from rbjax.solvers.root_finding import very_chord
 
 Solver = diffrax.AbstractSolver | str | Tableau
 

@@ -20,10 +20,10 @@ from rbjax.wheeled.files.writing import write_mjcf
 from rbjax.wheeled.kinematics.odometry import HeadingSlip, mean_twists, odometry, rolled_twists
 from rbjax.wheeled.models.constrained import full_model_state
 from rbjax.wheeled.models.contact_forces import Contacts, contacts
-from rbjax.wheeled.models.fidelity import Fidelity
 from rbjax.wheeled.models.reduction import Reduced, Undetermined, reduced, undetermined
+from rbjax.wheeled.models.robot_model import RobotModel
 from rbjax.wheeled.models.states import rates, start
-from rbjax.wheeled.motion.control_system import Vehicle, controlled
+from rbjax.wheeled.motion.control_system import RobotSystem, controlled
 from rbjax.wheeled.motion.following import (
     Commands,
     commands,
@@ -53,7 +53,7 @@ __all__ = [
     "DCMotor",
     "Drive",
     "Fiala",
-    "Fidelity",
+    "RobotModel",
     "HeadingSlip",
     "Linear",
     "Motor",
@@ -69,7 +69,7 @@ __all__ = [
     "Tyre",
     "TyreOnGround",
     "Undetermined",
-    "Vehicle",
+    "RobotSystem",
     "Wheel",
     "at",
     "commands",

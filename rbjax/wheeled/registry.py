@@ -11,14 +11,14 @@ from typing import Any
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.wheeled.models.constrained import Constrained
-from rbjax.wheeled.models.fidelity import Fidelity
 from rbjax.wheeled.models.quasi_velocities import QuasiVelocities
+from rbjax.wheeled.models.robot_model import RobotModel
 from rbjax.wheeled.models.rolling import Dynamical, Kinematic, Kinematical
 from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.robot import catalogue
 from rbjax.wheeled.robot.robot import Robot
 
-_FIDELITIES: tuple[type[Fidelity], ...] = (
+_FIDELITIES: tuple[type[RobotModel], ...] = (
     Kinematic,
     Kinematical,
     Dynamical,
@@ -37,7 +37,7 @@ class Kind:
     fidelities: tuple[str, ...]
 
 
-def fidelities() -> dict[str, type[Fidelity]]:
+def fidelities() -> dict[str, type[RobotModel]]:
     """All fidelities, the cheapest first: name -> class.
 
     Example:
@@ -102,7 +102,7 @@ def _named(kind: str, make: Callable[..., Robot]) -> Callable[..., Robot]:
     return named
 
 
-def at(robot: Robot, fidelity: str, **options: Any) -> Fidelity:
+def at(robot: Robot, fidelity: str, **options: Any) -> RobotModel:
     """A robot at a fidelity.
 
     Args:
@@ -111,7 +111,7 @@ def at(robot: Robot, fidelity: str, **options: Any) -> Fidelity:
         options: fields of that fidelity, such as `tyre` of "slipping".
 
     Returns:
-        `Fidelity`.
+        `RobotModel`.
 
     Raises:
         InputError: not a robot. UnknownName: no such fidelity or option.

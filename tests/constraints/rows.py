@@ -9,7 +9,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.constraints import Row
-from rbjax.constraints.equations.system import gradient_matrix, rows_of
+from rbjax.constraints.equations.model_rows import gradient_matrix, rows_of
 from rbjax.forces import Context
 
 T = 0.3

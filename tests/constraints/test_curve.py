@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from tests.constraints.rows import check, tree
 
 A = rc.Place.on(body="leg", point=[0.1, -0.2, 0.05], axis=[1.0, 0.4, 2.0])

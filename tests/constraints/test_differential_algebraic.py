@@ -18,7 +18,7 @@ from rbjax.forces.acting import applied
 from rbjax.motion.implicit import increment, stages
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import motion
-from rbjax.solvers.common.steps import mixed
+from rbjax.solvers.steps import weighted_sums
 from tests.constraints.test_formulations import hung_twice, pendulum, skate
 from tests.oracles import load
 from tests.tolerances import GRADIENT
@@ -73,7 +73,7 @@ def by_stages(solver, law: rc.Formulation) -> Callable:
         def once(i, at):
             state, l = at
             found = stages(law, tableau, model, forces, i * h, state, h)
-            u = increment(model, mixed(tableau.b, found.k))
+            u = increment(model, weighted_sums(tableau.b, found.k))
             l = jnp.where(found.ok, l + to_end @ (found.w[:, 0] - l), jnp.nan)
             return rb.State(state.q + u.q, state.v + u.v), l
 

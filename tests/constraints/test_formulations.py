@@ -14,13 +14,11 @@ import rbjax as rb
 from benchmarks.cases.mechanisms import QUIET, tilted_four_bar
 from rbjax import constraints as rc
 from rbjax.constraints import Constraint, Row, coordinate
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion, least_norm
 from rbjax.constraints.equations.projection import projected
-from rbjax.constraints.equations.system import least_norm
-from rbjax.constraints.formulation import as_formulation
+from rbjax.constraints.formulation import METHODS, as_formulation
 from rbjax.constraints.methods.dense import Dense
 from rbjax.constraints.methods.recursive import by_clusters
-from rbjax.constraints.registry import METHODS
 from tests.oracles import load
 from tests.tolerances import GRADIENT
 

@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from tests.constraints.rows import T, check, tree
 
 NUMBERS = {"k": jnp.array([0.7, -0.4]), "n": 3}

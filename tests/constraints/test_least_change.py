@@ -9,8 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.equations.projection import projected
-from rbjax.constraints.equations.tangent import across
+from rbjax.constraints.equations.projection import across, projected
 
 FREE = "<freejoint/>"
 PLANAR = """<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>

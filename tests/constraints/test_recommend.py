@@ -11,7 +11,7 @@ from scipy.integrate import quad
 import rbjax as rb
 from benchmarks.cases.mechanisms import four_bars, pendulum, spatial_slider_crank, tilted_four_bar
 from rbjax import constraints as rc
-from rbjax.constraints.registry import formulation_of
+from rbjax.constraints.formulation import formulation_of
 from rbjax.recommend import FormulationRecommendation
 
 FIGURES = Path(__file__).parent.parent / "oracles" / "loops.json"

@@ -23,11 +23,10 @@ from benchmarks.cases.mechanisms import (
     walker,
 )
 from rbjax import constraints as rc
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
+from rbjax.constraints.equations.model_rows import rows_of
 from rbjax.constraints.equations.projection import projected
-from rbjax.constraints.equations.system import rows_of
-from rbjax.constraints.methods.clusters import Cluster, clusters
-from rbjax.constraints.methods.recursive import by_clusters
+from rbjax.constraints.methods.recursive import Cluster, by_clusters, clusters
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3

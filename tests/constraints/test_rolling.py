@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from tests.constraints.rows import check, rows_at, tree
 from tests.oracles import load
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rbjax as rb
-from rbjax.constraints.equations.system import gradient_matrix
+from rbjax.constraints.equations.model_rows import gradient_matrix
 from rbjax.constraints.rows.geometry import time
 from rbjax.constraints.rows.row import Row, angle, function_of
 from rbjax.forces import Context

@@ -11,12 +11,11 @@ from scipy.spatial.transform import Rotation
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.methods.clusters import reach
-from rbjax.constraints.registry import formulation_of
-from rbjax.constraints.rows.geometry import coordinate, distance
-from rbjax.constraints.rows.place import turn_z_to
+from rbjax.constraints.formulation import formulation_of
+from rbjax.constraints.methods.recursive import reach
+from rbjax.constraints.rows.functions import evaluate
+from rbjax.constraints.rows.geometry import coordinate, distance, turn_z_to
 from rbjax.constraints.rows.rolling import slip
-from rbjax.constraints.rows.user_function import evaluate
 from rbjax.forces import Loads
 from rbjax.lanes import Vec3
 from tests.constraints.rows import rows_at

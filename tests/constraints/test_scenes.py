@@ -9,7 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.equations.projection import projected
 
 #: name -> freedoms (the textbooks' number), motors, and redundant rows: those across the plane of a

@@ -10,8 +10,8 @@ import pytest
 import rbjax as rb
 from benchmarks.cases.mechanisms import pendulum
 from rbjax import constraints as rc
-from rbjax.constraints.methods.compliant import compliant_motion
-from rbjax.constraints.registry import formulation_of
+from rbjax.constraints.formulation import formulation_of
+from rbjax.constraints.methods.soft import compliant_motion
 from tests.constraints.rows import check, tree
 
 

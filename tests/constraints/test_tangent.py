@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from benchmarks.cases.mechanisms import four_bars, pendulum, spatial_slider_crank
 from rbjax import constraints as rc
-from rbjax.constraints.equations.tangent import across
+from rbjax.constraints.equations.projection import across
 
 DOWN = np.array([0.0, -9.81])
 START = np.array([0.6, -0.8, 1.04, 0.78])

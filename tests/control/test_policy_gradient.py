@@ -10,14 +10,8 @@ import pytest
 import rbjax as rb
 from rbjax.control import Environment, actor_critic, network, through_time
 from rbjax.control.learning.environment import Segment, squashed
-from rbjax.control.learning.policy_gradient import (
-    Samples,
-    drawn,
-    policy_loss,
-    renewed,
-    returns,
-    updated,
-)
+from rbjax.control.learning.policy_gradient import Samples, drawn, policy_loss, renewed, returns
+from rbjax.control.learning.training import updated
 from rbjax.errors import InputError, UnknownName
 from tests.tolerances import F64_TRANSFORM, relative_error
 

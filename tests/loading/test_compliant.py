@@ -8,7 +8,7 @@ from mujoco import mjx
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.methods.compliant import compliant_motion
+from rbjax.constraints.methods.soft import compliant_motion
 from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs
 from rbjax.loading import compile_model

@@ -12,7 +12,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.equations.system import gradient_matrix, rows_of
+from rbjax.constraints.equations.model_rows import gradient_matrix, rows_of
 from rbjax.loading import compile_model
 from tests.robots import QUICK, load_quietly
 

@@ -14,7 +14,7 @@ import pytest
 from scipy.optimize import minimize
 
 import rbjax as rb
-from rbjax.planning import Curve, dubins, reeds_shepp
+from rbjax.planning import Path, dubins, reeds_shepp
 from rbjax.planning.paths import words
 from tests.tolerances import GRADIENT
 
@@ -40,7 +40,7 @@ def test_curves_end_at_the_goal(shortest) -> None:
     start, goal, radius = pairs(2000)
     curve = shortest(start, goal, radius)
     assert apart(curve.end, goal) <= END
-    assert np.allclose(curve.length, np.abs(curve.lengths).sum(-1), rtol=1e-14)
+    assert np.allclose(curve.length, np.abs(curve.steps[..., 0]).sum(-1), rtol=1e-14)
     assert (np.asarray(curve.length) >= np.hypot(*(goal - start)[:, :2].T) * (1 - 1e-14)).all()
 
 
@@ -54,7 +54,8 @@ def test_every_word_ends_at_the_goal(table, wrap) -> None:
     goal = pairs(500)[1]
     find = jax.jit(lambda x, y, phi: words.candidates(table, wrap, x, y, phi))
     lengths, turns, exists = find(*goal.T)
-    curves = Curve(jnp.abs(lengths).sum(-1), lengths, turns, jnp.zeros(3), jnp.ones(()))
+    steps = jnp.stack([lengths, 0 * lengths, turns * lengths], -1)
+    curves = Path(jnp.zeros((*lengths.shape[:-1], 3)), steps)
     exists = np.asarray(exists)
     assert exists.any(0).all()
     ends = np.broadcast_to(goal[:, None], (*exists.shape, 3))
@@ -143,7 +144,7 @@ def test_poses_along_a_curve(shortest) -> None:
     start, goal, radius = pairs(30)
     curve = shortest(start, goal, radius)
     n = 1001
-    path = np.asarray(curve.poses(n))
+    path = np.asarray(curve.sample_poses(n))
     assert apart(path[:, 0], start) == 0 and apart(path[:, -1], goal) <= END
     step = np.diff(path[..., :2], axis=1)
     ds = np.asarray(curve.length)[:, None] / (n - 1)
@@ -188,8 +189,8 @@ def test_transformations_and_dtypes() -> None:
     assert np.allclose(single.length, want.length, rtol=3e-5)
     assert apart(single.end, goal) <= 2e-5
     table = jax.eval_shape(reeds_shepp, start[:, None], goal[None, :3], np.ones(()))
-    assert table.length.shape == (20, 3)
-    assert jax.eval_shape(lambda c: c.poses(4), table).shape == (20, 3, 4, 3)
+    assert table.start.shape == (20, 3, 3) and table.steps.shape == (20, 3, 5, 3)
+    assert jax.eval_shape(lambda c: c.sample_poses(4), table).shape == (20, 3, 4, 3)
 
 
 @pytest.mark.parametrize(
@@ -198,8 +199,11 @@ def test_transformations_and_dtypes() -> None:
         (lambda: dubins([0, 0], [1, 1, 0], 1.0), ["dubins: start", "(2,)", "(..., 3)"]),
         (lambda: reeds_shepp([0, 0, 0], [1, np.nan, 0], 1.0), ["goal[1] is nan", "finite"]),
         (lambda: reeds_shepp([0, 0, 0], [1, 1, 0], 0.0), ["radius[] is 0.0", "above zero"]),
-        (lambda: dubins(*pairs(2)).word, ["Curve.word", "(2,)"]),
-        (lambda: dubins([0, 0, 0], [1, 1, 0], 1.0).poses(1), ["poses: n is 1", "at least 2"]),
+        (lambda: dubins(*pairs(2)).word, ["Path.word", "(2,)"]),
+        (
+            lambda: dubins([0, 0, 0], [1, 1, 0], 1.0).sample_poses(1),
+            ["sample_poses: n is 1", "at least 2"],
+        ),
     ],
     ids=range(5),
 )

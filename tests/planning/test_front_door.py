@@ -58,7 +58,7 @@ def test_methods_and_batches(method: str) -> None:
         (dict(drive="differential", radius=1.0), ["radius is 1.0", "none"]),
         (dict(radius=-1.0), ["radius is -1.0"]),
         (dict(radius=1.0, start=[0.0, 1.0]), ["shapes (2,) and (3,)", "(q, 3)"]),
-        (dict(radius=1.0, grid=None), ["NoneType", "OccupancyGrid"]),
+        (dict(radius=1.0, grid=None), ["grid is None", "OccupancyGrid"]),
     ],
     ids=range(7),
 )

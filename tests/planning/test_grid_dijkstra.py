@@ -197,7 +197,7 @@ ROUND = Footprint.disc(0.1)
             lambda: grid_dijkstra(
                 GRID, ROUND, [0.5] * 3, [0.6] * 3, Controls.car(radius=1.0, turn=0.3)
             ),
-            ["turn_rates[0] * dt is 3.4", "72 heading cells", "whole number"],
+            ["turn_rates[0] * dt is 3.4", "72 heading cells", "an integer; change dt"],
         ),
         (
             lambda: grid_dijkstra(GRID, ROUND, [0.5] * 2, [0.6] * 3, car_like(72)),

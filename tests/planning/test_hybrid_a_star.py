@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.planning import Controls, Footprint, hybrid_a_star, reeds_shepp
-from rbjax.planning.search.ending import Direct
+from rbjax.planning.search.connections import DirectMotion
 from tests.planning.scenes import bends, driven, rectangle_hits, room
 
 SIZE = dict(ahead=0.7, behind=0.2, width=0.4)
@@ -122,7 +122,7 @@ def test_bounds_of_direct_connections() -> None:
     spin = Controls([1, -1, 0, 0], [0, 0, 2, -2], 0.2, reversal=3)
     slide = Controls([1, 0, 0], [0, 0, 1], 0.2, sideways=[0, 1, 0])
     for controls in (STEER, AHEAD, AHEAD.in_reverse(), spin, slide):
-        bound, steps, price = Direct("test", controls)(poses, goal, after)
+        bound, steps, price = DirectMotion("test", controls)(poses, goal, after)
         assert (bound <= price + 1e-9).all()
         ends = np.asarray(rb.planning.Path(poses, steps).poses)[:, -1]
         assert np.abs(ends[:, :2] - goal[:2]).max() < 1e-12

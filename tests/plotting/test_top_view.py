@@ -59,13 +59,14 @@ def test_wheels_that_roll_move_along_themselves(name):
 def test_forces_accelerate_the_car(car, motion):
     state, u = motion.state(-1), jnp.array([20.0, 0.3])
     forces, _ = acting(car, state, u, places(car, state.q))
-    n, _ = car.instant(state)
+    n = car.context(state).n
     h = 1e-5
 
     def velocity_of_the_center(s):
         rate = wheeled.rates(car, state, u)
         q, v = state.q + s * rate.q, state.v + s * rate.v
-        n, now = car.instant(State(q, v))
+        now = car.context(State(q, v))
+        n = now.n
         x, y = (float(a) / float(n.bodies[0].mass) for a in n.bodies[0].moment)
         body = np.array([v[0] - v[2] * y, v[1] + v[2] * x])
         return vectors(body, np.array([float(a) for a in now.pose]))

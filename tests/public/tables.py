@@ -165,7 +165,7 @@ FAR = POSES + np.array([4.0, 2.0, 0.5])
 def curve(name: str) -> Callable:
     def found(start, goal):
         path = getattr(planning, name)(start, goal, jnp.asarray(0.5, start.dtype))
-        return path.poses(5)
+        return path.sample_poses(5)
 
     return found
 

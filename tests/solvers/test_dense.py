@@ -7,7 +7,7 @@ import numpy as np
 import optimistix as optx
 import pytest
 
-from rbjax.solvers.multistep.linear_multistep import AbstractMultistep
+from rbjax.solvers.multistep import AbstractMultistep
 from tests.solvers.scenes import SOLVERS, scene
 
 #: name -> order of the values between steps: at most that of the solver

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rbjax.solvers import adams_bashforth, bdf, pece
-from rbjax.solvers.multistep.interpolation import basis, integrals, slopes_at_one
+from rbjax.solvers.multistep import basis, integrals, slopes_at_one
 from tests.oracles import load
 from tests.solvers.scenes import SCENES
 

@@ -8,10 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.solvers.common import tableau as tables
+from rbjax.solvers import tableau as tables
 from rbjax.solvers.constrained.differential_algebraic import refined
-from rbjax.solvers.constrained.simplified import Simplified, Sizes, simplified
-from rbjax.solvers.constrained.spectrum import weights
+from rbjax.solvers.constrained.simplified import Simplified, Sizes, simplified, weights
 
 K, X, ROWS, H = 4, 1, 2, 0.02  # velocities, states x, rows, step
 N = 2 * K + X

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.solvers.common import tableau as tables
-from rbjax.solvers.constrained.spectrum import Spectrum, spectrum, weight, weights
+from rbjax.solvers import tableau as tables
+from rbjax.solvers.constrained.simplified import Spectrum, spectrum, weight, weights
 
 METHODS = {
     "radau1": tables.radau_iia(1), "radau2": tables.radau_iia(2), "radau3": tables.radau_iia(3),

@@ -7,8 +7,8 @@ import pytest
 
 from rbjax.solvers import radau_iia
 from rbjax.solvers.constrained.differential_algebraic import Equations, Point, solve
-from rbjax.solvers.constrained.spectrum import weights
-from rbjax.solvers.constrained.stage_matrix import Factored, Matrix
+from rbjax.solvers.constrained.schur_complement import Factored, Matrix
+from rbjax.solvers.constrained.simplified import weights
 
 TABLEAU = radau_iia(3).tableau
 FORCE = 7.0

@@ -5,11 +5,9 @@ import numpy as np
 import pytest
 from scipy.integrate._ivp import dop853_coefficients as hairer
 
-from rbjax.solvers import RosenbrockTableau, Tableau
-from rbjax.solvers.common import tableau
-from rbjax.solvers.common.tableau import attained_order, density, size, trees
-from rbjax.solvers.explicit.dop853 import DOP853
-from rbjax.solvers.implicit.rosenbrock import _ros34pw2, holds
+from rbjax.solvers import RosenbrockTableau, Tableau, tableau
+from rbjax.solvers.rosenbrock import _ros34pw2, holds
+from rbjax.solvers.tableau import DOP853, attained_order, density, size, trees
 from tests.oracles import load
 
 ORACLE = load("ode_methods")

@@ -7,10 +7,10 @@ import pytest
 
 import rbjax as rb
 from rbjax.wheeled import Body, Drive, Robot, Steering, Wheel, kinds
-from rbjax.wheeled.kinematics.context import Context
-from rbjax.wheeled.kinematics.numbers import numbers_of
+from rbjax.wheeled.kinematics.context import RobotContext
 from rbjax.wheeled.kinematics.odometry import HeadingSlip
-from rbjax.wheeled.kinematics.planar import Moving, inverse_root
+from rbjax.wheeled.kinematics.parameters import parameters_of
+from rbjax.wheeled.kinematics.planar import Dual, inverse_root
 from rbjax.wheeled.robot import catalogue
 
 MASS, INERTIA = 7.0, 3.0
@@ -61,7 +61,7 @@ def test_a_caster_turns_by_itself():
     ]
     robot = Robot.of(Body(10.0, 1.5, [0.05, 0.02]), wheels, [Drive((0,)), Drive((1,))])
     moments = 10.0 * (0.05**2 + 0.02**2) + 2 * 2.0 * (0.1**2 + 0.2**2) + 0.5 * (0.4**2 + 0.1**2)
-    body = numbers_of(robot, jnp.float64).bodies[0]
+    body = parameters_of(robot, jnp.float64).bodies[0]
     np.testing.assert_allclose(body.inertia, 1.5 + 2 * 0.3 + moments, rtol=1e-14)
     np.testing.assert_allclose(body.mass, 14.5, rtol=1e-15)
 
@@ -77,7 +77,9 @@ def test_axles_of_a_steered_car_meet_in_one_point(turned):
     layout = robot.layout
     q = [0.0] * layout.nq
     q[layout.steerings.start] = 0.4
-    ahead = np.array(Context(numbers_of(robot, jnp.float64), q, [], [], []).shape.wheels, float)
+    ahead = np.array(
+        RobotContext(parameters_of(robot, jnp.float64), q, [], [], []).shape.wheels, float
+    )
     np.testing.assert_allclose((ahead**2).sum(1), 1.0, rtol=1e-14)
     reach = (ahead * places).sum(1)  # e . (p - c) = 0 for the centre c
     centre = np.linalg.lstsq(ahead, reach, rcond=None)[0]
@@ -89,7 +91,7 @@ def test_axles_of_a_steered_car_meet_in_one_point(turned):
 
 def test_an_inverse_root_and_its_rate():
     assert inverse_root(4.0) == 0.5
-    found = inverse_root(Moving(4.0, 3.0))
+    found = inverse_root(Dual(4.0, 3.0))
     assert (found.value, found.rate) == (0.5, -0.5 * 4.0**-1.5 * 3.0)
 
 

@@ -18,7 +18,7 @@ DT, PARTS = 0.03, 3
 
 
 @functools.cache
-def vehicle(name: str) -> wheeled.Fidelity:
+def vehicle(name: str) -> wheeled.RobotModel:
     if name == "wheels that relax":
         car = KINDS["bicycle"].make(motor=wheeled.SpeedServo(500.0), lag=0.1)
         tyre = wheeled.Relaxing(wheeled.Fiala(15.0, 0.9, smooth_speed=1.0), 0.3)
@@ -31,7 +31,7 @@ def vehicle(name: str) -> wheeled.Fidelity:
 EVERY = pytest.mark.parametrize("name", ["wheels that relax", "no velocities", "cart"])
 
 
-def moving(name: str):
+def duals(name: str):
     """A system, a state in motion, and three rows of controls."""
     one = vehicle(name)
     method = "linearly_implicit_euler" if one.nx else "rk4"
@@ -47,7 +47,7 @@ def moving(name: str):
 
 @EVERY
 def test_steps_are_those_of_rollout(name) -> None:
-    system, start, u = moving(name)
+    system, start, u = duals(name)
 
     def both(start, u):
         states = [start]
@@ -67,7 +67,7 @@ def test_steps_are_those_of_rollout(name) -> None:
 
 @EVERY
 def test_derivatives_of_a_step_are_its_differences(name) -> None:
-    system, start, u = moving(name)
+    system, start, u = duals(name)
 
     def both(start, u):
         def at(d):
@@ -101,7 +101,7 @@ def test_what_a_cost_reads_is_expanded_only(name) -> None:
 
 def test_an_error_of_a_state_is_a_difference_of_all_numbers() -> None:
     """A heading of 7 is not one of 7 - 2 pi."""
-    system, start, u = moving("wheels that relax")
+    system, start, u = duals("wheels that relax")
     turned = start.replace(q=start.q.at[2].add(-2 * np.pi))
     for reference in (turned, rb.State(turned.q, turned.v)):
         off = control.StateError(reference)(system.model, 0.0, start, u[0])

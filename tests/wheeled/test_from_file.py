@@ -17,7 +17,7 @@ from rbjax.errors import InputError, UnknownName, UnsupportedFeature
 from rbjax.loading.sources import compile_model
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, SpeedServo, TorqueSource
-from rbjax.wheeled.kinematics.numbers import numbers_of
+from rbjax.wheeled.kinematics.parameters import parameters_of
 from tests.oracles.rolling_mujoco import RollingFile, Touch, ackermann
 from tests.tolerances import relative_error
 from tests.wheeled.test_full_model import full_rates, stacked
@@ -160,13 +160,14 @@ def laws(robot: wheeled.Robot, fidelity: str):
     reduced, law = wheeled.at(robot, "kinematical"), wheeled.at(robot, fidelity)
 
     def found(q, v, u):
-        n, now = reduced.instant(State(q, v), u)
-        w = reduced.full(n, now)
+        now = reduced.context(State(q, v), u)
+        n = now.n
+        w = reduced.full_velocities(now)
         if fidelity == "constrained":
-            rates = stacked(law.accelerations(n, replace(now, v=w)))
+            rates = stacked(law.accelerations(replace(now, v=w)))
         else:
-            rates = stacked(full_rates(n, now, w, law.accelerations(n, now)))
-        return stacked(reduced.coordinate_rates(n, now)), rates
+            rates = stacked(full_rates(n, now, w, law.accelerations(now)))
+        return stacked(reduced.coordinate_rates(now)), rates
 
     return jax.jit(found)
 
@@ -226,7 +227,7 @@ def test_mass_and_places_are_those_of_mujoco(name) -> None:
     mujoco.mj_forward(m, d)
     M = np.zeros((m.nv, m.nv))
     mujoco.mj_fullM(m, d, M)
-    body = numbers_of(robot, jnp.float64).bodies[0]
+    body = parameters_of(robot, jnp.float64).bodies[0]
     np.testing.assert_allclose(body.mass, M[0, 0], rtol=1e-12)
     com = d.subtree_com[1] - d.xpos[1]
     np.testing.assert_allclose(np.array(body.moment) / body.mass, com[:2], atol=1e-14)
@@ -275,7 +276,7 @@ def test_gravity_at_an_angle_is_a_slope() -> None:
     text = RACECAR.read_text().replace('model="racecar">', 'model="racecar">'
                                        '<option gravity="1.2 0.5 -9.6"/>')  # fmt: skip
     robot = wheeled.from_file(text, **CASES["car"].given)
-    n = numbers_of(robot, jnp.float64)
+    n = parameters_of(robot, jnp.float64)
     turned = np.array([[np.sqrt(0.75), 0.5], [-0.5, np.sqrt(0.75)]]) @ [1.2, 0.5]
     np.testing.assert_allclose([*n.downhill, n.gravity], [*turned, 9.6], rtol=1e-12)
 

@@ -14,11 +14,11 @@ from rbjax.constraints import KKT, jacobian, mobility
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled.kinematics.context import coordinate_rates
-from rbjax.wheeled.kinematics.planar import Moving, rate_of
-from rbjax.wheeled.kinematics.velocities import ideal, rows
+from rbjax.wheeled.kinematics.planar import Dual, rate_of
+from rbjax.wheeled.kinematics.velocities import constraint_rates, rolling_velocities
 from rbjax.wheeled.models.constrained import Constrained, full_state
-from rbjax.wheeled.models.equations import project, weights
-from rbjax.wheeled.models.fidelity import kinetic_energy
+from rbjax.wheeled.models.equations import gravity_wrenches, projected_equations
+from rbjax.wheeled.models.robot_model import kinetic_energy
 from rbjax.wheeled.multibody.full_model import full_model
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 
@@ -54,8 +54,10 @@ def samples(fidelity, seed=0):
 
 def full_rates(n, now, w, change):
     """w' by that of the free velocities."""
-    shape = now.turning(w)
-    return rates(ideal(n, shape, [Moving(a, b) for a, b in zip(now.v, change, strict=True)]))
+    shape = now.shape_with_rate(w)
+    return rates(
+        rolling_velocities(n, shape, [Dual(a, b) for a, b in zip(now.v, change, strict=True)])
+    )
 
 
 @every_kind
@@ -65,18 +67,19 @@ def test_accelerations_and_energy(name):
     eliminated = wheeled.at(robot, "dynamical")
 
     def found(q, v, u):
-        n, now = reduced.instant(State(q, v), u)
-        w = reduced.full(n, now)
+        now = reduced.context(State(q, v), u)
+        n = now.n
+        w = reduced.full_velocities(now)
         then = replace(now, v=w)
         resting = replace(now, u=now.u[: len(robot.drives)] + [0.0] * len(robot.steerings))
         model, state = full_state(n, resting, w)
         T = rb.kinetic_energy(model, state.q, state.v)
         return {
             "w": stacked(w),
-            "on rows": stacked(full.full(n, then)),
-            "by twists": stacked(full_rates(n, now, w, reduced.accelerations(n, now))),
-            "by multipliers": stacked(full_rates(n, now, w, eliminated.accelerations(n, now))),
-            "constrained": stacked(full.accelerations(n, then)),
+            "on rows": stacked(full.full_velocities(then)),
+            "by twists": stacked(full_rates(n, now, w, reduced.accelerations(now))),
+            "by multipliers": stacked(full_rates(n, now, w, eliminated.accelerations(now))),
+            "constrained": stacked(full.accelerations(then)),
             "T": jnp.stack([T, kinetic_energy(n, now.shape, w)]),
         }
 
@@ -97,31 +100,30 @@ def test_separation_of_wrenches_term_by_term(name):
     reduced = wheeled.at(robot, "kinematical")
 
     def found(q, nu, u):
-        n, now = reduced.instant(State(q, nu), u)
+        now = reduced.context(State(q, nu), u)
+        n = now.n
 
         def lifted(nu):
             moved = replace(now, v=[nu[i] for i in range(reduced.nv)])
-            return full_state(n, moved, reduced.full(n, moved))[1].v
+            return full_state(moved, reduced.full_velocities(moved))[1].v
 
-        model, state = full_state(n, now, reduced.full(n, now))
+        model, state = full_state(now, reduced.full_velocities(now))
         S = jax.jacfwd(lifted)(nu)
         M = rb.mass_matrix(model, state.q)
         # S' nu: how velocities change as q moves on and nu does not
 
         def ahead(s):
-            w = reduced.full(n, now)
-            dq = stacked(coordinate_rates(n, now, w))
+            w = reduced.full_velocities(now)
+            dq = stacked(coordinate_rates(now, w))
             there = replace(now, q=[a + s * b for a, b in zip(now.q, dq, strict=True)])
-            return full_state(n, there, reduced.full(n, there))[1].v
+            return full_state(there, reduced.full_velocities(there))[1].v
 
         bias = rb.bias_forces(model, state.q, state.v)
         _, dS = jax.jvp(ahead, (0.0,), (1.0,))
         rows = jacobian(model, state.q)
-        shape = now.shape
-        w = reduced.full(n, now)
-        book = project(
-            n, now, w, ideal, now.v,
-            weights(n, now.pose, shape), [0.0] * len(n.shafts),
+        w = reduced.full_velocities(now)
+        book = projected_equations(now, w, rolling_velocities, now.v,
+            gravity_wrenches(now), [0.0] * len(n.shafts),
         )  # fmt: skip
         return {
             "rows": rows @ S,
@@ -142,11 +144,12 @@ def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
     full, reduced = Constrained(robot), wheeled.at(robot, "kinematical")
 
     def found(q, nu, u):
-        n, now = reduced.instant(State(q, nu), u)
-        w = reduced.full(n, now)
+        now = reduced.context(State(q, nu), u)
+        n = now.n
+        w = reduced.full_velocities(now)
         now = replace(now, v=w)
-        model, state = full_state(n, now, w)
-        a = full.accelerations(n, now)
+        model, state = full_state(now, w)
+        a = full.accelerations(now)
         # p' in the chassis' axes, from V and V'
         M, (cx, cy) = model.bodies.mass.sum(), rb.center_of_mass(model, state.q)[:2]
         c, s = jnp.cos(q[2]), jnp.sin(q[2])
@@ -156,7 +159,7 @@ def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
         ay = a[1] + w[2] * w[0] + a[2] * x - w[2] ** 2 * y
         fx, fy = 0.0, 0.0
         shape = now.shape
-        for (ahead, left), way in zip(full.wheel_forces(n, now), shape.wheels, strict=True):
+        for (ahead, left), way in zip(full.wheel_forces(now), shape.wheels, strict=True):
             fx, fy = fx + ahead * way[0] - left * way[1], fy + ahead * way[1] + left * way[0]
         gx, gy = n.downhill
         weight = M * (c * gx + s * gy), M * (c * gy - s * gx)
@@ -171,11 +174,11 @@ def test_formulations_agree_and_velocities_off_the_rows_are_put_on_them():
     robot = on_a_slope("differential_drive")
 
     def found(q, w, u):
-        n, now = Constrained(robot).instant(State(q, w), u)
-        model, state = full_state(n, now, Constrained(robot).full(n, now))
+        now = Constrained(robot).context(State(q, w), u)
+        model, state = full_state(now, Constrained(robot).full_velocities(now))
         rows = jacobian(model, state.q) @ state.v
         laws = Constrained(robot), Constrained(robot, KKT())
-        return rows, *(stacked(law.accelerations(n, now)) for law in laws)
+        return rows, *(stacked(law.accelerations(now)) for law in laws)
 
     one, rng = Constrained(robot), np.random.default_rng(1)
     given = [rng.normal(size=size) for size in (one.nq, one.nv, one.nu)]
@@ -197,8 +200,8 @@ def test_derivatives_by_the_robots_numbers():
         ]
         chassis = robot.bodies[0].replace(mass=mass)
         one = Constrained(robot.replace(bodies=(chassis,), wheels=tuple(wheels)))
-        n, now = one.instant(State(jnp.asarray(q), jnp.asarray(w)), u)
-        return stacked(one.accelerations(n, now))
+        now = one.context(State(jnp.asarray(q), jnp.asarray(w)), u)
+        return stacked(one.accelerations(now))
 
     both = jax.jit(lambda x: jax.jvp(speeding, (x[0], x[1]), (jnp.ones(()), jnp.full((), 0.1))))
     h = 1e-5
@@ -246,7 +249,8 @@ def test_rows_hold_over_a_long_rollout() -> None:
         path = wheeled.rollout(vehicle, start, lambda t, s: u, 0.001, steps=20_000, save_every=2000)
         assert path.ok
         ends.append(path)
-    n, now = full.instant(State(ends[0].q[-1], ends[0].v[-1]))
-    found = rows(n, now.shape, now.v)
+    now = full.context(State(ends[0].q[-1], ends[0].v[-1]))
+    n = now.n
+    found = constraint_rates(n, now.shape, now.v)
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-12)
     np.testing.assert_allclose(ends[0].q[-1], ends[1].q[-1], rtol=0, atol=1e-8)

@@ -11,9 +11,14 @@ from rbjax import wheeled
 from rbjax.compiling import compiler_options
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, Relaxing, RollingResistance, SpeedServo
-from rbjax.wheeled.kinematics.velocities import contact, rows, shaft_speed, twists_of
-from rbjax.wheeled.models.fidelity import as_state, kinetic_energy, potential_energy
+from rbjax.wheeled.kinematics.velocities import (
+    constraint_rates,
+    contact_velocity,
+    shaft_speed,
+    twists_of,
+)
 from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.models.robot_model import as_state, kinetic_energy, potential_energy
 from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.motion.rollout import METHODS
 from tests.wheeled.laws import LAWS, by_complex_step, numbers
@@ -43,7 +48,8 @@ def end_of(vehicle, twist, u, dt):
         own, dtype = back(row), row.dtype
         if not jnp.iscomplexobj(row):
             return wheeled.rollout(own, start, u, dt, save_every=len(u)).q[-1, :3]
-        n, now = own.instant(jax.tree.map(lambda x: x.astype(dtype), start))
+        now = own.context(jax.tree.map(lambda x: x.astype(dtype), start))
+        n = now.n
 
         def once(y, u):
             after = METHODS["rk4"](own, n, y, list(u), dt)
@@ -109,15 +115,17 @@ def test_gradients_of_ten_seconds_by_every_number(case) -> None:
 
 
 def energy(vehicle, state, u):
-    n, now = vehicle.instant(state, u)
-    w = vehicle.full(n, now)
-    return kinetic_energy(n, now.shape, w) + potential_energy(n, now)
+    now = vehicle.context(state, u)
+    n = now.n
+    w = vehicle.full_velocities(now)
+    return kinetic_energy(n, now.shape, w) + potential_energy(now)
 
 
 def power(vehicle, state, u):
     """What drives take in less their heat; what contacts and rolling resistance take away."""
-    n, now = vehicle.instant(state, u)
-    robot, w = vehicle.robot, vehicle.full(n, now)
+    now = vehicle.context(state, u)
+    n = now.n
+    robot, w = vehicle.robot, vehicle.full_velocities(now)
     shape, shafts = now.shape, w[2 + len(n.bodies) :]
     total, lost = 0.0, 0.0
     for i, drive in enumerate(robot.drives):
@@ -125,14 +133,14 @@ def power(vehicle, state, u):
         total += drive.motor.power_in(u[i], speed)
         lost += drive.motor.heat(u[i], speed)
     slips = isinstance(vehicle, Slipping)
-    loads, forces = vehicle.forces(n, now) if slips else (wheel_loads(n), None)
+    loads, forces = vehicle.forces(now) if slips else (wheel_loads(n), None)
     twists = twists_of(n, shape, w)
     for i, (wheel, (c, s)) in enumerate(zip(n.wheels, shape.wheels, strict=True)):
         roll = wheel.radius * shafts[wheel.shaft]
         drag = robot.resistance.torque(loads[i], wheel.radius, roll) * shafts[wheel.shaft]
         lost -= drag
         if slips:
-            along, across = contact(n, shape, twists, i)
+            along, across = contact_velocity(n, shape, twists, i)
             across = 0.0 if wheel.kind == "caster" else across
             (x, y) = forces[i]
             lost -= (c * x + s * y) * (along - roll) + (c * y - s * x) * across
@@ -145,8 +153,8 @@ def balance(vehicle, control, seconds: float, twist):
 
     def rate(t, y, _):
         state, u = y[0], control(t)
-        n, now = vehicle.instant(state, u)
-        return as_state(*vehicle.rates(n, now), state.q.dtype), power(vehicle, state, u)
+        now = vehicle.context(state, u)
+        return as_state(*vehicle.rates(now), state.q.dtype), power(vehicle, state, u)
 
     def solved(start):
         out = diffrax.diffeqsolve(
@@ -228,11 +236,12 @@ def test_rows_hold_over_a_million_steps(fidelity) -> None:
     assert path.ok and np.abs(np.diff(path.q[:, :2], axis=0)).max() > 1.0
     off = 0.0
     for state in map(path.state, range(11)):
-        n, now = vehicle.instant(State(state.q, state.v))
-        found = rows(n, now.shape, vehicle.full(n, now))
+        now = vehicle.context(State(state.q, state.v))
+        n = now.n
+        found = constraint_rates(n, now.shape, vehicle.full_velocities(now))
         off = max(off, np.abs(np.array(found, float)).max())
         if fidelity == "constrained":  # v as it is kept
-            found = rows(n, now.shape, now.v)
+            found = constraint_rates(n, now.shape, now.v)
             off = max(off, np.abs(np.array(found, float)).max())
     assert off < (1e-15 if fidelity == "kinematical" else 1e-12)
 

@@ -14,7 +14,7 @@ m, I, d, b, r, J, L = 10.0, 0.4, 0.15, 0.2, 0.08, 0.01, 0.18
 close = {"rtol": 1e-12, "atol": 1e-12}
 
 
-def differential() -> wheeled.Fidelity:
+def differential() -> wheeled.RobotModel:
     """Olguín Díaz 8.2.2, 8.3.4; the centre of mass is d ahead of the axle."""
     robot = Robot.of(
         Body(m, I, com=[d, 0.0]),
@@ -24,7 +24,7 @@ def differential() -> wheeled.Fidelity:
     return wheeled.at(robot, "kinematical")
 
 
-def omnidirectional() -> wheeled.Fidelity:
+def omnidirectional() -> wheeled.RobotModel:
     """Olguín Díaz 8.2.1, 8.3.3."""
     angles = 2 * np.pi / 3 * np.arange(3)
     wheels = [

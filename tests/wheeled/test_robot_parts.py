@@ -10,10 +10,10 @@ import pytest
 import rbjax as rb
 from rbjax.wheeled import RollingResistance, kinds
 from rbjax.wheeled.files.reading import _mapping
-from rbjax.wheeled.kinematics.numbers import numbers_of
+from rbjax.wheeled.kinematics.parameters import parameters_of
 from rbjax.wheeled.kinematics.velocities import chassis_twist
-from rbjax.wheeled.models.fidelity import torques_at_rest_loads
 from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.models.robot_model import torques_at_rest_loads
 from rbjax.wheeled.multibody.tree import _array
 
 UNICYCLE = kinds()["unicycle"].make(radius=0.2)
@@ -37,9 +37,9 @@ def test_two_leaders_turn_about_one_centre(steerability):
 def test_rolling_resistance_of_loads_at_rest():
     """-c N r tanh(r phi' / u) on each shaft, besides the torques of the drives."""
     robot = UNICYCLE.replace(resistance=RollingResistance(0.02, 0.01))
-    n = numbers_of(robot, jnp.float64)
-    now, w = SimpleNamespace(u=[1.5, -0.5]), [0.0, 0.0, 0.0, 0.3, -0.2]
-    found = [float(x) for x in torques_at_rest_loads(n, now, w)]
+    n = parameters_of(robot, jnp.float64)
+    now, w = SimpleNamespace(n=n, u=[1.5, -0.5]), [0.0, 0.0, 0.0, 0.3, -0.2]
+    found = [float(x) for x in torques_at_rest_loads(now, w)]
     loads = np.array([float(x) for x in wheel_loads(n)])
     r = np.array([float(wheel.radius) for wheel in robot.wheels])
     due = [1.5, -0.5] - 0.02 * loads * r * np.tanh(r * w[3:] / 0.01)

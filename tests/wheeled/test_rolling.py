@@ -9,8 +9,8 @@ from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled import Body, Drive, Robot, SpeedServo, Steering, Wheel
-from rbjax.wheeled.kinematics.velocities import ideal, rows
-from rbjax.wheeled.models.fidelity import kinetic_energy, potential_energy
+from rbjax.wheeled.kinematics.velocities import constraint_rates, rolling_velocities
+from rbjax.wheeled.models.robot_model import kinetic_energy, potential_energy
 from tests.oracles import wheeled as oracle
 from tests.wheeled.test_full_model import on_a_slope
 
@@ -122,11 +122,10 @@ def test_power_of_the_drives_is_the_rate_of_energy(kind) -> None:
     u = u.at[len(robot.drives) :].set(0.0)
 
     def energy(q, v):
-        n, now = vehicle.instant(State(q, v), u)
-        w = vehicle.full(n, now)
-        return jnp.asarray(
-            kinetic_energy(n, now.shape, w) + potential_energy(n, now)
-        )
+        now = vehicle.context(State(q, v), u)
+        n = now.n
+        w = vehicle.full_velocities(now)
+        return jnp.asarray(kinetic_energy(n, now.shape, w) + potential_energy(now))
 
     rate = wheeled.rates(vehicle, state, u)
     _, change = jax.jvp(energy, (state.q, state.v), (rate.q, rate.v))
@@ -141,8 +140,9 @@ def test_power_of_the_drives_is_the_rate_of_energy(kind) -> None:
 def test_velocities_satisfy_the_rows_of_all_wheels(kind) -> None:
     vehicle = wheeled.at(wheeled.kinds()[kind].make(), "kinematical")
     state, u = random_state(vehicle, 3)
-    n, now = vehicle.instant(state, u)
-    found = rows(n, now.shape, vehicle.full(n, now))
+    now = vehicle.context(state, u)
+    n = now.n
+    found = constraint_rates(n, now.shape, vehicle.full_velocities(now))
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-14)
 
 
@@ -151,17 +151,19 @@ def test_what_holds_the_wheels_does_no_work(kind) -> None:
     """On any motion that wheels allow; and of a turn at constant speed it is m v w, to the left."""
     vehicle = wheeled.at(wheeled.kinds()[kind].make().replace(slope=[0.1, -0.05]), "kinematical")
     state, u = random_state(vehicle, 5)
-    n, now = vehicle.instant(state, u)
+    now = vehicle.context(state, u)
+    n = now.n
     shape = now.shape
-    held = np.array(vehicle.holding(n, now), float)
+    held = np.array(vehicle.ground_forces(now), float)
     for unit in np.eye(vehicle.nv):
-        basis = np.array(ideal(n, shape, list(unit)), float)
+        basis = np.array(rolling_velocities(n, shape, list(unit)), float)
         scale = np.abs(held * basis).max()
         assert abs(held @ basis) <= 1e-13 * max(1.0, scale)
     cart = wheeled.at(wheeled.kinds()["differential_drive"].make(caster=None, com=(0.0, 0.0)),
                       "kinematical")  # fmt: skip
-    n, now = cart.instant(wheeled.start(cart, twist=[2.0, 0.0, 0.5]))
-    np.testing.assert_allclose(cart.holding(n, now)[:2], [0.0, 11.0 * 2.0 * 0.5], atol=1e-12)
+    now = cart.context(wheeled.start(cart, twist=[2.0, 0.0, 0.5]))
+    n = now.n
+    np.testing.assert_allclose(cart.ground_forces(now)[:2], [0.0, 11.0 * 2.0 * 0.5], atol=1e-12)
 
 
 def test_classes_of_arrangements() -> None:
@@ -204,7 +206,7 @@ def test_wheels_whose_headings_are_backward_roll_by_negative_rates(dtype) -> Non
     vehicle = wheeled.at(car, "kinematical")
     state = wheeled.start(vehicle)
     state = state.replace(q=state.q.at[3].set(np.arctan(0.6)), v=jnp.ones(1))
-    _, now = vehicle.instant(state)
+    now = vehicle.context(state)
     shape = now.shape
     centre = np.array([0.0, 2.0 / 0.6])
     for wheel, e, sign in zip(front, shape.wheels[2:], (-1, 1), strict=True):
@@ -224,16 +226,17 @@ def test_every_kind_has_every_fidelity_and_trailers_can_be_added() -> None:
 
 def test_a_car_turns_about_the_axle_of_its_rear_wheels() -> None:
     """Ackermann: each front wheel is across the line from the centre of the turn to its hub."""
-    from rbjax.wheeled.kinematics.velocities import contact, twists_of
+    from rbjax.wheeled.kinematics.velocities import contact_velocity, twists_of
 
     vehicle = wheeled.at(wheeled.kinds()["car"].make(), "kinematical")
     state = wheeled.start(vehicle, twist=[3.0, 0.0, 0.0])
     state = State(state.q.at[3].set(0.5), state.v)
-    n, now = vehicle.instant(state)
+    now = vehicle.context(state)
+    n = now.n
     shape = now.shape
-    twists = twists_of(n, shape, vehicle.full(n, now))
+    twists = twists_of(n, shape, vehicle.full_velocities(now))
     for i in range(4):
-        assert abs(contact(n, shape, twists, i)[1]) < 1e-14
+        assert abs(contact_velocity(n, shape, twists, i)[1]) < 1e-14
     x, _, w = twists[0]
     np.testing.assert_allclose(w, x * np.tan(0.5) / 2.6, rtol=1e-12)
 

@@ -9,9 +9,9 @@ from rbjax import wheeled
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.wheeled import Fiala, Linear, Relaxing, RollingResistance, TMeasy
-from rbjax.wheeled.kinematics.velocities import contact, twists_of
-from rbjax.wheeled.models.fidelity import kinetic_energy, potential_energy
+from rbjax.wheeled.kinematics.velocities import contact_velocity, twists_of
 from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.models.robot_model import kinetic_energy, potential_energy
 
 KINDS = wheeled.kinds()
 SOME = ["differential_drive", "car_trailer"]
@@ -49,17 +49,17 @@ def test_power_is_balanced(kind) -> None:
     u = jnp.array(random.normal(size=robot.nu)).at[len(robot.drives) :].set(0.0)
 
     def energy(q, v):
-        n, now = vehicle.instant(State(q, v), u)
-        return jnp.asarray(
-            kinetic_energy(n, now.shape, v) + potential_energy(n, now)
-        )
+        now = vehicle.context(State(q, v), u)
+        n = now.n
+        return jnp.asarray(kinetic_energy(n, now.shape, v) + potential_energy(now))
 
     rate = wheeled.rates(vehicle, State(q, v), u)
     _, change = jax.jvp(energy, (q, v), (rate.q, rate.v))
-    n, now = vehicle.instant(State(q, v), u)
+    now = vehicle.context(State(q, v), u)
+    n = now.n
     shape = now.shape
     twists = twists_of(n, shape, now.v)
-    loads, forces = vehicle.forces(n, now)
+    loads, forces = vehicle.forces(now)
     shafts = v[2 + len(robot.bodies) :]
     power, sliding = 0.0, []
     for drive, torque in zip(robot.drives, u, strict=False):
@@ -68,7 +68,7 @@ def test_power_is_balanced(kind) -> None:
     for i, (wheel, e, f, load) in enumerate(
         zip(n.wheels, shape.wheels, forces, loads, strict=True)
     ):
-        along, across = contact(n, shape, twists, i)
+        along, across = contact_velocity(n, shape, twists, i)
         roll = wheel.radius * shafts[wheel.shaft]
         across = 0.0 if wheel.kind == "caster" else across
         x, y = f[0] * e[0] + f[1] * e[1], f[1] * e[0] - f[0] * e[1]
@@ -83,9 +83,10 @@ def test_loads_carry_the_weight_and_balance_the_moments_of_the_tyres() -> None:
     vehicle = wheeled.at(KINDS["car"].make(), "slipping", tyre=Fiala(15.0, 0.9))
     state = wheeled.start(vehicle, twist=[15.0, 0.0, 0.0])
     v = state.v.at[1].set(0.8).at[3].mul(1.05).at[4].mul(1.04)
-    n, now = vehicle.instant(State(state.q, v))
+    now = vehicle.context(State(state.q, v))
+    n = now.n
     at_rest = np.array(wheel_loads(n), float)
-    loads, forces = (np.array(x, float) for x in vehicle.forces(n, now))
+    loads, forces = (np.array(x, float) for x in vehicle.forces(now))
     places = np.array([w.position for w in vehicle.robot.wheels])
     body = n.bodies[0]
     weight, com = body.mass * 9.81, np.array(body.moment, float) / body.mass

@@ -10,7 +10,7 @@ through RNEA: no mass matrix is inverted.
 (Gear, Leimkuhler & Gupta, *Automatic integration of Euler-Lagrange equations with constraints*,
 1985; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VII; Masarati, ch. 7.)
 
-Singular positions are passed in f64 (`rbjax.solvers.constrained.stage_matrix`): ten seconds of a
+Singular positions are passed in f64: ten seconds of a
 parallelogram, some fifteen passages, are as accurate as the steps, wherever stages fall, and also
 if every joint is given twice (redundant rows). In f32 only GGL passes them: index 2 does not
 correct positions, and the rows of index 3 carry the rounding of positions divided by the square of
@@ -26,18 +26,17 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.equations.law import constrained_motion
-from rbjax.constraints.equations.system import as_free_bodies, rows_of, with_multipliers
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.equations.constrained_motion import as_free_bodies, constrained_motion
+from rbjax.constraints.equations.model_rows import rows_of, with_multipliers
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, Vec3
+from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
 
 #: (t, state) -> generalized forces (nv,), forces on links, x'
@@ -118,13 +117,6 @@ class DifferentialAlgebraic(Method):
             return jnp.concatenate(parts)
 
         return f
-
-
-def stepped(dynamics: Any) -> DifferentialAlgebraic | None:
-    """The method whose equations an implicit integrator steps, if the dynamics has such a
-    method."""
-    method = dynamics.method if isinstance(dynamics, Formulation) else dynamics
-    return method if isinstance(method, DifferentialAlgebraic) else None
 
 
 def _pushed(

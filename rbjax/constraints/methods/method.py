@@ -12,9 +12,15 @@ from typing import Any, ClassVar
 import jax
 
 from rbjax.arguments import integer, real_number
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
+from rbjax.constraints.equations.model_rows import rows_of, with_multipliers
+from rbjax.constraints.rows.row import Row
+from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.drivers.choice import driver
 from rbjax.errors import InputError
+from rbjax.forces.context import Context
+from rbjax.lanes import Lane, add, mul, neg
 from rbjax.model import Model, State
 
 
@@ -81,3 +87,36 @@ class Multipliers(Method):
 
     def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
         return constrained_motion(model, t, state, tau, f_ext, alpha, beta)[0]
+
+
+@dataclass(frozen=True)
+class Penalty(Method):
+    """Index 0, by stiff springs and dampers in the place of constraints:
+
+        M a + b = tau - G^T (k g + d g')
+    A singular perturbation: the residual is -l / k where motion is slow, and frequencies grow as
+    sqrt(k). A row with only a rate has only the damper.
+
+    Fields: stiffness k, N/m or N m by row; damping d, N s/m or N m s.
+
+    Source: Lötstedt 1979; Masarati, ch. 8.
+    """
+
+    stiffness: float = 1e6
+    damping: float = 1e3
+    name: ClassVar[str] = "penalty"
+    family: ClassVar[str] = "unconstrained"
+    index: ClassVar[int] = 0
+    has_feedback: ClassVar[bool] = False
+
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        d = driver(model, state.q.dtype)
+        now = Context.of(model, t, state, None, d=d)
+        _ = now.links.joints  # a driver learns from them what its lanes are
+        rows = rows_of(model, now)
+        l = [neg(self._force(row)) for row in rows]
+        tau, f_ext = with_multipliers(d, rows, l, tau, f_ext)
+        return acceleration(model, state.q, state.v, tau, f_ext)
+
+    def _force(self, row: Row) -> Lane:
+        return add(mul(self.stiffness, row.residual), mul(self.damping, row.rate))

@@ -30,28 +30,73 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 
-from rbjax.constraints.equations.law import Solve, System, constrained_motion, range_space
-from rbjax.constraints.equations.system import (
+from rbjax.constraints.equations.constrained_motion import (
     ROWS_ON_LANES,
+    Solve,
+    System,
     as_free_bodies,
+    constrained_motion,
     eliminated_along,
+    range_space,
     response,
     shared,
     triangle,
 )
-from rbjax.constraints.methods.clusters import Cluster, clusters
+from rbjax.constraints.equations.model_rows import by_link
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack, unpack
 from rbjax.forces.context import Context
-from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
+from rbjax.forces.element import Loads
+from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, sub
+from rbjax.lanes.arrays import pack, unpack
 from rbjax.lanes.factorization import LeastNorm
-from rbjax.model import WORLD
+from rbjax.model import WORLD, Topology
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
+
+
+class Cluster(NamedTuple):
+    """Fields: parent, the link on which it hangs, or WORLD; links, those that its joints move;
+    rows, by index."""
+
+    parent: int
+    links: frozenset[int]
+    rows: tuple[int, ...]
+
+
+def clusters(topology: Topology, rows: Sequence[Row]) -> list[Cluster]:
+    """The clusters that rows form. A row whose gradient is zero forms one without joints."""
+    found: list[Cluster] = []
+    for r, row in enumerate(rows):
+        new = Cluster(*reach(topology, row.gradient), (r,))
+        for met in [x for x in found if x.links & new.links]:
+            found.remove(met)
+            # each has all links from its own to its parent: one parent carries the other
+            parent = min(met.parent, new.parent)
+            new = Cluster(parent, met.links | new.links, (*met.rows, *new.rows))
+        found.append(new)
+    return found
+
+
+def reach(topology: Topology, gradient: Loads) -> tuple[int, frozenset[int]]:
+    """The link below which the forces of a row stay, and the links below it on which they act or
+    that carry such."""
+    pushed = [i for i, f in by_link(gradient).items() if not all(map(is_zero, f))]
+    turned = [i for i, x in gradient.tau.items() if not is_zero(x)]
+    tops = [topology.parents[i] for i in turned]
+    tops += pushed if gradient.internal else [WORLD] * len(pushed)
+    shared = set.intersection(*(_chain(topology, i) for i in tops)) if tops else set()
+    parent = max(shared, default=WORLD)  # indices grow along a chain
+    carrying = {j for i in pushed + turned for j in _chain(topology, i)}
+    return parent, frozenset(carrying - _chain(topology, parent))
+
+
+def _chain(topology: Topology, link: int) -> set[int]:
+    """The link and those that carry it."""
+    return set() if link == WORLD else set(topology.ancestors[link])
 
 
 @dataclass(frozen=True)

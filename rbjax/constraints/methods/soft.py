@@ -18,29 +18,34 @@ MuJoCo 4 has G' v in connects and welds, and not in the couplings of joints; MJX
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.constraints.equations.law import asked
-from rbjax.constraints.equations.residuals import jacobian
-from rbjax.constraints.equations.system import gradient_matrix
-from rbjax.constraints.rows.constraint import Constraint
-from rbjax.constraints.rows.geometry import AXES, cosine, displacement, turn
-from rbjax.constraints.rows.pairs import Pair
-from rbjax.constraints.rows.row import Row
+from rbjax.constraints.equations.constrained_motion import (
+    OnMatrices,
+    Solve,
+    System,
+    asked,
+    constrained_motion,
+)
+from rbjax.constraints.equations.model_rows import gradient_matrix, jacobian
+from rbjax.constraints.methods.method import Method
+from rbjax.constraints.rows.row import Constraint, Row
+from rbjax.dynamics.algorithms.aba import aba
 from rbjax.dynamics.algorithms.crba import mass_matrix
-from rbjax.dynamics.drivers.packing import pack
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.drivers.choice import Driver
 from rbjax.errors import InputError
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, sub
-from rbjax.lanes.arrays import matvec
-from rbjax.model import Model
-from rbjax.model.leaves import scalar
-from rbjax.model.record import check_fields, check_number, floats
+from rbjax.lanes.arrays import matvec, pack
+from rbjax.model import Model, State
+from rbjax.model.record import check_fields, floats
 
 #: within which MuJoCo holds impedances and the place of their middle
 IMPEDANCES = 1e-4, 0.9999
@@ -159,29 +164,6 @@ def _norm(g: jax.Array) -> jax.Array:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
 
-class QuaternionWeld(Pair):
-    """p_b = p_a, all axes parallel: six rows, as MuJoCo's `weld` has them. The last three are the
-    sine of half the angle between the frames times its axis, times `scale`, m; under a formulation
-    that holds rows it is `Weld`. Frames half a turn apart have no derivative.
-
-    Fields: a, b, `Place`s; scale, MuJoCo's torquescale.
-    """
-
-    scale: jax.Array = eqx.field(converter=floats)
-    size = 6
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_number(self, "scale")
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        trace = sum(cosine(A, e, B, e) for e in AXES)
-        scale = scalar(self.scale, now.q.dtype)
-        # sin(x) n / (2 cos(x / 2)), with 1 + trace = 4 cos(x / 2)^2
-        turned = trace.applied(lambda c: 1 / jnp.sqrt(1 + c))  # type: ignore[union-attr]
-        return [*displacement(A, B), *(row * turned * scale for row in turn(A, B))]
-
-
 def softness(
     now: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
 ) -> tuple[jax.Array, jax.Array]:
@@ -204,3 +186,57 @@ def softness(
             R += [jnp.zeros((), a.dtype)] * constraint.size
             left += [asked(row, alpha, beta) for row in rows[at]]
     return jnp.stack(R), pack(left, a)
+
+
+@dataclass(frozen=True)
+class Compliant(Method):
+    """Index 0 in soft rows, by MuJoCo's law; 1 in others. Feedback and projection apply to others
+    only.
+
+    With a projection it is "compliant" of `rb.constraints.formulations()`, which enforces the
+    models of `rb.load(file, compliant=True)`, and those with a `Soft` if no other formulation is
+    given. An explicit step needs T well above it, as MuJoCo's own (twice there).
+
+    Source: MuJoCo, *Computation*, constraint model.
+    """
+
+    name: ClassVar[str] = "compliant"
+    family: ClassVar[str] = "unconstrained"
+    index: ClassVar[int] = 0
+
+    def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
+        return compliant_motion(model, t, state, tau, f_ext, alpha, beta)[0]
+
+    def projected_rows(self, model: Model) -> Model:
+        rigid = tuple(x for x in model.constraints if not isinstance(x, Soft))
+        return model.replace(constraints=rigid)
+
+
+def compliant_motion(
+    model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces,
+    alpha: Any = 0.0, beta: Any = 0.0,
+) -> tuple[jax.Array, jax.Array]:  # fmt: skip
+    """a (nv,) and the forces f (rows,) on the rows, of a sample."""
+    return constrained_motion(
+        model, t, state, tau, f_ext, alpha, beta, method=yielding, left_of=left_of
+    )
+
+
+def yielding(
+    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
+) -> tuple[jax.Array, None, System]:
+    """From free motion on: (A + R) df = c - G M^-1 f."""
+    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
+
+    def system(now: Context, rows: Sequence[Row]) -> Solve:
+        return OnMatrices(d, factors, now, rows, R=softness(now, rows)[0]).solved
+
+    return d.pack(qdd, tau), None, system
+
+
+def left_of(
+    now: Context, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
+) -> Sequence[Lane]:
+    """The right-hand side - g'' - R f."""
+    R, left = softness(now, rows, alpha, beta)
+    return list(left if f is None else left - R * f)

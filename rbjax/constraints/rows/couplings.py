@@ -18,10 +18,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.rows.constraint import Constraint
+from rbjax.constraints.rows.functions import check_function, evaluate
 from rbjax.constraints.rows.geometry import coordinate, time
-from rbjax.constraints.rows.row import Row
-from rbjax.constraints.rows.user_function import check_function, evaluate
+from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.context import Context

@@ -29,15 +29,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.rows.constraint import Constraint
-from rbjax.constraints.rows.geometry import AXES, along
-from rbjax.constraints.rows.row import Row, function_of
-from rbjax.constraints.rows.user_function import (
+from rbjax.constraints.rows.functions import (
     arrays,
     check_function,
     check_leaves,
     evaluate,
 )
+from rbjax.constraints.rows.geometry import AXES, along
+from rbjax.constraints.rows.row import Constraint, Row, function_of
 from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
 from rbjax.errors import InputError
 from rbjax.forces.context import Context

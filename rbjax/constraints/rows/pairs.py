@@ -29,7 +29,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.constraints.rows.constraint import Constraint
 from rbjax.constraints.rows.geometry import (
     AXES,
     X,
@@ -39,10 +38,10 @@ from rbjax.constraints.rows.geometry import (
     cosine,
     displacement,
     distance,
+    places,
     turn,
 )
-from rbjax.constraints.rows.place import places
-from rbjax.constraints.rows.row import Row, angle
+from rbjax.constraints.rows.row import Constraint, Row, angle
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
@@ -337,3 +336,26 @@ class Distance(Pair):
 
     def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         return [distance(A, B) - scalar(self.length, now.q.dtype)]
+
+
+class QuaternionWeld(Pair):
+    """p_b = p_a, all axes parallel: six rows, as MuJoCo's `weld` has them. The last three are the
+    sine of half the angle between the frames times its axis, times `scale`, m; under a formulation
+    that holds rows it is `Weld`. Frames half a turn apart have no derivative.
+
+    Fields: a, b, `Place`s; scale, MuJoCo's torquescale.
+    """
+
+    scale: jax.Array = eqx.field(converter=floats)
+    size = 6
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_number(self, "scale")
+
+    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
+        trace = sum(cosine(A, e, B, e) for e in AXES)
+        scale = scalar(self.scale, now.q.dtype)
+        # sin(x) n / (2 cos(x / 2)), with 1 + trace = 4 cos(x / 2)^2
+        turned = trace.applied(lambda c: 1 / jnp.sqrt(1 + c))  # type: ignore[union-attr]
+        return [*displacement(A, B), *(row * turned * scale for row in turn(A, B))]

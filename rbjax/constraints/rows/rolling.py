@@ -29,9 +29,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.rows.constraint import Constraint
 from rbjax.constraints.rows.geometry import X, Y, Z, along, cosine, opposed
-from rbjax.constraints.rows.row import Row
+from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.forces.context import Context, Frame
 from rbjax.forces.place import Place, check_places
 from rbjax.lanes import Lane, Vec3, add

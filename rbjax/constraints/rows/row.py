@@ -18,10 +18,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
+from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, is_literal, mul, neg, sub
+from rbjax.lanes.arrays import pack
+from rbjax.model.record import Record, check_fields
 
 
 @dataclass(frozen=True)
@@ -180,3 +182,29 @@ def function_of(rows: Sequence[Row], f: Callable[[jax.Array], jax.Array], dtype:
         )
         for r in range(value.shape[0])
     ]
+
+
+class Constraint(Record):
+    """A constraint on the motion of a robot. Make a subclass: its fields are its numbers.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax.constraints import Constraint, coordinate
+        >>> class Mirror(Constraint):
+        ...     size = 1
+        ...     def rows(self, now):
+        ...         return [coordinate(now, "shoulder") + coordinate(now, "elbow")]
+        >>> model = rb.load("double_pendulum").with_constraints(Mirror())
+    """
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def size(self) -> int:
+        """How many rows it has."""
+        raise NotImplementedError(f"{type(self).__name__} does not say its size")
+
+    def rows(self, now: Context) -> Sequence[Row]:
+        """Its rows at an instant."""
+        raise NotImplementedError(f"{type(self).__name__} has no method rows(self, now) -> rows")

@@ -28,11 +28,10 @@ from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, sub
 from rbjax.model import Model, State
+from rbjax.rank_tolerances import rank_tolerance
 
 #: reactions to forces that the actuators cannot give
 UNDRIVEN = ("refuse", "least_squares")
-#: a pivot of B^T B or B B^T below this share of its diagonal counts as zero
-RANK = 1e-11
 
 
 class Allocation(NamedTuple):
@@ -103,7 +102,7 @@ def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
     One u by the normal equations, in which an actuator that adds nothing to the others drops out;
     then the shortest that does the same, u = B^T y with B B^T y = B u.
     """
-    least = RANK if dtype == jnp.float64 else 1e-5
+    least = rank_tolerance("actuators", dtype)
     columns = B
 
     def square(rows: list[list[Lane]]) -> list[list[Lane]]:

@@ -26,10 +26,10 @@ import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
 from rbjax.compiling import compiled
-from rbjax.control.linear.lyapunov_equation import cayley, is_stable, pace
-from rbjax.control.linear.systems import pair
+from rbjax.control.linear.arguments import check_matrices
+from rbjax.control.linear.lyapunov_equation import is_stable
 from rbjax.control.products import product
-from rbjax.dynamics.arguments import check_array, check_step
+from rbjax.dynamics.arguments import check_step
 
 CROSSINGS = 16  # of each kind that are refined
 HALVINGS = 50
@@ -75,8 +75,7 @@ def margins(
         >>> round(math.degrees(float(found.phase[0])), 6), round(float(found.delay[0]), 6)
         (90.0, 1.570796)
     """
-    A, B = pair("margins", A, B, "B", 0)
-    K = check_array("margins", "K", K, B.shape[::-1]).astype(A.dtype)
+    A, B, K = check_matrices("margins", ("A", A, "nn"), ("B", B, "nm"), ("K", K, "mn"))
     step = None if dt is None else check_step("margins", "dt", dt, A.dtype)
     integer("margins", "frequencies", frequencies, least=2)
     real_number("margins", "decades", decades, least=0.0, most=30.0, traced=True)
@@ -88,7 +87,7 @@ def _margins(
     A: jax.Array, B: jax.Array, K: jax.Array, step: Any, frequencies: int, decades: float
 ) -> Margins:
     closed = A - product(B, K)
-    stable = is_stable(closed if step is not None else cayley(closed, pace(closed))[0])
+    stable = is_stable(closed, step is not None)
     w = _grid(A, closed, step, frequencies, decades)
 
     def of(i: jax.Array) -> tuple[jax.Array, ...]:

@@ -26,9 +26,10 @@ import numpy as np
 
 from rbjax.arguments import instance, real_number
 from rbjax.compiling import compiled
+from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
 from rbjax.control.products import product
-from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
+from rbjax.dynamics.arguments import check_model, check_step
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least
 from rbjax.model import Model
@@ -68,7 +69,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
         >>> int(found.rank), [abs(float(x)) for x in found.outside[:, 0]]
         (1, [1.0, 0.0])
     """
-    A, B = pair("controllability", A, B, "B", 0)
+    A, B = check_matrices("controllability", ("A", A, "nn"), ("B", B, "nm"))
     return _reach(A, B, _tolerance("controllability", tolerance))
 
 
@@ -92,7 +93,7 @@ def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
         >>> int(observability([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0]]).rank)  # only the speed
         1
     """
-    A, C = pair("observability", A, C, "C", 1)
+    A, C = check_matrices("observability", ("A", A, "nn"), ("C", C, "ln"))
     return _reach(A.T, C.T, _tolerance("observability", tolerance))
 
 
@@ -228,7 +229,7 @@ def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapun
         >>> float(controllability_gramian([[-1.0]], [[2.0]]).X[0, 0])
         2.0
     """
-    A, B = pair("controllability_gramian", A, B, "B", 0)
+    A, B = check_matrices("controllability_gramian", ("A", A, "nn"), ("B", B, "nm"))
     return lyapunov(A, product(B, B.T), discrete=discrete)
 
 
@@ -252,7 +253,7 @@ def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov
         >>> float(observability_gramian([[-1.0]], [[2.0]]).X[0, 0])
         2.0
     """
-    A, C = pair("observability_gramian", A, C, "C", 1)
+    A, C = check_matrices("observability_gramian", ("A", A, "nn"), ("C", C, "ln"))
     return lyapunov(A.T, product(C.T, C), discrete=discrete)
 
 
@@ -279,12 +280,10 @@ def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
     if (B is None) != (K is None):
         missing = "B" if B is None else "K"
         raise InputError(f"poles: {missing} is None, expected both of B and K, or neither")
-    if B is None:
-        n = (*shape_of("poles", "A", A), 0)[0]
-        closed = check_array("poles", "A", A, (n, n))
-    else:
-        A, B = pair("poles", A, B, "B", 0)
-        closed = A - product(B, check_array("poles", "K", K, B.shape[::-1]))
+    due = ("A", A, "nn"), ("B", B, "nm"), ("K", K, "mn")
+    closed, *gains = check_matrices("poles", *due[: 1 if B is None else 3])
+    if gains:
+        closed = closed - product(*gains)
     found = jnp.linalg.eigvals(closed)
     return found[jnp.argsort(-found.real)]
 
@@ -314,25 +313,10 @@ def discretise(A: Any, B: Any, dt: Any) -> tuple[jax.Array, jax.Array]:
         >>> [float(x) for x in Bd[:, 0]]
         [0.125, 0.5]
     """
-    A, B = pair("discretise", A, B, "B", 0)
+    A, B = check_matrices("discretise", ("A", A, "nn"), ("B", B, "nm"))
     n, m = B.shape
     dt = check_step("discretise", "dt", dt, A.dtype)
     both = jnp.concatenate([jnp.concatenate([A, B], 1), jnp.zeros((m, n + m), A.dtype)])
     with jax.default_matmul_precision("highest"):
         found = jax.scipy.linalg.expm(both * dt)
     return found[:n, :n], found[:n, n:]
-
-
-def pair(where: str, A: Any, B: Any, name: str, axis: int) -> tuple[jax.Array, jax.Array]:
-    """A (n, n) and a matrix with n rows (axis 0) or n columns (axis 1), in one dtype."""
-    n = (*shape_of(where, "A", A), 0)[0]
-    A = check_array(where, "A", A, (n, n))
-    shape = shape_of(where, name, B)
-    many = shape[1 - axis] if len(shape) == 2 else 0
-    if not n or not many:
-        due = f"({n}, m)" if axis == 0 else f"(l, {n})"
-        hint = "; for a batch use jax.vmap" if len(shape) == 3 else ""
-        raise InputError(f"{where}: {name} has shape {shape}, expected {due}{hint}")
-    B = check_array(where, name, B, (n, many) if axis == 0 else (many, n))
-    dtype = jnp.result_type(A, B)
-    return A.astype(dtype), B.astype(dtype)

@@ -18,10 +18,15 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import threads
-from rbjax.control.optimal.constraint_rows import row_count
-from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY, Multipliers
-from rbjax.control.optimal.shooting.expansion import merit
+from rbjax.control.optimal.objective import (
+    PENALTY,
+    Multipliers,
+    merit,
+    over_knots,
+    roll_out,
+    row_count,
+)
+from rbjax.control.optimal.problem import BODY, Knot, Problem, take
 from rbjax.control.optimal.solution import Solution
 from rbjax.control.products import product
 from rbjax.errors import InputError
@@ -32,7 +37,7 @@ class Guess(NamedTuple):
 
     states: (N + 1, ...).
     ctrls: (N, nu).
-    numbers: (p,).
+    parameters: (p,).
     K: (N, nu, n), the gains of a solution.
     multipliers: the multipliers of a solution.
     """
@@ -95,39 +100,38 @@ def first_guess(
     if gains.shape != (N, problem.nu, problem.n):
         due = (N, problem.nu, problem.n)
         raise InputError(f"solve: the gains of guess have shape {gains.shape}, expected {due}")
-    found, cost, standing = threads(functools.partial(_rolled, problem))(one, knots, us, gains)
-    good = jnp.isfinite(cost)
+    found = threads(functools.partial(_rolled, problem))(one, knots, us, gains)
+    whole = jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(found)]).all()
+    both = jax.tree.map(lambda *x: jnp.stack(x), found, (knots, us))
+    cost, standing = jax.vmap(functools.partial(_penalised_cost, problem))(*both)
+    good = whole & jnp.isfinite(cost)
     good &= (cost <= standing) if K is None else (gains != 0).any()
     return jax.tree.map(lambda x, y: jnp.where(good, x, y), found, (knots, us))
 
 
 def _rolled(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, K: jax.Array
-) -> tuple[tuple[Knot, jax.Array], jax.Array, jax.Array]:
-    """The motion from the start with feedback about knots, its cost, and the cost of the knots."""
-    N, dtype = problem.horizon, ctrls.dtype
-    mu, none = jnp.asarray(PENALTY, dtype), jnp.zeros(problem.nu, dtype)
-    rows = {at: jnp.zeros(row_count(problem, at), dtype) for at in ("path", "end")}
-    first = jax.tree.map(lambda x: x[0], knots)
+) -> tuple[Knot, jax.Array]:
+    """The motion from the start with feedback about knots."""
+    first = take(knots, 0)
     away = problem.system.minus(first.state, start)
     away = jnp.where(jnp.asarray(problem.free), away, 0.0)
     first = first._replace(state=problem.system.plus(start, away))
 
-    def forth(carry: tuple, x: tuple) -> tuple:
-        now, cost, standing = carry
-        k, knot, ctrl, K = x
-        u = problem.within_bounds(ctrl - product(K, problem.minus(now, knot)))
-        cost = cost + merit(problem, k, now, u, rows["path"], mu, "path")
-        standing = standing + merit(problem, k, knot, ctrl, rows["path"], mu, "path")
-        return (problem.step(k, now, u), cost, standing), (now, u)
+    def policy(k: jax.Array, now: Knot, given: tuple) -> jax.Array:
+        knot, ctrl, K = given
+        return problem.within_bounds(ctrl - product(K, problem.minus(now, knot)))
 
-    zero, ks = jnp.zeros((), dtype), jnp.arange(N, dtype=dtype)
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    found: Any = jax.lax.scan(forth, (first, zero, zero), (ks, body, ctrls, K))
-    (last, cost, standing), (before, us) = found
-    end = jax.tree.map(lambda x: x[-1], knots)
-    cost = cost + merit(problem, N, last, none, rows["end"], mu, "end")
-    standing = standing + merit(problem, N, end, none, rows["end"], mu, "end")
-    motion = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), before, last)
-    whole = jax.tree.map(lambda x: jnp.isfinite(x).all(), jax.tree.leaves((motion, us)))
-    return (motion, us), jnp.where(jnp.stack(whole).all(), cost, jnp.inf), standing
+    return roll_out(problem, first, policy, (take(knots, BODY), ctrls, K))
+
+
+def _penalised_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
+    """The cost () of a motion, with the penalties of constraints."""
+    mu = jnp.asarray(PENALTY, ctrls.dtype)
+
+    def at(where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+        rows = jnp.zeros(row_count(problem, where), ctrl.dtype)
+        return merit(problem, where, k, knot, ctrl, rows, mu)
+
+    path, end = over_knots(at, problem, knots, ctrls)
+    return path.sum() + end

@@ -65,7 +65,17 @@ class Knot(NamedTuple):
     parameters: jax.Array
 
 
-BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, and those after them
+BODY, NEXT = slice(None, -1), slice(1, None)  # the knots with controls, and the knots after them
+
+
+def take(tree: Any, at: Any) -> Any:
+    """Index the first axis of all arrays of a pytree."""
+    return jax.tree.map(lambda x: x[at], tree)
+
+
+def append(tree: Any, last: Any) -> Any:
+    """Append an entry to the first axis of all arrays of a pytree."""
+    return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tree, last)
 
 
 class Problem(Record):
@@ -293,7 +303,7 @@ class Problem(Record):
         value = c.term(system.model, self.time(k, dt), knot.state, ctrl)
         return jnp.ravel(_array(c.term, value, dt.dtype))
 
-    def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
+    def rows(self, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
         none = jnp.zeros(0, knot.parameters.dtype)
         return jnp.concatenate(

@@ -15,8 +15,9 @@ last plan is continued for at most `patience` ticks; after that a fallback polic
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,26 +25,82 @@ import jax.numpy as jnp
 
 from rbjax.arguments import flag, integer, real_number
 from rbjax.compiler import threads
-from rbjax.control.optimal.constraint_rows import knot_violation
-from rbjax.control.optimal.controller_memory import (
-    FALLBACK,
-    KEPT,
-    PLANNED,
-    VIOLATED,
-    Memory,
-    PlannedControl,
-    Run,
-)
 from rbjax.control.optimal.first_guess import first_guess
-from rbjax.control.optimal.options import Options, StoppingRule
-from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.objective import Multipliers, knot_violation, shift_multipliers
+from rbjax.control.optimal.problem import NEXT, Knot, Problem, append, take
 from rbjax.control.optimal.registry import METHODS
-from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, shift_multipliers
+from rbjax.control.optimal.solution import Options, StoppingRule
 from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
+
+
+class TickStatus(enum.IntEnum):
+    """Where the control of a tick comes from."""
+
+    PLANNED = 0  # from the plan of this tick
+    KEPT = 1  # the plan failed, the last plan is continued
+    FALLBACK = 2  # plans failed for longer than patience
+    VIOLATED = 3  # the plan violates a constraint; raise iterations or violation
+
+
+PLANNED, KEPT, FALLBACK, VIOLATED = map(int, TickStatus)
+
+
+class PlannedControl(NamedTuple):
+    """A control of a coming tick: u (nu,), gains K (nu, n), the state that the plan expects, and
+    its `TickStatus` ()."""
+
+    u: jax.Array
+    K: jax.Array
+    state: Any
+    status: jax.Array
+
+
+class Memory(NamedTuple):
+    """The memory of a controller.
+
+    knots (N + 1, ...), ctrls (N, nu), K (N, nu, n): the last plan and its gains du = +K dx.
+    multipliers: of the last plan; None for a method without multipliers.
+    pending: the controls of the ticks of delay; None without delay.
+    failures: (), the plans that failed in a row.
+    search_status: (), of the last search.
+    cost, violation: (), of the plan.
+    gap: (), the largest between a step of the plan and its next state; 0 without constraints.
+    """
+
+    knots: Knot
+    ctrls: jax.Array
+    K: jax.Array
+    multipliers: Multipliers | None
+    pending: PlannedControl | None
+    failures: jax.Array
+    search_status: jax.Array
+    cost: jax.Array
+    violation: jax.Array
+    gap: jax.Array
+
+
+class Run(NamedTuple):
+    """A closed loop of T ticks.
+
+    ts: (T + 1,) s.
+    states: with a leading axis T + 1.
+    ctrls: (T, nu).
+    statuses: (T,), a `TickStatus` each.
+    search_statuses: (T,), a `Status` each.
+    costs: (T,), of the plans.
+    """
+
+    ts: jax.Array
+    states: Any
+    ctrls: jax.Array
+    statuses: jax.Array
+    search_statuses: jax.Array
+    costs: jax.Array
+
 
 HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
@@ -90,7 +147,7 @@ class PredictiveController:
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
             knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
-            found.status, found.cost, found.violation, found.gap,
+            found.status, found.cost, found.violation, self._gap(found),
         )  # fmt: skip
         each = [self._entry(memory, k) for k in range(self.delay)]
         pending = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else None
@@ -108,18 +165,18 @@ class PredictiveController:
             entry = self._entry(memory, 0)
             u = self._acted(problem, entry, t, x)
             return u, self._shifted(problem, memory), entry.status
-        now: PlannedControl = jax.tree.map(lambda a: a[0], memory.pending)
-        coming: PlannedControl = jax.tree.map(lambda a: a[1:], memory.pending)
+        now: PlannedControl = take(memory.pending, 0)
+        coming: PlannedControl = take(memory.pending, NEXT)
         u = self._acted(problem, now, t, x)
         step = threads(problem.system.step)
         ahead = step(problem.time(0, problem.dt), x, u, problem.dt)
         for k in range(self.delay - 1):
-            entry = jax.tree.map(lambda a, k=k: a[k], coming)
+            entry = take(coming, k)
             ahead = step(problem.time(k + 1, problem.dt), ahead, entry.u, problem.dt)
         problem = self.problem_at(t + self.delay * problem.dt)
         memory = self._planned(problem, memory, ahead)
         new = self._entry(memory, 0)
-        pending = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), coming, new)
+        pending = append(coming, new)
         memory = self._shifted(problem, memory)
         return u, memory._replace(pending=pending), now.status
 
@@ -154,7 +211,7 @@ class PredictiveController:
         ks = jnp.arange(steps, dtype=dt.dtype)
         run: tuple = jax.lax.scan(one, (memory, x), ks)
         (_, last), (xs, us, statuses, search_statuses, costs) = run
-        states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), xs, last)
+        states = append(xs, last)
         ts = self.problem.time(jnp.arange(steps + 1, dtype=dt.dtype), dt)
         return Run(ts, states, us, statuses, search_statuses, costs)
 
@@ -169,7 +226,7 @@ class PredictiveController:
             begin = self.problem.start_time
             k = jnp.floor((t - begin) / problem.dt + 1e-6).astype(int)
             late = jnp.clip(jnp.arange(N + 1) + k, 0, N)
-            knots = jax.tree.map(lambda a: a[late], memory.knots)
+            knots = take(memory.knots, late)
             ctrls = memory.ctrls[jnp.minimum(late[:-1], N - 1)]
             multipliers = shift_multipliers(memory.multipliers, late[:-1])
             shifted = memory._replace(knots=knots, ctrls=ctrls, multipliers=multipliers)
@@ -191,6 +248,10 @@ class PredictiveController:
         options = Options(rule, multipliers=multipliers)
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
+    def _gap(self, found: Any) -> jax.Array:
+        """The largest gap of a plan; 0 without constraints, which spares a step of all knots."""
+        return found.gap if self.problem.constraints else jnp.zeros_like(found.gap)
+
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
         """The memory with the plan of this tick, or with the last plan if the new one fails."""
         found = self._search(
@@ -198,13 +259,13 @@ class PredictiveController:
         )
         good = _finite((found.knots, found.ctrls, found.K, found.cost, start))
         # do not reject a plan because its start, which is measured, violates a constraint
-        first = jax.tree.map(lambda a: a[0], found.knots)
+        first = take(found.knots, 0)
         zero = jnp.zeros((), found.ctrls.dtype)
-        off = knot_violation(problem, zero, first, found.ctrls[0], "path") > self.violation
+        off = knot_violation(problem, "path", zero, first, found.ctrls[0]) > self.violation
         good &= (found.status != NOT_FINITE) & ((found.status != INFEASIBLE) | off)
         new = memory._replace(
             knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
-            violation=found.violation, gap=found.gap,
+            violation=found.violation, gap=self._gap(found),
             multipliers=_multipliers(found), failures=jnp.zeros_like(memory.failures),
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)
@@ -215,7 +276,7 @@ class PredictiveController:
         """The plan shifted by a tick; its last control is repeated."""
         ctrls = jnp.concatenate([memory.ctrls[1:], memory.ctrls[-1:]])
         K = jnp.concatenate([memory.K[1:], memory.K[-1:]])
-        last = jax.tree.map(lambda a: a[-1], memory.knots)
+        last = take(memory.knots, -1)
         k = jnp.asarray(problem.horizon - 1, ctrls.dtype)
         after = threads(problem.step)(k, last, ctrls[-1])
         after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
@@ -232,7 +293,7 @@ class PredictiveController:
         status = jnp.where(broken, VIOLATED, PLANNED)
         status = jnp.where(memory.failures > 0, KEPT, status)
         status = jnp.where(memory.failures > self.patience, FALLBACK, status)
-        state = jax.tree.map(lambda a: a[k], memory.knots.state)
+        state = take(memory.knots.state, k)
         return PlannedControl(memory.ctrls[k], memory.K[k], state, status)
 
     def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:

@@ -1,4 +1,4 @@
-"""The result of a search, and the public `Solution`."""
+"""The options and the result of a method, and the public `Solution`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,41 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY
+from rbjax.control.optimal.objective import PENALTY
+from rbjax.control.optimal.problem import Knot, Problem, take
 from rbjax.control.status import BUDGET, CONVERGED, INFEASIBLE, SENTENCES
 from rbjax.errors import InputError
 from rbjax.model.record import Record
+
+
+class StoppingRule(NamedTuple):
+    """When a search ends; each ().
+
+    tolerance: of the expected decrease of the cost, relative to the larger of |cost| and scale.
+    violation: of constraints.
+    iterations: at most.
+    scale: None: min(|cost of the first guess|, 1).
+    """
+
+    tolerance: jax.Array
+    violation: jax.Array
+    iterations: jax.Array
+    scale: jax.Array | None = None
+
+
+class Options(Record):
+    """Options of every method.
+
+    rule: when the search ends.
+    seed: of random numbers.
+    multipliers: of the constraints at the beginning; None for zeros.
+    report: called with (iterations, cost, violation) after each iteration; None for no call.
+    """
+
+    rule: StoppingRule
+    seed: jax.Array | int = 0
+    multipliers: Any = None
+    report: Callable[[Any, Any, Any], None] | None = eqx.field(static=True, default=None)
 
 
 class StageValues(NamedTuple):
@@ -136,7 +166,7 @@ class Solution(Record):
 
     def state(self, k: int | jax.Array) -> Any:
         """The state at knot k."""
-        return jax.tree.map(lambda x: x[k], self.states)
+        return take(self.states, k)
 
     def policy(self) -> Callable[[Any, Any], jax.Array]:
         """The feedback (t, state) -> ctrl about the motion, within the bounds: for `rb.rollout`."""

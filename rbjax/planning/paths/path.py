@@ -1,13 +1,13 @@
-"""Paths in the plane as chains of twists, and what a search found.
+"""Paths in the plane as chains of twists, and the plans of searches.
 
-A step xi = (a, b, phi) is a twist of the robot's frame that is held for one unit of time: a ahead
-and b to the left, in m, while the heading turns by phi. Pose after pose,
+A step xi = (a, b, phi) is a constant twist of the robot's frame over one unit of time: a ahead and
+b to the left, in m, while the heading turns by phi. From pose to pose, exactly,
 
     (x, y) += R(theta + phi / 2) (a, b) sinc(phi / 2),   theta += phi
 
-exactly. A car's arc has b = 0, the length |a| and the curvature phi / a. Turning on the spot has
-a = b = 0. Sliding sideways has b != 0. A step of zeros does nothing, so paths of several lengths
-are one batch.
+A car's arc has b = 0, the length |a| and the curvature phi / a. Turning on the spot has a = b = 0.
+Sliding sideways has b != 0. A step of zeros does nothing, so paths of several lengths are one
+batch.
 """
 
 from __future__ import annotations
@@ -65,6 +65,8 @@ class Path(Record):
         [1.0, 0.0, 1.57079...]
         >>> quarter.gears.tolist(), quarter.curvatures.tolist(), round(float(quarter.length), 4)
         ([1.0, -1.0], [1.0, 0.0], 2.5708)
+        >>> quarter.word, quarter.pose_at(2.0708).round(4).tolist()
+        ('L+S-', [1.0, 0.5, 1.5708])
     """
 
     start: jax.Array = eqx.field(converter=floats)
@@ -85,14 +87,57 @@ class Path(Record):
         return chain(self.start, self.steps)
 
     @property
+    def end(self) -> jax.Array:
+        """The pose (..., 3) at the end. Its heading is not reduced to one turn."""
+        return self.poses[..., -1, :]
+
+    def pose_at(self, s: Any) -> jax.Array:
+        """The pose (..., 3) after a length s (...) m of the path, integrated exactly.
+
+        Before the start it is the start, beyond the end the end.
+        """
+        length = self.lengths
+        left = jnp.asarray(s, length.dtype)[..., None] - (jnp.cumsum(length, -1) - length)
+        moves = length > 0
+        share = jnp.where(moves, left / jnp.where(moves, length, 1.0), left >= 0)
+        steps = jnp.clip(share, 0.0, 1.0)[..., None] * self.steps
+        start = jnp.broadcast_to(self.start, (*steps.shape[:-2], 3))
+        return chain(start, steps)[..., -1, :]
+
+    def sample_poses(self, n: int) -> jax.Array:
+        """n poses (..., n, 3) at equal lengths from the start to the end."""
+        integer("Path.sample_poses", "n", n, least=2)
+        wide = Path(self.start[..., None, :], self.steps[..., None, :, :])
+        share = jnp.linspace(0.0, 1.0, n, dtype=self.steps.dtype)
+        return wide.pose_at(self.length[..., None] * share).at[..., -1, :].set(self.end)
+
+    @property
+    def word(self) -> str:
+        """Kinds and directions of the steps of one path, as in "L+R-S-L-": left, straight, right;
+        ahead, backwards.
+
+        Steps shorter than rounding are left out.
+        """
+        if self.start.ndim != 1:
+            raise InputError(
+                f"Path.word: got a batch of shape {self.start.shape[:-1]}, expected one path; "
+                "use jax.tree.map(lambda x: x[i], paths)"
+            )
+        a, _, turn = np.asarray(self.steps, float).T
+        radii = np.abs(a) / np.where(turn == 0, np.inf, np.abs(turn))
+        least = 64 * np.finfo(self.steps.dtype).eps * (np.abs(a).sum() + radii.max(initial=0.0))
+        steps = zip(np.sign(a * turn).astype(int), a, strict=True)
+        return "".join(f"{'SLR'[side]}{'-+'[int(x > 0)]}" for side, x in steps if abs(x) > least)
+
+    @property
     def lengths(self) -> jax.Array:
-        """m (..., n) that the frame's origin moves in each step."""
+        """Lengths (..., n) m of the way of the frame's origin in each step."""
         square = self.steps[..., 0] ** 2 + self.steps[..., 1] ** 2
         return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
     @property
     def length(self) -> jax.Array:
-        """m (...) from the start to the end."""
+        """The length (...) m from the start to the end."""
         return self.lengths.sum(-1)
 
     @property
@@ -102,8 +147,8 @@ class Path(Record):
 
     @property
     def curvatures(self) -> jax.Array:
-        """1/m (..., n), positive to the left when driven ahead; infinite where it turns on the
-        spot."""
+        """Curvatures (..., n) 1/m, positive to the left when driven ahead, infinite for turns on
+        the spot."""
         length, turn = self.lengths, self.steps[..., 2]
         signed = jnp.where(self.steps[..., 0] < 0, -length, length)
         still = length == 0
@@ -112,7 +157,7 @@ class Path(Record):
 
     @property
     def cusps(self) -> jax.Array:
-        """How often (...) the gear changes."""
+        """The number (...) of changes of gear."""
         gear = self.gears
         gear = jnp.where(gear == 0, jnp.nan, gear)
         last = jax.lax.associative_scan(
@@ -121,9 +166,9 @@ class Path(Record):
         return (last[..., 1:] * last[..., :-1] < 0).sum(-1)
 
     def split(self, spacing: float) -> Path:
-        """The same path by steps of at most `spacing` m or rad; one path, outside of traced code.
+        """The same path in steps of at most `spacing` m or rad; one path, outside of traced code.
 
-        Equal steps in a row are first joined.
+        Equal steps in a row are joined first.
         """
         real_number("Path.split", "spacing", spacing, "a number above zero", above=0.0, traced=True)
         if self.start.ndim != 1:
@@ -146,7 +191,7 @@ def _rounding(steps: Any) -> float:
 
 
 def _joined(steps: np.ndarray) -> np.ndarray:
-    """Neighbours of one twist as one step; without steps of zeros."""
+    """Join neighbours with proportional twists, and drop steps of zeros."""
     same = _rounding(steps)
     out: list[np.ndarray] = []
     for step in steps.astype(float)[np.abs(steps).max(1, initial=0.0) > 0]:
@@ -160,16 +205,16 @@ def _joined(steps: np.ndarray) -> np.ndarray:
 
 
 def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: int) -> jax.Array:
-    """Whether a footprint is certainly free of obstacles all along a path.
+    """Test whether a footprint is certainly free of obstacles all along a path.
 
-    Each step is tested at the middles of equal parts. A disc is enlarged by half the way that it
-    makes in a part, so the moments between are covered too.
+    Each step is tested at the middles of equal parts. A disc is enlarged by half of its way in a
+    part, so the moments between are covered too.
 
     Args:
         field: `OccupancyGrid.distance_field()`.
         path: `Path`; leading axes are a batch.
         footprint: `Footprint`.
-        parts: of each step. More parts err less on the safe side.
+        parts: the number of parts of each step. More parts are less conservative.
 
     Returns:
         (...) of bool.
@@ -203,13 +248,16 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What a search found.
+    """The result of a search.
 
-    Fields: status, "found", "no path", "start in collision", "goal in collision" or "count
-    exhausted"; cost, in the controls' unit, or None; poses (n + 1, 3), from the start to the goal
-    (or its set), one for each control; controls (n,), their numbers, -1 on a curve that is not made
-    of controls; expanded, how many cells were visited; path, the exact motion, or None;
-    refinement, what `plan` says of the smoothed path: "none", "smoothed", "as it was".
+    Fields:
+        status: "found", "no path", "start in collision", "goal in collision" or "count exhausted".
+        cost: in the unit of the controls, or None.
+        poses: (n + 1, 3), from the start to the goal or its set, one after each control.
+        controls: (n,), the numbers of the controls, -1 on a connection that is not made of them.
+        expanded: the number of visited cells.
+        path: the exact motion, or None.
+        refinement: of the path by `plan`: "none", "smoothed", or "as it was" if that failed.
     """
 
     status: str

@@ -5,21 +5,20 @@ the start is at the origin, with heading zero; the goal is (x, y, phi). A length
 is driven backwards. A left arc of length t turns the heading by t, a right one by -t.
 
 The endpoint is an analytic function of the lengths, and 2 pi-periodic in those of arcs. So each
-formula below solves its equation for any sign of its lengths: whatever full turns are taken off,
-the path ends at the goal. A Dubins car takes arcs in [0, 2 pi), a Reeds-Shepp car in [-pi, pi].
-Therefore a candidate is only refused where a root or an arc cosine does not exist, and its length
-is the sum of absolute values. All candidates are admissible paths, and the shortest path is one of
-them.
+formula below solves its equation for any sign of its lengths, and full turns may be subtracted. A
+Dubins car drives arcs in [0, 2 pi), a Reeds-Shepp car in [-pi, pi]. Therefore a candidate is only
+rejected if a root or an arc cosine does not exist, and its length is the sum of absolute values.
+All candidates are admissible paths, and the shortest path is one of them.
 
-A formula serves four words by two symmetries of the car's equations, and a sequence that is no
-palindrome of kinds serves four more in reverse order:
+A formula gives four words by two symmetries of the car's equations, and four more in reverse order
+if its sequence of kinds is not a palindrome:
 
     driven backwards   (-x,  y, -phi)    all lengths change sign
     mirrored           ( x, -y, -phi)    L and R are exchanged
     in reverse order   (x cos phi + y sin phi, x sin phi - y cos phi, phi)
 
 Source: Dubins, Amer. J. Math. 79 (1957) 497; Reeds & Shepp, Pacific J. Math. 145 (1990) 367,
-section 8, whose numbers of equations stand beside the formulas.
+section 8; the comments give the numbers of their equations.
 """
 
 from __future__ import annotations
@@ -163,15 +162,15 @@ TURN = {"L": 1, "S": 0, "R": -1}
 
 
 def forwards(angle):
-    """An angle without full turns, in [0, 2 pi); what is a full turn by rounding is none."""
+    """An angle in [0, 2 pi); an angle that is a full turn up to rounding gives zero."""
     full = 2 * math.pi
     angle = angle - full * jnp.floor(angle / full)
     return jnp.where(angle > full - SLACK * jnp.finfo(angle.dtype).eps, 0.0, angle)
 
 
-def either_way(angle):
-    """An angle without full turns, in [-pi, pi]."""
-    return angle - 2 * math.pi * jnp.round(angle / (2 * math.pi))
+def either_way(angle, xp=jnp):
+    """An angle in [-pi, pi]."""
+    return angle - 2 * math.pi * xp.round(angle / (2 * math.pi))
 
 
 def candidates(

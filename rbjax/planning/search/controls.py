@@ -1,12 +1,12 @@
-"""A finite set of controls of a wheeled robot, and the motions that they make.
+"""A finite set of controls of a wheeled robot, and a table of their motions.
 
-A control is a speed v and a turning rate w that are held for a time dt:
+A control is a speed v and a turning rate w, constant over a time dt:
 
     x' = v cos(theta),  y' = v sin(theta),  theta' = w
 
-A robot that slides sideways has a speed u to the left too. The motion is an arc, integrated
+A robot that slides sideways also has a speed u to the left. The motion is an arc, integrated
 exactly. If w dt is a multiple of the width of a heading's cell, headings stay on a ring of n
-values. Then all motions there are make a table by heading and control.
+values, and all motions are a table by heading and control.
 (Lynch & Park, *Modern Robotics*, 10.4.2, figure 10.14)
 """
 
@@ -24,15 +24,22 @@ from rbjax.errors import InputError
 from rbjax.planning.maps.footprint import Footprint
 from rbjax.planning.paths.path import Path, moved
 
+HEADINGS = 72  # cells of a turn
+UNIT = 10  # the price of driving a cell's diagonal straight ahead
+
 
 @dataclass(frozen=True, eq=False)
 class Controls:
     """Controls of a planner.
 
-    Fields: speeds (n,) m/s; turn_rates (n,) rad/s; dt s; costs (n,), positive integers, None for 1
-    each; reversal, a non-negative integer, what a change from driving ahead to driving backwards
-    costs, or back; steering, another, what a change of the curvature costs; sideways (n,) m/s to
-    the left, None for 0 each.
+    Fields:
+        speeds: (n,) m/s.
+        turn_rates: (n,) rad/s.
+        dt: s.
+        costs: (n,), positive integers; None for 1 each.
+        reversal: the cost of a change between driving ahead and backwards, an integer from zero.
+        steering: the cost of a change of the curvature, an integer from zero.
+        sideways: (n,) m/s to the left; None for 0 each.
 
     Example:
         >>> car = Controls.car(radius=1.0, turn=np.deg2rad(15.0), reversal=2)
@@ -86,7 +93,7 @@ class Controls:
         cls, radius: float, turn: float, speed: float = 1.0, costs: Any = None, reversal: int = 0,
         steering: int = 0,
     ) -> Controls:  # fmt: skip
-        """Six controls: ahead and backwards; to the left, straight, and to the right.
+        """Make six controls: ahead and backwards; to the left, straight, and to the right.
 
         radius: turning radius, m. turn: the angle of an arc, rad. speed: m/s. costs: (6,), ahead
         before backwards, and from left to right.
@@ -110,7 +117,7 @@ class Controls:
 
     @property
     def prices(self) -> np.ndarray:
-        """What control j costs after control i (n + 1, n); the last row is for the first one."""
+        """Costs (n + 1, n) of control j after control i; in the last row, of the first control."""
         v, bend = self.speeds, self.curvatures
         reversed_ = v[:, None] * v < 0
         bent = ~np.isclose(bend[:, None], bend, rtol=1e-9, atol=0)
@@ -128,14 +135,14 @@ class Controls:
         return Path(jnp.asarray(start), jnp.asarray(self.steps[controls].reshape(-1, 3)))
 
     def turns(self, headings: int) -> np.ndarray:
-        """w dt (n,) as numbers of heading cells."""
+        """Turns w dt (n,) in cells of heading."""
         exact = self.turn_rates * self.dt * headings / (2 * math.pi)
         whole = np.round(exact)
         off = int(np.abs(exact - whole).argmax())
         if abs(exact[off] - whole[off]) > 1e-9:
             raise InputError(
                 f"turn_rates[{off}] * dt is {exact[off]:.6g} of {headings} heading cells, expected "
-                "a whole number; change dt or the number of headings"
+                "an integer; change dt or the number of headings"
             )
         return whole.astype(int)
 
@@ -146,13 +153,51 @@ class Controls:
         return moved(heading[..., None], steps, np)
 
 
+def car_controls(radius: float, least: float, backwards: bool) -> Controls:
+    """Controls of a car: arcs to both sides and straight segments. Driving backwards costs a little
+    more; a reversal costs as much as driving `radius` metres forwards."""
+    cell = 2 * math.pi / HEADINGS
+    turn = cell * max(1, math.ceil(least / (radius * cell) * (1 - 1e-9)))
+    reversal = max(1, round(UNIT * radius / (radius * turn)))
+    n = 6 if backwards else 3
+    costs = [UNIT + 1, UNIT, UNIT + 1, UNIT + 3, UNIT + 2, UNIT + 3][:n]
+    speeds = np.repeat([1.0, -1.0], 3)[:n]
+    bend = np.tile([1.0, 0.0, -1.0], 2)[:n] / radius
+    return Controls(speeds, speeds * bend, radius * turn, costs, reversal, steering=1)
+
+
+def differential_controls(radius: float, least: float, backwards: bool) -> Controls:
+    """Controls of a differential drive: straights, and turns on the spot by two cells of heading,
+    which take the same time."""
+    spin = 2 * 2 * math.pi / HEADINGS / least
+    speeds = np.array([1.0, -1.0, 0.0, 0.0])
+    chosen = np.array([0, 1, 2, 3] if backwards else [0, 2, 3])
+    rates = np.array([0, 0, spin, -spin])[chosen]
+    costs = np.array([UNIT, UNIT + 2, 4, 4])[chosen]
+    return Controls(speeds[chosen], rates, least, costs, UNIT // 2)
+
+
+def omnidirectional_controls(radius: float, least: float, backwards: bool) -> Controls:
+    """Controls of an omnidirectional robot: eight directions, and turns on the spot by two cells of
+    heading."""
+    spin = 2 * 2 * math.pi / HEADINGS / least
+    course = np.arange(8) * math.pi / 4
+    speeds = np.concatenate([np.cos(course), [0.0, 0.0]]).round(15)
+    slides = np.concatenate([np.sin(course), [0.0, 0.0]]).round(15)
+    rates = np.concatenate([np.zeros(8), [spin, -spin]])
+    return Controls(speeds, rates, least, [UNIT] * 8 + [4] * 2, sideways=slides)
+
+
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """All motions from the origin, by heading k and control c, for headings first + 2 pi k / K.
+    """All motions from the origin, by heading first + 2 pi k / K and control.
 
-    Fields: headings (K,) rad; step (2, K, n) m, the displacement; turns (n,), in cells of headings;
-    discs (2, K, n, m) m, centres of a footprint's discs at moments of the motion; radii (K, n, m)
-    m, of the discs, so enlarged that they cover the footprint between those moments too.
+    Fields:
+        headings: (K,) rad.
+        step: (2, K, n) m, displacements.
+        turns: (n,), in cells of heading.
+        discs: (2, K, n, m) m, centres of the footprint's discs at moments of the motion.
+        radii: (K, n, m) m, of the discs, enlarged to cover the footprint between those moments.
     """
 
     headings: np.ndarray
@@ -170,11 +215,11 @@ class MotionTable:
     def of(
         cls, controls: Controls, footprint: Footprint, first: float, headings: int, spacing: float
     ) -> MotionTable:
-        """spacing: the distance in m between two moments, at most."""
+        """Tabulate the motions. spacing: the largest distance in m between two moments."""
         turns = controls.turns(headings)
         angles = first + 2 * math.pi * np.arange(headings) / headings
         centers, radii = np.asarray(footprint.centers, float), np.asarray(footprint.radii, float)
-        # how far a disc moves, at most: the origin's way, and the turn about it
+        # the largest way of a disc: that of the origin, and by the turn about it
         far = np.hypot(*centers.T)
         way = controls.dt * (
             np.hypot(controls.speeds, controls.sideways)[:, None]

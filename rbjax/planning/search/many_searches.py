@@ -23,7 +23,7 @@ from rbjax.planning.maps.footprint import Footprint, clear
 from rbjax.planning.maps.occupancy import DistanceField, OccupancyGrid
 from rbjax.planning.paths.path import Plan
 from rbjax.planning.search.controls import Controls, MotionTable
-from rbjax.planning.search.grid_dijkstra import check_poses, check_problem
+from rbjax.planning.search.wave_search import check_poses, check_problem
 
 NEVER = np.iinfo(np.int32).max
 SEARCHING, FOUND, EXHAUSTED = range(3)

@@ -29,8 +29,8 @@ from rbjax.lanes.arrays import largest
 from rbjax.model import State
 from rbjax.planning.paths.path import Path
 from rbjax.planning.timing.limits import Limits
-from rbjax.wheeled.kinematics.numbers import stacked
-from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.kinematics.parameters import stack_lanes
+from rbjax.wheeled.models.robot_model import RobotModel
 from rbjax.wheeled.models.states import with_twist
 from rbjax.wheeled.motion.following import commands
 
@@ -80,13 +80,13 @@ def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
     return y + h * jax.lax.scan(stage, (zero, zero), weights)[0][1]
 
 
-def torques_for(vehicle: Fidelity, limits: Limits, q, v, rates, turning) -> jax.Array:
+def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> jax.Array:
     """The torques (drives,) at which v changes at rates (nv,) as the steerings turn."""
     drives = len(vehicle.robot.drives)
 
     def accelerations(tau):
-        n, now = vehicle.instant(State(q, v), jnp.concatenate([tau, turning]))
-        return stacked(vehicle.accelerations(n, now), q.dtype)
+        now = vehicle.context(State(q, v), jnp.concatenate([tau, turning]))
+        return stack_lanes(vehicle.accelerations(now), q.dtype)
 
     none = jnp.zeros(drives, q.dtype)
     most = limits.torques(vehicle).astype(q.dtype)
@@ -97,7 +97,7 @@ def torques_for(vehicle: Fidelity, limits: Limits, q, v, rates, turning) -> jax.
     return most * (G.T @ jnp.linalg.solve(G @ G.T, short))
 
 
-def driven(vehicle: Fidelity, limits: Limits, path: Path) -> DrivenPath:
+def driven(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
     """One path, as the robot drives it from where it stands straight. Steps of zeros stay."""
     robot, steps = vehicle.robot, path.steps
     steerings, dtype = robot.layout.steerings, path.steps.dtype
@@ -149,7 +149,7 @@ def driven(vehicle: Fidelity, limits: Limits, path: Path) -> DrivenPath:
     return DrivenPath(size, stops, turns, bends, *sides)
 
 
-def reach_of(vehicle: Fidelity, dtype) -> jax.Array:
+def reach_of(vehicle: RobotModel, dtype) -> jax.Array:
     """The largest distance of a wheel of the chassis from its origin, m."""
     places = [jnp.asarray(w.position, dtype) for w in vehicle.robot.wheels if w.body == 0]
     return jnp.maximum(largest(_norm(jnp.stack(places))), 1e-2)
@@ -167,20 +167,20 @@ def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
     return rows[jnp.where(at < 0, jnp.argmax(known), at)]
 
 
-def _angles(vehicle: Fidelity, twists: jax.Array) -> jax.Array:
+def _angles(vehicle: RobotModel, twists: jax.Array) -> jax.Array:
     if not vehicle.robot.steerings:
         return jnp.zeros((*twists.shape[:-1], 0), twists.dtype)
     return jax.vmap(jax.vmap(lambda x: commands(vehicle.robot, x).angles))(twists)
 
 
-def _coordinates(vehicle: Fidelity, start, size, turns, bends, nu) -> jax.Array:
+def _coordinates(vehicle: RobotModel, start, size, turns, bends, nu) -> jax.Array:
     """Coordinates (2, n, nq) at the begin and at the end of each step, integrated along it."""
     at = vehicle.robot.layout.steerings
     drives = jnp.zeros(len(vehicle.robot.drives), start.dtype)
 
     def slope(q, v, bend):
-        n, now = vehicle.instant(State(q, v), jnp.concatenate([drives, bend]))
-        return stacked(vehicle.coordinate_rates(n, now), q.dtype)
+        now = vehicle.context(State(q, v), jnp.concatenate([drives, bend]))
+        return stack_lanes(vehicle.coordinate_rates(now), q.dtype)
 
     def over(q, step):
         size, turn, bend, nu0, nu1 = step

@@ -11,7 +11,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
-from rbjax.wheeled import Fidelity, TorqueSource
+from rbjax.wheeled import RobotModel, TorqueSource
 from rbjax.wheeled.models.rolling import Rolling
 
 
@@ -52,7 +52,7 @@ class Limits(Record):
     def may_be_endless(self, name: str) -> bool:
         return name != "torque"
 
-    def torques(self, vehicle: Fidelity) -> jax.Array:
+    def torques(self, vehicle: RobotModel) -> jax.Array:
         """(drives,) N m."""
         return jnp.broadcast_to(self.torque, (len(vehicle.robot.drives),))
 

@@ -37,7 +37,7 @@ from rbjax.planning.timing.limits import Limits, Timed, check_can_follow
 from rbjax.planning.timing.sequential_program import optimised
 from rbjax.planning.timing.shooting import Shooting
 from rbjax.planning.timing.time_scaling import check_path, time_scaling
-from rbjax.wheeled import Fidelity
+from rbjax.wheeled import RobotModel
 from rbjax.wheeled.models.states import start
 
 NEAR = 2e-3  # deviations in m, rad and of a limit that a feasible motion may have
@@ -103,7 +103,7 @@ class Refined(Record):
 
 
 def refine(
-    vehicle: Fidelity,
+    vehicle: RobotModel,
     path: Path,
     limits: Limits,
     field: DistanceField | None = None,
@@ -175,7 +175,7 @@ def refine(
 
 
 def _refine(
-    vehicle: Fidelity, path: Path, limits: Limits, field: DistanceField | None,
+    vehicle: RobotModel, path: Path, limits: Limits, field: DistanceField | None,
     footprint: Footprint | None, margin: Any, intervals: int, iterations: int, parts: int,
 ) -> Refined:  # fmt: skip
     # a path that needs more than the steering limit is allowed as a first guess

@@ -27,8 +27,8 @@ from rbjax.planning.maps.footprint import Footprint, placed
 from rbjax.planning.maps.occupancy import DistanceField
 from rbjax.planning.timing.driven_path import rk4
 from rbjax.planning.timing.limits import Limits
-from rbjax.wheeled.kinematics.numbers import stacked
-from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.kinematics.parameters import stack_lanes
+from rbjax.wheeled.models.robot_model import RobotModel
 
 
 class Shooting(NamedTuple):
@@ -40,7 +40,7 @@ class Shooting(NamedTuple):
     Unknown is w (n, nu + 1): controls and a duration, in these units.
     """
 
-    vehicle: Fidelity
+    vehicle: RobotModel
     limits: Limits
     units: jax.Array
     duration: jax.Array
@@ -64,9 +64,9 @@ class Shooting(NamedTuple):
         return State(jnp.zeros(self.vehicle.nq, z.dtype).at[:m].set(z[:m]), z[m:])
 
     def rates(self, z: jax.Array, u: jax.Array) -> jax.Array:
-        n, now = self.vehicle.instant(self.state(z), u)
-        q, v, _ = self.vehicle.rates(n, now)
-        return stacked([*q[: self.tracked], *v], z.dtype)
+        now = self.vehicle.context(self.state(z), u)
+        q, v, _ = self.vehicle.rates(now)
+        return stack_lanes([*q[: self.tracked], *v], z.dtype)
 
     def over(self, z: jax.Array, w: jax.Array) -> jax.Array:
         """The states (parts, nz) in an interval, the last at its end."""
@@ -109,8 +109,8 @@ class Shooting(NamedTuple):
 
     def twist(self, z: jax.Array) -> jax.Array:
         """Of the chassis (3,)."""
-        n, now = self.vehicle.instant(self.state(z))
-        return stacked(self.vehicle.full(n, now)[:3], z.dtype)
+        now = self.vehicle.context(self.state(z))
+        return stack_lanes(self.vehicle.full_velocities(now)[:3], z.dtype)
 
     def clearances(self, z: jax.Array) -> jax.Array:
         """Of each disc, m."""

@@ -30,7 +30,7 @@ from rbjax.model.record import Record, cast_floats
 from rbjax.planning.paths.path import Path
 from rbjax.planning.timing.driven_path import DrivenPath, Sides, driven
 from rbjax.planning.timing.limits import Limits, Timed, check_can_follow
-from rbjax.wheeled import Fidelity
+from rbjax.wheeled import RobotModel
 
 
 class TimeScaled(Record):
@@ -50,7 +50,7 @@ class TimeScaled(Record):
         return "found" if bool(self.ok) else "infeasible"
 
 
-def time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
+def time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     """The time-optimal motion of a robot along a path, at rest at both ends.
 
     It stops where the path reverses or turns by more than 60 degrees, and steers there. Elsewhere
@@ -101,7 +101,7 @@ def check_path(where: str, path: Any) -> None:
         )
 
 
-def _time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
+def _time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     dtype = path.steps.dtype
     vehicle, limits = cast_floats((vehicle, limits), dtype)
     p = driven(vehicle, limits, path)
@@ -190,7 +190,7 @@ def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
     return jnp.where(off, jnp.inf, jnp.minimum(low, high)), high
 
 
-def _timed(vehicle: Fidelity, p: DrivenPath, limits: Limits, x: jax.Array) -> Timed:
+def _timed(vehicle: RobotModel, p: DrivenPath, limits: Limits, x: jax.Array) -> Timed:
     """The motion by s'^2 (n + 1,) between the steps."""
     n = len(p.size)
     speed = jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)

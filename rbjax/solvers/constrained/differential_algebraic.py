@@ -1,28 +1,23 @@
-"""Implicit methods for differential-algebraic equations, whatever their index.
+"""Implicit steps of differential-algebraic equations of any index.
 
     f(t, y, y', w) = 0,      n + m equations, n rates y' and m algebraic unknowns w
     stages:  f(t_i, Y_i, Y'_i, W_i) = 0,      Y_i = y_i + h sum_j a_ij Y'_j
-with A invertible: Radau IIA, Gauss, Lobatto IIIC, and one stage for a BDF. The last m equations may
-have no w and no y' in them; where y' is found from them after p integrations, they are taken as
-(h A)^-p of themselves. So the matrix does not degenerate as h goes to zero, and it is
+with A invertible: Radau IIA, Gauss, Lobatto IIIC, and one stage for a BDF. A row from which y'
+follows after p integrations is multiplied by (h A)^-p, so that the matrix
 
     [M  -G^T]
-    [G    0 ]       for constraints of index 2 (p = 1) and 3 (p = 2), up to terms in h.
+    [G    0 ]       (index 2: p = 1; index 3: p = 2; up to terms in h)
+is regular for h = 0. Newton's iteration takes the matrix of the start of the step, inverted in
+blocks of one stage (`simplified`). If it does not converge, as near singular positions, it takes
+the matrices of the stages (`schur_complement`); after `FREE` iterations these are regularized
+towards a constant w, so that the iteration converges also if a row vanishes. Regularization changes
+corrections, not the solution. The derivative is the one of the implicit function.
 
-The iteration is Newton's with the matrix of the start of the step, inverted once, in blocks of the
-size of one stage (`simplified`); where that does not converge, with the matrices of the stages,
-factored each time (`stage_matrix`). Redundant rows leave w open: both are regularized, which
-changes steps of the iteration and not where they end; w stays where the guess put it in directions
-that do nothing. Of a step that passes a singular position rows vanish between its stages, and turn
-round: the matrix of the start is of no use, and what a stage right there asks of w has no bound. So
-after some iterations w is drawn to the last one, and not to its own value: the iteration settles,
-with what is left of a row that vanishes.
-The derivative of the solution is that of the implicit function, to all orders, by the same two
-ways. A GPU thread has no room for the matrices of the stages of mechanisms above `COUPLED_UP_TO`:
-there the second iteration keeps the complement of w only (`complement`), and above `SWEPT_UP_TO`
-steps that the first iteration does not solve are not solved.
-(Hairer, Lubich & Roche, *The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta
-Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VI, VII.)
+A GPU thread has no memory for the matrices of the stages above `COUPLED_UP_TO` unknowns. Up to
+`SWEPT_UP_TO` the second iteration uses `Complement` there, above it there is none.
+
+Source: Hairer, Lubich & Roche, *The Numerical Solution of Differential-Algebraic Systems by
+Runge-Kutta Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VI, VII.
 """
 
 from __future__ import annotations
@@ -37,48 +32,57 @@ import jax.numpy as jnp
 
 from rbjax.lanes import batch_first, matvec
 from rbjax.lanes.arrays import each
-from rbjax.lanes.factorization import proximal
-from rbjax.solvers.common.steps import mixed
-from rbjax.solvers.constrained.complement import Complement, complement
-from rbjax.solvers.constrained.simplified import Blocks, Simplified, Sizes, simplified
-from rbjax.solvers.constrained.spectrum import Weights, weight
-from rbjax.solvers.constrained.stage_matrix import Factored, Matrix
+from rbjax.rank_tolerances import rank_tolerance
+from rbjax.solvers.constrained.schur_complement import Complement, Factored, Matrix, complement
+from rbjax.solvers.constrained.simplified import (
+    Blocks,
+    Simplified,
+    Sizes,
+    Weights,
+    simplified,
+    weight,
+)
+from rbjax.solvers.steps import weighted_sums
 
 MAX_STEPS = 50
-ROUNDING = 4  # units in the last place, beside the size of y
-#: corrections that shrink by no more are rounding, where they are below so much of y, by bytes:
-#: those of index 3 carry the rounding of positions, some 50 / h times
+ROUNDING = 4  # units in the last place, relative to y
+#: corrections that shrink by a larger factor are rounding if they are below a part of y, by bytes
+#: of a number: those of index 3 contain the rounding of positions times about 50 / h
 STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
-#: the same of a linear system, in units in the last place: nothing else is divided by h there
+#: the same for a linear system, in units in the last place
 LINEAR_NOISE = 100
-#: by sweeps, which go through rows that nearly vanish, by bytes
+#: the same for sweeps, by bytes of a number
 SWEPT_NOISE = {4: 1e3, 8: 1e5}
-#: iterations with matrices of the stages: so many towards the last w, then towards one of them; and
-#: how strongly, by bytes
-FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
-#: the same of a GPU thread, whose iteration converges less fast
+#: iterations with the matrices of the stages: towards the last w, then towards a constant one
+FREE, HELD = 6, 9
+#: sweeps of a GPU thread towards a constant w
 SWEEPS = 24
-#: the most unknowns of all stages whose matrix a GPU thread has memory for
+#: unknowns of all stages for whose matrix a GPU thread has memory
 COUPLED_UP_TO = 40
-#: the most for which it has memory for the complement of their w, and for so long a program
+#: unknowns of all stages for whose `Complement` it has memory
 SWEPT_UP_TO = 200
 
 
 @dataclass(frozen=True)
 class Equations:
-    """f: (t, y (n,), y' (n,), w (m,)) -> (n + m,); depth: the p of each of the last m rows; usual
-    (m,): what a unit of each w does to its row, integrated back, where no row vanishes; 0 where
-    that is not known; kinematic, again: as in `rbjax.solvers.constrained.simplified.Sizes`."""
+    """Differential-algebraic equations.
+
+    Fields:
+        f: (t, y (n,), y' (n,), w (m,)) -> (n + m,).
+        depth: p of each of the last m rows.
+        free_diagonal: (m,) the diagonal of the Schur complement of free bodies; 0 if unknown.
+        kinematic, ggl: as in `Sizes`.
+    """
 
     f: Callable[..., jax.Array]
     depth: tuple[int, ...]
-    usual: jax.Array
+    free_diagonal: jax.Array
     kinematic: int
-    again: int = 0
+    ggl: int = 0
 
 
 class Point(NamedTuple):
-    """Where the matrix is taken, and what the iteration starts from."""
+    """The start of a step: the point of the matrix and the first guess."""
 
     t: Any
     y: jax.Array
@@ -87,8 +91,7 @@ class Point(NamedTuple):
 
 
 class Stages(NamedTuple):
-    """Rates (s, n), algebraic unknowns (s, m), and whether they were found (else those of the
-    start)."""
+    """Rates (s, n), algebraic unknowns (s, m), and whether they were found; if not, the guess."""
 
     rates: jax.Array
     w: jax.Array
@@ -98,54 +101,56 @@ class Stages(NamedTuple):
 def solve(
     equations: Equations, h: Any, t: jax.Array, y: jax.Array, weights: Weights, start: Point
 ) -> Stages:
-    """The stages at times t (s,), from base values y (s, n)."""
+    """Solve the equations of the stages at times t (s,), from base values y (s, n)."""
     s, n = y.shape
     f, read = jax.closure_convert(equations.f, *start)
-    # jitted, so that it is traced once for all that calls and differentiates it
-    system = System(jax.jit(f), Sizes(n, equations.kinematic, equations.depth, equations.again))
-    start, usual = jax.lax.stop_gradient((start, equations.usual))
+    # jitted, so that it is traced once
+    system = System(jax.jit(f), Sizes(n, equations.kinematic, equations.depth, equations.ggl))
+    start, free_diagonal = jax.lax.stop_gradient((start, equations.free_diagonal))
 
     @eqx.filter_custom_jvp
-    def root(h, t, y, weights, start, usual, read):
-        blocks = system.simplified(h, weights, start, usual, read)
-        return batch_first((system.iterated(blocks, h, t, y, weights, start, usual, read), blocks))
+    def root(h, t, y, weights, start, free_diagonal, read):
+        blocks = system.simplified(h, weights, start, free_diagonal, read)
+        return batch_first(
+            (system.iterated(blocks, h, t, y, weights, start, free_diagonal, read), blocks)
+        )
 
     @root.def_jvp
     def _(primals, tangents):
         found, blocks = root(*primals)  # with its own derivative: this rule
         x = found[:-1].reshape(s, -1)
 
-        def off(h, t, y, weights, start, usual, read):
-            del start, usual
+        def off(h, t, y, weights, start, free_diagonal, read):
+            del start, free_diagonal
             return system.residual(x, h, t, y, weights, read)
 
         _, change = eqx.filter_jvp(off, primals, tangents)
         moved = -system.moved(x, change, blocks, *primals)
         moved = jnp.append(moved, jnp.zeros_like(found[-1]))
-        # the blocks draw iterations to where they end, and do not change that
+        # the solution does not depend on the blocks
         still = jax.tree.map(jnp.zeros_like, blocks)
         return (found, blocks), batch_first((moved, still))
 
-    found, _ = root(h, t, y, weights, start, usual, tuple(read))
+    found, _ = root(h, t, y, weights, start, free_diagonal, tuple(read))
     x = found[:-1].reshape(s, -1)
     return Stages(x[:, :n], x[:, n:], found[-1] > 0)
 
 
-def damped(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array) -> jax.Array:
-    """What an error raw (n,) of y leaves after an implicit Euler step of length gamma h of the
-    linearized equations: without its stiff parts and those against the constraints."""
-    start, usual = jax.lax.stop_gradient((start, equations.usual))
+def damp_error(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array) -> jax.Array:
+    """Damp an error raw (n,) of y by an implicit Euler step gamma h of the linearized equations,
+    which removes its stiff parts and those across the constraints."""
+    start, free_diagonal = jax.lax.stop_gradient((start, equations.free_diagonal))
     n, one = raw.size, weight(jnp.ones((), raw.dtype))
     system = System(equations.f, Sizes(n, 0, equations.depth, 0))
     slopes = system.slope(*start, ())[None]
     off = system.weighted(matvec(slopes[0, :, :n], raw)[None], gamma_h, one)
-    change = -Factored(system.matrix(slopes, gamma_h, one), usual).solved(off)
+    change = -Factored(system.matrix(slopes, gamma_h, one), free_diagonal).solved(off)
     return raw + gamma_h * change[0, :n]
 
 
 @dataclass(frozen=True)
 class System:
-    """The stage equations, with what f reads as an argument."""
+    """The stage equations, with the closure of f as an argument."""
 
     f: Callable[..., jax.Array]
     sizes: Sizes
@@ -155,29 +160,29 @@ class System:
         return self.sizes.n
 
     def residual(self, x, h, t, y, weights, read) -> jax.Array:
-        """(s, n + m) at x = (rates, w), its last rows integrated back."""
+        """Evaluate the equations (s, n + m) at x = (rates, w), the last rows times (h A)^-p."""
         k, w = x[:, : self.n], x[:, self.n :]
-        out = each(lambda *at: self.f(*at, *read), t, y + h * mixed(weights.a, k), k, w)
+        out = each(lambda *at: self.f(*at, *read), t, y + h * weighted_sums(weights.a, k), k, w)
         return self.weighted(out, h, weights)
 
     def weighted(self, rows: jax.Array, h: Any, weights: Weights) -> jax.Array:
-        """Rows (s, n + m, ...): the last m by (h A)^-p."""
+        """Multiply the last m of the rows (s, n + m, ...) by (h A)^-p."""
         back, parts, at = weights.inverse / h, [rows[:, : self.n]], self.n
         for p in self.sizes.depth:
             row = rows[:, at]
             for _ in range(p):
-                row = mixed(back, row)
+                row = weighted_sums(back, row)
             parts.append(row[:, None])
             at += 1
         return jnp.concatenate(parts, 1)
 
     def slope(self, t, y, rate, w, read) -> jax.Array:
-        """df / d(y, y', w) (n + m, 2 n + m) at a point."""
+        """Compute df / d(y, y', w) (n + m, 2 n + m) at a point."""
         one = jnp.eye(2 * self.n + len(w), dtype=y.dtype)
         return each(self.push(t, y, rate, w, read), one).T
 
     def push(self, t, y, rate, w, read) -> Callable[[jax.Array], jax.Array]:
-        """df of d(y, y', w) (2 n + m,) at a point."""
+        """Return the derivative of f along a change of (y, y', w) (2 n + m,) at a point."""
         n = self.n
 
         def f(z):
@@ -186,28 +191,30 @@ class System:
         at = jnp.concatenate([y, rate, w])
         return lambda d: jax.jvp(f, (at,), (d,))[1]
 
-    def simplified(self, h, weights, start: Point, usual, read) -> Blocks:
-        """The matrix of the start, for all stages."""
-        return simplified(self.push(*start, read), self.sizes, h, weights, usual)
+    def simplified(self, h, weights, start: Point, free_diagonal, read) -> Blocks:
+        """Invert the matrix of the start, for all stages, approximately."""
+        return simplified(self.push(*start, read), self.sizes, h, weights, free_diagonal)
 
-    def complement(self, x, shared: Simplified, h, t, y, weights, usual, read) -> Complement:
-        """Of the w of all stages, at x."""
+    def complement(
+        self, x, shared: Simplified, h, t, y, weights, free_diagonal, read
+    ) -> Complement:
+        """Compute the Schur complement of the w of all stages, at x."""
 
         def push(d: jax.Array) -> jax.Array:
             return jax.jvp(lambda x: self.residual(x, h, t, y, weights, read), (x,), (d,))[1]
 
-        near = NEAR[y.dtype.itemsize]
-        return complement(push, shared.free, usual, len(y), self.n, near)
+        near = rank_tolerance("stages", y.dtype)
+        return complement(push, shared.free, free_diagonal, len(y), self.n, near)
 
     def slopes(self, x, h, t, y, weights, read) -> jax.Array:
-        """The same at each stage."""
+        """Compute the slopes at each stage."""
         k, w = x[:, : self.n], x[:, self.n :]
         return jax.vmap(lambda t, y, k, w: self.slope(t, y, k, w, read))(
-            t, y + h * mixed(weights.a, k), k, w
+            t, y + h * weighted_sums(weights.a, k), k, w
         )
 
     def matrix(self, slopes: jax.Array, h: Any, weights: Weights) -> Matrix:
-        """d residual / d (rates, w), from the slopes at the stages (s, n + m, 2 n + m)."""
+        """Assemble d residual / d (rates, w) from the slopes at the stages (s, n + m, 2 n + m)."""
         n, s = self.n, len(slopes)
         m = slopes.shape[1] - n
         own = jnp.eye(s, dtype=slopes.dtype)[:, None, :, None]
@@ -222,42 +229,44 @@ class System:
             of_w[:, n:].reshape(s * m, s * m),
         )
 
-    def iterated(self, blocks: Blocks, h, t, y, weights, start: Point, usual, read) -> jax.Array:
-        """The root and 1, or the start and 0 where it was not found, in one array."""
+    def iterated(
+        self, blocks: Blocks, h, t, y, weights, start: Point, free_diagonal, read
+    ) -> jax.Array:
+        """Find the root. Returns it and 1, or the guess and 0, in one array."""
         s, n, size = len(y), self.n, jnp.maximum(1.0, jnp.abs(y).max())
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, n + len(start.w)))
         shared = Simplified(self.sizes, *jax.lax.stop_gradient((h, weights, blocks)))
 
-        def chord(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
-            return shared.solved(self.residual(x, h, t, y, weights, read)), held
+        def chord(x: jax.Array, target: jax.Array, count: jax.Array) -> tuple:
+            return shared.solved(self.residual(x, h, t, y, weights, read)), target
 
-        def newton(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
+        def newton(x: jax.Array, target: jax.Array, count: jax.Array) -> tuple:
             slopes = self.slopes(x, h, t, y, weights, read)
-            near = NEAR[y.dtype.itemsize]
-            matrix = Factored(self.matrix(slopes, h, weights), usual, near)
-            held = jnp.where(count < FREE, x[:, n:], held)
+            near = rank_tolerance("stages", y.dtype)
+            matrix = Factored(self.matrix(slopes, h, weights), free_diagonal, near)
+            target = jnp.where(count < FREE, x[:, n:], target)
             r = self.residual(x, h, t, y, weights, read)
-            return matrix.once(r, x[:, n:] - held), held
+            return matrix.once(r, x[:, n:] - target), target
 
-        def sweep(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
-            held = jnp.where(count < FREE, x[:, n:], held)
-            S = self.complement(x, shared, h, t, y, weights, usual, read)
+        def sweep(x: jax.Array, target: jax.Array, count: jax.Array) -> tuple:
+            target = jnp.where(count < FREE, x[:, n:], target)
+            S = self.complement(x, shared, h, t, y, weights, free_diagonal, read)
 
-            def off(x: jax.Array) -> jax.Array:
+            def residual(x: jax.Array) -> jax.Array:
                 return self.residual(x, h, t, y, weights, read)
 
-            return x - S.swept(off, shared.free, x, held), held
+            return x - S.sweep(residual, shared.free, x, target), target
 
         def found(step: Callable, done: jax.Array, x: jax.Array, most: int) -> tuple:
             """Whether x is settled, and x or the guess."""
 
             def once(at: tuple) -> tuple:
-                x, held, before, count, _ = at
-                dx, held = step(x, held, count)
+                x, target, before, count, _ = at
+                dx, target = step(x, target, count)
                 x = x - dx
                 scale = jnp.maximum(size, jnp.abs(h * x[:, :n]).max())
                 now = jnp.abs(h * dx[:, :n]).max() / scale
-                return x, held, now, count + 1, settled(now, before, count)
+                return x, target, now, count + 1, settled(now, before, count)
 
             def more(at: tuple) -> jax.Array:
                 *_, before, count, done = at
@@ -277,13 +286,10 @@ class System:
         return jnp.append(x, done.astype(y.dtype))
 
     def moved(
-        self, x, change, blocks: Blocks, h, t, y, weights, start: Point, usual, read
+        self, x, change, blocks: Blocks, h, t, y, weights, start: Point, free_diagonal, read
     ) -> jax.Array:
-        """The changes (s, n + m) of x at the root that make one of the residual.
-
-        By iteration with the matrix of the start; where that does not converge, with those of the
-        stages.
-        """
+        """Solve for the change (s, n + m) of x that causes a change of the residual, by iteration
+        with the matrix of the start; if that does not converge, with those of the stages."""
         shared = Simplified(self.sizes, *jax.lax.stop_gradient((h, weights, blocks)))
 
         def push(d: jax.Array) -> jax.Array:
@@ -302,11 +308,13 @@ class System:
                 def directly(_: tuple) -> tuple:
                     matrix = self.matrix(self.slopes(x, h, t, y, weights, read), h, weights)
                     matrix = matrix.transposed if transposed else matrix
-                    exact = Factored(matrix, usual, proximal(b.dtype)[0]).solved(b)
+                    exact = Factored(
+                        matrix, free_diagonal, rank_tolerance("regularization", b.dtype)
+                    ).solved(b)
                     return exact, jnp.array(True)
 
                 def by_sweeps(_: tuple) -> tuple:
-                    S = self.complement(x, shared, h, t, y, weights, usual, read)
+                    S = self.complement(x, shared, h, t, y, weights, free_diagonal, read)
                     S = S._replace(transposed=transposed)
                     exact, ok = swept(push, S, free_back if transposed else shared.free, b, self.n)
                     return jnp.where(ok, exact, jnp.nan), jnp.array(True)
@@ -327,7 +335,7 @@ class System:
 
 
 def where_it_fits(unknowns: int, f: Callable, smaller: Callable, otherwise: Callable) -> Callable:
-    """f, which needs a matrix of so many unknowns; what a GPU does where a thread has no room."""
+    """Choose f, which needs a matrix of all unknowns; on a GPU without memory another function."""
     if unknowns <= COUPLED_UP_TO:
         return f
     on_gpu = smaller if unknowns <= SWEPT_UP_TO else otherwise
@@ -335,19 +343,19 @@ def where_it_fits(unknowns: int, f: Callable, smaller: Callable, otherwise: Call
 
 
 def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
-    """x of push(x) = b by corrections nearly(b - push(x)), and whether these became rounding."""
+    """Solve push(x) = b by corrections nearly(b - push(x)). Returns x and whether it converged."""
     return corrected(lambda x: nearly(b - push(x)), b, n)
 
 
 def swept(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
-    """The same by sweeps."""
+    """Solve push(x) = b by sweeps. Returns x and whether it converged."""
     noise = SWEPT_NOISE[b.dtype.itemsize]
-    return corrected(lambda x: S.swept(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n, noise)
+    return corrected(lambda x: S.sweep(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n, noise)
 
 
 def corrected(correction: Callable, b: jax.Array, n: int, noise: float = LINEAR_NOISE) -> tuple:
-    """x of corrections correction(x), from 0, and whether these have become rounding. The first n
-    columns of x decide."""
+    """Add corrections correction(x) to x, from 0, until the first n columns change by rounding.
+    Returns x and whether it converged."""
     eps = float(jnp.finfo(b.dtype).eps)
 
     def once(at: tuple) -> tuple:
@@ -370,7 +378,7 @@ def corrected(correction: Callable, b: jax.Array, n: int, noise: float = LINEAR_
 def settled(
     now: jax.Array, before: jax.Array, count: jax.Array, noise: float | None = None
 ) -> jax.Array:
-    """Whether corrections, relative to y, have become rounding; noise: what rounding is at most."""
+    """Test whether corrections, relative to y, are rounding, which is `noise` at most."""
     eps = float(jnp.finfo(now.dtype).eps)
     noise = STALLED_BELOW[now.dtype.itemsize] if noise is None else noise
     ratio = now / jnp.where(before > 0, before, 1.0)

@@ -3,18 +3,23 @@
     equations  kinematic  u' - v = 0                            unknowns  u'
                 or, GGL   M (u' - v) - G^T mu = 0
                dynamic    f(u, v, x, v', x') - B^T w = 0                  v', x'
-               rows       one of u or v, with gradients B, held by w      w
-               again      rows of u, with gradients G, held by mu (GGL)   mu
-Multipliers act along the gradients of their rows, as d'Alembert says. All stages share one matrix,
-that of the start of the step. With the eigenvalues z / h of the method's matrix (`spectrum`) it
-comes apart into one for each, of the size of one stage. From these u' = (v' z + ...) is eliminated:
+               rows       of u or v, with gradients B                     w
+               GGL rows   of u, with gradients G                          mu
+All stages share the matrix of the start of the step. A method's matrix A has the real form
+
+    A T = T diag(r_1, ...,  [ x  -y]
+                            [ y   x], ...)
+so the matrix of all stages decomposes into one for each eigenvalue z / h, of the size of one stage:
+a real one, or a complex one for a pair of eigenvalues. Elimination of u' gives
 
     K(z) = M + z D + z^2 K       of v', x': masses, dampings, stiffnesses
-    S(z) = B K(z)^-1 B^T         of w: gradients of rows appear with z^-p z^p = 1
-    S_mu = G M^-1 G^T            of mu, after v' and w; no z is in it
-Left out is what is smaller by h times a rate of the motion: the matrix of the start leaves out as
-much. The products of gradients with velocities, attitudes that turn, and what mu does to v'.
-Where S is singular, E is added to it as in `stage_matrix`.
+    S(z) = B K(z)^-1 B^T         of w
+    S_mu = G M^-1 G^T            of mu
+Terms of relative size h times a rate of the motion are neglected: the derivatives of gradients and
+of attitudes, and the effect of mu on v'. A singular S is regularized (`rbjax.lanes.factorization`).
+
+Source: Butcher, *BIT* 16, 1976; Hairer & Wanner, *Solving Ordinary Differential Equations II*,
+IV.8.
 """
 
 from __future__ import annotations
@@ -24,34 +29,86 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.lanes import inverse
 from rbjax.lanes.arrays import each
-from rbjax.lanes.factorization import damped, least
-from rbjax.solvers.common.steps import mixed
-from rbjax.solvers.constrained.spectrum import Weights
+from rbjax.lanes.factorization import diagonal_floor, regularization
+from rbjax.solvers.steps import weighted_sums
 
-#: the inverse of a real matrix, or the parts of that of a complex one
+
+class Spectrum(NamedTuple):
+    """T (s, s), its inverse, the real eigenvalues (r,) and those with a positive imaginary part
+    (c, 2), in the order of the columns of T."""
+
+    to: Any
+    back: Any
+    real: Any
+    pairs: Any
+
+
+def spectrum(a: np.ndarray) -> Spectrum:
+    """Compute the real form of an invertible matrix with distinct eigenvalues."""
+    values, vectors = np.linalg.eig(a)
+    size = np.abs(values).max()
+    real = [k for k in range(len(a)) if abs(values[k].imag) <= 1e-12 * size]
+    above = [k for k in range(len(a)) if k not in real and values[k].imag > 0]
+    columns = [vectors[:, k].real for k in real]
+    for k in above:  # A (p - i q) = (x + i y) (p - i q)
+        columns += [vectors[:, k].real, -vectors[:, k].imag]
+    to = np.stack(columns, 1)
+    pairs = np.array([(values[k].real, values[k].imag) for k in above]).reshape(-1, 2)
+    return Spectrum(to, np.linalg.inv(to), values[real].real, pairs)
+
+
+class Weights(NamedTuple):
+    """The matrix A (s, s) of a method, its inverse, and its real form."""
+
+    a: Any
+    inverse: Any
+    spectrum: Spectrum
+
+
+def weights(a: np.ndarray, dtype: Any) -> Weights:
+    """Compute the weights of a method with invertible A."""
+    found = Weights(a, np.linalg.inv(a), spectrum(a))
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype), found)
+
+
+def weight(a: jax.Array) -> Weights:
+    """Make the weights of one stage, whose A is a number."""
+    a = a.reshape(1, 1)
+    one = jnp.ones_like(a)
+    return Weights(a, 1 / a, Spectrum(one, one, a[0], jnp.zeros((0, 2), a.dtype)))
+
+
+#: the inverse of a real matrix, or the real and imaginary part of the inverse of a complex one
 Inverse = list[jax.Array]
 
 
 class Sizes(NamedTuple):
-    """Of n rates the first `kinematic` are increments of positions, whose own rates come next; of
-    the rows (depth: the integrations of each) the last `again` hold positions by mu."""
+    """The sizes of the equations.
+
+    Fields:
+        n: number of rates.
+        kinematic: the first of these are rates of positions; their velocities come next.
+        depth: of each row, the number of integrations from its acceleration.
+        ggl: the last of the rows, with multipliers mu.
+    """
 
     n: int
     kinematic: int
     depth: tuple[int, ...]
-    again: int
+    ggl: int
 
     @property
     def rows(self) -> int:
-        """Those that are held by w."""
-        return len(self.depth) - self.again
+        """The number of rows with multipliers w."""
+        return len(self.depth) - self.ggl
 
 
-class Again(NamedTuple):
-    """Of mu: the inverse of M; M^-1 G^T; G; the inverse of S_mu."""
+class GGLBlocks(NamedTuple):
+    """The blocks of mu: the inverse of M; M^-1 G^T; G; the inverse of S_mu."""
 
     M: jax.Array
     Y: jax.Array
@@ -60,16 +117,16 @@ class Again(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """The inverted blocks: of each eigenvalue, K^-1 and S^-1; B, and what belongs to mu."""
+    """The inverted blocks: K^-1 and S^-1 of each eigenvalue; B; the blocks of mu."""
 
     K: list[Inverse]
     S: list[Inverse]
     B: jax.Array
-    again: Again | None
+    ggl: GGLBlocks | None
 
 
 class Simplified(NamedTuple):
-    """Solves with the inverted blocks."""
+    """The approximate inverse of the matrix of all stages."""
 
     sizes: Sizes
     h: Any
@@ -77,41 +134,41 @@ class Simplified(NamedTuple):
     blocks: Blocks
 
     def solved(self, r: jax.Array) -> jax.Array:
-        """x (s, n + m) of matrix x = r, nearly."""
+        """Solve matrix x = r approximately: x (s, n + m)."""
         n, k, depth, _ = self.sizes
         m = n + self.sizes.rows
         du, acting, rows, last = r[:, :k], r[:, k:n], r[:, n:m], r[:, m:]
-        K, S, B, again = self.blocks
-        if again:
-            du = _times(again.M, du)
-        twice = [i for i, p in enumerate(depth[: self.sizes.rows]) if p > 1]
-        if twice:  # the gradient of a row of u, times u' / z
-            of_du = mixed(self.weights.inverse / self.h, _times(B[:, :k], du))
+        K, S, B, ggl = self.blocks
+        if ggl:
+            du = _times(ggl.M, du)
+        if any(p > 1 for p in depth[: self.sizes.rows]):  # the gradient of a row of u, times u' / z
+            of_du = weighted_sums(self.weights.inverse / self.h, _times(B[:, :k], du))
             of_u = jnp.array([float(p > 1) for p in depth[: self.sizes.rows]], r.dtype)
             rows = rows - of_u * of_du
         to, back = self.weights.spectrum.to, self.weights.spectrum.back
-        free = self._by_eigenvalue(K, mixed(back, acting))
-        w = self._by_eigenvalue(S, mixed(back, rows) - _times(B, free))
+        free = self._by_eigenvalue(K, weighted_sums(back, acting))
+        w = self._by_eigenvalue(S, weighted_sums(back, rows) - _times(B, free))
         rates = free + self._by_eigenvalue(K, _times(B.T, w))
-        rates, w = mixed(to, rates), mixed(to, w)
-        du = du + self.h * mixed(self.weights.a, rates[:, :k])
-        if not again:
+        rates, w = weighted_sums(to, rates), weighted_sums(to, w)
+        du = du + self.h * weighted_sums(self.weights.a, rates[:, :k])
+        if not ggl:
             return jnp.concatenate([du, rates, w], 1)
-        mu = _times(again.S, last - _times(again.G, du))
-        return jnp.concatenate([du + _times(again.Y, mu), rates, w, mu], 1)
+        mu = _times(ggl.S, last - _times(ggl.G, du))
+        return jnp.concatenate([du + _times(ggl.Y, mu), rates, w, mu], 1)
 
     def free(self, r: jax.Array) -> jax.Array:
-        """Rates (s, n) of the equations without rows, with rest r (s, n), nearly."""
+        """Solve the equations without rows approximately: rates (s, n) of residual r (s, n)."""
         n, k, *_ = self.sizes
         du, acting = r[:, :k], r[:, k:n]
-        if self.blocks.again:
-            du = _times(self.blocks.again.M, du)
+        if self.blocks.ggl:
+            du = _times(self.blocks.ggl.M, du)
         to, back = self.weights.spectrum.to, self.weights.spectrum.back
-        rates = mixed(to, self._by_eigenvalue(self.blocks.K, mixed(back, acting)))
-        return jnp.concatenate([du + self.h * mixed(self.weights.a, rates[:, :k]), rates], 1)
+        rates = weighted_sums(to, self._by_eigenvalue(self.blocks.K, weighted_sums(back, acting)))
+        du = du + self.h * weighted_sums(self.weights.a, rates[:, :k])
+        return jnp.concatenate([du, rates], 1)
 
     def _by_eigenvalue(self, blocks: list[Inverse], x: jax.Array) -> jax.Array:
-        """Each block times its rows of x: one of a real eigenvalue, two of a complex one."""
+        """Multiply each block by its rows of x: one of a real eigenvalue, two of a complex one."""
         out, at = [], 0
         for block in blocks:
             if len(block) == 1:
@@ -125,12 +182,18 @@ class Simplified(NamedTuple):
 
 def simplified(
     push: Callable[[jax.Array], jax.Array], sizes: Sizes, h: Any, weights: Weights,
-    usual: jax.Array,
+    free_diagonal: jax.Array,
 ) -> Blocks:  # fmt: skip
-    """push: from changes of (y, y', w) (2 n + m,) at the start to that of the equations (n + m,);
-    usual (m,): the diagonals of S and S_mu where no row vanishes, 0 where that is not known."""
-    n, k, depth, again = sizes
-    dtype, m, rows = usual.dtype, len(depth), n + sizes.rows
+    """Compute and invert the blocks.
+
+    Args:
+        push: the derivative of the equations (n + m,) along a change of (y, y', w) (2 n + m,) at
+            the start of the step.
+        sizes, h, weights: of the equations, the step and the method.
+        free_diagonal: (m,) the diagonals of S and S_mu of free bodies; 0 if unknown.
+    """
+    n, k, depth, ggl = sizes
+    dtype, m, rows = free_diagonal.dtype, len(depth), n + sizes.rows
     zs: list[tuple] = [(h * z,) for z in weights.spectrum.real]
     zs += [(h * z[0], h * z[1]) for z in weights.spectrum.pairs]
     of_u = jnp.array([p > 1 for p in depth[: sizes.rows]])
@@ -139,7 +202,7 @@ def simplified(
         return (jnp.arange(2 * n + m) == at).astype(dtype) * some
 
     def column(j: jax.Array) -> tuple:
-        """Of all blocks, that of a velocity or of a state x."""
+        """Compute the columns of a velocity or of a state x, in all blocks."""
         ways = jnp.stack([along(n + k + j), along(k + j), along(j, j < k)])
         M, D, K = each(push, ways)
         powers = [(*z, *_product(z, z)) for z in zs]
@@ -148,37 +211,37 @@ def simplified(
             one, two = z[: len(z) // 2], z[len(z) // 2 :]
             parts = [d * D[k:n] + s * K[k:n] for d, s in zip(one, two, strict=True)]
             blocks.append([M[k:n] + parts[0], *parts[1:]])
-        of_mu = (M[k : 2 * k], K[rows:]) if again else ()
+        of_mu = (M[k : 2 * k], K[rows:]) if ggl else ()
         return blocks, jnp.where(of_u, K[n:rows], D[n:rows]), of_mu
 
     # the columns of the blocks are the rows of these arrays
     blocks, B, of_mu = each(column, jnp.arange(n - k))
     K = [[x.T for x in inverse(*block)] for block in blocks]
-    own, others = usual[: sizes.rows], usual[sizes.rows :]
+    own, others = free_diagonal[: sizes.rows], free_diagonal[sizes.rows :]
     S = [_regular([_times(B.T, _times(x, B.T)).T for x in one], own) for one in K]
-    if not again:
+    if not ggl:
         return Blocks(K, S, B.T, None)
     M, G = inverse(of_mu[0][:k])[0].T, of_mu[1][:k].T
     Y = _times(M, G).T
-    return Blocks(K, S, B.T, Again(M, Y, G, _regular([_times(G, Y.T).T], others)[0]))
+    return Blocks(K, S, B.T, GGLBlocks(M, Y, G, _regular([_times(G, Y.T).T], others)[0]))
 
 
 def _product(x: tuple, y: tuple) -> tuple:
-    """Of two numbers, real or complex."""
+    """Multiply two numbers, real or complex."""
     if len(x) == 1:
         return (x[0] * y[0],)
     return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]
 
 
-def _regular(S: Inverse, usual: jax.Array) -> Inverse:
-    """The inverse of S + E."""
-    eps, vanishing, _ = damped(usual.dtype)
+def _regular(S: Inverse, free_diagonal: jax.Array) -> Inverse:
+    """Invert S + E, E the regularization."""
+    eps, vanishing, _ = regularization(free_diagonal.dtype)
     size = jnp.abs(jnp.diagonal(S[0]))
-    E = eps * size + least(size, usual, vanishing)
+    E = eps * size + diagonal_floor(size, free_diagonal, vanishing)
     E = jnp.where(E > 0, E, 1.0) * jnp.eye(len(size), dtype=size.dtype)
     return inverse(S[0] + E, *S[1:])
 
 
 def _times(A: jax.Array, x: jax.Array) -> jax.Array:
-    """A x of each row of x."""
+    """Multiply each row of x by A."""
     return jnp.matmul(x, A.T, precision=jax.lax.Precision.HIGHEST)

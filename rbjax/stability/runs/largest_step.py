@@ -26,7 +26,7 @@ from rbjax.model import Model, State
 from rbjax.motion.integrators import INTEGRATORS
 from rbjax.motion.rollout import rollout
 from rbjax.motion.simulate import simulate
-from rbjax.solvers.explicit.dop853 import DOP853
+from rbjax.solvers.tableau import DOP853
 from rbjax.stability.methods import Solver, made, stepping
 from rbjax.stability.runs.linearisation import at_rest
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic

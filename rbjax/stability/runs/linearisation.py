@@ -13,12 +13,11 @@ from rbjax.constraints import residual
 from rbjax.dynamics.arguments import check_arrays, check_model
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
+from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
 from rbjax.motion.field import dynamics_of, free_motion
 from rbjax.motion.linearise import box_plus, linearise, linearised
-
-#: relative cutoff of singular values in a Newton step, by the bytes of a float
-RANK = {8: 1e-10, 4: 1e-5}
+from rbjax.rank_tolerances import rank_tolerance
 
 
 @algorithm("state", "ctrl")
@@ -46,7 +45,7 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
         (2, 2)
     """
     dynamics = dynamics_of("state_matrix", model, free_motion, None)
-    return linearised(model, state, ctrl, dynamics=dynamics)[1]
+    return linearised(model, state, Inputs(ctrl), dynamics=dynamics)[1]
 
 
 class Reduced(NamedTuple):
@@ -128,7 +127,7 @@ def _tangent(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
 def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
     """The rates (nv + nx,) and A, with the constraints of the model."""
     dynamics = dynamics_of("state_matrix", model, free_motion, None)
-    return linearised(model, state, ctrl, dynamics=dynamics)[:2]
+    return linearised(model, state, Inputs(ctrl), dynamics=dynamics)[:2]
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
@@ -243,7 +242,7 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
                 )
             return state
         dx = np.zeros(len(A))
-        dx[rest] = np.linalg.lstsq(slope, -left, rcond=RANK[A.dtype.itemsize])[0]
+        dx[rest] = np.linalg.lstsq(slope, -left, rcond=rank_tolerance("equilibrium", A.dtype))[0]
         dx = dx * min(1.0, 0.5 / max(np.abs(dx).max(), 1e-300))
         state = box_plus(model, state, jnp.asarray(dx, state.q.dtype))
     raise InputError(

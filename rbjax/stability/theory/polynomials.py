@@ -17,7 +17,7 @@ import mpmath
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.solvers.common.tableau import TOLERANCE
+from rbjax.solvers.tableau import TOLERANCE
 
 Poly = tuple[Fraction, ...]
 

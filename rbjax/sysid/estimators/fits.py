@@ -19,6 +19,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.progress import Say
+from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sensors.columns import root_mean_square
 from rbjax.sysid.data.recording import Recording, says_its_noise
 from rbjax.sysid.estimators.fit_file import write_fit
@@ -33,7 +34,6 @@ from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.shooting import TIES, Shooting
 from rbjax.sysid.simulation.simulation_error import SimulationError
 from rbjax.sysid.simulation.traces import Traces, together, traces
-from rbjax.sysid.statistics.precision import still_tolerance
 
 #: an rms below this fraction of a channel's spread is no noise
 NOISELESS = 1e-7
@@ -298,7 +298,7 @@ def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
 def check_moves(sought: Unknowns, J: np.ndarray) -> None:
     """`InputError` for an unknown that has no effect on any reading."""
     ends = np.cumsum(sought.sizes)
-    largest, still = np.abs(J).max(), still_tolerance(J.dtype)
+    largest, still = np.abs(J).max(), rank_tolerance("unknown without effect", J.dtype)
     for (name, u), end, size in zip(sought.members.items(), ends, sought.sizes, strict=True):
         if np.isfinite(largest) and not np.abs(J[:, end - size : end]).max() > still * largest:
             raise InputError(

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.statistics.precision import rank_tolerance
 
 #: weights of the prior, relative to the largest curvature of |r|^2, of successive minimisations
 PRIOR_WEIGHTS = (1e-4, 1e-7, 1e-10)
@@ -319,7 +319,7 @@ def regularised_step(
 
 def identifiable_step(R: np.ndarray, L: np.ndarray) -> np.ndarray:
     """The shortest Gauss-Newton step in the identifiable directions; L L^T is the metric."""
-    tolerance = rank_tolerance(R.dtype)
+    tolerance = rank_tolerance("unknowns", R.dtype)
     A = np.linalg.solve(L, R[:, :-1].T).T
     moves = A.any(0)  # rounding of the decomposition must not move what nothing depends on
     U, s, Vt = np.linalg.svd(A[:, moves], full_matrices=False)

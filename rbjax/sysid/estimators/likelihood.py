@@ -23,7 +23,8 @@ from jax.scipy.linalg import solve_triangular
 
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.errors import InputError
-from rbjax.estimation.kalman import KalmanFiltered, StateSpace, kalman_filter
+from rbjax.estimation.kalman import KalmanFiltered, kalman_filter
+from rbjax.estimation.state_space import StateSpace
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field, dynamics_of, free_motion

@@ -20,6 +20,7 @@ from scipy.linalg import get_lapack_funcs
 
 from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.model import State
+from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknowns import Unknowns
 from rbjax.sysid.simulation.islands import Directions, directions
@@ -28,7 +29,6 @@ from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.segments import segments
 from rbjax.sysid.simulation.setup import Grid, Path, Setup, reading
 from rbjax.sysid.simulation.side_by_side import equal_parts, motion_of_parts
-from rbjax.sysid.statistics.precision import still_tolerance
 
 #: with loss="huber" residuals above this many sigma count by their size, not by its square
 HUBER = 1.345
@@ -218,7 +218,8 @@ class SimulationError:
         for sensor in sorted(self.runs.values):
             T, n = self.runs.values[sensor].shape[1:]
             rows = T * (n - len(self.setup.columns(sensor).turns))
-            if not J[:, at : at + rows].max() > still_tolerance(J.dtype) * J.max():
+            least = rank_tolerance("unknown without effect", J.dtype) * J.max()
+            if not J[:, at : at + rows].max() > least:
                 found.append(sensor)
             at += rows
         return tuple(found)

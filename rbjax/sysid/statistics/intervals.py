@@ -20,8 +20,8 @@ import numpy as np
 from scipy import linalg, special, stats
 
 from rbjax.errors import InputError, UnknownName
+from rbjax.rank_tolerances import rank_tolerance as tolerance_of
 from rbjax.sysid.arguments import floats, names_of
-from rbjax.sysid.statistics.precision import rank_tolerance as tolerance_of
 
 SEEN = 1e-5  # share of a gradient in the null space that is rounding
 
@@ -233,7 +233,7 @@ def _check_positive(name: str, x: Any, below: float = np.inf) -> None:
 
 def tolerance_for(jacobian: Any) -> float:
     """The rank tolerance of a Jacobian's dtype."""
-    return tolerance_of(jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
+    return tolerance_of("unknowns", jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
 
 
 def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:

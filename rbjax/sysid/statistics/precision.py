@@ -1,4 +1,4 @@
-"""The precision of identification, float64 for any caller, and the tolerances of a dtype.
+"""The precision of identification, float64 for any caller.
 
 Rank, covariance and convergence compare singular values and decreases that lie 9 decades apart;
 float32, JAX's default, has 7. So an estimator computes in float64 inside `jax.enable_x64`, and
@@ -41,22 +41,3 @@ def cast(tree: Any, dtype: Any) -> Any:
         return jnp.asarray(np.asarray(x).astype(dtype))
 
     return jax.tree.map(one, tree)
-
-
-def rank_tolerance(dtype: Any) -> float:
-    """The singular value, relative to the largest, below which a direction is rounding, for
-    Jacobians whose columns have unit length.
-
-    >>> rank_tolerance("float64"), rank_tolerance("float32")
-    (1e-09, 0.0001)
-    """
-    return 1e-9 if np.dtype(dtype).itemsize >= 8 else 1e-4
-
-
-def still_tolerance(dtype: Any) -> float:
-    """The size of a Jacobian's column, relative to the largest, below which it is rounding.
-
-    >>> still_tolerance("float64"), still_tolerance("float32")
-    (1e-12, 1e-05)
-    """
-    return 1e-12 if np.dtype(dtype).itemsize >= 8 else 1e-5

@@ -23,8 +23,8 @@ import numpy as np
 import scipy.linalg
 
 from rbjax.errors import InputError, UnknownName, listed
+from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.arguments import floats, names_of
-from rbjax.sysid.statistics.precision import rank_tolerance
 
 #: A column smaller than this many rounding errors of the largest belongs to what moves nothing.
 NOTHING = 500
@@ -172,7 +172,7 @@ def combinations(
     J = np.asarray(J)
     eps = float(np.finfo(np.float32 if J.dtype == np.float32 else np.float64).eps)
     if tolerance is None:
-        tolerance = rank_tolerance(J.dtype)
+        tolerance = rank_tolerance("unknowns", J.dtype)
     J = given
     if J.ndim < 2 or J.shape[-1] != len(names):
         raise InputError(
@@ -221,7 +221,7 @@ def beside_others(R: np.ndarray, n: int) -> np.ndarray:
     size = np.linalg.norm(others, axis=0)
     moves = size > 0
     U, s, _ = np.linalg.svd(others[:, moves] / size[moves], full_matrices=False)
-    U = U[:, s > rank_tolerance(R.dtype) * s.max(initial=0.0)]
+    U = U[:, s > rank_tolerance("unknowns", R.dtype) * s.max(initial=0.0)]
     return np.asarray(first - U @ (U.T @ first))
 
 

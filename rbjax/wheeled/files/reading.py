@@ -150,7 +150,7 @@ def from_file(
 
 
 def _by_wheel(named: Roles, what: str, given: Mapping[str, float]) -> dict[int, float]:
-    """Numbers by joints, of numbers by names."""
+    """Parameters by joints, of numbers by names."""
     pairs = _mapping(what, given).items()
     return {j: value for name, value in pairs for j in named.wheels_named(what, name)}
 

@@ -43,7 +43,7 @@ from rbjax.errors import InputError, UnsupportedFeature
 from rbjax.loading.write.draft import Draft, text
 from rbjax.loading.write.mjcf import compiled, drafted, serialised
 from rbjax.model import Model
-from rbjax.wheeled.kinematics.numbers import Numbers, numbers_of
+from rbjax.wheeled.kinematics.parameters import Parameters, parameters_of
 from rbjax.wheeled.models.loads import wheel_loads
 from rbjax.wheeled.multibody.full_model import full_model, knuckle_joint, wheel_joint
 from rbjax.wheeled.multibody.wheel_rows import linked
@@ -110,7 +110,7 @@ def write_mjcf(
     """
     _check(robot, wheel, width=width, friction=friction, steering_range=steering_range,
            steering_time=steering_time)  # fmt: skip
-    n = numbers_of(robot, jnp.result_type(float))
+    n = parameters_of(robot, jnp.result_type(float))
     full = full_model(robot, "free")
     rigid = [row for row in full.constraints if isinstance(row, Gear)]
     linkages, error = _linkages(n, float(steering_range))
@@ -154,7 +154,7 @@ def _check(robot: Any, wheel: str, **positive: Any) -> None:
         )
 
 
-def _linkages(n: Numbers, reach: float) -> tuple[list[JointPolynomial], float]:
+def _linkages(n: Parameters, reach: float) -> tuple[list[JointPolynomial], float]:
     """The angle of each wheel of a steering of several by that of the column; the largest error."""
     out, worst = [], 0.0
     nodes = reach * np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
@@ -170,7 +170,7 @@ def _linkages(n: Numbers, reach: float) -> tuple[list[JointPolynomial], float]:
 
 
 def _write_ground(
-    draft: Draft, n: Numbers, shape: str, width: float, touch: dict[str, str]
+    draft: Draft, n: Parameters, shape: str, width: float, touch: dict[str, str]
 ) -> None:
     """The plane, the shapes of wheels, and of bodies to look at."""
     default = ET.Element("default")
@@ -205,7 +205,7 @@ def _write_ground(
                   size=text([*half, thick]), **{"class": "body"})  # fmt: skip
 
 
-def _write_drives(draft: Draft, n: Numbers) -> None:
+def _write_drives(draft: Draft, n: Parameters) -> None:
     """One actuator a drive, in the place of those of the full model."""
     draft.actuator.clear()
     for j, drive in enumerate(n.robot.drives):
@@ -271,7 +271,7 @@ def _own(x: Any) -> Any:
     return np.asarray(x)[()]
 
 
-def _write_steerings(draft: Draft, n: Numbers, reach: float, time: float) -> None:
+def _write_steerings(draft: Draft, n: Parameters, reach: float, time: float) -> None:
     """A servo of the rate of each steering."""
     model: Model = draft.model
     for j, steering in enumerate(n.robot.steerings):
@@ -288,7 +288,7 @@ def _write_steerings(draft: Draft, n: Numbers, reach: float, time: float) -> Non
             draft.joints[model.joint(name)].set("range", text([-reach, reach]))
 
 
-def _write_resistance(draft: Draft, n: Numbers) -> None:
+def _write_resistance(draft: Draft, n: Parameters) -> None:
     """Damping of axles; rolling resistance as their friction under the loads at rest."""
     for i, given in enumerate(n.robot.wheels):
         if _own(given.damping):

@@ -7,25 +7,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rbjax.lanes import Lane, add, fusion_barrier, sub
-from rbjax.wheeled.kinematics.numbers import Numbers
-from rbjax.wheeled.kinematics.planar import Moving, Pair, direction, turned, turning
+from rbjax.wheeled.kinematics.parameters import Parameters
+from rbjax.wheeled.kinematics.planar import Dual, Pair, direction, rotate, with_rate
 from rbjax.wheeled.kinematics.velocities import Shape, caster_rates, shape_along, twists_of
 
 
 @dataclass(frozen=True)
-class Context:
+class RobotContext:
     """Coordinates, velocities, tyre states and controls as lanes.
 
     What depends on the angles is computed once.
     """
 
-    n: Numbers
+    n: Parameters
     q: list[Lane]
     v: list[Lane]
     x: list[Lane]
     u: list[Lane]
 
-    def with_velocities(self, v: list[Lane], x: list[Lane]) -> Context:
+    def with_velocities(self, v: list[Lane], x: list[Lane]) -> RobotContext:
         """At the same coordinates, with other velocities and tyre states."""
         out = replace(self, v=v, x=x)
         known = ("pose", "directions", "shape")
@@ -40,7 +40,7 @@ class Context:
     @functools.cached_property
     def directions(self) -> list[Pair]:
         """Those of trailers, steerings and casters."""
-        return fusion_barrier([direction(a) for a in angles_of(self.n, self)])
+        return fusion_barrier([direction(a) for a in angles_of(self)])
 
     @functools.cached_property
     def shape(self) -> Shape:
@@ -53,36 +53,38 @@ class Context:
         out = [((self.q[0], self.q[1]), self.pose)]
         for k, body in enumerate(n.bodies[1:], start=1):
             at, ahead = out[n.ahead(k)]
-            e = turned(self.shape.trailers[k - 1], ahead)
-            hitch, bar = turned(body.hitch, ahead), turned((body.drawbar, 0.0), e)
+            e = rotate(self.shape.trailers[k - 1], ahead)
+            hitch, bar = rotate(body.hitch, ahead), rotate((body.drawbar, 0.0), e)
             x, y = (sub(add(a, b), c) for a, b, c in zip(at, hitch, bar, strict=True))
             out.append(((x, y), e))
         return out
 
-    def turning(self, w: Sequence[Lane]) -> Shape:
+    def shape_with_rate(self, w: Sequence[Lane]) -> Shape:
         """The shape with its rate at full velocities w."""
-        rates = angle_rates(self.n, self, w)
+        rates = angle_rates(self, w)
         return shape_along(
-            self.n, [turning(e, rate) for e, rate in zip(self.directions, rates, strict=True)]
+            self.n, [with_rate(e, rate) for e, rate in zip(self.directions, rates, strict=True)]
         )
 
-    def turning_twice(self, w: Sequence[Lane]) -> Shape:
+    def shape_with_two_rates(self, w: Sequence[Lane]) -> Shape:
         """The shape with its first and second rate, where the angles turn evenly."""
-        rates = angle_rates(self.n, self, w)
+        rates = angle_rates(self, w)
         return shape_along(
             self.n,
-            [turning(turning(e, r), Moving(r, 0.0))
+            [with_rate(with_rate(e, r), Dual(r, 0.0))
              for e, r in zip(self.directions, rates, strict=True)],
         )  # fmt: skip
 
 
-def angles_of(n: Numbers, now: Context) -> list[Lane]:
+def angles_of(now: RobotContext) -> list[Lane]:
     """The angles on which the shape depends."""
+    n = now.n
     return now.q[3 : n.layout.casters.stop]
 
 
-def steering_rates(n: Numbers, now: Context) -> list[Lane]:
+def steering_rates(now: RobotContext) -> list[Lane]:
     """b' of each steering."""
+    n = now.n
     out = []
     first = len(n.robot.drives)
     for j, steering in enumerate(n.robot.steerings):
@@ -94,16 +96,18 @@ def steering_rates(n: Numbers, now: Context) -> list[Lane]:
     return out
 
 
-def coordinate_rates(n: Numbers, now: Context, w: Sequence[Lane]) -> list[Lane]:
+def coordinate_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
     """q' by the full velocities."""
-    x, y = turned((w[0], w[1]), now.pose)
-    return [x, y, w[2], *angle_rates(n, now, w), *w[2 + len(n.bodies) :]]
+    n = now.n
+    x, y = rotate((w[0], w[1]), now.pose)
+    return [x, y, w[2], *angle_rates(now, w), *w[2 + len(n.bodies) :]]
 
 
-def angle_rates(n: Numbers, now: Context, w: Sequence[Lane]) -> list[Lane]:
+def angle_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
     """The rates of the angles on which the shape depends."""
+    n = now.n
     trailers = list(w[3 : 2 + len(n.bodies)])
     casters = []
     if n.layout.caster_wheels:
         casters = caster_rates(n, now.shape, twists_of(n, now.shape, w))
-    return [*trailers, *steering_rates(n, now), *casters]
+    return [*trailers, *steering_rates(now), *casters]

@@ -22,8 +22,8 @@ from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import matmat, matvec
 from rbjax.model.record import Record, check_fields, check_number, floats
-from rbjax.wheeled.kinematics.numbers import indices, numbers_of, stacked
-from rbjax.wheeled.kinematics.velocities import ideal, shaft_speed
+from rbjax.wheeled.kinematics.parameters import indices, parameters_of, stack_lanes
+from rbjax.wheeled.kinematics.velocities import rolling_velocities, shaft_speed
 from rbjax.wheeled.kinematics.velocities import shape_of as shape_of_robot
 from rbjax.wheeled.robot.robot import Robot
 
@@ -160,7 +160,7 @@ def _check_robot(where: str, robot: Any, steering: Any) -> None:
 
 @compiled
 def _rolled(robot: Robot, rates: jax.Array, steering: jax.Array) -> jax.Array:
-    n = numbers_of(robot, rates.dtype)
+    n = parameters_of(robot, rates.dtype)
     nv = robot.arrangement.mobility
 
     def of(rates: jax.Array, angles: jax.Array) -> jax.Array:
@@ -169,13 +169,15 @@ def _rolled(robot: Robot, rates: jax.Array, steering: jax.Array) -> jax.Array:
             q[j] = angles[at]
 
         def by_free(free: jax.Array) -> jax.Array:
-            w = ideal(n, shape_of_robot(n, q[3 : robot.layout.casters.stop]), list(free))
+            w = rolling_velocities(
+                n, shape_of_robot(n, q[3 : robot.layout.casters.stop]), list(free)
+            )
             shafts = w[2 + len(n.bodies) :]
             speeds = [
                 shaft_speed(n, drive.wheels, split, shafts)
                 for drive, split in zip(robot.drives, n.splits, strict=True)
             ]
-            return stacked([*w[:3], *speeds], rates.dtype)
+            return stack_lanes([*w[:3], *speeds], rates.dtype)
 
         S = jax.jacfwd(by_free)(jnp.zeros(nv, rates.dtype))
         return matvec(matmat(S[:3], jnp.linalg.pinv(S[3:])), rates)

@@ -45,21 +45,21 @@ def left(e: Pair) -> Pair:
     return neg(e[1]), e[0]
 
 
-def turned(a: Pair, e: Pair) -> Pair:
+def rotate(a: Pair, e: Pair) -> Pair:
     """A vector turned by the angle of the direction e."""
     return sub(mul(a[0], e[0]), mul(a[1], e[1])), add(mul(a[0], e[1]), mul(a[1], e[0]))
 
 
-def turned_back(a: Pair, e: Pair) -> Pair:
+def rotate_back(a: Pair, e: Pair) -> Pair:
     """A vector in axes that are turned by the angle of the direction e."""
-    return turned(a, (e[0], neg(e[1])))
+    return rotate(a, (e[0], neg(e[1])))
 
 
-class Moving:
+class Dual:
     """A lane with its rate of change, d/dt. The functions of lanes take it for a lane.
 
     Where it meets lanes without a rate they are constant. A rate that is a structural zero stays
-    one. A value and a rate may be `Moving` themselves, for second rates.
+    one. A value and a rate may be `Dual` themselves, for second rates.
     """
 
     __slots__ = ("rate", "value")
@@ -68,74 +68,74 @@ class Moving:
     def __init__(self, value: Lane, rate: Lane):
         self.value, self.rate = value, rate
 
-    def __add__(self, other: Any) -> Moving:
-        return Moving(add(self.value, value_of(other)), add(self.rate, rate_of(other)))
+    def __add__(self, other: Any) -> Dual:
+        return Dual(add(self.value, value_of(other)), add(self.rate, rate_of(other)))
 
     __radd__ = __add__
 
-    def __neg__(self) -> Moving:
-        return Moving(neg(self.value), neg(self.rate))
+    def __neg__(self) -> Dual:
+        return Dual(neg(self.value), neg(self.rate))
 
-    def __sub__(self, other: Any) -> Moving:
+    def __sub__(self, other: Any) -> Dual:
         return self + neg(other)
 
-    def __rsub__(self, other: Any) -> Moving:
+    def __rsub__(self, other: Any) -> Dual:
         return -self + other
 
-    def __mul__(self, other: Any) -> Moving:
+    def __mul__(self, other: Any) -> Dual:
         a, b = self.value, value_of(other)
-        return Moving(mul(a, b), add(mul(self.rate, b), mul(a, rate_of(other))))
+        return Dual(mul(a, b), add(mul(self.rate, b), mul(a, rate_of(other))))
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: Any) -> Moving:
+    def __truediv__(self, other: Any) -> Dual:
         return self * inverse(other)
 
-    def __rtruediv__(self, other: Any) -> Moving:
+    def __rtruediv__(self, other: Any) -> Dual:
         return inverse(self) * other
 
 
-def moving(values: Sequence[Lane], rates: Sequence[Lane]) -> list[Moving]:
+def duals(values: Sequence[Lane], rates: Sequence[Lane]) -> list[Dual]:
     """Lanes with their rates."""
-    return [Moving(a, b) for a, b in zip(values, rates, strict=True)]
+    return [Dual(a, b) for a, b in zip(values, rates, strict=True)]
 
 
 def value_of(a: Lane) -> Lane:
     """A lane without its rate."""
-    return a.value if isinstance(a, Moving) else a
+    return a.value if isinstance(a, Dual) else a
 
 
 def rate_of(a: Lane) -> Lane:
     """The rate of a lane; a structural zero if it has none."""
-    return a.rate if isinstance(a, Moving) else 0.0
+    return a.rate if isinstance(a, Dual) else 0.0
 
 
 def inverse(a: Lane) -> Lane:
     """1 / a."""
-    if isinstance(a, Moving):
+    if isinstance(a, Dual):
         b = inverse(a.value)
-        return Moving(b, neg(mul(mul(b, b), a.rate)))
+        return Dual(b, neg(mul(mul(b, b), a.rate)))
     return 1.0 / a
 
 
 def inverse_root(a: Lane) -> Lane:
     """1 / sqrt(a)."""
-    if isinstance(a, Moving):
+    if isinstance(a, Dual):
         b = inverse_root(a.value)
-        return Moving(b, mul(mul(mul(b, mul(b, b)), a.rate), -0.5))
+        return Dual(b, mul(mul(mul(b, mul(b, b)), a.rate), -0.5))
     return a**-0.5 if is_literal(a) else 1.0 / jnp.sqrt(a)
 
 
 def direction(angle: Lane) -> Pair:
     """The cosine and sine of an angle."""
-    if isinstance(angle, Moving):
-        return turning(direction(angle.value), angle.rate)
+    if isinstance(angle, Dual):
+        return with_rate(direction(angle.value), angle.rate)
     if is_literal(angle):
         c, s = math.cos(angle), math.sin(angle)
         return c if abs(c) > SNAP else 0.0, s if abs(s) > SNAP else 0.0
     return sincos(angle)
 
 
-def turning(e: Pair, rate: Lane) -> Pair:
+def with_rate(e: Pair, rate: Lane) -> Pair:
     """A direction with its rate, where its angle has this one."""
-    return Moving(e[0], neg(mul(e[1], rate))), Moving(e[1], mul(e[0], rate))
+    return Dual(e[0], neg(mul(e[1], rate))), Dual(e[1], mul(e[0], rate))

@@ -1,7 +1,7 @@
 """How a robot's velocities follow from each other: twists of bodies, rates of wheels, rows.
 
 Everything is linear in the velocities, and depends on the shape: the angles of trailers, steerings
-and casters. A shape of `Moving` lanes gives rates too, so the same functions serve accelerations.
+and casters. A shape of `Dual` lanes gives rates too, so the same functions serve accelerations.
 
     contact of a wheel      u = v(p),       p its centre, e its direction, n to its left
     rolling                 r phi' = e . u + tan(roller) n . u
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, neg, sub, total
-from rbjax.wheeled.kinematics.numbers import Numbers, indices
+from rbjax.wheeled.kinematics.parameters import Parameters, indices
 from rbjax.wheeled.kinematics.planar import (
     Pair,
     Twist,
@@ -28,8 +28,8 @@ from rbjax.wheeled.kinematics.planar import (
     inverse,
     inverse_root,
     left,
-    turned,
-    turned_back,
+    rotate,
+    rotate_back,
 )
 from rbjax.wheeled.robot.arrangement import Leader
 
@@ -43,12 +43,12 @@ class Shape(NamedTuple):
     leaders: tuple[tuple[Pair, Pair], ...]  # place and direction
 
 
-def shape_of(n: Numbers, angles: Sequence[Lane]) -> Shape:
+def shape_of(n: Parameters, angles: Sequence[Lane]) -> Shape:
     """The shape at the angles of trailers, steerings and casters."""
     return shape_along(n, [direction(angle) for angle in angles])
 
 
-def shape_along(n: Numbers, directions: Sequence[Pair]) -> Shape:
+def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
     """The shape at the directions of trailers, steerings and casters."""
     layout = n.layout
     of = dict(enumerate(directions, start=3))
@@ -67,7 +67,7 @@ def shape_along(n: Numbers, directions: Sequence[Pair]) -> Shape:
             ahead = n.wheels[leader.number].heading
         elif leader.what == "steering":
             first = n.robot.steerings[leader.number].wheels[0]
-            ahead = turned(steerings[leader.number], n.wheels[first].heading)
+            ahead = rotate(steerings[leader.number], n.wheels[first].heading)
         if leader.backward:
             ahead = neg(ahead[0]), neg(ahead[1])
         leaders.append((place_of(n, leader), ahead))
@@ -75,7 +75,7 @@ def shape_along(n: Numbers, directions: Sequence[Pair]) -> Shape:
     return fusion_barrier(Shape(trailers, of_wheels, tuple(leaders)))
 
 
-def place_of(n: Numbers, leader: Leader) -> Pair:
+def place_of(n: Parameters, leader: Leader) -> Pair:
     """The place of a row that leads: of a steering of several wheels, their middle."""
     if leader.what == "skidding":
         return n.turn_center, 0.0
@@ -87,10 +87,10 @@ def place_of(n: Numbers, leader: Leader) -> Pair:
     return mul(share, x), mul(share, y)
 
 
-def _steered(n: Numbers, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
+def _steered(n: Parameters, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
     """Directions of the wheels of one steering whose angle has the direction e."""
     if len(wheels) == 1:
-        return {wheels[0]: turned(e, n.wheels[wheels[0]].heading)}
+        return {wheels[0]: rotate(e, n.wheels[wheels[0]].heading)}
     # Ackermann: each rolls along its velocity as all turn about one point of the fixed axle
     leaders = n.robot.arrangement.leaders
     fixed = next((x for x in leaders if x.what != "steering"), None)
@@ -106,15 +106,15 @@ def _steered(n: Numbers, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
         d = sub(e[0], mul(mul(far, e[1]), inverse(length))), mul(mul(along, e[1]), inverse(length))
         scale = inverse_root(dot(d, d))
         # its own heading may be the opposite of the first one's
-        out[i] = turned((mul(d[0], scale), mul(d[1], scale)), n.wheels[i].heading)
+        out[i] = rotate((mul(d[0], scale), mul(d[1], scale)), n.wheels[i].heading)
     return out
 
 
-def _steering_of(n: Numbers, wheel: int) -> int:
+def _steering_of(n: Parameters, wheel: int) -> int:
     return next(j for j, s in enumerate(n.robot.steerings) if wheel in s.wheels)
 
 
-def chassis_twist(n: Numbers, shape: Shape, free: Sequence[Lane]) -> Twist:
+def chassis_twist(n: Parameters, shape: Shape, free: Sequence[Lane]) -> Twist:
     """The twist of the chassis by the velocities that its wheels leave free.
 
     No row leads: free is the twist. One leads: the velocity along its wheel, at the point of its
@@ -132,7 +132,7 @@ def chassis_twist(n: Numbers, shape: Shape, free: Sequence[Lane]) -> Twist:
     return g * free[0]
 
 
-def _about_one_center(n: Numbers, shape: Shape) -> Twist:
+def _about_one_center(n: Parameters, shape: Shape) -> Twist:
     """The twist whose rows of both leaders vanish, of about unit speed at the second.
 
     It is the cross product of the rows, so it is regular at any steering.
@@ -148,7 +148,7 @@ def _about_one_center(n: Numbers, shape: Shape) -> Twist:
     return Twist(x, y, cross(e, f)) * scale
 
 
-def free_velocities(n: Numbers, shape: Shape, V: Twist) -> list[Lane]:
+def free_velocities(n: Parameters, shape: Shape, V: Twist) -> list[Lane]:
     """The free velocities of a twist that the wheels allow: the inverse of `chassis_twist`."""
     if not shape.leaders:
         return list(V)
@@ -159,37 +159,37 @@ def free_velocities(n: Numbers, shape: Shape, V: Twist) -> list[Lane]:
     return [mul(total(mul(a, b) for a, b in zip(g, V, strict=True)), inverse(size))]
 
 
-def ideal(n: Numbers, shape: Shape, free: Sequence[Lane]) -> list[Lane]:
+def rolling_velocities(n: Parameters, shape: Shape, free: Sequence[Lane]) -> list[Lane]:
     """The full velocities w by the free ones, where no wheel slides."""
     V = chassis_twist(n, shape, free)
     twists, rates = [V], []
     for k, wheel in enumerate(n.robot.arrangement.trailing, start=1):
         body = n.bodies[k]
-        v = turned_back(twists[n.ahead(k)].at(body.hitch), shape.trailers[k - 1])
+        v = rotate_back(twists[n.ahead(k)].at(body.hitch), shape.trailers[k - 1])
         e, p = shape.wheels[wheel], n.wheels[wheel].position
         arm = dot(e, (sub(p[0], body.drawbar), p[1]))
         w = neg(mul(dot(left(e), v), inverse(arm)))
         rates.append(sub(w, twists[n.ahead(k)][2]))
         twists.append(_behind(n, k, v, w))
-    return [*V, *rates, *(rolling(n, shape, twists, i) for i in n.layout.setters)]
+    return [*V, *rates, *(rolling_rate(n, shape, twists, i) for i in n.layout.setters)]
 
 
-def _behind(n: Numbers, k: int, v: Pair, w: Lane) -> Twist:
+def _behind(n: Parameters, k: int, v: Pair, w: Lane) -> Twist:
     """The twist of a trailer by the velocity of its coupling, in its axes, and its turning rate."""
     return Twist(v[0], sub(v[1], mul(w, n.bodies[k].drawbar)), w)
 
 
-def twists_of(n: Numbers, shape: Shape, w: Sequence[Lane]) -> list[Twist]:
+def twists_of(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Twist]:
     """The twists of all bodies by the full velocities."""
     twists = [Twist(*w[:3])]
     for k in range(1, len(n.bodies)):
         ahead = twists[n.ahead(k)]
-        v = turned_back(ahead.at(n.bodies[k].hitch), shape.trailers[k - 1])
+        v = rotate_back(ahead.at(n.bodies[k].hitch), shape.trailers[k - 1])
         twists.append(_behind(n, k, v, add(ahead[2], w[2 + k])))
     return twists
 
 
-def contact(n: Numbers, shape: Shape, twists: Sequence[Twist], i: int) -> Pair:
+def contact_velocity(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -> Pair:
     """The velocity of a wheel's centre along its direction and to its left."""
     wheel = n.wheels[i]
     u = twists[wheel.body].at(wheel.position)
@@ -197,19 +197,19 @@ def contact(n: Numbers, shape: Shape, twists: Sequence[Twist], i: int) -> Pair:
     return dot(e, u), dot(left(e), u)
 
 
-def rolling(n: Numbers, shape: Shape, twists: Sequence[Twist], i: int) -> Lane:
+def rolling_rate(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -> Lane:
     """The rate of a wheel that rolls."""
-    along, across = contact(n, shape, twists, i)
+    along, across = contact_velocity(n, shape, twists, i)
     if n.wheels[i].kind == "rollers":
         along = add(along, mul(n.wheels[i].slant, across))
     return mul(along, inverse(n.wheels[i].radius))
 
 
-def caster_rates(n: Numbers, shape: Shape, twists: Sequence[Twist]) -> list[Lane]:
+def caster_rates(n: Parameters, shape: Shape, twists: Sequence[Twist]) -> list[Lane]:
     """The rates of casters against their bodies."""
     out = []
     for i in n.layout.caster_wheels:
-        across = contact(n, shape, twists, i)[1]
+        across = contact_velocity(n, shape, twists, i)[1]
         out.append(sub(mul(across, inverse(n.wheels[i].trail)), twists[n.wheels[i].body][2]))
     return out
 
@@ -223,7 +223,7 @@ class Motion:
     turns: list[tuple[Lane, Lane]]  # inertia, rate
 
 
-def motion(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Motion:
+def inertial_motion(n: Parameters, shape: Shape, w: Sequence[Lane]) -> Motion:
     """All that moves, by the full velocities."""
     twists = twists_of(n, shape, w)
     rates = w[2 + len(n.bodies) :]
@@ -239,18 +239,18 @@ def motion(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Motion:
 
 
 def fork_twists(
-    n: Numbers, shape: Shape, twists: Sequence[Twist], rates: Sequence[Lane]
+    n: Parameters, shape: Shape, twists: Sequence[Twist], rates: Sequence[Lane]
 ) -> list[Twist]:
     """The twists of casters' forks at their pivots, in their own axes, by the rates of casters."""
     out = []
     for i, rate in zip(n.layout.caster_wheels, rates, strict=True):
-        along, across = contact(n, shape, twists, i)
+        along, across = contact_velocity(n, shape, twists, i)
         out.append(Twist(along, across, add(rate, twists[n.wheels[i].body][2])))
     return out
 
 
 def shaft_speed(
-    n: Numbers, wheels: Sequence[int], split: Sequence[Lane], rates: Sequence[Lane]
+    n: Parameters, wheels: Sequence[int], split: Sequence[Lane], rates: Sequence[Lane]
 ) -> Lane:
     """The speed of a drive: W = sum split_i phi'_i."""
     return total(
@@ -258,14 +258,14 @@ def shaft_speed(
     )
 
 
-def rows(n: Numbers, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
+def constraint_rates(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
     """What vanishes where wheels roll: rates of rows that lead, of trailers', of shafts."""
     twists = twists_of(n, shape, w)
     out = [dot(left(e), twists[0].at(p)) for p, e in shape.leaders]
     for wheel in n.robot.arrangement.trailing:
-        out.append(contact(n, shape, twists, wheel)[1])
+        out.append(contact_velocity(n, shape, twists, wheel)[1])
     rates = w[2 + len(n.bodies) :]
     for shaft, i in enumerate(n.layout.setters):
         r = n.wheels[i].radius
-        out.append(sub(mul(r, rolling(n, shape, twists, i)), mul(r, rates[shaft])))
+        out.append(sub(mul(r, rolling_rate(n, shape, twists, i)), mul(r, rates[shaft])))
     return out

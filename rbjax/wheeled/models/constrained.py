@@ -15,17 +15,17 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints import Formulation
-from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.equations.projection import projected
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError, UnknownName
 from rbjax.lanes import Lane, add, mul, sub
 from rbjax.model import Model, State
-from rbjax.wheeled.kinematics.context import Context, coordinate_rates, steering_rates
-from rbjax.wheeled.kinematics.numbers import Numbers, indices, stacked
-from rbjax.wheeled.kinematics.planar import Pair, direction, turned_back
+from rbjax.wheeled.kinematics.context import RobotContext, coordinate_rates, steering_rates
+from rbjax.wheeled.kinematics.parameters import indices, stack_lanes
+from rbjax.wheeled.kinematics.planar import Pair, direction, rotate_back
 from rbjax.wheeled.kinematics.velocities import shaft_speed
-from rbjax.wheeled.models.fidelity import Fidelity, torques_at_rest_loads
+from rbjax.wheeled.models.robot_model import RobotModel, torques_at_rest_loads
 from rbjax.wheeled.models.states import check_state, check_vehicle
 from rbjax.wheeled.multibody.full_model import (
     BASES,
@@ -37,7 +37,7 @@ from rbjax.wheeled.multibody.full_model import (
 from rbjax.wheeled.multibody.wheel_rows import linked
 
 
-class Constrained(Fidelity):
+class Constrained(RobotModel):
     """A multibody model of all parts, its wheels held by rows: v = w, the full velocities.
 
         M a + b = tau + G^T l,   G a = -(G' v + ...)
@@ -75,34 +75,35 @@ class Constrained(Fidelity):
     def nv(self) -> int:
         return self.robot.layout.nw
 
-    def full(self, n: Numbers, now: Context) -> list[Lane]:
-        model, state = full_state(n, now, now.v)
-        return full_velocities(n, now, model, projected(model, 0.0, state, positions=False).v)
+    def full_velocities(self, now: RobotContext) -> list[Lane]:
+        model, state = full_state(now, now.v)
+        return robot_velocities(now, model, projected(model, 0.0, state, positions=False).v)
 
-    def project(self, n: Numbers, now: Context) -> list[Lane]:
+    def project(self, now: RobotContext) -> list[Lane]:
         """v put on the rows, after a step."""
-        return self.full(n, now)
+        return self.full_velocities(now)
 
-    def start_velocities(self, n: Numbers, now: Context, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
         return list(w)
 
-    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
-        w = self.full(n, now)
-        model, state = full_state(n, now, w)
-        tau = torques(n, now, model, w)
-        a = full_velocities(n, now, model, self.formulation(model, 0.0, state, tau, {}))
+    def accelerations(self, now: RobotContext) -> list[Lane]:
+        w = self.full_velocities(now)
+        model, state = full_state(now, w)
+        tau = torques(now, model, w)
+        a = robot_velocities(now, model, self.formulation(model, 0.0, state, tau, {}))
         # (R V)' = R (V' + w x V)
         a[0], a[1] = add(a[0], mul(w[2], w[1])), sub(a[1], mul(w[2], w[0]))
         return a
 
-    def wheel_forces(self, n: Numbers, now: Context) -> list[Pair]:
+    def wheel_forces(self, now: RobotContext) -> list[Pair]:
         """The force of the ground on each wheel, ahead and to the left of it, in N.
 
         Rows of wheels on one axle are redundant: of all forces that do, those of the least norm, in
         the measure of `rbjax.constraints.multipliers`. Of wheels on one shaft the first rolls, and
         has their force. What keeps skidding wheels on their axis is `skidding_force`.
         """
-        out, l, at = [], self._multipliers(n, now), 0
+        n = now.n
+        out, l, at = [], self._multipliers(now), 0
         for i in range(len(n.wheels)):
             ways = contact_ways(n, i)
             force = dict(zip(ways, [l[at + k] for k in range(len(ways))], strict=True))
@@ -113,22 +114,24 @@ class Constrained(Fidelity):
             out.append((force.get("ahead", 0.0), force.get("left", 0.0)))
         return out
 
-    def skidding_force(self, n: Numbers, now: Context) -> Lane:
+    def skidding_force(self, now: RobotContext) -> Lane:
         """The force to the left on the axis on which skidding wheels turn, N; 0 if none skids."""
+        n = now.n
         if not any(leader.what == "skidding" for leader in n.robot.arrangement.leaders):
             return 0.0
-        return self._multipliers(n, now)[sum(len(contact_ways(n, i)) for i in range(len(n.wheels)))]
+        return self._multipliers(now)[sum(len(contact_ways(n, i)) for i in range(len(n.wheels)))]
 
-    def _multipliers(self, n: Numbers, now: Context) -> jax.Array:
-        w = self.full(n, now)
-        model, state = full_state(n, now, w)
-        return constrained_motion(model, 0.0, state, torques(n, now, model, w), {})[1]
+    def _multipliers(self, now: RobotContext) -> jax.Array:
+        w = self.full_velocities(now)
+        model, state = full_state(now, w)
+        return constrained_motion(model, 0.0, state, torques(now, model, w), {})[1]
 
 
-def full_state(n: Numbers, now: Context, w: Sequence[Lane]) -> tuple[Model, State]:
+def full_state(now: RobotContext, w: Sequence[Lane]) -> tuple[Model, State]:
     """The multibody model, its steerings turning as they do now, and its state at velocities w."""
-    layout, rates = n.layout, coordinate_rates(n, now, w)
-    steering = steering_rates(n, now)
+    n = now.n
+    layout, rates = n.layout, coordinate_rates(now, w)
+    steering = steering_rates(now)
     model = model_of(n, steering_rates=steering)
     names = {f"hitch_{k}": at for k, at in enumerate(indices(layout.trailers), start=1)}
     names |= {f"steering_{j}": at for j, at in enumerate(indices(layout.steerings))}
@@ -153,13 +156,13 @@ def full_state(n: Numbers, now: Context, w: Sequence[Lane]) -> tuple[Model, Stat
         q[f"motor_{j}"], v[f"motor_{j}"] = turned_by
     others = model.joint_names[1:]
     return model, State(
-        stacked([*now.q[:3], *(q[name] for name in others)], n.dtype),
-        stacked([*rates[:3], *(v[name] for name in others)], n.dtype),
+        stack_lanes([*now.q[:3], *(q[name] for name in others)], n.dtype),
+        stack_lanes([*rates[:3], *(v[name] for name in others)], n.dtype),
     )
 
 
 def full_model_state(
-    vehicle: Fidelity, state: State, controls: Any = None, base: str = "planar"
+    vehicle: RobotModel, state: State, controls: Any = None, base: str = "planar"
 ) -> State:
     """The state of `full_model(robot, base)` in which a vehicle moves as it does.
 
@@ -190,30 +193,33 @@ def full_model_state(
     state = check_state("full_model_state", vehicle, state)
     given = jnp.zeros(vehicle.nu) if controls is None else controls
     u = check_array("full_model_state", "controls", given, (vehicle.nu,)).astype(state.q.dtype)
-    n, now = vehicle.instant(state, u)
-    full = full_state(n, now, vehicle.full(n, now))[1]
+    now = vehicle.context(state, u)
+    n = now.n
+    full = full_state(now, vehicle.full_velocities(now))[1]
     if base != "free":
         return full
     turn = direction(0.5 * full.q[2])
     pose = [full.q[0], full.q[1], 0.0, turn[0], 0.0, 0.0, turn[1]]
     twist = [full.v[0], full.v[1], 0.0, 0.0, 0.0, full.v[2]]
     return State(
-        jnp.concatenate([stacked(pose, n.dtype), full.q[3:]]),
-        jnp.concatenate([stacked(twist, n.dtype), full.v[3:]]),
+        jnp.concatenate([stack_lanes(pose, n.dtype), full.q[3:]]),
+        jnp.concatenate([stack_lanes(twist, n.dtype), full.v[3:]]),
     )
 
 
-def full_velocities(n: Numbers, now: Context, model: Model, v: Any) -> list[Lane]:
+def robot_velocities(now: RobotContext, model: Model, v: Any) -> list[Lane]:
     """Those of the robot, of velocities of the multibody model: the chassis' in its own axes."""
+    n = now.n
     trailers = [f"hitch_{k}" for k in range(1, len(n.bodies))]
     axles = [wheel_joint(i) for i in n.layout.setters]
     own = [v[model.v_slice(name).start] for name in (*trailers, *axles)]
-    return [*turned_back((v[0], v[1]), now.pose), v[2], *own]
+    return [*rotate_back((v[0], v[1]), now.pose), v[2], *own]
 
 
-def torques(n: Numbers, now: Context, model: Model, w: Sequence[Lane]) -> jax.Array:
+def torques(now: RobotContext, model: Model, w: Sequence[Lane]) -> jax.Array:
     """Generalized forces (nv,) of drives and of rolling resistance, at the axles of shafts."""
+    n = now.n
     out: list[Lane] = [0.0] * model.nv
-    for i, torque in zip(n.layout.setters, torques_at_rest_loads(n, now, w), strict=True):
+    for i, torque in zip(n.layout.setters, torques_at_rest_loads(now, w), strict=True):
         out[model.v_slice(wheel_joint(i)).start] = torque
-    return stacked(out, n.dtype)
+    return stack_lanes(out, n.dtype)

@@ -11,12 +11,12 @@ from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.model import State
-from rbjax.wheeled.kinematics.numbers import stacked
-from rbjax.wheeled.kinematics.planar import turned
-from rbjax.wheeled.kinematics.velocities import contact, twists_of
+from rbjax.wheeled.kinematics.parameters import stack_lanes
+from rbjax.wheeled.kinematics.planar import rotate
+from rbjax.wheeled.kinematics.velocities import contact_velocity, twists_of
 from rbjax.wheeled.models.constrained import Constrained
-from rbjax.wheeled.models.fidelity import Fidelity
 from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.models.robot_model import RobotModel
 from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.models.states import check_state, check_vehicle
 
@@ -35,7 +35,7 @@ class Contacts(NamedTuple):
         return self.loads < 0
 
 
-def contacts(vehicle: Fidelity, state: State, controls: Any) -> Contacts:
+def contacts(vehicle: RobotModel, state: State, controls: Any) -> Contacts:
     """Loads, forces and sliding of all wheels at an instant.
 
     At the fidelity "constrained" the loads are those at rest, and the forces are the multipliers of
@@ -73,22 +73,23 @@ def contacts(vehicle: Fidelity, state: State, controls: Any) -> Contacts:
 
 @compiled
 def _contacts(vehicle: Slipping | Constrained, state: State, u: jax.Array) -> Contacts:
-    n, now = vehicle.instant(state, u)
+    now = vehicle.context(state, u)
+    n = now.n
     shape = now.shape
     if isinstance(vehicle, Slipping):
-        loads, forces = vehicle.forces(n, now)
+        loads, forces = vehicle.forces(now)
     else:
         loads = wheel_loads(n)
-        own = vehicle.wheel_forces(n, now)
-        forces = [turned(f, e) for f, e in zip(own, shape.wheels, strict=True)]
-    w = vehicle.full(n, now)
+        own = vehicle.wheel_forces(now)
+        forces = [rotate(f, e) for f, e in zip(own, shape.wheels, strict=True)]
+    w = vehicle.full_velocities(now)
     twists, rates = twists_of(n, shape, w), w[2 + len(n.bodies) :]
     sliding = []
     for i, wheel in enumerate(n.wheels):
-        along, across = contact(n, shape, twists, i)
+        along, across = contact_velocity(n, shape, twists, i)
         free = wheel.kind == "caster"
         sliding.append((along - wheel.radius * rates[wheel.shaft], 0.0 if free else across))
     dtype = state.q.dtype
 
-    pairs = (jnp.stack([stacked(x, dtype) for x in rows]) for rows in (forces, sliding))
-    return Contacts(stacked(loads, dtype), *pairs)
+    pairs = (jnp.stack([stack_lanes(x, dtype) for x in rows]) for rows in (forces, sliding))
+    return Contacts(stack_lanes(loads, dtype), *pairs)

@@ -18,13 +18,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, ldlt, mul, neg, sub, total
-from rbjax.wheeled.kinematics.context import Context
-from rbjax.wheeled.kinematics.numbers import BodyNumbers, Numbers
-from rbjax.wheeled.kinematics.planar import Twist, cross, rate_of, turned_back, value_of
-from rbjax.wheeled.kinematics.velocities import Motion, Shape, motion
+from rbjax.wheeled.kinematics.context import RobotContext
+from rbjax.wheeled.kinematics.parameters import BodyParameters, Parameters
+from rbjax.wheeled.kinematics.planar import Twist, cross, rate_of, rotate_back, value_of
+from rbjax.wheeled.kinematics.velocities import Motion, Shape, inertial_motion
 
 #: nu and a shape to full velocities
-Velocities = Callable[[Numbers, Shape, Sequence[Lane]], list[Lane]]
+Velocities = Callable[[Parameters, Shape, Sequence[Lane]], list[Lane]]
 
 
 #: a coefficient c, N s/m or N m s/rad, and a row d over the full velocities, with force - c d d^T w
@@ -54,7 +54,7 @@ class Equations(NamedTuple):
         return ldlt(M).solve(self.f)
 
 
-def momentum(body: BodyNumbers, V: Twist) -> Twist:
+def momentum(body: BodyParameters, V: Twist) -> Twist:
     """Linear momentum, and angular momentum about the origin."""
     (x, y, w), (a, b) = V, body.moment
     return Twist(
@@ -64,36 +64,36 @@ def momentum(body: BodyNumbers, V: Twist) -> Twist:
     )
 
 
-def _gyroscopic(body: BodyNumbers, V: Twist) -> Twist:
+def _gyroscopic(body: BodyParameters, V: Twist) -> Twist:
     """w x p, and v x p about the origin: what F takes beside M_k V'."""
     p, w = momentum(body, V), V[2]
     return Twist(neg(mul(w, p[1])), mul(w, p[0]), cross((V[0], V[1]), (p[0], p[1])))
 
 
-def weights(n: Numbers, pose: tuple[Lane, ...], shape: Shape) -> list[Twist]:
-    """Gravity along the ground on each body and fork, in its axes."""
+def gravity_wrenches(now: RobotContext) -> list[Twist]:
+    """Compute the wrench of gravity along the ground on each body and fork, in its axes."""
+    n, shape = now.n, now.shape
     if is_zero(n.downhill[0]) and is_zero(n.downhill[1]):
         return [Twist(0.0, 0.0, 0.0)] * len(n.rigid)
-    falls = [turned_back(n.downhill, pose)]
+    falls = [rotate_back(n.downhill, now.pose)]
     for k in range(1, len(n.bodies)):
-        falls.append(turned_back(falls[n.ahead(k)], shape.trailers[k - 1]))
+        falls.append(rotate_back(falls[n.ahead(k)], shape.trailers[k - 1]))
     for i in n.layout.caster_wheels:
-        falls.append(turned_back(falls[n.wheels[i].body], shape.wheels[i]))
+        falls.append(rotate_back(falls[n.wheels[i].body], shape.wheels[i]))
     return [
         Twist(mul(body.mass, x), mul(body.mass, y), cross(body.moment, (x, y)))
         for body, (x, y) in zip(n.rigid, falls, strict=True)
     ]
 
 
-def columns_of(n: Numbers, shape: Shape, velocities: Velocities, size: int) -> list[list[Lane]]:
+def columns_of(n: Parameters, shape: Shape, velocities: Velocities, size: int) -> list[list[Lane]]:
     """Full velocities of unit velocities nu: the columns of the basis."""
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
     return [velocities(n, shape, unit) for unit in units]
 
 
-def project(
-    n: Numbers,
-    now: Context,
+def projected_equations(
+    now: RobotContext,
     w: Sequence[Lane],
     velocities: Velocities,
     nu: Sequence[Lane],
@@ -108,14 +108,15 @@ def project(
         forces: on each body and fork, in its axes, the moment about its origin.
         torques: on each shaft.
     """
+    n = now.n
     columns = columns_of(n, now.shape, velocities, len(nu))
-    parts = [motion(n, now.shape, column) for column in columns]
-    moves, gains = motion_and_rate(n, now.turning(w), velocities, nu)
+    parts = [inertial_motion(n, now.shape, column) for column in columns]
+    moves, gains = motion_and_rate(n, now.shape_with_rate(w), velocities, nu)
     loads = [
         F - momentum(body, A) - _gyroscopic(body, V)
         for body, F, V, A in zip(n.rigid, forces, moves.twists, gains.twists, strict=True)
     ]
-    for body, moment in _steering_torques(n, now, w):
+    for body, moment in _steering_torques(now, w):
         loads[body] = loads[body] - Twist(0.0, 0.0, moment)
     driving = [*torques, *([0.0] * (len(gains.turns) - len(torques)))]
     turning = [
@@ -141,10 +142,10 @@ def project(
 
 
 def motion_and_rate(
-    n: Numbers, shape: Shape, velocities: Velocities, nu: Sequence[Lane]
+    n: Parameters, shape: Shape, velocities: Velocities, nu: Sequence[Lane]
 ) -> tuple[Motion, Motion]:
     """The motion at nu, and its rate at nu' = 0, by the shape with its rate."""
-    both = motion(n, shape, velocities(n, shape, nu))
+    both = inertial_motion(n, shape, velocities(n, shape, nu))
     now = Motion(
         [Twist(*map(value_of, V)) for V in both.twists],
         [(i, value_of(rate)) for i, rate in both.turns],
@@ -156,11 +157,12 @@ def motion_and_rate(
     return now, then
 
 
-def _steering_torques(n: Numbers, now: Context, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
+def _steering_torques(now: RobotContext, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
     """What bodies feel as their steered wheels turn faster about the vertical, at b'' = 0.
 
     Wheels that turn by the angle b itself turn evenly; those of Ackermann's geometry do not.
     """
+    n = now.n
     uneven = [
         i
         for steering in n.robot.steerings
@@ -170,7 +172,7 @@ def _steering_torques(n: Numbers, now: Context, w: Sequence[Lane]) -> list[tuple
     ]
     if not uneven:
         return []
-    shape, out = now.turning_twice(w), []
+    shape, out = now.shape_with_two_rates(w), []
     for i in uneven:
         e = shape.wheels[i]
         here = tuple(value_of(value_of(x)) for x in e)

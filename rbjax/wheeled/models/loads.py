@@ -19,11 +19,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rbjax.lanes import Lane, add, mul, neg, sub, total
-from rbjax.wheeled.kinematics.numbers import Numbers
+from rbjax.wheeled.kinematics.parameters import Parameters
 from rbjax.wheeled.kinematics.planar import Pair, dot, inverse
 
 
-def wheel_loads(n: Numbers, tractions: Sequence[Pair] | None = None) -> list[Lane]:
+def wheel_loads(n: Parameters, tractions: Sequence[Pair] | None = None) -> list[Lane]:
     """N_i of all wheels, N.
 
     tractions: of each wheel, along x and y of its body; None at rest.
@@ -101,7 +101,7 @@ def _on_an_area(places: Sequence[Pair], pulls: Sequence[Pair], at: Pair, whole: 
     return [total((p, mul(q, x), mul(r, y))) for x, y in places]
 
 
-def resisting_torques(n: Numbers, w: Sequence[Lane], loads: Sequence[Lane]) -> list[Lane]:
+def resisting_torques(n: Parameters, w: Sequence[Lane], loads: Sequence[Lane]) -> list[Lane]:
     """The torques of rolling resistance on each shaft."""
     rates = w[2 + len(n.bodies) :]
     out: list[Lane] = [0.0] * len(n.shafts)

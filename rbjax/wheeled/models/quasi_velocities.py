@@ -23,19 +23,19 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Lane, add, inner, ldlt, mul, total
-from rbjax.wheeled.kinematics.context import Context, angle_rates, angles_of
-from rbjax.wheeled.kinematics.numbers import Numbers, stacked
-from rbjax.wheeled.kinematics.planar import cross, moving, rate_of, value_of
+from rbjax.wheeled.kinematics.context import RobotContext, angle_rates, angles_of
+from rbjax.wheeled.kinematics.parameters import Parameters, stack_lanes
+from rbjax.wheeled.kinematics.planar import cross, duals, rate_of, value_of
 from rbjax.wheeled.kinematics.velocities import (
     caster_rates,
     fork_twists,
-    ideal,
+    rolling_velocities,
     shaft_speed,
     shape_of,
     twists_of,
 )
 from rbjax.wheeled.models.equations import momentum
-from rbjax.wheeled.models.fidelity import potential_energy, torques_at_rest_loads
+from rbjax.wheeled.models.robot_model import potential_energy, torques_at_rest_loads
 from rbjax.wheeled.models.rolling import Rolling
 
 
@@ -51,17 +51,18 @@ class QuasiVelocities(Rolling):
 
     name: ClassVar[str] = "quasi_velocities"
 
-    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
+    def accelerations(self, now: RobotContext) -> list[Lane]:
+        n = now.n
         dtype = n.dtype
-        free = self.full(n, now)
-        s, ds = (stacked(x, dtype) for x in (angles_of(n, now), angle_rates(n, now, free)))
-        nu = stacked(now.v, dtype)
+        free = self.full_velocities(now)
+        s, ds = (stack_lanes(x, dtype) for x in (angles_of(now), angle_rates(now, free)))
+        nu = stack_lanes(now.v, dtype)
         steering = ds  # only its part of the steerings is used
 
         def quasi(s: jax.Array, nu: jax.Array) -> jax.Array:
             shape = shape_of(n, list(s))
-            w = ideal(n, shape, list(nu))
-            return stacked([*w, *caster_rates(n, shape, twists_of(n, shape, w))], dtype)
+            w = rolling_velocities(n, shape, list(nu))
+            return stack_lanes([*w, *caster_rates(n, shape, twists_of(n, shape, w))], dtype)
 
         def energy(s: jax.Array, w: jax.Array) -> jax.Array:
             return jnp.asarray(_kinetic(n, list(s), list(steering), list(w)), dtype)
@@ -75,7 +76,7 @@ class QuasiVelocities(Rolling):
             return jax.jvp(impulse, (s, w), (ds, rate))[1]
 
         carried = jnp.stack([-w[2] * p[1], w[2] * p[0], w[0] * p[1] - w[1] * p[0]])
-        due = self._loads(n, now, s, free).at[:3].add(-carried)
+        due = self._loads(now, s, free).at[:3].add(-carried)
         k, casters = len(n.bodies) - 1, len(n.layout.caster_wheels)
         due = due.at[3 : 3 + k].add(pull[:k])
         due = due.at[len(w) - casters :].add(pull[len(s) - casters :])
@@ -92,32 +93,33 @@ class QuasiVelocities(Rolling):
         M = [[columns[j][i] for j in range(len(nu))] for i in range(len(nu))]
         return ldlt(M).solve([f[i] for i in range(len(nu))])
 
-    def _loads(self, n: Numbers, now: Context, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
+    def _loads(self, now: RobotContext, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
         """Q: the gradient of the potential energy, and the torques on shafts."""
+        n = now.n
         dtype = n.dtype
-        pose = stacked(now.q[:3], dtype)
+        pose = stack_lanes(now.q[:3], dtype)
 
         def potential(pose: jax.Array, s: jax.Array) -> jax.Array:
             q = [*pose, *s, *now.q[n.layout.shafts.start :]]
-            return jnp.asarray(potential_energy(n, replace(now, q=q)), dtype)
+            return jnp.asarray(potential_energy(replace(now, q=q)), dtype)
 
         by_pose, by_angles = jax.grad(potential, (0, 1))(pose, s)
         c, si = now.pose
         x, y = c * by_pose[0] + si * by_pose[1], c * by_pose[1] - si * by_pose[0]
-        torques = torques_at_rest_loads(n, now, free)
+        torques = torques_at_rest_loads(now, free)
         k, casters = len(n.bodies) - 1, len(n.layout.caster_wheels)
         return jnp.concatenate(
             [
                 -jnp.stack([x, y, by_pose[2]]),
                 -by_angles[:k],
-                stacked(torques, dtype),
+                stack_lanes(torques, dtype),
                 -by_angles[len(s) - casters :],
             ]
         )
 
 
 def _kinetic(
-    n: Numbers, angles: Sequence[Lane], turning: Sequence[Lane], w: Sequence[Lane]
+    n: Parameters, angles: Sequence[Lane], turning: Sequence[Lane], w: Sequence[Lane]
 ) -> Lane:
     """T, with the turning of steered wheels and of casters about the vertical."""
     casters = n.layout.caster_wheels
@@ -134,7 +136,7 @@ def _kinetic(
     for i, fork, V in zip(casters, n.forks, forks, strict=True):
         twice.append(mul(n.wheels[i].yaw_inertia, mul(V[2], V[2])))
         twice.append(inner(V, momentum(fork, V)))
-    moved = shape_of(n, moving(angles, turning))
+    moved = shape_of(n, duals(angles, turning))
     for steering in n.robot.steerings:
         for i in steering.wheels:
             e = moved.wheels[i]

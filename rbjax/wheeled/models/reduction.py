@@ -23,20 +23,25 @@ from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import matvec
 from rbjax.model import State
-from rbjax.wheeled.kinematics.context import Context
-from rbjax.wheeled.kinematics.numbers import Numbers, stacked
+from rbjax.wheeled.kinematics.context import RobotContext
+from rbjax.wheeled.kinematics.parameters import Parameters, stack_lanes
 from rbjax.wheeled.kinematics.planar import Twist, rate_of
-from rbjax.wheeled.kinematics.velocities import ideal, motion, rows, shaft_speed
+from rbjax.wheeled.kinematics.velocities import (
+    constraint_rates,
+    inertial_motion,
+    rolling_velocities,
+    shaft_speed,
+)
 from rbjax.wheeled.models.equations import (
     Velocities,
     columns_of,
+    gravity_wrenches,
     momentum,
     motion_and_rate,
-    project,
-    weights,
+    projected_equations,
 )
-from rbjax.wheeled.models.fidelity import torques_at_rest_loads
-from rbjax.wheeled.models.rolling import Rolling, all_of
+from rbjax.wheeled.models.robot_model import torques_at_rest_loads
+from rbjax.wheeled.models.rolling import Rolling, identity
 from rbjax.wheeled.models.states import check_state, check_vehicle
 
 
@@ -142,38 +147,43 @@ def _checked(where: str, vehicle: Any, state: Any, controls: Any) -> tuple[State
 
 @compiled
 def _reduced(vehicle: Rolling, state: State, u: jax.Array) -> Reduced:
-    n, now = vehicle.instant(state, u)
-    w = vehicle.full(n, now)
-    S = _matrix(columns_of(n, now.shape, ideal, vehicle.nv), n)
-    return Reduced(S, *_terms(n, now, w, ideal, now.v))
+    now = vehicle.context(state, u)
+    n = now.n
+    w = vehicle.full_velocities(now)
+    S = _matrix(columns_of(n, now.shape, rolling_velocities, vehicle.nv), n)
+    return Reduced(S, *_terms(now, w, rolling_velocities, now.v))
 
 
 @compiled
 def _undetermined(vehicle: Rolling, state: State, u: jax.Array) -> Undetermined:
-    n, now = vehicle.instant(state, u)
-    w = vehicle.full(n, now)
-    M, C, B, f, tau = _terms(n, now, w, all_of, w)
-    units = columns_of(n, now.shape, all_of, len(w))
-    A = _matrix([rows(n, now.shape, unit) for unit in units], n)
-    bias = stacked([rate_of(x) for x in rows(n, now.turning(w), w)], n.dtype)  # A' w
-    free = jnp.linalg.solve(M, matvec(B, tau) + f - matvec(C, stacked(w, n.dtype)))
+    now = vehicle.context(state, u)
+    n = now.n
+    w = vehicle.full_velocities(now)
+    M, C, B, f, tau = _terms(now, w, identity, w)
+    units = columns_of(n, now.shape, identity, len(w))
+    A = _matrix([constraint_rates(n, now.shape, unit) for unit in units], n)
+    bias = stack_lanes(
+        [rate_of(x) for x in constraint_rates(n, now.shape_with_rate(w), w)], n.dtype
+    )  # A' w
+    free = jnp.linalg.solve(M, matvec(B, tau) + f - matvec(C, stack_lanes(w, n.dtype)))
     l = jnp.linalg.solve(A @ jnp.linalg.solve(M, A.T), -bias - matvec(A, free))
     return Undetermined(A, M, C, B, f, tau, l)
 
 
-def _matrix(columns: Sequence[Sequence[Any]], n: Numbers) -> jax.Array:
-    return jnp.stack([stacked([*column], n.dtype) for column in columns], 1)
+def _matrix(columns: Sequence[Sequence[Any]], n: Parameters) -> jax.Array:
+    return jnp.stack([stack_lanes([*column], n.dtype) for column in columns], 1)
 
 
 def _terms(
-    n: Numbers, now: Context, w: Sequence[Any], velocities: Velocities, nu: Sequence[Any]
+    now: RobotContext, w: Sequence[Any], velocities: Velocities, nu: Sequence[Any]
 ) -> tuple[jax.Array, ...]:
     """M, C, B, f and tau for velocities nu."""
+    n = now.n
     size, dtype = len(nu), n.dtype
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
-    turning = now.turning(w)
+    turning = now.shape_with_rate(w)
     parts = [motion_and_rate(n, turning, velocities, unit) for unit in units]
-    twists = motion(n, now.shape, w).twists
+    twists = inertial_motion(n, now.shape, w).twists
     C = jnp.zeros((size, size), dtype)
     for k, (body, V) in enumerate(zip(n.rigid, twists, strict=True)):
         J, dJ = (_matrix([x.twists[k] for x in side], n) for side in zip(*parts, strict=True))
@@ -183,26 +193,28 @@ def _terms(
         G = _matrix([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]], n)  # by column
         C = C + J.T @ (inertia @ dJ + G @ J)
     for i in range(len(parts[0][0].turns)):
-        j, dj = (stacked([x.turns[i][1] for x in side], dtype) for side in zip(*parts, strict=True))
+        j, dj = (
+            stack_lanes([x.turns[i][1] for x in side], dtype) for side in zip(*parts, strict=True)
+        )
         C = C + parts[0][0].turns[i][0] * jnp.outer(j, dj)
     rates = [column[2 + len(n.bodies) :] for column in columns_of(n, now.shape, velocities, size)]
     drives = list(zip(n.robot.drives, n.motors, n.splits, now.u, strict=False))
     B = jnp.stack(
         [
-            stacked([shaft_speed(n, drive.wheels, split, x) for x in rates], dtype)
+            stack_lanes([shaft_speed(n, drive.wheels, split, x) for x in rates], dtype)
             for drive, _, split, _ in drives
         ],
         1,
     )
     speeds = w[2 + len(n.bodies) :]
-    tau = stacked(
+    tau = stack_lanes(
         [
             motor.torque(u, shaft_speed(n, drive.wheels, split, speeds))
             for drive, motor, split, u in drives
         ],
         dtype,
     )
-    loads = torques_at_rest_loads(n, now, w)
-    M, right, _ = project(n, now, w, velocities, nu, weights(n, now.pose, now.shape), loads)
-    f = stacked(right, dtype) + matvec(C, stacked(nu, dtype)) - matvec(B, tau)
+    loads = torques_at_rest_loads(now, w)
+    M, right, _ = projected_equations(now, w, velocities, nu, gravity_wrenches(now), loads)
+    f = stack_lanes(right, dtype) + matvec(C, stack_lanes(nu, dtype)) - matvec(B, tau)
     return _matrix(M, n), C, B, f, tau

@@ -13,22 +13,27 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from rbjax.lanes import Lane, inner, ldlt, mul, neg, sub, total
-from rbjax.wheeled.kinematics.context import Context
-from rbjax.wheeled.kinematics.numbers import Numbers
-from rbjax.wheeled.kinematics.planar import Twist, moving, rate_of
+from rbjax.wheeled.kinematics.context import RobotContext
+from rbjax.wheeled.kinematics.parameters import Parameters
+from rbjax.wheeled.kinematics.planar import Twist, duals, rate_of
 from rbjax.wheeled.kinematics.velocities import (
     Shape,
     chassis_twist,
+    constraint_rates,
     free_velocities,
-    ideal,
-    rows,
+    rolling_velocities,
     shaft_speed,
 )
-from rbjax.wheeled.models.equations import Equations, columns_of, project, weights
-from rbjax.wheeled.models.fidelity import Fidelity, motor_dampers, torques_at_rest_loads
+from rbjax.wheeled.models.equations import (
+    Equations,
+    columns_of,
+    gravity_wrenches,
+    projected_equations,
+)
+from rbjax.wheeled.models.robot_model import RobotModel, motor_dampers, torques_at_rest_loads
 
 
-class Kinematic(Fidelity):
+class Kinematic(RobotModel):
     """Wheels turn at the free speeds of their motors; the robot has no inertia.
 
         w = S nu,   W_j(nu) = free speed of drive j at u_j, in least squares over the drives
@@ -46,11 +51,12 @@ class Kinematic(Fidelity):
     def nv(self) -> int:
         return 0
 
-    def full(self, n: Numbers, now: Context) -> list[Lane]:
+    def full_velocities(self, now: RobotContext) -> list[Lane]:
+        n = now.n
         shape = now.shape
         size = n.robot.arrangement.mobility
         columns = []
-        for w in columns_of(n, shape, ideal, size):
+        for w in columns_of(n, shape, rolling_velocities, size):
             rates = w[2 + len(n.bodies) :]
             columns.append(
                 [
@@ -61,37 +67,42 @@ class Kinematic(Fidelity):
         speeds = [motor.free_speed(u) for motor, u in zip(n.motors, now.u, strict=False)]
         M = [[inner(x, y) for y in columns] for x in columns]
         f = [inner(x, speeds) for x in columns]
-        return ideal(n, shape, ldlt(M).solve(f))
+        return rolling_velocities(n, shape, ldlt(M).solve(f))
 
-    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
+    def accelerations(self, now: RobotContext) -> list[Lane]:
         return []
 
-    def start_velocities(self, n: Numbers, now: Context, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
         return []
 
 
-class Rolling(Fidelity):
+class Rolling(RobotModel):
     """Robots with inertia whose wheels roll: v = nu, the velocities that the wheels leave free."""
 
     @property
     def nv(self) -> int:
         return self.robot.arrangement.mobility
 
-    def full(self, n: Numbers, now: Context) -> list[Lane]:
-        return ideal(n, now.shape, now.v)
+    def full_velocities(self, now: RobotContext) -> list[Lane]:
+        n = now.n
+        return rolling_velocities(n, now.shape, now.v)
 
-    def start_velocities(self, n: Numbers, now: Context, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
+        n = now.n
         return free_velocities(n, now.shape, Twist(*w[:3]))
 
-    def holding(self, n: Numbers, now: Context) -> list[Lane]:
+    def ground_forces(self, now: RobotContext) -> list[Lane]:
         """What the ground must do so that wheels roll, M w' - f: by the full velocities, the force
         (2,) on the robot in the chassis' axes, N, moments, and torques on shafts, N m."""
-        w = self.full(n, now)
-        turning = now.turning(w)
-        rate = [rate_of(x) for x in ideal(n, turning, moving(now.v, self.accelerations(n, now)))]
-        M, f, _ = project(
-            n, now, w, all_of, w,
-            weights(n, now.pose, now.shape), torques_at_rest_loads(n, now, w),
+        n = now.n
+        w = self.full_velocities(now)
+        turning = now.shape_with_rate(w)
+        rate = [
+            rate_of(x)
+            for x in rolling_velocities(n, turning, duals(now.v, self.accelerations(now)))
+        ]
+        M, f, _ = projected_equations(now, w, identity, w,
+            gravity_wrenches(now), torques_at_rest_loads(now, w),
         )  # fmt: skip
         return [sub(inner(row, rate), x) for row, x in zip(M, f, strict=True)]
 
@@ -112,17 +123,16 @@ class Kinematical(Rolling):
 
     name: ClassVar[str] = "kinematical"
 
-    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
-        return self._equations(n, now, self.full(n, now)).accelerations
+    def accelerations(self, now: RobotContext) -> list[Lane]:
+        return self._equations(now, self.full_velocities(now)).accelerations
 
-    def damped_accelerations(self, n: Numbers, now: Context, h: Lane) -> list[Lane]:
-        w = self.full(n, now)
-        return self._equations(n, now, w).damped(motor_dampers(n, now, w), h)
+    def damped_accelerations(self, now: RobotContext, h: Lane) -> list[Lane]:
+        w = self.full_velocities(now)
+        return self._equations(now, w).damped(motor_dampers(now, w), h)
 
-    def _equations(self, n: Numbers, now: Context, w: list[Lane]) -> Equations:
-        return project(
-            n, now, w, ideal, now.v,
-            weights(n, now.pose, now.shape), torques_at_rest_loads(n, now, w),
+    def _equations(self, now: RobotContext, w: list[Lane]) -> Equations:
+        return projected_equations(now, w, rolling_velocities, now.v,
+            gravity_wrenches(now), torques_at_rest_loads(now, w),
         )  # fmt: skip
 
 
@@ -142,19 +152,19 @@ class Dynamical(Rolling):
 
     name: ClassVar[str] = "dynamical"
 
-    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
-        w = self.full(n, now)
-        shape, moved = now.shape, now.turning(w)
-        M, f, _ = project(
-            n, now, w, all_of, w,
-            weights(n, now.pose, shape), torques_at_rest_loads(n, now, w),
+    def accelerations(self, now: RobotContext) -> list[Lane]:
+        n = now.n
+        w = self.full_velocities(now)
+        shape, moved = now.shape, now.shape_with_rate(w)
+        M, f, _ = projected_equations(now, w, identity, w,
+            gravity_wrenches(now), torques_at_rest_loads(now, w),
         )  # fmt: skip
         factors = ldlt(M)
         free = factors.solve(f)
-        units = columns_of(n, shape, all_of, len(w))
-        A = [rows(n, shape, unit) for unit in units]  # by column
+        units = columns_of(n, shape, identity, len(w))
+        A = [constraint_rates(n, shape, unit) for unit in units]  # by column
         size = len(A[0])
-        bias = [rate_of(x) for x in rows(n, moved, w)]
+        bias = [rate_of(x) for x in constraint_rates(n, moved, w)]
         lifted = [factors.solve([column[i] for column in A]) for i in range(size)]  # M^-1 A^T
         K = [
             [total(mul(c[i], x) for c, x in zip(A, lifted[j], strict=True)) for j in range(size)]
@@ -174,5 +184,5 @@ class Dynamical(Rolling):
         return free_velocities(n, shape, V)
 
 
-def all_of(n: Numbers, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
+def identity(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
     return list(w)

@@ -23,19 +23,25 @@ import jax.numpy as jnp
 
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul, neg, sub
-from rbjax.wheeled.kinematics.context import Context
-from rbjax.wheeled.kinematics.numbers import Numbers, WheelNumbers, with_lanes
-from rbjax.wheeled.kinematics.planar import Pair, Twist, cross, turned
-from rbjax.wheeled.kinematics.velocities import contact, twists_of
-from rbjax.wheeled.models.equations import Damper, Equations, columns_of, project, weights
-from rbjax.wheeled.models.fidelity import Fidelity, motor_dampers, shaft_torques
+from rbjax.wheeled.kinematics.context import RobotContext
+from rbjax.wheeled.kinematics.parameters import WheelParameters, with_lanes
+from rbjax.wheeled.kinematics.planar import Pair, Twist, cross, rotate
+from rbjax.wheeled.kinematics.velocities import contact_velocity, twists_of
+from rbjax.wheeled.models.equations import (
+    Damper,
+    Equations,
+    columns_of,
+    gravity_wrenches,
+    projected_equations,
+)
 from rbjax.wheeled.models.loads import resisting_torques, wheel_loads
-from rbjax.wheeled.models.rolling import all_of
+from rbjax.wheeled.models.robot_model import RobotModel, motor_dampers, shaft_torques
+from rbjax.wheeled.models.rolling import identity
 from rbjax.wheeled.tyres.laws import Fiala
 from rbjax.wheeled.tyres.tyre import Tyre
 
 
-class Slipping(Fidelity):
+class Slipping(RobotModel):
     """A robot whose wheels slip: v = w, all velocities; x, the states of tyres that relax.
 
     Fields: robot; tyre, the law of all wheels, or a tuple of one law a wheel.
@@ -95,22 +101,23 @@ class Slipping(Fidelity):
     def nx(self) -> int:
         return sum(tyre.size for tyre in self.tyres)
 
-    def full(self, n: Numbers, now: Context) -> list[Lane]:
+    def full_velocities(self, now: RobotContext) -> list[Lane]:
         return now.v
 
-    def start_velocities(self, n: Numbers, now: Context, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
         return w
 
-    def contacts(self, n: Numbers, now: Context) -> tuple[list[Pair], list[Lane]]:
+    def contacts(self, now: RobotContext) -> tuple[list[Pair], list[Lane]]:
         """The traction of each wheel for each newton of load, along its heading and to its left;
         the rates of the states of tyres."""
+        n = now.n
         shape = now.shape
         twists = twists_of(n, shape, now.v)
         rates = now.v[2 + len(n.bodies) :]
         out, states, taken = [], [], 0
         for i, (wheel, law) in enumerate(zip(n.wheels, self.tyres, strict=True)):
             tyre = with_lanes(law, n.dtype)
-            along, across = contact(n, shape, twists, i)
+            along, across = contact_velocity(n, shape, twists, i)
             roll = mul(wheel.radius, rates[wheel.shaft])
             slides = _slides(wheel, along, across, roll)
             if wheel.kind == "caster":
@@ -126,30 +133,32 @@ class Slipping(Fidelity):
                 states.extend(rate)
         return out, states
 
-    def forces(self, n: Numbers, now: Context) -> tuple[list[Lane], list[Pair]]:
+    def forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
         """The loads of wheels, N, and the forces on them, N, along x and y of their bodies."""
+        n = now.n
         shape = now.shape
-        pulls, _ = self.contacts(n, now)
-        pulls = [turned(pull, e) for pull, e in zip(pulls, shape.wheels, strict=True)]
+        pulls, _ = self.contacts(now)
+        pulls = [rotate(pull, e) for pull, e in zip(pulls, shape.wheels, strict=True)]
         loads = wheel_loads(n, pulls)
         return loads, [
             (mul(load, x), mul(load, y)) for load, (x, y) in zip(loads, pulls, strict=True)
         ]
 
-    def accelerations(self, n: Numbers, now: Context) -> list[Lane]:
-        return self._equations(n, now)[0].accelerations
+    def accelerations(self, now: RobotContext) -> list[Lane]:
+        return self._equations(now)[0].accelerations
 
-    def damped_accelerations(self, n: Numbers, now: Context, h: Lane) -> list[Lane]:
-        equations, loads = self._equations(n, now)
-        dampers = self._contact_dampers(n, now, loads, h) + motor_dampers(n, now, now.v)
+    def damped_accelerations(self, now: RobotContext, h: Lane) -> list[Lane]:
+        equations, loads = self._equations(now)
+        dampers = self._contact_dampers(now, loads, h) + motor_dampers(now, now.v)
         return equations.damped(dampers, h)
 
-    def _equations(self, n: Numbers, now: Context) -> tuple[Equations, list[Lane]]:
+    def _equations(self, now: RobotContext) -> tuple[Equations, list[Lane]]:
         """The equations, and the loads of wheels."""
+        n = now.n
         shape = now.shape
-        loads, forces = self.forces(n, now)
-        pulls = weights(n, now.pose, shape)
-        torques = shaft_torques(n, now, now.v)
+        loads, forces = self.forces(now)
+        pulls = gravity_wrenches(now)
+        torques = shaft_torques(now, now.v)
         if n.resistance is not None:
             resisting = resisting_torques(n, now.v, loads)
             torques = [add(a, b) for a, b in zip(torques, resisting, strict=True)]
@@ -157,16 +166,15 @@ class Slipping(Fidelity):
             pulls[wheel.body] = pulls[wheel.body] + Twist(*force, cross(wheel.position, force))
             braking = neg(mul(wheel.radius, add(mul(force[0], e[0]), mul(force[1], e[1]))))
             torques[wheel.shaft] = add(torques[wheel.shaft], braking)
-        return project(n, now, now.v, all_of, now.v, pulls, torques), loads
+        return projected_equations(now, now.v, identity, now.v, pulls, torques), loads
 
-    def _contact_dampers(
-        self, n: Numbers, now: Context, loads: Sequence[Lane], h: Lane
-    ) -> list[Damper]:
+    def _contact_dampers(self, now: RobotContext, loads: Sequence[Lane], h: Lane) -> list[Damper]:
         """How the forces of the ground oppose the velocities at which contacts slide."""
-        units = columns_of(n, now.shape, all_of, self.nv)
-        columns = [self._all_slides(n, now, unit) for unit in units]
+        n = now.n
+        units = columns_of(n, now.shape, identity, self.nv)
+        columns = [self._all_slides(now, unit) for unit in units]
         out: list[Damper] = []
-        for i, slides in enumerate(self._all_slides(n, now, now.v)):
+        for i, slides in enumerate(self._all_slides(now, now.v)):
             wheel = n.wheels[i]
             roll = mul(wheel.radius, now.v[2 + len(n.bodies) + wheel.shaft])
             across = slides[1] if len(slides) > 1 else 0.0
@@ -176,19 +184,24 @@ class Slipping(Fidelity):
                 out.append((mul(load, found[k]), [column[i][k] for column in columns]))
         return out
 
-    def _all_slides(self, n: Numbers, now: Context, w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
+    def _all_slides(self, now: RobotContext, w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
         """The velocities at which each contact slides, at full velocities w."""
+        n = now.n
         twists, rates = twists_of(n, now.shape, w), w[2 + len(n.bodies) :]
         return [
-            _slides(wheel, *contact(n, now.shape, twists, i), mul(wheel.radius, rates[wheel.shaft]))
+            _slides(
+                wheel,
+                *contact_velocity(n, now.shape, twists, i),
+                mul(wheel.radius, rates[wheel.shaft]),
+            )
             for i, wheel in enumerate(n.wheels)
         ]
 
-    def relaxation(self, n: Numbers, now: Context) -> list[Lane]:
-        return self.contacts(n, now)[1] if self.nx else []
+    def tyre_rates(self, now: RobotContext) -> list[Lane]:
+        return self.contacts(now)[1] if self.nx else []
 
 
-def _slides(wheel: WheelNumbers, along: Lane, across: Lane, roll: Lane) -> tuple[Lane, ...]:
+def _slides(wheel: WheelParameters, along: Lane, across: Lane, roll: Lane) -> tuple[Lane, ...]:
     """The velocity at which a contact slides, in the directions in which it has a force: along the
     wheel, and across unless it is a caster; along the rollers."""
     along = sub(along, roll)
@@ -200,7 +213,7 @@ def _slides(wheel: WheelNumbers, along: Lane, across: Lane, roll: Lane) -> tuple
     return along, across
 
 
-def _cosine(wheel: WheelNumbers) -> Lane:
+def _cosine(wheel: WheelParameters) -> Lane:
     """Of the angle of the rollers' axes."""
     return (1.0 + wheel.slant * wheel.slant) ** -0.5
 

@@ -12,20 +12,20 @@ from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.wheeled.kinematics.planar import Twist
-from rbjax.wheeled.kinematics.velocities import free_velocities, ideal
-from rbjax.wheeled.models.fidelity import Fidelity, as_state
+from rbjax.wheeled.kinematics.velocities import free_velocities, rolling_velocities
+from rbjax.wheeled.models.robot_model import RobotModel, as_state
 
 
 def check_vehicle(where: str, vehicle: Any) -> None:
     """Refuse what is no robot at a fidelity."""
-    if not isinstance(vehicle, Fidelity):
+    if not isinstance(vehicle, RobotModel):
         raise InputError(
             f"{where}: vehicle is {type(vehicle).__name__}, expected a robot at a fidelity, as "
             'rbjax.wheeled.at(robot, "kinematical") gives it'
         )
 
 
-def check_state(where: str, vehicle: Fidelity, state: Any, batch: tuple[int, ...] = ()) -> State:
+def check_state(where: str, vehicle: RobotModel, state: Any, batch: tuple[int, ...] = ()) -> State:
     """A state with floating arrays of the vehicle's sizes, in one dtype."""
     if not isinstance(state, State):
         raise InputError(
@@ -47,7 +47,7 @@ def check_state(where: str, vehicle: Fidelity, state: Any, batch: tuple[int, ...
     return State(found["q"], found["v"], x)
 
 
-def start(vehicle: Fidelity, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0, 0.0)) -> State:
+def start(vehicle: RobotModel, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0, 0.0)) -> State:
     """A state of a vehicle in which no wheel slides: trailers straight, steering ahead.
 
     Of a twist that the wheels do not allow it takes the allowed part. A wheel starts at the speed
@@ -79,16 +79,19 @@ def start(vehicle: Fidelity, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0
     return with_twist(vehicle, q, twist.astype(dtype))
 
 
-def with_twist(vehicle: Fidelity, q: jax.Array, twist: jax.Array) -> State:
+def with_twist(vehicle: RobotModel, q: jax.Array, twist: jax.Array) -> State:
     """The state at coordinates q (nq,) whose chassis has the allowed part of a twist (3,)."""
     bare = State(q, jnp.zeros(vehicle.nv, q.dtype), jnp.zeros(vehicle.nx, q.dtype))
-    n, now = vehicle.instant(bare)
+    now = vehicle.context(bare)
+    n = now.n
     shape = now.shape
-    w = ideal(n, shape, free_velocities(n, shape, Twist(*(twist[i] for i in range(3)))))
-    return as_state(now.q, vehicle.start_velocities(n, now, w), now.x, q.dtype)
+    w = rolling_velocities(
+        n, shape, free_velocities(n, shape, Twist(*(twist[i] for i in range(3))))
+    )
+    return as_state(now.q, vehicle.start_velocities(now, w), now.x, q.dtype)
 
 
-def rates(vehicle: Fidelity, state: State, controls: Any) -> State:
+def rates(vehicle: RobotModel, state: State, controls: Any) -> State:
     """The rate of a state: q', v' and x'.
 
     Args:
@@ -117,7 +120,7 @@ def rates(vehicle: Fidelity, state: State, controls: Any) -> State:
 
 
 @compiled
-def _rates(vehicle: Fidelity, state: State, u: jax.Array) -> State:
-    n, now = vehicle.instant(state, u)
-    q, v, x = vehicle.rates(n, now)
+def _rates(vehicle: RobotModel, state: State, u: jax.Array) -> State:
+    now = vehicle.context(state, u)
+    q, v, x = vehicle.rates(now)
     return as_state(q, v, x, state.q.dtype)

@@ -22,39 +22,39 @@ from rbjax.arguments import choice, integer
 from rbjax.control.optimal.system import System, as_system
 from rbjax.errors import InputError
 from rbjax.model import State
-from rbjax.wheeled.models.fidelity import Fidelity, as_state
+from rbjax.wheeled.models.robot_model import RobotModel, as_state
 from rbjax.wheeled.models.states import check_state, check_vehicle
-from rbjax.wheeled.motion.rollout import METHODS, advanced
+from rbjax.wheeled.motion.rollout import METHODS, advance
 
 
-class Vehicle(System):
+class RobotSystem(System):
     """A wheeled robot at a fidelity, as a `System`: states `State(q, v, x)`, n = nq + nv + nx.
 
-    Costs and constraints are given the `Fidelity` as `model`.
+    Costs and constraints are given the `RobotModel` as `model`.
 
     Fields: vehicle; static: method, of `rollout`; parts, steps of it in one step of the problem.
     """
 
-    vehicle: Fidelity
+    vehicle: RobotModel
     method: str = eqx.field(static=True, default="rk4")
     parts: int = eqx.field(static=True, default=1)
 
     def __check_init__(self) -> None:
-        check_vehicle("Vehicle", self.vehicle)
+        check_vehicle("RobotSystem", self.vehicle)
         choice("method", self.method, METHODS)
-        integer("Vehicle", "parts", self.parts, least=1)
+        integer("RobotSystem", "parts", self.parts, least=1)
 
     @property
-    def model(self) -> Fidelity:
+    def model(self) -> RobotModel:
         return self.vehicle
 
-    def with_model(self, model: Any) -> Vehicle:
-        if not isinstance(model, Fidelity):
+    def with_model(self, model: Any) -> RobotSystem:
+        if not isinstance(model, RobotModel):
             raise InputError(
                 f"a design gave {type(model).__name__}, expected a robot at a fidelity with other "
                 "numbers, as equinox.tree_at gives it"
             )
-        return Vehicle(model, self.method, self.parts)
+        return RobotSystem(model, self.method, self.parts)
 
     @property
     def n(self) -> int:
@@ -86,11 +86,12 @@ class Vehicle(System):
 
     def step(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> State:
         vehicle, dtype = self.vehicle, state.q.dtype
-        n, now = vehicle.instant(state, ctrl)
+        now = vehicle.context(state, ctrl)
+        n = now.n
         h = jnp.asarray(dt, dtype) / self.parts
 
         def once(y: tuple, _: Any) -> tuple[tuple, None]:
-            return advanced(vehicle, n, y, now.u, h, self.method), None
+            return advance(vehicle, n, y, now.u, h, self.method), None
 
         y = now.q, now.v, now.x
         if self.parts == 1:
@@ -117,12 +118,12 @@ class Vehicle(System):
 
 
 @as_system.register
-def _(model: Fidelity) -> Vehicle:
+def _(model: RobotModel) -> RobotSystem:
     """What `rb.control.Problem` makes of a robot: steps of "rk4"."""
-    return Vehicle(model)
+    return RobotSystem(model)
 
 
-def controlled(vehicle: Fidelity, *, method: str = "rk4", parts: int = 1) -> Vehicle:
+def controlled(vehicle: RobotModel, *, method: str = "rk4", parts: int = 1) -> RobotSystem:
     """A robot at a fidelity as the system of an `rb.control.Problem`, with a method and a step.
 
     A vehicle itself is taken with "rk4" and one step. Wheels that slip need small steps: those of
@@ -136,7 +137,7 @@ def controlled(vehicle: Fidelity, *, method: str = "rk4", parts: int = 1) -> Veh
         parts: how many steps of it make one step of the problem, with the same controls.
 
     Returns:
-        `Vehicle`.
+        `RobotSystem`.
 
     Raises:
         InputError: no robot at a fidelity; parts is no positive whole number.
@@ -151,4 +152,4 @@ def controlled(vehicle: Fidelity, *, method: str = "rk4", parts: int = 1) -> Veh
         (11, 2)
     """
     check_vehicle("controlled", vehicle)
-    return Vehicle(vehicle, method, parts)
+    return RobotSystem(vehicle, method, parts)

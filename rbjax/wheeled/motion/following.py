@@ -19,13 +19,18 @@ from rbjax.control.linear.tracking import regulator_along
 from rbjax.dynamics.arguments import check_array, check_step, shape_of
 from rbjax.errors import InputError
 from rbjax.model import State
-from rbjax.wheeled.kinematics.numbers import stacked, with_lanes
+from rbjax.wheeled.kinematics.parameters import stack_lanes, with_lanes
 from rbjax.wheeled.kinematics.planar import Twist, dot, left
-from rbjax.wheeled.kinematics.velocities import free_velocities, ideal, place_of, shaft_speed
-from rbjax.wheeled.models.fidelity import Fidelity
+from rbjax.wheeled.kinematics.velocities import (
+    free_velocities,
+    place_of,
+    rolling_velocities,
+    shaft_speed,
+)
+from rbjax.wheeled.models.robot_model import RobotModel
 from rbjax.wheeled.models.rolling import Kinematical
 from rbjax.wheeled.models.states import check_vehicle
-from rbjax.wheeled.motion.control_system import Vehicle
+from rbjax.wheeled.motion.control_system import RobotSystem
 from rbjax.wheeled.robot.robot import Robot
 
 
@@ -68,7 +73,7 @@ class Commands(NamedTuple):
             with_lanes(drive.motor, dtype).command_for(self.speeds[j])
             for j, drive in enumerate(robot.drives)
         ]
-        return jnp.concatenate([stacked(speeds, dtype), self.angles])
+        return jnp.concatenate([stack_lanes(speeds, dtype), self.angles])
 
 
 def commands(robot: Robot, twist: Any) -> Commands:
@@ -108,7 +113,8 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
     dtype = twist.dtype
     bare = Kinematical(robot)
     start = State(jnp.zeros(bare.nq, dtype), jnp.zeros(bare.nv, dtype))
-    n, now = bare.instant(start)
+    now = bare.context(start)
+    n = now.n
     V = Twist(*(twist[i] for i in range(3)))
     q, angles = list(now.q), []
     for j, steering in enumerate(robot.steerings):
@@ -125,13 +131,13 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
         angles.append(angle)
         q[n.layout.steerings.start + j] = angle
     shape = replace(now, q=q).shape
-    w = ideal(n, shape, free_velocities(n, shape, V))
+    w = rolling_velocities(n, shape, free_velocities(n, shape, V))
     rates = w[2 + len(n.bodies) :]
     speeds = [
         shaft_speed(n, drive.wheels, split, rates)
         for drive, split in zip(robot.drives, n.splits, strict=True)
     ]
-    return Commands(stacked(speeds, dtype), stacked(angles, dtype))
+    return Commands(stack_lanes(speeds, dtype), stack_lanes(angles, dtype))
 
 
 def _number(where: str, name: str, value: Any, dtype: Any, above: float | None) -> jax.Array:
@@ -290,7 +296,7 @@ def _wrapped(angle: jax.Array) -> jax.Array:
 
 
 def tracking_gains(
-    vehicle: Fidelity, states: State, controls: Any, dt: Any, Q: Any, R: Any
+    vehicle: RobotModel, states: State, controls: Any, dt: Any, Q: Any, R: Any
 ) -> jax.Array:
     """Gains K of a time-varying linear quadratic regulator along a trajectory: u - K (z - z_ref).
 
@@ -352,9 +358,9 @@ def tracking_gains(
 
 @compiled
 def _gains(
-    vehicle: Fidelity, states: State, u: jax.Array, dt: jax.Array, Q: jax.Array, R: jax.Array
+    vehicle: RobotModel, states: State, u: jax.Array, dt: jax.Array, Q: jax.Array, R: jax.Array
 ) -> jax.Array:
-    system = Vehicle(vehicle)
+    system = RobotSystem(vehicle)
     along = jax.vmap(lambda state, ctrl: system.linear(0.0, state, ctrl, dt))(states, u)
     Q, R = jnp.diag(Q), jnp.diag(R)
     return regulator_along(along.A, along.B, Q, R, Q).K

@@ -25,9 +25,9 @@ from rbjax.lanes import Lane, add, fusion_barrier, mul
 from rbjax.model import State
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.wheeled.kinematics.context import Context
-from rbjax.wheeled.kinematics.numbers import Numbers
-from rbjax.wheeled.models.fidelity import Fidelity, as_state
+from rbjax.wheeled.kinematics.context import RobotContext
+from rbjax.wheeled.kinematics.parameters import Parameters
+from rbjax.wheeled.models.robot_model import RobotModel, as_state
 from rbjax.wheeled.models.states import check_state, check_vehicle
 
 Lists = tuple[list[Lane], list[Lane], list[Lane]]
@@ -45,32 +45,34 @@ def _plus(a: Sequence[Lane], b: Sequence[Lane], h: Lane) -> list[Lane]:
     return [add(x, mul(h, y)) for x, y in zip(a, b, strict=True)]
 
 
-def _moved(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane]) -> Lists:
+def _moved(vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane]) -> Lists:
     # XLA's CPU compiler would compute a stage again wherever a later one uses it
-    return fusion_barrier(vehicle.rates(n, Context(n, *y, u)))
+    return fusion_barrier(vehicle.rates(RobotContext(n, *y, u)))
 
 
-def _semi_implicit_euler(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane) -> Lists:
+def _semi_implicit_euler(
+    vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane], h: Lane
+) -> Lists:
     """v+ = v + h v'(q, v),  q+ = q + h q'(q, v+)."""
     q, v, x = y
-    now = Context(n, q, v, x, u)
-    v = _plus(v, vehicle.accelerations(n, now), h)
-    x = _plus(x, vehicle.relaxation(n, now), h)
-    return _plus(q, vehicle.coordinate_rates(n, now.with_velocities(v, x)), h), v, x
+    now = RobotContext(n, q, v, x, u)
+    v = _plus(v, vehicle.accelerations(now), h)
+    x = _plus(x, vehicle.tyre_rates(now), h)
+    return _plus(q, vehicle.coordinate_rates(now.with_velocities(v, x)), h), v, x
 
 
 def _linearly_implicit_euler(
-    vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane
+    vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane], h: Lane
 ) -> Lists:
     """v+ = v + h v'(q, v, v+),  x+ = x + h x'(q, v+),  q+ = q + h q'(q, v+)."""
     q, v, x = y
-    now = Context(n, q, v, x, u)
-    then = now.with_velocities(_plus(v, vehicle.damped_accelerations(n, now, h), h), x)
-    x = _plus(x, vehicle.relaxation(n, then), h)
-    return _plus(q, vehicle.coordinate_rates(n, then), h), then.v, x
+    now = RobotContext(n, q, v, x, u)
+    then = now.with_velocities(_plus(v, vehicle.damped_accelerations(now, h), h), x)
+    x = _plus(x, vehicle.tyre_rates(then), h)
+    return _plus(q, vehicle.coordinate_rates(then), h), then.v, x
 
 
-def _rk4(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane) -> Lists:
+def _rk4(vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane], h: Lane) -> Lists:
     def beyond(k: Lists, c: float) -> Lists:
         q, v, x = (_plus(a, b, c * h) for a, b in zip(y, k, strict=True))
         return q, v, x
@@ -93,16 +95,18 @@ METHODS: dict[str, Callable[..., Lists]] = {
 }
 
 
-def advanced(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane, method: str) -> Lists:
+def advance(
+    vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane], h: Lane, method: str
+) -> Lists:
     """The lists after a step, their velocities put back on what they must satisfy."""
     q, v, x = METHODS[method](vehicle, n, y, u, h)
-    v = vehicle.project(n, Context(n, q, v, x, u))
+    v = vehicle.project(RobotContext(n, q, v, x, u))
     q, v, x = ([jnp.asarray(a, n.dtype) for a in part] for part in (q, v, x))
     return q, v, x
 
 
 def rollout(
-    vehicle: Fidelity,
+    vehicle: RobotModel,
     state: State,
     controls: Any,
     dt: Any,
@@ -180,7 +184,7 @@ def rollout(
     return with_captured(lambda f: _rollout(vehicle, state, f, dt, how), controls)
 
 
-def _rollout(vehicle: Fidelity, state: State, controls: Any, dt: Any, how: _How) -> Trajectory:
+def _rollout(vehicle: RobotModel, state: State, controls: Any, dt: Any, how: _How) -> Trajectory:
     numbers, rest = eqx.partition((vehicle, controls), eqx.is_array)
     run = _run if inside_jit() else _compiled
     leaves, tree = jax.tree.flatten(rest)
@@ -214,9 +218,10 @@ def _run(numbers: Any, state: State, dt: Any, key: Any, how: _How) -> State:
 _compiled = compiled(_run, static_argnames=("key", "how"))
 
 
-def _march(vehicle: Fidelity, state: State, controls: Any, dt: Any, how: _How) -> State:
+def _march(vehicle: RobotModel, state: State, controls: Any, dt: Any, how: _How) -> State:
     """The states (T, nq), (T, nv), (T, nx) of one sample."""
-    n, now = vehicle.instant(state)
+    now = vehicle.context(state)
+    n = now.n
     dtype = state.q.dtype
 
     def once(y: Lists, i: Any) -> tuple[Lists, None]:
@@ -224,7 +229,7 @@ def _march(vehicle: Fidelity, state: State, controls: Any, dt: Any, how: _How) -
             u = jnp.asarray(controls(i * dt, as_state(*y, dtype)), dtype)
         else:
             u = controls[i]
-        return advanced(vehicle, n, y, [u[k] for k in range(vehicle.nu)], dt, how.method), None
+        return advance(vehicle, n, y, [u[k] for k in range(vehicle.nu)], dt, how.method), None
 
     def segment(y: Lists, first: Any) -> tuple[Lists, Lists]:
         if how.save_every == 1:
@@ -247,7 +252,7 @@ def _march(vehicle: Fidelity, state: State, controls: Any, dt: Any, how: _How) -
 
 
 def simulate(
-    vehicle: Fidelity,
+    vehicle: RobotModel,
     state: State,
     ts: Any,
     controls: Any = None,
@@ -312,7 +317,7 @@ def simulate(
 
 
 def _simulated(
-    vehicle: Fidelity, state: State, ts: jax.Array, controls: Any, *, solver: Any,
+    vehicle: RobotModel, state: State, ts: jax.Array, controls: Any, *, solver: Any,
     tolerance: float, adjoint: Any, max_steps: int,
 ) -> Trajectory:  # fmt: skip
     elapsed = ts - ts[0]
@@ -338,6 +343,6 @@ class _Field(eqx.Module):
     def __call__(self, t: Any, state: State, args: Any) -> State:
         vehicle, controls = args
         u = controls(self.start + t, state) if callable(controls) else controls
-        n, now = vehicle.instant(state, jnp.asarray(u, state.q.dtype))
-        q, v, x = vehicle.rates(n, now)
+        now = vehicle.context(state, jnp.asarray(u, state.q.dtype))
+        q, v, x = vehicle.rates(now)
         return as_state(q, v, x, state.q.dtype)

@@ -34,7 +34,7 @@ from rbjax.constraints import Constraint, Gear, KnifeEdge, Place
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub, total
 from rbjax.model import WORLD, Model
-from rbjax.wheeled.kinematics.numbers import Numbers, numbers_of
+from rbjax.wheeled.kinematics.parameters import Parameters, parameters_of
 from rbjax.wheeled.kinematics.planar import direction, inverse
 from rbjax.wheeled.kinematics.velocities import place_of
 from rbjax.wheeled.multibody.tree import LEFT, STRAIGHT, Tree
@@ -76,11 +76,11 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
     """
     instance("full_model", "robot", robot, Robot, "rb.wheeled.Robot")
     dtype = jnp.result_type(*jax.tree.leaves(eqx.filter(robot, eqx.is_inexact_array)))
-    model = jax.tree.map(jnp.asarray, model_of(numbers_of(robot, dtype), base))
+    model = jax.tree.map(jnp.asarray, model_of(parameters_of(robot, dtype), base))
     return model.astype(dtype)
 
 
-def model_of(n: Numbers, base: str = "planar", steering_rates: Sequence[Lane] = ()) -> Model:
+def model_of(n: Parameters, base: str = "planar", steering_rates: Sequence[Lane] = ()) -> Model:
     """As `full_model`, of numbers as lanes: what is known while tracing is known in the model."""
     choice("base", base, BASES)
     tree = Tree(n.dtype)
@@ -99,13 +99,13 @@ def wheel_joint(i: int) -> str:
     return f"wheel_{i}"
 
 
-def knuckle_joint(n: Numbers, i: int) -> tuple[str, int]:
+def knuckle_joint(n: Parameters, i: int) -> tuple[str, int]:
     """The name of the hinge that turns a steered wheel, and the number of its steering."""
     j = next(j for j, s in enumerate(n.robot.steerings) if i in s.wheels)
     return (f"knuckle_{i}" if len(n.robot.steerings[j].wheels) > 1 else f"steering_{j}"), j
 
 
-def _branch(n: Numbers, tree: Tree, base: str, k: int = 0, parent: int = WORLD) -> int:
+def _branch(n: Parameters, tree: Tree, base: str, k: int = 0, parent: int = WORLD) -> int:
     """A body, its wheels, and then the trailers behind it: depth first, as MuJoCo counts."""
     out = _body(n, tree, base, k, parent)
     for j, steering in enumerate(n.robot.steerings if k == 0 else ()):
@@ -122,7 +122,7 @@ def _branch(n: Numbers, tree: Tree, base: str, k: int = 0, parent: int = WORLD) 
     return out
 
 
-def _own_height(n: Numbers, k: int) -> Lane:
+def _own_height(n: Parameters, k: int) -> Lane:
     """The height of a body's own centre of mass: that of the body with its wheels is given."""
     own, whole = n.lane(n.robot.bodies[k].mass), n.bodies[k]
     if is_zero(own):
@@ -135,7 +135,7 @@ def _own_height(n: Numbers, k: int) -> Lane:
     return mul(sub(mul(whole.mass, whole.height), of_wheels), inverse(own))
 
 
-def _body(n: Numbers, tree: Tree, base: str, k: int, parent: int) -> int:
+def _body(n: Parameters, tree: Tree, base: str, k: int, parent: int) -> int:
     """The chassis, or a trailer."""
     body, numbers = n.robot.bodies[k], n.bodies[k]
     at: Sequence[Lane] = (0.0, 0.0, 0.0)
@@ -156,7 +156,7 @@ def _body(n: Numbers, tree: Tree, base: str, k: int, parent: int) -> int:
     return out
 
 
-def _wheel(n: Numbers, tree: Tree, body: int, i: int) -> None:
+def _wheel(n: Parameters, tree: Tree, body: int, i: int) -> None:
     """A wheel, with the knuckle or fork that turns it."""
     given, wheel = n.robot.wheels[i], n.wheels[i]
     mass, yaw, spin = n.lane(given.mass), wheel.yaw_inertia, wheel.inertia
@@ -195,7 +195,7 @@ def _least(a: Lane, b: Lane) -> Lane:
     return min(a, b) if is_literal(a) and is_literal(b) else jnp.minimum(a, b)
 
 
-def _geared(n: Numbers, i: int) -> Lane:
+def _geared(n: Parameters, i: int) -> Lane:
     """The inertia, at a wheel, of a motor that drives no other."""
     out: Lane = 0.0
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
@@ -204,13 +204,13 @@ def _geared(n: Numbers, i: int) -> Lane:
     return out
 
 
-def _rotor(n: Numbers, j: int) -> Lane:
+def _rotor(n: Parameters, j: int) -> Lane:
     """The inertia of a motor that drives several wheels."""
     drive = n.robot.drives[j]
     return n.motors[j].inertia if len(drive.wheels) > 1 else 0.0
 
 
-def _motors(n: Numbers) -> list[str]:
+def _motors(n: Parameters) -> list[str]:
     """The axles of the wheels that set the shafts that drives are on."""
     shafts = {n.wheels[i].shaft for drive in n.robot.drives for i in drive.wheels}
     return [wheel_joint(n.layout.setters[s]) for s in sorted(shafts)]
@@ -224,7 +224,7 @@ def _needs_inertia(what: str, x: Lane) -> None:
         )
 
 
-def _rows(n: Numbers, base: str, steering_rates: Sequence[Lane]) -> list[Constraint]:
+def _rows(n: Parameters, base: str, steering_rates: Sequence[Lane]) -> list[Constraint]:
     """What holds the wheels: contacts first, one a wheel."""
     origin: Any = np.zeros(3)
     straight: Any = np.array(STRAIGHT)
@@ -258,7 +258,7 @@ def _rows(n: Numbers, base: str, steering_rates: Sequence[Lane]) -> list[Constra
     return out
 
 
-def contact_ways(n: Numbers, i: int) -> tuple[str, ...]:
+def contact_ways(n: Parameters, i: int) -> tuple[str, ...]:
     """The ways in which a wheel may not slide, as `WheelContact` has them."""
     wheel = n.wheels[i]
     sets = n.layout.setters[wheel.shaft] == i

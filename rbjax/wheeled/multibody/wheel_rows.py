@@ -29,9 +29,9 @@ from rbjax.forces.place import check_places
 from rbjax.lanes import Lane, Vec3, add, mul, neg
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import check_number, floats
-from rbjax.wheeled.kinematics.context import Context as RobotContext
-from rbjax.wheeled.kinematics.numbers import Numbers, numbers_of
-from rbjax.wheeled.kinematics.planar import Moving, cross, direction, rate_of, value_of
+from rbjax.wheeled.kinematics.context import RobotContext
+from rbjax.wheeled.kinematics.parameters import Parameters, parameters_of
+from rbjax.wheeled.kinematics.planar import Dual, cross, direction, rate_of, value_of
 from rbjax.wheeled.robot.robot import Robot
 
 WAYS = ("ahead", "left", "roller")
@@ -136,19 +136,19 @@ class Linkage(Constraint):
 
     def rows(self, now: Context) -> Sequence[Row]:
         b = coordinate(now, self.column)
-        n = numbers_of(self.robot, now.q.dtype)
+        n = parameters_of(self.robot, now.q.dtype)
         first, second, angle = linked(n, self.steering, self.wheel, b.value)
         bent = add(mul(first, b.acceleration), mul(second, mul(b.rate, b.rate)))
         wanted = Row(angle, mul(first, b.rate), b.gradient * first, bent)
         return [coordinate(now, self.joint) - wanted]
 
 
-def linked(n: Numbers, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, Lane]:
+def linked(n: Parameters, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, Lane]:
     """The first two derivatives by b, and the value, of a wheel's angle against its direction at
     zero steering."""
     layout = n.layout
     q: list[Any] = [0.0] * layout.nq
-    q[layout.steerings.start + steering] = Moving(Moving(b, 1.0), Moving(1.0, 0.0))
+    q[layout.steerings.start + steering] = Dual(Dual(b, 1.0), Dual(1.0, 0.0))
     e = RobotContext(n, q, [], [], []).shape.wheels[wheel]
     now = tuple(value_of(value_of(x)) for x in e)
     once = tuple(rate_of(value_of(x)) for x in e)

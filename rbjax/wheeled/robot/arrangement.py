@@ -21,12 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.rank_tolerances import rank_tolerance
 
 if TYPE_CHECKING:
     from rbjax.wheeled.robot.robot import Robot, Wheel
-
-#: relative singular values below this are zero, or below so many roundings of the robot's numbers
-RANK, ROUNDINGS = 1e-9, 16
 
 
 @dataclass(frozen=True)
@@ -152,7 +150,7 @@ def _rank(robot: Robot, sources: list[Leader], angles: np.ndarray) -> int:
 def _zero(robot: Robot) -> float:
     """What is zero beside 1: a heading of pi is off by 1e-7 in f32."""
     dtype = jnp.result_type(float, robot.wheels[0].heading.dtype)
-    return max(RANK, ROUNDINGS * float(jnp.finfo(dtype).eps))
+    return rank_tolerance("wheels", dtype)
 
 
 def _trailing(robot: Robot, k: int) -> int:

@@ -178,7 +178,7 @@ def test_one_door_for_names_solvers_and_tableaus() -> None:
     # tolerances of one's own stay, those of a controller are not waited for
     own = diffrax.Kvaerno3(root_finder=diffrax.VeryChord(rtol=1e-3, atol=1e-3))
     assert stepping(own) is own
-    assert isinstance(stepping(diffrax.Kvaerno3()).root_finder, rb.solvers.Settled)
+    assert isinstance(stepping(diffrax.Kvaerno3()).root_finder, rb.solvers.RootFinder)
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """Direct collocation by a primal-dual interior point: Gauss-Legendre, Radau, Hermite and Simpson.
 
-States, controls and stages of all steps are unknowns (`transcription`). Each iteration is one step
+States, controls and stages of all steps are unknowns (`condensing`). Each iteration is one step
 of sequential quadratic programming: the Lagrangian to second order with its stages eliminated
 (`condensing`), bounds and constraints by a barrier (`barrier`), a Riccati recursion
 (`backward_pass`) in time linear in the horizon, and a line search by a filter (`filter_search`).
@@ -28,6 +28,12 @@ from rbjax.control.optimal.collocation.condensing import (
     Condensed,
     End,
     Weights,
+    at_end,
+    chords,
+    combined,
+    constants,
+    stage_states,
+    stages,
 )
 from rbjax.control.optimal.collocation.transcribed import (
     Measured,
@@ -36,23 +42,14 @@ from rbjax.control.optimal.collocation.transcribed import (
     Transcribed,
     constraint_values,
 )
-from rbjax.control.optimal.collocation.transcription import (
-    at_end,
-    chords,
-    combined,
-    constants,
-    stage_states,
-    stages,
-)
-from rbjax.control.optimal.constraint_rows import constraint_violations, limits
-from rbjax.control.optimal.options import Options
-from rbjax.control.optimal.problem import BODY, Knot, Problem
+from rbjax.control.optimal.objective import constraint_violations, row_bounds
+from rbjax.control.optimal.problem import BODY, Knot, Problem, take
 from rbjax.control.optimal.shooting import filter_search
 from rbjax.control.optimal.shooting.filter_search import Filter, Pair
-from rbjax.control.optimal.shooting.search_state import MAX_STALLED, count_stalled
-from rbjax.control.optimal.solution import SearchResult, StageValues
+from rbjax.control.optimal.shooting.search import MAX_STALLED, count_stalled
+from rbjax.control.optimal.solution import Options, SearchResult, StageValues
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
-from rbjax.solvers.common.tableau import Tableau
+from rbjax.solvers.tableau import Tableau
 
 FIRST_MU = 0.1
 LEAST_REG, MOST_REG, HARDER, EASIER = 1e-4, 1e10, 8.0, 3.0
@@ -87,7 +84,7 @@ class Iterate(NamedTuple):
     stalled: jax.Array
 
 
-def by_collocation(
+def solve_collocation(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     table: Tableau,
 ) -> SearchResult:  # fmt: skip
@@ -107,13 +104,13 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
     inner = chords(problem, t.table, knots, ctrls)
     us = t.us(Point(knots, inner, inner.us, inner.us))  # whose slacks are not read
     inner = inner._replace(us=barrier.push_inside(us.v, us.low, us.high))
-    body = jax.tree.map(lambda x: x[BODY], knots)
+    body = take(knots, BODY)
     ks = jnp.arange(N, dtype=dtype)
     rows = jax.vmap(functools.partial(stages, problem, t.table))(ks, body, inner).rows
-    _, end = at_end(problem, jax.tree.map(lambda x: x[-1], knots))
+    _, end = at_end(problem, take(knots, -1))
     slacks = []
     for where, values in (("path", rows), ("end", end)):
-        low, high = limits(problem, where, dtype)
+        low, high = row_bounds(problem, where, dtype)
         slacks.append(jnp.where(low == high, low, barrier.push_inside(values, low, high)))
     point = Point(knots, inner, *slacks)
     bounds = sum(barrier.bound_count(x) for x in t.bounded(point)) + rows.size + end.size
@@ -251,7 +248,7 @@ def found(t: Transcribed, last: Iterate) -> SearchResult:
     """The public form of the last iterate."""
     point, l = last.point, last.multipliers
     _, b, c = constants(t.table, point.inner.us.dtype)
-    body = jax.tree.map(lambda x: x[BODY], point.knots)
+    body = take(point.knots, BODY)
     states = jax.vmap(functools.partial(stage_states, t.problem, t.table))(body, point.inner)
     ctrls = jax.vmap(functools.partial(combined, b))(point.inner.us)
     path, end = (x.multipliers for x in t.rows(point, l))

@@ -22,7 +22,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.control.optimal.constraint_rows import limits
 from rbjax.control.optimal.derivatives.optimality import (
     Functions,
     KKTSystem,
@@ -30,8 +29,8 @@ from rbjax.control.optimal.derivatives.optimality import (
     PrimalDualPoint,
     solution,
 )
-from rbjax.control.optimal.objective import residuals
-from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.objective import cost_terms, residuals, row_bounds
+from rbjax.control.optimal.problem import Knot, Problem, take
 from rbjax.control.optimal.solution import SearchResult
 from rbjax.control.status import CONVERGED
 
@@ -55,23 +54,23 @@ def differentiable(
     def path(arrays: Any, d: jax.Array, k: Any, knot: Knot, ctrl: jax.Array, following: Knot):
         p = whole(arrays)
         there, u = p.plus(knot, d[:n]), ctrl + d[n:]
-        r, rest_ = residuals(p, "path", k, there, u)
-        c = p.rows(k, there, u, "path")
+        r, rest_ = residuals(cost_terms(p, "path"), k, there, u)
+        c = p.rows("path", k, there, u)
         gap = p.minus(p.step(k, there, u), following)
-        return KnotValues(r, rest_, gap, c, *limits(p, "path", c.dtype))
+        return KnotValues(r, rest_, gap, c, *row_bounds(p, "path", c.dtype))
 
     def end(arrays: Any, d: jax.Array, knot: Knot):
         p = whole(arrays)
         there, u = p.plus(knot, d), jnp.zeros(m, d.dtype)
-        r, rest_ = residuals(p, "end", N, there, u)
-        c = p.rows(N, there, u, "end")
-        return KnotValues(r, rest_, jnp.zeros(0, d.dtype), c, *limits(p, "end", c.dtype))
+        r, rest_ = residuals(cost_terms(p, "end"), N, there, u)
+        c = p.rows("end", N, there, u)
+        return KnotValues(r, rest_, jnp.zeros(0, d.dtype), c, *row_bounds(p, "end", c.dtype))
 
     given = (arrays, start, knots, ctrls, options)
     functions = Functions(_without_operands(run), _without_operands(path), _without_operands(end))
     found: tuple = ()
     if any(map(_may_close_over_tracers, jax.tree.leaves(rest))):
-        one = jax.tree.map(lambda x: x[0], knots)
+        one = take(knots, 0)
         d, number = jnp.zeros(n + m, ctrls.dtype), jnp.zeros((), ctrls.dtype)
         functions, found = _hoist_closures(
             Functions(run, path, end),

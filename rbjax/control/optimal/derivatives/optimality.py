@@ -32,7 +32,7 @@ from rbjax.control.optimal.derivatives.riccati_solve import (
     solve,
     transpose_product,
 )
-from rbjax.control.optimal.problem import Knot
+from rbjax.control.optimal.problem import BODY, NEXT, Knot, take
 from rbjax.control.products import product
 
 BOUND_ROUNDING = 64.0  # units in the last place between a control and a bound that holds it
@@ -117,9 +117,9 @@ class KKTSystem:
     def knots(self, point: PrimalDualPoint) -> tuple:
         """What `path` takes of all knots, and the last knot."""
         ks = jnp.arange(self.problem.horizon, dtype=point.ctrls.dtype)
-        body = jax.tree.map(lambda x: x[:-1], point.knots)
-        following = jax.tree.map(lambda x: x[1:], point.knots)
-        return (ks, body, point.ctrls, following), jax.tree.map(lambda x: x[-1], point.knots)
+        body = take(point.knots, BODY)
+        following = take(point.knots, NEXT)
+        return (ks, body, point.ctrls, following), take(point.knots, -1)
 
     # the equations
 
@@ -238,7 +238,7 @@ class KKTSystem:
     def first_row(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
         """The residual of the fixed coordinates of the first knot."""
         system = self.whole(parameters[1]).system
-        first = jax.tree.map(lambda x: x[0], kkt.point.knots)
+        first = take(kkt.point.knots, 0)
         low, high = self._first_bounds(parameters)
         held = jnp.where(kkt.first_low, low, jnp.where(kkt.first_high, high, first.parameters))
         off = [system.minus(parameters[2], first.state), held - first.parameters]

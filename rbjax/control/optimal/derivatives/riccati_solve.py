@@ -19,10 +19,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.linear.riccati import propagate_hessian
+from rbjax.control.linear.riccati import propagate_hessian, roll_linear
 from rbjax.control.products import product
 
 TURNS = 4  # of refinement
+
 
 def transpose_product(A: jax.Array, B: jax.Array) -> jax.Array:
     """A' B."""
@@ -164,16 +165,9 @@ def _solve_penalised(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
     x0 = x0 - (1 - e.fixed) * product(f.first, (1 - e.fixed) * slope)
     l0 = e.fixed * (product(f.V[0], x0) + v) + (1 - e.fixed) * r.l[0]
 
-    def forth(x: jax.Array, knot: tuple) -> tuple:
-        A, B, K, k, gap, V, v = knot
-        u = k + product(K, x)
-        after = product(A, x) + product(B, u) - gap
-        return after, (x, u, product(V, after) + v)
-
-    played: tuple = jax.lax.scan(forth, x0, (e.A, e.B, f.K, k, r.l[1:], f.V[1:], vs))
-    x_N, (x, u, l) = played
+    x, u = roll_linear(e.A, e.B, -r.l[1:], f.K, k, x0)
     mul = jax.vmap(product)
-    path = rho * (mul(e.C, x) + mul(e.D, u)) - rows + (1 - e.path) * r.path
-    end = rho * product(e.E, x_N) - ends + (1 - e.end) * r.end
-    x, l = jnp.concatenate([x, x_N[None]]), jnp.concatenate([l0[None], l])
+    l = jnp.concatenate([l0[None], mul(f.V[1:], x[1:]) + vs])
+    path = rho * (mul(e.C, x[:-1]) + mul(e.D, u)) - rows + (1 - e.path) * r.path
+    end = rho * product(e.E, x[-1]) - ends + (1 - e.end) * r.end
     return Unknowns(x, u, l, path, end)

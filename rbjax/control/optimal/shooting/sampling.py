@@ -18,6 +18,7 @@ are sampled too.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -26,18 +27,18 @@ import numpy as np
 
 from rbjax.arguments import integer, real_number
 from rbjax.compiler import threads
-from rbjax.control.optimal.constraint_rows import (
+from rbjax.control.optimal.objective import (
     constraint_violations,
+    merit,
+    motion_cost,
+    roll_out,
     row_count,
     rows_along,
 )
-from rbjax.control.optimal.objective import motion_cost
-from rbjax.control.optimal.options import Options
-from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.ddp import by_ddp
-from rbjax.control.optimal.shooting.expansion import merit
-from rbjax.control.optimal.shooting.knots import largest_gap
-from rbjax.control.optimal.solution import SearchResult
+from rbjax.control.optimal.problem import Knot, Problem, take
+from rbjax.control.optimal.shooting.ddp import solve_ddp
+from rbjax.control.optimal.shooting.expansion import largest_gap
+from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
 
@@ -98,7 +99,7 @@ class Sampling:
         history: int,
     ) -> SearchResult:  # fmt: skip
         """`solve` by samples."""
-        return by_sampling(self, problem, start, knots, ctrls, options, history)
+        return solve_sampling(self, problem, start, knots, ctrls, options, history)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,11 +124,11 @@ class SampledStart:
     ) -> SearchResult:  # fmt: skip
         """`solve` by samples, then DDP."""
         few = options.replace(rule=options.rule._replace(iterations=jnp.asarray(self.rounds)))
-        found = by_sampling(self.sampling, problem, start, knots, ctrls, few, 1)
+        found = solve_sampling(self.sampling, problem, start, knots, ctrls, few, 1)
         good = jnp.isfinite(found.cost)
         pick = lambda new, old: jnp.where(good, new, old)  # noqa: E731
         knots, ctrls = jax.tree.map(pick, (found.knots, found.ctrls), (knots, ctrls))
-        return by_ddp(problem, start, knots, ctrls, options, history)
+        return solve_ddp(problem, start, knots, ctrls, options, history)
 
 
 class Draw(NamedTuple):
@@ -152,7 +153,7 @@ class Round(NamedTuple):
     status: jax.Array
 
 
-def by_sampling(
+def solve_sampling(
     how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
     history: int,
 ) -> SearchResult:  # fmt: skip
@@ -174,7 +175,7 @@ def by_sampling(
         costs = costs_of(drawn, start)
         least, order = jax.lax.top_k(-costs, elites)
         least = -least
-        good = jax.tree.map(lambda x: x[order], drawn)
+        good = take(drawn, order)
         mean, deviation = _moved(how, now, good, least, costs, drawn)
         better = least[0] < now.cost
         cost = jnp.where(better, least[0], now.cost)
@@ -193,13 +194,13 @@ def by_sampling(
         jnp.asarray(GOING),
     )  # fmt: skip
     last = jax.lax.while_loop(lambda now: now.status == GOING, turn, begin)
-    found, us = threads(lambda draw, start: motion(how, problem, start, draw))(last.best, start)
+    found, us = threads(functools.partial(motion, how, problem))(start, last.best)
     N, n, m = problem.horizon, problem.n, problem.nu
     rows = [row_count(problem, where) for where in ("path", "end")]
     off = constraint_violations(problem, *rows_along(problem, found, us)).max(initial=0.0)
     return SearchResult(
         found, us, motion_cost(problem, found, us), last.status, last.iterations, last.cost_spread,
-        largest_gap(problem, jax.tree.map(lambda x: x[0], found.state), found, us),
+        largest_gap(problem, take(found.state, 0), found, us),
         off, last.costs, jnp.zeros((N, m, n), dtype),
         jnp.zeros((N, rows[0]), dtype), jnp.zeros(rows[1], dtype),
     )  # fmt: skip
@@ -215,7 +216,7 @@ def _first(
     parameters = knots.parameters[0]
     low, high = (x.astype(dtype) for x in problem.start_bounds(dtype))
     free = jnp.asarray(problem.free, dtype)
-    there = problem.system.minus(jax.tree.map(lambda x: x[0], knots.state), start)
+    there = problem.system.minus(take(knots.state, 0), start)
     mean = Draw(ctrls[at], parameters, free * there)
     edges = [
         Draw(jnp.broadcast_to(x.astype(dtype), (count, problem.nu)), end[n:], end[:n])
@@ -251,7 +252,7 @@ def _moved(
     """The next mean and deviation. good and least (elites,): the best, in order."""
     colder = jax.tree.map(lambda s: s * how.cooling, now.deviation)
     if how.update == "predictive":
-        mean, deviation = jax.tree.map(lambda x: x[0], good), colder
+        mean, deviation = take(good, 0), colder
     elif how.update == "mppi":
         scale = how.temperature * (least[-1] - least[0])
         tiny = jnp.finfo(costs.dtype).tiny
@@ -299,7 +300,7 @@ def control_at(how: Sampling, points: jax.Array, k: jax.Array, horizon: int) -> 
     return curve
 
 
-def _opened(problem: Problem, start: Any, draw: Draw) -> Knot:
+def _first_knot(problem: Problem, start: Any, draw: Draw) -> Knot:
     state = problem.system.plus(start, draw.first) if any(problem.free) else start
     return Knot(state, draw.parameters)
 
@@ -317,23 +318,16 @@ def rolled(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array
     def step(carry: tuple, k: jax.Array) -> tuple[tuple, None]:
         knot, total = carry
         u = _ctrl(how, problem, draw, k)
-        total = total + merit(problem, k, knot, u, rows[0], mu, "path")
+        total = total + merit(problem, "path", k, knot, u, rows[0], mu)
         return (problem.step(k, knot, u), total), None
 
-    begin = (_opened(problem, start, draw), jnp.zeros((), dtype))
+    begin = (_first_knot(problem, start, draw), jnp.zeros((), dtype))
     (last, total), _ = jax.lax.scan(step, begin, jnp.arange(N, dtype=dtype))
     none = jnp.zeros(problem.nu, dtype)
-    return total + merit(problem, jnp.asarray(N, dtype), last, none, rows[1], mu, "end")
+    return total + merit(problem, "end", jnp.asarray(N, dtype), last, none, rows[1], mu)
 
 
 def motion(how: Sampling, problem: Problem, start: Any, draw: Draw) -> tuple[Knot, jax.Array]:
     """The knots (N + 1, ...) and controls (N, m) of a draw."""
-    dtype = draw.points.dtype
-
-    def step(knot: Knot, k: jax.Array) -> tuple[Knot, tuple[Knot, jax.Array]]:
-        u = _ctrl(how, problem, draw, k)
-        return problem.step(k, knot, u), (knot, u)
-
-    first = _opened(problem, start, draw)
-    last, (knots, us) = jax.lax.scan(step, first, jnp.arange(problem.horizon, dtype=dtype))
-    return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), knots, last), us
+    first = _first_knot(problem, start, draw)
+    return roll_out(problem, first, lambda k, *_: _ctrl(how, problem, draw, k), ())

@@ -33,16 +33,21 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import threads, with_multi_kernel
-from rbjax.control.optimal.constraint_rows import knot_violation
-from rbjax.control.optimal.options import Options
-from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
+from rbjax.control.linear.riccati import roll_linear
+from rbjax.control.optimal.objective import knot_violation, merit
+from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
 from rbjax.control.optimal.shooting.backward_pass import Feedback
-from rbjax.control.optimal.shooting.ddp import Iterate, StepPolicy, search
-from rbjax.control.optimal.shooting.expansion import Local, merit
+from rbjax.control.optimal.shooting.expansion import FEW, Expanded, Local, knot_indices, knots_at
 from rbjax.control.optimal.shooting.filter_search import ARMIJO, rounding
-from rbjax.control.optimal.shooting.knots import FEW, Expanded, knot_indices, knots_at
-from rbjax.control.optimal.shooting.search_state import LENGTHS, Decision, IterationValues
-from rbjax.control.optimal.solution import SearchResult
+from rbjax.control.optimal.shooting.search import (
+    LENGTHS,
+    Decision,
+    Iterate,
+    IterationValues,
+    StepPolicy,
+    search,
+)
+from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.products import product
 
 RHO = 3.0
@@ -67,29 +72,22 @@ class LinearTrials(NamedTuple):
     step: Step
 
 
-def by_sqp(
+def solve_sqp(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     exact: bool = False,
 ) -> SearchResult:  # fmt: skip
-    """`solve` by sequential quadratic programming. exact: as in `by_ddp`."""
+    """`solve` by sequential quadratic programming. exact: as in `solve_ddp`."""
     return search(LINEAR_STEPS, problem, start, knots, ctrls, options, history, exact)
 
 
 def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
     """The step of the linear model. The gains keep a control at a bound within it."""
 
-    def forth(dx: jax.Array, x: tuple) -> tuple:
-        A, B, gap, K, k = x
-        du = k + product(K, dx)
-        return product(A, dx) + product(B, du) + gap, (dx, du)
-
-    given = (path.A, path.B, gaps[1:], gains.K, gains.k)
-    found: Any = jax.lax.scan(forth, gains.first, given)
-    last, (dx, du) = found
+    dx, du = roll_linear(path.A, path.B, gaps[1:], gains.K, gains.k, gains.first)
     V, first = gains.V[0], gaps[0]
     l = gains.v[0] + product(V, gains.first - first)
     opening = jnp.stack([(l * first).sum(), RHO * (first * product(V, first)).sum()])
-    return Step(jnp.concatenate([dx, last[None]]), du, opening)
+    return Step(dx, du, opening)
 
 
 def _trials(
@@ -108,15 +106,15 @@ def _trials(
         there, u = problem.plus(knot, a * dx), problem.within_bounds(ctrl + a * du)
         after = problem.plus(following, a * ahead)
         c, q, r = cost
-        change = merit(problem, k, there, u, y, mu, "path") - c
-        off = knot_violation(problem, k, there, u, "path")
+        change = merit(problem, "path", k, there, u, y, mu) - c
+        off = knot_violation(problem, "path", k, there, u)
         slope = (q * dx).sum() + (r * du).sum()
 
         def closing() -> tuple:
             none = jnp.zeros(problem.nu, dtype)
             c, q = end
-            more = merit(problem, k + 1, after, none, y_end, mu, "end") - c
-            return more, (q * ahead).sum(), knot_violation(problem, k + 1, after, none, "end")
+            more = merit(problem, "end", k + 1, after, none, y_end, mu) - c
+            return more, (q * ahead).sum(), knot_violation(problem, "end", k + 1, after, none)
 
         def nothing() -> tuple:
             zero = jnp.zeros((), dtype)
@@ -142,7 +140,7 @@ def _trials(
         return threads(read)(k, ctrl, y, du, *rest)
 
     each = jax.vmap(with_multi_kernel(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
-    body, following = (jax.tree.map(lambda x, at=at: x[at], now.knots) for at in (BODY, NEXT))
+    body, following = take(now.knots, BODY), take(now.knots, NEXT)
     path, l = found.path.cost, now.multipliers
     sums, offs = jax.vmap(each, (None,) * 15 + (0,))(
         knot_indices(N, dtype), body, now.ctrls, l.path, step.dx[:-1], step.du,
@@ -168,9 +166,7 @@ def _take_linear_step(
     return knots, problem.within_bounds(ctrls)
 
 
-def _decreases_merit(
-    values: IterationValues, lengths: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _decreases_merit(values: IterationValues, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The longest trial of the least phi, but for rounding, by Armijo's rule."""
     change, slope, opening = values.more
     pull, square = opening[0], opening[1]

@@ -1,1 +1,0 @@
-"""Analysis of a constrained robot: mobility, assembly, reaction forces."""

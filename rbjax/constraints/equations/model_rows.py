@@ -1,0 +1,130 @@
+"""The rows of a model: their gradients and residuals, and the action of multipliers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.constraints.rows.row import Row
+from rbjax.dynamics.algorithms.link_forces import LinkForces, added
+from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.errors import InputError
+from rbjax.forces.context import Context
+from rbjax.forces.element import Loads
+from rbjax.lanes import Lane, add, fusion_barrier, is_zero
+from rbjax.lanes.arrays import pack
+from rbjax.model import Model, State
+from rbjax.spatial import Force
+
+
+def rows_of(model: Model, now: Context) -> list[Row]:
+    """All rows of the model's constraints, one constraint after the other."""
+    out: list[Row] = []
+    for constraint in model.constraints:
+        rows = list(constraint.rows(now))
+        if len(rows) != constraint.size:
+            raise InputError(
+                f"{type(constraint).__name__}.rows returned {len(rows)} rows, expected its size, "
+                f"{constraint.size}"
+            )
+        for row in rows:
+            if not isinstance(row, Row):
+                raise InputError(
+                    f"{type(constraint).__name__}.rows returned a {type(row).__name__} among its "
+                    "rows, expected a Row: rbjax.constraints.coordinate and others make them"
+                )
+        out += [_computed(row, now) for row in rows]
+    return out
+
+
+def _computed(row: Row, now: Context) -> Row:
+    """The row, its lanes computed once."""
+    known = (now.q, now.v, now.a, now.t)
+    parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
+    value, rate, acceleration, tau, wrenches = fusion_barrier(parts, known=known)
+    return Row(value, rate, Loads(tau, wrenches, row.gradient.internal), acceleration)
+
+
+def by_link(loads: Loads) -> Mapping[int, Force]:
+    """The wrenches of a row's gradient."""
+    if isinstance(loads.wrenches, Force):
+        raise InputError("a row's gradient has wrenches on all links, expected those on a few")
+    return loads.wrenches
+
+
+def arms(now: Context, row: Row) -> dict[int, Lane]:
+    """The gradient of a row by velocity coordinate."""
+    out = dict(row.gradient.tau)
+    for link, force in by_link(row.gradient).items():
+        for i, x in now.link(link).arms(force).items():
+            out[i] = add(out.get(i, 0.0), x)
+    return out
+
+
+def gradient_matrix(now: Context, rows: Sequence[Row]) -> jax.Array:
+    """G (m, nv)."""
+    out = jnp.zeros((len(rows), now.model.nv), now.q.dtype)
+    for r, row in enumerate(rows):
+        found = {i: x for i, x in arms(now, row).items() if not is_zero(x)}
+        if found:
+            out = out.at[r, np.array(list(found))].set(pack(list(found.values()), now.v))
+    return out
+
+
+def with_multipliers(
+    d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, f_ext: LinkForces
+) -> tuple[jax.Array, LinkForces]:
+    """tau + G^T l, in two parts: generalized forces (nv,) and forces on links."""
+    held = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
+    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(f_ext, held.wrenches)
+
+
+class Residual(NamedTuple):
+    """Rows (m,): values g, zero for non-holonomic rows, and rates G v + g_t."""
+
+    value: jax.Array
+    rate: jax.Array
+
+
+@algorithm("state", "t")
+def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
+    """The residuals of the constraints at a state: g(t, q) and g' = G v + g_t.
+
+    Args:
+        model: the robot, with constraints.
+        state: `State(q (nq,), v (nv,))`.
+        t: time in seconds, for rows that depend on it.
+
+    Returns:
+        `Residual(value (m,), rate (m,))`. A value is in m, or without unit for angles. A rate is
+        that per second.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> loop = rb.constraints.Inline.between(model, None, "lower", point=[0.0, 0, -2.0])
+        >>> model = model.with_constraints(loop)
+        >>> rb.constraints.residual(model, model.default_state()).value.shape
+        (2,)
+    """
+    rows = rows_of(model, Context.of(model, t, state, None))
+    values, rates = [row.residual for row in rows], [row.rate for row in rows]
+    return Residual(pack(values, state.v), pack(rates, state.v))
+
+
+@algorithm("q", "t")
+def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
+    """G (m, nv): g' = G v + g_t, row by row.
+
+    Args:
+        model: the robot, with constraints.
+        q: (nq,) configuration.
+        t: time in seconds, for rows that depend on it.
+    """
+    now = Context.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)
+    return gradient_matrix(now, rows_of(model, now))

@@ -1,0 +1,167 @@
+"""Constrained motion: accelerations, multipliers, and the wrenches in joints.
+
+M a + b = tau + sum of J_i^T f_i + G^T l
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints.equations.constrained_motion import constrained_motion
+from rbjax.constraints.equations.model_rows import by_link
+from rbjax.constraints.methods.soft import Soft, compliant_motion, is_soft
+from rbjax.constraints.rows.pairs import Pair
+from rbjax.dynamics.algorithms.link_forces import on_links
+from rbjax.dynamics.drivers.choice import driver
+from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.errors import InputError
+from rbjax.forces.acting import applied
+from rbjax.forces.context import Context, Frame
+from rbjax.forces.element import Loads
+from rbjax.forces.inputs import Inputs
+from rbjax.lanes.arrays import pack
+from rbjax.model import Model, State
+from rbjax.spatial import Force, Transform
+
+
+class ConstrainedMotion(NamedTuple):
+    """Accelerations (nv,) and multipliers (m,)."""
+
+    acceleration: jax.Array
+    multipliers: jax.Array
+
+
+@algorithm("q", "v", "tau", "wrenches", "t", long=True)
+def constrained_dynamics(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    tau: jax.Array,
+    wrenches: jax.Array | None = None,
+    t: Any = 0.0,
+) -> ConstrainedMotion:
+    """Accelerations of a robot with its constraints, and their multipliers:
+
+        M a + b = tau + sum_b J_b^T w_b + G^T l,      G a = -(G' v + ...)
+
+    Rows of `Soft` constraints obey MuJoCo's law, as in a rollout by default (`Compliant`); l are
+    then the forces on these rows. `rbjax.forward_dynamics` is the same without constraints.
+
+    Args:
+        model: the robot; its constraints are enforced, redundant ones too.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        tau: (nv,) all applied generalized forces; `applied_forces` gives those of the model.
+        wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
+        t: time in seconds, for rows that depend on it.
+
+    Returns:
+        `ConstrainedMotion(acceleration (nv,), multipliers (m,))`, the multipliers as defined by
+        the function `multipliers`.
+
+    Raises:
+        InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
+
+    Source: Masarati, *Multibody System Dynamics*, ch. 7; Carpentier, Budhiraja & Mansard 2021.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> rail = rb.constraints.Inplane.between(model, None, "lower", point=[0.0, 0, -2.0])
+        >>> model = model.with_constraints(rail)
+        >>> state = model.default_state()
+        >>> found = rb.constraints.constrained_dynamics(model, state.q, state.v, 0 * state.v)
+        >>> found.multipliers.shape
+        (1,)
+    """
+    if not model.nv:
+        return ConstrainedMotion(jnp.zeros(0, q.dtype), jnp.zeros(0, q.dtype))
+    f_ext: Any = None
+    if wrenches is not None:
+        d = driver(model, q.dtype)
+        f_ext = on_links(d, d.joints(q, None), wrenches)
+    return ConstrainedMotion(*_motion(model, t, State(q, v), tau, f_ext))
+
+
+@algorithm("state", "ctrl", "t")
+def multipliers(
+    model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
+) -> jax.Array:
+    """l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...): the constraint forces. Rows of `Soft`
+    constraints have the forces by MuJoCo's law, as in a rollout by default.
+
+    If rows are redundant, l are the multipliers of least norm, each weighted by the square root of
+    its diag(G M^-1 G^T). A multiplier is in newtons if its row is in metres, and in newton metres
+    if its row is an angle or a cosine.
+
+    Args:
+        model: the robot, with constraints.
+        state: `State(q (nq,), v (nv,))`, with x (nx,) where force elements have states.
+        ctrl: (nu,) controls; None for no actuation.
+        t: time in seconds.
+
+    Source: Masarati, *Multibody System Dynamics*, ch. 7.
+    """
+    return _solved(model, state, ctrl, t)
+
+
+def _solved(model: Model, state: State, ctrl: Any, t: Any) -> jax.Array:
+    tau, f_ext, _ = applied(model, t, state, Inputs(ctrl))
+    return _motion(model, t, state, tau, f_ext)[1]
+
+
+def _motion(model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
+    """a and l by the default formulation of a rollout; all rigid formulations give the same a."""
+    solve = compliant_motion if is_soft(model) else constrained_motion
+    return solve(model, t, state, tau, f_ext)
+
+
+@algorithm("state", "ctrl", "t")
+def joint_wrenches(
+    model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
+) -> jax.Array:
+    """The wrench of each loop joint (`Pair`) of the model on its body b, or on the world: (joints,
+    6) [torque N m; force N], in world axes at the origin of its frame on b.
+
+    Args: as `multipliers`.
+    """
+    l = _solved(model, state, ctrl, t)
+    now = Context.of(model, t, state, None)
+    out, at = [], 0
+    for constraint in model.constraints:
+        joint = constraint.of if isinstance(constraint, Soft) else constraint
+        if not isinstance(joint, Pair):
+            raise InputError(
+                f"joint_wrenches: the model has a {type(joint).__name__}, expected joints "
+                "between two frames only; `multipliers` takes any constraint"
+            )
+        B = _End(now, joint.b.frame(now))
+        wrench = Force.zero()
+        for row in joint.between_frames(joint.a.frame(now), B, now):
+            wrench = wrench + by_link(row.gradient).get(END, Force.zero()) * l[at]
+            at += 1
+        out.append(pack([*(B.rotation @ wrench.ang), *(B.rotation @ wrench.lin)], state.v))
+    return jnp.stack(out) if out else jnp.zeros((0, 6), state.q.dtype)
+
+
+END = -2  # index of a recording frame, in place of a link's; WORLD is -1
+
+
+class _End(Frame):
+    """A frame that records wrenches in its own axes, at its origin, instead of on its link. So the
+    frame may be on the world, or on the same link as the other end of the joint."""
+
+    def __init__(self, now: Context, frame: Frame, *moved: Transform):
+        super().__init__(now.links, frame.link, *frame._placed, *moved)
+        self._now, self._frame, self._moved = now, frame, moved
+
+    def then(self, placed: Transform) -> Frame:
+        return _End(self._now, self._frame, *self._moved, placed)
+
+    def push_own(self, wrench: Force) -> Loads:
+        for X in reversed(self._moved):
+            wrench = X.T(wrench)
+        return Loads({}, {END: wrench})

@@ -1,0 +1,350 @@
+"""A*: nodes of least f first, many at once, on the way to a goal set or exactly to a pose.
+
+    OPEN <- {root};  f(node) = g(node) + weight * h(node)
+    while a node of OPEN has f less than the price of the best path:
+        for the nodes of least f: connect them with the target, if that is possible: a path. Then,
+            for each control: integrate it for dt; if the motion is free, and the cell of its end
+            has no node of no greater g, put its end into OPEN
+
+g is the price of the way to a node, as `Controls` counts it. h is the greater of two lower bounds
+of the price to the target: that of the connection without obstacles (`connections`), and that of
+the way of a point around obstacles (`holonomic`). So the price found is at most `weight` times the
+least one among the paths of nodes that are kept. A cell keeps one node at a time. A cheaper node
+takes its place, and is expanded again, so nodes can be expanded in any order, many at once.
+
+Connections are computed for nodes of least f only. If the bound of a connection exceeds the other
+one, the node returns to OPEN with its new f.
+
+Hybrid A* connects by a motion that ends exactly at the target, for a car Reeds and Shepp's curve.
+It needs room, so the root of the search is the end with less clearance. From the goal, controls
+are driven backwards in time.
+
+Source: Hart, Nilsson & Raphael, IEEE Trans. SSC 4 (1968) 100; Pohl, Artificial Intelligence 1
+(1970) 193, for the weight; Dolgov, Thrun, Montemerlo & Diebel, *Path planning for autonomous
+vehicles in unknown semi-structured environments*, Int. J. Robotics Research 29 (2010) 485.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.arguments import real_number
+from rbjax.errors import InputError
+from rbjax.planning.maps.footprint import Footprint, clearance
+from rbjax.planning.maps.occupancy import DistanceField, OccupancyGrid
+from rbjax.planning.paths.path import Path, Plan, chain
+from rbjax.planning.search.connections import DirectMotion, GoalSet
+from rbjax.planning.search.controls import Controls, MotionTable
+from rbjax.planning.search.holonomic import HolonomicDistance
+from rbjax.planning.search.wave_search import (
+    WaveSearch,
+    add_to,
+    check_poses,
+    check_problem,
+    collision,
+    join,
+    take,
+)
+
+#: the largest number of cells of a search: 4 GB of costs and indices
+MOST_CELLS = 500_000_000
+NEVER = np.iinfo(np.int32).max
+SMALLEST_WAVE = 64  # nodes expanded at once, at least, from one interval of f after the other
+TESTED = 32  # connections tested for obstacles in a wave, those of least price
+
+
+def hybrid_a_star(
+    grid: OccupancyGrid,
+    footprint: Footprint,
+    start: Any,
+    goal: Any,
+    controls: Controls,
+    headings: int = 72,
+    cell: float | None = None,
+    weight: float = 1.0,
+    max_count: int | None = None,
+    root: str | None = None,
+) -> Plan:
+    """A cheap path of controls and of one direct connection, from a pose exactly to another.
+
+    Args:
+        grid: the map; what is beyond it counts as occupied.
+        footprint: what the robot covers.
+        start, goal: poses (3,): x and y in m, the heading in rad.
+        controls: each turns by a multiple of 2 pi / headings, and leaves a cell in its dt. To the
+            left and to the right, the smallest turning radius is the same.
+        headings: the number of cells of a turn.
+        cell: the side of a cell in m; None for the map's resolution.
+        weight: at least 1. The price is at most `weight` times the least one; fewer cells are
+            expanded for a greater weight.
+        max_count: the largest number of nodes to expand; None for no limit. If it is exhausted,
+            the best path so far is the result, if there is one.
+        root: "start" or "goal", the end from which the search grows; None for the one with less
+            clearance.
+
+    Returns:
+        `Plan`. Its `path` ends at the goal, to rounding. A map without a path is a status, not an
+        error.
+
+    Raises:
+        InputError: wrong types or shapes, values that are not finite, controls whose turns are no
+            multiples of a heading's cell, that cannot turn, or whose radii differ.
+
+    Source: Dolgov, Thrun, Montemerlo & Diebel, Int. J. Robotics Research 29 (2010) 485.
+
+    Example:
+        >>> walls = np.zeros((40, 40), bool)
+        >>> walls[20, :25] = True
+        >>> grid = OccupancyGrid(walls, 0.1)
+        >>> car = Controls.car(radius=0.5, turn=np.deg2rad(20.0), reversal=2)
+        >>> plan = hybrid_a_star(grid, Footprint.disc(0.2), [1, 1, 0], [3, 1, 0], car, headings=36)
+        >>> plan.status, plan.poses[-1].tolist()
+        ('found', [3.0, 1.0, 0.0])
+    """
+    where = "hybrid_a_star"
+    check_problem(where, grid, footprint, controls, (0.0, 0.0), headings, max_count)
+    start, goal = check_poses(where, start, goal)
+    cell = float(grid.resolution) if cell is None else cell
+    real_number(where, "cell", cell, "a length above zero, or None", above=0.0)
+    real_number(where, "weight", weight, least=1.0)
+    _check_cells(where, grid, cell, headings)
+    if root not in (None, "start", "goal"):
+        raise InputError(f"{where}: root is {root!r}, expected 'start', 'goal' or None")
+    distances = grid.distance_field()
+    blocked = collision(distances, footprint, start, goal)
+    if blocked is not None:
+        return blocked
+    ends = np.stack([start, goal])
+    if root is None:
+        room = np.asarray(clearance(distances, ends, footprint))
+        root = "goal" if room[1] < room[0] else "start"
+    reverse = root == "goal"
+    if reverse:
+        ends, controls = ends[::-1], controls.in_reverse()
+    search = _AStar(
+        distances, footprint, controls, ends, headings, cell, weight, DirectMotion(where, controls)
+    )
+    plan, steps = search.run(max_count)
+    if not plan.found:
+        return plan
+    poses, chosen = plan.poses, plan.controls
+    if reverse:  # from the start, with exact ends
+        poses, chosen, steps = poses[::-1].copy(), chosen[::-1].copy(), -steps[::-1]
+        poses[:, 2] += start[2] - poses[0, 2]
+    poses[0] = start
+    poses[-1] = *goal[:2], goal[2] + 2 * math.pi * round((poses[-1, 2] - goal[2]) / (2 * math.pi))
+    path = Path(jnp.asarray(start), jnp.asarray(steps))
+    return replace(plan, poses=poses, controls=chosen, path=path)
+
+
+def grid_a_star(
+    grid: OccupancyGrid,
+    footprint: Footprint,
+    start: Any,
+    goal: Any,
+    controls: Controls,
+    tolerance: tuple[float, float] = (0.1, 0.1),
+    headings: int = 72,
+    max_count: int | None = None,
+    weight: float = 1.0,
+) -> Plan:
+    """`grid_dijkstra` for one goal, with fewer cells.
+
+    On a lattice, where all nodes of a cell coincide, the cost is the same. Elsewhere another node
+    may represent a cell, and the cost may be a little more or less.
+
+    Args:
+        weight: at least 1. The cost is at most `weight` times the least one; fewer cells are
+            expanded for a greater weight.
+        others: as for `grid_dijkstra`.
+
+    Returns:
+        `Plan`; `expanded` counts a cell as often as it is expanded.
+
+    Raises:
+        InputError: as `grid_dijkstra`; controls that cannot drive, a weight below 1.
+
+    Source: Hart, Nilsson & Raphael, IEEE Trans. SSC 4 (1968) 100.
+
+    Example:
+        >>> walls = np.zeros((40, 40), bool)
+        >>> walls[20, :25] = True
+        >>> grid = OccupancyGrid(walls, 0.1)
+        >>> car = Controls.car(radius=0.5, turn=np.deg2rad(20.0), reversal=2)
+        >>> plan = grid_a_star(grid, Footprint.disc(0.2), [1, 1, 0], [3, 1, 0], car, headings=36)
+        >>> plan.status, plan.poses.shape == (len(plan.controls) + 1, 3)
+        ('found', True)
+    """
+    where = "grid_a_star"
+    check_problem(where, grid, footprint, controls, tolerance, headings, max_count)
+    start, goal = check_poses(where, start, goal)
+    real_number(where, "weight", weight, least=1.0)
+    side = float(grid.resolution)
+    _check_cells(where, grid, side, headings)
+    distances = grid.distance_field()
+    blocked = collision(distances, footprint, start, goal)
+    if blocked is not None:
+        return blocked
+    ending = GoalSet(where, controls, tolerance)
+    ends = np.stack([start, goal])
+    search = _AStar(distances, footprint, controls, ends, headings, side, weight, ending)
+    plan, _ = search.run(max_count)
+    if not plan.found:
+        return plan
+    assert plan.cost is not None
+    return replace(plan, cost=int(plan.cost), path=controls.path(start, plan.controls))
+
+
+def _check_cells(where: str, grid: OccupancyGrid, cell: float, headings: int) -> None:
+    """`InputError` for more cells than a search has memory for."""
+    cells = np.prod(np.ceil(np.array(grid.occupied.shape) * float(grid.resolution) / cell))
+    if cells * headings > MOST_CELLS:
+        raise InputError(
+            f"{where}: cell is {cell}, which makes {cells * headings:.1e} cells with their "
+            f"headings, expected at most {MOST_CELLS:.0e}; take a larger cell, or None"
+        )
+
+
+class _Nodes(NamedTuple):
+    """Fields: x, y; cell; parent; control; g; known, whether f has the bound of the connection
+    already."""
+
+    x: np.ndarray
+    y: np.ndarray
+    cell: np.ndarray
+    parent: np.ndarray
+    control: np.ndarray
+    g: np.ndarray
+    known: np.ndarray
+
+
+class _AStar(WaveSearch):
+    """The search with OPEN by intervals of f."""
+
+    def __init__(
+        self, distances: DistanceField, footprint: Footprint, controls: Controls, ends: np.ndarray,
+        headings: int, side: float, weight: float, ending: DirectMotion | GoalSet,
+    ):  # fmt: skip
+        """ends (2, 3): the root and the target."""
+        spacing = float(distances.resolution) / 2
+        table = MotionTable.of(controls, footprint, ends[0, 2], headings, spacing)
+        super().__init__(distances, controls, table, ends[0], side, np.int32(NEVER))
+        self.footprint, self.target, self.ending, self.weight = footprint, ends[1], ending, weight
+        self.holonomic = HolonomicDistance(distances, footprint, self.target)
+        self.width = float(controls.costs.min())  # of an interval of f
+        self.price = math.inf  # of the best path
+        self.end: tuple[_Nodes, np.ndarray] | None = None  # its last node, and its connection
+        self.untested: list[tuple[_Nodes, np.ndarray, np.ndarray]] = []
+
+    def run(self, max_count: int | None) -> tuple[Plan, np.ndarray]:
+        """A plan from the root to the target, and its steps."""
+        limit = 2**63 - 1 if max_count is None else max_count
+        zero = np.zeros(1, np.intp)
+        x, y = self.root[:1], self.root[1:2]
+        cell, _ = self.cells(x, y, zero)
+        self.best[cell] = 0
+        far = self.around(x, y)
+        if not np.isfinite(far).all():
+            return Plan("no path"), np.zeros((0, 3))
+        self.put(_Nodes(x, y, cell, zero - 1, zero - 1, zero, np.zeros(1, bool)), self.weight * far)
+        exhausted = False
+        while self.open and not exhausted:
+            if min(self.open) * self.width >= self.price:
+                break
+            nodes = self.connected(*self.cheapest())
+            exhausted = self.count + len(nodes.x) > limit
+            self.expand(take(nodes, slice(limit - self.count)))
+        for nodes, steps, price in self.untested:
+            self.test(nodes, steps, price, len(price))
+        if self.end is None:
+            status = "count exhausted" if exhausted else "no path"
+            return Plan(status, expanded=self.count), np.zeros((0, 3))
+        return self.plan(*self.end)
+
+    def around(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """The lower bound of the price by the way around obstacles."""
+        return self.ending.rate * np.maximum(self.holonomic(x, y) - self.ending.near, 0.0)
+
+    def put(self, nodes: _Nodes, f: np.ndarray) -> None:
+        """Put nodes into OPEN."""
+        add_to(self.open, (f / self.width).astype(int), nodes)
+
+    def cheapest(self) -> tuple[_Nodes, int]:
+        """The nodes of least f that represent their cells, and the last of their intervals."""
+        some: list[_Nodes] = []
+        number = 0
+        for interval in sorted(self.open):
+            if number >= SMALLEST_WAVE or interval * self.width >= self.price:
+                break
+            nodes = join(self.open.pop(interval))
+            some.append(take(nodes, self.best[nodes.cell] == nodes.g))
+            number += len(some[-1].x)
+            last = interval
+        return join(some), last
+
+    def poses(self, nodes: _Nodes) -> np.ndarray:
+        """Poses (n, 3) of nodes."""
+        return np.column_stack([nodes.x, nodes.y, self.table.headings[nodes.cell % self.shape[2]]])
+
+    def connected(self, nodes: _Nodes, interval: int) -> _Nodes:
+        """Connect nodes with the target. Those whose f moves beyond the interval return to OPEN."""
+        new = np.flatnonzero(~nodes.known)
+        if not len(new):
+            return nodes
+        some = take(nodes, new)
+        bound, steps, price = self.ending(self.poses(some), self.target, some.control)
+        self.test(some, steps, some.g + price, TESTED)
+        f = np.full(len(nodes.x), -math.inf)
+        f[new] = some.g + self.weight * bound
+        nodes.known[new] = True
+        later = (f / self.width) >= interval + 1
+        self.put(take(nodes, later), f[later])
+        return take(nodes, ~later)
+
+    def test(self, nodes: _Nodes, steps: np.ndarray, price: np.ndarray, most: int) -> None:
+        """Test the cheapest connections for obstacles. Keep the others until OPEN is empty."""
+        wanted = np.flatnonzero(price < self.price)
+        wanted = wanted[np.argsort(price[wanted], kind="stable")]
+        if len(wanted) > most:
+            late = wanted[most:]
+            self.untested.append((take(nodes, late), steps[late], price[late]))
+        wanted = wanted[:most]
+        if not len(wanted):
+            return
+        free = self.map.free_chains(self.poses(take(nodes, wanted)), steps[wanted], self.footprint)
+        if free.any():
+            at = wanted[np.argmax(free)]
+            self.price, self.end = float(price[at]), (take(nodes, slice(at, at + 1)), steps[at])
+
+    def expand(self, wave: _Nodes) -> None:
+        """Visit the nodes of a wave, and put their children into OPEN."""
+        self.visited.append(wave)
+        n = len(self.table.turns)
+        x, y, heading = self.children(wave)
+        cell, inside = self.cells(x, y, heading)
+        g = wave.g[:, None] + self.prices[wave.control]
+        h = self.around(x, y)
+        wanted = np.flatnonzero(inside & (self.best[cell] > g) & (g + h < self.price))
+        wanted = wanted[np.argsort(g.ravel()[wanted], kind="stable")]
+        new = _Nodes(
+            x.ravel()[wanted], y.ravel()[wanted], cell.ravel()[wanted], self.count + wanted // n,
+            wanted % n, g.ravel()[wanted], np.zeros(len(wanted), bool),
+        )  # fmt: skip
+        _, kept = self.admit(wave, new, new.g, True, self.first_of(new.cell))
+        self.count += len(wave.x)
+        self.put(take(new, kept), new.g[kept] + self.weight * h.ravel()[wanted[kept]])
+
+    def plan(self, last: _Nodes, connection: np.ndarray) -> tuple[Plan, np.ndarray]:
+        """The plan that ends by a connection, and its steps."""
+        poses, controls = self.way_to(last)
+        size = np.abs(connection).max(1, initial=0.0)
+        ends = connection[size > 1e-12 * (1 + size.max(initial=0.0))]
+        steps = np.concatenate([self.controls.steps[controls], ends])
+        chosen = np.concatenate([controls, np.full(len(ends), -1)])
+        poses = np.concatenate([poses, chain(poses[-1], ends, np)[1:]])
+        return Plan("found", self.price, poses, chosen, self.count), steps

@@ -1,1 +1,0 @@
-"""What several solvers share: tableaux, steps on groups, stages, Newton iterations."""

@@ -1,1 +1,0 @@
-"""Methods that keep structure: Lie groups, splittings, second-order equations."""

@@ -1,0 +1,164 @@
+"""Lie groups of states, and the term whose rate is in the Lie algebra of its group.
+
+    y' = y xi(t, y),    xi: the velocity in the axes of the moving frame
+A vector space is the group `Vector`, so one solver serves both.
+
+Source: Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, 2000.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.lanes import fusion_barrier
+from rbjax.rotations import quaternion
+
+
+class AbstractGroup(eqx.Module):
+    """The exponential map, on the right of the state, its inverse, and the Lie bracket."""
+
+    @abc.abstractmethod
+    def retract(self, y: Any, u: Any) -> Any:
+        """y exp(u)."""
+
+    @abc.abstractmethod
+    def difference(self, y: Any, z: Any) -> Any:
+        """log(y^-1 z): the u with y exp(u) = z."""
+
+    @abc.abstractmethod
+    def bracket(self, u: Any, w: Any) -> Any:
+        """[u, w]."""
+
+
+class Vector(AbstractGroup):
+    """Any pytree of arrays, under addition."""
+
+    def retract(self, y, u):
+        return jax.tree.map(lambda a, b: a + b, y, u)
+
+    def difference(self, y, z):
+        return jax.tree.map(lambda a, b: b - a, y, z)
+
+    def bracket(self, u, w):
+        return jax.tree.map(jnp.zeros_like, w)
+
+
+class SO3(AbstractGroup):
+    """Unit quaternions (4,); algebra (3,), rotation vectors in body axes."""
+
+    def retract(self, y, u):
+        return jnp.stack(fusion_barrier(quaternion.turned(list(y), list(u))))
+
+    def difference(self, y, z):
+        return quaternion.log(quaternion.normalize(quaternion.multiply(quaternion.conjugate(y), z)))
+
+    def bracket(self, u, w):
+        return jnp.cross(u, w)
+
+
+class SE3(AbstractGroup):
+    """Poses (quaternion (4,), position (3,)); algebra (rotation (3,), translation (3,)), body axes.
+
+    exp(w, v) = (exp w, V v),  V = 1 + (1 - cos a) / a^2 [w] + (a - sin a) / a^3 [w]^2,  a = |w|
+    """
+
+    def retract(self, y, u):
+        (turn, at), (w, v) = y, u
+        once = jnp.cross(w, v)
+        first, second, _ = _series((w * w).sum())
+        step = v + first * once + second * jnp.cross(w, once)
+        return SO3().retract(turn, w), at + _rotated(turn, step)
+
+    def difference(self, y, z):
+        w = SO3().difference(y[0], z[0])
+        v = _rotated(quaternion.conjugate(y[0]), z[1] - y[1])
+        once = jnp.cross(w, v)
+        _, _, inverse = _series((w * w).sum())
+        return w, v - once / 2 + inverse * jnp.cross(w, once)
+
+    def bracket(self, u, w):
+        (a, x), (b, y) = u, w
+        return jnp.cross(a, b), jnp.cross(a, y) + jnp.cross(x, b)
+
+
+class Product(AbstractGroup):
+    """A tuple of states, each in its own group."""
+
+    parts: tuple[AbstractGroup, ...]
+
+    def retract(self, y, u):
+        return tuple(g.retract(a, b) for g, a, b in zip(self.parts, y, u, strict=True))
+
+    def difference(self, y, z):
+        return tuple(g.difference(a, b) for g, a, b in zip(self.parts, y, z, strict=True))
+
+    def bracket(self, u, w):
+        return tuple(g.bracket(a, b) for g, a, b in zip(self.parts, u, w, strict=True))
+
+
+def _rotated(turn: jax.Array, v: jax.Array) -> jax.Array:
+    return (quaternion.to_matrix(turn) * v).sum(-1)
+
+
+def _series(square: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (1 - cos a) / a^2, (a - sin a) / a^3 and (1 - (a / 2) cot(a / 2)) / a^2 of a^2,
+    smooth at 0."""
+    small = square < 0.01
+    x = jnp.where(small, square, 0.0)
+    near = (
+        1 / 2 - x / 24 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90))),
+        1 / 6 - x / 120 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110))),
+        1 / 12 + x / 720 * (1 + x / 42 * (1 + x / 40 * (1 + x * 5 / 198))),
+    )
+    x = jnp.where(small, 1.0, square)
+    a = jnp.sqrt(x)
+    half = jnp.sin(a / 2)
+    far = (
+        2 * half**2 / x,
+        (a - jnp.sin(a)) / (a * x),
+        (1 - a / 2 * jnp.cos(a / 2) / half) / x,
+    )
+    first, second, third = (jnp.where(small, n, f) for n, f in zip(near, far, strict=True))
+    return first, second, third
+
+
+class OnGroup(diffrax.AbstractTerm):
+    """The equation y' = y xi(t, y) on a Lie group.
+
+    Fields:
+        vector_field: (t, y, args) -> xi.
+        group: of the states y.
+        momentum: (t, y, args) -> p, linear in the velocities of y = (q, v), for the variational
+            midpoint rule. None if the mass is constant.
+    """
+
+    vector_field: Callable[..., Any]
+    group: AbstractGroup
+    momentum: Callable[..., Any] | None = None
+
+    def vf(self, t, y, args):
+        return self.vector_field(t, y, args)
+
+    def contr(self, t0, t1, **kwargs):
+        return t1 - t0
+
+    def prod(self, vf, control):
+        return jax.tree.map(lambda x: control * x, vf)
+
+
+def unwrap(terms: Any) -> Any:
+    """Return the caller's own term, without diffrax's wrapper that may reverse time."""
+    return getattr(terms, "term", terms)
+
+
+def group_of(terms: Any) -> AbstractGroup:
+    """Return the group of a term's states."""
+    term = unwrap(terms)
+    return term.group if isinstance(term, OnGroup) else Vector()

@@ -1,1 +1,0 @@
-"""Implicit and linearly implicit Runge-Kutta methods."""

@@ -1,0 +1,170 @@
+"""The numbers of a robot as lanes, in the form in which the equations use them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.lanes import Lane, add, is_zero, mul, neg, total
+from rbjax.model.leaves import numbers as lanes
+from rbjax.model.leaves import scalar, table
+from rbjax.wheeled.kinematics.planar import Pair, direction, dot
+
+if TYPE_CHECKING:
+    from rbjax.wheeled.robot.robot import Layout, Robot
+
+
+@dataclass(frozen=True)
+class BodyParameters:
+    """A body with its wheels: mass; moment (2,) = mass com; inertia about its origin."""
+
+    ahead: int | None
+    mass: Lane
+    moment: Pair
+    inertia: Lane
+    height: Lane
+    hitch: Pair
+    drawbar: Lane
+
+
+@dataclass(frozen=True)
+class WheelParameters:
+    """A wheel. heading: its direction at zero steering; slant: the tangent of `roller`."""
+
+    kind: str
+    body: int
+    shaft: int
+    skids: bool
+    position: Pair
+    heading: Pair
+    radius: Lane
+    inertia: Lane
+    yaw_inertia: Lane
+    slant: Lane
+    trail: Lane
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """What the equations need of a robot."""
+
+    robot: Any
+    dtype: Any
+    layout: Layout
+    bodies: tuple[BodyParameters, ...]
+    #: of each caster, what its centre of mass off the pivot adds: a moment without mass or inertia
+    forks: tuple[BodyParameters, ...]
+    wheels: tuple[WheelParameters, ...]
+    #: inertias of shafts, without those of motors, and their damping
+    shafts: tuple[Lane, ...]
+    damping: tuple[Lane, ...]
+    #: of each drive, the shares of its wheels
+    splits: tuple[tuple[Lane, ...], ...]
+    turn_center: Lane
+    #: gravity along the ground, in world axes, and across it
+    downhill: Pair
+    gravity: Lane
+    motors: tuple[Any, ...]
+    resistance: Any
+
+    def ahead(self, k: int) -> int:
+        """The body that pulls trailer k."""
+        ahead = self.bodies[k].ahead
+        assert ahead is not None
+        return ahead
+
+    @property
+    def rigid(self) -> tuple[BodyParameters, ...]:
+        """Bodies and forks, in the order of twists of `velocities.motion`."""
+        return (*self.bodies, *self.forks)
+
+    def lane(self, x: Any) -> Lane:
+        """A number of a part."""
+        return scalar(x, self.dtype)
+
+
+def stack_lanes(lanes: Sequence[Lane], dtype: Any) -> jax.Array:
+    """Lanes as an array (n,)."""
+    return jnp.stack([jnp.asarray(x, dtype) for x in lanes]) if len(lanes) else jnp.zeros(0, dtype)
+
+
+def indices(s: slice) -> range:
+    """The numbers of coordinates of a slice of `Layout`."""
+    return range(s.start, s.stop)
+
+
+def with_lanes(part: Any, dtype: Any) -> Any:
+    """A motor or a tyre whose numbers are lanes."""
+    return jax.tree.map(lambda x: lane_of_leaf(x, dtype), part)
+
+
+def lane_of_leaf(x: Any, dtype: Any) -> Any:
+    """A number as a lane; an array of several as it is, for tyre laws compute with both axes."""
+    return table(x, dtype) if jnp.ndim(x) else scalar(jnp.asarray(x), dtype)
+
+
+def parameters_of(robot: Robot, dtype: Any) -> Parameters:
+    """The lanes of a robot. What is known while tracing is a literal."""
+    layout = robot.layout
+
+    def number(x: Any) -> Lane:
+        return scalar(x, dtype)
+
+    def pair(x: Any) -> Pair:
+        a, b = lanes(x, dtype)
+        return a, b
+
+    wheels = []
+    for wheel, shaft in zip(robot.wheels, layout.shaft, strict=True):
+        c, s = direction(number(wheel.roller)) if wheel.kind == "rollers" else (1.0, 0.0)
+        wheels.append(
+            WheelParameters(
+                wheel.kind, wheel.body, shaft, wheel.skids, pair(wheel.position),
+                direction(number(wheel.heading)), number(wheel.radius), number(wheel.inertia),
+                number(wheel.yaw_inertia), 0.0 if is_zero(s) else s / c, number(wheel.trail),
+            )
+        )  # fmt: skip
+    bodies = []
+    for k, body in enumerate(robot.bodies):
+        mass, com = number(body.mass), pair(body.com)
+        masses = [(mass, com)]
+        inertia = number(body.inertia)
+        for wheel, n in zip(robot.wheels, wheels, strict=True):
+            if wheel.body == k:
+                masses.append((number(wheel.mass), n.position))
+                # a caster turns about its pivot by itself
+                inertia = add(inertia, 0.0 if n.kind == "caster" else n.yaw_inertia)
+        inertia = add(inertia, total(mul(m, dot(p, p)) for m, p in masses))
+        bodies.append(
+            BodyParameters(
+                body.ahead,
+                total(m for m, _ in masses),
+                (total(mul(m, p[0]) for m, p in masses), total(mul(m, p[1]) for m, p in masses)),
+                inertia, number(body.height), pair(body.hitch), number(body.drawbar),
+            )
+        )  # fmt: skip
+    forks = []
+    for i in layout.caster_wheels:
+        moment = neg(mul(number(robot.wheels[i].mass), number(robot.wheels[i].behind)))
+        forks.append(BodyParameters(None, 0.0, (moment, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0))
+    shafts: list[Lane] = [0.0] * len(layout.setters)
+    damping: list[Lane] = [0.0] * len(layout.setters)
+    for wheel, n in zip(robot.wheels, wheels, strict=True):
+        shafts[n.shaft] = add(shafts[n.shaft], n.inertia)
+        damping[n.shaft] = add(damping[n.shaft], number(wheel.damping))
+    splits = tuple(tuple(lanes(drive.split, dtype)) for drive in robot.drives)
+    fall = pair(robot.slope)
+    across = number(robot.gravity)
+    if not (is_zero(fall[0]) and is_zero(fall[1])):
+        across = across * (1.0 + dot(fall, fall)) ** -0.5
+    return Parameters(
+        robot, dtype, layout, tuple(bodies), tuple(forks), tuple(wheels), tuple(shafts),
+        tuple(damping), splits, number(robot.turn_center),
+        (mul(across, fall[0]), mul(across, fall[1])), across,
+        tuple(with_lanes(drive.motor, dtype) for drive in robot.drives),
+        with_lanes(robot.resistance, dtype),
+    )  # fmt: skip
