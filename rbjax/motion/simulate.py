@@ -31,8 +31,7 @@ from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
 from rbjax.motion.inputs import inputs_between
-from rbjax.motion.projected_solver import project_after_steps, solver_of
-from rbjax.motion.term import check_takes_robots, motion, unit
+from rbjax.motion.term import check_takes_robots, motion, project_after_steps, solver_of, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
 
 
