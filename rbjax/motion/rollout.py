@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
-from rbjax.compiler import wanted
+from rbjax.compiler import kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
@@ -170,7 +170,7 @@ def run_rollout(
         )
     state = with_memory(model, state, dynamics, state.q.shape[:-1])
     step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
-    threads = wanted() if kernel is None else kernel
+    threads = kernels_available() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
     how = (int(save_every), steps, batched)
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import (
@@ -134,7 +134,7 @@ def simulate(
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt is not None:
         _advances(check_step("simulate", "dt", dt, state.q.dtype), elapsed)
-    if wanted():
+    if kernels_available():
         model = on_threads(model, state.q.dtype)
     if not inside_jit() or is_traced(model):
         model = with_constants(model, state.q.dtype)
@@ -147,7 +147,7 @@ def simulate(
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt is None else diffrax.ConstantStepSize()
-    by_kernel = wanted() and not progress
+    by_kernel = kernels_available() and not progress
     how = _How(
         solver, dt, stepsize_controller,
         diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
@@ -222,7 +222,8 @@ def _solved(
         )
         return out.ys, out.result, out.stats
 
-    return (threaded(solved_from) if how.by_kernel else solved_from)(state, start, elapsed, args)
+    run = compile_threads(solved_from) if how.by_kernel else solved_from
+    return run(state, start, elapsed, args)
 
 
 _compiled = compiled(_solved, jit=eqx.filter_jit)

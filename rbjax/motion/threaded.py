@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from rbjax.compiler.jax.function import trace
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program
-from rbjax.compiler.jax.uniform import divided
+from rbjax.compiler.jax.uniform import hoist_uniform
 from rbjax.dynamics.drivers import choice
 from rbjax.dynamics.tracing.constants import with_compiled_constants
 from rbjax.dynamics.tracing.custom_rules import split_tracers
@@ -81,7 +81,7 @@ def rollout_on_threads(
     step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])
     own = 1 + size + driven
     known = [True] * len(shared) + [False] * own + [True] * len(moving)
-    step, shared = divided(step, known, [*shared, *[None] * own, *moving], run)
+    step, shared = hoist_uniform(step, known, [*shared, *[None] * own, *moving], run)
     if between:
         return _between(model, step, shared, state, sources, dt, how, memory)
     run_steps = functools.partial(CheckpointedRollout, step, size, steps, save_every, driven)
@@ -99,7 +99,7 @@ def rollout_on_threads(
         )
 
     plain = run_steps(save_every).program()
-    program = Program(plain.closed, sized=sized)
+    program = Program(plain.closed, for_batch_size=sized)
     operands = given if rows is None else [*given, rows]
     f = functools.partial(_run, program)
     if batched:
