@@ -6,7 +6,7 @@ this file changes. The upper bounds in `pyproject.toml` are the newest versions 
 Not private, but without JAX's promise of stability, and used elsewhere: `jax.extend.core`
 (jaxprs, their equations and primitives) and `jax.interpreters` (rules of primitives). The layout of
 XLA's foreign function interface is in `compiler.llvm.xla_handler`, the layout of numpy's arrays in
-`compiler.llvm.numpy_abi`; both are checked before use.
+`compiler.llvm.numpy_call`; both are checked before use.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ def test_how_many_sweeps():
 
 def test_few_samples_on_a_gpu_are_cut(monkeypatch):
     assert parallel_in_time.count_windows(8000, 4) == 1  # on a CPU
-    monkeypatch.setattr(parallel_in_time, "gpu", lambda: True)
+    monkeypatch.setattr(parallel_in_time, "has_gpu", lambda: True)
     assert parallel_in_time.count_windows(8000, 52) == 32
     assert parallel_in_time.count_windows(8000, 1000) == 8
     assert parallel_in_time.count_windows(8000, 100_000) == 1

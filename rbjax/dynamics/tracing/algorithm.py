@@ -19,9 +19,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import wanted
-from rbjax.compiler.jax.backend import gpu
+from rbjax.compiler import kernels_available
 from rbjax.compiler.jax.function import trace
+from rbjax.compiler.jax.launch import has_gpu
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiling import inside_jit, jitted
 from rbjax.dynamics.arguments import check_arrays, check_static, check_takes
@@ -65,7 +65,7 @@ def algorithm(
         def inlined(*args: Any, **kwargs: Any) -> Any:
             if on_explicit_axes(args, kwargs):
                 return on_auto_axes(lambda args, kwargs: inlined(*args, **kwargs), args, kwargs)
-            kernels = wanted()
+            kernels = kernels_available()
             moving, closed = split_tracers((suited(args) if kernels else args, kwargs))
             if not moving or not kernels:
                 return f(*args, **kwargs)
@@ -85,7 +85,7 @@ def algorithm(
                     args, kwargs = as_given(list(moving))
                     return jax.tree.leaves(apart(*args, **kwargs))
 
-                program = dataclasses.replace(program, apart=flat_apart)
+                program = dataclasses.replace(program, multi_kernel=flat_apart)
             return jax.tree.unflatten(shape[0], run(program, [*closed_over, *moving]))
 
         program = jitted(inlined, static_argnames=static)
@@ -137,7 +137,7 @@ def for_threads(args: tuple, *, pairs: bool = False, long: bool = False) -> tupl
     if not floats:
         return args
     model = on_threads(model, floats[0], pairs=pairs, long=long)
-    if pairs and model.driver == "rolled" and not gpu():
+    if pairs and model.driver == "rolled" and not has_gpu():
         made = with_compiled_constants(model, floats[0])
         model = model.replace(constants=made.execution.constants)
     return (model, *rest)

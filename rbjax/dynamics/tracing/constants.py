@@ -24,7 +24,7 @@ def with_compiled_constants(model: Model, dtype: Any) -> Model:
         return [x for x in leaves if isinstance(x, jax.core.Tracer)]
 
     program, operands = trace(numbers, [])
-    program = dataclasses.replace(program, once=True)
+    program = dataclasses.replace(program, compile_fast=True)
     leaves, tree = found
     made = iter(run(program, operands) if operands else ())
     known = [next(made) if isinstance(x, jax.core.Tracer) else x for x in leaves]

@@ -16,7 +16,7 @@ import numpy as np
 
 from rbjax.model import WORLD, Model, State, Topology
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
-from rbjax.motion.integrators import looped
+from rbjax.motion.integrators import loop_stages
 from rbjax.sysid.simulation.jacobian_colouring import independent_parts
 from rbjax.sysid.simulation.setup import (
     PD,
@@ -129,7 +129,7 @@ def simulate_parts(
     makers, constants, traced = _separate([leaves for leaves, _ in each])
 
     if isinstance(grid.integrator, str):  # a loop over the stages keeps the program short
-        grid = grid._replace(integrator=looped(grid.integrator))
+        grid = grid._replace(integrator=loop_stages(grid.integrator))
 
     def part(numbers: tuple[jax.Array, jax.Array]) -> Setup:
         return prepare_setup(jax.tree.unflatten(tree, [make(*numbers) for make in makers]))

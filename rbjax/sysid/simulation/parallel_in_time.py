@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from rbjax.compiler.jax.backend import gpu
+from rbjax.compiler.jax.launch import has_gpu
 
 #: threads that a GPU runs in the time of one
 THREADS = 8192
@@ -39,7 +39,7 @@ Window = Callable[[Any, Any, Any], tuple[Any, Any]]
 def count_windows(periods: int, samples: int) -> int:
     """The number of windows of a motion of which so many samples are simulated. 1 on a CPU, whose
     cores are busy with few samples."""
-    if not gpu():
+    if not has_gpu():
         return 1
     return max(1, min(MOST, periods // SHORTEST, THREADS // samples))
 

@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import threads, wanted
+from rbjax.compiler import kernels_available, threads
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.model import Model, State
 from rbjax.model.links import with_constants
@@ -206,7 +206,7 @@ def prepare_setup(setup: Setup) -> Setup:
     """Prepare a set-up for short programs: constants of links are computed before the steps, and
     equal limbs are a loop. The derivative of a step then takes half the time to compile."""
     model = setup.model
-    if not wanted():
+    if not kernels_available():
         return setup
     if model.driver == "auto":
         model = model.replace(driver="limbs")
