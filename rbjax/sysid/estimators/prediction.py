@@ -183,7 +183,7 @@ def prediction_error(
 
     Raises:
         InputError: recordings that do not suit the model or the grid; a set-up with delays.
-        UnknownName: no such leaf, body or joint.
+        UnknownName: no such drive, leaf, body or joint.
 
     Source: Ljung, *System Identification*, 2nd ed., 7.4 and 9.4; Astrom, Automatica 16(5), 1980.
 
