@@ -6,14 +6,8 @@
     x <- f(x, u, 0), P <- A P A^T + G W G^T                                 prediction
     -log p(y) = sum of (z^T S^-1 z + log det 2 pi S) / 2                    likelihood
 
-A, G and H are exact slopes at the estimate, in tangent coordinates. P belongs to the tangent space
-at its own state: where an update turns the state, P is carried to the new tangent space.
-
-Joseph's form is a sum of squares, so P stays symmetric and without negative variances. It needs no
-factor of P, which may be singular: a known start, noise that drives only velocities. There the QR
-factors of a square-root filter have no derivative; here all is differentiable, for R > 0. The
-smoother is that of Rauch, Tung and Striebel in the form of Bryson and Frazier, which inverts S and
-never P. Both are one `lax.scan`: time and memory grow as the number of samples.
+P belongs to the tangent space at its own state. It may be singular, and all is differentiable for
+R > 0. The smoother of Rauch, Tung and Striebel has the form of Bryson and Frazier, without P^-1.
 Source: Bryson & Ho, *Applied Optimal Control*, 13; Bierman, *Factorization Methods*, X; Sola, *A
 micro Lie theory*, 2018 (tangent spaces); Schweppe, IEEE T-IT 11(1), 1965 (likelihood).
 """
@@ -260,12 +254,7 @@ class Estimate(NamedTuple):
 
 
 def kalman_update(
-    space: StateSpace,
-    estimate: Estimate,
-    reading: Any,
-    noise: Any,
-    *,
-    arrived: Any = None,
+    space: StateSpace, estimate: Estimate, reading: Any, noise: Any, *, arrived: Any = None
 ) -> Estimate:
     """One sample used: half a step of `kalman_filter`, for an estimate within a loop.
 

@@ -4,9 +4,9 @@
     rotation     e = log(R_d R^T)                       J = J_w
     position     e = p_d - p                            J = J_v
     direction    e = log of the turn of a to n          J = (1 - n n^T) J_w
+
 in world axes, of a frame at (R, p) whose axis a shall point along n. J is the rate of -e to first
-order in e, so Newton's method with it converges quadratically to e = 0 (Sola, Deray & Atchuthan,
-*A micro Lie theory*, 2018, eq. 83: J_l^-1(e) = 1 + O(e)).
+order in e (Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 83).
 """
 
 from __future__ import annotations
@@ -180,9 +180,7 @@ class GoalErrors:
             self.errors.append(entry)
             self.weights.append(scale)
             self.turning.append(turns)
-            self.rows.append(
-                [columns[i][k] if i in columns else 0.0 for i in range(self.model.nv)]
-            )
+            self.rows.append([columns[i][k] if i in columns else 0.0 for i in range(self.model.nv)])
 
     def _column(self, i: int) -> tuple[Vec3, Any]:
         """Angular velocity per unit of coordinate i, and the velocity of a point of the world."""
@@ -248,4 +246,3 @@ def _entries(R: jax.Array, dtype: Any) -> Mat3:
 
 def _arrays(R: Mat3, dtype: Any) -> list[jax.Array]:
     return [jnp.asarray(x, dtype) for x in R]
-

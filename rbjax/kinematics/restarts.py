@@ -1,13 +1,13 @@
-"""Goals reached by damped steps from many starts, one after another, in one loop.
+"""Goals reached by damped Gauss-Newton steps from many starts, one after another, in one loop.
 
-Each turn of the loop looks at one configuration. If it meets the goals, the search is over. If the
-error has stopped falling, or this start has had its turns, the next start follows; else the next
-step. So a search costs what its own starts cost, and many searches run side by side, one a thread
-of a GPU or a lane of machine code, with no difference between a lane that steps and one that
-starts again.
+    dq = N s + J^T (J J^T + c E 1)^-1 e ,      E = |e|^2 / 2
 
-If no start succeeds, the best configuration is improved for `POLISH` more iterations, so that a
-target out of reach ends at the nearest pose.
+The damping is proportional to the error (Sugihara 2011); s is a step towards a posture in the null
+space of the goals. Coordinates at the end of their range that would be driven out of it are held
+(an active set of two rounds). Each iteration evaluates one configuration: if it meets the goals,
+the search is over; if the error has stopped falling, or this start has had its iterations, the next
+start follows. If no start succeeds, the best configuration is improved for `POLISH` more
+iterations, so that a target out of reach ends at the nearest pose.
 """
 
 from __future__ import annotations

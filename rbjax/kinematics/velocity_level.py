@@ -2,12 +2,9 @@
 
     min  sum over goals of |J_w v - V|^2 + d |v - v_0|^2 ,     l <= v <= u
     l = max(-speed, (lower - q) / dt),  u = min(speed, (upper - q) / dt)
-so no joint passes the end of its range within the step. It is a strictly convex quadratic program
-with bounds, solved exactly by an active set: the free coordinates go to their minimum, or to the
-first bound on the way, which then holds one of them; at a minimum, the one that its bound presses
-the wrong way is set free. The objective falls until no set is left that is better.
 
-(Nakamura & Hanafusa 1986; Nocedal & Wright, 16.5, of the active set.)
+A strictly convex quadratic program with bounds, solved exactly by an active set.
+Source: Nakamura & Hanafusa 1986; Nocedal & Wright, 16.5 (active set).
 """
 
 from __future__ import annotations

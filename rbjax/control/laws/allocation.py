@@ -1,12 +1,10 @@
 """From generalized forces to the controls of a model's actuators.
 
     tau_a(u) = b(q, v) + B(q, v) u            u = B^+ (tau - b)
-Actuators without a state are affine in their controls as long as no limit is reached. B has the
-moment arms times the gains, b the biases of servos and the gravity compensation of a file. Where
-each actuator drives a coordinate of its own, u is one division each; else it is the least-squares
-solution of least length (B^+ is the pseudoinverse).
 
-(MuJoCo, *Computation*, actuation model; Siciliano et al., *Robotics*, 8.1.)
+Actuators without a state are affine in their controls up to their limits: B has moment arms times
+gains, b the biases of servos and the gravity compensation of a file.
+Source: MuJoCo, *Computation*, actuation model; Siciliano et al., *Robotics*, 8.1.
 """
 
 from __future__ import annotations
@@ -124,7 +122,7 @@ def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
 
     def at(u: list) -> list[Lane]:
         given = Loads()
-        for element, seen in sighted(free, dataclasses.replace(now, u=u, found={})):
+        for element, seen in sighted(free, dataclasses.replace(now, ctrl=u, found={})):
             if element.actuates:
                 given = given + element.loads(seen)
         tau = [given.tau.get(n, 0.0) for n in range(model.nv)]

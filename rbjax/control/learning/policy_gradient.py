@@ -1,17 +1,11 @@
-"""Policies trained through the dynamics: short-horizon actor-critic, or through whole episodes.
+"""Policies trained through the dynamics over a short horizon, with a value function.
 
     J(theta) = E[(1 - g) sum_{k<h} g^k c_k + g^h V(x_h)],     theta <- theta - a dJ/dtheta
-
-The derivative goes through h steps of the robot and through the value function V, which stands for
-all later costs: long enough to be nearly unbiased, short enough not to explode (Xu et al. 2022,
-*Accelerated policy learning with parallel differentiable simulation*, SHAC). V is fitted to
-
     G_k = (1 - g) c_k + g ((1 - l) V'(x_{k+1}) + l G_{k+1}),     G_h = V'(x_h)
 
-with V' a slow copy of V. Costs are in units of one step: V is about the mean of those to come. The
-policy is deterministic; random starts, and random models, explore.
-
-`through_time` takes the whole episode and no value function: for gains and short motions.
+The value function V, fitted to the targets G, stands for all costs after h steps; V' is a slow copy
+of V. Costs are in units of one step. The policy is deterministic; random starts and models explore.
+Source: Xu et al., *Accelerated policy learning with parallel differentiable simulation*, 2022.
 """
 
 from __future__ import annotations

@@ -3,25 +3,19 @@
     continuous  A'P + PA + Q - (PB + S) R^-1 (PB + S)' = 0,              K = R^-1 (PB + S)'
     discrete    A'PA - P + Q - (A'PB + S) (R + B'PB)^-1 (A'PB + S)' = 0, K = (R + B'PB)^-1 (..)'
 
-1. Doubling. With S taken into A and Q, and G = B R^-1 B', a step
+1. Doubling. With S taken into A and Q, and G = B R^-1 B', k steps from F = A, P = Q give the cost
+   to go of 2^k steps of time. Cayley's transform makes a continuous equation discrete.
 
         F <- F (1 + G P)^-1 F,  G <- G + F (1 + G P)^-1 G F',  P <- P + F'P (1 + G P)^-1 F
 
-   from F = A, P = Q joins a horizon with itself (`parallel_riccati.joined`): after k steps P is the
-   cost to go of 2^k steps. A continuous equation becomes a discrete one by Cayley's transform.
-2. If its gain is not stabilising (a mode that grows and has no cost), the gain for the costs
-   Q = q 1, R = r 1 is, unless (A, B) is not stabilisable.
-3. Newton's method (Kleinman, Hewer) from that gain: P of a closed loop by a Lyapunov equation, and
-   the gain of that P. It converges quadratically and stays stabilising.
-4. Two steps of refinement: the remainder for that gain with 1.5 times the digits (`Double`), and
-   the correction of P by a Lyapunov equation. P is accurate to rounding.
+2. If its gain is not stabilising, the gain for costs Q = q 1, R = r 1 is, if (A, B) can be.
+3. Newton's method from that gain: P of a closed loop by a Lyapunov equation, and the gain of P.
+4. Two steps of refinement by the remainder with 1.5 times the digits (`Double`).
 
 The derivative solves one Lyapunov equation of the closed loop, by the implicit function theorem.
-Source: Chu, Fan, Lin & Wang, *Structure-preserving algorithms for periodic discrete-time algebraic
-Riccati equations*, Int. J. Control 77, 2004; Chu, Fan & Lin, Linear Algebra Appl. 396, 2005
-(Cayley); Kleinman, IEEE TAC 13, 1968; Hewer, IEEE TAC 16, 1971; Lancaster & Rodman, *Algebraic
-Riccati Equations*. Knuth, *The Art of Computer Programming* 2, 4.2.2; Ogita, Rump & Oishi, SIAM J.
-Scientific Computing 26, 2005 (sums and products of more digits).
+Source: Chu, Fan, Lin & Wang, Int. J. Control 77, 2004; Chu, Fan & Lin, Linear Algebra Appl. 396,
+2005 (Cayley); Kleinman, IEEE TAC 13, 1968; Hewer, IEEE TAC 16, 1971 (Newton); Ogita, Rump & Oishi,
+SIAM J. Scientific Computing 26, 2005 (digits).
 """
 
 from __future__ import annotations

@@ -1,26 +1,18 @@
 """The linear-quadratic problem of finite horizon, parallel in time.
 
-The least cost from a state x at knot i to a state y at knot j, as a function of both, is
+The least cost between a state x at one knot and a state y at a later knot is
 
     V(x, y) = max over l of  1/2 x'Jx - x'e - 1/2 l'C l - l'(y - F x - b)
 
-with five arrays (F, b, C, e, J). Two stretches that meet at a knot are one, by the minimum over the
-state there: with M = (1 + C1 J2)^-1,
+Two stretches that meet at a knot are joined by, with M = (1 + C1 J2)^-1,
 
     F = F2 M F1,   b = F2 M (b1 + C1 e2) + b2,   C = F2 M C1 F2' + C2
     J = F1'J2 M F1 + J1,   e = F1'(e2 - J2 M (b1 + C1 e2)) + e1
 
-That is associative, so all tails of the horizon come from log2 N products in a row. By doubling,
-turn k joins each stretch of 2^k steps with the next one: N log2 N products, and one program for all
-turns. By a tree (`associative_scan`) 2 N products in 2 log2 N turns, each of another size, which
-take XLA minutes to compile on a CPU where N is 1,000. A tail's J and -e are P and p
-of `riccati.backward`; the gains follow from them, all knots at once. One step is
-
-    F = A - B R^-1 S',  b = d - B R^-1 r,  C = B R^-1 B',  J = Q - S R^-1 S',  e = S R^-1 r - q
-
-so R must be positive definite here; the serial recursion only needs R + B'P B.
-Source: Särkkä & García-Fernández, *Temporal parallelization of dynamic programming and linear
-quadratic control*, IEEE TAC 68(2), 2023.
+which is associative: all tails of the horizon follow by log2 N products in a row. J and -e of a
+tail are P and p of `riccati.backward`. R must be positive definite. Source: Särkkä &
+García-Fernández, *Temporal parallelization of dynamic programming and linear quadratic control*,
+IEEE TAC 68(2), 2023.
 """
 
 from __future__ import annotations

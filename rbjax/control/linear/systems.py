@@ -1,19 +1,11 @@
-"""Linear systems: what controls reach, what readings show, poles, discretisation.
+"""Linear systems: controllability, observability, Gramians, poles, discretisation.
 
     continuous  dx/dt = A x + B u,   y = C x         discrete  x+ = A x + B u
 
-The reachable space is the range of [B, AB, ..., A^(n-1) B]. Its powers lose digits, so an
-orthonormal basis is built instead: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal
-to all before (the staircase, or block Arnoldi). The rest of the space is uncontrollable.
-A state is unobservable if it is uncontrollable for (A', C').
-
-The Gramian W of a stable system says how much effort that takes: x'W^-1 x is the least integral of
-u^2 that leads from rest to x. A control held over a step makes the discrete system
-
-    [Ad, Bd; 0, 1] = exp([A, B; 0, 0] dt)
-
-Source: Van Dooren, *The generalized eigenstructure problem in linear system theory*, IEEE TAC 26,
-1981; Åström & Wittenmark, *Computer-Controlled Systems*, 3; Zhou, Doyle & Glover, 3.
+The reachable space is the range of [B, AB, ..., A^(n-1) B]. An orthonormal basis of it is built
+step by step: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal to all before (the
+staircase). A state is unobservable if it is uncontrollable for (A', C'). Source: Van Dooren, IEEE
+TAC 26, 1981; Åström & Wittenmark, *Computer-Controlled Systems*, 3; Zhou, Doyle & Glover, 3.
 """
 
 from __future__ import annotations

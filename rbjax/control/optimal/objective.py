@@ -1,16 +1,10 @@
 """The cost and the constraints of a problem, at a knot and along a motion.
 
-    low <= c <= high,      violation = |c - clip(c, low, high)|
-
-An augmented Lagrangian holds constraints: a penalty with a shifted centre, as residuals of the cost
-
-    L = mu/2 |s - clip(s, low, high)|^2,     s = c + lambda / mu
-
-At the minimum of the cost with L, its gradient is the gradient of the Lagrangian with the
-multipliers
-
+    violation = |c - clip(c, low, high)|
+    L = cost + mu/2 |s - clip(s, low, high)|^2,     s = c + lambda / mu
     lambda <- mu (s - clip(s, low, high)),     mu <- 10 mu if the violation did not fall
 
+L is the augmented Lagrangian of the constraints low <= c <= high.
 Source: Hestenes 1969, Powell 1969; Bertsekas, *Constrained Optimization and Lagrange Multiplier
 Methods*, 2.
 """

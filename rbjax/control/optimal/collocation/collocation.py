@@ -1,18 +1,16 @@
 """Direct collocation by a primal-dual interior point: Gauss-Legendre, Radau, Hermite and Simpson.
 
-States, controls and stages of all steps are unknowns (`condensing`). Each iteration is one step
-of sequential quadratic programming: the Lagrangian to second order with its stages eliminated
-(`condensing`), bounds and constraints by a barrier (`barrier`), a Riccati recursion
-(`backward_pass`) in time linear in the horizon, and a line search by a filter (`filter_search`).
+Each iteration is a step of sequential quadratic programming on all states, controls and stages: the
+Lagrangian to second order with its stages eliminated (`condensing`), bounds and constraints by a
+barrier (`barrier`), a Riccati recursion (`backward_pass`), a line search by a filter.
 
-    mu <- min(0.2 mu, mu^1.5)   where the problem with the barrier mu is solved; then, too,
+    mu <- min(0.2 mu, mu^1.5)   if the problem with the barrier mu is solved; then also
     centre <- y,  soft <- mu    of the constraints, down to the root of a rounding
-    reg <- 8 reg    where a control Hessian is not positive definite, or no step is taken
+    reg <- 8 reg                if a control Hessian is not positive definite, or no step is taken
     if the filter accepts no step and there are gaps, the next steps close them
 
-The motion need not obey the dynamics before the end, so that a guess of only the states is enough
-to begin with. Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter &
-Biegler 2006 (*Ipopt*), whose rules of barrier and filter these are.
+Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter & Biegler 2006
+(*Ipopt*), whose rules of barrier and filter these are.
 """
 
 from __future__ import annotations
@@ -99,7 +97,7 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
     problem, dtype = t.problem, ctrls.dtype
     N, n = problem.horizon, problem.n
     mu = jnp.asarray(FIRST_MU, dtype)
-    low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
+    low, high = problem.parameter_bounds(dtype)
     knots = Knot(knots.state, barrier.push_inside(knots.parameters, low, high))
     inner = chords(problem, t.table, knots, ctrls)
     us = t.us(Point(knots, inner, inner.us, inner.us))  # whose slacks are not read

@@ -3,22 +3,16 @@
     K_i = f(t_i, x (+) xi_i, u_i),   xi_i = h sum_j a_ij K_j,   x+ = x (+) h sum_i b_i K_i
     cost = sum of h b_i L(t_i, x (+) xi_i, u_i) + Phi(x_N)
 
-a, b and c are a collocation tableau (`rbjax.solvers.tableau`): Gauss-Legendre has order 2 s,
-Radau IIA 2 s - 1, Lobatto IIIA 2 s - 2; with three stages the last is the separated form of Hermite
-and Simpson. Each stage has its own controls, which may jump at knots. The increments xi are tangent
-coordinates about the knot. With positive b the costates obey a Runge-Kutta method too, so optimal
-states converge with the order of the tableau (Hager 2000, *Runge-Kutta methods in optimal control*;
-Betts, *Practical Methods for Optimal Control*, ch. 4).
-
-The stages are eliminated:
+a, b and c are a tableau (`rbjax.solvers.tableau`): Gauss-Legendre has order 2 s, Radau IIA 2 s - 1,
+Lobatto IIIA 2 s - 2. Each stage has its own controls. The stages are eliminated:
 
     E dK = -miss - e_x dx - e_u du       gives   dK = Z (dx, du) + offset
     dx+ = A dx + B du + gap,      Z' H Z the Hessian of the Lagrangian in (dx, du)
 
-The condensed problem is a discrete problem whose controls are those of all stages of a step, which
-a Riccati recursion solves. Constraints at the stages enter by their slacks and multipliers
-(`row_terms`), equations by the method of multipliers. The multipliers lambda of the stage equations
-follow from the stationarity of K: E' lambda = -(cost + y.rows + p.x+)_K.
+The multipliers of the stages follow from E' lambda = -(cost + y.rows + p.x+)_K. Constraints enter
+by their slacks and multipliers (`row_terms`), equations by the method of multipliers. Source:
+Hager, *Runge-Kutta methods in optimal control*, 2000; Betts, *Practical Methods for Optimal
+Control*, ch. 4.
 """
 
 from __future__ import annotations

@@ -102,9 +102,7 @@ class Transcribed(NamedTuple):
     def parameters(self, point: Point) -> Bounded:
         """The parameters, which are constant along the motion."""
         parameters = point.knots.parameters[0]
-        bounds = self.problem.start_bounds(parameters.dtype)
-        low, high = (x[self.problem.system.n :] for x in bounds)
-        return Bounded(parameters, low, high)
+        return Bounded(parameters, *self.problem.parameter_bounds(parameters.dtype))
 
     def rows(self, point: Point, l: Multipliers) -> tuple[Rows, Rows]:
         """The rows of constraints of path and end."""

@@ -1,18 +1,16 @@
 """Optimal control by samples: predictive sampling, MPPI and the cross-entropy method.
 
 Controls are a spline of few points z. Each round draws z_i = m + s * e_i, e_i normal, within the
-bounds, rolls every motion, and moves m by the costs J_i:
+bounds, rolls out every motion, and moves m by the costs J_i:
 
     predictive       m+ = the best z_i
     mppi             m+ = sum w_i z_i / sum w_i,   w_i = exp(-(J_i - J_min) / lambda)
     cross_entropy    m+, s+ = mean and deviation of the best tenth of z_i
 
-(Howell et al. 2022; Williams et al. 2017; Rubinstein 1999). The first two shrink s by a factor a
-round (Xue et al. 2024). lambda is the temperature times the distance from the best cost to the
-costliest of the best tenth. No derivative is taken. Constraints cost
-penalty / 2 times their squared violation. A sample is a lane or a GPU thread of which only the cost
-is kept; the best motion is rolled again. Parameters of a design, the final time and a free start
-are sampled too.
+The first two shrink s by a factor a round. lambda is the temperature times the spread of the best
+tenth. Constraints cost penalty / 2 times their squared violation. Design parameters, the final time
+and a free start are sampled too.
+Source: Howell et al. 2022; Williams et al. 2017; Rubinstein 1999; Xue et al. 2024.
 """
 
 from __future__ import annotations
@@ -214,25 +212,25 @@ def _first(
     count = min(how.points, problem.horizon)
     at = np.round(np.linspace(0, problem.horizon - 1, count)).astype(int)
     parameters = knots.parameters[0]
-    low, high = (x.astype(dtype) for x in problem.start_bounds(dtype))
     free = jnp.asarray(problem.free, dtype)
     there = problem.system.minus(take(knots.state, 0), start)
     mean = Draw(ctrls[at], parameters, free * there)
     edges = [
-        Draw(jnp.broadcast_to(x.astype(dtype), (count, problem.nu)), end[n:], end[:n])
-        for x, end in ((problem.low, low), (problem.high, high))
-    ]
+        Draw(jnp.broadcast_to(u.astype(dtype), (count, problem.nu)), p, jnp.full(n, end, dtype))
+        for u, p, end in zip(
+            (problem.low, problem.high), problem.parameter_bounds(dtype), (-jnp.inf, jnp.inf),
+            strict=True,
+        )
+    ]  # fmt: skip
 
     def deviation(low: jax.Array, high: jax.Array, size: Any) -> jax.Array:
         width = high - low
         return how.spread * jnp.where(jnp.isfinite(width), width, size)
 
-    wide = Draw(
-        deviation(edges[0].points, edges[1].points, 1.0),
-        deviation(edges[0].parameters, edges[1].parameters, jnp.maximum(jnp.abs(parameters), 1e-3)),
-        free * deviation(edges[0].first, edges[1].first, 1.0),
-    )
-    return jax.tree.map(jnp.clip, mean, *edges), wide, *edges
+    sizes = Draw(1.0, jnp.maximum(jnp.abs(parameters), 1e-3), 1.0)
+    wide = jax.tree.map(deviation, *edges, sizes)
+    mean = jax.tree.map(jnp.clip, mean, *edges)
+    return mean, wide._replace(first=free * wide.first), *edges
 
 
 def _drawn(key: jax.Array, now: Round, samples: int, low: Draw, high: Draw) -> Draw:
