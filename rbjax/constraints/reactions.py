@@ -16,13 +16,13 @@ from rbjax.constraints.methods.soft import Soft, compliant_motion, is_soft
 from rbjax.constraints.rows.pairs import Pair
 from rbjax.dynamics.algorithms.link_forces import on_links
 from rbjax.dynamics.drivers.choice import driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied
 from rbjax.forces.context import Context, Frame
 from rbjax.forces.element import Loads
 from rbjax.forces.inputs import Inputs
+from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
 from rbjax.spatial import Force, Transform
 

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.algorithms.link_forces import LinkForces, added, on_links
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.actuators.affine import from_columns
@@ -25,6 +24,7 @@ from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
 from rbjax.forces.joints.polynomials import linear_springs
 from rbjax.lanes import Lane, add, is_zero, total
+from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
 from rbjax.model.leaves import table
 

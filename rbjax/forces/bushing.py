@@ -27,7 +27,7 @@ from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations import quaternion
-from rbjax.rotations.jacobians import inverse_left_lanes
+from rbjax.rotations.coefficients import inverse_left_lanes
 
 
 class Bushing(Element):

@@ -54,6 +54,11 @@ class Context:
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
 
     @property
+    def state(self) -> State:
+        """q, v and x."""
+        return State(self.q, self.v, self.x)
+
+    @property
     def h(self) -> Any:
         """The length of the step: dt, or the model's timestep if none is fixed."""
         return self.model.timestep if self.dt is None else self.dt

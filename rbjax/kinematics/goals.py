@@ -22,7 +22,6 @@ import numpy as np
 from rbjax.dynamics.algorithms.frames import carried_point
 from rbjax.dynamics.algorithms.link_motion import LinkMotion
 from rbjax.dynamics.arguments import check_array
-from rbjax.dynamics.drivers.joint_lanes import own_axes
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least, check_rotation
@@ -134,7 +133,7 @@ class GoalErrors:
         self.turning: list[bool] = []
         self._weights = weights
         self._d, self._motion = d, LinkMotion(d, q, None)
-        self._axes = own_axes(d, self._motion.joints)
+        self._axes = d.whole_axes(self._motion.joints)
         self._columns: dict[int, tuple[Vec3, Vec3, Vec3]] = {}
         self.groups: list[tuple[bool, int, int]] = []
         for goal in goals:

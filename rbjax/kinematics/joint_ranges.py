@@ -143,7 +143,7 @@ def _attitudes(unit: list[jax.Array], joint: Any, most: Any) -> list[jax.Array]:
 def _slides(joint: Any, n: int) -> bool:
     """Whether coordinate n of a joint is a length."""
     kind = joint.dofs[n].kind
-    return bool(kind.slides) and not kind.turns
+    return bool(kind.linear) and not kind.angular
 
 
 def _joints(model: Model) -> Iterator[tuple[Any, Any]]:

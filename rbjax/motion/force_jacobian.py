@@ -1,4 +1,4 @@
-"""Derivatives of the forces that act on a robot, multiplied by a matrix from the left.
+"""Derivatives of forces that act on their own joint only, multiplied by a matrix from the left.
 
 If all elements are springs, dampers and actuators of the joints, a force depends only on its own
 joint: the Jacobian has a block for each joint, and one tangent gives a column of all blocks at once
@@ -23,12 +23,10 @@ Forces = Callable[[jax.Array, jax.Array], jax.Array]
 def times_jacobian(
     model: Model, forces: Forces, nu: int, M: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """M F_x (n, 2 n) and M F_u (n, nu) of forces(dx, du), at zero, with M (n, n)."""
+    """M F_x (n, 2 n) and M F_u (n, nu) of forces(dx, du), at zero, with M (n, n), if each force
+    depends only on the state of its own joint."""
     n, dtype = model.nv, M.dtype
     zero, none = jnp.zeros(2 * n, dtype), jnp.zeros(nu, dtype)
-    if not by_joint(model):
-        F_x, F_u = jax.jacfwd(forces, (0, 1))(zero, none)
-        return matmat(M, F_x), matmat(M, F_u)
     top = model.topology
     sizes = [joint.nv for joint in top.joints]
     joint = np.repeat(np.arange(len(sizes)), sizes)

@@ -23,8 +23,8 @@ from rbjax.forces.inputs import joined, shapes
 from rbjax.model import Model, State
 from rbjax.motion.checkpointed_rollout import CheckpointedRollout, keep_every
 from rbjax.motion.field import Dynamics, Field
+from rbjax.motion.inputs import Sources
 from rbjax.motion.integrators import Integrator, advanced
-from rbjax.motion.sources import Sources
 
 #: operations of a step from which on it is faster to keep what it leaves than to compute it again
 LEAVING_ABOVE = 4_000
@@ -60,7 +60,9 @@ def on_threads(
     given, treedef = jax.tree.flatten(state)
     one = [x[0] if batched else x for x in given]
     size, rows = len(one), sources.rows
-    between = sources.asks and _is_large(sources, model, dt, jax.tree.unflatten(treedef, one))
+    between = sources.has_functions and _is_large(
+        sources, model, dt, jax.tree.unflatten(treedef, one)
+    )
     driven = rows is not None or between
     moving, closed = split_tracers((model, dt))
 
@@ -70,8 +72,8 @@ def on_threads(
         numbers = [args[size]] if driven else []
         if between and rows is not None:
             numbers = [args[size][: rows.shape[-1]], args[size][rows.shape[-1] :]]
-        if sources.asks and not between:
-            numbers.append(sources.asked(model, i * dt, state))
+        if sources.has_functions and not between:
+            numbers.append(sources.evaluate(model, i * dt, state))
         inputs = sources.inputs(model, *numbers)
         field = Field(model, how.dynamics, dt)
         return jax.tree.leaves(advanced(how.integrator, field, i * dt, state, inputs, dt))
@@ -111,7 +113,7 @@ def _run(program: Program, *operands: jax.Array) -> list[jax.Array]:
 
 
 def _is_large(sources: Sources, model: Model, dt: jax.Array, one: State) -> bool:
-    count = operation_count(lambda state: sources.asked(model, 0 * dt, state), one)
+    count = operation_count(lambda state: sources.evaluate(model, 0 * dt, state), one)
     return count.total > POLICY_UP_TO
 
 
@@ -136,7 +138,7 @@ def _between(
 
     def act(args: list, /) -> Any:
         def one(i: jax.Array, *state: jax.Array) -> jax.Array:
-            return sources.asked(model, i * dt, jax.tree.unflatten(treedef, state))
+            return sources.evaluate(model, i * dt, jax.tree.unflatten(treedef, state))
 
         return (jax.vmap(one, in_axes=(None, *[0] * len(given))) if batched else one)(*args)
 

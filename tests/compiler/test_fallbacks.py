@@ -144,9 +144,7 @@ def program(batch=()):
 def test_the_version_of_the_interface_is_that_of_the_offsets():
     """So that XLA can reject the handler when it no longer runs that version."""
     header = Path(jax.ffi.include_dir(), "xla/ffi/api/c_api.h").read_text()
-    number = {
-        name: int(n) for name, n in re.findall(r"#define XLA_FFI_API_(M\w+) (\d+)", header)
-    }
+    number = {name: int(n) for name, n in re.findall(r"#define XLA_FFI_API_(M\w+) (\d+)", header)}
     assert number["MAJOR"] == llvm_xla.MAJOR and number["MINOR"] >= llvm_xla.MINOR
     text = llvm_xla.handler(program())[0].text
     assert f"store i64 {llvm_xla.MINOR << 32 | llvm_xla.MAJOR}, ptr %v" in text

@@ -34,12 +34,11 @@ from rbjax.dynamics.algorithms.aba import Factor, aba, accelerated, eliminated, 
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, neg, sub, total
-from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec, pack
 from rbjax.lanes.factorization import LeastNorm, diagonal_floor, regularization
 from rbjax.model import WORLD, Model, State
 from rbjax.spatial import Force

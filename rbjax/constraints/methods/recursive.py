@@ -49,10 +49,10 @@ from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_ma
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack, unpack
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, sub
+from rbjax.lanes.arrays import pack, unpack
 from rbjax.lanes.factorization import LeastNorm
 from rbjax.model import WORLD, Topology
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform

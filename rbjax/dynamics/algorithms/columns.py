@@ -21,10 +21,10 @@ from rbjax.dynamics.algorithms.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
 from rbjax.dynamics.algorithms.operands import inverse_pairs, operands
 from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.drivers.pairs import pair_column, which_moves
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.lanes import Lane, Mat3, Vec3, batch_first, batch_last
+from rbjax.lanes.arrays import pack
 from rbjax.model import Model, prepare
 from rbjax.model.cells import stacked
 from rbjax.spatial import Force, Motion, Transform

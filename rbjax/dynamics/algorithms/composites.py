@@ -11,7 +11,6 @@ import jax
 
 from rbjax.dynamics.algorithms.kinematics import POSE, sweep
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.joint_lanes import axes, own_axes
 from rbjax.lanes import Mat3, Sym3, Vec3, add, mul, total
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
@@ -25,7 +24,7 @@ def tree_poses(d: Driver, joints: Any) -> Any:
 
 def link_axes(d: Driver, poses: Any, joints: Any) -> Any:
     """Each link's axis S in world axes."""
-    return d.each(Transform.motion_to_parent, poses, own_axes(d, joints))
+    return d.each(Transform.motion_to_parent, poses, d.whole_axes(joints))
 
 
 def axis_rates(d: Driver, V: Any, S: Any, poses: Any, joints: Any) -> Any:
@@ -33,7 +32,7 @@ def axis_rates(d: Driver, V: Any, S: Any, poses: Any, joints: Any) -> Any:
     moved = d.each(Motion.cross, turning(d, V), S)
     if d.topology.constant_axes:
         return moved
-    own = d.whole(axes(d, joints)[1])
+    own = d.whole(d.axes(joints)[1])
     return d.each(lambda moved, pose, own: moved + pose.motion_to_parent(own), moved, poses, own)
 
 

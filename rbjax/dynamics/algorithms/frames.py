@@ -17,11 +17,11 @@ import jax.numpy as jnp
 from rbjax.dynamics.algorithms.kinematics import ACCELERATION, POSE, ROTATION, TWIST, sweep
 from rbjax.dynamics.algorithms.link_motion import LinkMotion
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3
+from rbjax.lanes.arrays import pack
 from rbjax.model import WORLD, Model, prepare
 from rbjax.model.leaves import site_transform
 from rbjax.spatial import Motion, Transform

@@ -20,9 +20,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.drivers.pairs import pair_columns, pair_entries
 from rbjax.lanes import Lane, fusion_barrier, inner, mul, neg, sub
+from rbjax.lanes.arrays import pack
 from rbjax.spatial import Motion
 
 

@@ -17,7 +17,6 @@ from rbjax.dynamics.algorithms.frames import carried_point
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.link_forces import generalized, on_links
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.drivers.joint_lanes import axes, own_axes
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.model import WORLD, Model, Topology
 from rbjax.spatial import Motion
@@ -77,7 +76,7 @@ def jacobian(
         return Motion(spin, spin.cross(at - pose.p) + pose.R @ S.lin)
 
     points = d.take(here, [0] * model.nv)
-    columns = d.each(column, poses, points, own_axes(d, joints), _moves(d, link))
+    columns = d.each(column, poses, points, d.whole_axes(joints), _moves(d, link))
     return d.stack(columns, lambda m: m, q).T
 
 
@@ -149,16 +148,16 @@ def jacobian_rate(
             slip = T.ang.cross(slid) + pose.R @ (S_rate.lin * moves)
         return Motion(spin, spin.cross(at - pose.p) + z.cross(speed - V.lin) + slip)
 
-    points, S = d.take(here, [0] * model.nv), [own_axes(d, joints)]
+    points, S = d.take(here, [0] * model.nv), [d.whole_axes(joints)]
     if not d.topology.constant_axes:
-        S.append(d.whole(axes(d, joints)[1]))
+        S.append(d.whole(d.axes(joints)[1]))
     columns = d.each(column, links, carriers, points, _moves(d, link), *S)
     return d.stack(columns, lambda m: m, q).T
 
 
 def _moves(d: Driver, link: int) -> Any:
     """1 for each link that moves the given one, else 0."""
-    return d.known([1.0 if x else 0.0 for x in ancestor_mask(d.topology, link)])
+    return d.literals([1.0 if x else 0.0 for x in ancestor_mask(d.topology, link)])
 
 
 @algorithm("q", "wrenches")

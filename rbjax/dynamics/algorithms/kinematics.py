@@ -174,7 +174,7 @@ def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     poses, twists = sweep(d, d.joints(q, v), POSE, TWIST)
     poses, twists = d.whole(poses), d.whole(twists)
     link = [max(k, 0) for k in model.topology.body_links]
-    moves = d.known([0.0 if k == WORLD else 1.0 for k in model.topology.body_links])
+    moves = d.literals([0.0 if k == WORLD else 1.0 for k in model.topology.body_links])
 
     def in_world(body, link, V, moves):
         ang = (link.R @ V.ang) * moves

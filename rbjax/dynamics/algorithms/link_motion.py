@@ -25,7 +25,6 @@ from rbjax.dynamics.algorithms.kinematics import (
 )
 from rbjax.dynamics.algorithms.link_forces import over_links
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.joint_lanes import axes
 from rbjax.lanes import Lane, fusion_barrier
 from rbjax.model import WORLD
 from rbjax.spatial import Force, Motion, Transform
@@ -138,7 +137,7 @@ class LinkMotion:
     @cached_property
     def _axes(self) -> Any:
         d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
-        return d.columns(axes(d, self.joints)[0], like)
+        return d.columns(d.axes(self.joints)[0], like)
 
 
 def _row(columns: Any, i: Any) -> Any:

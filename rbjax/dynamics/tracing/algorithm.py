@@ -24,7 +24,7 @@ from rbjax.compiler.jax.backend import gpu
 from rbjax.compiler.jax.function import trace
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiling import inside_jit, jitted
-from rbjax.dynamics.arguments import check_arrays, check_static
+from rbjax.dynamics.arguments import check_arrays, check_static, check_takes
 from rbjax.dynamics.drivers.choice import THREADS_APART_ABOVE, on_threads
 from rbjax.dynamics.tracing.constants import with_compiled_constants
 from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
@@ -38,13 +38,20 @@ PROGRAMS_OF_FUNCTIONS = 64
 
 
 def algorithm(
-    *names: str, pairs: bool = False, long: bool = False, apart: Callable | None = None
+    *names: str,
+    pairs: bool = False,
+    long: bool = False,
+    apart: Callable | None = None,
+    where: str = "",
+    functions: tuple[str, ...] = (),
 ) -> Callable[[Callable], Callable]:
     """Decorate f(model, *arrays, *rest) whose arrays have the named shapes.
 
     The name `state` is a `State`. Names of bodies and sites are static. `pairs`: most of the work
     is on pairs of links. `long`: it has twice the statements of the others for each link.
     `apart`: the same function as several kernels, for a batch of a large model on a GPU.
+    `where`: the name in messages, that of f if empty. `functions`: arguments that may be functions
+    of (t, state) in place of arrays; they are part of the program.
     """
 
     def decorate(f: Callable) -> Callable:
@@ -52,6 +59,7 @@ def algorithm(
         suited = functools.partial(for_threads, pairs=pairs, long=long)
         static = [n for n in STATIC if n in signature.parameters]
         required = [n for n in names if signature.parameters[n].default is not None]
+        name = where or f.__name__
 
         @functools.wraps(f)
         def inlined(*args: Any, **kwargs: Any) -> Any:
@@ -83,31 +91,36 @@ def algorithm(
         program = jitted(inlined, static_argnames=static)
 
         @functools.lru_cache(PROGRAMS_OF_FUNCTIONS)
-        def program_with(**functions: Callable) -> Callable:
+        def program_with(**own: Callable) -> Callable:
             """The program of functions of a user. As static arguments `jax.jit` would keep them."""
 
-            def own(*args: Any, **kwargs: Any) -> Any:
-                return inlined(*args, **kwargs, **functions)
+            def run(*args: Any, **kwargs: Any) -> Any:
+                return inlined(*args, **kwargs, **own)
 
-            left = [p for n, p in signature.parameters.items() if n not in functions]
-            own.__signature__ = signature.replace(parameters=left)  # type: ignore[attr-defined]
-            return jitted(own, static_argnames=[n for n in static if n not in functions])
+            left = [p for n, p in signature.parameters.items() if n not in own]
+            run.__signature__ = signature.replace(parameters=left)  # type: ignore[attr-defined]
+            return jitted(run, static_argnames=[n for n in static if n not in own])
 
         @functools.wraps(f)
         def call(model: Model, *args: Any, **kwargs: Any) -> Any:
             bound = signature.bind(model, *args, **kwargs)
-            given = {n: bound.arguments[n] for n in names if n in bound.arguments}
-            bound.arguments.update(check_arrays(f.__name__, model, given, (), required))
+            asked = [n for n in functions if callable(bound.arguments.get(n))]
+            given = {n: x for n, x in bound.arguments.items() if n in names and n not in asked}
+            bound.arguments.update(check_arrays(name, model, given, (), required))
             for n in static:
-                check_static(f.__name__, n, bound.arguments.get(n))
+                check_static(name, n, bound.arguments.get(n))
+            for n in asked:
+                check_takes(name, n, bound.arguments[n], "t", "state")
             if is_traced((bound.args, bound.kwargs)) and inside_jit():
                 return inlined(*bound.args, **bound.kwargs)
-            functions = {n: x for n in static if callable(x := bound.arguments.get(n))}
-            if not functions:
+            static_functions = {
+                n: x for n in (*static, *asked) if callable(x := bound.arguments.get(n))
+            }
+            if not static_functions:
                 return program()(*bound.args, **bound.kwargs)
-            for n in functions:
+            for n in static_functions:
                 del bound.arguments[n]
-            return program_with(**functions)()(*bound.args, **bound.kwargs)
+            return program_with(**static_functions)()(*bound.args, **bound.kwargs)
 
         return call
 

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.spatial.arguments import takes
+from rbjax.rotations.arguments import takes
 from rbjax.sysid.parameters.log_cholesky import to_log_cholesky, upper_factor
 
 _UPPER = np.triu_indices(4, 1)

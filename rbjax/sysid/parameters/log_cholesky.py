@@ -28,8 +28,8 @@ from rbjax.dynamics import inertial_parameters
 from rbjax.dynamics.arguments import check_array, check_model, shape_of
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.rotations.arguments import entries, stacked, takes
 from rbjax.spatial import from_pseudo_inertia
-from rbjax.spatial.arguments import entries, stacked, takes
 
 PARAMETERS = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """The ten inertial parameters of a body, in their order."""

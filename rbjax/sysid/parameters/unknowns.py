@@ -20,7 +20,7 @@ import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
-from rbjax.spatial.physical_consistency import from_pseudo_inertia, pseudo_inertia
+from rbjax.spatial.mass import from_pseudo_inertia, pseudo_inertia
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.log_cholesky import (
     PARAMETERS,
