@@ -220,9 +220,8 @@ def errors(model: Model, goals: Sequence[Goal], q: jax.Array) -> tuple[jax.Array
 
 
 def _shortest_turn(a: Vec3, n: Vec3, dtype: Any) -> list[Lane]:
-    """The shortest rotation vector from the unit vector a to the unit vector n: that of the
-    quaternion (1 + a.n, a x n), of any length. Opposite vectors have no such quaternion: half a
-    turn about any axis across n."""
+    """The shortest rotation vector from the unit vector a to the unit vector n, by the quaternion
+    (1 + a.n, a x n); for opposite vectors half a turn about an axis across n."""
     w, u = 1 + a.dot(n), a.cross(n)
     opposite = w < OPPOSITE
     x, y, z = (jnp.abs(jnp.asarray(c, dtype)) for c in n)

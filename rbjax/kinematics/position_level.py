@@ -108,7 +108,7 @@ def inverse_kinematics(
 
     It is a function of one target. For a batch use `jax.vmap`, inside of `jax.jit` and with the
     model closed over: each target then is a GPU thread or a lane of machine code. Derivatives by
-    target, posture and model are those of the solution; where it did not converge they are zero.
+    target, posture and model are exact for a solution, and zero if the search did not converge.
 
     Args:
         model: the robot. Free, ball and other joints move on their manifold.
@@ -320,7 +320,7 @@ def _retract(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
 def _configuration_rate(
     model: Model, goals: Any, posture: Any, limits: bool, found: Found, rate: Any
 ) -> jax.Array:
-    """The rate of q (nq,) at a solution, from those of its conditions at constant q."""
+    """The rate of q (nq,) at a solution, from the rates of its conditions at constant q."""
     q = found.q
     _, J = errors(model, goals, q)
     ranges = Ranges(model, q.dtype, limits)

@@ -34,7 +34,7 @@ UNDRIVEN = ("refuse", "least_squares")
 
 class Allocation(NamedTuple):
     """ctrl (nu,), within the control ranges; residual (nv,) N m or N, the requested forces minus
-    those of the actuators: of coordinates without an actuator, and at limits."""
+    the forces of the actuators."""
 
     ctrl: jax.Array
     residual: jax.Array
@@ -217,7 +217,7 @@ def check_driven(where: str, model: Model, undriven: str) -> None:
 
 
 def _generic(model: Model) -> np.ndarray:
-    """B (nv, nu) at a random state, or what has its zeros and its rank."""
+    """B (nv, nu) at a random state, or a matrix with the same zeros and rank."""
     top, a = model.topology, model.actuators
     if not any(e.actuates for e in model.forces) and all(
         j >= 0 and top.joints[j].nv == 1 for j in a.joints

@@ -86,7 +86,7 @@ def configuration(model: Model, reference: Any, t: Any, dtype: Any) -> Followed:
 
 
 def check_poses(where: str, reference: Any, rows: tuple[str, ...]) -> Any:
-    """A reference of a frame: an array or a function of t, of the kind that `rows` says."""
+    """Check a reference of a frame: an array or a function of t, with the parts in `rows`."""
     if isinstance(reference, Callable):  # type: ignore[arg-type]
         check_takes(where, "reference", reference, "t")
         return reference

@@ -184,7 +184,7 @@ def _solution(discrete: bool, *matrices: jax.Array) -> tuple[jax.Array, tuple[ja
     problem = A, B, Q, R, S
     K, started = _start(discrete, problem)
     P, converged, definite = _newton(discrete, problem, K, started)
-    refined = _refined(discrete, problem, P)
+    refined = _refine(discrete, problem, P)
     good = started & converged & definite & jnp.isfinite(refined).all()
     P = jnp.where(good, refined, P)
     return P, (started, converged, definite)
@@ -214,7 +214,7 @@ def _start(discrete: bool, problem: Problem) -> tuple[jax.Array, jax.Array]:
     both = jax.tree.map(lambda *x: jnp.stack(x), problem, easy)
 
     def of(z: Problem) -> tuple[jax.Array, jax.Array]:
-        P = _doubled(discrete, z)
+        P = _cost_to_go_by_doubling(discrete, z)
         K, ok = gain(discrete, z, P)
         return K, ok & _stabilises(discrete, A, B, K)
 
@@ -229,7 +229,7 @@ def _stabilises(discrete: bool, A: jax.Array, B: jax.Array, K: jax.Array) -> jax
     return finite & is_stable(closed, discrete)
 
 
-def _doubled(discrete: bool, problem: Problem) -> jax.Array:
+def _cost_to_go_by_doubling(discrete: bool, problem: Problem) -> jax.Array:
     """The cost to go after many steps. It need not converge."""
     A, B, Q, R, S = problem
     n = A.shape[0]
@@ -300,9 +300,7 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
         left, size = remainder(discrete, problem, new)
         rest = jnp.abs(left).max() / size
         good = stable & definite & jnp.isfinite(new).all() & jnp.isfinite(gained).all()
-        # At rounding the residual stops to fall, and one more turn changes only what is rounded.
-        # On the edge of stability each turn halves P there: Newton's method converges linearly to a
-        # double root.
+        # on the edge of stability each step halves P: linear convergence to a double root
         sizes = jnp.abs(jnp.diag(new))
         moved = jnp.abs(jnp.diag(new - P)) > EDGE * jnp.maximum(sizes, 1e3 * eps * sizes.max())
         better = good & ((rest < off) | (off > 1e4 * eps))
@@ -320,7 +318,7 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
     return P, good, definite
 
 
-def _refined(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
+def _refine(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
     """The cost to go of P's gain. That gain's error enters it squared."""
     rounded = (*problem, gain(discrete, problem, P)[0])
     A, B, Q, R, S, K = (Double.of(x) for x in rounded)

@@ -40,7 +40,7 @@ class Stretch(NamedTuple):
     J: jax.Array
 
 
-def joined(one: Stretch, two: Stretch) -> Stretch:
+def join(one: Stretch, two: Stretch) -> Stretch:
     """Two stretches, the second behind the first; leading axes are a batch."""
     turned = matrix_transpose
     n = one.b.shape[-1]
@@ -79,17 +79,17 @@ def stretches(problem: LinearQuadratic) -> tuple[Stretch, jax.Array]:
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), steps, end), ok.all()
 
 
-def tails(each: Stretch, by: str) -> Stretch:
-    """What leads from every knot to the end."""
+def join_tails(each: Stretch, by: str) -> Stretch:
+    """The stretches from every knot to the end."""
     if by == "tree":
-        return jax.lax.associative_scan(lambda a, b: joined(b, a), each, reverse=True)
+        return jax.lax.associative_scan(lambda a, b: join(b, a), each, reverse=True)
     count = each.b.shape[0]
 
     def turn(k, now):
         ahead = jnp.arange(count) + 2**k
         there = ahead < count
         rest = jax.tree.map(lambda x: x[jnp.minimum(ahead, count - 1)], now)
-        new = joined(now, rest)
+        new = join(now, rest)
 
         def kept(a, b):
             return jnp.where(there.reshape(-1, *[1] * (a.ndim - 1)), a, b)
@@ -100,7 +100,7 @@ def tails(each: Stretch, by: str) -> Stretch:
 
 
 def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gains:
-    """What `backward` finds, with log2 N products of a batch in a row instead of N.
+    """The gains of `backward`, by log2 N batched products in a row instead of N.
 
     Args:
         problem: of one sample, with R positive definite.
@@ -129,7 +129,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
         raise UnknownName("way of parallel_backward", by, ("doubling", "tree"))
     instance("parallel_backward", "problem", problem, LinearQuadratic, MADE)
     all_steps, ok = stretches(problem)
-    to_end = tails(all_steps, by)
+    to_end = join_tails(all_steps, by)
     P, p = to_end.J, -to_end.e
     ok &= jnp.isfinite(P).all() & jnp.isfinite(p).all()
     P, p = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (P, p))
@@ -150,7 +150,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
 def parallel_roll(
     problem: LinearQuadratic, gains: Gains, start: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """What `roll` finds, parallel in time: the closed loop is a chain of affine maps.
+    """The closed loop of `roll`, parallel in time: a chain of affine maps.
 
     Args:
         problem: of one sample.

@@ -182,7 +182,7 @@ def feedback(model: Model, state: State, ctrl: Any, K: Any) -> Any:
 
     Args:
         model: the robot.
-        state: that is held.
+        state: the reference state.
         ctrl: (nu,) there.
         K: (nu, 2 nv + nx).
 

@@ -48,7 +48,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
             its column, count as zero; n times the rounding unit times 100 if None.
 
     Returns:
-        `Reach`. The rank is a whole number, so it has no derivative.
+        `Reach`. The rank is an integer, so it has no derivative.
 
     Raises:
         InputError: shapes, values that are not finite.
@@ -160,15 +160,15 @@ def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -
         )
     names = state_names(model)
     missing = np.asarray(reach.outside)[:, : n - int(reach.rank)].copy()
-    said = []
+    texts = []
     for row in _reduced(missing.T):
         row = row / np.abs(row).max()
         order = [i for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) >= least]
         row = row * np.sign(row[order[0]])
         parts = [f"{abs(row[i]):.2f} {names[i]}" for i in order]
         signs = ["" if k == 0 else " + " if row[i] > 0 else " - " for k, i in enumerate(order)]
-        said.append("".join(s + p for s, p in zip(signs, parts, strict=True)))
-    return said
+        texts.append("".join(s + p for s, p in zip(signs, parts, strict=True)))
+    return texts
 
 
 def state_names(model: Model) -> list[str]:

@@ -50,7 +50,7 @@ def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, parameters: 
             f"solve: guess is {type(guess).__name__}, expected the Solution of a similar problem; "
             "give arrays as states= and ctrls="
         )
-    given = {"states": states, "ctrls": ctrls, "numbers": parameters}
+    given = {"states": states, "ctrls": ctrls, "parameters": parameters}
     twice = [name for name, x in given.items() if x is not None]
     if twice:
         raise InputError(f"solve: got guess and {twice}, expected one of them: a Solution has both")

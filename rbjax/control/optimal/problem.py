@@ -84,7 +84,7 @@ class Problem(Record):
 
     Args:
         model: an `rb.Model`; `Equations`; or a robot of `rb.wheeled.at`.
-        horizon: N, the number of steps, each with controls that are held.
+        horizon: N, the number of steps, each with constant controls.
         dt: the step in s; the model's timestep if None.
         running: costs at the N knots with controls: `Cost(term, weight)`, a term, or a function
             (t, state, ctrl) or (model, t, state, ctrl). A number is a cost, a vector of residuals r

@@ -286,7 +286,7 @@ class PredictiveController:
         return PlannedControl(memory.ctrls[k], memory.K[k], state, status)
 
     def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:
-        """The control of a tick: the planned one with feedback, or that of the fallback."""
+        """The control of a tick: planned with feedback, or from the fallback."""
         u = entry.u
         if self.feedback:
             back = product(entry.K, problem.system.minus(state, entry.state))

@@ -108,7 +108,7 @@ class Solution(Record):
 
     @property
     def success(self) -> jax.Array:
-        """Whether the search converged to an optimum. Methods without derivatives cannot know."""
+        """Whether the search converged to an optimum. It is false for sampling methods."""
         return self.status == CONVERGED
 
     def summary(self) -> str:

@@ -25,7 +25,7 @@ from rbjax.control.optimal.derivatives.optimality import (
     KKTSystem,
     KnotValues,
     PrimalDualPoint,
-    solution,
+    solve_kkt,
 )
 from rbjax.control.optimal.objective import cost_terms, residuals, row_bounds
 from rbjax.control.optimal.problem import Knot, Problem, take
@@ -37,9 +37,8 @@ def differentiable(
     search: Callable[..., SearchResult], problem: Problem, start: Any, knots: Knot,
     ctrls: jax.Array, options: Any,
 ) -> SearchResult:  # fmt: skip
-    """search(problem, start, knots, ctrls, options), with derivatives of the optimum by the arrays
-    of the problem, what its functions close over, and the start. Gains and the account of the
-    iterations are constants to them, and nothing depends on the first guess."""
+    """Run search(problem, start, knots, ctrls, options), with derivatives of the optimum by the
+    arrays of the problem, the arrays that its functions close over, and the start."""
     arrays, rest = eqx.partition(problem, _traced)
     N, n, m = problem.horizon, problem.n, problem.nu
 
@@ -124,7 +123,7 @@ def _solution_tangent(
     point = PrimalDualPoint(out.knots, out.ctrls, out.path, out.end)
     kkt = kkt_system.polished(point, out.status == CONVERGED)
     change = jax.jvp(lambda x: kkt_system.gradient(x, kkt), (parameters,), (directions,))[1]
-    dz = solution(kkt, jax.tree.map(jnp.negative, change))
+    dz = solve_kkt(kkt, jax.tree.map(jnp.negative, change))
     held = jax.jvp(lambda x: kkt_system.controls(x, kkt), (parameters,), (directions,))[1]
     du = dz.u + held
 
@@ -132,7 +131,7 @@ def _solution_tangent(
         return jax.vmap(kkt_system.problem.plus)(out.knots, x)
 
     knots = jax.jvp(moved, (jnp.zeros_like(dz.x),), (dz.x,))[1]
-    # L is stationary in the unknowns: its derivative by the parameters is that of the cost
+    # L is stationary in the unknowns: its derivative by the parameters is the cost's
     L = jax.jvp(lambda x: kkt_system.lagrangian(x, kkt), (parameters,), (directions,))[1]
     zero = jax.tree.map(_no_tangent, out)
     return zero._replace(knots=knots, ctrls=du, cost=L, path=dz.path, end=dz.end)

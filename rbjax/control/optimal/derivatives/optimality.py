@@ -81,7 +81,7 @@ class KKTPoint(NamedTuple):
     factor: Factor
 
 
-def solution(kkt: KKTPoint, r: Unknowns) -> Unknowns:
+def solve_kkt(kkt: KKTPoint, r: Unknowns) -> Unknowns:
     """z of K z = r."""
     e, f = kkt.equations, kkt.factor
     flat, whole = ravel_pytree(r)  # of one array: a transpose wants all of them linear, or none
@@ -130,7 +130,7 @@ class KKTSystem:
             kkt = self.at(point)
             better = wanted & (_size(kkt.gradient) < _size(best.gradient))
             best = jax.tree.map(lambda x, y: jnp.where((k == 0) | better, x, y), kkt, best)
-            z = solution(best, jax.tree.map(jnp.negative, best.gradient))
+            z = solve_kkt(best, jax.tree.map(jnp.negative, best.gradient))
             at = best.point
             knots = jax.vmap(self.problem.plus)(at.knots, z.x)
             ctrls = self.controls(self.parameters, best) + z.u

@@ -122,7 +122,7 @@ def factorise(e: Saddle) -> Factor:
 
 
 def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The inverse of a symmetric matrix, with its least eigenvalues held off zero, and whether all
+    """The inverse of a symmetric matrix, its eigenvalues bounded away from zero, and whether all
     are positive."""
     tiny = jnp.finfo(H.dtype).eps
     values, vectors = jnp.linalg.eigh(H)

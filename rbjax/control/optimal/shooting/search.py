@@ -247,7 +247,7 @@ def search(
     )  # fmt: skip
 
 
-def gains_of(
+def compute_gains(
     problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any,
     boxed: bool = False,
 ) -> Feedback:  # fmt: skip
@@ -290,7 +290,7 @@ def iterate(
         reg = now.search.reg
         # with second derivatives, steps along the dynamics are short: k obeys all bounds there
         boxed = exact and policy.closes_gaps
-        plain = functools.partial(gains_of, problem, now.knots, now.ctrls, boxed=boxed)
+        plain = functools.partial(compute_gains, problem, now.knots, now.ctrls, boxed=boxed)
         if not exact:
             return plain(found, gaps, reg)
         full = plain(

@@ -126,7 +126,7 @@ class Target(NamedTuple):
 
 
 class InnerResult(NamedTuple):
-    """Unknowns; status; iterations; stationarity, that of `Target`; costs (history,)."""
+    """Unknowns; status; iterations; stationarity of `Target`; costs (history,)."""
 
     w: Unknowns
     status: jax.Array
