@@ -15,8 +15,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from rbjax.dynamics.algorithms.link_forces import LinkForces, generalized
-from rbjax.dynamics.algorithms.link_motion import LinkMotion
+from rbjax.dynamics.algorithms.kinematics import LinkMotion
+from rbjax.dynamics.algorithms.rnea import LinkForces, generalized_of_links
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
@@ -115,7 +115,7 @@ class Context:
         q, v = [self.q[qs + k] for k in range(nq)], [self.v[vs + k] for k in range(nv)]
         return Joint(top.joint_kinds[j], q, v, vs)
 
-    def generalized(self, tau: Any) -> Loads:
+    def generalized_of_links(self, tau: Any) -> Loads:
         """Generalized forces (nv,)."""
         nv = self.model.nv
         if np.shape(tau) != (nv,):
@@ -125,7 +125,7 @@ class Context:
     def generalized_of(self, wrenches: LinkForces) -> jax.Array:
         """The generalized forces (nv,) of forces on links: sum of J_i^T f_i."""
         d = self.links.driver
-        return d.pack(generalized(d, self.links.joints, wrenches), self.v)
+        return d.pack(generalized_of_links(d, self.links.joints, wrenches), self.v)
 
 
 class Frame:
