@@ -26,7 +26,8 @@ from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.field import Dynamics, dynamics_of, free_motion
 from rbjax.motion.integrators import Integrator, integrator_of
-from rbjax.motion.linearise import box_minus, box_plus, step
+from rbjax.motion.linearise import box_minus, box_plus
+from rbjax.motion.step import step
 
 
 def matrix(name: str, x: Any, where: str = "kalman_filter") -> jax.Array:

@@ -17,8 +17,8 @@ import numpy as np
 from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces, wrenches_to_links
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
-from rbjax.forces.actuators.affine import from_columns
-from rbjax.forces.actuators.limits import clip
+from rbjax.forces.actuators.activation import clip
+from rbjax.forces.actuators.actuator import from_columns
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError
-from rbjax.loading.mjcf.actuator_kinds import reflected
+from rbjax.loading.mjcf.fields import reflected
 from rbjax.model.record import Record
 
 #: leaves in which an infinite number means no limit

@@ -62,12 +62,18 @@ class Frame(NamedTuple):
 
 
 class State(Record):
-    """Configuration q (nq,) and velocity v (nv,), in MuJoCo's layout, and the states x (nx,) of the
-    force elements that have one (`Model.nx`); None where none has, or to begin at their start."""
+    """The state of a robot.
+
+    q: (nq,) configuration, in MuJoCo's layout.
+    v: (nv,) velocity.
+    x: (nx,) states of the force elements that have one; None if none has, or for their start.
+    memory: (m,) memory of a dynamics that has one (`rbjax.motion.field.VelocityDynamics`).
+    """
 
     q: jax.Array
     v: jax.Array
     x: jax.Array | None = None
+    memory: jax.Array | None = None
 
 
 class Bodies(Record):

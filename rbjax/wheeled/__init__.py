@@ -19,10 +19,8 @@ from rbjax.wheeled.files.reading import from_file
 from rbjax.wheeled.files.writing import write_mjcf
 from rbjax.wheeled.kinematics.odometry import HeadingSlip, mean_twists, odometry, rolled_twists
 from rbjax.wheeled.models.constrained import full_model_state
-from rbjax.wheeled.models.contact_forces import Contacts, contacts
 from rbjax.wheeled.models.reduction import Reduced, Undetermined, reduced, undetermined
-from rbjax.wheeled.models.robot_model import RobotModel
-from rbjax.wheeled.models.states import rates, start
+from rbjax.wheeled.models.robot_model import Contacts, RobotModel, contacts, rates, start
 from rbjax.wheeled.motion.control_system import RobotSystem, controlled
 from rbjax.wheeled.motion.following import (
     Commands,

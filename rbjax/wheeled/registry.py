@@ -11,9 +11,8 @@ from typing import Any
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.wheeled.models.constrained import Constrained
-from rbjax.wheeled.models.quasi_velocities import QuasiVelocities
 from rbjax.wheeled.models.robot_model import RobotModel
-from rbjax.wheeled.models.rolling import Dynamical, Kinematic, Kinematical
+from rbjax.wheeled.models.rolling import Dynamical, Kinematic, Kinematical, QuasiVelocities
 from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.robot import catalogue
 from rbjax.wheeled.robot.robot import Robot

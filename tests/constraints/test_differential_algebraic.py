@@ -15,8 +15,7 @@ from benchmarks.cases.mechanisms import andrews, four_bars, tilted_four_bar
 from rbjax import constraints as rc
 from rbjax.constraints.equations.projection import projected
 from rbjax.forces.acting import applied
-from rbjax.motion.implicit import increment, stages
-from rbjax.motion.implicit_multistep import BDFSolver
+from rbjax.motion.implicit import BDFSolver, increment, stages
 from rbjax.motion.term import motion
 from rbjax.solvers.steps import weighted_sums
 from tests.constraints.test_formulations import hung_twice, pendulum, skate

@@ -56,7 +56,7 @@ def test_readings_are_those_of_mujoco(xml, body):
     state = model.random_state(jax.random.key(0))
     state = state.replace(v=jnp.asarray(rng.normal(size=model.nv)))
     ctrl = jnp.asarray(rng.normal(size=model.nu))
-    at = lambda s, u: Context(0.0, s, u, model)  # noqa: E731
+    at = lambda s, u: Context.of(model, 0.0, s, u)  # noqa: E731
     read = jax.jit(lambda s, u: {n: setup.sensor(n)(at(s, u)) for n in names})
     found = read(state, ctrl)
     d.qpos[:], d.qvel[:], d.ctrl[:] = state.q, state.v, ctrl

@@ -17,8 +17,7 @@ from rbjax.wheeled.kinematics.context import coordinate_rates
 from rbjax.wheeled.kinematics.planar import Dual, rate_of
 from rbjax.wheeled.kinematics.velocities import constraint_rates, rolling_velocities
 from rbjax.wheeled.models.constrained import Constrained, full_state
-from rbjax.wheeled.models.equations import gravity_wrenches, projected_equations
-from rbjax.wheeled.models.robot_model import kinetic_energy
+from rbjax.wheeled.models.equations import gravity_wrenches, kinetic_energy, projected_equations
 from rbjax.wheeled.multibody.full_model import full_model
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 
@@ -159,7 +158,7 @@ def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
         ay = a[1] + w[2] * w[0] + a[2] * x - w[2] ** 2 * y
         fx, fy = 0.0, 0.0
         shape = now.shape
-        for (ahead, left), way in zip(full.wheel_forces(now), shape.wheels, strict=True):
+        for (ahead, left), way in zip(full.axle_forces(now), shape.wheels, strict=True):
             fx, fy = fx + ahead * way[0] - left * way[1], fy + ahead * way[1] + left * way[0]
         gx, gy = n.downhill
         weight = M * (c * gx + s * gy), M * (c * gy - s * gx)

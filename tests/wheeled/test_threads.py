@@ -40,7 +40,7 @@ def beside_xla(kind, fidelities):
 
             def end(*args, vehicle=vehicle, method=method):
                 *state, u = args
-                out = wheeled.rollout(vehicle, State(*state), u, 0.002, method=method)
+                out = wheeled.rollout(vehicle, State(*state), u, 0.002, integrator=method)
                 return jnp.concatenate([x[-1] for x in (out.q, out.v, out.x) if x is not None])
 
             cases.append((end, tuple(args)))

@@ -12,7 +12,7 @@ import pytest
 import rbjax as rb
 from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName, UnsupportedFeature
-from rbjax.wheeled.models.states import with_twist
+from rbjax.wheeled.models.robot_model import with_twist
 from rbjax.wheeled.multibody.full_model import BASES, full_model
 from rbjax.wheeled.robot.motors import limited
 from tests.tolerances import relative_error

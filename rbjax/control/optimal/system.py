@@ -197,7 +197,7 @@ class Robot(System):
 
     def linear(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> Linearised:
         if self.integrator is semi_implicit_euler and self.dynamics is free_motion:
-            found = euler_linearised(self.robot, t, state, ctrl, dt)
+            found = euler_linearised(self.robot, t, state, Inputs(ctrl), dt)
             if found is not None:
                 return Linearised(*found)
         return super().linear(t, state, ctrl, dt)

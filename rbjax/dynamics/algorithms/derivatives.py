@@ -66,7 +66,9 @@ def _forward_in_kernels(model: Model, *given: jax.Array) -> tuple[jax.Array, ...
 def inverse_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> InverseDynamicsDerivatives:
-    """Derivatives of tau = ID(q, v, a): `(q, v, a)`, each (nv, nv), q on the tangent space.
+    """Differentiate `inverse_dynamics`, of the bodies only: no force elements or constraints.
+
+    tau = ID(q, v, a): derivatives `(q, v, a)`, each (nv, nv), q on the tangent space.
 
     Args:
         model: the robot.
@@ -100,7 +102,10 @@ def inverse_dynamics_derivatives(
 def forward_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> ForwardDynamicsDerivatives:
-    """Derivatives of a = FD(q, v, tau): `(q, v, tau)`, each (nv, nv), q on the tangent space.
+    """Differentiate `forward_dynamics`, of the bodies only: no force elements or constraints.
+
+    a = FD(q, v, tau): derivatives `(q, v, tau)`, each (nv, nv), q on the tangent space.
+    `rb.linearise` differentiates the motion with everything in the model.
 
     Args:
         model: the robot.

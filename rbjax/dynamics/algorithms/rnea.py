@@ -158,7 +158,10 @@ def forces_at(
 def inverse_dynamics(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array, wrenches: jax.Array | None = None
 ) -> jax.Array:
-    """Generalized forces that give the acceleration a: tau = M(q) a + b(q, v) - sum_b J_b^T w_b.
+    """Compute the forces of the bodies only: no actuators, force elements or constraints.
+
+    tau = M(q) a + b(q, v) - sum_b J_b^T w_b gives the acceleration a. `rb.applied_forces` are those
+    of actuators and force elements.
 
     Args:
         model: the robot.

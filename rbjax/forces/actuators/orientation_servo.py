@@ -14,8 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.actuators.activation import Activation
-from rbjax.forces.actuators.limits import clip
+from rbjax.forces.actuators.activation import Activation, clip
 from rbjax.forces.actuators.transmissions import Arms, between, merged, relative
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads

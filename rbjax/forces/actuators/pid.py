@@ -14,8 +14,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.forces.actuators.activation import clip
 from rbjax.forces.actuators.actuator import ForceLaw, Signals
-from rbjax.forces.actuators.limits import clip
 from rbjax.lanes import Lane, add, mul, neg, sub
 from rbjax.model.leaves import numbers, scalar, table
 from rbjax.model.model import Record

@@ -70,9 +70,7 @@ class JointLimits(Element):
     width: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
     positive = ("width",)
-
-    def may_be_endless(self, name: str) -> bool:
-        return False
+    unlimited = ()
 
     def shapes(self, model: Model) -> Shapes:
         return dict.fromkeys(("stiffness", "damping", "margin", "width"), (len(self.joints),))

@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from rbjax.forces import Element
-from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias
-from rbjax.forces.actuators.affine import from_columns, is_affine
+from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias, from_columns, is_affine
 from rbjax.forces.actuators.orientation_servo import OrientationServo
 from rbjax.forces.actuators.transmissions import (
     JointAxis,
@@ -26,8 +25,7 @@ from rbjax.forces.actuators.transmissions import (
 )
 from rbjax.loading.checks import refuse_nan
 from rbjax.loading.mjcf import actuator_laws as laws
-from rbjax.loading.mjcf.actuator_kinds import Gain, Trn, Wrap, is_off, what_is_left_out
-from rbjax.loading.mjcf.fields import Off, is_on, leaf
+from rbjax.loading.mjcf.fields import Gain, Off, Trn, Wrap, is_off, is_on, leaf, what_is_left_out
 from rbjax.loading.write.draft import Draft, text
 
 _GROUP_OFF = 30  # the group of controls without an actuator, which the file disables

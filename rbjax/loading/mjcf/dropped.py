@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import listed
-from rbjax.loading.mjcf.actuator_kinds import is_at_joint, what_is_left_out
 from rbjax.loading.mjcf.constraints import equalities_are_on, is_loaded
+from rbjax.loading.mjcf.fields import is_at_joint, what_is_left_out
 
 _SHOWN = 4  # names listed before "and N more"
 #: the beginning of an entry about limits in the wrong order

@@ -24,7 +24,7 @@ from rbjax.model import Model, State
 from rbjax.model.links import with_constants
 from rbjax.model.record import Record
 from rbjax.motion.integrators import Integrator
-from rbjax.motion.linearise import step
+from rbjax.motion.step import step
 from rbjax.sensors import Columns, Context, Sensor, sensor_of
 from rbjax.sysid.simulation.segments import in_segments
 
@@ -312,7 +312,8 @@ def _context(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
     delayed = setup.delay is not None and grid.longest_delay > 0
     late = jnp.clip(setup.delay, 0.0, grid.longest_delay * T) if delayed else 0.0
     ctrl = path.ctrls[jnp.clip(jnp.floor((t - late) / T + 1e-3).astype(int), 0, last)]
-    return Context(t, _between(setup.model, path, T, t), ctrl, setup.model, T / grid.substeps)
+    state = _between(setup.model, path, T, t)
+    return Context.of(setup.model, t, state, ctrl, T / grid.substeps)
 
 
 def _between(model: Model, path: Path, T: float, t: Any) -> State:

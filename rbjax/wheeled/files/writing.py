@@ -44,7 +44,7 @@ from rbjax.loading.write.draft import Draft, text
 from rbjax.loading.write.mjcf import compiled, drafted, serialised
 from rbjax.model import Model
 from rbjax.wheeled.kinematics.parameters import Parameters, parameters_of
-from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.models.forces import wheel_loads
 from rbjax.wheeled.multibody.full_model import full_model, knuckle_joint, wheel_joint
 from rbjax.wheeled.multibody.wheel_rows import linked
 from rbjax.wheeled.robot.motors import DCMotor, Motor, SpeedServo, TorqueSource

@@ -1,4 +1,4 @@
-"""The load of each wheel, at rest and while wheels push.
+"""Loads of wheels, and torques on their shafts.
 
 A rigid body on equal springs loads its wheels by a plane, N_i = a + b x_i + c y_i. With f_i, the
 traction of a wheel for each newton of load, and the centre of mass at (x, y) and the height h,
@@ -6,12 +6,11 @@ traction of a wheel for each newton of load, and the centre of mass at (x, y) an
     sum N_i = W,   sum (x_i - x + h f_ix) N_i = 0,   sum (y_i - y + h f_iy) N_i = 0
 
 As f does not depend on N, these are linear, so load transfer is exact and has no state. Wheels on
-one line or at one point leave the moments across it to supports that are not modelled.
+one line or at one point cannot carry the moments about it, which are ignored.
 (Jazar, *Vehicle Dynamics*, ch. 2; Milliken & Milliken, *Race Car Vehicle Dynamics*, ch. 18)
 
-A trailer stands on its axle and on the coupling. The loads of a robot with trailers are those at
-rest, also on its chassis: load transfer is only of robots without trailers. A caster loads the
-wheels as if its mass were at its pivot.
+A trailer stands on its axle and on the coupling. A robot with trailers has the loads at rest, also
+on its chassis. The mass of a caster loads the wheels as if it were at its pivot.
 """
 
 from __future__ import annotations
@@ -19,15 +18,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rbjax.lanes import Lane, add, mul, neg, sub, total
+from rbjax.wheeled.kinematics.context import RobotContext
 from rbjax.wheeled.kinematics.parameters import Parameters
 from rbjax.wheeled.kinematics.planar import Pair, dot, inverse
+from rbjax.wheeled.kinematics.velocities import drive_speeds
+from rbjax.wheeled.models.equations import Damper
 
 
 def wheel_loads(n: Parameters, tractions: Sequence[Pair] | None = None) -> list[Lane]:
-    """N_i of all wheels, N.
-
-    tractions: of each wheel, along x and y of its body; None at rest.
-    """
+    """Compute the loads N_i of all wheels, N, by their tractions along x and y of their bodies; at
+    rest if None."""
     out: list[Lane] = [0.0] * len(n.wheels)
     down: list[list[tuple[Lane, Pair]]] = [[] for _ in n.bodies]  # on couplings of each body
     for k in reversed(range(1, len(n.bodies))):
@@ -101,11 +101,42 @@ def _on_an_area(places: Sequence[Pair], pulls: Sequence[Pair], at: Pair, whole: 
     return [total((p, mul(q, x), mul(r, y))) for x, y in places]
 
 
-def resisting_torques(n: Parameters, w: Sequence[Lane], loads: Sequence[Lane]) -> list[Lane]:
-    """The torques of rolling resistance on each shaft."""
-    rates = w[2 + len(n.bodies) :]
-    out: list[Lane] = [0.0] * len(n.shafts)
-    for wheel, load in zip(n.wheels, loads, strict=True):
-        speed = mul(wheel.radius, rates[wheel.shaft])
-        out[wheel.shaft] = add(out[wheel.shaft], n.resistance.torque(load, wheel.radius, speed))
+def shaft_torques(
+    now: RobotContext, w: Sequence[Lane], loads: Sequence[Lane] | None = None
+) -> list[Lane]:
+    """Compute the torques of drives, damping and rolling resistance on each shaft, N m.
+
+    loads: of the wheels, N; those at rest if None.
+    """
+    n = now.n
+    rates = n.shaft_rates(w)
+    out = [neg(mul(c, rate)) for c, rate in zip(n.damping, rates, strict=True)]
+    speeds = drive_speeds(n, rates)
+    for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
+        torque = n.motors[j].torque(now.u[j], speeds[j])
+        for i, share in zip(drive.wheels, split, strict=True):
+            shaft = n.wheels[i].shaft
+            out[shaft] = add(out[shaft], mul(share, torque))
+    if n.resistance is not None:
+        loads = wheel_loads(n) if loads is None else loads
+        for wheel, load in zip(n.wheels, loads, strict=True):
+            speed = mul(wheel.radius, rates[wheel.shaft])
+            torque = n.resistance.torque(load, wheel.radius, speed)
+            out[wheel.shaft] = add(out[wheel.shaft], torque)
+    return out
+
+
+def motor_dampers(now: RobotContext, w: Sequence[Lane]) -> list[Damper]:
+    """Compute the dampers of the shafts' speeds: those of drives and of axles."""
+    n = now.n
+    rates = n.shaft_rates(w)
+    first, speeds = len(w) - len(rates), drive_speeds(n, rates)
+    units = [[1.0 if k == first + i else 0.0 for k in range(len(w))] for i in range(len(rates))]
+    out: list[Damper] = list(zip(n.damping, units, strict=True))
+    for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
+        row: list[Lane] = [0.0] * len(w)
+        for i, share in zip(drive.wheels, split, strict=True):
+            at = first + n.wheels[i].shaft
+            row[at] = add(row[at], share)
+        out.append((n.motors[j].damping(now.u[j], speeds[j]), row))
     return out
