@@ -231,9 +231,10 @@ def acceleration(
 def forward_dynamics(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, wrenches: jax.Array | None = None
 ) -> jax.Array:
-    """Accelerations of a robot under generalized forces: a = M^-1 (tau - b + sum_b J_b^T w_b).
+    """Compute the acceleration of the bodies only: no actuators, force elements or constraints.
 
-    The model's constraints are not among them: `rbjax.constraints.constrained_dynamics` has them.
+    a = M^-1 (tau - b + sum_b J_b^T w_b). `rb.acceleration` has everything in the model,
+    `rbjax.constraints.constrained_dynamics` the bodies and the constraints.
 
     Args:
         model: the robot.
