@@ -14,11 +14,13 @@ from rbjax.constraints import KKT, jacobian, mobility
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled.kinematics.context import coordinate_rates
+from rbjax.wheeled.kinematics.parameters import parameters_of
 from rbjax.wheeled.kinematics.planar import Dual, rate_of
 from rbjax.wheeled.kinematics.velocities import constraint_rates, rolling_velocities
 from rbjax.wheeled.models.constrained import Constrained, full_state
 from rbjax.wheeled.models.equations import gravity_wrenches, kinetic_energy, projected_equations
-from rbjax.wheeled.multibody.full_model import full_model
+from rbjax.wheeled.multibody.full_model import full_model, model_of
+from rbjax.wheeled.multibody.wheel_rows import SteeringRate
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 
 KINDS = wheeled.kinds()
@@ -253,3 +255,14 @@ def test_rows_hold_over_a_long_rollout() -> None:
     found = constraint_rates(n, now.shape, now.v)
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-12)
     np.testing.assert_allclose(ends[0].q[-1], ends[1].q[-1], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("given", [(), (0.3,)])
+def test_the_rate_of_a_steering_is_zero_or_as_given(given):
+    n = parameters_of(wheeled.kinds()["tricycle"].make(), jnp.float64)
+    rates = [
+        float(row.rate)
+        for row in model_of(n, steering_rates=given).constraints
+        if isinstance(row, SteeringRate)
+    ]
+    assert rates == [*(given or (0.0,))]

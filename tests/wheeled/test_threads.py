@@ -14,13 +14,13 @@ KINDS = wheeled.kinds()
 
 
 def test_reduced_rollouts():
-    beside_xla("omni_3", [f for f in KINDS["omni_3"].fidelities if f != "constrained"])
+    beside_xla("omni_3", [f for f in wheeled.fidelities() if f != "constrained"])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_rollouts(kind):
-    beside_xla(kind, KINDS[kind].fidelities)
+    beside_xla(kind, wheeled.fidelities())
 
 
 def beside_xla(kind, fidelities):
