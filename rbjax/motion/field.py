@@ -16,7 +16,7 @@ import jax
 from rbjax.constraints.formulation import Formulation, TangentSpace, formulation_of
 from rbjax.dynamics.algorithms import forward
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
-from rbjax.dynamics.algorithms.rnea import LinkForces, forces_of
+from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied, implicit_stiffness, within
@@ -119,7 +119,7 @@ class Field:
         tau, f_ext, x = self.applied(t, state, u)
         if self.dynamics is not free_motion:
             a = self._acceleration(t, state, tau, f_ext)
-            tau = forces_of(self.precomputed, state.q, state.v, a, f_ext)
+            tau = forces_at(self.precomputed, state.q, state.v, a, f_ext)
         return tau, f_ext, x
 
     def retract(self, q: jax.Array, dq: jax.Array) -> jax.Array:
