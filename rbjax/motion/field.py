@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 import jax
 
 from rbjax.constraints.formulation import Formulation, TangentSpace, formulation_of
-from rbjax.dynamics.algorithms import forward
+from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
@@ -57,7 +57,7 @@ class VelocityDynamics(Protocol):
 
 def free_motion(model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
     """v' = M^-1 (tau - b + sum of J_i^T f_i)."""
-    return forward.acceleration(model, state.q, state.v, tau, f_ext)
+    return aba.acceleration(model, state.q, state.v, tau, f_ext)
 
 
 @dataclass(frozen=True)
