@@ -152,8 +152,8 @@ class Element(Record):
 
     def implicit_stiffness(self, now: Context, h: Any) -> Mapping[int, Lane]:
         """h D / 2 + h^2 K / 4 by velocity coordinate, where -D and -K are the slopes of its
-        generalized forces: what these, taken at the middle of a step h, add to the diagonal of the
-        mass matrix. Only how fast an implicit step converges depends on it."""
+        generalized forces: the diagonal terms that forces at the middle of a step h add to the mass
+        matrix. They affect only the convergence of an implicit step."""
         return {}
 
     def within(self, x: jax.Array) -> Sequence[Lane]:

@@ -127,8 +127,8 @@ class Field:
         return retract(self.precomputed, q, dq)
 
     def implicit_stiffness(self, t: Any, state: State, u: Inputs, dt: Any) -> dict:
-        """The implicit stiffness of forces at the middle of a step: what they add to the diagonal
-        of the mass matrix, by velocity coordinate."""
+        """The implicit stiffness of forces at the middle of a step: their diagonal terms in the
+        mass matrix, by velocity coordinate."""
         return implicit_stiffness(self.precomputed, t, state, u.ctrl, dt)
 
     def stage_state(self, t: Any, state: State, t0: Any, start: State) -> State:

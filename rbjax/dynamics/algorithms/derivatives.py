@@ -62,7 +62,7 @@ def _forward_in_kernels(model: Model, *given: jax.Array) -> tuple[jax.Array, ...
     return by(model, *given)
 
 
-@algorithm("q", "v", "a", kernels=_inverse_in_kernels)
+@algorithm("q", "v", "a", multi_kernel=_inverse_in_kernels)
 def inverse_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> InverseDynamicsDerivatives:
@@ -98,7 +98,7 @@ def inverse_dynamics_derivatives(
     return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
 
 
-@algorithm("q", "v", "tau", pairs=True, kernels=_forward_in_kernels)
+@algorithm("q", "v", "tau", pairs=True, multi_kernel=_forward_in_kernels)
 def forward_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> ForwardDynamicsDerivatives:

@@ -112,7 +112,7 @@ def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
     return jax.vmap(column, out_axes=1)(jnp.eye(d.topology.nv, dtype=like.dtype))
 
 
-@algorithm("q", pairs=True, kernels=inverse_mass_by_columns)
+@algorithm("q", pairs=True, multi_kernel=inverse_mass_by_columns)
 def inverse_mass_matrix(model: Model, q: jax.Array) -> jax.Array:
     """M(q)^-1 (nv, nv), by the articulated-body algorithm in O(n) a column.
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.jax.backend import gpu
+from rbjax.compiler.jax.launch import has_gpu
 from rbjax.dynamics.drivers.contract import Driver as Driver
 from rbjax.dynamics.drivers.limbs import Limbs
 from rbjax.dynamics.drivers.rolled import Rolled
@@ -69,5 +69,5 @@ def on_threads(model: Model, dtype: Any, *, pairs: bool = False, long: bool = Tr
     if model.driver != "auto":
         return model
     most = THREADS_UNROLLED_UP_TO if pairs or long else SHORT_UNROLLED_UP_TO
-    few = model.nv <= max(most[np.dtype(dtype).itemsize], 0 if gpu() else CPU_UNROLLED_UP_TO)
+    few = model.nv <= max(most[np.dtype(dtype).itemsize], 0 if has_gpu() else CPU_UNROLLED_UP_TO)
     return model.replace(driver="unrolled" if few else "rolled" if pairs else "limbs")

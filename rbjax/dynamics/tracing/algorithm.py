@@ -18,9 +18,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import wanted
-from rbjax.compiler.jax.backend import gpu
+from rbjax.compiler import kernels_available
 from rbjax.compiler.jax.function import trace
+from rbjax.compiler.jax.launch import has_gpu
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiling import inside_jit, jitted
 from rbjax.dynamics.arguments import check_arrays, check_static, check_takes
@@ -40,7 +40,7 @@ def algorithm(
     *names: str,
     pairs: bool = False,
     long: bool = False,
-    kernels: Callable | None = None,
+    multi_kernel: Callable | None = None,
     where: str = "",
     functions: tuple[str, ...] = (),
 ) -> Callable[[Callable], Callable]:
@@ -50,7 +50,7 @@ def algorithm(
         names: of the arrays (`dynamics.arguments.SHAPES`), or "state".
         pairs: whether most of the work is on pairs of links.
         long: whether f has twice the statements of other algorithms for each link.
-        kernels: the same function as several kernels, for a batch of a large model on a GPU.
+        multi_kernel: the same function as several kernels, for a batch of a large model on a GPU.
         where: the name in messages, that of f if empty.
         functions: arguments that may be functions of (t, state) in place of arrays; they are part
             of the program.
@@ -67,7 +67,7 @@ def algorithm(
         def inlined(*args: Any, **kwargs: Any) -> Any:
             if on_explicit_axes(args, kwargs):
                 return on_auto_axes(lambda args, kwargs: inlined(*args, **kwargs), args, kwargs)
-            compiled = wanted()
+            compiled = kernels_available()
             moving, closed = split_tracers((on_lanes(args) if compiled else args, kwargs))
             if not moving or not compiled:
                 return f(*args, **kwargs)
@@ -80,14 +80,14 @@ def algorithm(
                 return [jnp.asarray(x) for x in leaves]
 
             program, closed_over = trace(flat, moving)
-            if kernels is not None and args[0].nv > KERNELS_ABOVE:
+            if multi_kernel is not None and args[0].nv > KERNELS_ABOVE:
                 as_given = split_tracers((args, kwargs))[1]
 
                 def in_kernels(*moving: Any) -> list[jax.Array]:
                     args, kwargs = as_given(list(moving))
-                    return jax.tree.leaves(kernels(*args, **kwargs))
+                    return jax.tree.leaves(multi_kernel(*args, **kwargs))
 
-                program = dataclasses.replace(program, apart=in_kernels)
+                program = dataclasses.replace(program, multi_kernel=in_kernels)
             return jax.tree.unflatten(shape[0], run(program, [*closed_over, *moving]))
 
         program = jitted(inlined, static_argnames=static)
@@ -145,7 +145,7 @@ def with_driver_of_threads(args: tuple, *, pairs: bool = False, long: bool = Fal
     if not floats:
         return args
     model = on_threads(model, floats[0], pairs=pairs, long=long)
-    if pairs and model.driver == "rolled" and not gpu():
+    if pairs and model.driver == "rolled" and not has_gpu():
         made = with_compiled_constants(model, floats[0])
         model = model.replace(constants=made.execution.constants)
     return (model, *rest)
@@ -163,7 +163,7 @@ def with_compiled_constants(model: Model, dtype: Any) -> Model:
         return [x for x in leaves if isinstance(x, jax.core.Tracer)]
 
     program, operands = trace(numbers, [])
-    program = dataclasses.replace(program, once=True)
+    program = dataclasses.replace(program, compile_fast=True)
     leaves, tree = found
     made = iter(run(program, operands) if operands else ())
     known = [next(made) if isinstance(x, jax.core.Tracer) else x for x in leaves]

@@ -28,7 +28,7 @@ from rbjax.estimation.state_space import StateSpace
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field, dynamics_of, free_motion
-from rbjax.motion.integrators import advanced, integrator_of
+from rbjax.motion.integrators import advance_state, integrator_of
 from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.parameters.divergence import Divergence
@@ -94,7 +94,9 @@ class Likelihood:
                 inputs = Inputs(ctrl, w if drive == "torque" else None)
 
                 def once(i: Any, x: State) -> State:
-                    return advanced(integrator, Field(model, dynamics, h), t + i * h, x, inputs, h)
+                    return advance_state(
+                        integrator, Field(model, dynamics, h), t + i * h, x, inputs, h
+                    )
 
                 # a loop of known length, which has a derivative in both modes
                 x = once(0, x)

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from rbjax.compiler.jax.backend import gpu
+from rbjax.compiler.jax.launch import has_gpu
 
 #: threads that a GPU runs as fast as one
 THREADS = 8192
@@ -41,7 +41,7 @@ Segment = Callable[[Any, Any, Any], tuple[Any, Any]]
 def segments(periods: int, samples: int) -> int:
     """Into how many segments a motion is cut, of which so many samples are simulated; 1: it runs at
     once, as on a CPU, whose cores are busy with few samples."""
-    if not gpu():
+    if not has_gpu():
         return 1
     return max(1, min(MOST, periods // SHORTEST, THREADS // samples))
 

@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import threads, wanted
+from rbjax.compiler import kernels_available, threads
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.model import Model, State
 from rbjax.model.links import with_constants
@@ -188,7 +188,7 @@ def ready(setup: Setup) -> Setup:
     """The set-up as programs of threads are shortest: the numbers of its links made before the
     steps, and equal limbs a loop. A derivative of steps then takes half as long to compile."""
     model = setup.model
-    if not wanted():
+    if not kernels_available():
         return setup
     if model.driver == "auto":
         model = model.replace(driver="limbs")

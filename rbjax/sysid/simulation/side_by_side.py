@@ -16,7 +16,7 @@ import numpy as np
 
 from rbjax.model import WORLD, Model, State, Topology
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
-from rbjax.motion.integrators import looped
+from rbjax.motion.integrators import loop_stages
 from rbjax.sysid.simulation.islands import islands_of
 from rbjax.sysid.simulation.setup import PD, Calibration, Grid, Path, Setup, motion, ready, stepped
 
@@ -122,7 +122,7 @@ def motion_of_parts(
     plan, still, moving = _split([leaves for leaves, _ in each])
 
     if isinstance(grid.integrator, str):  # of a small part, too, a short program is what pays
-        grid = grid._replace(integrator=looped(grid.integrator))
+        grid = grid._replace(integrator=loop_stages(grid.integrator))
 
     def part(numbers: tuple[jax.Array, jax.Array]) -> Setup:
         return ready(jax.tree.unflatten(tree, [f(*numbers) for f in plan]))
