@@ -114,6 +114,9 @@ def kalman_filter(
     if arrived is None:
         expected = "an array (N + 1, m), nan where nothing arrived; for others give arrived"
         readings = real("kalman_filter", "readings", readings, expected, finite=False)
+        if readings.ndim != 2:
+            shape = readings.shape
+            raise InputError(f"kalman_filter: readings have shape {shape}, expected {expected}")
         arrived = ~jnp.isnan(readings)
         readings = jnp.where(arrived, readings, 0.0)
     arrived = jnp.asarray(arrived, bool)

@@ -19,14 +19,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.frames import carried_point
-from rbjax.dynamics.algorithms.link_motion import LinkMotion
+from rbjax.dynamics.algorithms.frames import locate_on_link
+from rbjax.dynamics.algorithms.kinematics import LinkMotion
 from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least, check_rotation
 from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul
-from rbjax.model import WORLD, Model, prepare
+from rbjax.model import WORLD, Frame, Model, prepare
 from rbjax.model.leaves import site_transform
 from rbjax.model.record import Record
 from rbjax.rotations import quaternion
@@ -164,7 +164,7 @@ class GoalErrors:
         """The link that carries the frame, its point and attitude in that link's axes."""
         model, d = self.model, self._d
         like = jnp.zeros(0, self.dtype)
-        link, r = carried_point("Goal", model, d, like, goal.body, goal.site, goal.point)
+        link, r = locate_on_link("Goal", model, d, like, Frame(goal.body, goal.point, goal.site))
         R = Mat3.identity()
         b = body_of(model, goal)
         if goal.site is not None:

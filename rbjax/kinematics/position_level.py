@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag, integer
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.arguments import (
@@ -236,7 +236,7 @@ def _inlined(
         model, goals, _, _, posture, weights, tolerance = closed(moving)
         return search(model, goals, start, others, posture, weights, tolerance, how)
 
-    run = threaded(one) if wanted() else one
+    run = compile_threads(one) if kernels_available() else one
 
     def found(moving: list) -> Found:
         _, _, start, others, _, weights, _ = closed(moving)

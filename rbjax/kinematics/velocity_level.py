@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import (
     check_array,
@@ -125,7 +125,7 @@ def _inlined(*args: Any) -> DifferentialInverseKinematics:
     def run(moving: list) -> DifferentialInverseKinematics:
         return _solved(*closed(moving))
 
-    return (threaded(run) if wanted() else run)(moving)
+    return (compile_threads(run) if kernels_available() else run)(moving)
 
 
 _program = compiled(_inlined)

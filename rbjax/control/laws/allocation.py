@@ -20,7 +20,7 @@ from rbjax.arguments import instance
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
-from rbjax.forces.acting import sighted
+from rbjax.forces.acting import element_contexts
 from rbjax.forces.actuators.actuator import Actuator, GainBias
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
@@ -122,7 +122,8 @@ def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
 
     def at(u: list) -> list[Lane]:
         given = Loads()
-        for element, seen in sighted(free, dataclasses.replace(now, ctrl=u, found={})):
+        context = dataclasses.replace(now, ctrl=u, found={})
+        for element, seen in element_contexts(free, context):
             if element.actuates:
                 given = given + element.loads(seen)
         tau = [given.tau.get(n, 0.0) for n in range(model.nv)]

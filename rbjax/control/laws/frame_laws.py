@@ -33,8 +33,7 @@ from rbjax.control.laws.controller import (
     pose,
 )
 from rbjax.dynamics.algorithms.crba import mass_matrix
-from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_pose
-from rbjax.dynamics.algorithms.jacobians import jacobian
+from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_pose, jacobian
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_array, check_static, shape_of
 from rbjax.errors import InputError

@@ -34,7 +34,7 @@ from rbjax.control.laws.controller import (
     gains,
     holding_forces,
 )
-from rbjax.dynamics.algorithms.jacobians import generalized_forces
+from rbjax.dynamics.algorithms.frames import generalized_forces
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_array, check_takes
 from rbjax.lanes import matvec

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import optax
 
 from rbjax.arguments import instance, integer, real_number
-from rbjax.compiler import quickly
+from rbjax.compiler import fast_compile
 from rbjax.control.learning.environment import Environment
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
@@ -41,7 +41,7 @@ def run_iterations(
     jit: Any = functools.partial(jax.jit, compiler_options=UNMEASURED if quick else None)
     first = jit(lambda n, *given: jax.lax.scan(turn, begin(*given), None, n), static_argnums=0)
     more = jit(lambda now, n: jax.lax.scan(turn, now, None, n), static_argnums=1)
-    with quickly(quick):
+    with fast_compile(quick):
         if not progress:
             return first(iterations, *given)
         chunk = max(1, iterations // CHUNKS)

@@ -21,8 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control.optimal.system import as_system
+from rbjax.dynamics.algorithms.aba import forward_dynamics
 from rbjax.dynamics.algorithms.energy import center_of_mass
-from rbjax.dynamics.algorithms.forward import forward_dynamics
 from rbjax.dynamics.algorithms.frames import frame_pose, frame_velocity
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError

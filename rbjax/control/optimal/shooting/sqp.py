@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import in_parts, threads
+from rbjax.compiler import threads, with_multi_kernel
 from rbjax.control.linear.riccati import roll_linear
 from rbjax.control.optimal.objective import knot_violation, merit
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
@@ -130,7 +130,7 @@ def _trials(
 
         return threads(read)(k, ctrl, y, du, *rest)
 
-    each = jax.vmap(in_parts(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
+    each = jax.vmap(with_multi_kernel(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
     body, following = take(now.knots, BODY), take(now.knots, NEXT)
     path, l = found.path.cost, now.multipliers
     sums, offs = jax.vmap(each, (None,) * 15 + (0,))(
