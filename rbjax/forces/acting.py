@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.link_forces import LinkForces, added, on_links
+from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces, wrenches_to_links
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.actuators.activation import clip
@@ -142,8 +142,8 @@ def applied(
     if inputs.tau is not None:
         tau = [add(x, inputs.tau[i]) for i, x in enumerate(tau)]
     if inputs.wrenches is not None:
-        given = on_links(now.links.driver, now.links.joints, inputs.wrenches)
-        f_ext = added(f_ext, given)
+        given = wrenches_to_links(now.links.driver, now.links.joints, inputs.wrenches)
+        f_ext = add_forces(f_ext, given)
     return pack(tau, state.v), f_ext, states(model, now, dt if advance else None)
 
 

@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.link_forces import LinkForces, generalized
-from rbjax.dynamics.algorithms.link_motion import LinkMotion
+from rbjax.dynamics.algorithms.kinematics import LinkMotion
+from rbjax.dynamics.algorithms.rnea import LinkForces, generalized_of_links
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
@@ -138,7 +138,7 @@ class Context:
     def generalized_of(self, wrenches: LinkForces) -> jax.Array:
         """The generalized forces (nv,) of forces on links: sum of J_i^T f_i."""
         d = self.links.driver
-        return d.pack(generalized(d, self.links.joints, wrenches), self.v)
+        return d.pack(generalized_of_links(d, self.links.joints, wrenches), self.v)
 
 
 class Frame:

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.link_forces import LinkForces, added
+from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul
@@ -51,7 +51,7 @@ class Loads:
 
     def __add__(self, other: Loads) -> Loads:
         internal = all(x.internal or not x.wrenches for x in (self, other))
-        wrenches = added(self.wrenches, other.wrenches)
+        wrenches = add_forces(self.wrenches, other.wrenches)
         return Loads(_summed(self.tau, other.tau), wrenches, internal)
 
     def __radd__(self, other: Any) -> Loads:

@@ -15,7 +15,7 @@ from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program
 from rbjax.compiler.jax.uniform import hoist_uniform
 from rbjax.dynamics.drivers import choice
-from rbjax.dynamics.tracing.constants import with_compiled_constants
+from rbjax.dynamics.tracing.algorithm import with_compiled_constants
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.dynamics.tracing.devices import on_each_device
 from rbjax.dynamics.tracing.operations import operation_count
