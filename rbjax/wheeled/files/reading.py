@@ -153,8 +153,8 @@ def from_file(
 
 @dataclass(frozen=True)
 class View:
-    """The frames of the chassis and of trailers, with parallel axes: the origins (3,) on the ground,
-    and the rotation turn (3, 3) from their axes to the world's."""
+    """The frames of the chassis and of trailers, with parallel axes: origins on the ground, and
+    the rotation turn (3, 3) from their axes to the world's."""
 
     roles: Roles
     origins: tuple[np.ndarray, ...]
