@@ -4,9 +4,9 @@
     rotation     e = log(R_d R^T)                       J = J_w
     position     e = p_d - p                            J = J_v
     direction    e = log of the turn of a to n          J = (1 - n n^T) J_w
+
 in world axes, of a frame at (R, p) whose axis a shall point along n. J is the rate of -e to first
-order in e, so Newton's method with it converges quadratically to e = 0 (Sola, Deray & Atchuthan,
-*A micro Lie theory*, 2018, eq. 83: J_l^-1(e) = 1 + O(e)).
+order in e (Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 83).
 """
 
 from __future__ import annotations
@@ -220,9 +220,8 @@ def errors(model: Model, goals: Sequence[Goal], q: jax.Array) -> tuple[jax.Array
 
 
 def _shortest_turn(a: Vec3, n: Vec3, dtype: Any) -> list[Lane]:
-    """The shortest rotation vector from the unit vector a to the unit vector n: that of the
-    quaternion (1 + a.n, a x n), of any length. Opposite vectors have no such quaternion: half a
-    turn about any axis across n."""
+    """The shortest rotation vector from the unit vector a to the unit vector n, by the quaternion
+    (1 + a.n, a x n); for opposite vectors half a turn about an axis across n."""
     w, u = 1 + a.dot(n), a.cross(n)
     opposite = w < OPPOSITE
     x, y, z = (jnp.abs(jnp.asarray(c, dtype)) for c in n)

@@ -1,10 +1,6 @@
-"""Which starts come back under a feedback: a map of a region of attraction by a batch.
+"""A map of a region of attraction: which starts come back under a feedback.
 
-    x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back where |x(T) (-) x*| <= tolerance
-
-The region of attraction of x* is the set of starts from which the motion tends to x*. A batch shows
-it on a plane through x*, as it is seen after a time T: a slow start that would still come back
-counts as one that does not.
+x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back if |x(T) (-) x*| <= tolerance
 """
 
 from __future__ import annotations

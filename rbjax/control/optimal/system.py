@@ -43,7 +43,7 @@ class System(Record):
 
     @property
     def model(self) -> Any:
-        """What costs are given as `model`."""
+        """The `model` argument of costs and constraints."""
         return self
 
     def with_model(self, model: Any) -> System:
@@ -84,7 +84,7 @@ class System(Record):
         raise NotImplementedError(f"{type(self).__name__} has no method example")
 
     def step(self, t: Any, state: Any, ctrl: jax.Array, dt: Any) -> Any:
-        """The state after dt, the controls held."""
+        """The state after dt under constant controls."""
         raise NotImplementedError(f"{type(self).__name__} has no method step")
 
     def plus(self, state: Any, dx: jax.Array) -> Any:
