@@ -22,7 +22,7 @@ from jax.extend.core import Literal, Var, jaxpr_as_fun
 
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program, traced
-from rbjax.dynamics.algorithms.forward import LEFT
+from rbjax.dynamics.algorithms.aba import LEFT
 
 Arrays = tuple[jax.Array, ...]
 
@@ -74,7 +74,10 @@ class CheckpointedRollout:
             return traced(f, *avals)
 
         return Program(
-            plain.closed, vjp=self._vjp, keeping=keeping, reads=0 if every else self.size
+            plain.closed,
+            vjp=self._vjp,
+            forward_with_residuals=keeping,
+            first_residual=0 if every else self.size,
         )
 
     def step_vjp(self, moving: Sequence[bool]) -> StepVjp:
@@ -226,11 +229,8 @@ class StepVjp:
     def of(cls, step: Program, moving: tuple[bool, ...]) -> StepVjp:
         """The vjp of a step, built once."""
         key = "step_vjp", moving
-        if key not in step.derived:
-            step.derived[key] = cls(
-                *(_vjp_of_equations(step, moving) or _vjp_of_checkpoint(step, moving))
-            )
-        return step.derived[key]
+        vjps = (f(step, moving) for f in (_vjp_of_equations, _vjp_of_checkpoint))
+        return step.memoize(key, lambda: cls(*next(x for x in vjps if x is not None)))
 
     @property
     def residuals(self) -> jax.ShapeDtypeStruct:

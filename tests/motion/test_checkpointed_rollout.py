@@ -132,7 +132,7 @@ def test_emitted_states_and_cotangents(kept):
         program, plain = checkpointed(save_every, k, keep_residuals), scanned(save_every)
         states = jax.vmap(plain)(Q, V, US, w)
         bars = [RNG.normal(size=x.shape) for x in states]
-        keeping = program.keeping((True,) * 4)
+        keeping = program.forward_with_residuals((True,) * 4)
         found = jax.vmap(keeping)(Q, V, US, w)
         agree(found[:2], states)
         assert found[-1].shape == ((BATCH, STEPS, N) if keep_residuals else found[-1].shape)

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import choice, integer
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_array, check_step, check_takes, shape_of
 from rbjax.dynamics.tracing.custom_rules import split_tracers
@@ -190,7 +190,7 @@ def _run(model: RobotModel, state: State, ctrl: Any, dt: Any, how: _Steps) -> St
         model, f, dt = closed(args[len(own) :])
         return _states(model, state, f if rows is None else rows, dt, how)
 
-    run = threaded(sample) if wanted() else sample
+    run = compile_threads(sample) if kernels_available() else sample
     if state.q.ndim == 1:
         return run([*own, *shared])
     each = None if rows is None or rows.ndim < 3 else 0
