@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeGuard
 
 import jax
 
-from rbjax.constraints.formulation import Formulation, TangentSpace, formulation_of
+from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
@@ -144,7 +144,7 @@ class Field:
 
 def moves_stages(dynamics: Dynamics) -> TypeGuard[Formulation]:
     """Whether a dynamics takes the rates of a stage at another state."""
-    return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, TangentSpace)
+    return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, StageProjection)
 
 
 def dynamics_of(where: str, model: Model, dynamics: Any, constraints: Any) -> Dynamics:

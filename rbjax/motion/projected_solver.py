@@ -10,7 +10,7 @@ import diffrax
 import equinox as eqx
 import jax
 
-from rbjax.constraints.formulation import Formulation, stepped
+from rbjax.constraints.formulation import Formulation, differential_algebraic_method
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.field import Dynamics, moves_stages
@@ -52,7 +52,7 @@ def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffr
     of index 2 or 3, or the default."""
     if given is not None:
         _check_solver("simulate", given)
-    formulation = stepped(dynamics)
+    formulation = differential_algebraic_method(dynamics)
     if formulation is not None:
         if isinstance(given, BDF):
             return BDFSolver(formulation, given.formula_order)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from rbjax.constraints import Formulation
 from rbjax.constraints.equations.constrained_motion import constrained_motion
-from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.projection import project_state
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError, UnknownName
 from rbjax.lanes import Lane, add, mul, sub
@@ -77,7 +77,7 @@ class Constrained(RobotModel):
 
     def full_velocities(self, now: RobotContext) -> list[Lane]:
         model, state = full_state(now, now.v)
-        return robot_velocities(now, model, projected(model, 0.0, state, positions=False).v)
+        return robot_velocities(now, model, project_state(model, 0.0, state, positions=False).v)
 
     def project(self, now: RobotContext) -> list[Lane]:
         """v put on the rows, after a step."""
