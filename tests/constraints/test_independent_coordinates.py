@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.equations.projection import eliminate, solve_dependent
+from rbjax.constraints.equations.projection import eliminate, project_state, solve_dependent
 
 MODEL = rb.load("four_bar")
 
@@ -60,3 +60,13 @@ def test_a_motion_stays_on_the_constraints_and_is_that_of_others() -> None:
     value, rate = rc.residual(MODEL, last)
     assert abs(value).max() < 1e-12 and abs(rate).max() < 1e-11
     np.testing.assert_allclose(runs["partitioning"].q, runs["tangent_space"].q, rtol=0, atol=1e-9)
+
+
+def test_project_state_with_and_without_positions() -> None:
+    _, state = perturbed()
+    before = abs(rc.residual(MODEL, state).value).max()
+    after = abs(rc.residual(MODEL, project_state(MODEL, 0.0, state)).value).max()
+    same = project_state(MODEL, 0.0, state, positions=False)
+    assert after < 1e-3 * before
+    np.testing.assert_array_equal(same.q, state.q)
+    assert abs(rc.residual(MODEL, same).rate).max() < 1e-5
