@@ -42,7 +42,7 @@ quick: $(STAMP)
 	$(PYTEST) -m "not slow"
 
 test-gpu: $(STAMP) ## on an NVIDIA GPU: the threads compiler's tests as kernels, beside XLA's CPU
-	JAX_PLATFORMS=cpu,cuda $(PYTEST) -m "not slow" tests/compiler tests/motion/test_march.py tests/dynamics/test_limbs.py
+	JAX_PLATFORMS=cpu,cuda $(PYTEST) -m "not slow" tests/compiler tests/motion/test_checkpointed_rollout.py tests/dynamics/test_limbs.py
 
 test-all: lint types ## the same with the slow tests; JOBS=16 on many cores; a summary in .cache/test-all.xml
 	$(PYTEST) --durations=20 --junitxml=.cache/test-all.xml

@@ -39,11 +39,10 @@ from rbjax.dynamics import (
     lagrange_coefficients,
     mass_matrix,
     potential_energy,
-    site_pose,
 )
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
-from rbjax.model import Model, State
+from rbjax.model import Frame, Model, State
 
 if TYPE_CHECKING:
     from rbjax import (
@@ -67,9 +66,10 @@ if TYPE_CHECKING:
     from rbjax import motion as motion
     from rbjax.forces import applied_forces
     from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
-    from rbjax.motion.linearise import Linear, linearise, step
+    from rbjax.motion.linearise import Linear, linearise
     from rbjax.motion.rollout import rollout
     from rbjax.motion.simulate import simulate
+    from rbjax.motion.step import acceleration, step
     from rbjax.motion.trajectory import Trajectory
 
 __version__ = "0.1.0"
@@ -84,6 +84,7 @@ _PACKAGES = (
 _MODULES = {
     "ModelBuilder": "loading",
     "Linear": "motion.linearise",
+    "acceleration": "motion.step",
     "Trajectory": "motion.trajectory",
     "applied_forces": "forces",
     "linearise": "motion.linearise",
@@ -91,7 +92,7 @@ _MODULES = {
     "rollout": "motion.rollout",
     "scenes": "loading",
     "simulate": "motion.simulate",
-    "step": "motion.linearise",
+    "step": "motion.step",
     "write_back": "loading",
     "write_mjcf": "loading",
 }
@@ -121,6 +122,7 @@ def __dir__() -> list[str]:
 
 __all__ = [
     "InputError",
+    "Frame",
     "Model",
     "ModelBuilder",
     "ModelError",
@@ -131,6 +133,7 @@ __all__ = [
     "Trajectory",
     "UnknownName",
     "UnsupportedFeature",
+    "acceleration",
     "applied_forces",
     "bias_forces",
     "body",
@@ -178,7 +181,6 @@ __all__ = [
     "scenes",
     "sensors",
     "simulate",
-    "site_pose",
     "solvers",
     "spatial",
     "stability",

@@ -8,18 +8,14 @@ import matplotlib
 import pytest
 
 from rbjax.demo import demo
-from rbjax.demo.forces import forces
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
-from rbjax.demo.joints import joints
-from rbjax.demo.loops import loops
 from rbjax.demo.motion import motion
-from rbjax.demo.planning import planning
+from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
 from rbjax.demo.report import Section
-from rbjax.demo.swing_up import swing_up
-from rbjax.demo.threads import threads
+from rbjax.demo.run import PARTS
 from rbjax.demo.validate import validate
-from rbjax.demo.wheels import wheels
+from rbjax.errors import RbjaxError
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +35,7 @@ def check(section: Section, folder: Path) -> None:
 
 
 def test_motion(tmp_path: Path) -> None:
-    section = motion(tmp_path, quiet, batch=2, fan=4, seconds=0.1, scenes=("pendulum",))
+    section = motion(tmp_path, quiet, batch=2, scenes=("pendulum",))
     check(section, tmp_path)
 
 
@@ -57,18 +53,7 @@ def test_identification_finds_the_truth(tmp_path: Path) -> None:
         assert low < value < high < low + 1, name
         assert abs(value - float(truth)) < high - low + 1e-3, name
     assert section.links[0][0] == "identification.html"
-    assert "Found by themselves" in (tmp_path / "identification.html").read_text()
-
-
-def test_swing_up_comes_up(tmp_path: Path) -> None:
-    section = swing_up(tmp_path, quiet)
-    check(section, tmp_path)
-    values = {row[0]: float(row[1].split()[0]) for row in section.rows}
-    assert abs(values["pole angle from upright"]) < 1 and abs(values["cart position"]) < 0.01
-    assert values["largest force"] == 5.0
-    assert values["MuJoCo C under the same forces, final difference"] < 1e-6
-    assert abs(values["the same with feedback"]) < 10
-    assert abs(values["pole angle from another start, open loop"]) > 20
+    assert "Identifiable by themselves" in (tmp_path / "identification.html").read_text()
 
 
 def test_integrators_converge(tmp_path: Path) -> None:
@@ -80,38 +65,8 @@ def test_integrators_converge(tmp_path: Path) -> None:
     assert error["RK4"] < 1e-3 * error["semi-implicit Euler"]
 
 
-def test_threads_are_counted(tmp_path: Path) -> None:
-    section = threads(tmp_path, quiet, scenes=("pendulum", "cart_pole"))
-    check(section, tmp_path)
-    small, large = (int(row[1].replace(",", "")) for row in section.rows)
-    assert 5 < small < large < 1000
-
-
-def test_carts_swing_on_bent_rails(tmp_path: Path) -> None:
-    section = joints(tmp_path, quiet, steps=50)
-    assert (tmp_path / "joints.png").stat().st_size > 10_000
-    assert all(float(lost) < 1e-6 for *_, lost in section.rows)
-
-
-def test_a_loop_stays_closed(tmp_path: Path) -> None:
-    section = loops(tmp_path, quiet, steps=200)
-    assert (tmp_path / "loops.png").stat().st_size > 10_000
-    gap = {row[0]: float(row[1]) for row in section.rows}
-    assert gap["projected"] < 1e-14 and gap["multipliers"] < 1e-6
-
-
-def test_forces_act(tmp_path: Path) -> None:
-    section = forces(tmp_path, quiet, steps=200)
-    check(section, tmp_path)
-    lowest = {row[0]: float(row[1]) for row in section.rows}
-    assert lowest["nothing"] < lowest["dry friction"] < lowest["a stop"] < -0.8
-
-
 def test_the_report_holds_all(tmp_path: Path) -> None:
-    parts: dict = dict.fromkeys(
-        ("motion", "identify", "swing_up", "integrators", "forces", "joints", "loops", "wheels",
-         "planning", "threads")
-    )  # fmt: skip
+    parts: dict = dict.fromkeys(PARTS)
     parts["validate"] = {"scenes": {"pendulum": False}}
     page = demo(tmp_path, say=quiet, options=parts)
     assert "<table>" in page.read_text()
@@ -119,17 +74,43 @@ def test_the_report_holds_all(tmp_path: Path) -> None:
     assert jnp.ones(1).dtype == jnp.float64  # the caller's choice, as before
 
 
-def test_wheels_lose_their_grip(tmp_path: Path) -> None:
-    section = wheels(tmp_path, quiet, steps=200)
-    check(section, tmp_path)
-    speed = [float(row[1]) for row in section.rows]
-    slides = [float(row[-1]) for row in section.rows]
-    assert abs(speed[0] - 0.8) < 0.05 and speed == sorted(speed, reverse=True)
-    assert slides == sorted(slides) and slides[0] < 0.1 < slides[-1]
+NOTEBOOK = """\
+# %% [markdown]
+# # Two lines
+#
+# A line rises,
+# another falls.
+#
+# More.
+
+# %%
+import matplotlib.pyplot as plt
+
+plt.plot([0, 1])
+
+# %% [markdown]
+# ## The other
+
+# %%
+plt.plot([1, 0])
+print("drawn")
+"""
 
 
-def test_a_car_parks(tmp_path: Path) -> None:
-    section = planning(tmp_path, quiet)
+def test_a_notebook_becomes_a_section(tmp_path: Path) -> None:
+    (tmp_path / "lines.py").write_text(NOTEBOOK)
+    section = notebook(tmp_path, quiet, name="lines", notebooks=tmp_path)
     check(section, tmp_path)
-    plan, curve = section.rows
-    assert plan[-1] == "yes" and float(plan[1]) > float(curve[1])
+    assert section.title == "Two lines" and section.text == ("A line rises, another falls.",)
+    assert section.pictures == (("lines_1.png", "Two lines"), ("lines_2.png", "The other"))
+
+
+def test_a_notebook_that_fails_is_named(tmp_path: Path) -> None:
+    (tmp_path / "wrong.py").write_text(NOTEBOOK + "\n# %%\n1 / 0\n")
+    with pytest.raises(RbjaxError, match=r"wrong.py failed(?s:.*)ZeroDivisionError"):
+        notebook(tmp_path, quiet, name="wrong", notebooks=tmp_path)
+
+
+def test_the_notebooks_of_the_demo_exist() -> None:
+    assert all((FOLDER / f"{name}.py").exists() for name in NOTEBOOKS)
+    assert NOTEBOOKS.keys() < PARTS.keys()

@@ -26,9 +26,9 @@ from benchmarks.shared.gpu_timing import CALLS, alone, timed
 from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.compiler import threads
 from rbjax.control.optimal.first_guess import first_guess
-from rbjax.control.optimal.options import Options, StoppingRule
-from rbjax.control.optimal.shooting import ddp, sqp
-from rbjax.control.optimal.shooting import knots as knots_of
+from rbjax.control.optimal.shooting import ddp, expansion, sqp
+from rbjax.control.optimal.shooting.search import compute_gains, initial_iterate, iterate
+from rbjax.control.optimal.solution import Options, StoppingRule
 
 COLUMNS = (
     "robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median",
@@ -83,7 +83,7 @@ def search(arm: Arm, N: int, way: str, count: jax.Array, state: rb.State, target
     problem, knots, us = arm.given(N, state, target)
     zero = jnp.zeros((), jnp.float32)
     options = Options(StoppingRule(zero, zero, count))
-    last = ddp.iterate(WAYS[way], problem, state, knots, us, options, MOST, False)
+    last = iterate(WAYS[way], problem, state, knots, us, options, MOST, False)
     at = last.search
     return at.cost, at.expected_decrease, at.iterations, last.ctrls
 
@@ -94,17 +94,17 @@ def parts(arm: Arm, N: int) -> dict[str, Any]:
     def begun(state: rb.State, target: jax.Array) -> tuple:
         problem, knots, us = arm.given(N, state, target)
         zero = jnp.zeros((), jnp.float32)
-        return problem, ddp.initial_iterate(
+        return problem, initial_iterate(
             problem, knots, us, StoppingRule(zero, zero, jnp.asarray(1)), 1
         )
 
     def expand(state: rb.State, target: jax.Array) -> Any:
         problem, now = begun(state, target)
-        return knots_of.expand(problem, state, now.knots, now.ctrls, now.multipliers)
+        return expansion.expand(problem, state, now.knots, now.ctrls, now.multipliers)
 
     def backward(state: rb.State, target: jax.Array, found: Any) -> Any:
         problem, now = begun(state, target)
-        return ddp.gains_of(problem, now.knots, now.ctrls, found, found.gaps, now.search.reg)
+        return compute_gains(problem, now.knots, now.ctrls, found, found.gaps, now.search.reg)
 
     def forward(state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
         problem, now = begun(state, target)

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.shared.gpu_timing import timed
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.compiler import threads
-from rbjax.compiler.cuda import device, team
+from rbjax.compiler.cuda import driver, team
 from rbjax.compiler.cuda.nvrtc import ptx
 from rbjax.compiler.jax import primitive
 from rbjax.compiler.jax.launch import capability, ordinal
@@ -103,7 +103,7 @@ def used(args: tuple) -> str:
     try:
         jax.jit(jax.vmap(threads(backward_pass, team=True))).lower(*args)
         code = codes[-1]
-        found = device.resources(ptx(code.source, capability()), code.name, ordinal())
+        found = driver.resources(ptx(code.source, capability()), code.name, ordinal())
         return (
             f"{code.block} threads, {found.registers} registers, {found.local_bytes} local bytes, "
             f"{found.shared_bytes} shared"

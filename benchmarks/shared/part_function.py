@@ -10,7 +10,7 @@ import numpy as np
 
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.llvm.batch import Parts
-from rbjax.compiler.llvm.module import Module
+from rbjax.compiler.llvm.jit import Module
 
 #: a part as the function that `llvm_jit` looks for
 RUN = """

@@ -5,18 +5,17 @@ takes ideal constraints, `relative_motion` takes moving frames.
 """
 
 from rbjax.body import lagrange, particles, relative_motion, virtual_work
-from rbjax.body.added_mass import ellipsoid_added_mass
 from rbjax.body.attitude_lagrange import Lagrange, QuasiLagrange, hamel_acceleration
 from rbjax.body.body import (
     Body,
     Situation,
+    ellipsoid_added_mass,
     inertia_matrix,
     kinetic_energy,
     potential_energy,
     rigid_body,
     total_wrench,
 )
-from rbjax.body.equations import Formulation, State
 from rbjax.body.forces import (
     Buoyancy,
     CentralGravity,
@@ -26,10 +25,8 @@ from rbjax.body.forces import (
     Spring,
     UniformGravity,
 )
-from rbjax.body.kirchhoff import Kirchhoff
-from rbjax.body.newton_euler import NewtonEuler
+from rbjax.body.formulations import Formulation, Kirchhoff, Momentum, NewtonEuler, Spatial, State
 from rbjax.body.registry import formulation, formulations
-from rbjax.body.spatial_equations import Momentum, Spatial
 
 __all__ = [
     "Body",

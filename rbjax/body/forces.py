@@ -8,14 +8,36 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from rbjax import spatial
-from rbjax.body.arguments import Force, field
 from rbjax.body.body import Body
 from rbjax.lanes import matvec
+from rbjax.rotations.arguments import checked
 from rbjax.rotations.coefficients import length
+
+
+def _as_array(value: Any) -> Any:
+    """The converter of a field. A value that is not an array stays, and `Force` rejects it."""
+    try:
+        return jnp.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        return value
+
+
+def field(kind: str, **options: Any) -> Any:
+    """A field of a `Force`: an array of a kind of `rbjax.rotations.arguments.SHAPES`."""
+    return eqx.field(converter=_as_array, metadata={"kind": kind}, **options)
+
+
+class Force(eqx.Module):
+    """A force with fields made by `field`, which are checked."""
+
+    def __check_init__(self) -> None:
+        for name, of in self.__dataclass_fields__.items():
+            checked(type(self).__name__, name, getattr(self, name), of.metadata["kind"])
 
 
 def _at(T: jax.Array, point: jax.Array) -> jax.Array:
@@ -31,9 +53,7 @@ def _world_force(T: jax.Array, f: jax.Array, point: jax.Array) -> jax.Array:
 class UniformGravity(Force):
     """The same acceleration (3,) everywhere, in m/s^2."""
 
-    acceleration: jax.Array = field(
-        "vector", default_factory=lambda: jnp.array([0.0, 0.0, -9.81])
-    )
+    acceleration: jax.Array = field("vector", default_factory=lambda: jnp.array([0.0, 0.0, -9.81]))
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         return _world_force(T, body.mass * self.acceleration, body.com)
@@ -78,9 +98,7 @@ class Buoyancy(Force):
     density: jax.Array = field("scalar")
     volume: jax.Array = field("scalar")
     centre: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
-    gravity: jax.Array = field(
-        "vector", default_factory=lambda: jnp.array([0.0, 0.0, -9.81])
-    )
+    gravity: jax.Array = field("vector", default_factory=lambda: jnp.array([0.0, 0.0, -9.81]))
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         return _world_force(T, -self.density * self.volume * self.gravity, self.centre)

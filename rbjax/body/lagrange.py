@@ -24,9 +24,9 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.body.arguments import row
+from rbjax.body.body import coordinate_vector
 from rbjax.errors import InputError
-from rbjax.spatial.arguments import checked
+from rbjax.rotations.arguments import checked
 
 Energy = Callable[..., jax.Array]
 
@@ -147,7 +147,7 @@ def _position(where: str, system: Any, q: Any) -> jax.Array:
             f"{where}: system is {type(system).__name__}, expected lagrange.System(kinetic, "
             "potential, dissipation) of functions"
         )
-    return row(where, "q", q)
+    return coordinate_vector(where, "q", q)
 
 
 def _state(where: str, system: Any, q: Any, v: Any) -> tuple[jax.Array, jax.Array]:
@@ -157,7 +157,7 @@ def _state(where: str, system: Any, q: Any, v: Any) -> tuple[jax.Array, jax.Arra
 
 def _like(where: str, name: str, value: Any, q: jax.Array) -> jax.Array:
     """An array of the shape of q."""
-    x = row(where, name, value)
+    x = coordinate_vector(where, name, value)
     if x.shape != q.shape:
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {q.shape}, that of q")
     return x

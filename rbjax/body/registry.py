@@ -11,10 +11,7 @@ from types import MappingProxyType
 
 from rbjax.arguments import choice
 from rbjax.body.attitude_lagrange import Lagrange, QuasiLagrange
-from rbjax.body.equations import Formulation
-from rbjax.body.kirchhoff import Kirchhoff
-from rbjax.body.newton_euler import NewtonEuler
-from rbjax.body.spatial_equations import Momentum, Spatial
+from rbjax.body.formulations import Formulation, Kirchhoff, Momentum, NewtonEuler, Spatial
 from rbjax.rotations import representations
 
 

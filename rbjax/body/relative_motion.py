@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.body.arguments import one
+from rbjax.body.body import unbatched
 from rbjax.errors import InputError
 from rbjax.lanes import matmat, matvec
 from rbjax.rotations import so3
@@ -175,4 +175,4 @@ def _known(where: str, frame: Any, name: str = "frame") -> MovingFrame:
 def _vectors(where: str, frame: Any, **vectors: Any) -> list[jax.Array]:
     """The vectors of a function of a frame, checked with it."""
     _known(where, frame)
-    return [one(where, name, x, "vector") for name, x in vectors.items()]
+    return [unbatched(where, name, x, "vector") for name, x in vectors.items()]

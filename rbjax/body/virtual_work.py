@@ -11,7 +11,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from rbjax.body.arguments import row
+from rbjax.body.body import coordinate_vector
 from rbjax.errors import InputError
 from rbjax.rotations import se3
 
@@ -25,7 +25,7 @@ def of_forces(
     >>> of_forces(tip, jnp.array([0.0, 3.0]), jnp.array([0.0])).tolist()
     [3.0]
     """
-    x, work = jax.vjp(points, row("of_forces", "q", q))
+    x, work = jax.vjp(points, coordinate_vector("of_forces", "q", q))
     if jnp.shape(forces) != x.shape:
         raise InputError(
             f"of_forces: forces has shape {jnp.shape(forces)}, expected {x.shape} as points(q) has"
@@ -41,7 +41,7 @@ def of_wrench(pose: Callable[[jax.Array], jax.Array], F: jax.Array, q: jax.Array
     >>> of_wrench(door, F, jnp.array([0.3])).round(6).tolist()
     [5.0]
     """
-    q = row("of_wrench", "q", q)
+    q = coordinate_vector("of_wrench", "q", q)
     T, along = jax.linearize(pose, q)
     if T.shape != (4, 4) or jnp.shape(F) != (6,):
         raise InputError(

@@ -1,8 +1,9 @@
-"""The whole demo: eleven sections, in f64, and their report."""
+"""The whole demo, in f64, and its report: four sections, and those of notebooks in a checkout."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib.metadata
 import os
 import platform
@@ -15,33 +16,24 @@ from typing import Any
 import jax
 import matplotlib
 
-from rbjax.demo.forces import forces
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
-from rbjax.demo.joints import joints
-from rbjax.demo.loops import loops
 from rbjax.demo.motion import motion
-from rbjax.demo.planning import planning
+from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
 from rbjax.demo.report import Section, write
-from rbjax.demo.swing_up import swing_up
-from rbjax.demo.threads import threads
 from rbjax.demo.validate import validate
-from rbjax.demo.wheels import wheels
 
 #: section -> its function and, as a guide for progress bars, its share of the time
 PARTS: dict[str, tuple[Callable[..., Section], float]] = {
-    "motion": (motion, 20),
+    "motion": (motion, 15),
     "validate": (validate, 35),
     "identify": (identify, 15),
-    "swing_up": (swing_up, 4),
     "integrators": (integrators, 40),
-    "forces": (forces, 5),
-    "joints": (joints, 5),
-    "loops": (loops, 6),
-    "wheels": (wheels, 5),
-    "planning": (planning, 2),
-    "threads": (threads, 2),
 }
+if FOLDER.is_dir():  # in a checkout
+    PARTS |= {
+        name: (functools.partial(notebook, name=name), share) for name, share in NOTEBOOKS.items()
+    }
 
 _LEAD = (
     "Differentiable rigid-body dynamics in JAX. A robot file goes in. Fast, accurate and "
@@ -59,13 +51,15 @@ def demo(
 ) -> Path:
     """Run the demo and write pictures, report.md and report.html.
 
+    Use it to see on your machine what rbjax computes, and how fast.
+
     Args:
         folder: for the output; created if absent.
         say: called with the name of each stage before it starts.
         done: called with a part's name and share after it ends.
-        options: keyword arguments by part (motion, validate, identify, swing_up, integrators,
-            forces, joints, loops, wheels, planning, threads), for smaller runs; a part given as
-            None is skipped.
+        options: part -> keyword arguments, for smaller runs; a part given as None is skipped. The
+            parts are motion, validate, identify, integrators and, in a checkout of the repository,
+            the notebooks forces, joints, loops, wheels, planning, gpu_threads and swing_up.
 
     Returns:
         The path of report.html.

@@ -32,7 +32,7 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
 }
 
 #: arguments that may be None
-OPTIONAL = ("ctrl", "wrenches", "point")
+OPTIONAL = ("ctrl", "tau", "wrenches", "point")
 #: arguments that set the dtype of the computation; all others are cast to it
 LEADING = ("q", "q0", "q1", "v")
 
@@ -58,6 +58,7 @@ def check_arrays(
         given |= {"q": state.q, "v": state.v}
         if state.x is not None:
             given["x"] = state.x
+        memory = state.memory
     out: dict[str, Any] = {}
     for name, value in given.items():
         if value is not None or name not in OPTIONAL or name in required:
@@ -75,7 +76,7 @@ def check_arrays(
         start = model.start(dtype) if x is None else None
         if start is not None:
             x = jnp.broadcast_to(start, (*batch, model.nx))
-        out["state"] = State(out.pop("q"), out.pop("v"), x)
+        out["state"] = State(out.pop("q"), out.pop("v"), x, memory)
     return out
 
 
@@ -93,15 +94,17 @@ def check_model(where: str, model: Any, fix: str = "for a batch of models, use j
 
 
 def check_static(where: str, kind: str, value: Any) -> None:
-    """`InputError` unless value has the type of its kind: a name of a body or site, an integrator
-    or a law. The algorithm itself judges None and unknown names."""
-    if value is None or isinstance(value, str):
+    """`InputError` unless value has the type of its kind: a name or index of a body or site, an
+    integrator, a dynamics. None and unknown names are checked by the algorithm."""
+    index = kind in ("body", "site") and isinstance(value, int) and not isinstance(value, bool)
+    if value is None or isinstance(value, str) or index:
         return
     if kind in ("body", "site"):
         raise InputError(
             f"{where}: {kind} is {type(value).__name__}, expected one of model.{kind}_names"
         )
-    if not callable(value) or not isinstance(value, Hashable):
+    advances = kind == "dynamics" and hasattr(value, "advance_velocity")
+    if not (callable(value) or advances) or not isinstance(value, Hashable):
         raise InputError(
             f"{where}: {kind} is {type(value).__name__}, expected "
             f"{'a name or a function' if kind == 'integrator' else 'a function'} that is hashable"

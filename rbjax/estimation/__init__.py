@@ -4,13 +4,12 @@ from rbjax.estimation.kalman import (
     Estimate,
     KalmanFiltered,
     Smoothed,
-    StateSpace,
     kalman_filter,
     kalman_predict,
     kalman_smoother,
     kalman_update,
 )
-from rbjax.estimation.model_space import model_state_space
+from rbjax.estimation.state_space import StateSpace, model_state_space
 
 __all__ = [
     "StateSpace",

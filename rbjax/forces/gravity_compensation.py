@@ -48,13 +48,11 @@ class GravityCompensation(Element):
     bodies: tuple[str | int, ...] = eqx.field(static=True)
     joints: tuple[str | int, ...] | None = eqx.field(static=True, default=None)
     actuated: bool = eqx.field(static=True, default=False)
+    unlimited = ()
 
     @property
     def actuates(self) -> bool:
         return self.actuated
-
-    def may_be_endless(self, name: str) -> bool:
-        return False
 
     def shapes(self, model: Model) -> Shapes:
         return {"fraction": (len(self.bodies),)}

@@ -1,13 +1,13 @@
-"""Goals reached by damped steps from many starts, one after another, in one loop.
+"""Goals reached by damped Gauss-Newton steps from many starts, one after another, in one loop.
 
-Each turn of the loop looks at one configuration. If it meets the goals, the search is over. If the
-error has stopped falling, or this start has had its turns, the next start follows; else the next
-step. So a search costs what its own starts cost, and many searches run side by side, one a thread
-of a GPU or a lane of machine code, with no difference between a lane that steps and one that
-starts again.
+    dq = N s + J^T (J J^T + c E 1)^-1 e ,      E = |e|^2 / 2
 
-If no start succeeds, the best configuration is improved for `POLISH` more iterations, so that a
-target out of reach ends at the nearest pose.
+The damping is proportional to the error (Sugihara 2011); s is a step towards a posture in the null
+space of the goals. Coordinates at the end of their range that would be driven out of it are held
+(an active set of two rounds). Each iteration evaluates one configuration: if it meets the goals,
+the search is over; if the error has stopped falling, or this start has had its iterations, the next
+start follows. If no start succeeds, the best configuration is improved for `POLISH` more
+iterations, so that a target out of reach ends at the nearest pose.
 """
 
 from __future__ import annotations
@@ -19,22 +19,118 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
-from rbjax.kinematics.damped_least_squares import half_square, step, weighted
 from rbjax.kinematics.goals import Goal, GoalErrors, unrolled_driver
 from rbjax.kinematics.joint_ranges import Ranges
-from rbjax.lanes import Lane, is_zero
+from rbjax.lanes import Lane, add, inner, is_zero, ldlt, mul, sub, total
 from rbjax.model import Model
+
+#: rounds of the active set
+ROUNDS = 2
+
+
+def weighted_errors(goal_errors: GoalErrors) -> tuple[list[Lane], list[list[Lane]]]:
+    """e and the rows of J, each times the weight of its row."""
+    e = [mul(w, x) for w, x in zip(goal_errors.weights, goal_errors.errors, strict=True)]
+    rows = zip(goal_errors.weights, goal_errors.rows, strict=True)
+    J = [[mul(w, x) for x in row] for w, row in rows]
+    return e, J
+
+
+def step(
+    q: Sequence[Lane],
+    e: Sequence[Lane],
+    J: Sequence[Sequence[Lane]],
+    ranges: Ranges,
+    null_step: Sequence[Lane] | None,
+    damping: Lane,
+) -> list[Lane]:
+    """The step dq (nv lanes) from q, for weighted e and J."""
+    g = transpose_product(J, e)
+    direction = g if null_step is None else [add(a, b) for a, b in zip(g, null_step, strict=True)]
+    dq = g
+    for _ in range(ROUNDS):
+        J, null_step = without_active_limits(q, J, null_step, ranges, direction)
+        dq = unbounded_step(e, J, null_step, damping)
+        if not ranges.bounded and not ranges.balls:
+            break
+        direction = dq
+    return dq
+
+
+def without_active_limits(
+    q: Sequence[Lane],
+    J: Sequence[Sequence[Lane]],
+    null_step: Sequence[Lane] | None,
+    ranges: Ranges,
+    direction: Sequence[Lane],
+) -> tuple[Sequence[Sequence[Lane]], Sequence[Lane] | None]:
+    """J and the desired step without the coordinates at active limits."""
+    free, outward = ranges.free(q, direction), ranges.outward(q, direction)
+
+    def row(x: Sequence[Lane]) -> list[Lane]:
+        out = list(x)
+        for i, mask in free.items():
+            out[i] = mul(mask, out[i])
+        for start, axis in outward.items():
+            at = range(start, start + 3)
+            if not all(is_zero(out[i]) for i in at):
+                along = inner(axis, [out[i] for i in at])
+                for i, a in zip(at, axis, strict=True):
+                    out[i] = sub(out[i], mul(along, a))
+        return out
+
+    return [row(x) for x in J], None if null_step is None else row(null_step)
+
+
+def unbounded_step(
+    e: Sequence[Lane], J: Sequence[Sequence[Lane]], null_step: Sequence[Lane] | None, damping: Lane
+) -> list[Lane]:
+    """s + J^T (J J^T + damping)^-1 (e - J s), by whichever matrix is smaller."""
+    if null_step is not None:
+        e = [sub(x, inner(row, null_step)) for x, row in zip(e, J, strict=True)]
+    moving = [i for i in range(len(J[0])) if any(not is_zero(row[i]) for row in J)]
+    if len(moving) < len(J):
+        columns = [[row[i] for row in J] for i in moving]
+        x = solve(columns, damping, [inner(c, e) for c in columns])
+        found: list[Lane] = [0.0] * len(J[0])
+        for i, value in zip(moving, x, strict=True):
+            found[i] = value
+    else:
+        found = transpose_product(J, solve(J, damping, e))
+    if null_step is None:
+        return found
+    return [add(a, b) for a, b in zip(found, null_step, strict=True)]
+
+
+def solve(A: Sequence[Sequence[Lane]], damping: Lane, b: Sequence[Lane]) -> list[Lane]:
+    """x of (A A^T + damping) x = b."""
+    square: list[list[Lane]] = []
+    for i, row in enumerate(A):
+        square.append([inner(row, other) for other in A[: i + 1]])
+        square[i][i] = add(square[i][i], damping)
+    return ldlt(square).solve(b)
+
+
+def transpose_product(J: Sequence[Sequence[Lane]], y: Sequence[Lane]) -> list[Lane]:
+    """J^T y."""
+    return [total(mul(row[i], x) for row, x in zip(J, y, strict=True)) for i in range(len(J[0]))]
+
+
+def half_square(e: Sequence[Lane]) -> jax.Array:
+    """E = |e|^2 / 2."""
+    return jnp.asarray(inner(e, e)) / 2
+
 
 #: the damping: this share of the error E, and this share of the tolerance, so that a singular J J^T
 #: has a solution. With a posture, the latter leaves an error of its size times the multipliers.
 SHARE, LEAST = 3e-2, 1e-4
-#: a start is given up when the error has not fallen to `FALL` of its lowest for `PATIENCE` turns
+#: a start ends if the error does not fall to `FALL` of its lowest within `PATIENCE` iterations
 FALL, PATIENCE = 0.5, 4
-#: turns from the best configuration where no start succeeds
+#: iterations from the best configuration if no start succeeds
 POLISH = 100
 #: a step of this length, m and rad, is at rest there
 REST = 1e-10
-#: no coordinate moves further in a turn
+#: no coordinate moves further in an iteration
 LONGEST = 1.0
 
 
@@ -46,8 +142,8 @@ class Settings(NamedTuple):
 
 
 class Found(NamedTuple):
-    """q (nq,); the largest errors of rotation and position; whether the goals are met; all turns;
-    which start it was."""
+    """q (nq,); the largest errors of rotation and position; whether the goals are met; all
+    iterations; the index of the start."""
 
     q: jax.Array
     rotation: jax.Array
@@ -95,7 +191,7 @@ def search(
     def iterate(now: _SearchState) -> _SearchState:
         q = list(now.q)
         goal_errors = GoalErrors(model, d, goals, now.q, weights)
-        e, J = weighted(goal_errors)
+        e, J = weighted_errors(goal_errors)
         E = half_square(e)
         errors = [_array(goal_errors.size(turns), dtype) for turns in (True, False)]
         met = (errors[0] <= squares[0]) & (errors[1] <= squares[1])
@@ -118,7 +214,7 @@ def search(
             (now.turn + 1 >= how.iterations) | (stuck > PATIENCE),
         ) | ~jnp.isfinite(E)
         best = jnp.where(better, now.q, now.best)
-        # goals that are met while the posture still drifts are good enough when the turns are over
+        # goals that are met while the posture still drifts are good enough at the last iteration
         done = finished | (over & (polishing | now.met | met))
         following = now.start + 1
         fresh = best

@@ -1,7 +1,7 @@
 """Lanes: the scalars, small vectors and matrices of the algorithms.
 
     algebra           lanes, Vec3, Mat3, Sym3; literal zeros and ones vanish
-    arrays            products without `dot`, extreme entries, maps over rows
+    arrays            packing of lanes, products without `dot`, extreme entries, maps over rows
     factorization     L D L^T of small symmetric matrices, regularization of singular ones
     primitives        fusion barrier, batch axis, inverse, cosine and sine
 
@@ -26,7 +26,7 @@ from rbjax.lanes.algebra import (
     sub,
     total,
 )
-from rbjax.lanes.arrays import matmat, matrix_transpose, matvec, outer
+from rbjax.lanes.arrays import matmat, matrix_transpose, matvec, outer, pack, unpack
 from rbjax.lanes.factorization import LDLT, elimination_order, ldlt
 from rbjax.lanes.primitives import (
     batch_first,
@@ -63,10 +63,12 @@ __all__ = [
     "mul",
     "neg",
     "outer",
+    "pack",
     "polynomial_sincos",
     "quaternion_matrix",
     "rotation_z",
     "sincos",
     "sub",
     "total",
+    "unpack",
 ]

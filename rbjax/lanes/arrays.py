@@ -1,4 +1,4 @@
-"""Operations on arrays: products without `dot`, extreme entries, maps over rows.
+"""Operations on arrays: packing of lanes, products without `dot`, extreme entries, maps over rows.
 
 Products of stacks of matrices and vectors do not use `dot`, so that f32 is f32 on every device. The
 derivative of an extreme entry is that of one entry, chosen by its index. That of `jnp.min` divides
@@ -8,11 +8,14 @@ by the number of equal entries, which XLA may compute as zero.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+
+from rbjax.lanes.algebra import Lane
+from rbjax.lanes.primitives import fusion_barrier
 
 Array = Any  # of numpy, of JAX, or an object array of cells
 
@@ -60,6 +63,19 @@ def largest(x: jax.Array, axis: int = -1) -> jax.Array:
 @largest.defjvp
 def _largest_jvp(axis: int, primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> Pair:
     return _picked(jnp.argmax(*primals, axis, keepdims=True), axis, *primals, *tangents)
+
+
+def unpack(x: jax.Array) -> list[Lane]:
+    """The rows of an array (n, ...) as lanes (...)."""
+    return [x[i] for i in range(x.shape[0])]
+
+
+def pack(lanes: Sequence[Lane], like: jax.Array) -> jax.Array:
+    """Materialized lanes as the rows of an array of the dtype and row shape of `like`."""
+    if not lanes:
+        return jnp.zeros((0, *like.shape[1:]), like.dtype)
+    rows = [jnp.broadcast_to(jnp.asarray(x, like.dtype), like.shape[1:]) for x in lanes]
+    return jnp.stack(fusion_barrier(rows))
 
 
 def _picked(index: jax.Array, axis: int, x: jax.Array, dx: jax.Array) -> Pair:

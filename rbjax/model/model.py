@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -39,13 +39,41 @@ AXES = {
 _AXES = list(AXES.values())
 
 
+class Frame(NamedTuple):
+    """A frame of a robot, as one value: the frame of a body or a site, or a point with its axes.
+
+    Functions of a frame, such as `rb.frame_pose` and `rb.jacobian`, take it in place of `body`.
+
+    Args:
+        body: the name of a body; "world" is the frame that does not move.
+        point: (3,) m in the frame of the body or site; its origin if None.
+        site: the name of a site, instead of a body.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model, tool = rb.load("arm7"), rb.Frame(site="tool")
+        >>> rb.jacobian(model, model.default_state().q, tool).shape
+        (6, 7)
+    """
+
+    body: str | None = None
+    point: Any = None
+    site: str | None = None
+
+
 class State(Record):
-    """Configuration q (nq,) and velocity v (nv,), in MuJoCo's layout, and the states x (nx,) of the
-    force elements that have one (`Model.nx`); None where none has, or to begin at their start."""
+    """The state of a robot.
+
+    q: (nq,) configuration, in MuJoCo's layout.
+    v: (nv,) velocity.
+    x: (nx,) states of the force elements that have one; None if none has, or for their start.
+    memory: (m,) memory of a dynamics that has one (`rbjax.motion.field.VelocityDynamics`).
+    """
 
     q: jax.Array
     v: jax.Array
     x: jax.Array | None = None
+    memory: jax.Array | None = None
 
 
 class Bodies(Record):

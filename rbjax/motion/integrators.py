@@ -23,8 +23,8 @@ from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
-from rbjax.motion.field import Dynamics, Field, free_motion
-from rbjax.motion.implicit import ByStages, stepped_by
+from rbjax.motion.field import Field, VelocityDynamics, free_motion
+from rbjax.motion.implicit import ByStages, tableau_of
 from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.steps import combine, explicit_stages, scale
 from rbjax.solvers.tableau import DOP853, KUTTA4, Tableau, of_diffrax
@@ -49,23 +49,21 @@ class Integrator(Protocol):
 def semi_implicit_euler(field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
     """v+ = v + dt a(q, v);  q+ = q (+) dt v+;  x+ = x + dt x'. First order; symplectic where the
     mass matrix is constant and no force depends on v, not for a mass matrix that moves with q."""
-    a, x = field.pushed(t, state, u, dt)
-    v = state.v + dt * a
-    return State(field.retract(state.q, dt * v), v, x)
+    v, x, memory = field.advance_velocity(t, state, u, dt)
+    return State(field.retract(state.q, dt * v), v, x, memory)
 
 
 def runge_kutta(
     table: Tableau, field: Field, t: Any, state: State, u: Inputs, dt: Any,
     *, written: bool | None = None,
 ) -> State:  # fmt: skip
-    """A step of an explicit tableau; its stages are written out, or a loop where they are many
-    (written=None)."""
+    """A step of an explicit tableau. If `written` is None, many stages are a loop, and few are
+    written out."""
     q0, v0, x0 = state.q, state.v, state.x
-
-    begun = t
+    t0 = t
 
     def stage_state(t, dq, dv, x):
-        return field.stage_state(t, State(field.retract(q0, dq), v0 + dv, x), begun, state)
+        return field.stage_state(t, State(field.retract(q0, dq), v0 + dv, x), t0, state)
 
     def rate(t, k):
         at = stage_state(t, k[0], k[1], None if x0 is None else x0 + k[2])
@@ -91,22 +89,29 @@ INTEGRATORS: dict[str, Integrator] = {
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
 
 
-def looped(name: str) -> Integrator:
-    """An integrator whose stages are a loop, however few they are: a short program."""
+def loop_stages(name: str) -> Integrator:
+    """The integrator with its stages in a loop, for a short program."""
     if name not in TABLEAUS:
         return INTEGRATORS[name]
     return functools.partial(runge_kutta, TABLEAUS[name], written=False)
 
 
 def integrator_of(
-    where: str, integrator: str | Integrator | None, dynamics: Dynamics = free_motion
+    where: str, integrator: str | Integrator | None, dynamics: Any = free_motion
 ) -> Integrator:
-    """The integrator of a dynamics: by its name, or itself, or the default."""
+    """The integrator of a dynamics: the caller's, by its name, or the default."""
     formulation = differential_algebraic_method(dynamics)
     if formulation is not None:
-        return ByStages(formulation, stepped_by(where, formulation, integrator))
+        return ByStages(formulation, tableau_of(where, formulation, integrator))
     if integrator is None:
         return semi_implicit_euler
+    velocities = isinstance(dynamics, VelocityDynamics) and not callable(dynamics)
+    if velocities and isinstance(integrator, str) and integrator != "semi_implicit_euler":
+        raise InputError(
+            f"{where}: integrator {integrator!r} evaluates accelerations, and "
+            f"{type(dynamics).__name__} gives the velocity after a step; expected "
+            "'semi_implicit_euler'"
+        )
     if not isinstance(integrator, str):
         if not callable(integrator):
             raise InputError(
@@ -121,12 +126,11 @@ def integrator_of(
     return INTEGRATORS[integrator]
 
 
-def advanced(
+def advance_state(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
-    """The state after a step of any integrator: states of force elements are clipped to their
-    ranges, and a formulation projects the state onto its constraints. Reject a result that is no
-    state."""
+    """Advance a state by a step of any integrator; clip the states of force elements to their
+    ranges, and project the state onto the constraints of a formulation."""
     after: Any = integrator(field, t, state, u, dt)
     due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]
     found = jax.tree.leaves(after)
@@ -138,4 +142,4 @@ def advanced(
             f"an integrator returned {type(after).__name__} of {got}, expected a State of "
             f"{[shape for shape, _ in due]} in {state.q.dtype}, as the state that it was given"
         )
-    return field.project(t + dt, State(after.q, after.v, field.within(after.x)))
+    return field.project(t + dt, after.replace(x=field.within(after.x)))

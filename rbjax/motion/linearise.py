@@ -1,33 +1,38 @@
-"""One step of a motion, and a motion linearised about a state.
+"""The motion of a robot linearised about a state.
 
     d/dt dx = A dx + B du,     dx = [dq; dv; dx_e],     A = [[-[w]x, 1, 0], [a_q, a_v, a_x], [..]]
-    dx+ = A dx + B du          where a step dt is given
+    dx+ = A dx + B du          with a step dt
 with dq on the tangent space of the configuration (body axes for attitudes, hence -[w]x) and x_e the
 states of force elements.
+
+If all elements are springs, dampers and actuators of the joints, a force depends only on its own
+joint: the Jacobian has a block for each joint, and one tangent gives a column of all blocks at once
+(Curtis, Powell & Reid 1974). A chain of 40 hinges takes 3 tangents, not 120.
 """
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.algorithms.derivatives import accelerated_derivatives
 from rbjax.dynamics.algorithms.manifold import difference, integrate
+from rbjax.dynamics.drivers.choice import CPU_UNROLLED_UP_TO
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.acting import applied
 from rbjax.forces.context import Context
-from rbjax.forces.inputs import Inputs
+from rbjax.forces.inputs import Inputs, Source, evaluated
 from rbjax.lanes.arrays import matmat
 from rbjax.model import Model, State
 from rbjax.model.record import Record
-from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
-from rbjax.motion.force_jacobian import by_joint, times_jacobian
-from rbjax.motion.integrators import Integrator, advanced, integrator_of, semi_implicit_euler
+from rbjax.motion.field import Dynamics, Field, VelocityDynamics, dynamics_of, free_motion
+from rbjax.motion.integrators import Integrator, advance_state, integrator_of, semi_implicit_euler
+from rbjax.motion.step import with_memory
 
 
 class Linear(Record):
@@ -47,76 +52,41 @@ class Linear(Record):
         return iter((self.A, self.B))
 
 
-@algorithm("state", "ctrl", "dt", "t")
-def step(
-    model: Model,
-    state: State,
-    ctrl: jax.Array | None = None,
-    dt: Any = None,
-    *,
-    t: Any = 0.0,
-    integrator: str | Integrator | None = None,
-    dynamics: Dynamics = free_motion,
-    constraints: str | Formulation | None = None,
-) -> State:
-    """The state after one step, the controls held over it: what `rollout` does once.
-
-    Args:
-        model: the robot.
-        state: `State(q (nq,), v (nv,))`, with x (nx,) where force elements have states.
-        ctrl: (nu,) controls; None for no actuation.
-        dt: step in seconds; the model's timestep if None.
-        t: time in seconds, for force elements that look at it.
-        integrator: as in `rollout`.
-        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
-        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
-
-    Returns:
-        `State`.
-
-    Raises:
-        InputError: shapes, dtypes, values that are not finite, an unknown integrator, a step that
-            is not positive.
-
-    Source: as `rollout`.
-
-    Example:
-        >>> import rbjax as rb
-        >>> model = rb.load("cart_pole")
-        >>> rb.step(model, model.default_state(), dt=0.01).q.shape
-        (2,)
-    """
-    dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
-    dynamics = dynamics_of("step", model, dynamics, constraints)
-    integrator = integrator_of("step", integrator, dynamics)
-    return advanced(integrator, Field(model, dynamics, dt), t, state, Inputs(ctrl), dt)
-
-
-@algorithm("state", "ctrl", "dt", "t", pairs=True)
+@algorithm(
+    "state", "ctrl", "dt", "tau", "wrenches", "t", pairs=True,
+    functions=("ctrl", "tau", "wrenches"),
+)  # fmt: skip
 def linearise(
     model: Model,
     state: State,
-    ctrl: jax.Array | None = None,
+    ctrl: jax.Array | Source | None = None,
     dt: Any = None,
     *,
+    tau: jax.Array | Source | None = None,
+    wrenches: jax.Array | Source | None = None,
     t: Any = 0.0,
     integrator: str | Integrator | None = None,
-    dynamics: Dynamics = free_motion,
+    dynamics: Dynamics | VelocityDynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> Linear:
-    """A and B of the motion linearised about a state and controls, with all forces that act.
+    """Linearise the motion about a state and controls, with all forces that act.
 
     d/dt dx = A dx + B du; with a step dt: dx+ = A dx + B du, the derivative of `rb.step`.
 
     Args:
         model: the robot.
-        state: `State(q (nq,), v (nv,))` about which to linearise; x (nx,) with it.
-        ctrl: (nu,) controls; None for no actuation, then B has no columns.
-        dt: step in seconds of the discrete form; None for the continuous one.
-        t: time in seconds, for force elements that look at it.
+        state: `State(q (nq,), v (nv,))` about which to linearise, with x (nx,) if force elements
+            have states.
+        ctrl: controls (nu,); None for no actuation, then B has no columns. With a policy
+            (t, state) -> (nu,), A is that of the closed loop, and du is added to the controls.
+        dt: step in s of the discrete form; None for the continuous one.
+        tau: generalized forces (nv,) in addition to those of the model, or a function (t, state).
+        wrenches: (nb, 6) [moment N m; force N] on bodies, in world axes at their origins, or a
+            function (t, state).
+        t: time in s, for force elements that depend on it.
         integrator: of the discrete form, as in `rollout`.
-        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
+        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`); of the discrete form
+            also to the velocity after the step.
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
 
@@ -138,84 +108,84 @@ def linearise(
         >>> A.shape, B.shape
         ((4, 4), (4, 1))
     """
-    dynamics = dynamics_of("linearise", model, dynamics, constraints)
+    dynamics = dynamics_of("linearise", model, dynamics, constraints, steps=dt is not None)
+    given = Inputs(ctrl, tau, wrenches)
     if dt is None:
-        rates, A, B = linearised(model, state, ctrl, t, dynamics)
+        rates, A, B = linearise_rates(model, state, given, t, dynamics)
         return Linear(A, B, rates[: model.nv])
     integrator = integrator_of("linearise", integrator, dynamics)
-    u = jnp.zeros(0, state.q.dtype) if ctrl is None else ctrl
     if integrator is semi_implicit_euler and dynamics is free_motion and ctrl is not None:
-        found = euler_linearised(model, t, state, ctrl, dt)
+        found = linearise_euler_step(model, t, state, given, dt)
         if found is not None:
             after, A, B = found
             return Linear(A, B, (after.v - state.v) / dt)
-    advance = functools.partial(advanced, integrator)
-    field = Field(model, dynamics, dt)
-    after = advance(field, t, state, Inputs(ctrl), dt)
+    field, state = Field(model, dynamics, dt), with_memory(model, state, dynamics)
 
-    def moved(dx: jax.Array, du: jax.Array) -> jax.Array:
-        inputs = Inputs(None if ctrl is None else ctrl + du)
-        new = advance(field, t, box_plus(model, state, dx), inputs, dt)
-        return box_minus(model, after, new)
+    def advance(dx: jax.Array, du: jax.Array) -> State:
+        at = box_plus(model, state, dx)
+        return advance_state(integrator, field, t, at, _inputs(model, given, t, at, du), dt)
 
-    n = 2 * model.nv + model.nx
-    A, B = jax.jacfwd(moved, (0, 1))(jnp.zeros(n, u.dtype), jnp.zeros_like(u))
+    zero = _zero(model, state, given)
+    after = advance(*zero)
+    A, B = jax.jacfwd(lambda *d: box_minus(model, after, advance(*d)), (0, 1))(*zero)
     return Linear(A, B, (after.v - state.v) / dt)
 
 
-def linearised(
-    model: Model, state: State, ctrl: Any, t: Any = 0.0, dynamics: Dynamics = free_motion
+def _zero(model: Model, state: State, given: Inputs) -> tuple[jax.Array, jax.Array]:
+    """dx (2 nv + nx,) and du (nu,) of zeros; du is empty without controls."""
+    nu, dtype = 0 if given.ctrl is None else model.nu, state.q.dtype
+    return jnp.zeros(2 * model.nv + model.nx, dtype), jnp.zeros(nu, dtype)
+
+
+def _inputs(model: Model, given: Inputs, t: Any, state: State, du: jax.Array) -> Inputs:
+    """The inputs at a state, with du added to the controls."""
+    u = evaluated("linearise", model, given, t, state)
+    return u if u.ctrl is None else u._replace(ctrl=u.ctrl + du)
+
+
+def linearise_rates(
+    model: Model, state: State, given: Inputs, t: Any = 0.0, dynamics: Dynamics = free_motion
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The rates (nv + nx,) of v and of the elements' states, A and B of the continuous form."""
     n, dtype = model.nv, state.q.dtype
-    u = jnp.zeros(0, dtype) if ctrl is None else ctrl
-    find = _free_rates if dynamics is free_motion and n else _rates
-    found, lower, B = find(model, state, ctrl, u, t, dynamics)
+    if dynamics is free_motion and n:
+        found, lower, B = _free_rates(model, state, given, t)
+    else:
+
+        def rates(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
+            at = box_plus(model, state, dx)
+            a, x = Field(model, dynamics).rates(t, at, _inputs(model, given, t, at, du))
+            found = a if x is None else jnp.concatenate([a, x])
+            return found, found
+
+        zero = _zero(model, state, given)
+        (lower, B), found = jax.jacfwd(rates, (0, 1), has_aux=True)(*zero)
     turning = jnp.zeros((n, n), dtype)
     for at in model.topology.turn_starts:
         rows = slice(at, at + 3)
         turning = turning.at[rows, rows].set(-jnp.cross(state.v[rows], jnp.eye(3, dtype=dtype)).T)
     upper = [turning, jnp.eye(n, dtype=dtype), jnp.zeros((n, model.nx), dtype)]
     A = jnp.concatenate([jnp.concatenate(upper, 1), lower])
-    return found, A, jnp.concatenate([jnp.zeros((n, u.shape[0]), dtype), B])
-
-
-def _rates(
-    model: Model, state: State, ctrl: Any, u: jax.Array, t: Any, dynamics: Dynamics
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The rates (nv + nx,), and their derivatives by dx and by du, of any dynamics."""
-
-    def rates(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
-        inputs = Inputs(None if ctrl is None else ctrl + du)
-        a, x = Field(model, dynamics).rates(t, box_plus(model, state, dx), inputs)
-        found = a if x is None else jnp.concatenate([a, x])
-        return found, found
-
-    start = jnp.zeros(2 * model.nv + model.nx, state.q.dtype)
-    (by_x, by_u), found = jax.jacfwd(rates, (0, 1), has_aux=True)(start, jnp.zeros_like(u))
-    return found, by_x, by_u
+    return found, A, jnp.concatenate([jnp.zeros((n, B.shape[1]), dtype), B])
 
 
 def _free_rates(
-    model: Model, state: State, ctrl: Any, u: jax.Array, t: Any, dynamics: Dynamics
+    model: Model, state: State, given: Inputs, t: Any, dt: Any = None
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """`_rates` of free motion, by the closed form of the derivatives of forward dynamics, which
-    compiles in a tenth of the time of one tangent for each column."""
-    n = model.nv
+    """The rates (nv + nx,) of free motion and their derivatives by dx and du, by the closed form of
+    the derivatives of forward dynamics, which compiles in a tenth of the time of jacfwd."""
+    n, zero = model.nv, _zero(model, state, given)
 
-    def forces(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
-        inputs = Inputs(None if ctrl is None else ctrl + du)
-        tau, x = generalized_forces(model, t, box_plus(model, state, dx), inputs)
-        found = tau if x is None else jnp.concatenate([tau, x])
-        return found, found
+    def forces(dx: jax.Array, du: jax.Array) -> jax.Array:
+        at = box_plus(model, state, dx)
+        tau, x = generalized_forces(model, t, at, _inputs(model, given, t, at, du), dt)
+        return tau if x is None else jnp.concatenate([tau, x])
 
-    start = jnp.zeros(2 * n + model.nx, state.q.dtype)
-    if by_joint(model):
-        tau = forces(start, jnp.zeros_like(u))[0]
-        a, by = accelerated_derivatives(model, state.q, state.v, tau)
-        a_x, a_u = times_jacobian(model, lambda *x: forces(*x)[0], u.shape[0], by.tau)
+    if by_joint(model) and given.wrenches is None and not any(map(callable, given)):
+        a, by = accelerated_derivatives(model, state.q, state.v, forces(*zero))
+        a_x, a_u = times_jacobian(model, forces, zero[1].shape[0], by.tau)
         return a, a_x + jnp.concatenate([by.q, by.v], 1), a_u
-    (F_x, F_u), F = jax.jacfwd(forces, (0, 1), has_aux=True)(start, jnp.zeros_like(u))
+    (F_x, F_u), F = jax.jacfwd(lambda *d: (forces(*d),) * 2, (0, 1), has_aux=True)(*zero)
     a, by = accelerated_derivatives(model, state.q, state.v, F[:n])
     a_x = matmat(by.tau, F_x[:n]).at[:, : 2 * n].add(jnp.concatenate([by.q, by.v], 1))
     a_u = matmat(by.tau, F_u[:n])
@@ -233,10 +203,10 @@ def generalized_forces(
 
 
 def box_plus(model: Model, state: State, dx: jax.Array) -> State:
-    """The state moved by dx = [dq; dv; dx_e]."""
+    """The state (+) dx = [dq; dv; dx_e]."""
     n = model.nv
     x = None if state.x is None else state.x + dx[2 * n :]
-    return State(integrate(model, state.q, dx[:n]), state.v + dx[n : 2 * n], x)
+    return State(integrate(model, state.q, dx[:n]), state.v + dx[n : 2 * n], x, state.memory)
 
 
 def box_minus(model: Model, one: State, other: State) -> jax.Array:
@@ -247,29 +217,20 @@ def box_minus(model: Model, one: State, other: State) -> jax.Array:
     return jnp.concatenate(dx)
 
 
-def euler_linearised(
-    model: Model, t: Any, state: State, ctrl: jax.Array, dt: Any
+def linearise_euler_step(
+    model: Model, t: Any, state: State, given: Inputs, dt: Any
 ) -> tuple[State, jax.Array, jax.Array] | None:
     """The state after a semi-implicit Euler step of free motion, A and B, by the closed form of
-    the derivatives of forward dynamics; None where elements have states.
+    the derivatives of forward dynamics; None if elements have states.
 
     dv+ = dv + dt da,   dq+ = E dq + dt J dv+,   da = a_q dq + a_v dv + M^-1 dtau
     """
     if model.nx or not model.nv:
         return None
     n, dtype = model.nv, state.q.dtype
-
-    def forces(dx: jax.Array, du: jax.Array) -> jax.Array:
-        inputs = Inputs(ctrl + du)
-        return generalized_forces(model, t, box_plus(model, state, dx), inputs, dt)[0]
-
-    tau = forces(jnp.zeros(2 * n, dtype), jnp.zeros_like(ctrl))
-    a, by = accelerated_derivatives(model, state.q, state.v, tau)
+    a, a_x, a_u = _free_rates(model, state, given, t, dt)
     v = state.v + dt * a
     q = integrate(model, state.q, dt * v)
-    direct = jnp.concatenate([by.q, by.v], 1)
-    a_x, a_u = times_jacobian(model, forces, ctrl.shape[0], by.tau)
-    a_x = direct + a_x
     v_x = dt * a_x + jnp.eye(n, 2 * n, n, dtype=dtype)
     if model.topology.turn_starts:
 
@@ -285,3 +246,47 @@ def euler_linearised(
         q_x = dt * v_x + jnp.eye(n, 2 * n, dtype=dtype)
         q_u = dt * dt * a_u
     return State(q, v, state.x), jnp.concatenate([q_x, v_x]), jnp.concatenate([q_u, dt * a_u])
+
+
+Forces = Callable[[jax.Array, jax.Array], jax.Array]
+
+
+def times_jacobian(
+    model: Model, forces: Forces, nu: int, M: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """M F_x (n, 2 n) and M F_u (n, nu) of forces(dx, du), at zero, with M (n, n), if each force
+    depends only on the state of its own joint."""
+    n, dtype = model.nv, M.dtype
+    zero, none = jnp.zeros(2 * n, dtype), jnp.zeros(nu, dtype)
+    top = model.topology
+    sizes = [joint.nv for joint in top.joints]
+    joint = np.repeat(np.arange(len(sizes)), sizes)
+    place = np.concatenate([np.arange(k) for k in sizes])  # of each dof within its joint
+    drives = np.array(model.actuators.joints[:nu], int).reshape(nu)
+    rank = np.array([(drives[:k] == drives[k]).sum() for k in range(nu)], int)
+    b, c = max(sizes), max(rank, default=-1) + 1
+    seeds = [np.concatenate([place == k, np.zeros(n)]) for k in range(b)]
+    seeds += [np.roll(seed, n) for seed in seeds]
+    along_x = np.stack([*seeds, *np.zeros((c, 2 * n))]).astype(dtype)
+    along_u = np.stack([np.zeros(nu)] * (2 * b) + [rank == k for k in range(c)]).astype(dtype)
+
+    def column(dx: jax.Array, du: jax.Array) -> jax.Array:
+        return jax.jvp(forces, (zero, none), (dx, du))[1]
+
+    columns = jax.vmap(column, out_axes=1)(jnp.asarray(along_x), jnp.asarray(along_u))
+    by_q, by_v, by_u = columns[:, :b], columns[:, b : 2 * b], columns[:, 2 * b :]
+    if b > 1:
+        same = joint[:, None] == joint
+        F_x = [jnp.where(same, block[:, place], 0.0) for block in (by_q, by_v)]
+        F_u = jnp.where(joint[:, None] == drives, by_u[:, rank], 0.0)
+        return matmat(M, jnp.concatenate(F_x, 1)), matmat(M, F_u)
+    at = np.maximum(drives, 0)  # a joint is a dof; without a joint there is no force
+    share = jnp.where(drives >= 0, by_u[at, rank], 0.0)
+    return jnp.concatenate([M * by_q[:, 0], M * by_v[:, 0]], 1), M[:, at] * share
+
+
+def by_joint(model: Model) -> bool:
+    """Whether each force depends only on the state of its own joint, in a model so large that this
+    shortens the program."""
+    local = not model.forces and all(site < 0 for site in model.actuators.sites)
+    return local and model.nv > CPU_UNROLLED_UP_TO

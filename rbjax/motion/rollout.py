@@ -12,30 +12,33 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import warnings
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.arguments import integer
-from rbjax.compiler import wanted
+from rbjax.compiler import kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.dynamics.tracing.devices import memory_share
-from rbjax.errors import InputError
+from rbjax.errors import InputError, RbjaxError
 from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
 from rbjax.motion.closures.captured import Captured, with_captured
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
-from rbjax.motion.integrators import Integrator, advanced, integrator_of
-from rbjax.motion.not_finite import warn_if_not_finite
-from rbjax.motion.sources import Sources, check_sources
-from rbjax.motion.threaded import Steps, on_threads
+from rbjax.motion.inputs import Sources, check_sources
+from rbjax.motion.integrators import Integrator, advance_state, integrator_of
+from rbjax.motion.linearise import linearise
+from rbjax.motion.step import with_memory
+from rbjax.motion.threaded import Steps, rollout_on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
 
 
@@ -55,52 +58,55 @@ def rollout(
     kernel: bool | None = None,
     memory: float | None = None,
 ) -> Trajectory:
-    """Fixed steps of one state or of a batch of states: the throughput path.
+    """Integrate one state or a batch of states with fixed steps: the throughput path.
 
     v+ = v + dt a(q, v, u), q+ = q (+) dt v+ (`semi_implicit_euler`): order 1, one evaluation. It is
-    symplectic in (q, v) only where the mass matrix is constant: a double pendulum loses energy.
+    symplectic in (q, v) only if the mass matrix is constant: a double pendulum loses energy.
 
     `variational_midpoint`: order 2, symplectic in (q, p = M v) on attitudes too, implicit in all
     forces, with dampers, springs and servo gains of joints in the matrix of its iteration. Energy
     does not drift. Its 6 evaluations cost as much as 4.5 to 8 steps of semi-implicit Euler
     (`VariationalMidpoint(evaluations)` sets another number). A step that does not converge is nan.
-    Its derivative is that of the 6 evaluations, with the matrix of the iteration held: it differs
+    Its derivative is that of the 6 evaluations with a constant matrix of the iteration: it differs
     from that of the equations as the step differs from their solution.
 
     Explicit Runge-Kutta methods on the manifold: `rk4`, `tsit5`, `dopri8`, `dop853`, of order 4, 5,
     8, 8 with 4, 6, 13, 12 evaluations. In f64 `dop853` needs 10 to 15 % fewer than `dopri8` for an
-    error of 1e-6 (on an arm and a humanoid); in f32 it comes down to 1.1e-6, `dopri8` to 2.4e-7.
-    They diverge, and `ok` is False, if a body turns by more than about 3 rad in a step.
+    error of 1e-6 (on an arm and a humanoid); in f32 it reaches 1.1e-6, `dopri8` 2.4e-7. They
+    diverge, and `ok` is False, if a body turns by more than about 3 rad in a step.
 
-    Force elements see the step dt. States of elements end each step within their ranges.
+    Force elements read the step dt. Their states end each step within their ranges.
 
-    A function (policy, tau, wrenches, dynamics, integrator) is known by what it reads, and not by
-    which object it is: lambdas that differ in floats and arrays compile once. One that branches on
-    a float compiles for each value. One that cannot be read (it counts its calls, or draws numpy's
-    random numbers) compiles where it is another object. Programs of the last 64 functions are kept.
+    A function (policy, tau, wrenches, dynamics, integrator) is compared by the values that it
+    reads, and not by identity: lambdas that differ in floats and arrays compile once. One that
+    branches on a float compiles for each value. One that cannot be read (it counts its calls, or
+    draws numpy's random numbers) compiles for each object. Programs of the last 64 functions are
+    kept.
 
     Args:
         model: the robot.
-        state: q (nq,) or (B, nq), v likewise; a leading axis is a batch. x (nx,) likewise, where
-            force elements have states.
-        ctrl: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,),
-            evaluated once a step; or None for no actuation. The last two need `steps`.
-        dt: step in seconds; the model's timestep if None.
-        tau: generalized forces beside those of the model: (steps, nv), or (B, steps, nv); or a
-            function (t, state) -> (nv,), evaluated once a step.
-        wrenches: [moment N m; force N] on bodies, in world axes at their origins: (steps, nb, 6),
-            or (B, steps, nb, 6); or a function (t, state) -> (nb, 6), evaluated once a step.
+        state: q (nq,) or (B, nq), v (nv,) or (B, nv); a leading axis is a batch. x (nx,) or (B, nx)
+            if force elements have states.
+        ctrl: controls, (nu,) or (steps, nu), or (B, steps, nu) for a batch; or a policy
+            (t, state) -> (nu,), evaluated once a step; or None for no actuation.
+        dt: step in s; the model's timestep if None.
+        tau: generalized forces in addition to those of the model: (nv,) or (steps, nv), or
+            (B, steps, nv); or a function (t, state) -> (nv,), evaluated once a step.
+        wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6) or
+            (steps, nb, 6), or (B, steps, nb, 6); or a function (t, state) -> (nb, 6), evaluated
+            once a step.
         integrator: one of "semi_implicit_euler", "variational_midpoint", "rk4", "tsit5", "dopri8",
             "dop853"; or a function (field, t, state, inputs, dt) -> state
             (`rbjax.motion.integrators.Integrator`); "semi_implicit_euler" if None. For constraints
             of index 2 and 3 a fully implicit method (`rbjax.constraints.DifferentialAlgebraic`).
-        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
+        dynamics: from forces to accelerations, or to the velocity after a step with a memory
+            (`rbjax.motion.field.Dynamics`, `VelocityDynamics`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
         save_every: keep every so many states; it must divide the number of steps.
-        steps: the number of steps, where ctrl does not give it.
+        steps: the number of steps, if no input has a row for each step.
         kernel: whether a sample is a thread of a GPU or a lane of machine code (False: a scan under
-            XLA). None: where either runs.
+            XLA). None: if either runs.
         memory: bytes in which a reverse gradient of threads may keep states, for the whole batch;
             the fewer, the more steps run twice. None: an eighth of the memory of the devices over
             which a batch can be spread. Without threads it is not used.
@@ -112,19 +118,19 @@ def rollout(
 
     Raises:
         InputError: shapes, dtypes, values that are not finite, unknown integrator, a step that is
-            not positive, no steps, a policy that returns anything but nu numbers.
+            not positive, no steps, a policy that does not return nu numbers.
 
-    Differentiable in state, ctrl, model and what a policy closes over, in forward and in reverse
-    mode. The reverse gradient keeps steps / save_every + save_every states a sample.
+    Differentiable in state, ctrl, model and the values that a policy closes over, in forward and
+    in reverse mode. The reverse gradient keeps steps / save_every + save_every states a sample.
 
     On a GPU (docs/threads.md):
 
     - f32 and f64, forward mode, reverse mode and derivatives of these, as on a CPU;
-    - a derivative keeps every k-th state, in forward mode too: k = 1 where that fits into `memory`,
+    - a derivative keeps every k-th state, in forward mode too: k = 1 if that fits into `memory`,
       else the smallest divisor of save_every that does, or save_every;
     - a policy of more than 4,000 operations runs under XLA between the steps;
     - a step with more than 100,000 statements or 64 KiB of arrays, or with a primitive that threads
-      do not know (svd, eigh, a callback), makes the rollout run under XLA; a warning names it.
+      do not support (svd, eigh, a callback), makes the rollout run under XLA; a warning names it.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8; Marsden & West,
     *Discrete mechanics and variational integrators*, Acta Numerica 2001; Tsitouras (2011);
@@ -137,23 +143,23 @@ def rollout(
         >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
         (11, 2)
     """
-    path, step, dynamics = integrated(
+    path, step, dynamics = run_rollout(
         model, state, ctrl, dt, tau, wrenches, integrator, dynamics, constraints, save_every,
         steps, kernel, memory,
     )  # fmt: skip
     if not isinstance(path.ok, jax.core.Tracer):
-        warn_if_not_finite(model, path, step, dynamics)
+        _warn_if_not_finite(model, path, step, dynamics)
     return path
 
 
-def integrated(
+def run_rollout(
     model: Model, state: State, ctrl: Any, dt: Any, tau: Any = None, wrenches: Any = None,
     integrator: Any = None, dynamics: Dynamics = free_motion, constraints: Any = None,
     save_every: int = 1,
     steps: int | None = None, kernel: bool | None = None, memory: float | None = None,
 ) -> tuple[Trajectory, jax.Array, Dynamics]:  # fmt: skip
     """The trajectory of `rollout` without its warning; the step in s, and the dynamics."""
-    dynamics = dynamics_of("rollout", model, dynamics, constraints)
+    dynamics = dynamics_of("rollout", model, dynamics, constraints, steps=True)
     advance = integrator_of("rollout", integrator, dynamics)
     _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrl, tau, wrenches), steps)
@@ -162,8 +168,9 @@ def integrated(
         raise InputError(
             f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
         )
+    state = with_memory(model, state, dynamics, state.q.shape[:-1])
     step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
-    threads = wanted() if kernel is None else kernel
+    threads = kernels_available() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
     how = (int(save_every), steps, batched)
 
@@ -188,7 +195,7 @@ def integrated(
 
 def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
     rest = jax.tree.unflatten(key[0], key[1:])
-    run_steps = functools.partial(on_threads, memory=memory) if threads else _under_xla
+    run_steps = functools.partial(rollout_on_threads, memory=memory) if threads else _under_xla
 
     def moved(model: Model, state: State, numbers: Any, dt: jax.Array) -> State:
         given, dynamics, advance = eqx.combine(numbers, rest)
@@ -201,15 +208,16 @@ def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
     states = on_auto_axes(moved, model, state, numbers, dt, along=along)
     ts = dt * jnp.arange(0, count + 1, save_every, dtype=state.q.dtype)
     return Trajectory(
-        ts, states.q, states.v, all_finite(states), stats={"steps": count}, x=states.x
-    )
+        ts, states.q, states.v, all_finite(states), stats={"steps": count}, x=states.x,
+        memory=states.memory,
+    )  # fmt: skip
 
 
 @functools.lru_cache(64, typed=True)  # a program keeps some MB
 def _compiled(*key: Any) -> Callable:
-    """What runs functions of one key."""
+    """The compiled `_run` of the functions of one key."""
     del key
-    run = functools.partial(_run)  # to `jit` another function, which goes with all it compiled
+    run = functools.partial(_run)  # a new function to `jit`, dropped with its programs
     return compiled(run, static_argnames=("key", "how", "threads", "memory"))
 
 
@@ -235,10 +243,10 @@ def _states(
 
     def once(state: State, i: jax.Array) -> tuple[State, None]:
         given = [] if rows is None else [rows[i]]
-        if sources.asks:
-            given.append(sources.asked(model, i * dt, state))
+        if sources.has_functions:
+            given.append(sources.evaluate(model, i * dt, state))
         inputs = sources.inputs(model, *given)
-        return advanced(how.integrator, field, i * dt, state, inputs, dt), None
+        return advance_state(how.integrator, field, i * dt, state, inputs, dt), None
 
     def segment(state: State, start: jax.Array) -> tuple[State, State]:
         steps = start + jnp.arange(how.save_every)
@@ -270,8 +278,56 @@ def _checked(
 
 
 def _check_where(kernel: Any, memory: Any) -> None:
-    """Refuse a kernel that is no choice, and a memory that is no number of bytes."""
+    """Raise if kernel is not True, False or None, or memory not a positive number."""
     if not (kernel is None or isinstance(kernel, bool)):
         raise InputError(f"rollout: kernel is {kernel!r}, expected True, False or None to choose")
     if not (memory is None or (isinstance(memory, (int, float)) and memory > 0)):
         raise InputError(f"rollout: memory is {memory!r}, expected a positive number of bytes")
+
+
+def _warn_if_not_finite(model: Model, path: Trajectory, dt: jax.Array, dynamics: Dynamics) -> None:
+    """Warn of the samples of a rollout that are not finite: their number, the first time, and the
+    largest stable step. The trajectory must not be traced."""
+    if not path.ok.is_fully_addressable:  # a part is on another process
+        return
+    ok = np.atleast_1d(np.asarray(path.ok))
+    if ok.all():
+        return
+    batched = path.ok.ndim == 1
+    states = [x if batched else x[None] for x in (path.q, path.v, path.x) if x is not None]
+    bad = ~np.logical_and.reduce([np.isfinite(np.asarray(x)).all(-1) for x in states])
+    at = int(bad.any(0).argmax())
+    sample = int(bad[:, at].argmax())
+    which = f", sample {sample}" if batched else ""
+    count = f"{int((~ok).sum())} of {len(ok)} samples have" if batched else "the motion has"
+    given = State(*(x[sample, 0] for x in states))
+    warnings.warn(
+        f"rollout: {count} values that are not finite, the first at t = "
+        f"{float(path.ts[at]):.6g} s{which}; dt is {float(dt):.4g} s. "
+        f"{_advice(model, given, float(dt), dynamics)}",
+        stacklevel=3,
+    )
+
+
+def _advice(model: Model, state: State, dt: float, dynamics: Dynamics) -> str:
+    largest = np.nan
+    try:
+        ctrl = jnp.zeros(model.nu, state.q.dtype) if model.nu else None
+        A = np.asarray(linearise(model, state, ctrl, dynamics=dynamics).A)
+        largest = np.abs(np.linalg.eigvals(A)).max(initial=0.0) if np.isfinite(A).all() else np.nan
+    except (
+        RbjaxError,
+        TypeError,
+        NotImplementedError,
+    ):  # `linearise` does not support the dynamics
+        pass
+    if not np.isfinite(largest) or largest == 0:
+        return "Take a smaller dt; if no step helps, check that rb.mass_matrix is not singular"
+    stable = 2 / largest
+    found = f"at the start the linearised motion has an eigenvalue s with |s| = {largest:.4g} /s"
+    if stable < dt:
+        return f"Take dt below {stable:.2g} s: {found}, and explicit steps need dt < 2 / |s|"
+    return (
+        f"Take a smaller dt: {found}, for which this step is stable, so forces, controls or speeds "
+        "later in the motion need a smaller one"
+    )

@@ -13,27 +13,31 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import (
-    check_array,
     check_arrays,
     check_moves,
     check_step,
-    check_takes,
     shape_of,
 )
 from rbjax.dynamics.drivers.choice import on_threads
 from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
 from rbjax.errors import InputError
-from rbjax.forces.inputs import Inputs, Source, shapes
+from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
-from rbjax.motion.projected_solver import project_after_steps, solver_of
-from rbjax.motion.term import check_takes_robots, motion, unit
+from rbjax.motion.inputs import inputs_between
+from rbjax.motion.term import (
+    check_for_robots,
+    make_term,
+    project_after_steps,
+    solver_of,
+    unit_quaternions,
+)
 from rbjax.motion.trajectory import Trajectory, all_finite
 
 
@@ -42,7 +46,7 @@ def simulate(
     model: Model,
     state: State,
     ts: jax.Array,
-    ctrl: Source | None = None,
+    ctrl: jax.Array | Source | None = None,
     *,
     tau: jax.Array | Source | None = None,
     wrenches: jax.Array | Source | None = None,
@@ -56,19 +60,19 @@ def simulate(
     throw: bool = True,
     max_steps: int = 100_000,
 ) -> Trajectory:
-    """Motion from ts[0] to ts[-1], saved at ts.
+    """Integrate the motion from ts[0] to ts[-1] by a diffrax solver, and save it at ts.
 
     q' = N(q) v, v' = M^-1 (applied forces - b). The equations are solved in the time since ts[0],
     so that a late start costs no digits.
 
-    A number of the model can change with no recompilation, unless a zero of the links' numbers
-    (placements, axes, masses, centres, inertias, armatures, references) or of gravity comes or
-    goes: these zeros are part of the program. Without them a step of one arm takes 1.4 times as
-    long, and of 256 arms at once 1.14 times; a quadruped and a humanoid take about as long (CPU,
+    Numbers of the model can change without recompilation, unless a zero of the links' numbers
+    (placements, axes, masses, centres, inertias, armatures, references) or of gravity appears or
+    disappears: these zeros are part of the program. Without them a step of one arm takes 1.4 times
+    as long, and of 256 arms at once 1.14 times; a quadruped and a humanoid take about as long (CPU,
     f64).
 
     Inside `jit` a sample is a thread on a GPU, and a lane of machine code on a CPU. So is its
-    reverse gradient where `max_steps` or the adjoint's checkpoints are few; otherwise it runs under
+    reverse gradient if `max_steps` or the adjoint's checkpoints are few; otherwise it runs under
     XLA (docs/threads.md).
 
     A new function (ctrl, tau, wrenches, dynamics) is not compiled if it differs from an earlier
@@ -78,16 +82,18 @@ def simulate(
     Args:
         model: the robot.
         state: initial q (nq,), v (nv,).
-        ts: (T,) increasing times in seconds, the first that of the state.
-        ctrl: (t, state) -> (nu,); None for no actuation.
-        tau: generalized forces beside those of the model: (nv,), or (t, state) -> (nv,).
-        wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6), or
-            (t, state) -> (nb, 6).
+        ts: (T,) increasing times in s, the first that of the state.
+        ctrl: controls: (nu,); (T - 1, nu), a row for each interval of ts; a policy
+            (t, state) -> (nu,); or None for no actuation.
+        tau: generalized forces in addition to those of the model: (nv,), (T - 1, nv), or
+            (t, state) -> (nv,).
+        wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6),
+            (T - 1, nb, 6), or (t, state) -> (nb, 6).
         solver: any diffrax solver, `rb.solvers` among them; Tsit5 if None. Those for second-order
             form, splittings and Lie groups move along the manifold of configurations. Constraints
             of index 2 and 3 take radau_iia, gauss_legendre, lobatto_iiic or bdf; radau_iia(3) if
             None.
-        dt: first step, or the fixed step where no controller is given.
+        dt: the first step in s, or the fixed step without a controller.
         stepsize_controller: diffrax's; without it and without dt, adaptive to 1e-8 (f64) or 1e-5.
         adjoint: diffrax's. None: checkpointed reverse mode, for `grad` and `jacrev`. Give
             diffrax.ForwardMode() for `jvp` and `jacfwd`, diffrax.DirectAdjoint() for both.
@@ -95,7 +101,7 @@ def simulate(
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
         progress: show diffrax's meter.
-        throw: raise if the solve fails; otherwise `result` and `ok` say so.
+        throw: raise if the solve fails; otherwise `result` and `ok` report it.
         max_steps: the largest number of steps.
 
     Returns:
@@ -103,9 +109,9 @@ def simulate(
 
     Raises:
         InputError: shapes, dtypes, times that do not increase, a step that is not positive or is
-            below the rounding of time; a control that is not a function or returns anything but nu
-            numbers; something else than a solver, or a solver without an estimate of its error and
-            no dt; a forward derivative through the default adjoint.
+            below the rounding of time; a policy that does not return nu numbers; something other
+            than a solver, or a solver without an estimate of its error and no dt; a forward
+            derivative through the default adjoint.
 
     Source: Kidger, *On Neural Differential Equations*, 2021 (diffrax).
 
@@ -115,20 +121,20 @@ def simulate(
         >>> rb.simulate(model, model.default_state(), jnp.linspace(0, 1, 5)).q.shape
         (5, 1)
     """
-    state = check_arrays("simulate", model, {"state": state})["state"]
+    state = check_arrays("simulate", model, {"state": state})["state"].replace(memory=None)
     check_moves("simulate", model)
     ts, elapsed = _times(ts, state.q.dtype)
-    inputs = _inputs(model, ctrl, tau, wrenches, state.q.dtype)
+    inputs = inputs_between("simulate", model, Inputs(ctrl, tau, wrenches), ts)
     if max_steps is not None:
         integer("simulate", "max_steps", max_steps, least=1)
     dynamics = dynamics_of("simulate", model, dynamics, constraints)
     solver = solver_of(solver, dynamics)
-    check_takes_robots(solver)
+    check_for_robots(solver)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt is not None:
         _advances(check_step("simulate", "dt", dt, state.q.dtype), elapsed)
-    if wanted():
+    if kernels_available():
         model = on_threads(model, state.q.dtype)
     if not inside_jit() or is_traced(model):
         model = with_constants(model, state.q.dtype)
@@ -141,7 +147,7 @@ def simulate(
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt is None else diffrax.ConstantStepSize()
-    by_kernel = wanted() and not progress
+    by_kernel = kernels_available() and not progress
     how = _How(
         solver, dt, stepsize_controller,
         diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
@@ -164,17 +170,17 @@ def simulate(
         q = eqx.error_if(
             q,
             ~ok,
-            "simulate: the solver gave up, or the motion has values that are not finite; take a "
-            "smaller dt, an adaptive stepsize_controller or more max_steps, or throw=False to "
-            "look at the trajectory and its result; if no step helps, see that rb.mass_matrix of "
-            "the state is not singular (a joint that moves no mass)",
+            "simulate: integration failed or gave values that are not finite. Take a smaller dt, "
+            "an adaptive stepsize_controller or more max_steps, or throw=False to look at the "
+            "trajectory and its result; if no step helps, check that rb.mass_matrix of the state "
+            "is not singular (a joint that moves no mass)",
         )
     return Trajectory(ts, q, path.v, ok, result, stats, path.x)
 
 
 class _How(NamedTuple):
-    """How diffrax solves. by_kernel: as one program of one robot, which takes its own steps and
-    cannot raise, so `throw` is False."""
+    """Options of the solve. by_kernel: whether it is one program of one robot, which cannot raise,
+    so that `throw` is False."""
 
     solver: diffrax.AbstractSolver
     dt: Any
@@ -194,7 +200,7 @@ def _solved(
     args, of_args = split_tracers(model)
 
     def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-        term, state = motion(
+        term, state = make_term(
             of_args(args), state, how.solver, Inputs(*given), of_args, dynamics, start
         )
         out = diffrax.diffeqsolve(
@@ -216,14 +222,15 @@ def _solved(
         )
         return out.ys, out.result, out.stats
 
-    return (threaded(solved_from) if how.by_kernel else solved_from)(state, start, elapsed, args)
+    run = compile_threads(solved_from) if how.by_kernel else solved_from
+    return run(state, start, elapsed, args)
 
 
 _compiled = compiled(_solved, jit=eqx.filter_jit)
 
 
 class _Saved(eqx.Module):
-    """What is kept of a state: the same with unit quaternions, projected by the dynamics."""
+    """The saved form of a state: with unit quaternions, and projected onto the constraints."""
 
     model: Callable[[Any], Model]
     dynamics: Dynamics
@@ -231,30 +238,12 @@ class _Saved(eqx.Module):
 
     def __call__(self, t, y: State, args) -> State:
         model = self.model(args)
-        y = State(unit(model.topology, y.q), y.v, y.x)
+        y = State(unit_quaternions(model.topology, y.q), y.v, y.x)
         return Field(model, self.dynamics).project(self.start + t, y)
 
 
-def _inputs(model: Model, ctrl: Any, tau: Any, wrenches: Any, dtype: Any) -> Inputs:
-    """The inputs, arrays checked."""
-    if ctrl is not None and not callable(ctrl):
-        raise InputError(
-            f"simulate: ctrl is {type(ctrl).__name__}, expected a function (t, state) -> "
-            "(nu,) or None; controls in an array are for rollout"
-        )
-    for name, f in {"ctrl": ctrl, "tau": tau, "wrenches": wrenches}.items():
-        if callable(f):
-            check_takes("simulate", name, f, "t", "state")
-    found = {"tau": tau, "wrenches": wrenches}
-    for (name, x), shape in zip(found.items(), shapes(model)[1:], strict=True):
-        if x is not None and not callable(x):
-            fix = f"; or a function (t, state) -> {shape}, or None"
-            found[name] = check_array("simulate", name, x, shape, fix=fix).astype(dtype)
-    return Inputs(ctrl, **found)
-
-
 def _check_kind(name: str, value: Any, kind: type) -> None:
-    """Refuse what diffrax would not take, such as a class in place of an instance."""
+    """Raise if a value has the wrong type, such as a class in place of an instance."""
     if value is None or isinstance(value, kind):
         return
     got = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
@@ -280,7 +269,7 @@ def _times(ts: Any, dtype) -> tuple[jax.Array, jax.Array]:
 
 
 def _advances(step: jax.Array, elapsed: jax.Array) -> None:
-    """Refuse a step that is lost when it is added to the time, where both are known."""
+    """Raise if adding the step to the time has no effect; traced values are not checked."""
     if isinstance(step, jax.core.Tracer) or isinstance(elapsed, jax.core.Tracer):
         return
     least = np.spacing(np.asarray(elapsed)[-1])

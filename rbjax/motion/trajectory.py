@@ -1,4 +1,4 @@
-"""What motion returns: states at times, and how it ended."""
+"""Trajectories: states at times, and the outcome of the motion."""
 
 from __future__ import annotations
 
@@ -15,9 +15,13 @@ from rbjax.model import State
 class Trajectory(eqx.Module):
     """States along time.
 
-    Fields: ts (T,) s; q (T, nq) or (B, T, nq); v (T, nv) or (B, T, nv); ok (), or (B,) for a batch,
-    whether every value is finite; result, what the solver says (None for `rollout`); stats; x
-    (T, nx) or (B, T, nx), the states of force elements, None where none has one.
+    ts: (T,) s.
+    q, v: (T, nq) and (T, nv), or (B, T, nq) and (B, T, nv) for a batch.
+    ok: () or (B,), whether every value is finite.
+    result: of the solver; None for `rollout`.
+    stats: counts of steps.
+    x: (T, nx) or (B, T, nx), the states of force elements; None if none has one.
+    memory: (T, m) or (B, T, m), the memory of the dynamics; None if it has none.
     """
 
     ts: jax.Array
@@ -27,11 +31,12 @@ class Trajectory(eqx.Module):
     result: Any = None
     stats: Any = None
     x: jax.Array | None = None
+    memory: jax.Array | None = None
 
     def state(self, i: int) -> State:
         """The state at ts[i] (of each sample of a batch)."""
-        x = None if self.x is None else self.x[..., i, :]
-        return State(self.q[..., i, :], self.v[..., i, :], x)
+        states = State(self.q, self.v, self.x, self.memory)
+        return jax.tree.map(lambda x: x[..., i, :], states)
 
     def __len__(self) -> int:
         return self.ts.shape[0]

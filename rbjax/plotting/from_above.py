@@ -16,8 +16,7 @@ from rbjax.model import State
 from rbjax.style import BLUE, GRID, INK, RED
 from rbjax.wheeled.kinematics.parameters import stack_lanes
 from rbjax.wheeled.kinematics.planar import rotate
-from rbjax.wheeled.models.contact_forces import contacts
-from rbjax.wheeled.models.robot_model import RobotModel
+from rbjax.wheeled.models.robot_model import RobotModel, contacts
 
 SQUARE = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
 THICK = 0.3  # of a wheel, over its radius

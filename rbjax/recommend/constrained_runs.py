@@ -15,7 +15,7 @@ from rbjax.constraints import formulations, jacobian, residual
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.model import Model, State
-from rbjax.motion.linearise import step
+from rbjax.motion.step import step
 from rbjax.progress import Say
 from rbjax.recommend.halved_steps import HalvedSteps
 

@@ -28,9 +28,9 @@ from rbjax.recommend.halved_steps import Trial, cost_decides
 from rbjax.recommend.manoeuvre import Demand, Manoeuvre, demand, first_lift
 from rbjax.recommend.recommendation import Recommendation, check_request, double
 from rbjax.wheeled import Robot, RobotModel, at, fidelities
+from rbjax.wheeled.models.robot_model import with_twist
 from rbjax.wheeled.models.rolling import Rolling
 from rbjax.wheeled.models.slipping import Slipping
-from rbjax.wheeled.models.states import with_twist
 
 #: tried only if it is named: it compiles for a minute, and its equals cost a tenth
 ON_REQUEST = ("constrained",)
@@ -38,10 +38,10 @@ ON_REQUEST = ("constrained",)
 
 @dataclass(frozen=True)
 class FidelityRecommendation(Recommendation):
-    """A fidelity and a step: `rb.wheeled.rollout(r.vehicle, r.state, controls, r.dt)`.
+    """A fidelity and a step: `rb.wheeled.rollout(r.model, r.state, controls, r.dt)`.
 
     Fields, in addition to those of `Recommendation` (cost: microseconds per second of motion):
-        vehicle: the robot at the fidelity.
+        model: the robot at the fidelity.
         state: its start.
         dt: seconds.
         error: the largest deviation of the chassis' place, m, or heading, rad, from the motion at
@@ -52,7 +52,7 @@ class FidelityRecommendation(Recommendation):
             never, nan without "slipping".
     """
 
-    vehicle: RobotModel
+    model: RobotModel
     state: State
     dt: float
     error: float
@@ -129,14 +129,14 @@ def fidelity(
         start = check_array("recommend", "q", start, (robot.layout.nq,)).astype(jnp.float64)
         twist = check_array("recommend", "twist", twist, (3,)).astype(jnp.float64)
         controls = _controls(robot, controls, horizon, float(dt))
-        vehicles = [jax.tree.map(double, x) for x in given]
+        models = [jax.tree.map(double, x) for x in given]
         with progress_line("recommend", progress) as say:
-            run = Manoeuvre(vehicles, start, twist, *controls, float(accuracy), say)
-            found = _choose(run, vehicles, why_not)
+            run = Manoeuvre(models, start, twist, *controls, float(accuracy), say)
+            found = _choose(run, models, why_not)
     # as given, and in the caller's dtype
-    vehicle, dtype = given[names.index(found.name)], jnp.result_type(float)
-    state = with_twist(vehicle, *(jnp.asarray(np.asarray(x), dtype) for x in (start, twist)))
-    return replace(found, vehicle=vehicle, state=state)
+    model, dtype = given[names.index(found.name)], jnp.result_type(float)
+    state = with_twist(model, *(jnp.asarray(np.asarray(x), dtype) for x in (start, twist)))
+    return replace(found, model=model, state=state)
 
 
 def _controls(
@@ -190,10 +190,10 @@ def _no_speeds(robot: Robot) -> str:
     return ""
 
 
-def _choose(run: Manoeuvre, vehicles: Sequence[RobotModel], why_not: str) -> FidelityRecommendation:
+def _choose(run: Manoeuvre, models: Sequence[RobotModel], why_not: str) -> FidelityRecommendation:
     """Measure the fidelities, given from the coarsest to the finest, and choose one."""
-    equals = [x.name for x in vehicles if not isinstance(x, Slipping) and x.nv][1:]
-    names = [x.name for x in reversed(vehicles) if x.name not in equals]
+    equals = [x.name for x in models if not isinstance(x, Slipping) and x.nv][1:]
+    names = [x.name for x in reversed(models) if x.name not in equals]
     ends = {name: run.converge_stably(name) for name in names}
     paths = [run.path(name, k) for name, k in ends.items()]
 
@@ -209,15 +209,15 @@ def _choose(run: Manoeuvre, vehicles: Sequence[RobotModel], why_not: str) -> Fid
         gap = run.deviation(paths[i], paths[i - 1]) if i else 0.0
         trials.append(trial(name, run.least[name], most, gap))
     best = min((x for x in trials if x.ok), key=lambda x: x.cost)
-    if isinstance(run.vehicles[best.name], Rolling) or best.name in ON_REQUEST:
+    if isinstance(run.models[best.name], Rolling) or best.name in ON_REQUEST:
         least, most = run.least[best.name], ends[best.name]
         trials += [trial(name, least, most, best.gap) for name in equals]
         best = min((best, *(x for x in trials[-len(equals) :] if x.ok)), key=lambda x: x.cost)
-    vehicle = run.vehicles[best.name]
+    model = run.models[best.name]
     needed, lifts = _contacts(run, names, paths)
     why = _reason(run, best, trials, names[0], why_not, needed, lifts)
     return FidelityRecommendation(
-        best.name, best.cost, tuple(trials), why, vehicle, run.start(vehicle), best.dt, best.error,
+        best.name, best.cost, tuple(trials), why, model, run.start(model), best.dt, best.error,
         needed.share, lifts,
     )  # fmt: skip
 
@@ -225,7 +225,7 @@ def _choose(run: Manoeuvre, vehicles: Sequence[RobotModel], why_not: str) -> Fid
 def _contacts(run: Manoeuvre, names: Sequence[str], paths: list[State]) -> tuple[Demand, float]:
     """Compute the traction that rolling needs, and the time at which a wheel lifts."""
     unknown = Demand(math.nan, math.nan)
-    slipping, *others = (run.vehicles[name] for name in names)
+    slipping, *others = (run.models[name] for name in names)
     if not isinstance(slipping, Slipping):
         return unknown, math.nan
     run.say("contacts")

@@ -1,4 +1,4 @@
-"""The entry of the public rotation functions, and the conversion of lanes to arrays.
+"""Checked and compiled functions of arrays, and conversions between arrays and lanes.
 
 Arrays are (..., n). Leading axes are a batch and broadcast against each other. Outside traced code
 the values are checked and the call is compiled. Inside traced code the function is inlined.
@@ -16,14 +16,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_array
 from rbjax.compiling import compiled, wide_vectors
 from rbjax.errors import InputError
+from rbjax.lanes import Mat3, Vec3
 
 #: kind of argument -> shape of one sample
 SHAPES: dict[str, tuple[int, ...]] = {
     "scalar": (),
     "scalar_or_infinite": (),
-    "positive": (),
     "vector": (3,),
     "quaternion": (4,),
     "twist": (6,),
@@ -43,10 +44,16 @@ FLOATS = (jnp.float32, jnp.float64)
 ORTHONORMAL = 1e-2
 
 
-def takes(static: Iterable[str] = (), **kinds: str) -> Callable[[Callable], Callable]:
-    """Decorate a function of arrays of the named kinds; `static` arguments are hashable values.
+def takes(
+    static: Iterable[str] = (), positive: Iterable[str] = (), **kinds: str
+) -> Callable[[Callable], Callable]:
+    """Check and compile a function of arrays.
 
-    The kind "parameters" is that of the attitude representation whose method this is.
+    Args:
+        static: names of arguments that are hashable values.
+        positive: names of arguments that must be above zero, if they are known.
+        kinds: name -> kind of array (`SHAPES`), or "parameters" of the attitude representation
+            whose method the function is.
     """
     static = tuple(static)
 
@@ -60,6 +67,7 @@ def takes(static: Iterable[str] = (), **kinds: str) -> Callable[[Callable], Call
             bound = signature.bind(*args, **kwargs)
             given = {n: bound.arguments[n] for n in kinds if n in bound.arguments}
             given = {n: x for n, x in given.items() if x is not None or not optional[n]}
+            check_positive(f.__name__, **{n: given.get(n) for n in positive})
             for name, value in given.items():
                 shape = SHAPES.get(kinds[name])
                 if shape is None:
@@ -80,7 +88,7 @@ def takes(static: Iterable[str] = (), **kinds: str) -> Callable[[Callable], Call
 
 
 def checked(where: str, name: str, value: Any, kind: str) -> jax.Array:
-    """The argument `name` of the function `where` as an array of a kind; values if they are known.
+    """Convert an argument to an array of a kind, and check its values if they are known.
 
     Raises:
         InputError: not an array, another shape or dtype, values that are not finite.
@@ -89,6 +97,15 @@ def checked(where: str, name: str, value: Any, kind: str) -> jax.Array:
     if not isinstance(x, jax.core.Tracer):
         _check_values(where, name, np.asarray(x), kind)
     return x
+
+
+def check_positive(where: str, **values: Any) -> None:
+    """Raise `InputError` if a value that is known is not above zero. None is accepted."""
+    for name, x in values.items():
+        if x is None or any(isinstance(e, jax.core.Tracer) for e in jax.tree.leaves(x)):
+            continue
+        if (real_array(where, name, x, finite=False) <= 0).any():
+            raise InputError(f"{where}: {name} is {x}, expected more than zero")
 
 
 def _array(where: str, name: str, value: Any, shape: tuple[int, ...]) -> jax.Array:
@@ -111,9 +128,6 @@ def _check_values(where: str, name: str, x: np.ndarray, kind: str) -> None:
     if not fine.all():
         bad = tuple(int(i) for i in np.argwhere(~fine)[0])
         raise InputError(f"{where}: {name}{list(bad)} is {x[bad]}, expected finite values")
-    if kind == "positive" and not (x > 0).all():
-        bad = tuple(int(i) for i in np.argwhere(~(x > 0))[0])
-        raise InputError(f"{where}: {name}{list(bad)} is {x[bad]}, expected a number above zero")
     if kind == "quaternion" and not x.any(-1).all():
         raise InputError(
             f"{where}: {name} has a zero quaternion, expected a unit one (w, x, y, z); "
@@ -138,11 +152,17 @@ def entries(x: jax.Array, axes: int = 1) -> list[jax.Array]:
     return [flat[..., i] for i in range(flat.shape[-1])]
 
 
-def stacked(values: Iterable[Any], *shape: int) -> jax.Array:
-    """Lanes, row by row, as one array (..., *shape); by default a vector. An array stays as it is.
+def pose_parts(T: jax.Array) -> tuple[Mat3, Vec3]:
+    """R and p of a pose (..., 4, 4) on lanes."""
+    m = entries(T, 2)
+    return Mat3(*m[0:3], *m[4:7], *m[8:11]), Vec3(m[3], m[7], m[11])
 
-    A few lanes are selected by index, axis by axis. XLA's CPU compiler unrolls the selection into
-    one loop over the batch. It would evaluate or copy the operands of a concatenate several times.
+
+def stacked(values: Iterable[Any], *shape: int) -> jax.Array:
+    """Stack lanes, row by row, as one array (..., *shape), by default a vector.
+
+    Up to 12 lanes are selected by index, axis by axis: XLA's CPU compiler unrolls the selection
+    into one loop over the batch, but evaluates the operands of a concatenate several times.
     """
     if isinstance(values, jax.Array):
         return values
@@ -177,12 +197,12 @@ def _choose(index: jax.Array, values: list[jax.Array], first: int) -> jax.Array:
     )
 
 
-def apart(x: jax.Array, *shape: int) -> jax.Array:
-    """x (...) as (..., *shape), written as if each entry had its own value.
+def spread(x: jax.Array, *shape: int) -> jax.Array:
+    """Broadcast x (...) to (..., *shape), as if each entry had its own value.
 
-    If several entries share an expensive value (a quotient, a root), XLA stores it in a separate
-    array, which costs one more pass over memory. A value that seems to differ from entry to entry
-    stays in the loop over the entries, where LLVM finds that it is the same.
+    XLA stores an expensive value that several entries share (a quotient, a root) in an array of its
+    own, one more pass over memory. A value that depends on the entry stays in the loop over the
+    entries, where LLVM recognizes that it is the same.
     """
     entry = sum(jnp.arange(n, dtype=x.dtype).reshape(-1, *[1] * k)
                 for k, n in enumerate(reversed(shape)))  # fmt: skip

@@ -1,15 +1,21 @@
-"""The scalar functions that attitude formulas share, as smooth functions of the squared angle.
+"""Scalar functions and Jacobians that the formulas of rotation share.
 
 Stumpff's functions c_k(x) = sum_j (-x)^j / (2 j + k)! are entire in x = t^2:
 
     c_0 = cos t,  c_1 = sin t / t,  c_2 = (1 - cos t) / t^2,  c_3 = (t - sin t) / t^3,  ...
     c_{k+2} = (1/k! - c_k) / x,    dc_k/dx = (k c_{k+2} - c_{k+1}) / 2
 
-Every formula of SO(3) and SE(3) is written in them (and half-angle forms of them), so no removable
-singularity is left. A series is used where the closed form cancels. The switch is far enough out
-that values are accurate to the last digits on both sides. The same holds for their first and second
-derivatives, which lose a factor 1/x each in a closed form. Both branches are evaluated and one is
-selected. The other gets a harmless argument, so that no derivative of any order is nan.
+Formulas of SO(3) and SE(3) written in them have no removable singularity. A series replaces the
+closed form near zero, out to where values and first and second derivatives of both are accurate to
+the last digits. Both branches are evaluated and one is selected; the argument of the other is
+replaced by a regular one, so that no derivative of any order is nan.
+
+exp(phi + d) = exp(J_l d) exp(phi) = exp(phi) exp(J_r d) to first order, so that omega_space =
+J_l(phi) phi' and omega_body = J_r(phi) phi' (Sola, arXiv:1812.01537, eqs. 143-146):
+
+    J_l = 1 + c_2 [phi] + c_3 [phi]^2,    J_l^-1 = 1 - [phi]/2 + e [phi]^2,    J_r(phi) = J_l(-phi)
+
+The inverses have a pole at |phi| = 2 pi and its multiples.
 """
 
 from __future__ import annotations
@@ -21,6 +27,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import horner, sincos
+from rbjax.rotations.arguments import entries, stacked, takes
 
 
 def where(condition: jax.Array, a: Any, b: Any) -> jax.Array:
@@ -108,3 +115,56 @@ def _arctan_series(x: jax.Array) -> jax.Array:
     """atan(t) / t, x = t^2, for t up to tan(pi/16)."""
     terms = 13 if x.dtype == jnp.float64 else 6
     return horner([(-1) ** j / (2 * j + 1) for j in range(terms)], x)
+
+
+def polynomial(a, b, c, p: list) -> list:
+    """Lanes of a 1 + b [p] + c [p]^2, row by row."""
+    x, y, z = p
+    bx, by, bz = b * x, b * y, b * z
+    xx, yy, zz = c * x * x, c * y * y, c * z * z
+    xy, xz, yz = c * x * y, c * x * z, c * y * z
+    return [
+        a - (yy + zz), xy - bz, xz + by,
+        xy + bz, a - (xx + zz), yz - bx,
+        xz - by, yz + bx, a - (xx + yy),
+    ]  # fmt: skip
+
+
+def left_lanes(phi: list) -> list:
+    """Lanes of J_l."""
+    c2, c3 = stumpff(sum(p * p for p in phi), 2, 3)
+    return polynomial(1.0, c2, c3, phi)
+
+
+def inverse_left_lanes(phi: list) -> list:
+    """Lanes of J_l^-1."""
+    e = inverse_jacobian_coefficient(sum(p * p for p in phi))
+    return polynomial(1.0, -0.5, e, phi)
+
+
+@takes(phi="vector")
+def left_jacobian(phi: jax.Array) -> jax.Array:
+    """J_l (..., 3, 3): omega_space = J_l phi'.
+
+    >>> left_jacobian([0.0, 0.0, 0.0]).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    return stacked(left_lanes(entries(phi)), 3, 3)
+
+
+@takes(phi="vector")
+def right_jacobian(phi: jax.Array) -> jax.Array:
+    """J_r (..., 3, 3): omega_body = J_r phi'."""
+    return stacked(left_lanes([-p for p in entries(phi)]), 3, 3)
+
+
+@takes(phi="vector")
+def inverse_left_jacobian(phi: jax.Array) -> jax.Array:
+    """J_l^-1 (..., 3, 3): phi' = J_l^-1 omega_space, for |phi| < 2 pi."""
+    return stacked(inverse_left_lanes(entries(phi)), 3, 3)
+
+
+@takes(phi="vector")
+def inverse_right_jacobian(phi: jax.Array) -> jax.Array:
+    """J_r^-1 (..., 3, 3): phi' = J_r^-1 omega_body, for |phi| < 2 pi."""
+    return stacked(inverse_left_lanes([-p for p in entries(phi)]), 3, 3)

@@ -11,13 +11,16 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.rotations.arguments import apart, entries, stacked, takes
-from rbjax.rotations.coefficients import arctan_over, length, stumpff, where
-from rbjax.rotations.jacobians import (
+from rbjax.rotations.arguments import entries, spread, stacked, takes
+from rbjax.rotations.coefficients import (
+    arctan_over,
     inverse_left_jacobian,
     inverse_right_jacobian,
     left_jacobian,
+    length,
     right_jacobian,
+    stumpff,
+    where,
 )
 
 __all__ = [
@@ -81,7 +84,7 @@ def to_matrix(a: jax.Array) -> jax.Array:
         x * y + w * z, x * x + z * z, y * z - w * x,
         x * z - w * y, y * z + w * x, x * x + y * y,
     ], 3, 3)  # fmt: skip
-    s = 2 / apart(w * w + x * x + y * y + z * z, 3, 3)
+    s = 2 / spread(w * w + x * x + y * y + z * z, 3, 3)
     return jnp.where(jnp.eye(3, dtype=bool), 1 - s * turn, s * turn)
 
 

@@ -13,8 +13,14 @@ import jax.numpy as jnp
 
 from rbjax.lanes import Mat3, Vec3, quaternion_matrix, sincos
 from rbjax.rotations import quaternion
-from rbjax.rotations.coefficients import angle, arctan_over, away_from_zero, length, where
-from rbjax.rotations.jacobians import polynomial
+from rbjax.rotations.coefficients import (
+    angle,
+    arctan_over,
+    away_from_zero,
+    length,
+    polynomial,
+    where,
+)
 
 
 class _Global:

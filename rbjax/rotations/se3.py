@@ -17,9 +17,14 @@ import jax.numpy as jnp
 
 from rbjax.lanes import Mat3, Vec3, quaternion_matrix
 from rbjax.rotations import quaternion
-from rbjax.rotations.arguments import entries, stacked, takes
-from rbjax.rotations.coefficients import inverse_jacobian_coefficient, length, stumpff
-from rbjax.rotations.jacobians import inverse_left_lanes, left_lanes
+from rbjax.rotations.arguments import entries, pose_parts, stacked, takes
+from rbjax.rotations.coefficients import (
+    inverse_jacobian_coefficient,
+    inverse_left_lanes,
+    left_lanes,
+    length,
+    stumpff,
+)
 
 __all__ = [
     "identity", "pose", "hat", "vee", "exp", "log", "compose", "inverse", "interpolate", "distance",
@@ -85,7 +90,7 @@ def log(T: jax.Array) -> jax.Array:
     >>> jnp.allclose(log(exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0])), jnp.array([0.1, 0.2, 0.3, 4, 5, 6]))
     Array(True, dtype=bool)
     """
-    R, p = _parts(T)
+    R, p = pose_parts(T)
     phi = Vec3(*quaternion.log_lanes(quaternion.from_matrix_lanes(list(R))))
     e = inverse_jacobian_coefficient(phi.dot(phi))
     once = phi.cross(p)
@@ -95,14 +100,14 @@ def log(T: jax.Array) -> jax.Array:
 @takes(A="pose", B="pose")
 def compose(A: jax.Array, B: jax.Array) -> jax.Array:
     """A B."""
-    (R, p), (S, r) = _parts(A), _parts(B)
+    (R, p), (S, r) = pose_parts(A), pose_parts(B)
     return _pose(R @ S, p + R @ r)
 
 
 @takes(T="pose")
 def inverse(T: jax.Array) -> jax.Array:
     """[R^T, -R^T p]."""
-    R, p = _parts(T)
+    R, p = pose_parts(T)
     return _pose(R.T, -(R.T @ p))
 
 
@@ -118,9 +123,8 @@ def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
 
 @takes(A="pose", B="pose")
 def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The angle and the length of the motion from A to B. One number for both would need a scale.
-    """
-    (R, p), (S, r) = _parts(A), _parts(B)
+    """The angle and the length of the motion from A to B."""
+    (R, p), (S, r) = pose_parts(A), pose_parts(B)
     w, *u = quaternion.from_matrix_lanes(list(R.T @ S))
     d = r - p
     return quaternion.angle_lanes(w, u), length(d.dot(d))
@@ -133,7 +137,7 @@ def adjoint(T: jax.Array) -> jax.Array:
     >>> (adjoint(exp([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])) @ jnp.array([0.0, 0, 1, 0, 0, 0])).tolist()
     [0.0, 0.0, 1.0, 0.0, -1.0, 0.0]
     """
-    R, p = _parts(T)
+    R, p = pose_parts(T)
     return _blocks(list(R), list(Mat3.skew(p) @ R))
 
 
@@ -174,7 +178,7 @@ def inverse_right_jacobian(xi: jax.Array) -> jax.Array:
 @takes(T="pose", V="twist")
 def rate_from_body_twist(T: jax.Array, V: jax.Array) -> jax.Array:
     """T' = T [V_body] (..., 4, 4)."""
-    R, _ = _parts(T)
+    R, _ = pose_parts(T)
     omega, v = _halves(entries(V))
     return _bottomed(R @ Mat3.skew(omega), R @ v, 0.0)
 
@@ -182,7 +186,7 @@ def rate_from_body_twist(T: jax.Array, V: jax.Array) -> jax.Array:
 @takes(T="pose", V="twist")
 def rate_from_space_twist(T: jax.Array, V: jax.Array) -> jax.Array:
     """T' = [V_space] T (..., 4, 4)."""
-    R, p = _parts(T)
+    R, p = pose_parts(T)
     omega, v = _halves(entries(V))
     return _bottomed(Mat3.skew(omega) @ R, omega.cross(p) + v, 0.0)
 
@@ -194,14 +198,14 @@ def body_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
     >>> body_twist(identity(), hat([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).tolist()
     [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     """
-    (R, _), (dR, dp) = _parts(T), _parts(dT)
+    (R, _), (dR, dp) = pose_parts(T), pose_parts(dT)
     return stacked([*_vee(R.T @ dR), *(R.T @ dp)])
 
 
 @takes(T="pose", dT="matrix4")
 def space_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
     """V_space (..., 6), [V_space] = T' T^-1."""
-    (R, p), (dR, dp) = _parts(T), _parts(dT)
+    (R, p), (dR, dp) = pose_parts(T), pose_parts(dT)
     omega = _vee(dR @ R.T)
     return stacked([*omega, *(dp - omega.cross(p))])
 
@@ -216,11 +220,6 @@ def _pose(R, p) -> jax.Array:
 def _bottomed(R, p, corner: float) -> jax.Array:
     r, p = list(R), list(p)
     return stacked([*r[0:3], p[0], *r[3:6], p[1], *r[6:9], p[2], 0.0, 0.0, 0.0, corner], 4, 4)
-
-
-def _parts(T: jax.Array) -> tuple[Mat3, Vec3]:
-    m = entries(T, 2)
-    return Mat3(*m[0:3], *m[4:7], *m[8:11]), Vec3(m[3], m[7], m[11])
 
 
 def _halves(xi: list) -> tuple[Vec3, Vec3]:

@@ -15,8 +15,8 @@ from rbjax.errors import InputError
 from rbjax.lanes import Mat3, matmat, quaternion_matrix
 from rbjax.rotations import quaternion
 from rbjax.rotations.arguments import entries, stacked, takes
-from rbjax.rotations.coefficients import away_from_zero
-from rbjax.rotations.jacobians import (
+from rbjax.rotations.coefficients import (
+    away_from_zero,
     inverse_left_jacobian,
     inverse_right_jacobian,
     left_jacobian,

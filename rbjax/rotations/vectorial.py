@@ -25,16 +25,16 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.rotations import quaternion
-from rbjax.rotations.arguments import apart, entries, stacked, takes
+from rbjax.rotations.arguments import entries, spread, stacked, takes
 from rbjax.rotations.coefficients import (
     arctan_over,
     away_from_zero,
     inverse_jacobian_coefficient,
     length,
+    polynomial,
     stumpff,
     where,
 )
-from rbjax.rotations.jacobians import polynomial
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Vectorial:
         return self.quaternion(p, s)
 
     def from_quaternion(self, q: list) -> jax.Array:
-        w, *u = (apart(a, 3) for a in q) if self.short else (a[..., None] for a in q)
+        w, *u = (spread(a, 3) for a in q) if self.short else (a[..., None] for a in q)
         sign = where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))
         return sign * self.scale * self.parameter(w * sign, u) * stacked(q[1:])
 

@@ -1,9 +1,8 @@
 """Columns of a sensor, some of which are attitudes: their difference, sum and noise.
 
     minus(x, y) = x - y,  of attitudes log(y* x);      plus(x, d) = x + d,  of attitudes x exp(d)
-Four columns of an attitude are a quaternion (w, x, y, z), and three numbers of its difference, in
-rad, in the axes of the body. An attitude is measured or not as a whole. Its noise is that of the
-rotation: the largest of its four columns counts.
+An attitude has four columns, a quaternion (w, x, y, z). Its difference has three numbers in rad, in
+the axes of the body. Its noise is that of the rotation; of its four columns the largest counts.
 
 Source: Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 25, 26.
 """
@@ -18,24 +17,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.model import Model
 from rbjax.rotations import quaternion
 
 
 @dataclass(frozen=True)
 class Columns:
-    """size, how many there are; turns, where an attitude begins."""
+    """size: the number of columns. turns: the first column of each attitude."""
 
     size: int
     turns: tuple[int, ...] = ()
 
-    @classmethod
-    def of_positions(cls, model: Model) -> Columns:
-        """Those of q."""
-        return cls(model.nq, model.topology.quaternion_starts)
-
     def minus(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """x (-) y of two readings (n,). A y of zeros, which was not measured, is no rotation."""
+        """x (-) y of two readings (n,). A quaternion y of zeros, not measured, counts as the
+        identity."""
         parts = []
         for at, turns in self._parts():
             a, b = x[at], y[at]
@@ -72,7 +66,7 @@ class Columns:
         return jnp.concatenate(parts, -1)
 
     def aligned(self, recorded: np.ndarray, simulated: np.ndarray) -> np.ndarray:
-        """Recorded (T, n), each quaternion with the sign that is nearer to what is simulated."""
+        """Recorded (T, n), each quaternion with the sign that is nearer to the simulated one."""
         found = recorded.copy()
         for k in self.turns:
             at = slice(k, k + 4)
@@ -81,23 +75,23 @@ class Columns:
         return found
 
     def residual(self, recorded: np.ndarray, simulated: np.ndarray) -> np.ndarray:
-        """Simulated less recorded (T, n), of quaternions twice, so that their length is the angle
-        in rad if this is small."""
+        """Simulated minus recorded (T, n); of quaternions twice, so that its length is the angle in
+        rad if this is small."""
         off = simulated - recorded
         for k in self.turns:
             off[:, k : k + 4] *= 2
         return off
 
     def noise(self, rms: np.ndarray) -> np.ndarray:
-        """The standard deviation (n,) that residuals of size rms (n,) show: of an attitude that of
-        its rotation about each axis."""
+        """The standard deviation (n,) for residuals of size rms (n,); an attitude has the deviation
+        of its rotation about each axis."""
         found = rms.copy()
         for k in self.turns:
             found[k : k + 4] = np.sqrt((rms[k : k + 4] ** 2).sum() / 3)
         return found
 
     def _parts(self) -> Iterator[tuple[slice, bool]]:
-        """Slices, and whether each is an attitude."""
+        """The slices of columns, and whether each is an attitude."""
         at = 0
         for k in self.turns:
             if k > at:
@@ -109,7 +103,7 @@ class Columns:
 
 
 def root_mean_square(r: Any) -> np.ndarray:
-    """By column of (samples, n), of the samples that arrived; nan where none did."""
+    """Root mean square of each column of (samples, n), without missing samples; nan if all miss."""
     there = ~np.isnan(r)
     count = there.sum(0)
     squares = np.where(there, r, 0.0) ** 2

@@ -1,59 +1,120 @@
-"""The sensor protocol: a sensor reads a context and gives an array with names and a unit."""
+"""The protocol of sensors, and the registry of their kinds.
+
+A sensor reads a `Context` and gives an array. A new kind is a class with `@register`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax
-import jax.numpy as jnp
 
-from rbjax.forces.inputs import Inputs
-from rbjax.lanes import fusion_barrier
-from rbjax.model import Model, State
-from rbjax.motion.field import Field, dynamics_of, free_motion
+from rbjax.arguments import flag
+from rbjax.errors import InputError, UnknownName
+from rbjax.forces.context import Context
+from rbjax.model import Model
 from rbjax.sensors.columns import Columns
-
-
-@dataclass(frozen=True)
-class Context:
-    """An instant of a motion.
-
-    Fields:
-        t: seconds after the start.
-        state: q, v and the states of force elements.
-        ctrl: (nu,) the controls that act.
-        model: the robot.
-        step: the time step in s, which force elements see; None if there is none.
-    """
-
-    t: Any
-    state: State
-    ctrl: jax.Array
-    model: Model
-    step: float | None = None
-
-    @property
-    def acceleration(self) -> jax.Array:
-        """v' (nv,), by the dynamics."""
-        dynamics = dynamics_of("Context", self.model, free_motion, None)
-        field = Field(self.model, dynamics, self.step)
-        rates = field.rates(self.t, self.state, Inputs(self.ctrl))[0]
-        return jnp.stack(fusion_barrier(list(rates)))
 
 
 @runtime_checkable
 class Sensor(Protocol):
-    """An ideal sensor. A user's own sensor has these methods; `names` may be left out."""
+    """An ideal sensor. A user's sensor has these methods; `names` may be left out."""
 
     def __call__(self, context: Context) -> jax.Array:
-        """The measured values (n,), traced."""
+        """Compute the measured values (n,), traced."""
         ...
 
     def columns(self, model: Model) -> Columns:
-        """How many values there are, and which are quaternions."""
+        """The number of values, and which of them are quaternions."""
         ...
 
     def unit(self, model: Model) -> str:
         """The SI unit, for messages."""
         ...
+
+
+C = TypeVar("C", bound=type)
+
+
+class Kind(NamedTuple):
+    """A kind of sensor.
+
+    sensor: its class.
+    placed: whether it is at a body or a site, as "gyro:imu".
+    """
+
+    sensor: Any
+    placed: bool
+
+
+_KINDS: dict[str, Kind] = {}
+
+
+def kinds() -> dict[str, Kind]:
+    """All kinds of sensors, by name.
+
+    Example:
+        >>> import rbjax as rb
+        >>> [name for name, kind in rb.sensors.kinds().items() if kind.placed]
+        ['accelerometer', 'gyro', 'pose', 'position']
+    """
+    return dict(sorted(_KINDS.items()))
+
+
+def register(name: str, *, placed: bool = False) -> Callable[[C], C]:
+    """Add a kind of sensor: a decorator of its class.
+
+    Args:
+        name: of the kind; recordings and `Setup.with_sensors` use it.
+        placed: whether the sensor is at a body or a site. Its name is then "name:PLACE", and the
+            class is called with the place. Otherwise the class is called without arguments.
+
+    A class that is defined again, as in a notebook, replaces the earlier one of the same name.
+
+    Raises:
+        InputError: a name that is not a word, or that belongs to another class.
+
+    Example:
+        >>> import rbjax as rb
+        >>> @rb.sensors.register("speed")
+        ... class Speed(rb.sensors.CustomSensor):
+        ...     def __init__(self):
+        ...         super().__init__(lambda context: abs(context.state.v[:1]), 1, "rad/s")
+        >>> rb.sysid.Setup.of(rb.load("pendulum")).with_sensors("speed").unit("speed")
+        'rad/s'
+    """
+    placed = flag("register", "placed", placed)
+    if not isinstance(name, str) or not name.isidentifier():
+        raise InputError(f'register: name is {name!r}, expected a word such as "gyro"')
+
+    def add(cls: C) -> C:
+        old = _KINDS.get(name)
+        if old is not None and old.sensor.__qualname__ != cls.__qualname__:
+            raise InputError(
+                f"register: {name} is the name of {old.sensor.__qualname__}, expected a new name"
+            )
+        _KINDS[name] = Kind(cls, placed)
+        return cls
+
+    return add
+
+
+def sensor_of(name: str) -> Sensor:
+    """The ideal sensor of a name, such as "q" or "gyro:imu".
+
+    Raises:
+        UnknownName: no registered kind has this name.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.sensors.sensor_of("gyro:tool").unit(rb.load("arm7"))
+        'rad/s'
+    """
+    word, _, place = str(name).partition(":")
+    kind = _KINDS.get(word)
+    if kind is not None and kind.placed == bool(place) and (kind.placed or name == word):
+        sensor: Sensor = kind.sensor(place) if kind.placed else kind.sensor()
+        return sensor
+    known = [f"{name}:NAME" if kind.placed else name for name, kind in kinds().items()]
+    raise UnknownName("sensor kind", name, known)

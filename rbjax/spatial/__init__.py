@@ -5,51 +5,45 @@ have mass properties. The algorithms use the same on lanes: Motion, Force, Trans
 """
 
 from rbjax.spatial import operators, shapes
-from rbjax.spatial.inertia import ArticulatedInertia, RigidInertia
 from rbjax.spatial.mass import (
+    Consistency,
     MassProperties,
     PrincipalAxes,
+    check_mass_properties,
+    consistency,
+    ellipsoid_margin,
+    from_pseudo_inertia,
     kinetic_energy,
     mass_properties,
     momentum,
     moved,
     parallel_axes,
     principal_axes,
+    pseudo_inertia,
     rotate_inertia,
     spatial_inertia,
     transform_inertia,
 )
-from rbjax.spatial.physical_consistency import (
-    Consistency,
-    check_mass_properties,
-    consistency,
-    ellipsoid_margin,
-    from_pseudo_inertia,
-    pseudo_inertia,
-)
 from rbjax.spatial.plucker import (
+    central_axis,
     extended_cross,
     extended_rotation,
     extended_translation,
+    force_at,
     force_cross,
     force_cross_matrix,
     force_transform,
+    merge_wrenches,
     motion_cross,
     motion_cross_matrix,
     motion_transform,
+    power,
     transform_force,
     transform_motion,
-)
-from rbjax.spatial.transform import Transform
-from rbjax.spatial.vectors import Force, Motion
-from rbjax.spatial.wrenches import (
-    central_axis,
-    force_at,
-    merge_wrenches,
-    power,
     twist_at,
     wrench_at,
 )
+from rbjax.spatial.vectors import ArticulatedInertia, Force, Motion, RigidInertia, Transform
 
 __all__ = [
     "ArticulatedInertia",

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 
 from rbjax.lanes import Mat3, Vec3, matmat, outer
 from rbjax.rotations import so3
-from rbjax.spatial.arguments import entries, stacked, takes
+from rbjax.rotations.arguments import entries, stacked, takes
 from rbjax.spatial.plucker import (
     force_cross_matrix,
     force_transform,

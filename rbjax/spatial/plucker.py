@@ -1,4 +1,4 @@
-"""Plücker transforms and spatial cross products of arrays (Featherstone, 2.8-2.9).
+"""Plücker transforms, cross products, twists and wrenches as arrays (Featherstone, 2.8-2.9).
 
 Twists (omega, v) and wrenches (n, f) are (..., 6), angular first, at the origin of the frame in
 which they are expressed. T (..., 4, 4) is the pose of a frame B in A: R = R_AB and B's origin p.
@@ -7,7 +7,10 @@ which they are expressed. T (..., 4, 4) is the pose of a frame B in A: R = R_AB 
     force   X*_AB = [R, [p] R; 0, R]       F_A = X*_AB F_B        X* = X^-T
 
 X = translation(p) rotation(R): the extended operators of Olguin Diaz (who puts the linear part
-first). A motion and a force carried along by a frame of twist V change by V x m and V x* f.
+first). A motion and a force carried along by a frame of twist V change by V x m and V x* f. If only
+the point of reference changes, by r from O to P (Olguin Diaz, ch. 4-5):
+
+    v_P = v_O + omega x r,    n_P = n_O - r x f
 """
 
 from __future__ import annotations
@@ -15,9 +18,10 @@ from __future__ import annotations
 import jax
 
 from rbjax.lanes import Mat3, Vec3
-from rbjax.rotations import se3
-from rbjax.spatial.arguments import entries, force, motion, pose_parts, stacked, takes
-from rbjax.spatial.transform import Transform
+from rbjax.rotations import screws, se3
+from rbjax.rotations.arguments import entries, pose_parts, stacked, takes
+from rbjax.rotations.screws import Screw
+from rbjax.spatial.vectors import Force, Motion, Transform
 
 
 @takes(T="pose")
@@ -44,13 +48,13 @@ def force_transform(T: jax.Array) -> jax.Array:
 @takes(T="pose", V="twist")
 def transform_motion(T: jax.Array, V: jax.Array) -> jax.Array:
     """X_AB V (..., 6) without the matrix: (R omega, R v + p x R omega)."""
-    return stacked(Transform(*pose_parts(T)).motion_to_parent(motion(V)))
+    return stacked(Transform(*pose_parts(T)).motion_to_parent(_motion(V)))
 
 
 @takes(T="pose", F="twist")
 def transform_force(T: jax.Array, F: jax.Array) -> jax.Array:
     """X*_AB F (..., 6) without the matrix: (R n + p x R f, R f)."""
-    return stacked(Transform(*pose_parts(T)).T(force(F)))
+    return stacked(Transform(*pose_parts(T)).T(_force(F)))
 
 
 @takes(R="rotation")
@@ -87,7 +91,7 @@ def motion_cross_matrix(V: jax.Array) -> jax.Array:
 @takes(V="twist")
 def force_cross_matrix(V: jax.Array) -> jax.Array:
     """V x* = [[omega], [v]; 0, [omega]] = -(V x)^T (..., 6, 6)."""
-    m = motion(V)
+    m = _motion(V)
     w = Mat3.skew(m.ang)
     return _blocks(w, Mat3.skew(m.lin), Mat3.zero(), w)
 
@@ -99,7 +103,7 @@ def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
     >>> motion_cross([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 5.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, -5.0, 0.0]
     """
-    return stacked(motion(V).cross(motion(m)))
+    return stacked(_motion(V).cross(_motion(m)))
 
 
 @takes(V="twist", f="twist")
@@ -109,10 +113,88 @@ def force_cross(V: jax.Array, f: jax.Array) -> jax.Array:
     >>> force_cross([0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     """
-    return stacked(motion(V).cross_force(force(f)))
+    return stacked(_motion(V).cross_force(_force(f)))
+
+
+def _motion(V: jax.Array) -> Motion:
+    return Motion.from_lanes(entries(V))
+
+
+def _force(F: jax.Array) -> Force:
+    return Force.from_lanes(entries(F))
 
 
 def _blocks(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> jax.Array:
     """[a, b; c, d]."""
     rows = [[*x, *y] for x, y in zip(a.rows + c.rows, b.rows + d.rows, strict=True)]
     return stacked([x for row in rows for x in row], 6, 6)
+
+
+@takes(V="twist", point="vector")
+def twist_at(V: jax.Array, point: jax.Array) -> jax.Array:
+    """The twist (..., 6) at a point from V at the origin: (omega, v + omega x r).
+
+    >>> twist_at([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0]).tolist()
+    [0.0, 0.0, 1.0, 0.0, 2.0, 0.0]
+    """
+    m, r = _motion(V), Vec3(*entries(point))
+    return stacked(Motion(m.ang, m.lin + m.ang.cross(r)))
+
+
+@takes(F="twist", point="vector")
+def wrench_at(F: jax.Array, point: jax.Array) -> jax.Array:
+    """The wrench (..., 6) at a point from F at the origin: (n - r x f, f).
+
+    >>> wrench_at([0.0, 0.0, 2.0, 0.0, 1.0, 0.0], [2.0, 0.0, 0.0]).tolist()
+    [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    """
+    f, r = _force(F), Vec3(*entries(point))
+    return stacked(Force(f.ang - r.cross(f.lin), f.lin))
+
+
+@takes(f="vector", point="vector")
+def force_at(f: jax.Array, point: jax.Array) -> jax.Array:
+    """The wrench (..., 6) at the origin of a force f (..., 3) that acts at a point: (r x f, f).
+
+    >>> force_at([0.0, 1.0, 0.0], [2.0, 0.0, 0.0]).tolist()
+    [0.0, 0.0, 2.0, 0.0, 1.0, 0.0]
+    """
+    f_, r = Vec3(*entries(f)), Vec3(*entries(point))
+    return stacked(Force(r.cross(f_), f_))
+
+
+@takes(wrenches="twist", points="vector", about="vector")
+def merge_wrenches(wrenches: jax.Array, points: jax.Array, about: jax.Array) -> jax.Array:
+    """The sum (..., 6), at the point `about`, of wrenches (..., n, 6) that are each given at their
+    own point (..., n, 3), all in the same axes.
+
+    >>> couple = [[0.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0, -1.0, 0.0]]
+    >>> merge_wrenches(couple, [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], [7.0, 7.0, 7.0]).tolist()
+    [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    """
+    return wrench_at(wrenches, about[..., None, :] - points).sum(-2)
+
+
+@takes(F="twist", V="twist")
+def power(F: jax.Array, V: jax.Array) -> jax.Array:
+    """n . omega + f . v (...) of a wrench and a twist at the same point in the same axes.
+
+    >>> float(power([1.0, 0.0, 0.0, 0.0, 2.0, 0.0], [3.0, 0.0, 0.0, 0.0, 4.0, 0.0]))
+    11.0
+    """
+    return _motion(V).dot(_force(F))
+
+
+@takes(F="twist")
+def central_axis(F: jax.Array) -> Screw:
+    """Poinsot: any wrench is a force along a line and a couple about it.
+
+    `axis` and `point` are of the line, `pitch` = couple / force, `magnitude` is that of the force.
+    An infinite pitch means a pure couple with this magnitude.
+
+    >>> s = central_axis([0.0, 0.0, 2.0, 0.0, 1.0, 0.0])
+    >>> s.axis.tolist(), s.point.tolist(), float(s.magnitude)
+    ([0.0, 1.0, 0.0], [2.0, 0.0, 0.0], 1.0)
+    """
+    f = _force(F)
+    return screws.from_twist(stacked([*f.lin, *f.ang]))

@@ -5,20 +5,27 @@ Density is in kg/m^3 (kg/m^2 for a plate, kg/m for a rod). Dimensions may be bat
 is differentiable in them. `combine` joins bodies, and `hole` makes one of them empty space:
 
     combine([box([1.0, 1.0, 1.0], density=700.0), hole(sphere(0.2, density=700.0))])
+
+The integrals over a closed triangle mesh are sums over the signed tetrahedra that its triangles
+span with one point (Mirtich, 1996). For a tetrahedron (0, a, b, c) of volume V = a . (b x c) / 6
+and s = a + b + c
+
+    int x dV = V s / 4,    int x x^T dV = V (a a^T + b b^T + c c^T + s s^T) / 20
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.spatial.arguments import checked, entries, positive, stacked, takes
+from rbjax.rotations.arguments import check_positive, checked, entries, stacked, takes
 from rbjax.spatial.mass import MassProperties, parallel_axes
-from rbjax.spatial.mesh import mesh, points
 
 __all__ = [
     "box", "capsule", "combine", "cone", "cylinder", "ellipsoid", "hole", "mesh", "plate",
@@ -28,8 +35,13 @@ __all__ = [
 Maybe = jax.Array | None
 
 
-@positive("size", "density", "mass")
-@takes(size="vector", density="scalar", mass="scalar")
+def _solid(**dimensions: str) -> Callable[[Callable], Callable]:
+    """Check the dimensions of a shape, its density and its mass."""
+    positive = (*dimensions, "density", "mass")
+    return takes(positive=positive, density="scalar", mass="scalar", **dimensions)
+
+
+@_solid(size="vector")
 def box(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
     """A box with edges `size` (..., 3) about its centre.
 
@@ -41,8 +53,7 @@ def box(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassPr
     return _body(a * b * c, [0.0, 0.0, 0.0], [yy + zz, xx + zz, xx + yy], density, mass)
 
 
-@positive("semi_axes", "density", "mass")
-@takes(semi_axes="vector", density="scalar", mass="scalar")
+@_solid(semi_axes="vector")
 def ellipsoid(semi_axes: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
     """An ellipsoid with semi-axes (..., 3) about its centre.
 
@@ -55,8 +66,7 @@ def ellipsoid(semi_axes: jax.Array, *, density: Maybe = None, mass: Maybe = None
     return _body(volume, [0.0, 0.0, 0.0], [yy + zz, xx + zz, xx + yy], density, mass)
 
 
-@positive("radius", "density", "mass")
-@takes(radius="scalar", density="scalar", mass="scalar")
+@_solid(radius="scalar")
 def sphere(radius: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
     """A ball about its centre: 2/5 m r^2.
 
@@ -67,8 +77,7 @@ def sphere(radius: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> M
     return _body(4 / 3 * jnp.pi * radius**3, [0.0, 0.0, 0.0], [I, I, I], density, mass)
 
 
-@positive("radius", "length", "density", "mass")
-@takes(radius="scalar", length="scalar", density="scalar", mass="scalar")
+@_solid(radius="scalar", length="scalar")
 def cylinder(
     radius: jax.Array, length: jax.Array, *, density: Maybe = None, mass: Maybe = None
 ) -> MassProperties:
@@ -80,7 +89,6 @@ def cylinder(
     return _tube(radius, jnp.zeros_like(radius), length, density, mass)
 
 
-@positive("outer", "inner", "length", "density", "mass")
 def tube(
     outer: jax.Array,
     inner: jax.Array,
@@ -94,6 +102,7 @@ def tube(
     >>> tube(2.0, 1.0, 3.0, mass=2.0).inertia.diagonal().tolist()
     [4.0, 4.0, 5.0]
     """
+    check_positive("tube", outer=outer, inner=inner, length=length, density=density, mass=mass)
     outer = checked("tube", "outer", outer, "scalar")
     inner = checked("tube", "inner", inner, "scalar")
     known = not any(isinstance(x, jax.core.Tracer) for x in (outer, inner))
@@ -102,8 +111,7 @@ def tube(
     return _bored(outer, inner, length, density=density, mass=mass)
 
 
-@positive("radius", "length", "density", "mass")
-@takes(radius="scalar", length="scalar", density="scalar", mass="scalar")
+@_solid(radius="scalar", length="scalar")
 def capsule(
     radius: jax.Array, length: jax.Array, *, density: Maybe = None, mass: Maybe = None
 ) -> MassProperties:
@@ -122,8 +130,7 @@ def capsule(
     return _body(volume, [0.0, 0.0, 0.0], [across, across, along], density, mass)
 
 
-@positive("radius", "height", "density", "mass")
-@takes(radius="scalar", height="scalar", density="scalar", mass="scalar")
+@_solid(radius="scalar", height="scalar")
 def cone(
     radius: jax.Array, height: jax.Array, *, density: Maybe = None, mass: Maybe = None
 ) -> MassProperties:
@@ -138,8 +145,7 @@ def cone(
     return _body(volume, [0.0, 0.0, h / 4], [across, across, along], density, mass)
 
 
-@positive("length", "density", "mass")
-@takes(length="scalar", density="scalar", mass="scalar")
+@_solid(length="scalar")
 def rod(length: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
     """A thin rod along z about its centre; density in kg/m.
 
@@ -150,8 +156,7 @@ def rod(length: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> Mass
     return _body(length, [0.0, 0.0, 0.0], [I, I, jnp.zeros_like(I)], density, mass)
 
 
-@positive("size", "density", "mass")
-@takes(size="pair", density="scalar", mass="scalar")
+@_solid(size="pair")
 def plate(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
     """A thin plate with edges `size` (..., 2) along x and y about its centre; density in kg/m^2.
 
@@ -204,15 +209,125 @@ def _tube(outer, inner, length, density: Maybe, mass: Maybe) -> MassProperties:
     return _body(volume, [0.0, 0.0, 0.0], [across, across, square / 2], density, mass)
 
 
+def _check_one_of(where: str, density: Any, mass: Any) -> None:
+    if (density is None) == (mass is None):
+        both = "neither" if mass is None else "both"
+        raise InputError(f"{where}got {both} of density and mass, expected exactly one")
+
+
 def _body(volume, com: list, moments: list, density: Maybe, mass: Maybe) -> MassProperties:
     """A body from its volume (area, length) and its moments of inertia per unit of mass."""
-    if density is None and mass is not None:
+    _check_one_of("", density, mass)
+    if density is None:
         total = jnp.broadcast_to(mass, jnp.broadcast_shapes(mass.shape, volume.shape))
-    elif density is not None and mass is None:
-        total = density * volume
     else:
-        both = "neither" if mass is None else "both"
-        raise InputError(f"got {both} of density and mass, expected exactly one")
+        total = density * volume
     a, b, c = (total * x for x in moments)
     where = [jnp.broadcast_to(jnp.asarray(x, total.dtype), total.shape) for x in com]
     return MassProperties(total, stacked(where), stacked([a, 0, 0, 0, b, 0, 0, 0, c], 3, 3))
+
+
+def mesh(
+    vertices: jax.Array,
+    triangles: np.ndarray,
+    *,
+    density: jax.Array | None = None,
+    mass: jax.Array | None = None,
+) -> MassProperties:
+    """The solid inside a closed surface: vertices (n, 3), triangles (m, 3) of vertex indices,
+    counter-clockwise seen from outside. Differentiable in the vertices.
+
+    Raises:
+        InputError: the surface is open or inside out.
+
+    >>> corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    >>> solid = mesh(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], density=6.0)
+    >>> round(float(solid.mass), 6), solid.com.round(6).tolist()
+    (1.0, [0.25, 0.25, 0.25])
+    """
+    check_positive("mesh", density=density, mass=mass)
+    _check_one_of("mesh: ", density, mass)
+    for name, x in (("density", density), ("mass", mass)):
+        if x is not None and checked("mesh", name, x, "scalar").ndim:
+            raise InputError(f"mesh: {name} has shape {jnp.shape(x)}, expected a number")
+    corners = checked("mesh", "vertices", vertices, "vector")
+    volume, com, second = _integrals(corners, _closed(triangles, len(corners)))
+    if not isinstance(volume, jax.core.Tracer) and not volume > 0:
+        raise InputError(
+            f"mesh: the volume is {float(volume):g}, expected more than zero; a negative volume "
+            f"means that triangles are clockwise seen from outside: reverse each"
+        )
+    scale = jnp.asarray(density) if mass is None else jnp.asarray(mass) / volume
+    total = jnp.asarray(mass) if density is None else scale * volume
+    return MassProperties(total, com, scale * _inertia(second))
+
+
+def points(positions: jax.Array, masses: jax.Array) -> MassProperties:
+    """Rigidly connected particles at positions (n, 3) with masses (n,).
+
+    >>> points([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], [1.0, 1.0]).inertia.diagonal().tolist()
+    [0.0, 2.0, 2.0]
+    """
+    positions = checked("points", "positions", positions, "vector")
+    weights = checked("points", "masses", masses, "scalar")
+    if positions.ndim != 2:
+        raise InputError(f"points: positions has shape {positions.shape}, expected (n, 3)")
+    if weights.shape != positions.shape[:1]:
+        raise InputError(f"points: masses has shape {weights.shape}, expected ({len(positions)},)")
+    return _points(positions, weights[:, None])
+
+
+@takes(positions="vector", weights="scalar")
+def _points(positions: jax.Array, weights: jax.Array) -> MassProperties:
+    mass = weights.sum()
+    com = (weights * positions).sum(0) / mass
+    r = positions - com
+    second = (weights[..., None] * r[:, :, None] * r[:, None, :]).sum(0)
+    return MassProperties(mass, com, _inertia(second))
+
+
+def _inertia(second: jax.Array) -> jax.Array:
+    """tr(S) 1 - S of the second moment S."""
+    return jnp.trace(second) * jnp.eye(3, dtype=second.dtype) - second
+
+
+@jax.jit
+def _integrals(vertices: jax.Array, index: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Volume, centroid, second moment about it."""
+    middle = vertices.mean(0)  # a point near the solid; with a far one the tetrahedra would cancel
+    a, b, c = (vertices[index[:, k]] - middle for k in range(3))
+    V = (a * jnp.cross(b, c)).sum(-1) / 6
+    s = a + b + c
+    volume = V.sum()
+    first = (V[:, None] * s).sum(0) / 4
+    outer = sum(x[:, :, None] * x[:, None, :] for x in (a, b, c, s))
+    second = (V[:, None, None] * outer).sum(0) / 20
+    centre = first / volume
+    return volume, middle + centre, second - volume * centre[:, None] * centre[None, :]
+
+
+def _closed(given: Any, count: int) -> np.ndarray:
+    """The triangles, if every edge occurs once in each direction."""
+    try:
+        triangles = np.asarray(given)
+    except ValueError as error:
+        raise InputError("mesh: triangles is ragged, expected (m, 3) integers") from error
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        raise InputError(
+            f"mesh: triangles has shape {triangles.shape} and dtype {triangles.dtype}, expected "
+            f"(m, 3) integers"
+        )
+    if triangles.min(initial=0) < 0 or triangles.max(initial=0) >= count:
+        raise InputError(
+            f"mesh: triangles have vertices {triangles.min()} to {triangles.max()}, expected 0 to "
+            f"{count - 1}"
+        )
+    edges = Counter((int(t[i]), int(t[(i + 1) % 3])) for t in triangles for i in range(3))
+    for (i, j), times in edges.items():
+        if edges[j, i] != times:
+            raise InputError(
+                f"mesh: the edge from vertex {i} to {j} occurs {times} times in this direction and "
+                f"{edges[j, i]} times in the other, expected a closed surface with all triangles "
+                f"counter-clockwise seen from outside"
+            )
+    return triangles

@@ -19,7 +19,16 @@
 
 from rbjax.stability.pictures import plot_regions, plot_spectral_radius
 from rbjax.stability.runs.canonical import Hamiltonian, from_canonical, to_canonical
-from rbjax.stability.runs.drift import Invariants, Trend, drift, trend
+from rbjax.stability.runs.drift import (
+    DONE,
+    NO_ROOT,
+    NOT_FINITE,
+    Invariants,
+    March,
+    Trend,
+    drift,
+    trend,
+)
 from rbjax.stability.runs.largest_step import ROLLOUT, measured_stable_step, stable_step
 from rbjax.stability.runs.linearisation import (
     Reduced,
@@ -28,15 +37,14 @@ from rbjax.stability.runs.linearisation import (
     reduced_linearisation,
     state_matrix,
 )
-from rbjax.stability.runs.long_run import DONE, NO_ROOT, NOT_FINITE, March
 from rbjax.stability.runs.lyapunov import Exponent, GradientGrowth, gradient_growth, lyapunov
-from rbjax.stability.runs.scenes import Scene, Truth, scenes, truth
-from rbjax.stability.runs.systems import Arm, Body
-from rbjax.stability.runs.trials import attempt
-from rbjax.stability.runs.verdicts import Outcome, Verdict, verdict
+from rbjax.stability.runs.scenes import Arm, Body, Scene, Truth, scenes, truth
+from rbjax.stability.runs.trials import Outcome, Verdict, attempt, verdict
 from rbjax.stability.theory.linear_analysis import (
     LinearAnalysis,
+    MeasuredOrder,
     linear_analysis,
+    measured_order,
     order_by_conditions,
 )
 from rbjax.stability.theory.multistep_roots import (
@@ -47,7 +55,6 @@ from rbjax.stability.theory.multistep_roots import (
     multistep,
     pece,
 )
-from rbjax.stability.theory.orders import MeasuredOrder, measured_order
 from rbjax.stability.theory.oscillator import (
     dissipation,
     growth_factors,

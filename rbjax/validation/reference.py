@@ -18,8 +18,8 @@ import mujoco
 import numpy as np
 
 from rbjax.loading import compile_model
-from rbjax.loading.mjcf.actuator_kinds import is_at_joint, what_is_left_out
 from rbjax.loading.mjcf.dropped import dropped_features, tendon_is_supported
+from rbjax.loading.mjcf.fields import is_at_joint, reason_left_out
 
 Array = np.ndarray
 
@@ -60,7 +60,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     m.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     m.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     for i in range(m.nactuator):
-        if what_is_left_out(m, i):
+        if reason_left_out(m, i):
             loosen(m, i)
         if not is_at_joint(m, i):
             m.actuator_damping[i] = m.actuator_dampingpoly[i] = m.actuator_armature[i] = 0.0
@@ -113,8 +113,8 @@ def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
 
 
 def quantities(m: mujoco.MjModel, samples: Samples) -> dict[str, Array]:
-    """The quantities of MuJoCo at each state: poses, velocities, M, bias, acceleration, one step.
-    """
+    """The quantities of MuJoCo at each state: poses, velocities, M, bias, acceleration, one
+    step."""
     data, rows = mujoco.MjData(m), []
     for q, v, ctrl in zip(samples.q, samples.v, samples.ctrl, strict=True):
         mujoco.mj_resetData(m, data)

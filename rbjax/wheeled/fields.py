@@ -28,6 +28,7 @@ def check_ranges(
     record: Record,
     *,
     pairs: Sequence[str] = (),
+    tables: Sequence[str] = (),
     per_axis: bool = False,
     above: Mapping[str, Any] = _NO_RANGE,
     least: Mapping[str, Any] = _NO_RANGE,
@@ -38,6 +39,7 @@ def check_ranges(
     Args:
         record: its fields are numbers, other records, or static.
         pairs: fields of two numbers, x and y.
+        tables: fields of any shape.
         per_axis: whether a field may have one number along the wheel and one across.
         above, least, most: limits by field. Traced values are not checked.
     """
@@ -51,7 +53,11 @@ def check_ranges(
         if field.name in pairs:
             if shape != (2,):
                 raise InputError(f"{where}: got shape {shape}, expected (2,), x and y in m")
-        elif shape != () and not (per_axis and shape == (2,) and field.name not in _SHARED):
+        elif (
+            shape != ()
+            and field.name not in tables
+            and not (per_axis and shape == (2,) and field.name not in _SHARED)
+        ):
             fix = ", or (2,): one along the wheel and one across" if per_axis else ""
             raise InputError(
                 f"{where}: got the shape {shape}, expected a number{fix}; for many use jax.vmap"

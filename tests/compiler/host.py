@@ -24,7 +24,7 @@ from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written, batch_first, batch_last
 from rbjax.compiler.ir.statements import Loop, walk
 from rbjax.compiler.ir.verify import verify
-from rbjax.compiler.jax.function import threaded
+from rbjax.compiler.jax.function import compile_threads
 from rbjax.compiler.jax.native import compile
 from rbjax.compiler.llvm.batch import parts
 from rbjax.compiler.lower.write import write_program
@@ -93,7 +93,10 @@ def compiled(source: str, flags: Sequence[str] = FLAGS) -> Any:
 
 
 def written(
-    f: Callable, *args: Any, layout: Callable = batch_first, platform: str = "cuda",
+    f: Callable,
+    *args: Any,
+    layout: Callable = batch_first,
+    platform: str = "cuda",
     team: bool = False,
 ) -> tuple[Written, Any, list]:
     """The program of f, the tree of its results, and their shapes and types."""
@@ -149,7 +152,7 @@ def many_on_host(
 def as_kernel(f: Callable, *args: Any, team: bool = False) -> Any:
     """f of each sample of a batch, batch first, by a kernel of the GPU."""
     placed = jax.device_put(args, jax.devices("cuda")[0])
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(threaded(f, team=team)))(*placed))
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(compile_threads(f, team=team)))(*placed))
 
 
 def by_xla(cases: Sequence[Case]) -> list:
@@ -187,6 +190,7 @@ def on_host(f: Callable, *args: Any) -> Any:
 
 
 # ------------------------------------------------------------------- vectors
+
 
 def by_vectors(cases: Sequence[Case], lanes: int = 4, samples: int = 5) -> list:
     """The same by vectors of samples. Few samples are repeated; the batch is first or last."""

@@ -10,6 +10,10 @@ from jax import lax
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.operations import OF_PRIMITIVE, OPERATIONS
 from rbjax.compiler.ir.statements import (
+    BOOL,
+    F64,
+    I32,
+    I64,
     Array,
     Assign,
     Barrier,
@@ -21,11 +25,11 @@ from rbjax.compiler.ir.statements import (
     Reserve,
     Statement,
     Store,
+    Var,
     While,
     walk,
 )
 from rbjax.compiler.ir.text import block_text, program_text
-from rbjax.compiler.ir.values import BOOL, F64, I32, I64, Var
 from rbjax.compiler.ir.verify import InvalidProgram, verify, verify_block
 from rbjax.compiler.lower.elementwise import OF_PRIMITIVE as LOWERED
 from rbjax.compiler.lower.lowering import RULES
@@ -65,9 +69,9 @@ def test_the_text_shows_every_statement():
     assert len(text.splitlines()) >= sum(1 for _ in walk(program.builder.block))
     for part in ("for t", "while:", "do if t", "if t", "else:", "var t", ":= t", "select("):
         assert part in text, part
-    team = Loop(I, 4, False, Block([Store(LOCAL, I, 1, TWO)]), team=True, part=3)
+    team = Loop(I, 4, False, Block([Store(LOCAL, I, 1, TWO)]), team=True, group=3)
     assert block_text(Block([Reserve(LOCAL), team, Barrier()])).splitlines() == [
-        "local a11: float64[3]", "for t2 in 0..4 team part 3:", "  a11[t2 +1] = 2.0", "barrier",
+        "local a11: float64[3]", "for t2 in 0..4 team group 3:", "  a11[t2 +1] = 2.0", "barrier",
     ]  # fmt: skip
 
 

@@ -13,10 +13,11 @@ from rbjax.control.linear.riccati import backward
 from rbjax.control.optimal.shooting.backward_pass import (
     Bounds,
     backward_pass,
+    box_gains,
+    box_qp,
     propagate_value,
     propagate_value_by_velocities,
 )
-from rbjax.control.optimal.shooting.box_qp import box_gains, box_qp
 from rbjax.control.optimal.shooting.expansion import Quadratic
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
@@ -34,16 +35,12 @@ def drawn(seed: int) -> tuple:
 
 def test_it_is_the_riccati_recursion_of_a_linear_problem() -> None:
     A, B, H, g, d = drawn(0)
-    path = Quadratic(
-        g[:N, 0], g[:N, :n], H[:N, :n, :n], g[:N, n:], H[:N, n:, n:], H[:N, :n, n:]
-    )
+    path = Quadratic(g[:N, 0], g[:N, :n], H[:N, :n, :n], g[:N, n:], H[:N, n:, n:], H[:N, :n, n:])
     end = Quadratic(g[N, 0], g[N, :n], H[N, :n, :n], g[N, n:], H[N, n:, n:], H[N, :n, n:])
     gaps = jnp.concatenate([jnp.zeros((1, n)), d])
     found = backward_pass(A, B, gaps, path, end, None, None, jnp.zeros(()))
     due = backward(
-        LinearQuadratic(
-            A, B, d, H[:, :n, :n], g[:, :n], H[:N, n:, n:], g[:N, n:], H[:N, :n, n:]
-        )
+        LinearQuadratic(A, B, d, H[:, :n, :n], g[:, :n], H[:N, n:, n:], g[:N, n:], H[:N, :n, n:])
     )
     assert bool(found.ok)
     assert relative_error(-found.K, due.K) < F64_TRANSFORM

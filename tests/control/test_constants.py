@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Control, Problem, StateError
-from rbjax.control.optimal.constants import ROBOTS, ConstantRobots, Constants
+from rbjax.control.optimal.solver import ROBOTS, ConstantRobots, Constants
 from tests.compilations import compilations
 
 MODEL = rb.load("pendulum")

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.control.linear.double_words import Double
+from rbjax.control.linear.algebraic_riccati import Double
 
 
 def exact(x):

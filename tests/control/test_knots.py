@@ -10,9 +10,9 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Control, Cost, Problem, StateError
+from rbjax.control.optimal.objective import no_multipliers
 from rbjax.control.optimal.problem import BODY, NEXT, Knot
-from rbjax.control.optimal.shooting.augmented_lagrangian import no_multipliers
-from rbjax.control.optimal.shooting.knots import Expanded, columns, expand, knot_indices
+from rbjax.control.optimal.shooting.expansion import Expanded, columns, expand, knot_indices
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 function = importlib.import_module("rbjax.compiler.jax.function")

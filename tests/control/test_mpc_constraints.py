@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, StateError, mpc
-from rbjax.control.optimal.controller_memory import KEPT, PLANNED, VIOLATED
+from rbjax.control.optimal.receding_horizon import KEPT, PLANNED, VIOLATED
 from rbjax.errors import InputError
 
 LIMIT, OFF = 0.2, 1e-4  # m/s, and the default violation

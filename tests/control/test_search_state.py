@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rbjax.control import Control, Cost, Equations, Problem, solve
-from rbjax.control.optimal.options import StoppingRule
-from rbjax.control.optimal.shooting.search_state import (
+from rbjax.control.optimal.shooting.search import (
     LEAST,
     LENGTHS,
     IterationValues,
@@ -15,6 +14,7 @@ from rbjax.control.optimal.shooting.search_state import (
     decide,
     initial_search_state,
 )
+from rbjax.control.optimal.solution import StoppingRule
 from rbjax.control.status import CONVERGED, STUCK
 
 LINE = Equations(lambda t, x, u: u, 1, 1)
@@ -24,6 +24,7 @@ DTYPES = ("float32", "float64")
 
 def kinked():
     """Least where x = 0.37, with a kink there: no quadratic model of it is right."""
+
     def cost(t, x, u):
         return jnp.sqrt(jnp.abs(x[0] - 0.37) + 0.3 * jnp.abs(u[0]) + 1e-30)
 

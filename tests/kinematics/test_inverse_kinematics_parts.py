@@ -46,3 +46,22 @@ def test_one_goal_or_a_list_of_them():
             rb.control.differential_inverse_kinematics(ARM, np.zeros(3), goals, rate=1.0)
     with pytest.raises(rb.InputError, match="expected Goals"):
         rb.control.differential_inverse_kinematics(ARM, np.zeros(2), [TIP, 3.0], rate=1.0)
+
+
+def test_a_first_start_beyond_the_ranges_is_brought_back():
+    ranges = jnp.array([[-0.5, 0.5], [-0.5, 0.5]])
+    model = ARM.replace(joints=ARM.joints.replace(range=ranges))
+    beyond = jnp.array([0.9, 0.2])
+    tip = rb.frame_pose(model, beyond, "lower")[1]
+    found = rb.control.inverse_kinematics(model, tip, body="lower", start=beyond, seeds=1)
+    assert not found.success and (jnp.abs(found.q) <= 0.5).all()
+
+
+def test_a_start_that_is_stuck_or_has_had_its_iterations_is_followed_by_the_next():
+    near = rb.frame_pose(ARM, jnp.array([1.3, -0.9]), "lower")[1]
+    short = rb.control.inverse_kinematics(ARM, near, body="lower", seeds=2, iterations=2)
+    assert short.start == 2  # no start reaches it in two iterations, the last search does
+    assert short.iterations > 2 * 2
+    far = [0.0, 0.0, 9.0]
+    stuck = rb.control.inverse_kinematics(ARM, far, body="lower", seeds=3, iterations=1000)
+    assert not stuck.success and stuck.iterations < 300

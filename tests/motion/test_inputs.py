@@ -154,3 +154,54 @@ def test_what_a_law_returns_is_checked():
                 model, model.default_state(), dt=DT, integrator=integrator,
                 dynamics=lambda model, t, state, tau, f_ext: jnp.zeros(3),
             )  # fmt: skip
+
+
+def test_one_form_of_inputs_for_every_motion():
+    """Constants, functions and rows give the same motion in all functions."""
+    model, state = rb.load("two_link"), rb.load("two_link").random_state(jax.random.key(0))
+    tau, w = jnp.array([0.3, -0.2]), jnp.arange(6.0 * model.nb).reshape(model.nb, 6)
+    given = {"tau": tau, "wrenches": w}
+    functions = {"tau": lambda t, s: tau, "wrenches": lambda t, s: w}
+    a = rb.acceleration(model, state, **given)
+    bare = rb.applied_forces(model, state)
+    want = rb.forward_dynamics(model, state.q, state.v, bare + tau, w)
+    np.testing.assert_allclose(a, want, rtol=1e-10)
+    np.testing.assert_allclose(rb.acceleration(model, state, **functions), a, rtol=1e-12)
+    once = rb.step(model, state, dt=0.01, **given)
+    rows = {name: jnp.stack([x] * 3) for name, x in given.items()}
+    for inputs in (given, functions, rows):
+        path = rb.rollout(model, state, None, 0.01, steps=3, **inputs)
+        np.testing.assert_allclose(path.v[1], once.v, rtol=1e-12)
+        found = rb.simulate(model, state, jnp.arange(4) * 0.01, **inputs)
+        np.testing.assert_allclose(found.v[-1], path.v[-1], atol=0.1)
+        ends = found.v[-1] if inputs is given else ends  # noqa: F821
+        np.testing.assert_allclose(found.v[-1], ends, rtol=1e-9)
+
+
+def test_rows_of_a_simulation_are_held_over_its_intervals():
+    model = rb.load("two_link")
+    state, ts = model.default_state(), jnp.array([0.0, 0.1, 0.25])
+    tau = jnp.array([[1.0, 0.0], [0.0, -2.0]])
+    path = rb.simulate(model, state, ts, tau=tau)
+    middle = rb.simulate(model, state, ts[:2], tau=tau[0]).state(-1)
+    end = rb.simulate(model, middle, ts[1:], tau=tau[1])
+    np.testing.assert_allclose(path.q[-1], end.q[-1], atol=1e-6)
+    with pytest.raises(rb.InputError, match=r"tau has shape \(3, 2\), expected \(2,\) or \(2, 2\)"):
+        rb.simulate(model, state, ts, tau=jnp.zeros((3, 2)))
+
+
+def test_a_policy_closes_the_loop_of_a_linearisation():
+    model = rb.load("cart_pole")
+    state, K = model.default_state(), jnp.array([[1.0, -2.0, 0.5, 0.3]])
+    policy = lambda t, s: -K @ jnp.concatenate([s.q, s.v])  # noqa: E731
+    for dt in (None, 0.01):
+        A, B = rb.linearise(model, state, jnp.zeros(1), dt)
+        closed, same = rb.linearise(model, state, policy, dt)
+        np.testing.assert_allclose(closed, A - B @ K, atol=1e-9)
+        np.testing.assert_allclose(same, B, atol=1e-12)
+    push = jnp.zeros((model.nb, 6)).at[1, 3].set(2.0)
+    by_hand = jax.jacfwd(lambda v: rb.acceleration(model, state.replace(v=v), wrenches=push))(
+        state.v
+    )
+    A = rb.linearise(model, state, wrenches=push).A
+    np.testing.assert_allclose(A[2:, 2:], by_hand, atol=1e-9)

@@ -115,7 +115,6 @@ def test_inertia_across_a_joint(axis: int, armature: float) -> None:
 
 
 def test_nothing_weighs_nothing() -> None:
-    zero = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
-    assert zero.massless and not RIGID.massless
+    zero = RigidInertia.zero()
     assert all(map(is_zero, zero(Motion.from_lanes(lanes(RNG.normal(size=6))))))
     assert close(columns(zero + RIGID, Motion), columns(RIGID, Motion))

@@ -25,9 +25,11 @@ from rbjax.compiler.ir.statements import (
     Reserve,
     Statement,
     Store,
+    Unsupported,
+    Value,
+    Var,
     While,
 )
-from rbjax.compiler.ir.values import Unsupported, Value, Var
 
 PREAMBLE = "".join(x.helper for x in OPERATIONS.values()) + "\n"
 
@@ -190,9 +192,7 @@ def table(array: Array, qualifier: str) -> str:
 
 def parameters(program: Written, restrict: str) -> str:
     """The pointers that a function of the program takes: operands, then results."""
-    reads = [
-        f"const {c_type(a.dtype)}* {restrict} p{k}" for k, a in enumerate(program.operands)
-    ]
+    reads = [f"const {c_type(a.dtype)}* {restrict} p{k}" for k, a in enumerate(program.operands)]
     writes = [f"{c_type(a.dtype)}* {restrict} r{k}" for k, a in enumerate(program.results)]
     return ", ".join(reads + writes)
 

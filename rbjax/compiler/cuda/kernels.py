@@ -16,7 +16,7 @@ from rbjax.compiler.cuda import stores
 from rbjax.compiler.cuda.c_source import PREAMBLE, offset, parameters, sample_index, table
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.statements import Unsupported
 
 #: threads of a block: one warp, so that no warp waits for another
 BLOCK = 32

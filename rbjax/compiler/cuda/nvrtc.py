@@ -21,7 +21,7 @@ from rbjax.compiler.disk_cache import cached
 OPTIONS = ("--std=c++17", "--restrict", "-default-device")
 #: for programs that run for seconds only: several times as fast to compile; and since which NVRTC
 QUICK, QUICK_SINCE = ("--Ofast-compile=max",), (13, 0)
-_quick: ContextVar[bool] = ContextVar("quick", default=False)
+_fast: ContextVar[bool] = ContextVar("quick", default=False)
 
 
 class CompileError(RuntimeError):
@@ -29,20 +29,20 @@ class CompileError(RuntimeError):
 
 
 @contextlib.contextmanager
-def quickly(wanted: bool = True) -> Iterator[None]:
+def fast_compile(wanted: bool = True) -> Iterator[None]:
     """Kernels of programs that are lowered within have a short compile time rather than the
     shortest run time."""
-    before = _quick.set(wanted)
+    before = _fast.set(wanted)
     try:
         yield
     finally:
-        _quick.reset(before)
+        _fast.reset(before)
 
 
 def options() -> tuple[str, ...]:
     """NVRTC's options, here."""
     new = tuple(map(int, version().split("."))) >= QUICK_SINCE
-    return (*OPTIONS, *QUICK) if _quick.get() and new else OPTIONS
+    return (*OPTIONS, *QUICK) if _fast.get() and new else OPTIONS
 
 
 @functools.cache

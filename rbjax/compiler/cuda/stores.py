@@ -17,8 +17,7 @@ import numpy as np
 from rbjax.compiler.cuda.c_source import Printer
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import Block, Load, Loop, Op, Statement, Store, walk
-from rbjax.compiler.ir.values import Var
+from rbjax.compiler.ir.statements import Block, Load, Loop, Op, Statement, Store, Var, walk
 
 #: rows with more entries than about a sector, and at most this many, are staged whole
 SHORT, WHOLE = 8, 128

@@ -145,7 +145,7 @@ class TeamPrinter(Printer):
     def _turns(self, loop: Loop) -> Iterator[str]:
         """The turns of this thread."""
         i, count, team = self.value(loop.counter), loop.count, self.team
-        self._early = loop.early
+        self._early = loop.prefetch
         body = list(self.lines(loop.body))
         self._early = False
         rounds = -(-count // team)

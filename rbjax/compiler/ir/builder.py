@@ -15,6 +15,7 @@ from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.folding import folded, keys_of, simpler
 from rbjax.compiler.ir.statements import (
+    I32,
     Array,
     Assign,
     Block,
@@ -25,8 +26,10 @@ from rbjax.compiler.ir.statements import (
     Op,
     Reserve,
     Store,
+    Value,
+    Var,
+    is_number,
 )
-from rbjax.compiler.ir.values import I32, Value, Var, is_number
 
 
 class Builder:
@@ -37,12 +40,10 @@ class Builder:
     vectors of a CPU.
     """
 
-    def __init__(
-        self, platform: str = "cuda", team: bool = False, matrices: bool = False
-    ) -> None:
+    def __init__(self, platform: str = "cuda", team: bool = False, matrices: bool = False) -> None:
         self.platform, self.matrices = platform, matrices
-        self.teamed = team  # here; not in what each thread of a team does by itself
-        self._part, self._parts = 0, itertools.count(1)
+        self.in_team = team  # here; not in what each thread of a team does by itself
+        self._group, self._groups = 0, itertools.count(1)
         self.block = Block()
         self.ids = itertools.count()
         self.time = 0  # advances whenever earlier loads may be out of date
@@ -102,11 +103,13 @@ class Builder:
     # ---------------------------------------------------------------- memory
 
     def local(self, dtype: DTypeLike, size: int) -> Array:
-        array = Array(next(self.ids), np.dtype(dtype), size, "local", shared=self.teamed)
+        array = Array(next(self.ids), np.dtype(dtype), size, "local", shared=self.in_team)
         self.block.statements.append(Reserve(array))
         return array
 
-    def outside(self, dtype: DTypeLike, size: int, space: str, index: DTypeLike = I32) -> Array:
+    def external_array(
+        self, dtype: DTypeLike, size: int, space: str, index: DTypeLike = I32
+    ) -> Array:
         """An operand or a result."""
         return Array(next(self.ids), np.dtype(dtype), size, space, index=np.dtype(index))
 
@@ -172,31 +175,31 @@ class Builder:
             yield counter
 
     @contextmanager
-    def spread(self, count: int, early: bool = False) -> Iterator[Var]:
+    def team_loop(self, count: int, prefetch: bool = False) -> Iterator[Var]:
         """A loop over a counter whose turns a team shares."""
         counter, body = self.var(I32), Block()
-        loop = Loop(counter, count, False, body, True, early, self._part)
+        loop = Loop(counter, count, False, body, True, prefetch, self._group)
         self.block.statements.append(loop)
-        with self.inside(body), self.by_itself():
+        with self.inside(body), self.per_thread():
             yield counter
 
     @contextmanager
-    def by_itself(self) -> Iterator[None]:
+    def per_thread(self) -> Iterator[None]:
         """What each thread of a team does by itself."""
-        before, self.teamed = self.teamed, False
+        before, self.in_team = self.in_team, False
         try:
             yield
         finally:
-            self.teamed = before
+            self.in_team = before
 
     @contextmanager
-    def parts(self) -> Iterator[None]:
+    def disjoint_writes(self) -> Iterator[None]:
         """Loops of a team that write different entries of one array."""
-        before, self._part = self._part, next(self._parts)
+        before, self._group = self._group, next(self._groups)
         try:
             yield
         finally:
-            self._part = before
+            self._group = before
 
     @contextmanager
     def when(self, condition: Value) -> Iterator[None]:
@@ -210,7 +213,7 @@ class Builder:
         self._known[key] = value
         self._scopes[-1].append(key)
 
-    def once(self, key: tuple, make: Callable[[], Any]) -> Any:
+    def memoize(self, key: tuple, make: Callable[[], Any]) -> Any:
         """make(), or what it gave for this key in the same scope."""
         if key not in self._known:
             self._remember(key, make())

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.values import F64, I32, I64
+from rbjax.compiler.ir.statements import F64, I32, I64
 from rbjax.lanes.primitives import SERIES, horner
 
 #: pi / 2 and ln 2 in parts, whose products with small integers are exact, and the rest

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rbjax.compiler.ir.values import BOOL, Value
+from rbjax.compiler.ir.statements import BOOL, Value
 
 if TYPE_CHECKING:
     from rbjax.compiler.ir.builder import Builder

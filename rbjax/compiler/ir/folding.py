@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rbjax.compiler.ir.operations import OPERATIONS
-from rbjax.compiler.ir.values import BOOL, Value, is_number
+from rbjax.compiler.ir.statements import BOOL, Value, is_number
 
 if TYPE_CHECKING:
     from rbjax.compiler.ir.builder import Builder
@@ -63,9 +63,7 @@ def simpler(builder: Builder, name: str, args: tuple) -> Value | None:
 
 def keys_of(name: str, args: Sequence[Value]) -> list:
     """Keys that are shared by operations with the same result."""
-    keys: list = [
-        (a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args
-    ]
+    keys: list = [(a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args]
     if OPERATIONS[name].commutes and _order(keys[0]) > _order(keys[1]):
         keys.reverse()
     return keys

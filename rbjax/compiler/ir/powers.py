@@ -21,7 +21,7 @@ from rbjax.compiler.ir.elementary import (
     two_sum,
 )
 from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.values import BOOL, I64
+from rbjax.compiler.ir.statements import BOOL, I64
 from rbjax.lanes.primitives import horner
 
 #: a sum of two numbers that do not overlap

@@ -1,10 +1,10 @@
 """Text of a program, for its reader: one statement a line, inner blocks indented.
 
-    operand a0: float64[3]
-    result a1: float64[]
-    for t4 in 0..3:
-      t5: float64 = a0[t4]
-      t6: float64 = mul(t5, 2.0)
+operand a0: float64[3]
+result a1: float64[]
+for t4 in 0..3:
+  t5: float64 = a0[t4]
+  t6: float64 = mul(t5, 2.0)
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from rbjax.compiler.ir.statements import (
     Reserve,
     Statement,
     Store,
+    Value,
+    Var,
     While,
 )
-from rbjax.compiler.ir.values import Value, Var
 
 INDENT = "  "
 
@@ -62,8 +63,8 @@ def statement_text(statement: Statement) -> str:
             return f"local {_array(array)}"
         case Loop(counter=counter, count=count):
             turns = f"{count}..0" if statement.reverse else f"0..{count}"
-            team = f" team part {statement.part}" if statement.team else ""
-            return f"for {_value(counter)} in {turns}{team}{' early' * statement.early}:"
+            team = f" team group {statement.group}" if statement.team else ""
+            return f"for {_value(counter)} in {turns}{team}{' prefetch' * statement.prefetch}:"
         case While():
             return "while:"
         case If(condition=condition):

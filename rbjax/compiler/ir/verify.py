@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from rbjax.compiler.ir.operations import OPERATIONS
 from rbjax.compiler.ir.program import Written
 from rbjax.compiler.ir.statements import (
+    BOOL,
+    I32,
     Array,
     Assign,
     Barrier,
@@ -24,10 +26,11 @@ from rbjax.compiler.ir.statements import (
     Reserve,
     Statement,
     Store,
+    Value,
+    Var,
     While,
 )
 from rbjax.compiler.ir.text import statement_text
-from rbjax.compiler.ir.values import BOOL, I32, Value, Var
 
 #: operations whose result has another type than their arguments
 FREE = {"cast", "bitcast", "isfinite", "lt", "le", "gt", "ge", "eq", "ne"}

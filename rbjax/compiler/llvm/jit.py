@@ -14,11 +14,18 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from rbjax.compiler.disk_cache import cached
-from rbjax.compiler.llvm.module import Module
+
+
+@dataclass(frozen=True)
+class Module:
+    """LLVM IR with a function `run`, and the external functions that it calls."""
+
+    text: str
+    symbols: tuple[str, ...]
 
 
 class Levels(NamedTuple):
-    """How LLVM compiles.
+    """Levels of LLVM's optimization.
 
     passes: passes on the IR, or one of LLVM's own levels.
     selection: the level of the instruction selection.

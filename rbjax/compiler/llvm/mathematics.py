@@ -8,8 +8,7 @@ from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.elementary import widened
 from rbjax.compiler.ir.expressions import Number
 from rbjax.compiler.ir.operations import OPERATIONS
-from rbjax.compiler.ir.statements import Op
-from rbjax.compiler.ir.values import F64, Var
+from rbjax.compiler.ir.statements import F64, Op, Var
 from rbjax.compiler.llvm.operations import ATTRIBUTES, Operations, llvm_type, of_c
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.operations import OPERATIONS
-from rbjax.compiler.ir.statements import Op
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.statements import Op, Unsupported
 
 TYPES = {"float32": "float", "float64": "double", "bool": "i1"}
 
@@ -51,9 +50,7 @@ class Operations:
     lanes: entries of a value; with more than one, all values are vectors.
     """
 
-    def __init__(
-        self, emit: Callable[[str], None], lanes: int = 1, like: Operations | None = None
-    ):
+    def __init__(self, emit: Callable[[str], None], lanes: int = 1, like: Operations | None = None):
         self.emit, self.lanes = emit, lanes
         self.declared: dict[str, str] = like.declared if like else {}
         self.names: Iterator[int] = like.names if like else itertools.count()

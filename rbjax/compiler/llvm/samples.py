@@ -22,9 +22,7 @@ class Lines(list):
         self.append(f"{name} = {text}")
         return name
 
-    def sample(
-        self, base: str, t: str, layout: Layout, batch: tuple[int, ...], sample: str
-    ) -> str:
+    def sample(self, base: str, t: str, layout: Layout, batch: tuple[int, ...], sample: str) -> str:
         """The pointer to a sample of an array."""
         rest, place = sample, base
         for k in reversed(range(len(batch))):
@@ -47,8 +45,7 @@ class Lines(list):
             return [self.made(f"getelementptr {t}, ptr {first}, i64 {k * step}")
                     for k in range(lanes)]  # fmt: skip
         return [
-            self.sample(base, t, layout, batch, self.made(f"add i64 %b, {k}"))
-            for k in range(lanes)
+            self.sample(base, t, layout, batch, self.made(f"add i64 %b, {k}")) for k in range(lanes)
         ]
 
     def fill(self, table: str, pointers: Sequence[str]) -> None:

@@ -26,9 +26,10 @@ from rbjax.compiler.ir.statements import (
     Reserve,
     Statement,
     Store,
+    Value,
+    Var,
     While,
 )
-from rbjax.compiler.ir.values import Value, Var
 from rbjax.compiler.llvm.mathematics import definitions
 from rbjax.compiler.llvm.operations import (
     ALIGNMENT,

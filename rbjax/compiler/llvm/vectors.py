@@ -13,8 +13,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import Array, Block, Op, Statement
-from rbjax.compiler.ir.values import Value, Var
+from rbjax.compiler.ir.statements import Array, Block, Op, Statement, Value, Var
 from rbjax.compiler.llvm.mathematics import definitions
 from rbjax.compiler.llvm.operations import ALIGNMENT, Operations, llvm_type, splat
 from rbjax.compiler.llvm.statements import (

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from rbjax.compiler.ir.program import Written
 from rbjax.compiler.llvm.batch import parts
-from rbjax.compiler.llvm.module import Module
+from rbjax.compiler.llvm.jit import Module
 
 # members of the structs of c_api.h, in bytes
 EXTENSION, API, CONTEXT, STAGE, ARGS, RESULTS = 8, 16, 24, 32, 72, 112  # XLA_FFI_CallFrame

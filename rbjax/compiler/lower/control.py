@@ -9,23 +9,22 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.statements import Await, Block, If, While
-from rbjax.compiler.ir.values import BOOL, I32, Value, Var
+from rbjax.compiler.ir.statements import BOOL, I32, Await, Block, If, Value, Var, While
 from rbjax.compiler.lower.arrays import (
     FEW,
     ThreadArray,
     View,
-    every_index,
-    get,
-    in_a_row,
-    in_memory,
-    is_known,
-    owned_copy,
-    put,
-    settled,
-    stored,
-    unravelled,
-    write,
+    as_flat_views,
+    copy_to_memory,
+    indices_of,
+    is_constant,
+    load_entry,
+    materialize,
+    materialize_in_memory,
+    store_entry,
+    to_memory,
+    unravel_index,
+    write_to,
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.effects import only_reports
@@ -35,10 +34,10 @@ from rbjax.compiler.lower.lowering import (
     Aval,
     Equation,
     Lowering,
-    called,
     dtype_of,
+    inner_jaxpr,
+    placing_rule,
     rule,
-    writer,
 )
 
 #: the most entries of a loop's carry that are kept in registers
@@ -96,7 +95,7 @@ def _inner(eqn: Equation) -> list[tuple[ClosedJaxpr, list]]:
             ]
         case "scan":
             return [(P["jaxpr"], atoms)]
-    inner = called(eqn)
+    inner = inner_jaxpr(eqn)
     return [] if inner is None or len(inner.jaxpr.invars) != len(atoms) else [(inner, atoms)]
 
 
@@ -109,19 +108,19 @@ class Carry:
         self.low = low
         self.values: list[Any] = []
         for k, (x, aval) in enumerate(zip(init, avals, strict=True)):
-            if k in memory or aval.size > (_most(x) if low.b.teamed else REGISTERS):
+            if k in memory or aval.size > (_most(x) if low.b.in_team else REGISTERS):
                 self.values.append(self._array(x, aval))
             else:
-                entries, out = low.scalars(x), np.empty(aval.shape, object)
-                for i in every_index(aval.shape):
+                entries, out = low.to_scalars(x), np.empty(aval.shape, object)
+                for i in indices_of(aval.shape):
                     out[i] = low.b.declare(dtype_of(aval), entries[i])
                 self.values.append(out)
 
     def _array(self, x: ThreadArray, aval: Aval) -> View:
         taken = {y.array for y in self.values if isinstance(y, View)}
-        if isinstance(x, View) and x.changeable and x.array not in taken:
+        if isinstance(x, View) and x.is_updatable and x.array not in taken:
             return x
-        return owned_copy(self.low.b, x, dtype_of(aval))
+        return copy_to_memory(self.low.b, x, dtype_of(aval))
 
     def advance(self, new: Sequence[ThreadArray]) -> None:
         """Updates all at once: old values are read before any of them changes."""
@@ -135,29 +134,29 @@ class Carry:
                 if isinstance(x, View) and x.same(to):
                     continue
                 if isinstance(x, View) and x.array in arrays:
-                    x = owned_copy(b, x, to.dtype)
+                    x = copy_to_memory(b, x, to.dtype)
                 elif isinstance(x, Delayed) and not arrays.isdisjoint(x.sources):
-                    x = stored(b, x)
+                    x = materialize_in_memory(b, x)
                 copies.append((to, x))
                 continue
-            for var, value in zip(to.flat, self.low.scalars(x).flat, strict=True):
+            for var, value in zip(to.flat, self.low.to_scalars(x).flat, strict=True):
                 if value is var:
                     continue
                 if isinstance(value, Var) and value.id in old:
                     value = b.declare(value.dtype, value)
                 moves.append((var, value))
         for to, x in copies:
-            write(b, to, x)
+            write_to(b, to, x)
         for var, value in moves:
             b.assign(var, value)
 
 
 def _most(x: ThreadArray) -> int:
     """The most entries that a team keeps in registers."""
-    return 4 * FEW if isinstance(x, np.ndarray) and not is_known(x) else FEW // 2
+    return 4 * FEW if isinstance(x, np.ndarray) and not is_constant(x) else FEW // 2
 
 
-@writer("scan")
+@placing_rule("scan")
 def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     P, b = eqn.params, low.b
     length, body = P["length"], P["jaxpr"]
@@ -185,20 +184,20 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         ]
         out = low.closed(body, [*consts, *init, *first], [*[None] * nk, *spots])
         return [*out[:nk], *ys]
-    unknown = [not is_known(x) for x in consts] + [True] * (len(avals) - nc)
+    unknown = [not is_constant(x) for x in consts] + [True] * (len(avals) - nc)
     wanted = indexed(body, unknown)
     consts = [
-        in_memory(b, x, dtype_of(a)) if k in wanted and not isinstance(x, View) else x
+        to_memory(b, x, dtype_of(a)) if k in wanted and not isinstance(x, View) else x
         for k, (x, a) in enumerate(zip(consts, avals[:nc], strict=True))
     ]
-    xs = [in_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
-    with low.held([*consts, *xs, *ys]):  # one of these may also be the initial carry
+    xs = [to_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
+    with low.pinned([*consts, *xs, *ys]):  # one of these may also be the initial carry
         memory = {k - nc for k in wanted if nc <= k < nc + nk}
         carry = Carry(low, init, avals[nc : nc + nk], memory)
     begin, rows_at = _fetched(b, xs, length, P["reverse"])
     begin()
     with (
-        low.held([*consts, *xs, *ys]),
+        low.pinned([*consts, *xs, *ys]),
         b.loop(length, reverse=P["reverse"]) as counter,
     ):
         rows = rows_at(counter)
@@ -215,7 +214,7 @@ def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable
     """What comes before a loop over the rows of arrays, and its rows at a counter. A team copies
     those of operands to its memory a turn before they are read."""
     own = [
-        b.teamed and x.array.space == "operand" and x.dtype.itemsize >= 4
+        b.in_team and x.array.space == "operand" and x.dtype.itemsize >= 4
         and x.size > length and x.size // length <= ROW_UP_TO
         for x in xs
     ]  # fmt: skip
@@ -239,18 +238,16 @@ def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable
         with b.when(b.op("ne", BOOL, counter, I32.type(last))):
             fetch(b.op("index_add", I32, counter, I32.type(step)))
         half = b.op("and", I32, counter, one)
-        return [
-            to.at(b, 0, half if o else counter) for to, o in zip(both, own, strict=True)
-        ]
+        return [to.at(b, 0, half if o else counter) for to, o in zip(both, own, strict=True)]
 
     return lambda: fetch(I32.type(length - 1 if reverse else 0)), rows
 
 
 def _copied_early(b: Builder, to: View, x: View) -> None:
-    to, x = in_a_row(to, x)
-    with b.spread(max(x.size, 1), early=True) as counter:
-        index = unravelled(b, counter, x.shape)
-        put(b, to, index, get(b, x, index))
+    to, x = as_flat_views(to, x)
+    with b.team_loop(max(x.size, 1), prefetch=True) as counter:
+        index = unravel_index(b, counter, x.shape)
+        store_entry(b, to, index, load_entry(b, x, index))
 
 
 def over_time(outside: Sequence[Atom], inside: Sequence[Atom]) -> int:
@@ -268,26 +265,26 @@ def _while(low: Lowering, eqn: Equation, ins: list) -> list:
     memory = {
         k - len(consts)
         for closed, consts in ((test, test_consts), (body, body_consts))
-        for k in indexed(closed, [not is_known(x) for x in consts] + [True] * n)
+        for k in indexed(closed, [not is_constant(x) for x in consts] + [True] * n)
         if k >= len(consts)
     }
-    with low.held([*test_consts, *body_consts]):
+    with low.pinned([*test_consts, *body_consts]):
         carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
     loop = While(Block(), np.bool_(False), Block())
     b.block.statements.append(loop)
-    with low.held([*test_consts, *body_consts]):
-        with b.inside(loop.test), low.held(carry.values):
+    with low.pinned([*test_consts, *body_consts]):
+        with b.inside(loop.test), low.pinned(carry.values):
             (goes,) = low.closed(test, [*test_consts, *carry.values])
-            loop.condition = low.scalar(goes)
+            loop.condition = low.to_scalar(goes)
         with b.inside(loop.body):
             carry.advance(low.closed(body, [*body_consts, *carry.values]))
     return carry.values
 
 
-@writer("cond")
+@placing_rule("cond")
 def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     branches, args = eqn.params["branches"], ins[1:]
-    which = low.scalar(ins[0])
+    which = low.to_scalar(ins[0])
     going_on = [branch for branch in branches if not only_reports(branch)]
     if len(going_on) == 1:
         return low.closed(going_on[0], args, places)
@@ -306,7 +303,7 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
             outs.append(View.of(b.local(dtype_of(aval), aval.size), aval.shape))
         else:
             entries = np.empty(aval.shape, object)
-            for i in every_index(aval.shape):
+            for i in indices_of(aval.shape):
                 entries[i] = b.declare(dtype_of(aval))
             outs.append(entries)
 
@@ -314,13 +311,13 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         spots = [
             x if isinstance(x, View) and k not in updated else None for k, x in enumerate(outs)
         ]
-        found = [settled(b, x) for x in low.closed(branch, args, spots)]
+        found = [materialize(b, x) for x in low.closed(branch, args, spots)]
         for to, x in zip(outs, found, strict=True):
             if not isinstance(to, View):
-                for var, value in zip(to.flat, low.scalars(x).flat, strict=True):
+                for var, value in zip(to.flat, low.to_scalars(x).flat, strict=True):
                     b.assign(var, value)
         for k in updated:  # the other results have read the old array by now
-            write(b, outs[k], found[k])
+            write_to(b, outs[k], found[k])
 
     def choose(first: int) -> None:
         if first == len(branches) - 1:
@@ -337,14 +334,12 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         with b.inside(blocks[1]):
             choose(first + 1)
 
-    with low.held([x for j, x in enumerate(args) if j not in updated.values()]):
+    with low.pinned([x for j, x in enumerate(args) if j not in updated.values()]):
         choose(0)
     return outs
 
 
-def _updated_arguments(
-    branches: Sequence[ClosedJaxpr], args: list, places: list
-) -> dict[int, int]:
+def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list) -> dict[int, int]:
     """The argument of each result that is, in every branch, this argument or an update of it.
 
     Such an argument is updated in place, if nothing reads it later.
@@ -355,7 +350,7 @@ def _updated_arguments(
         if j is None or set(origins) != {j} or j in out.values() or places[k] is not None:
             continue
         x = args[j]
-        if isinstance(x, View) and x.changeable:
+        if isinstance(x, View) and x.is_updatable:
             others = [y for i, y in enumerate(args) if i != j and isinstance(y, View)]
             if all(y.array is not x.array for y in others):
                 out[k] = j
@@ -371,7 +366,7 @@ def _versions(closed: ClosedJaxpr) -> list[int | None]:
         return None if isinstance(atom, Literal) else origin.get(atom)
 
     for eqn in jaxpr.eqns:
-        inner = called(eqn)
+        inner = inner_jaxpr(eqn)
         if eqn.primitive.name.startswith(("dynamic_update", "scatter")):
             origin[eqn.outvars[0]] = of(eqn.invars[0])
         elif inner is not None:

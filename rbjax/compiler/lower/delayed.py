@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.statements import Array
-from rbjax.compiler.ir.values import I32, Value
+from rbjax.compiler.ir.statements import I32, Array, Value
 
 
 class Shaped:

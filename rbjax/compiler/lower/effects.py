@@ -12,7 +12,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from rbjax._jax_compat import UNVMAP, is_error
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.statements import Unsupported
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 from rbjax.compiler.lower.reductions import reduced
 

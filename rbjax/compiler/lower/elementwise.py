@@ -14,23 +14,23 @@ from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.operations import OF_PRIMITIVE
-from rbjax.compiler.ir.values import BOOL, Unsupported, Value, Var
+from rbjax.compiler.ir.statements import BOOL, Unsupported, Value, Var
 from rbjax.compiler.lower.arrays import (
     FEW,
     SHARED_ABOVE,
     ThreadArray,
     View,
-    each,
-    every_index,
-    filled,
-    get,
-    in_memory,
-    is_known,
-    put,
-    spread,
+    broadcast_in_memory,
+    for_each_index,
+    full_of,
+    indices_of,
+    is_constant,
+    load_entry,
+    store_entry,
+    to_memory,
 )
 from rbjax.compiler.lower.delayed import Delayed
-from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 from rbjax.lanes import polynomial_sincos
 
 #: larger arrays use loops over memory
@@ -45,25 +45,27 @@ def entrywise(
     """f of the entries of arrays of equal shape; an axis may have 1 entry, a shape may be ()."""
     if not shape:
         out = np.empty((), object)
-        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.scalar(x) for x in xs))
+        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.to_scalar(x) for x in xs))
         return out
     size = math.prod(shape)
-    if low.b.teamed and _is_wide(xs, size):
+    if low.b.in_team and _is_wide(xs, size):
         delayed = _delayed(low.b, dtype, shape, f, xs)
         if size > FEW or delayed.work > SHARED_ABOVE:
             return delayed
-        xs = tuple(low.scalars(x) for x in xs)
+        xs = tuple(low.to_scalars(x) for x in xs)
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
     if size > LOOP_ABOVE or in_memory_now:
         b = low.b
-        sources = [spread(b, x, _dtype(x), shape) for x in xs]
+        sources = [broadcast_in_memory(b, x, _dtype(x), shape) for x in xs]
         view = View.of(b.local(dtype, math.prod(shape)), shape)
-        each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
+        for_each_index(
+            b, shape, lambda *i: store_entry(b, view, i, f(*(load_entry(b, s, i) for s in sources)))
+        )
         return view
-    arrays = [low.scalars(x) for x in xs]
+    arrays = [low.to_scalars(x) for x in xs]
     out = np.empty(shape, object)
     arrays = [x if x.shape == shape else np.broadcast_to(x, shape) for x in arrays]
-    for i in every_index(shape):
+    for i in indices_of(shape):
         out[i] = f(*(x[i] for x in arrays))
     return out
 
@@ -71,7 +73,7 @@ def entrywise(
 def _is_wide(xs: tuple, size: int) -> bool:
     """Whether threads of a team may share the entries: not where registers hold as many."""
     if all(isinstance(x, np.ndarray) for x in xs):
-        entries = sum(own_entries(x).size for x in xs if not is_known(x))
+        entries = sum(own_entries(x).size for x in xs if not is_constant(x))
         return size > FEW and 0 < entries < size
     return size > FEW or any(isinstance(x, Delayed) for x in xs)
 
@@ -103,7 +105,7 @@ def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
             return wide
         view = wide
         return Delayed(
-            shape, view.dtype, lambda *i: get(b, view, i), frozenset({view.array}), 1
+            shape, view.dtype, lambda *i: load_entry(b, view, i), frozenset({view.array}), 1
         )
     x = np.broadcast_to(x, shape)
     own = own_entries(x)
@@ -111,11 +113,11 @@ def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
     if own.size == 1:
         value = own.reshape(-1)[0]
         return Delayed(shape, dtype, lambda *i: value, frozenset(), 0)
-    memory = in_memory(b, x, dtype)
+    memory = to_memory(b, x, dtype)
 
     def entry(*i: Value) -> Value:
         known = [k.item() for k in i if not isinstance(k, Var)]
-        return x[tuple(known)] if len(known) == len(i) else get(b, memory, i)
+        return x[tuple(known)] if len(known) == len(i) else load_entry(b, memory, i)
 
     return Delayed(shape, dtype, entry, frozenset(), 1)
 
@@ -130,7 +132,7 @@ def _shape(eqn: Equation) -> tuple[int, ...]:
 
 def _one(low: Lowering, eqn: Equation, ins: list) -> list:
     operation, dtype = OF_PRIMITIVE[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
-    if operation.fold and all(map(is_known, ins)):
+    if operation.fold and all(map(is_constant, ins)):
         with np.errstate(all="ignore"):
             return [np.asarray(operation.fold(*ins), dtype)]
     f = functools.partial(low.b.op, operation.name, dtype)
@@ -138,7 +140,7 @@ def _one(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 rule(*OF_PRIMITIVE)(_one)
-takes_delayed(
+accepts_delayed(
     *OF_PRIMITIVE, "div", "rem", "pow", "square", "integer_pow", "logistic", "sign", "round",
     "clamp", "select_n", "convert_element_type",
 )  # fmt: skip
@@ -147,7 +149,7 @@ takes_delayed(
 @rule("div")
 def _div(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
-    if dtype.kind == "f" and all(map(is_known, ins)):
+    if dtype.kind == "f" and all(map(is_constant, ins)):
         with np.errstate(all="ignore"):
             return [np.asarray(np.divide(*ins), dtype)]
     f = functools.partial(low.b.op, "div" if dtype.kind == "f" else "idiv", dtype)
@@ -271,7 +273,7 @@ def _convert(low: Lowering, eqn: Equation, ins: list) -> list:
     x = ins[0]
     if isinstance(x, View) and x.dtype == dtype:
         return [x]
-    if is_known(x) and dtype.kind == "f":
+    if is_constant(x) and dtype.kind == "f":
         return [x.astype(dtype)]
 
     def f(x: Value) -> Value:
@@ -298,22 +300,22 @@ def _sincos(low: Lowering, eqn: Equation, ins: list) -> list:
     closed = _traced(polynomial_sincos, aval.dtype)
 
     def pair(angle: Value) -> list[Value]:
-        return [low.scalar(x) for x in low.closed(closed, [filled((), angle)])]
+        return [low.to_scalar(x) for x in low.closed(closed, [full_of((), angle)])]
 
     b, shape = low.b, _shape(eqn)
     if math.prod(shape) > LOOP_ABOVE_IN_MEMORY:
-        angles = spread(b, ins[0], aval.dtype, shape)
+        angles = broadcast_in_memory(b, ins[0], aval.dtype, shape)
         views = [View.of(b.local(aval.dtype, math.prod(shape)), shape) for _ in range(2)]
 
         def one(*i: Value) -> None:
-            for view, value in zip(views, pair(get(b, angles, i)), strict=True):
-                put(b, view, i, value)
+            for view, value in zip(views, pair(load_entry(b, angles, i)), strict=True):
+                store_entry(b, view, i, value)
 
-        each(b, shape, one)
+        for_each_index(b, shape, one)
         return list(views)
-    x = low.scalars(ins[0])
+    x = low.to_scalars(ins[0])
     out = np.empty(shape, object), np.empty(shape, object)
-    for i in every_index(shape):
+    for i in indices_of(shape):
         out[0][i], out[1][i] = pair(x[i])
     return list(out)
 

@@ -17,11 +17,18 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
-from rbjax.compiler.ir.statements import Block
-from rbjax.compiler.ir.values import I32, Value, Var
-from rbjax.compiler.lower.arrays import ThreadArray, View, each, get, in_memory, put, settled
+from rbjax.compiler.ir.statements import I32, Block, Value, Var
+from rbjax.compiler.lower.arrays import (
+    ThreadArray,
+    View,
+    for_each_index,
+    load_entry,
+    materialize,
+    store_entry,
+    to_memory,
+)
 from rbjax.compiler.lower.elementwise import source
-from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
 #: matrices with more columns are factorised by a loop
 UNROLL_UP_TO = 8
@@ -209,9 +216,9 @@ def mapped(low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[in
 
 @rule("cholesky")
 def _cholesky(low: Lowering, eqn: Equation, ins: list) -> list:
-    if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
-        a = low.scalars(ins[0])
-        with low.b.by_itself():  # each thread the whole factor, in its registers
+    if low.b.in_team and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
+        a = low.to_scalars(ins[0])
+        with low.b.per_thread():  # each thread the whole factor, in its registers
             L, inverses = mapped(low, eqn, [a], cholesky_and_inverses, (2,))
         for root, inverse in zip(np.diagonal(L), inverses, strict=True):
             low.b.inverses[root] = inverse
@@ -233,14 +240,14 @@ def _permutation(low: Lowering, eqn: Equation, ins: list) -> list:
 @rule("triangular_solve")
 def _triangular_solve(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "left_side", "lower", "transpose_a", "unit_diagonal"
-    if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= ROWS_UP_TO:
+    if low.b.in_team and ins[0].ndim == 2 and ins[0].shape[0] <= ROWS_UP_TO:
         return [_solved_by_team(low, eqn, *ins)]
-    ins = [settled(low.b, x) for x in ins]
+    ins = [materialize(low.b, x) for x in ins]
     f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
     return mapped(low, eqn, ins, f, (2,))
 
 
-takes_delayed("triangular_solve")
+accepts_delayed("triangular_solve")
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,12 +287,12 @@ def _solved_by_team(
     b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]
     left, turned = P["left_side"], P["transpose_a"] == P["left_side"]
     forwards = P["lower"] != turned
-    a = settled(b, a)
-    a = low.scalars(a) if n <= UNROLL_UP_TO else in_memory(b, a, dtype)
+    a = materialize(b, a)
+    a = low.to_scalars(a) if n <= UNROLL_UP_TO else to_memory(b, a, dtype)
 
     def entry(j: int, k: int) -> Value:
         j, k = (k, j) if turned else (j, k)
-        return get(b, a, (I32.type(j), I32.type(k))) if isinstance(a, View) else a[j, k]
+        return load_entry(b, a, (I32.type(j), I32.type(k))) if isinstance(a, View) else a[j, k]
 
     def inverted(x: Value) -> Value:
         return b.inverses[x] if x in b.inverses else b.op("div", dtype, dtype.type(1), x)
@@ -302,7 +309,7 @@ def _solved_by_team(
         return x
 
     if right.shape[1 if left else 0] == 1:
-        found = solve(list(low.scalars(right).reshape(-1)))
+        found = solve(list(low.to_scalars(right).reshape(-1)))
         out = np.empty(right.shape, object)
         out.reshape(-1)[:] = found
         return out
@@ -310,13 +317,13 @@ def _solved_by_team(
 
     def write(c: Value, x: list[Value]) -> None:
         for k in range(n):
-            put(b, view, (I32.type(k), c) if left else (c, I32.type(k)), x[k])
+            store_entry(b, view, (I32.type(k), c) if left else (c, I32.type(k)), x[k])
         b.solved[view.array] = Solved(view, view.array.version, b.block, left, c, x)
 
     before = b.solved.get(right.array) if isinstance(right, View) else None
     used = [*inverse, *np.ravel(a)] if isinstance(a, np.ndarray) else [a]
     if before is not None and before.goes_on(left, used, right):
-        with b.inside(before.block), b.by_itself():
+        with b.inside(before.block), b.per_thread():
             write(before.column, solve(list(before.x)))
         return view
     s = source(b, right, right.shape)
@@ -325,7 +332,7 @@ def _solved_by_team(
         write(c, solve([s.entry(*((I32.type(k), c) if left else (c, I32.type(k))))
                         for k in range(n)]))  # fmt: skip
 
-    each(b, (right.shape[1 if left else 0],), column)
+    for_each_index(b, (right.shape[1 if left else 0],), column)
     return view
 
 

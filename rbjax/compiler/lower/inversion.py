@@ -14,8 +14,8 @@ from collections.abc import Sequence
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.values import BOOL, I32, Unsupported, Value
-from rbjax.compiler.lower.arrays import View, get, put
+from rbjax.compiler.ir.statements import BOOL, I32, Unsupported, Value
+from rbjax.compiler.lower.arrays import View, load_entry, store_entry
 from rbjax.compiler.lower.indexing import changeable
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
@@ -30,11 +30,11 @@ def _inverse(low: Lowering, eqn: Equation, ins: list) -> list:
     parts = []
     for x in ins:  # each part has memory of its own
         part = changeable(low, x, dtype)
-        part.array.owners += 1
+        part.array.reference_count += 1
         parts.append(part)
     _Elimination(low.b, parts, shape[0]).run()
     for part in parts:
-        part.array.owners -= 1
+        part.array.reference_count -= 1
     return parts
 
 
@@ -50,7 +50,7 @@ class _Elimination:
         b, n = self._b, self._n
         with b.loop(n) as k:
             p = self._pivot(k)
-            put(b, self._rows, (k,), p)
+            store_entry(b, self._rows, (k,), p)
             with b.loop(n) as j:
                 self._exchange(k, j, p, j)
             scale = _reciprocal(self._get(k, k))
@@ -64,7 +64,7 @@ class _Elimination:
                     taken = _product(factor, self._get(k, j))
                     self._put(i, j, _difference(self._get(i, j), taken))
         with b.loop(n, reverse=True) as k:
-            p = get(b, self._rows, (k,))
+            p = load_entry(b, self._rows, (k,))
             with b.loop(n) as i:
                 self._exchange(i, k, i, p)
 
@@ -89,11 +89,11 @@ class _Elimination:
         return Number(self._b, self._dtype.type(x))
 
     def _get(self, i: Value, j: Value) -> Entry:
-        return tuple(Number(self._b, get(self._b, x, (i, j))) for x in self._parts)
+        return tuple(Number(self._b, load_entry(self._b, x, (i, j))) for x in self._parts)
 
     def _put(self, i: Value, j: Value, entry: Entry) -> None:
         for x, number in zip(self._parts, entry, strict=True):
-            put(self._b, x, (i, j), number.value)
+            store_entry(self._b, x, (i, j), number.value)
 
 
 def _difference(x: Entry, y: Entry) -> Entry:

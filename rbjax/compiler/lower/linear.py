@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.values import BOOL, I32, Value
+from rbjax.compiler.ir.statements import BOOL, I32, Value
 from rbjax.compiler.lower.arrays import (
     SHARED_ABOVE,
     ThreadArray,
     View,
-    each,
-    every_index,
-    get,
-    in_memory,
-    put,
+    for_each_index,
+    indices_of,
+    load_entry,
+    store_entry,
+    to_memory,
     transposed,
-    write,
+    write_to,
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import source
-from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
 #: products with more terms are loops
 UNROLL_UP_TO = 512
@@ -51,23 +51,23 @@ def _dot(low: Lowering, eqn: Equation, ins: list) -> list:
     shape = (*x.shape[:nb], *x.shape[nb : nb + na], *y.shape[nb : nb + ny])
     contracted = x.shape[nb + na :]
     terms = math.prod(contracted)
-    if low.b.teamed and 2 * math.prod(shape) * terms > SHARED_ABOVE:
+    if low.b.in_team and 2 * math.prod(shape) * terms > SHARED_ABOVE:
         return [_delayed(low, x, y, shape, contracted, (nb, na, ny), dtype)]
     if math.prod(shape) * math.prod(contracted) > _unrolled(low.b, bool(fa and fb)):
         return [_looped(low, x, y, shape, contracted, (nb, na, ny), dtype)]
-    a, c = low.scalars(x), low.scalars(y)
+    a, c = low.to_scalars(x), low.to_scalars(y)
     b, out = low.b, np.empty(shape, object)
-    for i in every_index(shape):
+    for i in indices_of(shape):
         left, right = (*i[: nb + na],), (*i[:nb], *i[nb + na :])
         total: Value = dtype.type(0)
-        for t in every_index(contracted):
+        for t in indices_of(contracted):
             term = b.op("mul", dtype, b.cast(a[left + t], dtype), b.cast(c[right + t], dtype))
             total = b.op("add", dtype, total, term)
         out[i] = total
     return [out]
 
 
-takes_delayed("dot_general")
+accepts_delayed("dot_general")
 
 
 def _unrolled(b: Builder, matrices: bool) -> int:
@@ -78,7 +78,12 @@ def _unrolled(b: Builder, matrices: bool) -> int:
 
 
 def _delayed(
-    low: Lowering, x: ThreadArray, y: ThreadArray, shape: tuple, contracted: tuple, sizes: tuple,
+    low: Lowering,
+    x: ThreadArray,
+    y: ThreadArray,
+    shape: tuple,
+    contracted: tuple,
+    sizes: tuple,
     dtype: DTypeLike,
 ) -> ThreadArray:
     """Each sum where it is read. What several sums read is in memory, or as good as there."""
@@ -88,7 +93,7 @@ def _delayed(
         return np.zeros(shape, dtype)
     ways = math.prod(y.shape[nb : nb + ny]), math.prod(x.shape[nb : nb + na])
     x, y = (
-        in_memory(b, z, dtype) if n > 1 and isinstance(z, Delayed) and z.cost > 2 else z
+        to_memory(b, z, dtype) if n > 1 and isinstance(z, Delayed) and z.cost > 2 else z
         for z, n in zip((x, y), ways, strict=True)
     )
     s, t = source(b, x, x.shape), source(b, y, y.shape)
@@ -109,7 +114,7 @@ def _delayed(
 def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DTypeLike) -> Value:
     """term(*index) of each index of a shape, which has entries, put together by add."""
     if math.prod(shape) <= TERMS_UP_TO:
-        every = [term(*map(I32.type, k)) for k in every_index(shape)]
+        every = [term(*map(I32.type, k)) for k in indices_of(shape)]
         return functools.reduce(add, every)
     first = term(*(I32.type(0) for _ in shape))
     total = b.declare(dtype, first)
@@ -120,19 +125,24 @@ def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DType
         b.assign(total, b.select(started, add(total, value), value))
         b.assign(started, np.bool_(True))
 
-    with b.by_itself():
-        each(b, shape, more)
+    with b.per_thread():
+        for_each_index(b, shape, more)
     return total
 
 
 def _looped(
-    low: Lowering, x: ThreadArray, y: ThreadArray, shape: tuple, contracted: tuple, sizes: tuple,
+    low: Lowering,
+    x: ThreadArray,
+    y: ThreadArray,
+    shape: tuple,
+    contracted: tuple,
+    sizes: tuple,
     dtype: DTypeLike,
 ) -> View:
     """Sums in loops. On a CPU some run side by side: each waits for its last term, not for the
     others, and they share what they read of x."""
     b, (nb, na, ny) = low.b, sizes
-    x, y = in_memory(b, x, dtype), in_memory(b, y, dtype)
+    x, y = to_memory(b, x, dtype), to_memory(b, y, dtype)
     if b.matrices and na and ny and y.strides[nb + ny - 1] != 1:
         y = _side_by_side(b, y, nb, ny)
     out = View.of(b.local(dtype, math.prod(shape)), shape)
@@ -157,7 +167,7 @@ def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
     rows = transposed(y, order)
     assert isinstance(rows, View)
     copy = View.of(b.local(y.dtype, y.size), rows.shape)
-    write(b, copy, rows)
+    write_to(b, copy, rows)
     back = transposed(copy, tuple(np.argsort(order)))
     assert isinstance(back, View)
     return back
@@ -174,14 +184,16 @@ def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> No
 
         def more(*t: Value) -> None:
             for k, total in zip(tile, totals, strict=True):
-                term = b.op("mul", dtype, get(b, x, (*left, *t)), get(b, y, (*right, k, *t)))
+                term = b.op(
+                    "mul", dtype, load_entry(b, x, (*left, *t)), load_entry(b, y, (*right, k, *t))
+                )
                 b.assign(total, b.op("add", dtype, total, term))
 
-        each(b, x.shape[nb + na :], more)
+        for_each_index(b, x.shape[nb + na :], more)
         for k, total in zip(tile, totals, strict=True):
-            put(b, out, (*i, k), total)
+            store_entry(b, out, (*i, k), total)
 
-    each(b, out.shape[:-1], one)
+    for_each_index(b, out.shape[:-1], one)
 
 
 def _in_tiles(x: View, axis: int, start: int, stop: int, size: int) -> View:

@@ -22,8 +22,16 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, Var
 
 from rbjax._jax_compat import CALLS, JAXPRS, expanded
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.values import Unsupported, Value
-from rbjax.compiler.lower.arrays import FEW, ThreadArray, View, scalars, settled, tidy, write
+from rbjax.compiler.ir.statements import Unsupported, Value
+from rbjax.compiler.lower.arrays import (
+    FEW,
+    ThreadArray,
+    View,
+    fold_if_constant,
+    materialize,
+    to_scalars,
+    write_to,
+)
 from rbjax.compiler.lower.delayed import Delayed
 
 
@@ -80,7 +88,7 @@ TAKES_DELAYED: set[str] = set()
 CHEAP = 4
 
 
-def takes_delayed(*names: str) -> None:
+def accepts_delayed(*names: str) -> None:
     TAKES_DELAYED.update(names)
 
 
@@ -99,7 +107,7 @@ def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
     return register
 
 
-def writer(*names: str) -> Callable:
+def placing_rule(*names: str) -> Callable:
     """The same, for rules that get the places of their results."""
 
     def register(f: Callable) -> Callable:
@@ -143,16 +151,16 @@ class Lowering:
         places: Sequence[View | None] = (),
     ) -> list[ThreadArray]:
         """The results of a jaxpr. A result with a place is written there."""
-        needs = self.needed(jaxpr)
+        needs = self.analyze(jaxpr)
         last = needs.last
         env: dict[Any, ThreadArray] = {}
 
         def bind(var: Any, value: ThreadArray) -> None:
             if var in last:
                 if isinstance(value, Delayed) and needs.uses[var] > 1 and value.cost > CHEAP:
-                    value = settled(self.b, value)
+                    value = materialize(self.b, value)
                 env[var] = value
-                _own(value, 1)
+                _count_reference(value, 1)
 
         def read(atom: Any) -> ThreadArray:
             return known(atom.val, atom.aval) if isinstance(atom, Literal) else env[atom]
@@ -162,7 +170,7 @@ class Lowering:
             bind(var, const if held else known(const, var.aval))
         for var, arg in zip(jaxpr.invars, args, strict=True):
             bind(var, arg)
-        if self.b.teamed:
+        if self.b.in_team:
             wanted = _places(jaxpr, places, lambda v: v in last and self._joined(v))
         else:
             wanted = _places(jaxpr, places)
@@ -170,45 +178,43 @@ class Lowering:
             ins = [None if atom is None else read(atom) for atom in atoms]
             for atom in atoms:
                 if not isinstance(atom, Literal) and last.get(atom) == n and atom in env:
-                    _own(env.pop(atom), -1)
+                    _count_reference(env.pop(atom), -1)
             outs = self._equation(eqn, ins, [wanted.get(v) for v in eqn.outvars])
             for var, out in zip(eqn.outvars, outs, strict=True):
                 place = wanted.get(var)
                 if isinstance(out, Delayed) and place is not None and place.array.shared:
-                    write(self.b, place, out)  # a piece of a larger array, where it belongs
+                    write_to(self.b, place, out)  # a piece of a larger array, where it belongs
                     out = place
                 bind(var, out)
         outs = [read(atom) for atom in jaxpr.outvars]
         for value in env.values():
-            _own(value, -1)
+            _count_reference(value, -1)
         for i, place in enumerate(places):
             if place is not None:
-                write(self.b, place, outs[i])
+                write_to(self.b, place, outs[i])
                 outs[i] = place
         return outs
 
-    def _equation(
-        self, eqn: Any, ins: list, places: list[View | None]
-    ) -> list[ThreadArray]:
+    def _equation(self, eqn: Any, ins: list, places: list[View | None]) -> list[ThreadArray]:
         name = eqn.primitive.name
         if name == "custom_lin":  # what JAX makes of a custom_vjp under jvp
             raise TypeError("forward-mode autodiff of a function that has only a reverse rule")
         for var in eqn.outvars:
             dtype = dtype_of(var.aval)
             fits = dtype is None or dtype in DTYPES
-            call = called(eqn) or expanded(eqn)  # the inner jaxpr names it
+            call = inner_jaxpr(eqn) or expanded(eqn)  # the inner jaxpr names it
             if not fits and (name in RULES or call is None):
                 raise Unsupported(f"{name} of type {dtype}")
         if name not in TAKES_DELAYED and (name in WRITERS or name in RULES):
-            ins = [settled(self.b, x) for x in ins]
+            ins = [materialize(self.b, x) for x in ins]
         if name in WRITERS:
             return WRITERS[name](self, eqn, ins, places)
         if name in RULES:
             return [
-                tidy(out, dtype_of(var.aval)) if isinstance(out, np.ndarray) else out
+                fold_if_constant(out, dtype_of(var.aval)) if isinstance(out, np.ndarray) else out
                 for out, var in zip(RULES[name](self, eqn, ins), eqn.outvars, strict=True)
             ]
-        inner, high = called(eqn), expanded(eqn)
+        inner, high = inner_jaxpr(eqn), expanded(eqn)
         if high is not None:
             inner = jax.make_jaxpr(high)(*(v.aval for v in eqn.invars))
         if inner is None:
@@ -221,17 +227,17 @@ class Lowering:
         if aval.size <= FEW or dtype_of(aval) not in DTYPES:
             return None
         array = self.b.local(dtype_of(aval), aval.size)
-        array.pieces = True
+        array.write_once = True
         return View.of(array, aval.shape)
 
-    def needed(self, jaxpr: Jaxpr) -> Needs:
+    def analyze(self, jaxpr: Jaxpr) -> Needs:
         """The part of a jaxpr that its results need."""
         known = self.needs.get(id(jaxpr))
         if known is None or known.jaxpr is not jaxpr:
-            known = self.needs[id(jaxpr)] = self._needed(jaxpr)
+            known = self.needs[id(jaxpr)] = self._analyze(jaxpr)
         return known
 
-    def _needed(self, jaxpr: Jaxpr) -> Needs:
+    def _analyze(self, jaxpr: Jaxpr) -> Needs:
         end = len(jaxpr.eqns)
         last: dict[Any, int] = {v: end for v in jaxpr.outvars if not isinstance(v, Literal)}
         equations = []
@@ -250,29 +256,29 @@ class Lowering:
         return Needs(jaxpr, last, uses, equations[::-1])
 
     def _unread(self, eqn: Any) -> Sequence[int]:
-        inner = called(eqn)
+        inner = inner_jaxpr(eqn)
         if inner is None or eqn.primitive.name in RULES:
             return UNREAD.get(eqn.primitive.name, ())
-        last = self.needed(inner.jaxpr).last
+        last = self.analyze(inner.jaxpr).last
         return [k for k, v in enumerate(inner.jaxpr.invars) if v not in last]
 
     @contextmanager
-    def held(self, values: Sequence[ThreadArray]) -> Iterator[None]:
+    def pinned(self, values: Sequence[ThreadArray]) -> Iterator[None]:
         """Prevents updates in place of values that are read again later."""
         for value in values:
-            _own(value, 1)
+            _count_reference(value, 1)
         try:
             yield
         finally:
             for value in values:
-                _own(value, -1)
+                _count_reference(value, -1)
 
-    def scalars(self, x: ThreadArray) -> np.ndarray:
-        return scalars(self.b, x)
+    def to_scalars(self, x: ThreadArray) -> np.ndarray:
+        return to_scalars(self.b, x)
 
-    def scalar(self, x: ThreadArray) -> Value:
+    def to_scalar(self, x: ThreadArray) -> Value:
         """The value of an array with one entry and no axes."""
-        return self.scalars(x).item()
+        return self.to_scalars(x).item()
 
     def evaluate(self, f: Callable, *args: ThreadArray, avals: Sequence[Aval]) -> list[ThreadArray]:
         """The results of a JAX function, traced for arguments of these shapes and types."""
@@ -298,7 +304,7 @@ def known(x: Any, aval: Any) -> np.ndarray:
     return np.asarray(x, aval.dtype)
 
 
-def called(eqn: Equation) -> ClosedJaxpr | None:
+def inner_jaxpr(eqn: Equation) -> ClosedJaxpr | None:
     """The jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
     if eqn.primitive.name not in CALLS:
         return None
@@ -315,12 +321,12 @@ def _is_objects(x: object) -> bool:
     return isinstance(x, np.ndarray) and x.dtype == object
 
 
-def _own(value: ThreadArray, change: int) -> None:
+def _count_reference(value: ThreadArray, change: int) -> None:
     if isinstance(value, View):
-        value.array.owners += change
+        value.array.reference_count += change
     elif isinstance(value, Delayed):
         for array in value.sources:
-            array.owners += change
+            array.reference_count += change
 
 
 #: equations that only move entries

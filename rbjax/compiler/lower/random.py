@@ -12,8 +12,16 @@ import jax
 import numpy as np
 
 from rbjax._jax_compat import key_implementation
-from rbjax.compiler.ir.values import Unsupported, Value
-from rbjax.compiler.lower.arrays import ThreadArray, View, each, every_index, get, put, spread
+from rbjax.compiler.ir.statements import Unsupported, Value
+from rbjax.compiler.lower.arrays import (
+    ThreadArray,
+    View,
+    broadcast_in_memory,
+    for_each_index,
+    indices_of,
+    load_entry,
+    store_entry,
+)
 from rbjax.compiler.lower.lowering import KEY, Equation, Lowering, dtype_of, rule
 
 U32 = np.dtype(np.uint32)
@@ -26,19 +34,19 @@ ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 def _threefry(low: Lowering, eqn: Equation, ins: list) -> list:
     b, aval = low.b, eqn.outvars[0].aval
     if aval.size > LOOP_ABOVE:
-        sources = [spread(b, x, U32, aval.shape) for x in ins]
+        sources = [broadcast_in_memory(b, x, U32, aval.shape) for x in ins]
         views = [View.of(b.local(U32, aval.size), aval.shape) for _ in range(2)]
 
         def one(*i: Value) -> None:
-            values = threefry(low, *(get(b, x, i) for x in sources))
+            values = threefry(low, *(load_entry(b, x, i) for x in sources))
             for view, value in zip(views, values, strict=True):
-                put(b, view, i, value)
+                store_entry(b, view, i, value)
 
-        each(b, aval.shape, one)
+        for_each_index(b, aval.shape, one)
         return list(views)
-    arrays = np.broadcast_arrays(*(low.scalars(x) for x in ins))
+    arrays = np.broadcast_arrays(*(low.to_scalars(x) for x in ins))
     outs = np.empty(aval.shape, object), np.empty(aval.shape, object)
-    for i in every_index(outs[0].shape):
+    for i in indices_of(outs[0].shape):
         outs[0][i], outs[1][i] = threefry(low, *(x[i] for x in arrays))
     return list(outs)
 
@@ -71,9 +79,9 @@ def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[V
 
 def unwrapped(low: Lowering, keys: ThreadArray) -> np.ndarray:
     """Keys as pairs of 32-bit numbers."""
-    b, x = low.b, low.scalars(keys)
+    b, x = low.b, low.to_scalars(keys)
     out = np.empty((*x.shape, 2), object)
-    for i in every_index(x.shape):
+    for i in indices_of(x.shape):
         out[(*i, 0)] = b.cast(x[i], U32)
         out[(*i, 1)] = b.cast(b.op("shr", KEY, x[i], KEY.type(32)), U32)
     return out
@@ -81,9 +89,9 @@ def unwrapped(low: Lowering, keys: ThreadArray) -> np.ndarray:
 
 def wrapped(low: Lowering, data: ThreadArray) -> np.ndarray:
     """Pairs of numbers as keys."""
-    b, x = low.b, low.scalars(data)
+    b, x = low.b, low.to_scalars(data)
     out = np.empty(x.shape[:-1], object)
-    for i in every_index(out.shape):
+    for i in indices_of(out.shape):
         high = b.op("shl", KEY, b.cast(x[(*i, 1)], KEY), KEY.type(32))
         out[i] = b.op("or", KEY, b.cast(x[(*i, 0)], KEY), high)
     return out
@@ -137,7 +145,7 @@ def _fold_in(low: Lowering, eqn: Equation, ins: list) -> list:
     key, message = (v.aval for v in eqn.invars)
     shape = eqn.outvars[0].aval.shape
     keys = np.broadcast_to(unwrapped(low, ins[0]), (*shape, 2))
-    args = [keys, np.broadcast_to(low.scalars(ins[1]), shape)]
+    args = [keys, np.broadcast_to(low.to_scalars(ins[1]), shape)]
     (out,) = _each(low, _impl(key.dtype).fold_in, shape, args, [U32, message.dtype])
     return [wrapped(low, out)]
 

@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from rbjax.compiler.ir.values import BOOL, Value
+from rbjax.compiler.ir.statements import BOOL, Value
 from rbjax.compiler.lower.arrays import (
     SHARED_ABOVE,
     ThreadArray,
     View,
-    each,
-    every_index,
-    filled,
-    get,
-    in_memory,
-    put,
+    for_each_index,
+    full_of,
+    indices_of,
+    load_entry,
+    store_entry,
+    to_memory,
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE, source
 from rbjax.compiler.lower.linear import summed
-from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
 
 def reduced(
@@ -35,15 +35,15 @@ def reduced(
     kept = [k for k in range(x.ndim) if k not in axes]
     shape = tuple(x.shape[k] for k in kept)
     count = int(np.prod([x.shape[k] for k in axes], dtype=int))
-    if low.b.teamed and count and not isinstance(x, np.ndarray):
+    if low.b.in_team and count and not isinstance(x, np.ndarray):
         delayed = _delayed(low, x, kept, list(axes), dtype, f)
         if delayed is not None:
             return delayed
     if x.size > LOOP_ABOVE and count:
-        return _looped(low, in_memory(low.b, x, dtype), kept, list(axes), dtype, f)
-    entries = low.scalars(x).transpose(*kept, *axes).reshape(*shape, count)
+        return _looped(low, to_memory(low.b, x, dtype), kept, list(axes), dtype, f)
+    entries = low.to_scalars(x).transpose(*kept, *axes).reshape(*shape, count)
     out = np.empty(shape, object)
-    for i in every_index(shape):
+    for i in indices_of(shape):
         out[i] = functools.reduce(f, entries[i])
     return out
 
@@ -63,7 +63,7 @@ def _delayed(
         rest = [k for k in axes if k != longest]
         rows = _delayed(low, x, [longest], rest, dtype, f)
         assert rows is not None
-        kept, axes, s = [], [0], source(low.b, in_memory(low.b, rows, dtype), rows.shape)
+        kept, axes, s = [], [0], source(low.b, to_memory(low.b, rows, dtype), rows.shape)
     shape, count = tuple(s.shape[k] for k in kept), tuple(s.shape[k] for k in axes)
 
     def entry(*i: Value) -> Value:
@@ -82,14 +82,14 @@ def _reduce_by_function(low: Lowering, eqn: Equation, ins: list) -> list:
     body, axes = eqn.params["jaxpr"], eqn.params["dimensions"]
     n, shape = len(ins) // 2, eqn.outvars[0].aval.shape
     kept = [k for k in range(ins[0].ndim) if k not in axes]
-    rows = [low.scalars(x).transpose(*kept, *axes).reshape(*shape, -1) for x in ins[:n]]
+    rows = [low.to_scalars(x).transpose(*kept, *axes).reshape(*shape, -1) for x in ins[:n]]
     outs = [np.empty(shape, object) for _ in range(n)]
-    for i in every_index(shape):
+    for i in indices_of(shape):
         totals = list(ins[n:])
         for k in range(rows[0].shape[-1]):
-            totals = low.closed(body, [*totals, *(filled((), row[(*i, k)]) for row in rows)])
+            totals = low.closed(body, [*totals, *(full_of((), row[(*i, k)]) for row in rows)])
         for out, total in zip(outs, totals, strict=True):
-            out[i] = low.scalar(total)
+            out[i] = low.to_scalar(total)
     return list(outs)
 
 
@@ -101,18 +101,18 @@ def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: DTypeLike, f:
 
     def one(*i: Value) -> None:
         zero = np.int32(0)
-        first = get(b, x, (*i, *(zero for _ in rest)))
+        first = load_entry(b, x, (*i, *(zero for _ in rest)))
         total, started = b.declare(dtype, first), b.declare(BOOL, np.bool_(False))
 
         def more(*k: Value) -> None:
-            value = get(b, x, (*i, *k))
+            value = load_entry(b, x, (*i, *k))
             b.assign(total, b.select(started, f(total, value), value))
             b.assign(started, np.bool_(True))
 
-        each(b, rest, more)
-        put(b, out, i, total)
+        for_each_index(b, rest, more)
+        store_entry(b, out, i, total)
 
-    each(b, shape, one)
+    for_each_index(b, shape, one)
     return out
 
 
@@ -148,7 +148,7 @@ def _reduce(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 rule(*REDUCTIONS)(_reduce)
-takes_delayed(*REDUCTIONS)
+accepts_delayed(*REDUCTIONS)
 
 
 @rule("argmax", "argmin")
@@ -164,22 +164,22 @@ def _arg(low: Lowering, eqn: Equation, ins: list) -> list:
         return out
 
     if ins[0].size > LOOP_ABOVE:
-        view = in_memory(b, ins[0], eqn.invars[0].aval.dtype)
+        view = to_memory(b, ins[0], eqn.invars[0].aval.dtype)
 
         def one(x: View, out: View, *i: Value) -> None:
-            best = b.declare(x.dtype, get(b, x, (*i, np.int32(0))))
+            best = b.declare(x.dtype, load_entry(b, x, (*i, np.int32(0))))
             at = b.declare(dtype, dtype.type(0))
             with b.loop(x.shape[-1]) as k:
-                value = get(b, x, (*i, k))
+                value = load_entry(b, x, (*i, k))
                 with b.when(wins(value, best)):
                     b.assign(best, value)
                     b.assign(at, b.cast(k, dtype))
-            put(b, out, i, at)
+            store_entry(b, out, i, at)
 
         return [_along(low, view, axis, dtype, one)]
-    x = np.moveaxis(low.scalars(ins[0]), axis, -1)
+    x = np.moveaxis(low.to_scalars(ins[0]), axis, -1)
     out = np.empty(x.shape[:-1], object)
-    for i in every_index(out.shape):
+    for i in indices_of(out.shape):
         best, at = x[i][0], dtype.type(0)
         for k, value in enumerate(x[i][1:], 1):
             won = wins(value, best)
@@ -195,12 +195,12 @@ def _cumulative(low: Lowering, eqn: Equation, ins: list) -> list:
     name, axis = CUMULATIVE[eqn.primitive.name], eqn.params["axis"]
     dtype = dtype_of(eqn.outvars[0].aval)
     if ins[0].size > LOOP_ABOVE:
-        return [_cumulative_looped(low, in_memory(low.b, ins[0], dtype), eqn, name)]
-    x = np.moveaxis(low.scalars(ins[0]), axis, 0)
+        return [_cumulative_looped(low, to_memory(low.b, ins[0], dtype), eqn, name)]
+    x = np.moveaxis(low.to_scalars(ins[0]), axis, 0)
     x = x[::-1] if eqn.params["reverse"] else x
     out = x.copy()
     for k in range(1, len(x)):
-        for i in every_index(x.shape[1:]):
+        for i in indices_of(x.shape[1:]):
             out[(k, *i)] = low.b.op(name, dtype, out[(k - 1, *i)], x[(k, *i)])
     out = out[::-1] if eqn.params["reverse"] else out
     return [np.moveaxis(out, 0, axis)]
@@ -215,14 +215,14 @@ def _cumulative_looped(low: Lowering, x: View, eqn: Equation, name: str) -> View
 
     def one(*i: Value) -> None:
         first = (*i, np.int32(n - 1 if reverse else 0))
-        total = b.declare(x.dtype, get(b, source, first))
-        put(b, to, first, total)
+        total = b.declare(x.dtype, load_entry(b, source, first))
+        store_entry(b, to, first, total)
         with b.loop(n - 1, reverse=reverse) as k:
             here = (*i, k if reverse else b.op("index_add", k.dtype, k, np.int32(1)))
-            b.assign(total, b.op(name, x.dtype, total, get(b, source, here)))
-            put(b, to, here, total)
+            b.assign(total, b.op(name, x.dtype, total, load_entry(b, source, here)))
+            store_entry(b, to, here, total)
 
-    each(b, source.shape[:-1], one)
+    for_each_index(b, source.shape[:-1], one)
     return out
 
 
@@ -232,7 +232,7 @@ def _along(low: Lowering, x: View, axis: int, dtype: DTypeLike, f: Callable) -> 
     moved = x.transposed([*rest, axis])
     shape = moved.shape[:-1]
     out = View.of(low.b.local(dtype, int(np.prod(shape, dtype=int))), shape)
-    each(low.b, shape, lambda *i: f(moved, out, *i))
+    for_each_index(low.b, shape, lambda *i: f(moved, out, *i))
     return out
 
 

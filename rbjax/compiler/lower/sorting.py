@@ -8,9 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.statements import Block, While
-from rbjax.compiler.ir.values import BOOL, I32, Value
-from rbjax.compiler.lower.arrays import View, each, every_index, get, owned_copy, put
+from rbjax.compiler.ir.statements import BOOL, I32, Block, Value, While
+from rbjax.compiler.lower.arrays import (
+    View,
+    copy_to_memory,
+    for_each_index,
+    indices_of,
+    load_entry,
+    store_entry,
+)
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE, entrywise
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
@@ -42,8 +48,8 @@ def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[np
     if xs[0].shape[axis] > REGISTERS or xs[0].size > LOOP_ABOVE:
         return _sort_in_memory(low, xs, dtypes, axis, keys)
     b = low.b
-    outs = [np.moveaxis(low.scalars(x), axis, -1).copy() for x in xs]
-    for i in every_index(outs[0].shape[:-1]):
+    outs = [np.moveaxis(low.to_scalars(x), axis, -1).copy() for x in xs]
+    for i in indices_of(outs[0].shape[:-1]):
         rows = [out[i] for out in outs]
         for k in range(1, len(rows[0])):
             for j in reversed(range(k)):
@@ -59,7 +65,7 @@ def _sort_in_memory(
 ) -> list[np.ndarray | View]:
     """Insertion sort: each entry moves down until the one before it comes no later."""
     b = low.b
-    outs = [owned_copy(b, x, dtype) for x, dtype in zip(xs, dtypes, strict=True)]
+    outs = [copy_to_memory(b, x, dtype) for x, dtype in zip(xs, dtypes, strict=True)]
     shape = outs[0].shape
     rest = [k for k in range(len(shape)) if k != axis]
 
@@ -71,25 +77,25 @@ def _sort_in_memory(
             return full
 
         with b.loop(shape[axis] - 1) as turn:
-            held = [get(b, out, at(b.op("add", I32, turn, I32.type(1)))) for out in outs]
+            held = [load_entry(b, out, at(b.op("add", I32, turn, I32.type(1)))) for out in outs]
             gap = b.declare(I32, b.op("add", I32, turn, I32.type(1)))
             goes = b.declare(BOOL, np.bool_(True))
             node = While(Block(), goes, Block())
             b.block.statements.append(node)
             with b.inside(node.body):
                 previous = b.op("sub", I32, gap, I32.type(1))
-                there = [get(b, out, at(previous)) for out in outs]
+                there = [load_entry(b, out, at(previous)) for out in outs]
                 later = before(b, held[:keys], there[:keys])
                 for out, mine, other in zip(outs, held, there, strict=True):
-                    put(b, out, at(gap), b.select(later, other, mine))
+                    store_entry(b, out, at(gap), b.select(later, other, mine))
                 b.assign(goes, later)
                 with b.when(b.op("and", BOOL, later, b.op("eq", BOOL, previous, I32.type(0)))):
                     for out, mine in zip(outs, held, strict=True):
-                        put(b, out, at(previous), mine)
+                        store_entry(b, out, at(previous), mine)
                     b.assign(goes, np.bool_(False))
                 b.assign(gap, previous)
 
-    each(b, [shape[k] for k in rest], one)
+    for_each_index(b, [shape[k] for k in rest], one)
     return [View(o.array, o.base, o.offset, o.strides, o.shape) for o in outs]
 
 
@@ -106,9 +112,7 @@ def _top_k(low: Lowering, eqn: Equation, ins: list) -> list:
     _, values, index = sort(low, [rank, x, row], [key, kind, places], axis, 1)
     best = [slice(0, n, 1) for n in x.shape]
     best[axis] = slice(0, eqn.params["k"], 1)
-    return [
-        y.sliced(best) if isinstance(y, View) else y[tuple(best)] for y in (values, index)
-    ]
+    return [y.sliced(best) if isinstance(y, View) else y[tuple(best)] for y in (values, index)]
 
 
 @rule("eq_to", "le_to", "lt_to")

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.statements import Unsupported
 from rbjax.compiler.lower.factorise import UNROLL_UP_TO, mapped, qr
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 

@@ -10,18 +10,18 @@ from rbjax.compiler.lower.arrays import (
     FEW,
     ThreadArray,
     View,
-    filled,
-    owned_copy,
-    stored,
-    tidy,
+    copy_to_memory,
+    fold_if_constant,
+    full_of,
+    materialize_in_memory,
     transposed,
-    write,
+    write_to,
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
-from rbjax.compiler.lower.lowering import Equation, Lowering, rule, takes_delayed, writer
+from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, placing_rule, rule
 
-takes_delayed(
+accepts_delayed(
     "fusion_barrier", "copy", "copy_p", "stop_gradient", "name", "batch_first", "batch_last",
     "slice", "squeeze", "reshape", "expand_dims", "transpose", "rev", "broadcast_in_dim",
     "concatenate", "stack", "split", "unstack",
@@ -67,10 +67,10 @@ def reshaped(low: Lowering, x: ThreadArray, shape: tuple[int, ...]) -> ThreadArr
         delayed = x.reshaped(shape)
         if delayed is not None:
             return delayed
-        x = stored(low.b, x)
+        x = materialize_in_memory(low.b, x)
     if isinstance(x, View):
         out = x.reshaped(shape)
-        return View.of(owned_copy(low.b, x, x.dtype).array, shape) if out is None else out
+        return View.of(copy_to_memory(low.b, x, x.dtype).array, shape) if out is None else out
     return x.reshape(shape)
 
 
@@ -99,22 +99,22 @@ def _broadcast(low: Lowering, eqn: Equation, ins: list) -> list:
     return [np.broadcast_to(x.reshape(wide), shape)]
 
 
-@writer("concatenate")
+@placing_rule("concatenate")
 def _concatenate(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     out, axis, place = eqn.outvars[0].aval, eqn.params["dimension"], places[0]
-    whole = _pieces_of_one(ins, axis) if low.b.teamed else None
+    whole = _pieces_of_one(ins, axis) if low.b.in_team else None
     if place is None and whole is not None:
         return [whole]
-    if place is None and out.size > (FEW if low.b.teamed else LOOP_ABOVE):
+    if place is None and out.size > (FEW if low.b.in_team else LOOP_ABOVE):
         place = View.of(low.b.local(out.dtype, out.size), out.shape)
     if place is None:
-        return [tidy(np.concatenate([low.scalars(x) for x in ins], axis), out.dtype)]
+        return [fold_if_constant(np.concatenate([low.to_scalars(x) for x in ins], axis), out.dtype)]
     start = 0
-    with low.b.parts():
+    with low.b.disjoint_writes():
         for x in ins:
             box = [slice(0, n, 1) for n in place.shape]
             box[axis] = slice(start, start + x.shape[axis], 1)
-            write(low.b, place.sliced(box), x)
+            write_to(low.b, place.sliced(box), x)
             start += x.shape[axis]
     return [place]
 
@@ -137,23 +137,27 @@ def _pieces_of_one(xs: list, axis: int) -> View | None:
 
 @rule("tile")
 def _tile(low: Lowering, eqn: Equation, ins: list) -> list:
-    return [np.tile(low.scalars(ins[0]), eqn.params["reps"])]
+    return [np.tile(low.to_scalars(ins[0]), eqn.params["reps"])]
 
 
-@writer("stack")
+@placing_rule("stack")
 def _stack(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     axis, place = eqn.params.get("axis", eqn.params.get("dimension", 0)), places[0]
     out = eqn.outvars[0].aval
-    if place is None and low.b.teamed and out.size > FEW:
+    if place is None and low.b.in_team and out.size > FEW:
         whole = _rows_of_one(ins, axis)
         if whole is not None:
             return [whole]
         place = View.of(low.b.local(out.dtype, out.size), out.shape)
     if place is None:
-        return [tidy(np.stack([low.scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype)]
-    with low.b.parts():
+        return [
+            fold_if_constant(
+                np.stack([low.to_scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype
+            )
+        ]
+    with low.b.disjoint_writes():
         for k, x in enumerate(ins):
-            write(low.b, place.at(low.b, axis, np.int32(k)), x)
+            write_to(low.b, place.at(low.b, axis, np.int32(k)), x)
     return [place]
 
 
@@ -201,18 +205,18 @@ def _split(
 
 @rule("pad")
 def _pad(low: Lowering, eqn: Equation, ins: list) -> list:
-    x, fill = low.scalars(ins[0]), low.scalar(ins[1])
+    x, fill = low.to_scalars(ins[0]), low.to_scalar(ins[1])
     config = eqn.params["padding_config"]
     # put gaps between entries, then pad the sides; a negative side is cut
     spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
-    wide = filled(spread, fill)
+    wide = full_of(spread, fill)
     wide[tuple(slice(None, None, gap + 1) for _, _, gap in config)] = x
     for axis, (before, after, _) in enumerate(config):
         for side, amount in ((0, before), (1, after)):
             if amount > 0:
                 shape = list(wide.shape)
                 shape[axis] = amount
-                more = filled(shape, fill)
+                more = full_of(shape, fill)
                 wide = np.concatenate([wide, more] if side else [more, wide], axis)
             elif amount < 0:
                 cut = slice(None, amount) if side else slice(-amount, None)

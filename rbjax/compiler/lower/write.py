@@ -11,8 +11,7 @@ from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.program import Layout, Written
-from rbjax.compiler.ir.statements import Array
-from rbjax.compiler.ir.values import I32, I64, Unsupported
+from rbjax.compiler.ir.statements import I32, I64, Array, Unsupported
 from rbjax.compiler.lower import (  # noqa: F401 (rules)
     control,
     effects,
@@ -57,10 +56,8 @@ def write_program(
     places = [
         View(a, None, 0, lay.strides, lay.sample) for a, lay in zip(outs, results, strict=True)
     ]
-    args = [
-        View(a, None, 0, lay.strides, lay.sample) for a, lay in zip(ins, operands, strict=True)
-    ]
-    with Lowering(b).held(args):
+    args = [View(a, None, 0, lay.strides, lay.sample) for a, lay in zip(ins, operands, strict=True)]
+    with Lowering(b).pinned(args):
         Lowering(b).closed(closed, args, places)
     prune(b.block)
     if team:
@@ -75,4 +72,4 @@ def _array(b: Builder, dtype: DTypeLike, layout: Layout, space: str) -> Array:
         raise Unsupported(f"{space} of type {dtype}")
     reach = sum((n - 1) * s for n, s in zip(layout.sample, layout.strides, strict=True)) + 1
     index = I64 if reach > np.iinfo(np.int32).max else I32
-    return b.outside(dtype, math.prod(layout.sample), space, index)
+    return b.external_array(dtype, math.prod(layout.sample), space, index)

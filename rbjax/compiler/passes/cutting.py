@@ -22,9 +22,9 @@ from rbjax.compiler.ir.statements import (
     Name,
     Reserve,
     Statement,
+    Var,
     walk,
 )
-from rbjax.compiler.ir.values import Var
 
 #: statements of a block from which on it is cut, and of a function
 CUT_ABOVE, EACH = 12_000, 1_500

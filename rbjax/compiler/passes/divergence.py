@@ -20,9 +20,10 @@ from rbjax.compiler.ir.statements import (
     Op,
     Reserve,
     Store,
+    Value,
+    Var,
     While,
 )
-from rbjax.compiler.ir.values import Value, Var
 
 
 @dataclass

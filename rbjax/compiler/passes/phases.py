@@ -65,16 +65,16 @@ class Pending:
                 here = self.alike.get(array, ())
                 apart = all(b is base and at != offset for b, at in here)
                 free = array not in self.read and array not in self.spread
-                return array.pieces or (apart and free)
-            case Loop(team=True, body=body, part=part):
+                return array.write_once or (apart and free)
+            case Loop(team=True, body=body, group=group):
                 loads, stores = _touched(body)
                 return all(x not in self.spread for x in loads) and all(
-                    x.pieces or self._may_spread(x, part) for x in stores
+                    x.write_once or self._may_spread(x, group) for x in stores
                 )
         return True
 
-    def _may_spread(self, array: Array, part: int) -> bool:
-        others = self.spread.get(array, set()) - ({part} if part else set())
+    def _may_spread(self, array: Array, group: int) -> bool:
+        others = self.spread.get(array, set()) - ({group} if group else set())
         return array not in self.read and array not in self.alike and not others
 
     def note(self, s: Statement) -> None:
@@ -84,11 +84,11 @@ class Pending:
                 self.read.add(array)
             case Store(array=array, base=base, offset=offset) if _is_seen(array):
                 self.alike.setdefault(array, set()).add((base, offset))
-            case Loop(team=True, body=body, part=part, early=early):
+            case Loop(team=True, body=body, group=group, prefetch=prefetch):
                 loads, stores = _touched(body)
                 self.read |= loads
-                for array in () if early else stores:
-                    self.spread.setdefault(array, set()).add(part)
+                for array in () if prefetch else stores:
+                    self.spread.setdefault(array, set()).add(group)
 
 
 def _is_seen(array: Array) -> bool:
@@ -233,7 +233,7 @@ def _dependencies(statements: list[Statement]) -> list[set[int]]:
             before.update(writers.get(x, ()))
             readers.setdefault(x, []).append(k)
         for x in writes:
-            if isinstance(x, Array) and x.pieces:  # each entry once
+            if isinstance(x, Array) and x.write_once:  # each entry once
                 writers.setdefault(x, []).append(k)
                 continue
             before.update(writers.get(x, ()), readers.get(x, ()))

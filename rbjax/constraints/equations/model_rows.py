@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.link_forces import LinkForces, added
+from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack
+from rbjax.lanes.arrays import pack
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
@@ -81,7 +81,7 @@ def add_multipliers(
 ) -> tuple[jax.Array, LinkForces]:
     """Add G^T l: to generalized forces (nv,) and to forces on links."""
     total = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
-    return tau + d.pack(d.scattered(total.tau, 0.0), tau), added(f_ext, total.wrenches)
+    return tau + d.pack(d.scattered(total.tau, 0.0), tau), add_forces(f_ext, total.wrenches)
 
 
 class Residual(NamedTuple):

@@ -45,10 +45,10 @@ from rbjax.dynamics.algorithms.aba import solve as solve_mass
 from rbjax.dynamics.algorithms.manifold import difference_lanes, retract, velocity_lanes
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.drivers.packing import pack
-from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
+from rbjax.lanes.arrays import pack
+from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
-from rbjax.lanes import Vec3
+from rbjax.lanes import Vec3, batch_first
 from rbjax.lanes.arrays import matmat, matvec
 from rbjax.lanes.factorization import diagonal_floor
 from rbjax.model import Model, State
@@ -92,8 +92,8 @@ def least_change(
         x = method(driver(model, q.dtype), model, t0, t, q, u, v)
         return (_join(x.dq, x.l), _join(x.dv, x.m)), x
 
-    def plain(changed, q, u, v):
-        return changes(changed, q, u, v)[0]
+    def plain(*at):
+        return batch_first(changes(*at)[0], at)
 
     def solved(changed, q, u, v):
         values, x = changes(changed, q, u, v)
@@ -127,7 +127,8 @@ def least_change(
         _, rate = residuals_at(d, model, t, q, u + x[:nv], v + dv)
         return _join(force, -rate)
 
-    found = with_implicit_jvp(plain, solved, of_positions, of_velocities)(given, q, u, v)
+    solution = with_implicit_jvp(plain, solved, of_positions, of_velocities)
+    found = solution(*jax_arrays(given, q, u, v))
     return found[0][:nv], found[1][:nv]
 
 

@@ -37,13 +37,11 @@ from rbjax.constraints.equations.projection import eliminate
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.crba import crba
-from rbjax.dynamics.algorithms.link_forces import LinkForces
-from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane
-from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec, pack
 from rbjax.lanes.factorization import diagonal_floor
 from rbjax.rank_tolerances import rank_tolerance
 

@@ -27,13 +27,12 @@ from rbjax.constraints.equations.constrained_motion import constrained_motion, f
 from rbjax.constraints.equations.model_rows import add_multipliers, rows_of
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
-from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, Vec3
+from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
 
 #: (t, state) -> generalized forces (nv,), forces on links, x'

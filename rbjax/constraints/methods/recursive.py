@@ -45,10 +45,10 @@ from rbjax.constraints.equations.model_rows import wrenches_by_link
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
-from rbjax.dynamics.algorithms.link_forces import LinkForces
-from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces
+from rbjax.dynamics.algorithms.rnea import transmitted_forces, rnea
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack, unpack
+from rbjax.lanes.arrays import pack, unpack
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, sub
@@ -146,7 +146,7 @@ def cluster_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) 
             delassus = factor_delassus(d, factorize(d, joints), now, rows)
             force = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
             return lambda f, c: delassus.solve(force if f is None else f, c)
-        moved = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, f_ext))
+        moved = d.whole(transmitted_forces(d, joints, d.lanes(None), gravity, f_ext))
         tree = ClusterTree(d, joints, [X for X, _ in moved], rows, found, tau)
         own = {i: -f for i, (_, f) in enumerate(moved)}
         return lambda f, c: tree.solve(tau, own, c) if f is None else tree.solve(f, {}, c)

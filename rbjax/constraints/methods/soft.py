@@ -40,13 +40,12 @@ from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.dynamics.algorithms.aba import aba
 from rbjax.dynamics.algorithms.crba import mass_matrix
-from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, sub
-from rbjax.lanes.arrays import matvec
+from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model, State
 from rbjax.model.record import check_fields, floats
 

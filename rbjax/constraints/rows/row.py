@@ -17,11 +17,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, is_literal, mul, neg, sub
+from rbjax.lanes.arrays import pack
 from rbjax.model.record import Record, check_fields
 
 

@@ -2,16 +2,21 @@
 
 from rbjax.control.laws.allocation import Allocation, allocate
 from rbjax.control.laws.attraction_map import RegionMap, region_of_attraction
-from rbjax.control.laws.computed_torque_law import ComputedTorque, computed_torque
 from rbjax.control.laws.controller import Controller
-from rbjax.control.laws.gravity_compensation_law import GravityCompensation, gravity_compensation
-from rbjax.control.laws.impedance import (
+from rbjax.control.laws.frame_laws import (
     CartesianImpedance,
-    JointImpedance,
+    OperationalSpace,
     cartesian_impedance,
+    operational_space,
+)
+from rbjax.control.laws.joint_laws import (
+    ComputedTorque,
+    GravityCompensation,
+    JointImpedance,
+    computed_torque,
+    gravity_compensation,
     joint_impedance,
 )
-from rbjax.control.laws.operational_space_law import OperationalSpace, operational_space
 
 __all__ = [
     "Allocation", "CartesianImpedance", "ComputedTorque", "Controller", "GravityCompensation",

@@ -1,16 +1,19 @@
-"""A feedback controller: from time and state to the forces and controls of the actuators.
+"""Feedback controllers: from time and state to the forces and controls of the actuators.
 
-    tau_a = tau(t, x),      u = B^+ (tau_a - b)             (`actuation.py`)
-tau_a are the forces of the actuators, in addition to springs, dampers, friction, wind and all other
-forces on the model, so `rollout(model, state, law, ...)` through the actuators and
-`rollout(model, state, tau=law.tau, ...)` without them are the same motion, where no limit is met
-and every coordinate is driven.
+    tau_a = tau(t, x),      u = B^+ (tau_a - b)             (`allocation`)
+
+tau_a are the forces of the actuators, in addition to all other forces on the model. A reference is
+a constant, or a function of time, which JAX differentiates in forward mode:
+
+    configuration   v = d/ds (q(t + s) - q(t)),  a = dv/dt         (minus on the manifold)
+    frame           w = vee(R' R^T),  V = [w; p'],  A = [w'; p'']  in world axes
 """
 
 from __future__ import annotations
 
 import abc
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,12 +21,129 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control.laws.allocation import Allocation, allocate, check_driven
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.algorithms.rnea import inverse_dynamics
-from rbjax.dynamics.arguments import check_array, check_model, check_moves
+from rbjax.dynamics.arguments import (
+    check_array,
+    check_model,
+    check_moves,
+    check_quaternions,
+    check_takes,
+)
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
 from rbjax.model import Model, State
 from rbjax.model.record import Record
+
+Reference = Any  # an array, or a function of t that returns one
+
+
+class Followed(NamedTuple):
+    """A configuration q (nq,), its velocity v (nv,) and acceleration a (nv,)."""
+
+    q: jax.Array
+    v: jax.Array
+    a: jax.Array
+
+
+class Pose(NamedTuple):
+    """A frame's attitude R (3, 3) and position p (3,), its twist V (6,) and the rate A (6,) of
+    that, angular first, world axes."""
+
+    R: jax.Array
+    p: jax.Array
+    V: jax.Array
+    A: jax.Array
+
+
+def check_configurations(where: str, model: Model, reference: Any, name: str = "reference") -> Any:
+    """A reference of configurations: (nq,), a function t -> (nq,), or t -> (q, v, a)."""
+    if callable(reference):
+        check_takes(where, name, reference, "t")
+        return reference
+    q = check_array(where, name, reference, (model.nq,), fix=" or a function of t")
+    check_quaternions(where, name, model, q)
+    return q
+
+
+def configuration(model: Model, reference: Any, t: Any, dtype: Any) -> Followed:
+    """The configuration, velocity and acceleration of a reference at a time."""
+    if not callable(reference):
+        still = jnp.zeros(model.nv, dtype)
+        return Followed(reference.astype(dtype), still, still)
+    t = jnp.asarray(t, dtype)
+    found = reference(t)
+    if isinstance(found, tuple):
+        return Followed(*(jnp.asarray(x, dtype) for x in found))
+    _sized("reference(t)", found, (model.nq,))
+
+    def velocity(t: jax.Array) -> jax.Array:
+        q = reference(t).astype(dtype)
+        return _rate(lambda s: difference(model, q, reference(s).astype(dtype)), t)
+
+    v, a = jax.jvp(velocity, (t,), (jnp.ones_like(t),))
+    return Followed(jnp.asarray(found, dtype), v, a)
+
+
+def check_poses(where: str, reference: Any, rows: tuple[str, ...]) -> Any:
+    """Check a reference of a frame: an array or a function of t, with the parts in `rows`."""
+    if isinstance(reference, Callable):  # type: ignore[arg-type]
+        check_takes(where, "reference", reference, "t")
+        return reference
+    if rows == ("position",):
+        return check_array(where, "reference", reference, (3,), fix=" or a function of t")
+    if rows == ("rotation",):
+        return check_array(where, "reference", reference, (3, 3), fix=" or a function of t")
+    if not isinstance(reference, tuple) or len(reference) != 2:
+        raise InputError(
+            f"{where}: reference is {type(reference).__name__}, expected a pair (R (3, 3), p (3,)) "
+            "or a function of t that returns one"
+        )
+    R, p = reference
+    return check_array(where, "reference[0]", R, (3, 3)), check_array(
+        where, "reference[1]", p, (3,)
+    )
+
+
+def pose(reference: Any, t: Any, rows: tuple[str, ...], dtype: Any) -> Pose:
+    """The pose, twist and acceleration of a reference at a time; no rotation if it has only
+    positions."""
+    t = jnp.asarray(t, dtype)
+
+    def at(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        found = reference(t) if callable(reference) else reference
+        if rows == ("position",):
+            R, p = jnp.eye(3, dtype=dtype), found
+        elif rows == ("rotation",):
+            R, p = found, jnp.zeros(3, dtype)
+        else:
+            R, p = found
+        R, p = jnp.asarray(R, dtype), jnp.asarray(p, dtype)
+        _sized("reference(t)", R, (3, 3))
+        _sized("reference(t)", p, (3,))
+        return R, p
+
+    R, p = at(t)
+    if not callable(reference):
+        return Pose(R, p, jnp.zeros(6, dtype), jnp.zeros(6, dtype))
+
+    def twist(t: jax.Array) -> jax.Array:
+        (R, _), (R_rate, p_rate) = jax.jvp(at, (t,), (jnp.ones_like(t),))
+        W = (R_rate[:, None, :] * R[None, :, :]).sum(-1)
+        w = jnp.stack([W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1]]) / 2
+        return jnp.concatenate([w, p_rate])
+
+    V, A = jax.jvp(twist, (t,), (jnp.ones_like(t),))
+    return Pose(R, p, V, A)
+
+
+def _rate(f: Callable, t: jax.Array) -> jax.Array:
+    return jax.jvp(f, (t,), (jnp.ones_like(t),))[1]
+
+
+def _sized(name: str, x: Any, shape: tuple[int, ...]) -> None:
+    if jnp.shape(x) != shape:
+        raise InputError(f"{name} has shape {jnp.shape(x)}, expected {shape}")
 
 
 class Controller(Record):
@@ -51,6 +171,10 @@ class Controller(Record):
     def allocated(self, t: Any, state: State) -> Allocation:
         """The controls, and the residual forces (nv,) that the actuators cannot give."""
         return allocate(self.model, state, self.tau(t, state))
+
+
+#: forces that an impedance compensates
+COMPENSATE = ("rest", "motion")
 
 
 def check_controlled_model(where: str, model: Any, undriven: str, actuated: bool = True) -> None:
@@ -83,3 +207,17 @@ def holding_forces(model: Model, state: State) -> jax.Array:
     """The actuator forces (nv,) that hold the robot at rest in this configuration."""
     still = State(state.q, jnp.zeros_like(state.v), state.x)
     return actuator_forces(model, still, still.v)
+
+
+def balancing_forces(model: Model, state: State, compensate: str) -> jax.Array:
+    """The forces h (nv,) of an impedance: at rest, or in motion."""
+    if compensate == "rest":
+        return holding_forces(model, state)
+    return actuator_forces(model, state, jnp.zeros_like(state.v))
+
+
+def check_compensate(where: str, value: Any) -> None:
+    if value not in COMPENSATE:
+        raise InputError(
+            f"{where}: compensate is {value!r}, expected one of {', '.join(COMPENSATE)}"
+        )

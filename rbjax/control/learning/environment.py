@@ -9,7 +9,9 @@ sample moves a model of its own (domain randomisation, Tobin et al. 2017).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+import itertools
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,13 +19,97 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import flag, integer
-from rbjax.dynamics.arguments import check_model, check_step, check_takes
-from rbjax.errors import InputError
+from rbjax.dynamics.arguments import check_array, check_model, check_step, check_takes
+from rbjax.errors import InputError, UnknownName
+from rbjax.kinematics.arguments import check_key, check_several
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.field import free_motion
 from rbjax.motion.integrators import integrator_of
 from rbjax.motion.rollout import rollout
+
+ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
+    "tanh": jnp.tanh,
+    "elu": jax.nn.elu,
+    "silu": jax.nn.silu,
+}
+
+
+class Network(Record):
+    """A feed-forward network (n,) -> (m,).
+
+    Fields: weights, each (out, in); biases, each (out,); activation, "tanh", "elu" or "silu".
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> import rbjax as rb
+        >>> policy = rb.control.network(jax.random.key(0), (4, 16, 1))
+        >>> policy(jnp.zeros(4)).shape
+        (1,)
+    """
+
+    weights: tuple[jax.Array, ...]
+    biases: tuple[jax.Array, ...]
+    activation: str = eqx.field(static=True)
+
+    def __call__(self, x: jax.Array) -> jax.Array:
+        f = ACTIVATIONS[self.activation]
+        last = len(self.weights) - 1
+        for k, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = jnp.matmul(W, x, precision=jax.lax.Precision.HIGHEST) + b
+            x = f(x) if k < last else x
+        return x
+
+
+def network(
+    key: jax.Array, sizes: Sequence[int], activation: str = "tanh", last: float = 0.01
+) -> Network:
+    """A `Network` with random weights.
+
+    W normal with variance 2 / in, b = 0.
+
+    Args:
+        key: of `jax.random`.
+        sizes: of the input, each hidden layer, and the output.
+        activation: "tanh", "elu" or "silu".
+        last: a factor of the last layer's weights; small, so that a policy begins near zero.
+
+    Returns:
+        `Network`.
+
+    Raises:
+        InputError: fewer than two sizes, or one below 1. UnknownName: no such activation.
+
+    Source: He, Zhang, Ren & Sun, *Delving deep into rectifiers*, 2015.
+
+    Example:
+        >>> import jax
+        >>> import rbjax as rb
+        >>> [W.shape for W in rb.control.network(jax.random.key(0), (3, 8, 2)).weights]
+        [(8, 3), (2, 8)]
+    """
+    check_key("network", key)
+    sizes = check_several("network", "sizes", sizes, "integers")
+    factor = check_array("network", "last", last, ())
+    if len(sizes) < 2 or any(not isinstance(n, int) or n < 1 for n in sizes):
+        raise InputError(f"network: sizes is {sizes}, expected two or more positive integers")
+    if activation not in ACTIVATIONS:
+        raise UnknownName("activation of network", activation, ACTIVATIONS)
+    weights, biases = _random_layers(key, sizes, factor)
+    return Network(weights, biases, activation)
+
+
+@functools.partial(jax.jit, static_argnames="sizes")
+def _random_layers(key: jax.Array, sizes: tuple[int, ...], last: jax.Array) -> tuple:
+    pairs = list(itertools.pairwise(sizes))
+    dtype = last.dtype
+    normal = jax.random.normal(key, (sum(a * b for a, b in pairs),), dtype)
+    weights, at = [], 0
+    for k, (into, out) in enumerate(pairs):
+        scale = (2 / into) ** 0.5 * (last if k == len(pairs) - 1 else 1.0)
+        weights.append(scale * normal[at : at + into * out].reshape(out, into))
+        at += into * out
+    return tuple(weights), tuple(jnp.zeros(n, dtype) for n in sizes[1:])
 
 
 class Segment(NamedTuple):
@@ -84,12 +170,12 @@ class Environment(Record):
             raise InputError("Environment: the model has no actuator, expected one or more")
         check_takes("Environment", "cost", cost, "state", "ctrl")
         check_takes("Environment", "start", start, "key")
-        if observe is not None:
-            check_takes("Environment", "observe", observe, "state")
-        if randomise is not None:
-            check_takes("Environment", "randomise", randomise, "key", "model")
-        if lost is not None:
-            check_takes("Environment", "lost", lost, "state")
+        for name, f, takes in (
+            ("observe", observe, ("state",)), ("randomise", randomise, ("key", "model")),
+            ("lost", lost, ("state",)),
+        ):  # fmt: skip
+            if f is not None:
+                check_takes("Environment", name, f, *takes)
         integer("Environment", "episode", episode, least=1)
         self.model, self.cost, self.start = model, cost, start
         dtype = jnp.zeros(()).dtype
@@ -122,7 +208,7 @@ class Environment(Record):
 
     def act(self, policy: Any, state: State) -> jax.Array:
         """The controls (nu,) of a policy at a state."""
-        return squashed(self, policy(self.observe(state)))
+        return squash_controls(self, policy(self.observe(state)))
 
     def controller(self, policy: Any) -> Callable[[Any, State], jax.Array]:
         """The policy as (t, state) -> ctrl, for `rb.rollout`."""
@@ -149,7 +235,7 @@ class Environment(Record):
                 f"{jnp.shape(found)}, expected ({self.model.nu},)"
             )
 
-    def begun(self, key: jax.Array) -> tuple[Any, State]:
+    def reset(self, key: jax.Array) -> tuple[Any, State]:
         """A model (None if it is not randomised) and a first state."""
         one, two = jax.random.split(key)
         model = None if self.randomise is None else self.randomise(one, self.model)
@@ -174,7 +260,7 @@ class Environment(Record):
         return Segment(path, ctrls, jax.vmap(jax.vmap(self.cost))(before, ctrls))
 
 
-def squashed(env: Environment, y: jax.Array) -> jax.Array:
+def squash_controls(env: Environment, y: jax.Array) -> jax.Array:
     """The controls of a policy's output."""
     if not env.squash:
         return y

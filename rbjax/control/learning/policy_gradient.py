@@ -1,17 +1,11 @@
-"""Policies trained through the dynamics: short-horizon actor-critic, or through whole episodes.
+"""Policies trained through the dynamics over a short horizon, with a value function.
 
     J(theta) = E[(1 - g) sum_{k<h} g^k c_k + g^h V(x_h)],     theta <- theta - a dJ/dtheta
-
-The derivative goes through h steps of the robot and through the value function V, which stands for
-all later costs: long enough to be nearly unbiased, short enough not to explode (Xu et al. 2022,
-*Accelerated policy learning with parallel differentiable simulation*, SHAC). V is fitted to
-
     G_k = (1 - g) c_k + g ((1 - l) V'(x_{k+1}) + l G_{k+1}),     G_h = V'(x_h)
 
-with V' a slow copy of V. Costs are in units of one step: V is about the mean of those to come. The
-policy is deterministic; random starts, and random models, explore.
-
-`through_time` takes the whole episode and no value function: for gains and short motions.
+The value function V, fitted to the targets G, stands for all costs after h steps; V' is a slow copy
+of V. Costs are in units of one step. The policy is deterministic; random starts and models explore.
+Source: Xu et al., *Accelerated policy learning with parallel differentiable simulation*, 2022.
 """
 
 from __future__ import annotations
@@ -24,31 +18,19 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from rbjax.arguments import instance, integer, real_number
-from rbjax.control.learning.environment import Environment, Segment
-from rbjax.control.learning.iterations import iterated
-from rbjax.control.learning.networks import network
+from rbjax.arguments import integer, real_number
+from rbjax.control.learning.environment import Environment, Segment, network
+from rbjax.control.learning.training import (
+    Trained,
+    apply_update,
+    check_training,
+    falling_rate,
+    run_iterations,
+)
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_key
 from rbjax.model import State
-from rbjax.model.record import Record
 
 GROUPS = 32  # of samples, whose gradients are computed side by side
-
-
-class Trained(Record):
-    """The result of a training.
-
-    policy: trained.
-    value: the value function, a `Network`; None for `through_time`.
-    costs: (iterations,), the mean cost of a step over batch and horizon.
-    skipped: (), the updates that were skipped because their gradients were not finite.
-    """
-
-    policy: Any
-    value: Any
-    costs: jax.Array
-    skipped: jax.Array
 
 
 class Samples(NamedTuple):
@@ -127,7 +109,7 @@ def actor_critic(
         >>> policy = rb.control.network(key, (2, 16, 1))
         >>> trained = rb.control.actor_critic(env, policy, key)  # doctest: +SKIP
     """
-    _check("actor_critic", env, policy, key, iterations, batch, optimiser)
+    check_training("actor_critic", env, policy, key, iterations, batch, optimiser)
     real_number("actor_critic", "rate", rate, above=0.0, traced=True)
     real_number("actor_critic", "value_rate", value_rate, above=0.0, traced=True)
     if value is not None and not callable(value):
@@ -150,9 +132,9 @@ def actor_critic(
     if optimiser is None:
         optimiser = optax.chain(
             optax.clip_by_global_norm(1.0),
-            optax.flatten(optax.adam(_falling(rate, iterations), 0.7, 0.95)),
+            optax.flatten(optax.adam(falling_rate(rate, iterations), 0.7, 0.95)),
         )
-    fitter = optax.flatten(optax.adam(_falling(value_rate, iterations * value_steps)))
+    fitter = optax.flatten(optax.adam(falling_rate(value_rate, iterations * value_steps)))
 
     def worth(values: Any, states: State) -> jax.Array:
         V = eqx.combine(values, value_rest)
@@ -191,7 +173,7 @@ def actor_critic(
 
     def turn(now: Training, _: None) -> tuple[Training, jax.Array]:
         slope, segment = jax.grad(loss, has_aux=True)(now.policy, now.slow, now.samples)
-        policy, memory, fine = updated(optimiser, slope, now.memory, now.policy)
+        policy, memory, fine = apply_update(optimiser, slope, now.memory, now.policy)
         flat = jax.tree.map(lambda x: x[:, 1:].reshape(-1, *x.shape[2:]), segment.states)
         later = worth(now.slow, flat).reshape(segment.costs.shape)
         targets = returns(segment.costs, later, discount, trace)
@@ -199,7 +181,7 @@ def actor_critic(
         values, value_memory = fit(now.value, now.value_memory, before, targets.reshape(-1))
         behind = jax.tree.map(lambda s, v: s + slow * (v - s), now.slow, values)
         key, other = jax.random.split(now.key)
-        samples = renewed(env, other, now.samples, segment, horizon)
+        samples = renew_batch(env, other, now.samples, segment, horizon)
         skipped = now.skipped + (1 - fine.astype(int))
         after = Training(policy, values, behind, memory, value_memory, samples, key, skipped)
         return after, jnp.nanmean(segment.costs)
@@ -210,87 +192,13 @@ def actor_critic(
             values = eqx.filter(fresh(one), eqx.is_inexact_array)
         return Training(
             numbers, values, values, optimiser.init(numbers), fitter.init(values),
-            drawn(env, two, batch), three, jnp.asarray(0),
+            draw_batch(env, two, batch), three, jnp.asarray(0),
         )  # fmt: skip
 
     given = (numbers, None if value is None else values, key)
-    last, costs = iterated("actor_critic", turn, begin, given, iterations, progress)
+    last, costs = run_iterations("actor_critic", turn, begin, given, iterations, progress)
     trained = eqx.combine(last.policy, rest)
     return Trained(trained, eqx.combine(last.value, value_rest), costs, last.skipped)
-
-
-def through_time(
-    env: Environment,
-    policy: Any,
-    key: jax.Array,
-    *,
-    iterations: int = 200,
-    batch: int = 64,
-    rate: float = 1e-2,
-    optimiser: Any = None,
-    progress: bool = False,
-) -> Trained:
-    """A policy trained by back-propagation through whole episodes: for gains and short motions.
-
-    min over theta of the mean of c(x_k, pi(o(x_k))) over env.episode steps and a batch of starts,
-    drawn again in each iteration.
-
-    Args:
-        env: `Environment`; `episode` is the number of steps.
-        policy: a callable pytree (o,) -> (nu,); its floating arrays are trained.
-        key: of `jax.random`.
-        iterations, batch: updates, and samples in each.
-        rate: the first rate of Adam, which falls to a tenth along a cosine.
-        optimiser: an optax transformation; Adam with gradients clipped to norm 1 if None.
-        progress: a line on the terminal.
-
-    Returns:
-        `Trained`; its value is None.
-
-    Raises:
-        InputError: a policy of other sizes, a policy without numbers, numbers out of range.
-
-    Source: Werbos, *Backpropagation through time: what it does and how to do it*, 1990.
-
-    Example:
-        >>> import jax, jax.numpy as jnp
-        >>> import rbjax as rb
-        >>> model = rb.load("cart_pole")
-        >>> env = rb.control.Environment(
-        ...     model, lambda state, ctrl: (state.q**2).sum() + 0.1 * (state.v**2).sum(),
-        ...     lambda key: rb.State(0.1 * jax.random.normal(key, (2,)), jnp.zeros(2)),
-        ...     dt=0.02, episode=20)
-        >>> gains = jax.tree_util.Partial(jnp.matmul, jnp.array([[0.1, 2.0, 0.2, 0.5]]))
-        >>> found = rb.control.through_time(env, gains, jax.random.key(0), iterations=2, batch=4)
-        >>> found.costs.shape
-        (2,)
-    """
-    _check("through_time", env, policy, key, iterations, batch, optimiser)
-    real_number("through_time", "rate", rate, above=0.0, traced=True)
-    numbers, rest = eqx.partition(policy, eqx.is_inexact_array)
-    if optimiser is None:
-        optimiser = optax.chain(
-            optax.clip_by_global_norm(1.0), optax.adam(_falling(rate, iterations))
-        )
-
-    def turn(now: tuple, _: None) -> tuple[tuple, jax.Array]:
-        numbers, memory, key, skipped = now
-        key, other = jax.random.split(key)
-        models, states = jax.vmap(env.begun)(jax.random.split(other, batch))
-
-        def loss(numbers: Any) -> jax.Array:
-            policy = eqx.combine(numbers, rest)
-            return env.unroll(policy, models, states, env.episode).costs.mean()
-
-        cost, slope = jax.value_and_grad(loss)(numbers)
-        numbers, memory, fine = updated(optimiser, slope, memory, numbers)
-        return (numbers, memory, key, skipped + (1 - fine.astype(int))), cost
-
-    def begin(numbers: Any, key: jax.Array) -> tuple:
-        return numbers, optimiser.init(numbers), key, jnp.asarray(0)
-
-    last, costs = iterated("through_time", turn, begin, (numbers, key), iterations, progress)
-    return Trained(eqx.combine(last[0], rest), None, costs, last[3])
 
 
 def policy_loss(costs: jax.Array, last: jax.Array, discount: float) -> jax.Array:
@@ -312,28 +220,14 @@ def returns(costs: jax.Array, later: jax.Array, discount: float, trace: float) -
     return found.T
 
 
-def updated(optimiser: Any, slope: Any, memory: Any, numbers: Any) -> tuple[Any, Any, jax.Array]:
-    """Numbers and memory after an update, or as they were where the gradient is not finite; and
-    whether it was."""
-    leaves = [jnp.isfinite(x).all() for x in jax.tree.leaves(slope)]
-    fine = jnp.stack(leaves).all()
-    slope = jax.tree.map(lambda x: jnp.where(fine, x, 0.0), slope)
-    update, after = optimiser.update(slope, memory, numbers)
-    moved = optax.apply_updates(numbers, update)
-    numbers, memory = jax.tree.map(
-        lambda new, old: jnp.where(fine, new, old), (moved, after), (numbers, memory)
-    )
-    return numbers, memory, fine
-
-
-def drawn(env: Environment, key: jax.Array, batch: int) -> Samples:
+def draw_batch(env: Environment, key: jax.Array, batch: int) -> Samples:
     """A batch to begin with, of all ages."""
     one, two = jax.random.split(key)
-    models, states = jax.vmap(env.begun)(jax.random.split(one, batch))
+    models, states = jax.vmap(env.reset)(jax.random.split(one, batch))
     return Samples(models, states, jax.random.randint(two, (batch,), 0, env.episode))
 
 
-def renewed(
+def renew_batch(
     env: Environment, key: jax.Array, samples: Samples, segment: Segment, steps: int
 ) -> Samples:
     """The batch after a segment: samples that are old, lost or not finite begin again."""
@@ -344,7 +238,7 @@ def renewed(
     over = over | ~jnp.stack([jnp.isfinite(x).all(-1) for x in jax.tree.leaves(last)]).all(0)
     if env.lost is not None:
         over = over | jax.vmap(env.lost)(last)
-    models, states = jax.vmap(env.begun)(jax.random.split(key, batch))
+    models, states = jax.vmap(env.reset)(jax.random.split(key, batch))
 
     def pick(new: jax.Array, old: jax.Array) -> jax.Array:
         return jnp.where(over.reshape(-1, *[1] * (new.ndim - 1)), new, old)
@@ -354,29 +248,5 @@ def renewed(
 
 
 def _is_number(x: Any) -> bool:
-    """Whether a leaf, or what stands for one, is an array of floating numbers."""
+    """Whether a leaf, or its shape, is of floating-point numbers."""
     return hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)
-
-
-def _falling(rate: float, steps: int) -> Any:
-    return optax.cosine_decay_schedule(rate, steps, 0.1)
-
-
-def _check(
-    where: str, env: Any, policy: Any, key: Any, iterations: int, batch: int, optimiser: Any
-) -> None:
-    instance(where, "env", env, Environment, "an rb.control.Environment")
-    env.check_policy(where, policy)
-    check_key(where, key)
-    if optimiser is not None and not (hasattr(optimiser, "init") and hasattr(optimiser, "update")):
-        raise InputError(
-            f"{where}: optimiser is {optimiser!r}, expected a transformation of optax, such as "
-            "optax.adam(1e-3)"
-        )
-    if not jax.tree.leaves(eqx.filter(policy, eqx.is_inexact_array)):
-        raise InputError(
-            f"{where}: the policy has no floating arrays to train; give one that is a pytree of "
-            "them, such as rb.control.network(...) or jax.tree_util.Partial(function, gains)"
-        )
-    integer(where, "iterations", iterations, least=1)
-    integer(where, "batch", batch, least=1)

@@ -1,9 +1,16 @@
 """Linear systems: regulators, Riccati and Lyapunov equations, controllability, margins, filters."""
 
 from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
-from rbjax.control.linear.observer import SteadyFilter, kalman_gain
 from rbjax.control.linear.parallel_riccati import parallel_backward, parallel_roll
-from rbjax.control.linear.regulators import Regulator, feedback, lqr, lqr_at, lqr_finite
+from rbjax.control.linear.regulators import (
+    Regulator,
+    SteadyFilter,
+    feedback,
+    kalman_gain,
+    lqr,
+    lqr_at,
+    lqr_finite,
+)
 from rbjax.control.linear.riccati import (
     Gains,
     LinearQuadratic,

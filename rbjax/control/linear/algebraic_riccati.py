@@ -3,24 +3,19 @@
     continuous  A'P + PA + Q - (PB + S) R^-1 (PB + S)' = 0,              K = R^-1 (PB + S)'
     discrete    A'PA - P + Q - (A'PB + S) (R + B'PB)^-1 (A'PB + S)' = 0, K = (R + B'PB)^-1 (..)'
 
-1. Doubling. With S taken into A and Q, and G = B R^-1 B', a turn
+1. Doubling. With S taken into A and Q, and G = B R^-1 B', k steps from F = A, P = Q give the cost
+   to go of 2^k steps of time. Cayley's transform makes a continuous equation discrete.
 
         F <- F (1 + G P)^-1 F,  G <- G + F (1 + G P)^-1 G F',  P <- P + F'P (1 + G P)^-1 F
 
-   from F = A, P = Q joins a horizon with itself (`parallel_riccati.joined`): after k turns P is the
-   cost to go of 2^k steps. A continuous equation becomes a discrete one by Cayley's map.
-2. If its gain is not stabilising (a mode that grows and costs nothing), the gain of the problem
-   with costs Q = q 1, R = r 1 is. There is none only where (A, B) cannot be stabilised.
-3. Newton's method (Kleinman, Hewer) from that gain: P of a closed loop by a Lyapunov equation, the
-   gain of that P. It converges quadratically, to rounding, and stays stabilising.
-4. Two turns of refinement: the remainder for that gain with 1.5 times the digits (`double_words`),
-   and the correction of P by a Lyapunov equation. P is accurate to rounding.
+2. If its gain is not stabilising, the gain for costs Q = q 1, R = r 1 is, if (A, B) can be.
+3. Newton's method from that gain: P of a closed loop by a Lyapunov equation, and the gain of P.
+4. Two steps of refinement by the remainder with 1.5 times the digits (`Double`).
 
 The derivative solves one Lyapunov equation of the closed loop, by the implicit function theorem.
-Source: Chu, Fan, Lin & Wang, *Structure-preserving algorithms for periodic discrete-time algebraic
-Riccati equations*, Int. J. Control 77, 2004; Chu, Fan & Lin, Linear Algebra Appl. 396, 2005
-(Cayley); Kleinman, IEEE TAC 13, 1968; Hewer, IEEE TAC 16, 1971; Lancaster & Rodman, *Algebraic
-Riccati Equations*.
+Source: Chu, Fan, Lin & Wang, Int. J. Control 77, 2004; Chu, Fan & Lin, Linear Algebra Appl. 396,
+2005 (Cayley); Kleinman, IEEE TAC 13, 1968; Hewer, IEEE TAC 16, 1971 (Newton); Ogita, Rump & Oishi,
+SIAM J. Scientific Computing 26, 2005 (digits).
 """
 
 from __future__ import annotations
@@ -30,14 +25,67 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from rbjax.compiling import compiled
-from rbjax.control.linear.double_words import Double
-from rbjax.control.linear.lyapunov_equation import cayley, continuous, is_stable, pace, stein
+from rbjax.control.linear.lyapunov_equation import is_stable, solve_stable
 from rbjax.control.linear.riccati import definite_factor
 from rbjax.control.products import product
 from rbjax.control.status import LinearStatus, first_of
+
+
+class Double(NamedTuple):
+    """hi + lo, of which hi is the rounded sum."""
+
+    hi: jax.Array
+    lo: jax.Array
+
+    @classmethod
+    def of(cls, x: jax.Array) -> Double:
+        return cls(x, jnp.zeros_like(x))
+
+    @property
+    def T(self) -> Double:
+        return Double(self.hi.T, self.lo.T)
+
+    def __neg__(self) -> Double:
+        return Double(-self.hi, -self.lo)
+
+    def __add__(self, other: Double) -> Double:  # type: ignore[override]
+        s, rest = _sum(self.hi, other.hi)
+        return Double(*_sum(s, rest + (self.lo + other.lo)))
+
+    def __sub__(self, other: Double) -> Double:
+        return self + -other
+
+    def __matmul__(self, other: Double) -> Double:
+        upper, lower = _halves(self.hi), _halves(other.hi)
+
+        def add(k: jax.Array, found: Double) -> Double:
+            ah, al, a, a_lo = (x[:, k, None] for x in (*upper, *self))
+            bh, bl, b, b_lo = (x[k, None] for x in (*lower, *other))
+            rest = (ah * bl + al * bh) + (al * bl + (a * b_lo + a_lo * b))
+            return found + Double(ah * bh, rest)
+
+        zero = jnp.zeros((self.hi.shape[0], other.hi.shape[1]), self.hi.dtype)
+        return jax.lax.fori_loop(0, self.hi.shape[1], add, Double.of(zero))
+
+
+def _sum(a: jax.Array, b: jax.Array) -> tuple[jax.Array, jax.Array]:
+    s = a + b
+    t = s - a
+    return s, (a - (s - t)) + (b - t)
+
+
+def _halves(a: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The upper and the lower half of the digits."""
+    bits = np.dtype(f"u{a.dtype.itemsize}")
+    lower = (jnp.finfo(a.dtype).nmant + 2) // 2
+    mask = np.asarray(~((1 << lower) - 1) & (2 ** (8 * a.dtype.itemsize) - 1), bits)
+    high = jax.lax.bitcast_convert_type(jax.lax.bitcast_convert_type(a, bits) & mask, a.dtype)
+    return high, a - high
+
 
 TURNS = 60  # of doubling
 REFINED = 2  # the first turn leaves the square of the error
@@ -46,20 +94,35 @@ EDGE = 0.02  # of P's change by one more turn; 0.5 on the edge
 Problem = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
-class Solved(NamedTuple):
-    """P (n, n); K (m, n); residual (), relative to the largest term; error (), to P; result."""
+class Regulator(NamedTuple):
+    """A regulator of infinite horizon; K and P are 0 without a solution.
 
-    P: jax.Array
+    K: (m, n), of u = -K x.
+    P: (n, n), the least cost is x'Px.
+    residual: (), the largest entry of the residual of the Riccati equation over its largest term.
+    error: (), a bound of the relative error of P by rounding.
+    status: a `LinearStatus`.
+    acceleration: (nv,), of `lqr_at`: v' at the state under the controls, zero at an equilibrium;
+        None for `lqr`.
+    """
+
     K: jax.Array
+    P: jax.Array
     residual: jax.Array
     error: jax.Array
     status: Any
+    acceleration: jax.Array | None = None
+
+    @property
+    def success(self) -> jax.Array:
+        """Whether there is a solution."""
+        return self.status == LinearStatus.success
 
 
 @functools.partial(compiled, static_argnums=5)
 def riccati(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, S: jax.Array, discrete: bool
-) -> Solved:
+) -> Regulator:
     """The stabilising solution. Arguments are arrays of one floating dtype."""
     problem = (A, B, (Q + Q.T) / 2, (R + R.T) / 2, S)
     finite = jnp.isfinite(jnp.concatenate([x.ravel() for x in problem])).all()
@@ -85,7 +148,7 @@ def riccati(
     residual, error = (
         jnp.where(ok, x, jnp.inf) for ok, x in ((finite, jnp.abs(off).max() / size), (found, error))
     )
-    return Solved(P, K, residual, error, status)
+    return Regulator(K, P, residual, error, status)
 
 
 def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -121,7 +184,7 @@ def _solution(discrete: bool, *matrices: jax.Array) -> tuple[jax.Array, tuple[ja
     problem = A, B, Q, R, S
     K, started = _start(discrete, problem)
     P, converged, definite = _newton(discrete, problem, K, started)
-    refined = _refined(discrete, problem, P)
+    refined = _refine(discrete, problem, P)
     good = started & converged & definite & jnp.isfinite(refined).all()
     P = jnp.where(good, refined, P)
     return P, (started, converged, definite)
@@ -135,7 +198,7 @@ def _solution_jvp(discrete, problem, changes):
     K, _ = gain(discrete, problem, P)
     closed = problem[0] - product(problem[1], K)
     M = jax.jvp(lambda *z: remainder(discrete, z, P)[0], problem, changes)[1]
-    dP, _ = (stein if discrete else continuous)(closed.T, (M + M.T) / 2)
+    dP, _ = solve_stable(closed.T, (M + M.T) / 2, discrete)
     dead = tuple(jnp.zeros(x.shape, jax.dtypes.float0) for x in codes)
     return (P, codes), (jnp.where(good, dP, 0.0), dead)
 
@@ -151,7 +214,7 @@ def _start(discrete: bool, problem: Problem) -> tuple[jax.Array, jax.Array]:
     both = jax.tree.map(lambda *x: jnp.stack(x), problem, easy)
 
     def of(z: Problem) -> tuple[jax.Array, jax.Array]:
-        P = _doubled(discrete, z)
+        P = _cost_to_go_by_doubling(discrete, z)
         K, ok = gain(discrete, z, P)
         return K, ok & _stabilises(discrete, A, B, K)
 
@@ -163,10 +226,10 @@ def _stabilises(discrete: bool, A: jax.Array, B: jax.Array, K: jax.Array) -> jax
     closed = A - product(B, K)
     finite = jnp.isfinite(closed).all()
     closed = jnp.where(finite, closed, 0.0)
-    return finite & is_stable(closed if discrete else cayley(closed, pace(closed))[0])
+    return finite & is_stable(closed, discrete)
 
 
-def _doubled(discrete: bool, problem: Problem) -> jax.Array:
+def _cost_to_go_by_doubling(discrete: bool, problem: Problem) -> jax.Array:
     """The cost to go after many steps. It need not converge."""
     A, B, Q, R, S = problem
     n = A.shape[0]
@@ -218,13 +281,12 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
     """P, whether it converged with a stable closed loop, and whether the Hessian is definite."""
     A, B, Q, R, S = problem
     eps = jnp.finfo(A.dtype).eps
-    solve = stein if discrete else continuous
 
     def evaluated(K: jax.Array) -> tuple[jax.Array, jax.Array]:
         closed = A - product(B, K)
         SK = product(S, K)
         cost = Q + product(K.T, product(R, K)) - SK - SK.T
-        P, stable = solve(closed.T, cost)
+        P, stable = solve_stable(closed.T, cost, discrete)
         return (P + P.T) / 2, stable
 
     def going(carry):
@@ -238,9 +300,7 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
         left, size = remainder(discrete, problem, new)
         rest = jnp.abs(left).max() / size
         good = stable & definite & jnp.isfinite(new).all() & jnp.isfinite(gained).all()
-        # At rounding the residual stops to fall, and one more turn changes only what is rounded.
-        # On the edge of stability each turn halves P there: Newton's method converges linearly to a
-        # double root.
+        # on the edge of stability each step halves P: linear convergence to a double root
         sizes = jnp.abs(jnp.diag(new))
         moved = jnp.abs(jnp.diag(new - P)) > EDGE * jnp.maximum(sizes, 1e3 * eps * sizes.max())
         better = good & ((rest < off) | (off > 1e4 * eps))
@@ -258,7 +318,7 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
     return P, good, definite
 
 
-def _refined(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
+def _refine(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
     """The cost to go of P's gain. That gain's error enters it squared."""
     rounded = (*problem, gain(discrete, problem, P)[0])
     A, B, Q, R, S, K = (Double.of(x) for x in rounded)
@@ -268,7 +328,7 @@ def _refined(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
         at = Double.of(P)
         moved = closed.T @ at
         off = (moved @ closed - at if discrete else moved + moved.T) + cost
-        more, _ = (stein if discrete else continuous)(closed.hi.T, (off.hi + off.hi.T) / 2)
+        more, _ = solve_stable(closed.hi.T, (off.hi + off.hi.T) / 2, discrete)
         P = P + more
     return P
 
@@ -282,7 +342,7 @@ def _rounding(discrete: bool, problem: Problem, P: jax.Array, K: jax.Array) -> j
     square, PA = product(size(K).T, product(size(H), size(K))), product(size(P), size(A))
     terms = product(size(A).T, PA) + size(P) if discrete else PA + PA.T
     rows = jnp.diag((terms + size(Q) + square).sum(1)) * jnp.finfo(P.dtype).eps
-    X, stable = (stein if discrete else continuous)(closed.T, rows)
+    X, stable = solve_stable(closed.T, rows, discrete)
     error = size(X).max() / jnp.maximum(size(P).max(), jnp.finfo(P.dtype).tiny)
     refined = error**2 + 4 * jnp.finfo(P.dtype).eps
     return jnp.where(stable, jnp.minimum(error, refined), jnp.inf)

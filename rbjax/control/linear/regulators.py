@@ -3,13 +3,10 @@
     continuous  minimise  integral of x'Qx + u'Ru + 2 x'Su,   dx/dt = A x + B u
     discrete    minimise  sum of      x'Qx + u'Ru + 2 x'Su,   x+ = A x + B u
 
-The law is u = -K x, and the least cost from x is x'Px (the factor 1/2 of `riccati.py` scales both).
-For infinite horizon P solves an algebraic Riccati equation (`algebraic_riccati.py`).
-
-A model is linearised on the tangent space of its configuration, x = [dq; dv; dx_e], so attitudes
-are three coordinates and the law is u = u_0 - K (state (-) state_0).
-Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2, 3; Lancaster & Rodman,
-*Algebraic Riccati Equations*.
+The feedback is u = -K x, and the least cost from x is x'Px. A model is linearised on the tangent
+space, x = [dq; dv; dx_e]. The gain of the steady Kalman filter is the regulator of the transposed
+system, (A', C', W, V) for (A, B, Q, R).
+Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2, 3.
 """
 
 from __future__ import annotations
@@ -19,46 +16,22 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jax.scipy.linalg import cho_solve
 
 from rbjax.arguments import flag, integer
 from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
-from rbjax.control.linear.algebraic_riccati import riccati
-from rbjax.control.linear.riccati import Gains, backward, constant_problem
+from rbjax.control.linear.algebraic_riccati import Regulator, riccati
+from rbjax.control.linear.arguments import check_matrices, check_regulator, weight_matrix
+from rbjax.control.linear.riccati import Gains, backward, constant_problem, definite_factor
+from rbjax.control.products import product
 from rbjax.control.status import LinearStatus, raise_failure
-from rbjax.dynamics.arguments import check_array, check_arrays, check_model, shape_of
+from rbjax.dynamics.arguments import check_array, check_arrays, check_model
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import known_array
 from rbjax.model import Model, State
 from rbjax.motion.field import Dynamics, free_motion
 from rbjax.motion.integrators import Integrator
 from rbjax.motion.linearise import box_minus, linearise
-
-
-class Regulator(NamedTuple):
-    """A regulator of infinite horizon; K and P are 0 without a solution.
-
-    K: (m, n), of u = -K x.
-    P: (n, n), the least cost is x'Px.
-    residual: (), the largest entry of the residual of the Riccati equation over its largest term.
-    error: (), a bound of the relative error of P by rounding.
-    status: a `LinearStatus`.
-    acceleration: (nv,), of `lqr_at`: v' at the state under the controls, zero at an equilibrium;
-        None for `lqr`.
-    """
-
-    K: jax.Array
-    P: jax.Array
-    residual: jax.Array
-    error: jax.Array
-    status: Any
-    acceleration: jax.Array | None = None
-
-    @property
-    def success(self) -> jax.Array:
-        """Whether there is a solution."""
-        return self.status == LinearStatus.success
 
 
 def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False) -> Regulator:
@@ -98,11 +71,11 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
         >>> [round(float(k), 5) for k in found.K[0]]
         [1.0, 1.41421]
     """
-    A, B, Q, R, S = _matrices("lqr", A, B, Q, R, S)
+    A, B, Q, R, S = check_regulator("lqr", A, B, Q, R, S)
     discrete = flag("lqr", "discrete", discrete)
-    P, K, residual, error, status = riccati(A, B, Q, R, S, bool(discrete))
-    raise_failure("lqr", status)
-    return Regulator(K, P, residual, error, status)
+    found = riccati(A, B, Q, R, S, bool(discrete))
+    raise_failure("lqr", found.status)
+    return found
 
 
 def lqr_at(
@@ -160,10 +133,10 @@ def lqr_at(
     linear = linearise(
         model, state, ctrl, dt, integrator=integrator, dynamics=dynamics, constraints=constraints
     )
-    A, B, Q, R, S = _matrices("lqr_at", linear.A, linear.B, Q, R, S)
-    P, K, residual, error, status = riccati(A, B, Q, R, S, dt is not None)
-    raise_failure("lqr_at", status)
-    return Regulator(K, P, residual, error, status, linear.acceleration)
+    A, B, Q, R, S = check_regulator("lqr_at", linear.A, linear.B, Q, R, S)
+    found = riccati(A, B, Q, R, S, dt is not None)
+    raise_failure("lqr_at", found.status)
+    return found._replace(acceleration=linear.acceleration)
 
 
 def lqr_finite(
@@ -191,9 +164,9 @@ def lqr_finite(
         >>> lqr_finite([[1.0]], [[1.0]], [1.0], [1.0], 5).K.shape
         (5, 1, 1)
     """
-    A, B, Q, R, S = _matrices("lqr_finite", A, B, Q, R, S)
+    A, B, Q, R, S = check_regulator("lqr_finite", A, B, Q, R, S)
     integer("lqr_finite", "horizon", horizon, least=1, why=" steps")
-    end = Q if terminal is None else weights("lqr_finite", "terminal", terminal, A.shape[0])
+    end = Q if terminal is None else weight_matrix("lqr_finite", "terminal", terminal, A.shape[0])
     return _finite(A, B, Q, R, int(horizon), end, S)
 
 
@@ -209,7 +182,7 @@ def feedback(model: Model, state: State, ctrl: Any, K: Any) -> Any:
 
     Args:
         model: the robot.
-        state: that is held.
+        state: the reference state.
         ctrl: (nu,) there.
         K: (nu, 2 nv + nx).
 
@@ -242,38 +215,60 @@ def _feedback(model: Model, held: State, ctrl: Any, K: Any, t: Any, state: State
     return ctrl - (K * box_minus(model, held, state)).sum(-1)
 
 
-def weights(where: str, name: str, value: Any, n: int) -> jax.Array:
-    """A matrix (n, n), of one or of its diagonal (n,)."""
-    x = check_array(where, name, value, (n, n), (n,))
-    return jnp.diag(x) if x.ndim == 1 else x
+class SteadyFilter(NamedTuple):
+    """Fields: gain (n, l); P (n, n), the covariance of the error, in discrete time before a sample;
+    residual (), error () and status, as in `Regulator`."""
+
+    gain: jax.Array
+    P: jax.Array
+    residual: jax.Array
+    error: jax.Array
+    status: Any
+
+    @property
+    def success(self) -> jax.Array:
+        """Whether there is a solution."""
+        return self.status == LinearStatus.success
 
 
-def _check_symmetric(where: str, name: str, W: jax.Array) -> None:
-    """`InputError` if a matrix is not symmetric. Traced values are not checked."""
-    known = known_array(W)
-    if known is None:
-        return
-    off = np.abs(known - known.T).max()
-    if off > np.sqrt(np.finfo(W.dtype).eps) * np.abs(known).max():
-        raise InputError(
-            f"{where}: {name} is not symmetric, {name} - {name}' has entries up to {off:.3g}; give "
-            f"({name} + {name}') / 2"
-        )
+def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> SteadyFilter:
+    """The gain L of the steady filter of dx/dt = A x + w, y = C x + e.
 
+        continuous  dx/dt = A x + B u + L (y - C x),    L = P C' V^-1
+        discrete    x <- x + L (y - C x), then x+ = A x + B u,   L = P C' (C P C' + V)^-1
 
-def _matrices(where: str, A: Any, B: Any, Q: Any, R: Any, S: Any) -> tuple[jax.Array, ...]:
-    shapes = shape_of(where, "A", A), shape_of(where, "B", B)
-    if len(shapes[0]) != 2 or len(shapes[1]) != 2 or not (shapes[0][0] and shapes[1][1]):
-        hint = "; for a batch use jax.vmap" if len(shapes[0]) == 3 else ""
-        raise InputError(
-            f"{where}: A and B have shapes {shapes[0]} and {shapes[1]}, expected (n, n) and (n, m) "
-            f"with one state and one control or more{hint}"
-        )
-    n, m = shapes[0][0], shapes[1][1]
-    A, B = check_array(where, "A", A, (n, n)), check_array(where, "B", B, (n, m))
-    Q, R = weights(where, "Q", Q, n), weights(where, "R", R, m)
-    for name, W in (("Q", Q), ("R", R)):
-        _check_symmetric(where, name, W)
-    S = jnp.zeros_like(B) if S is None else check_array(where, "S", S, (n, m))
-    dtype = jnp.result_type(A, B, Q, R, S)
-    return tuple(x.astype(dtype) for x in (A, B, Q, R, S))
+    Args:
+        A: (n, n). C: (l, n).
+        W: the intensity (discrete: the covariance) of w, (n, n) or (n,).
+        V: of e, (l, l) or (l,), positive definite.
+        discrete: which of the two.
+
+    Returns:
+        `SteadyFilter`. `not_stabilisable` means here that (A, C) cannot be observed well enough.
+
+    Raises:
+        InputError: shapes, values that are not finite.
+
+    Differentiable in both modes.
+
+    Source: Kalman & Bucy 1961; Anderson & Moore, *Optimal Filtering*, 4.4.
+
+    Example:
+        >>> from rbjax.control.linear import kalman_gain
+        >>> found = kalman_gain([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], [0.0, 4.0], [1.0])
+        >>> [round(float(x), 6) for x in found.gain[:, 0]]  # sqrt 2 w and w^2, w^2 = 2
+        [2.0, 2.0]
+    """
+    A, C = check_matrices("kalman_gain", ("A", A, "nn"), ("C", C, "ln"))
+    discrete = flag("kalman_gain", "discrete", discrete)
+    W = weight_matrix("kalman_gain", "W", W, A.shape[0])
+    V = weight_matrix("kalman_gain", "V", V, C.shape[0])
+    dtype = jnp.result_type(A, C, W, V)
+    A, C, W, V = (x.astype(dtype) for x in (A, C, W, V))
+    found = riccati(A.T, C.T, W, V, jnp.zeros_like(C.T), discrete)
+    gain = found.K.T
+    if discrete:
+        S = product(C, product(found.P, C.T)) + V
+        L, ok = definite_factor((S + S.T) / 2)
+        gain = jnp.where(ok, cho_solve((L, True), product(C, found.P)).T, 0.0)
+    return SteadyFilter(gain, found.P, found.residual, found.error, found.status)

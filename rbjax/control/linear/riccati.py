@@ -5,12 +5,10 @@
 
 The cost to go is 1/2 x'Px + p'x and a constant. With P+ and p+ of the next knot,
 
-    H = R + B'P+B,  G = S' + B'P+A,  g = r + B'(p+ + P+d)
-    K = H^-1 G,     k = H^-1 g,      u = -K x - k
+    H = R + B'P+B,  G = S' + B'P+A,  g = r + B'(p+ + P+d),    u = -H^-1 G x - H^-1 g
     P = Q + A'P+A - G'H^-1 G,        p = q + A'(p+ + P+d) - G'H^-1 g
 
-H is factorised as L L', and G'H^-1 G is the square of L^-1 G, so P stays symmetric. The minimum
-exists where every H is positive definite; R by itself need not be. Products are in full f32.
+The minimum exists if every H is positive definite.
 Source: Bryson & Ho, *Applied Optimal Control*, 5; Anderson & Moore, *Optimal Control: Linear
 Quadratic Methods*, 2; Tassa, Erez & Todorov, IROS 2012 (affine terms).
 """
@@ -24,8 +22,9 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from rbjax.arguments import instance, integer
+from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.products import product
-from rbjax.dynamics.arguments import check_array, shape_of
+from rbjax.dynamics.arguments import check_array
 
 MADE = "a LinearQuadratic, such as rb.control.linear.constant_problem returns"
 
@@ -174,16 +173,21 @@ def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.
         [1.0, 0.4, 0.2]
     """
     start = check_start("roll", problem, gains, start)
+    return roll_linear(problem.A, problem.B, problem.d, -gains.K, -gains.k, start)
 
-    def step(x, given):
+
+def roll_linear(
+    A: jax.Array, B: jax.Array, d: jax.Array, K: jax.Array, k: jax.Array, first: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """x (N + 1, n) and u (N, m) of x+ = A x + B u + d, u = k + K x."""
+
+    def step(x: jax.Array, given: tuple) -> tuple[jax.Array, tuple]:
         A, B, d, K, k = given
-        u = -product(K, x) - k
-        new = product(A, x) + product(B, u) + d
-        return new, (new, u)
+        u = k + product(K, x)
+        return product(A, x) + product(B, u) + d, (x, u)
 
-    along = (problem.A, problem.B, problem.d, gains.K, gains.k)
-    x, u = jax.lax.scan(step, start, along)[1]
-    return jnp.concatenate([start[None], x]), u
+    last, (x, u) = jax.lax.scan(step, first, (A, B, d, K, k))
+    return jnp.concatenate([x, last[None]]), u
 
 
 def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.Array:
@@ -304,21 +308,28 @@ def constant_problem(
     """
     where = "constant_problem"
     integer(where, "horizon", horizon, least=1)
-    n, m = (*shape_of(where, "A", A), 0)[0], (*shape_of(where, "R", R), 0)[0]
-    due = [("A", A, (n, n)), ("B", B, (n, m)), ("Q", Q, (n, n)), ("R", R, (m, m))]
-    A, B, Q, R = (check_array(where, name, x, shape) for name, x, shape in due)
-    dtype = jnp.result_type(A, B, Q, R, jnp.float32)
-    S = jnp.zeros((n, m)) if S is None else check_array(where, "S", S, (n, m))
-    if terminal is not None:
-        terminal = check_array(where, "terminal", terminal, (n, n))
-    A, B, Q, R, S = (jnp.asarray(x, dtype) for x in (A, B, Q, R, S))
-    end = Q if terminal is None else jnp.asarray(terminal, dtype)
-
-    def each(x):
-        return jnp.broadcast_to(x, (horizon, *x.shape))
-
-    zero, none = jnp.zeros(n, dtype), jnp.zeros(m, dtype)
-    return LinearQuadratic(
-        each(A), each(B), each(zero), jnp.concatenate([each(Q), end[None]]),
-        jnp.zeros((horizon + 1, n), dtype), each(R), each(none), each(S),
+    A, B, Q, R, *rest = check_matrices(
+        where, ("A", A, "nn"), ("B", B, "nm"), ("Q", Q, "nn"), ("R", R, "mm"),
+        *([] if S is None else [("S", S, "nm")]),
+        *([] if terminal is None else [("terminal", terminal, "nn")]),
     )  # fmt: skip
+    end = Q if terminal is None else rest[-1]
+    S = None if S is None else rest[0]
+
+    A, B = (jnp.broadcast_to(x, (horizon, *x.shape)) for x in (A, B))
+    return constant_weights(A, B, Q, R, end, S)
+
+
+def constant_weights(
+    A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, end: jax.Array, S: Any = None
+) -> LinearQuadratic:
+    """The problem of A (N, n, n) and B (N, n, m) with the same weights at each step."""
+    N, n, m = B.shape
+
+    def each(x: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(x, (N, *x.shape))
+
+    S = jnp.zeros_like(B) if S is None else each(S)
+    x, u = jnp.zeros((N + 1, n), B.dtype), jnp.zeros((N, m), B.dtype)
+    Qs = jnp.concatenate([each(Q), end[None]])
+    return LinearQuadratic(A, B, x[:-1], Qs, x, each(R), u, S)

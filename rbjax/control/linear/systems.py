@@ -1,19 +1,11 @@
-"""Linear systems: what controls reach, what readings show, poles, discretisation.
+"""Linear systems: controllability, observability, Gramians, poles, discretisation.
 
     continuous  dx/dt = A x + B u,   y = C x         discrete  x+ = A x + B u
 
-The reachable space is the range of [B, AB, ..., A^(n-1) B]. Its powers lose digits, so an
-orthonormal basis is built instead: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal
-to all before (the staircase, or block Arnoldi). The rest of the space is uncontrollable.
-A state is unobservable if it is uncontrollable for (A', C').
-
-The Gramian W of a stable system says how much effort that takes: x'W^-1 x is the least integral of
-u^2 that leads from rest to x. A control held over a step makes the discrete system
-
-    [Ad, Bd; 0, 1] = exp([A, B; 0, 0] dt)
-
-Source: Van Dooren, *The generalized eigenstructure problem in linear system theory*, IEEE TAC 26,
-1981; Åström & Wittenmark, *Computer-Controlled Systems*, 3; Zhou, Doyle & Glover, 3.
+The reachable space is the range of [B, AB, ..., A^(n-1) B]. An orthonormal basis of it is built
+step by step: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal to all before (the
+staircase). A state is unobservable if it is uncontrollable for (A', C'). Source: Van Dooren, IEEE
+TAC 26, 1981; Åström & Wittenmark, *Computer-Controlled Systems*, 3; Zhou, Doyle & Glover, 3.
 """
 
 from __future__ import annotations
@@ -26,9 +18,10 @@ import numpy as np
 
 from rbjax.arguments import instance, real_number
 from rbjax.compiling import compiled
+from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
 from rbjax.control.products import product
-from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
+from rbjax.dynamics.arguments import check_model, check_step
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least
 from rbjax.model import Model
@@ -55,7 +48,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
             its column, count as zero; n times the rounding unit times 100 if None.
 
     Returns:
-        `Reach`. The rank is a whole number, so it has no derivative.
+        `Reach`. The rank is an integer, so it has no derivative.
 
     Raises:
         InputError: shapes, values that are not finite.
@@ -68,7 +61,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
         >>> int(found.rank), [abs(float(x)) for x in found.outside[:, 0]]
         (1, [1.0, 0.0])
     """
-    A, B = pair("controllability", A, B, "B", 0)
+    A, B = check_matrices("controllability", ("A", A, "nn"), ("B", B, "nm"))
     return _reach(A, B, _tolerance("controllability", tolerance))
 
 
@@ -92,7 +85,7 @@ def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
         >>> int(observability([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0]]).rank)  # only the speed
         1
     """
-    A, C = pair("observability", A, C, "C", 1)
+    A, C = check_matrices("observability", ("A", A, "nn"), ("C", C, "ln"))
     return _reach(A.T, C.T, _tolerance("observability", tolerance))
 
 
@@ -167,15 +160,15 @@ def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -
         )
     names = state_names(model)
     missing = np.asarray(reach.outside)[:, : n - int(reach.rank)].copy()
-    said = []
+    texts = []
     for row in _reduced(missing.T):
         row = row / np.abs(row).max()
         order = [i for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) >= least]
         row = row * np.sign(row[order[0]])
         parts = [f"{abs(row[i]):.2f} {names[i]}" for i in order]
         signs = ["" if k == 0 else " + " if row[i] > 0 else " - " for k, i in enumerate(order)]
-        said.append("".join(s + p for s, p in zip(signs, parts, strict=True)))
-    return said
+        texts.append("".join(s + p for s, p in zip(signs, parts, strict=True)))
+    return texts
 
 
 def state_names(model: Model) -> list[str]:
@@ -228,7 +221,7 @@ def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapun
         >>> float(controllability_gramian([[-1.0]], [[2.0]]).X[0, 0])
         2.0
     """
-    A, B = pair("controllability_gramian", A, B, "B", 0)
+    A, B = check_matrices("controllability_gramian", ("A", A, "nn"), ("B", B, "nm"))
     return lyapunov(A, product(B, B.T), discrete=discrete)
 
 
@@ -252,7 +245,7 @@ def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov
         >>> float(observability_gramian([[-1.0]], [[2.0]]).X[0, 0])
         2.0
     """
-    A, C = pair("observability_gramian", A, C, "C", 1)
+    A, C = check_matrices("observability_gramian", ("A", A, "nn"), ("C", C, "ln"))
     return lyapunov(A.T, product(C.T, C), discrete=discrete)
 
 
@@ -279,12 +272,10 @@ def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
     if (B is None) != (K is None):
         missing = "B" if B is None else "K"
         raise InputError(f"poles: {missing} is None, expected both of B and K, or neither")
-    if B is None:
-        n = (*shape_of("poles", "A", A), 0)[0]
-        closed = check_array("poles", "A", A, (n, n))
-    else:
-        A, B = pair("poles", A, B, "B", 0)
-        closed = A - product(B, check_array("poles", "K", K, B.shape[::-1]))
+    due = ("A", A, "nn"), ("B", B, "nm"), ("K", K, "mn")
+    closed, *gains = check_matrices("poles", *due[: 1 if B is None else 3])
+    if gains:
+        closed = closed - product(*gains)
     found = jnp.linalg.eigvals(closed)
     return found[jnp.argsort(-found.real)]
 
@@ -314,25 +305,10 @@ def discretise(A: Any, B: Any, dt: Any) -> tuple[jax.Array, jax.Array]:
         >>> [float(x) for x in Bd[:, 0]]
         [0.125, 0.5]
     """
-    A, B = pair("discretise", A, B, "B", 0)
+    A, B = check_matrices("discretise", ("A", A, "nn"), ("B", B, "nm"))
     n, m = B.shape
     dt = check_step("discretise", "dt", dt, A.dtype)
     both = jnp.concatenate([jnp.concatenate([A, B], 1), jnp.zeros((m, n + m), A.dtype)])
     with jax.default_matmul_precision("highest"):
         found = jax.scipy.linalg.expm(both * dt)
     return found[:n, :n], found[:n, n:]
-
-
-def pair(where: str, A: Any, B: Any, name: str, axis: int) -> tuple[jax.Array, jax.Array]:
-    """A (n, n) and a matrix with n rows (axis 0) or n columns (axis 1), in one dtype."""
-    n = (*shape_of(where, "A", A), 0)[0]
-    A = check_array(where, "A", A, (n, n))
-    shape = shape_of(where, name, B)
-    many = shape[1 - axis] if len(shape) == 2 else 0
-    if not n or not many:
-        due = f"({n}, m)" if axis == 0 else f"(l, {n})"
-        hint = "; for a batch use jax.vmap" if len(shape) == 3 else ""
-        raise InputError(f"{where}: {name} has shape {shape}, expected {due}{hint}")
-    B = check_array(where, name, B, (n, many) if axis == 0 else (many, n))
-    dtype = jnp.result_type(A, B)
-    return A.astype(dtype), B.astype(dtype)

@@ -1,10 +1,7 @@
 """A time-varying linear quadratic regulator along a motion of a model.
 
-Each step of `rollout` is linearised about its knot, on the tangent spaces at both of its ends,
+    dx_(k+1) = A_k dx_k + B_k du_k,     dx_k = state (-) states_k,     u = ctrls_k - K_k dx_k
 
-    dx_(k+1) = A_k dx_k + B_k du_k,     dx_k = state (-) states_k
-
-and the Riccati recursion goes back from the end. The law is u = ctrls_k - K_k (state (-) states_k).
 Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2; Sola, *A micro Lie
 theory*, 2018 (tangent spaces).
 """
@@ -18,8 +15,8 @@ import jax.numpy as jnp
 
 from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
-from rbjax.control.linear.regulators import weights
-from rbjax.control.linear.riccati import Gains, LinearQuadratic, backward
+from rbjax.control.linear.arguments import weight_matrix
+from rbjax.control.linear.riccati import Gains, backward, constant_weights
 from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -119,26 +116,19 @@ def time_varying_lqr(
     x = getattr(states, "x", None)
     x = check_array(where, "states.x", x, (N + 1, model.nx)) if model.nx else None
     dtype = jnp.result_type(q, v, u)
-    Q, R = weights(where, "Q", Q, n), weights(where, "R", R, model.nu)
-    end = Q if terminal is None else weights(where, "terminal", terminal, n)
+    Q, R = weight_matrix(where, "Q", Q, n), weight_matrix(where, "R", R, model.nu)
+    end = Q if terminal is None else weight_matrix(where, "terminal", terminal, n)
     Q, R, end, q, v, u = (y.astype(dtype) for y in (Q, R, end, q, v, u))
     dt = check_step(where, "dt", dt, dtype)
     along = State(q, v, x)
     starts = jax.tree.map(lambda y: y[:-1], along)
 
-    def of(state: State, ctrl: jax.Array) -> Any:
-        return linearise(
-            model,
-            state,
-            ctrl,
-            dt,
-            integrator=integrator,
-            dynamics=dynamics,
-            constraints=constraints,
-        )
+    options = {"integrator": integrator, "dynamics": dynamics, "constraints": constraints}
 
-    A, B = jax.vmap(of)(starts, u)
-    gains = regulator_along(A, B, Q, R, end)
+    def of(state: State, ctrl: jax.Array) -> Any:
+        return linearise(model, state, ctrl, dt, **options)
+
+    gains = regulator_along(*jax.vmap(of)(starts, u), Q, R, end)
     return Tracking(model, along, u, dt, gains.K, gains.P, gains.success)
 
 
@@ -147,10 +137,4 @@ def regulator_along(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, terminal: jax.Array
 ) -> Gains:
     """Gains of A (N, n, n) and B (N, n, m) with the same weights Q and R at each step."""
-    N, n, m = B.shape
-    zero = jnp.zeros((N, n), A.dtype)
-    Qs = jnp.concatenate([jnp.broadcast_to(Q, (N, n, n)), terminal[None]])
-    return backward(LinearQuadratic(
-        A, B, zero, Qs, jnp.zeros((N + 1, n), A.dtype), jnp.broadcast_to(R, (N, m, m)),
-        jnp.zeros((N, m), A.dtype), jnp.zeros_like(B),
-    ))  # fmt: skip
+    return backward(constant_weights(A, B, Q, R, terminal))

@@ -1,36 +1,37 @@
 """Optimal control: problems, the methods of `solve`, derivatives of solutions, predictive control.
 
 A `Problem` (`problem`) has a system (`system`), costs and constraints of terms (`terms`,
-`residuals`, `clearances`), bounds, and free parts of the start, the time and the model. Its cost
-and its constraints are evaluated by `objective` and `constraint_rows`. `solve` (`solver`) runs one
-of the methods (`registry`): those of `shooting` or of `collocation`. A solution has derivatives
+`residuals`, `clearances`), bounds, and free parts of the start, the time and the model. `objective`
+evaluates its cost and its constraints. `solve` (`solver`) runs one of the methods (`registry`) of
+`shooting` or `collocation`. A solution has derivatives
 (`derivatives`). `mpc` (`receding_horizon`) plans at every tick; `RealTime` does so with a clock.
 """
 
 from rbjax.control.optimal.clearances import Capsule, Clearance, HalfSpace, Sphere
-from rbjax.control.optimal.controller_memory import TickStatus
 from rbjax.control.optimal.problem import Design, Problem
 from rbjax.control.optimal.real_time import RealTime
-from rbjax.control.optimal.receding_horizon import PredictiveController, mpc
+from rbjax.control.optimal.receding_horizon import PredictiveController, TickStatus, mpc
 from rbjax.control.optimal.registry import Method, methods
-from rbjax.control.optimal.residuals import (
+from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
+from rbjax.control.optimal.solution import Solution
+from rbjax.control.optimal.solver import solve
+from rbjax.control.optimal.system import Equations, System
+from rbjax.control.optimal.terms import (
     Acceleration,
     CenterOfMass,
     Configuration,
+    Constraint,
     Control,
+    Cost,
     Effort,
     FrameVelocity,
     Jerk,
     Point,
     Pose,
     StateError,
+    Term,
     Velocity,
 )
-from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
-from rbjax.control.optimal.solution import Solution
-from rbjax.control.optimal.solver import solve
-from rbjax.control.optimal.system import Equations, System
-from rbjax.control.optimal.terms import Constraint, Cost, Term
 from rbjax.control.status import Status
 
 __all__ = [

@@ -1,12 +1,11 @@
 """The knots and controls from which a search starts.
 
-A solution that is the guess is rolled out from the new start with its feedback,
+The solution of a similar problem is rolled out from the new start with its feedback,
 
     u_k = us_k - K_k (x_k (-) xs_k),  within the bounds,      x_{k+1} = f(x_k, u_k)
 
-so that the motion stays near the solution on an unstable plant. Controls without states are rolled
-out without feedback. The result is used if it costs less than standing at the start: on an unstable
-plant the motion may diverge.
+Controls without states are rolled out without feedback. The motion is used if it costs less than
+standing at the start: on an unstable plant it may diverge.
 """
 
 from __future__ import annotations
@@ -18,30 +17,28 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import threads
-from rbjax.control.optimal.constraint_rows import row_count
-from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY, Multipliers
-from rbjax.control.optimal.shooting.expansion import merit
+from rbjax.control.optimal.objective import (
+    PENALTY,
+    Multipliers,
+    merit,
+    over_knots,
+    roll_out,
+    row_count,
+)
+from rbjax.control.optimal.problem import BODY, Knot, Problem, take
 from rbjax.control.optimal.solution import Solution
 from rbjax.control.products import product
 from rbjax.errors import InputError
 
 
 class Guess(NamedTuple):
-    """A first guess; None is the default of each field.
+    """A first guess; None is the default of each field."""
 
-    states: (N + 1, ...).
-    ctrls: (N, nu).
-    numbers: (p,).
-    K: (N, nu, n), the gains of a solution.
-    multipliers: the multipliers of a solution.
-    """
-
-    states: Any = None
-    ctrls: Any = None
-    parameters: Any = None
-    K: Any = None
-    multipliers: Multipliers | None = None
+    states: Any = None  # (N + 1, ...)
+    ctrls: Any = None  # (N, nu)
+    parameters: Any = None  # (p,)
+    K: Any = None  # (N, nu, n), the gains of a solution
+    multipliers: Multipliers | None = None  # the multipliers of a solution
 
 
 def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, parameters: Any) -> Guess:
@@ -53,7 +50,7 @@ def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, parameters: 
             f"solve: guess is {type(guess).__name__}, expected the Solution of a similar problem; "
             "give arrays as states= and ctrls="
         )
-    given = {"states": states, "ctrls": ctrls, "numbers": parameters}
+    given = {"states": states, "ctrls": ctrls, "parameters": parameters}
     twice = [name for name, x in given.items() if x is not None]
     if twice:
         raise InputError(f"solve: got guess and {twice}, expected one of them: a Solution has both")
@@ -95,39 +92,38 @@ def first_guess(
     if gains.shape != (N, problem.nu, problem.n):
         due = (N, problem.nu, problem.n)
         raise InputError(f"solve: the gains of guess have shape {gains.shape}, expected {due}")
-    found, cost, standing = threads(functools.partial(_rolled, problem))(one, knots, us, gains)
-    good = jnp.isfinite(cost)
+    found = threads(functools.partial(_rolled, problem))(one, knots, us, gains)
+    whole = jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(found)]).all()
+    both = jax.tree.map(lambda *x: jnp.stack(x), found, (knots, us))
+    cost, standing = jax.vmap(functools.partial(_penalised_cost, problem))(*both)
+    good = whole & jnp.isfinite(cost)
     good &= (cost <= standing) if K is None else (gains != 0).any()
     return jax.tree.map(lambda x, y: jnp.where(good, x, y), found, (knots, us))
 
 
 def _rolled(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, K: jax.Array
-) -> tuple[tuple[Knot, jax.Array], jax.Array, jax.Array]:
-    """The motion from the start with feedback about knots, its cost, and the cost of the knots."""
-    N, dtype = problem.horizon, ctrls.dtype
-    mu, none = jnp.asarray(PENALTY, dtype), jnp.zeros(problem.nu, dtype)
-    rows = {at: jnp.zeros(row_count(problem, at), dtype) for at in ("path", "end")}
-    first = jax.tree.map(lambda x: x[0], knots)
+) -> tuple[Knot, jax.Array]:
+    """The motion from the start with feedback about knots."""
+    first = take(knots, 0)
     away = problem.system.minus(first.state, start)
     away = jnp.where(jnp.asarray(problem.free), away, 0.0)
     first = first._replace(state=problem.system.plus(start, away))
 
-    def forth(carry: tuple, x: tuple) -> tuple:
-        now, cost, standing = carry
-        k, knot, ctrl, K = x
-        u = problem.within_bounds(ctrl - product(K, problem.minus(now, knot)))
-        cost = cost + merit(problem, k, now, u, rows["path"], mu, "path")
-        standing = standing + merit(problem, k, knot, ctrl, rows["path"], mu, "path")
-        return (problem.step(k, now, u), cost, standing), (now, u)
+    def policy(k: jax.Array, now: Knot, given: tuple) -> jax.Array:
+        knot, ctrl, K = given
+        return problem.within_bounds(ctrl - product(K, problem.minus(now, knot)))
 
-    zero, ks = jnp.zeros((), dtype), jnp.arange(N, dtype=dtype)
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    found: Any = jax.lax.scan(forth, (first, zero, zero), (ks, body, ctrls, K))
-    (last, cost, standing), (before, us) = found
-    end = jax.tree.map(lambda x: x[-1], knots)
-    cost = cost + merit(problem, N, last, none, rows["end"], mu, "end")
-    standing = standing + merit(problem, N, end, none, rows["end"], mu, "end")
-    motion = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), before, last)
-    whole = jax.tree.map(lambda x: jnp.isfinite(x).all(), jax.tree.leaves((motion, us)))
-    return (motion, us), jnp.where(jnp.stack(whole).all(), cost, jnp.inf), standing
+    return roll_out(problem, first, policy, (take(knots, BODY), ctrls, K))
+
+
+def _penalised_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
+    """The cost () of a motion, with the penalties of constraints."""
+    mu = jnp.asarray(PENALTY, ctrls.dtype)
+
+    def at(where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+        rows = jnp.zeros(row_count(problem, where), ctrl.dtype)
+        return merit(problem, where, k, knot, ctrl, rows, mu)
+
+    path, end = over_knots(at, problem, knots, ctrls)
+    return path.sum() + end

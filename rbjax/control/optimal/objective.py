@@ -1,14 +1,139 @@
-"""The cost of a problem: at a knot, along a motion, and split into residuals and numbers."""
+"""The cost and the constraints of a problem, at a knot and along a motion.
+
+    violation = |c - clip(c, low, high)|
+    L = cost + mu/2 |s - clip(s, low, high)|^2,     s = c + lambda / mu
+    lambda <- mu (s - clip(s, low, high)),     mu <- 10 mu if the violation did not fall
+
+L is the augmented Lagrangian of the constraints low <= c <= high.
+Source: Hestenes 1969, Powell 1969; Bertsekas, *Constrained Optimization and Lagrange Multiplier
+Methods*, 2.
+"""
 
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.optimal.problem import BODY, Knot, Problem
+from rbjax.control.optimal.problem import BODY, Knot, Problem, append, take
+from rbjax.errors import InputError
+
+
+def example_knot(problem: Problem) -> tuple[Knot, jax.Array]:
+    """A knot and controls, of which only shapes count."""
+    dtype = problem.dt.dtype
+    state = problem.system.example(dtype)
+    return Knot(state, problem.first_parameters(dtype)), jnp.zeros(problem.nu, dtype)
+
+
+def row_sizes(problem: Problem, where: str) -> list[tuple[Any, int]]:
+    """Each constraint at "path" or "end" with the number of its rows."""
+    knot, ctrl = example_knot(problem)
+    out = []
+    for c in problem.constraints_at(where):
+
+        def value(knot: Knot, ctrl: jax.Array, c: Any = c) -> jax.Array:
+            system, _ = problem.at(knot.parameters)
+            return jnp.ravel(c.term(system.model, 0.0, knot.state, ctrl))
+
+        size = jax.eval_shape(value, knot, ctrl).shape[0]
+        for name, end in (("low", c.low), ("high", c.high)):
+            if jnp.size(end) not in (1, size):
+                raise InputError(
+                    f"Constraint({c.name}): bounds and term differ in size: {name} has "
+                    f"{jnp.size(end)} numbers, the term {size}; give one, or one for each"
+                )
+        out.append((c, size))
+    return out
+
+
+def row_count(problem: Problem, where: str) -> int:
+    """The number of rows of the constraints at "path" or "end"."""
+    return sum(size for _, size in row_sizes(problem, where))
+
+
+def row_bounds(problem: Problem, where: str, dtype: Any) -> tuple[jax.Array, jax.Array]:
+    """The bounds (c,) of the rows at "path" or "end"."""
+    lows, highs = [jnp.zeros(0, dtype)], [jnp.zeros(0, dtype)]
+    for c, size in row_sizes(problem, where):
+        lows.append(jnp.broadcast_to(jnp.ravel(c.low), (size,)))
+        highs.append(jnp.broadcast_to(jnp.ravel(c.high), (size,)))
+    return jnp.concatenate(lows).astype(dtype), jnp.concatenate(highs).astype(dtype)
+
+
+def violation(c: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """By how much values lie outside their bounds, entry by entry."""
+    return jnp.abs(c - jnp.clip(c, low, high))
+
+
+def knot_violation(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+    """The largest violation () of the constraints of a knot."""
+    if not problem.constraints:
+        return jnp.zeros((), ctrl.dtype)
+    c = problem.rows(where, k, knot, ctrl)
+    return violation(c, *row_bounds(problem, where, c.dtype)).max(initial=0.0)
+
+
+def rows_along(problem: Problem, knots: Knot, ctrls: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The rows of a motion: (N, c) of the knots with controls, (e,) of the end."""
+    return over_knots(problem.rows, problem, knots, ctrls)
+
+
+def constraint_violations(problem: Problem, path: jax.Array, end: jax.Array) -> jax.Array:
+    """The largest violation of each constraint: path (..., c) and end (e,), the rows."""
+    worst = {id(c): jnp.zeros((), path.dtype) for c in problem.constraints}
+    for where, rows in (("path", path), ("end", end)):
+        off = violation(rows, *row_bounds(problem, where, rows.dtype))
+        at = 0
+        for c, size in row_sizes(problem, where):
+            worst[id(c)] = jnp.maximum(worst[id(c)], off[..., at : at + size].max(initial=0.0))
+            at += size
+    return jnp.stack([*worst.values()]) if worst else jnp.zeros(0, path.dtype)
+
+
+PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
+FALLS = 0.25  # a violation that does not fall to this share raises the penalty
+
+
+class Multipliers(NamedTuple):
+    """Of constraints: path (N, c) and end (e,), and the penalty mu ()."""
+
+    path: jax.Array
+    end: jax.Array
+    penalty: jax.Array
+
+
+def no_multipliers(N: int, path: int, end: int, dtype: jax.typing.DTypeLike) -> Multipliers:
+    """Zero multipliers of `path` and `end` rows, and the first penalty."""
+    zero = jnp.zeros((N, path), dtype), jnp.zeros(end, dtype)
+    return Multipliers(*zero, jnp.asarray(PENALTY, dtype))
+
+
+def shift_multipliers(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
+    """The multipliers of a motion that begins later. at (N,): for each of its knots, the index of
+    this knot in the earlier motion."""
+    if multipliers is None:
+        return None
+    return multipliers._replace(path=multipliers.path[at])
+
+
+def shifted_excess(
+    c: jax.Array, y: jax.Array, mu: jax.Array, low: jax.Array, high: jax.Array
+) -> jax.Array:
+    """s - clip(s, low, high): the residuals of L over sqrt(mu), the next multipliers over mu."""
+    s = c + y / mu
+    return s - jnp.clip(s, low, high)
+
+
+def next_penalty(
+    mu: jax.Array, violation: jax.Array, before: jax.Array, held: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The penalty after an update of the multipliers, and whether the violation did not fall
+    enough. before: the violation at the update before; held: whether it is small enough."""
+    failing = ~held & (violation > FALLS * before)
+    return jnp.where(failing, jnp.minimum(HARDER * mu, PENALTY_MOST), mu), failing
 
 
 def half_square(value: jax.Array) -> jax.Array:
@@ -16,12 +141,71 @@ def half_square(value: jax.Array) -> jax.Array:
     return 0.5 * (value * value).sum() if value.ndim else value
 
 
-def knot_cost(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-    """The sum () of the costs of a knot with controls ("path") or of the "end"."""
+def cost_terms(problem: Problem, where: str) -> list[Any]:
+    """The functions (k, knot, ctrl) -> weighted residuals or a number, one for each cost."""
+    return [functools.partial(problem.value, cost, where) for cost in problem.costs(where)]
+
+
+def merit_terms(problem: Problem, where: str, rows: jax.Array, mu: jax.Array) -> list[Any]:
+    """The terms of the costs, and for each constraint the residuals of the augmented
+    Lagrangian."""
+    found = cost_terms(problem, where)
+    at = 0
+    for c, size in row_sizes(problem, where):
+        own = rows[at : at + size]
+        at += size
+
+        def penalty(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c, own: Any = own) -> jax.Array:
+            value = problem.row(c, k, knot, ctrl)
+            low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
+            return jnp.sqrt(mu) * shifted_excess(value, own, mu, low, high)
+
+        found.append(penalty)
+    return found
+
+
+def sum_terms(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+    """The sum () of the costs of terms."""
     total = jnp.zeros((), ctrl.dtype)
-    for cost in problem.costs(where):
-        total = total + half_square(problem.value(cost, where, k, knot, ctrl))
+    for term in terms:
+        total = total + half_square(term(k, knot, ctrl))
     return total
+
+
+def knot_cost(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+    """The cost () of a knot with controls ("path") or of the "end"."""
+    return sum_terms(cost_terms(problem, where), k, knot, ctrl)
+
+
+def merit(
+    problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array,
+    mu: jax.Array,
+) -> jax.Array:  # fmt: skip
+    """The cost () of a knot with its part of the augmented Lagrangian."""
+    return sum_terms(merit_terms(problem, where, rows, mu), k, knot, ctrl)
+
+
+def residuals(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """All residuals (r,) of terms, and the sum () of the terms that are numbers."""
+    vectors, rest = [jnp.zeros(0, ctrl.dtype)], jnp.zeros((), ctrl.dtype)
+    for term in terms:
+        value = term(k, knot, ctrl)
+        if value.ndim:
+            vectors.append(value)
+        else:
+            rest = rest + value
+    return jnp.concatenate(vectors), rest
+
+
+def over_knots(
+    f: Any, problem: Problem, knots: Knot, ctrls: jax.Array, rows: tuple = ()
+) -> tuple[Any, Any]:
+    """f("path", k, knot, ctrl) of all knots with controls, and f("end", N, knot, 0) of the last.
+    rows: none, or a last argument of f at the path (N, ...) and at the end."""
+    body, last = take(knots, BODY), take(knots, -1)
+    ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
+    path = jax.vmap(functools.partial(f, "path"))(ks, body, ctrls, *rows[:1])
+    return path, f("end", problem.horizon, last, jnp.zeros(problem.nu, ctrls.dtype), *rows[1:])
 
 
 def motion_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
@@ -30,23 +214,14 @@ def motion_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
     return path.sum() + end
 
 
-def residuals(
-    problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """All residuals (r,) of a knot, and the sum () of the costs that are numbers."""
-    vectors, rest = [jnp.zeros(0, ctrl.dtype)], jnp.zeros((), ctrl.dtype)
-    for cost in problem.costs(where):
-        value = problem.value(cost, where, k, knot, ctrl)
-        if value.ndim:
-            vectors.append(value)
-        else:
-            rest = rest + value
-    return jnp.concatenate(vectors), rest
+def roll_out(problem: Problem, first: Knot, policy: Any, given: Any) -> tuple[Knot, jax.Array]:
+    """The knots (N + 1, ...) and controls (N, m) of the motion under a policy
+    (k, knot, entry k of `given`) -> ctrl."""
 
+    def step(knot: Knot, x: tuple) -> tuple[Knot, tuple[Knot, jax.Array]]:
+        u = policy(x[0], knot, x[1])
+        return problem.step(x[0], knot, u), (knot, u)
 
-def over_knots(f: Any, problem: Problem, knots: Knot, ctrls: jax.Array) -> tuple[Any, Any]:
-    """f("path", k, knot, ctrl) of all knots with controls, and f("end", N, knot, 0) of the last."""
-    body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
-    ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
-    path = jax.vmap(functools.partial(f, "path"))(ks, body, ctrls)
-    return path, f("end", problem.horizon, last, jnp.zeros(problem.nu, ctrls.dtype))
+    ks = jnp.arange(problem.horizon, dtype=first.parameters.dtype)
+    last, (knots, ctrls) = jax.lax.scan(step, first, (ks, given))
+    return append(knots, last), ctrls

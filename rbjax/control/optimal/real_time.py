@@ -15,8 +15,7 @@ import numpy as np
 
 from rbjax.arguments import instance
 from rbjax.compiling import compiler_options
-from rbjax.control.optimal.controller_memory import PLANNED
-from rbjax.control.optimal.receding_horizon import PredictiveController
+from rbjax.control.optimal.receding_horizon import PLANNED, PredictiveController
 from rbjax.errors import InputError
 
 

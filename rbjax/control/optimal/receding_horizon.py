@@ -1,22 +1,22 @@
 """Model predictive control: a new plan at every tick, and a fallback if that fails.
 
-At tick k with the state x_k the controls u_k .. u_{k+d-1} are already determined (d: ticks of
-delay, the duration of a computation). The state is predicted over them, and the plan begins there:
+At tick k the next d controls are determined already (d: ticks of delay, the duration of a
+computation). The state is predicted over them, and the plan begins there:
 
     x' = f(... f(f(x_k, u_k), u_{k+1}) ...),    (us, xs) = a few iterations from the plan before,
     shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    at that tick
 
-The feedback K corrects the error of the prediction (Diehl, Bock & Schloder 2005, the real-time
-iteration; Mayne et al. 2000). The multipliers and the penalty are kept from the plan before, so a
-few iterations satisfy the constraints. The status of a tick reports if the plan violates a
-constraint. A plan that is not finite, or whose constraints are infeasible, is rejected. Then the
-last plan is continued for at most `patience` ticks; after that a fallback policy acts.
+The multipliers and the penalty are kept from plan to plan. A plan that is not finite, or whose
+constraints are infeasible, is rejected. Then the last plan is continued for at most `patience`
+ticks; after that a fallback policy acts. Source: Diehl, Bock & Schloder 2005; Mayne et al. 2000.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import enum
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,31 +24,76 @@ import jax.numpy as jnp
 
 from rbjax.arguments import flag, integer, real_number
 from rbjax.compiler import threads
-from rbjax.control.optimal.constraint_rows import knot_violation
-from rbjax.control.optimal.controller_memory import (
-    FALLBACK,
-    KEPT,
-    PLANNED,
-    VIOLATED,
-    Memory,
-    PlannedControl,
-    Run,
-)
 from rbjax.control.optimal.first_guess import first_guess
-from rbjax.control.optimal.options import Options, StoppingRule
-from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.objective import Multipliers, knot_violation, shift_multipliers
+from rbjax.control.optimal.problem import NEXT, Knot, Problem, append, take
 from rbjax.control.optimal.registry import METHODS
-from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, shift_multipliers
+from rbjax.control.optimal.solution import Options, StoppingRule
 from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
 
+
+class TickStatus(enum.IntEnum):
+    """Where the control of a tick comes from."""
+
+    PLANNED = 0  # from the plan of this tick
+    KEPT = 1  # the plan failed, the last plan is continued
+    FALLBACK = 2  # plans failed for longer than patience
+    VIOLATED = 3  # the plan violates a constraint; raise iterations or violation
+
+
+PLANNED, KEPT, FALLBACK, VIOLATED = map(int, TickStatus)
+
+
+class PlannedControl(NamedTuple):
+    """A control of a coming tick: u (nu,), gains K (nu, n), the state that the plan expects, and
+    its `TickStatus` ()."""
+
+    u: jax.Array
+    K: jax.Array
+    state: Any
+    status: jax.Array
+
+
+class Memory(NamedTuple):
+    """The memory of a controller.
+
+    knots (N + 1, ...), ctrls (N, nu), K (N, nu, n): the last plan and its gains du = +K dx.
+    cost, violation: (), of the plan.
+    gap: (), the largest between a step of the plan and its next state; 0 without constraints.
+    """
+
+    knots: Knot
+    ctrls: jax.Array
+    K: jax.Array
+    multipliers: Multipliers | None  # of the last plan; None for a method without multipliers
+    pending: PlannedControl | None  # the controls of the ticks of delay; None without delay
+    failures: jax.Array  # (), the plans that failed in a row
+    search_status: jax.Array  # (), of the last search
+    cost: jax.Array
+    violation: jax.Array
+    gap: jax.Array
+
+
+class Run(NamedTuple):
+    """A closed loop of T ticks."""
+
+    ts: jax.Array  # (T + 1,) s
+    states: Any  # with a leading axis T + 1
+    ctrls: jax.Array  # (T, nu)
+    statuses: jax.Array  # (T,), a `TickStatus` each
+    search_statuses: jax.Array  # (T,), a `Status` each
+    costs: jax.Array  # (T,), of the plans
+
+
 HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class PredictiveController:
     """A model predictive controller, made by `mpc`.
 
@@ -57,16 +102,17 @@ class PredictiveController:
     for `rb.rollout`, and `rb.control.RealTime` is a callable with a clock.
     """
 
-    def __init__(
-        self, problem_at: Callable[[Any], Problem], example: Problem, method: str, iterations: int,
-        delay: int, feedback: bool, patience: int, fallback: Callable[[Any, Any], Any],
-        tolerance: float, violation: float, first: int,
-    ) -> None:  # fmt: skip
-        self.problem_at = problem_at
-        self.problem = example
-        self.method, self.iterations, self.delay = method, iterations, delay
-        self.feedback, self.patience, self.fallback = feedback, patience, fallback
-        self.tolerance, self.violation, self.first = tolerance, violation, first
+    problem_at: Callable[[Any], Problem]
+    problem: Problem
+    method: str
+    iterations: int
+    delay: int
+    feedback: bool
+    patience: int
+    fallback: Callable[[Any, Any], Any]
+    tolerance: float
+    violation: float
+    first: int
 
     @property
     def dt(self) -> jax.Array:
@@ -90,7 +136,7 @@ class PredictiveController:
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
             knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
-            found.status, found.cost, found.violation, found.gap,
+            found.status, found.cost, found.violation, self._gap(found),
         )  # fmt: skip
         each = [self._entry(memory, k) for k in range(self.delay)]
         pending = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else None
@@ -108,18 +154,18 @@ class PredictiveController:
             entry = self._entry(memory, 0)
             u = self._acted(problem, entry, t, x)
             return u, self._shifted(problem, memory), entry.status
-        now: PlannedControl = jax.tree.map(lambda a: a[0], memory.pending)
-        coming: PlannedControl = jax.tree.map(lambda a: a[1:], memory.pending)
+        now: PlannedControl = take(memory.pending, 0)
+        coming: PlannedControl = take(memory.pending, NEXT)
         u = self._acted(problem, now, t, x)
         step = threads(problem.system.step)
         ahead = step(problem.time(0, problem.dt), x, u, problem.dt)
         for k in range(self.delay - 1):
-            entry = jax.tree.map(lambda a, k=k: a[k], coming)
+            entry = take(coming, k)
             ahead = step(problem.time(k + 1, problem.dt), ahead, entry.u, problem.dt)
         problem = self.problem_at(t + self.delay * problem.dt)
         memory = self._planned(problem, memory, ahead)
         new = self._entry(memory, 0)
-        pending = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), coming, new)
+        pending = append(coming, new)
         memory = self._shifted(problem, memory)
         return u, memory._replace(pending=pending), now.status
 
@@ -154,7 +200,7 @@ class PredictiveController:
         ks = jnp.arange(steps, dtype=dt.dtype)
         run: tuple = jax.lax.scan(one, (memory, x), ks)
         (_, last), (xs, us, statuses, search_statuses, costs) = run
-        states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), xs, last)
+        states = append(xs, last)
         ts = self.problem.time(jnp.arange(steps + 1, dtype=dt.dtype), dt)
         return Run(ts, states, us, statuses, search_statuses, costs)
 
@@ -169,7 +215,7 @@ class PredictiveController:
             begin = self.problem.start_time
             k = jnp.floor((t - begin) / problem.dt + 1e-6).astype(int)
             late = jnp.clip(jnp.arange(N + 1) + k, 0, N)
-            knots = jax.tree.map(lambda a: a[late], memory.knots)
+            knots = take(memory.knots, late)
             ctrls = memory.ctrls[jnp.minimum(late[:-1], N - 1)]
             multipliers = shift_multipliers(memory.multipliers, late[:-1])
             shifted = memory._replace(knots=knots, ctrls=ctrls, multipliers=multipliers)
@@ -191,6 +237,10 @@ class PredictiveController:
         options = Options(rule, multipliers=multipliers)
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
+    def _gap(self, found: Any) -> jax.Array:
+        """The largest gap of a plan; 0 without constraints, which spares a step of all knots."""
+        return found.gap if self.problem.constraints else jnp.zeros_like(found.gap)
+
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
         """The memory with the plan of this tick, or with the last plan if the new one fails."""
         found = self._search(
@@ -198,13 +248,13 @@ class PredictiveController:
         )
         good = _finite((found.knots, found.ctrls, found.K, found.cost, start))
         # do not reject a plan because its start, which is measured, violates a constraint
-        first = jax.tree.map(lambda a: a[0], found.knots)
+        first = take(found.knots, 0)
         zero = jnp.zeros((), found.ctrls.dtype)
-        off = knot_violation(problem, zero, first, found.ctrls[0], "path") > self.violation
+        off = knot_violation(problem, "path", zero, first, found.ctrls[0]) > self.violation
         good &= (found.status != NOT_FINITE) & ((found.status != INFEASIBLE) | off)
         new = memory._replace(
             knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
-            violation=found.violation, gap=found.gap,
+            violation=found.violation, gap=self._gap(found),
             multipliers=_multipliers(found), failures=jnp.zeros_like(memory.failures),
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)
@@ -215,7 +265,7 @@ class PredictiveController:
         """The plan shifted by a tick; its last control is repeated."""
         ctrls = jnp.concatenate([memory.ctrls[1:], memory.ctrls[-1:]])
         K = jnp.concatenate([memory.K[1:], memory.K[-1:]])
-        last = jax.tree.map(lambda a: a[-1], memory.knots)
+        last = take(memory.knots, -1)
         k = jnp.asarray(problem.horizon - 1, ctrls.dtype)
         after = threads(problem.step)(k, last, ctrls[-1])
         after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
@@ -232,11 +282,11 @@ class PredictiveController:
         status = jnp.where(broken, VIOLATED, PLANNED)
         status = jnp.where(memory.failures > 0, KEPT, status)
         status = jnp.where(memory.failures > self.patience, FALLBACK, status)
-        state = jax.tree.map(lambda a: a[k], memory.knots.state)
+        state = take(memory.knots.state, k)
         return PlannedControl(memory.ctrls[k], memory.K[k], state, status)
 
     def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:
-        """The control of a tick: the planned one with feedback, or that of the fallback."""
+        """The control of a tick: planned with feedback, or from the fallback."""
         u = entry.u
         if self.feedback:
             back = product(entry.K, problem.system.minus(state, entry.state))

@@ -6,16 +6,16 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from rbjax.control.optimal.collocation.collocation import by_collocation
-from rbjax.control.optimal.shooting.ddp import by_ddp
+from rbjax.control.optimal.collocation.collocation import solve_collocation
+from rbjax.control.optimal.shooting.ddp import solve_ddp
 from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
 from rbjax.control.optimal.shooting.single_shooting import (
-    by_adam,
-    by_bfgs,
-    by_levenberg_marquardt,
-    by_shooting,
+    adam_search,
+    bfgs_search,
+    levenberg_marquardt_search,
+    solve_single_shooting,
 )
-from rbjax.control.optimal.shooting.sqp import by_sqp
+from rbjax.control.optimal.shooting.sqp import solve_sqp
 from rbjax.errors import UnknownName
 from rbjax.solvers.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 
@@ -39,28 +39,28 @@ class Method(NamedTuple):
 
 def collocation(table: Tableau, description: str) -> Method:
     """Collocation by a tableau."""
-    return Method(functools.partial(by_collocation, table=table), True, True, description, False)
+    return Method(functools.partial(solve_collocation, table=table), True, True, description, False)
 
 
 METHODS: dict[str, Method] = {
     "ddp": Method(
-        by_ddp, True, True,
+        solve_ddp, True, True,
         "feasibility-driven DDP with multiple shooting, boxes and an augmented Lagrangian: the "
         "default; converges fast from a rough guess, and leaves a feedback",
     ),
     "exact_ddp": Method(
-        functools.partial(by_ddp, exact=True), True, True,
+        functools.partial(solve_ddp, exact=True), True, True,
         "the same with second derivatives of the dynamics: fewer iterations to the last digits, "
         "each more expensive; for small robots, or where ddp is slow to settle",
     ),
     "sqp": Method(
-        by_sqp, True, True,
+        solve_sqp, True, True,
         "ddp without its rollouts, all knots side by side: sequential quadratic programming with "
         "multiple shooting; from guesses of the states that no controls follow, for MPC, and for "
         "one problem on a GPU; from a rough guess under tight bounds it ends in worse optima",
     ),
     "exact_sqp": Method(
-        functools.partial(by_sqp, exact=True), True, True,
+        functools.partial(solve_sqp, exact=True), True, True,
         "the same with second derivatives of the dynamics: the fewest iterations; for small robots",
     ),
     "predictive": Method(
@@ -99,16 +99,16 @@ METHODS: dict[str, Method] = {
         radau_iia(3), "the same of order 5; damps stiff modes, and enforces constraints at knots"
     ),
     "adam": Method(
-        functools.partial(by_shooting, inner=by_adam), True, True,
+        functools.partial(solve_single_shooting, inner=adam_search), True, True,
         "single shooting by the gradient: cheap iterations, many of them (1,000 or more); for "
         "costs with kinks or noise, and as a rough first guess",
     ),
     "bfgs": Method(
-        functools.partial(by_shooting, inner=by_bfgs), True, True,
+        functools.partial(solve_single_shooting, inner=bfgs_search), True, True,
         "single shooting by BFGS: few controls and a short, tame horizon",
     ),
     "levenberg_marquardt": Method(
-        functools.partial(by_shooting, inner=by_levenberg_marquardt), True, True,
+        functools.partial(solve_single_shooting, inner=levenberg_marquardt_search), True, True,
         "single shooting by Levenberg and Marquardt's method: costs that are all residuals",
     ),
     "trapezoidal": collocation(lobatto_iiia(2), "the same of order 2: rough and cheap"),

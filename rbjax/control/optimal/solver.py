@@ -1,8 +1,13 @@
-"""`solve`: a problem, by any method."""
+"""`solve`: a problem, by any method.
+
+Most numbers of a model are zeros and ones. If they are compile-time constants, half of the
+operations are left out, but other numbers need another program. So the numbers of the first robots
+of a form are constants, and those of later ones are arguments (`ConstantRobots`).
+"""
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Hashable
 from typing import Any
 
 import equinox as eqx
@@ -12,18 +17,97 @@ import numpy as np
 
 from rbjax.arguments import instance, integer, real_number
 from rbjax.compiling import compiled, inside_jit
-from rbjax.control.optimal.constants import ConstantRobots
-from rbjax.control.optimal.constraint_rows import constraint_violations, rows_along
 from rbjax.control.optimal.derivatives.implicit import differentiable
 from rbjax.control.optimal.first_guess import Guess, first_guess, guess_of
-from rbjax.control.optimal.options import Options, StoppingRule
+from rbjax.control.optimal.objective import constraint_violations, rows_along
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS, method_of, name_of
-from rbjax.control.optimal.solution import SearchResult, Solution, solution_of
+from rbjax.control.optimal.solution import (
+    Options,
+    SearchResult,
+    Solution,
+    StoppingRule,
+    solution_of,
+)
 from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
 from rbjax.errors import InputError
 from rbjax.motion.closures.captured import with_captured
 from rbjax.progress import Say, progress_line
+
+#: robots of the same form whose numbers become constants
+ROBOTS = 2
+#: robots, and their forms, that are remembered
+REMEMBERED = 64
+
+
+class Constants:
+    """A pytree that is compared by its numbers, so that a program may be known by it."""
+
+    def __init__(self, leaves: list, tree: Any):
+        self.leaves, self.tree = leaves, tree
+        self._key = tuple(
+            (x.shape, x.dtype.str, x.tobytes()) if isinstance(x, np.ndarray) else x
+            for x in (np.asarray(x) if eqx.is_array(x) else x for x in leaves)
+        )
+        self._hash = hash((tree, self._key))
+
+    def unflatten(self) -> Any:
+        """The pytree."""
+        return jax.tree.unflatten(self.tree, self.leaves)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        if self is other:
+            return True
+        return (
+            isinstance(other, Constants) and self._hash == other._hash
+            and self.tree == other.tree and self._key == other._key
+        )  # fmt: skip
+
+
+class ConstantRobots:
+    """What has been made constant. Robots are found again by the identity of their arrays, for
+    reading these from a GPU takes longer than a call."""
+
+    def __init__(self) -> None:
+        self._seen: dict[tuple, Constants] = {}
+        self._forms: dict[Hashable, list[Constants]] = {}
+
+    def constants(self, robot: Any) -> Constants | None:
+        """A robot as constants; None if its numbers are traced, cannot be compared, or there were
+        others of the same form before."""
+        leaves, tree = jax.tree.flatten(robot)
+        if any(isinstance(x, jax.core.Tracer) for x in leaves):
+            return None
+        key = (tree, *map(id, leaves))
+        found = self._seen.get(key)
+        if found is None:
+            try:
+                found = Constants(leaves, tree)
+            except TypeError:  # a function without a hash
+                return None
+            _forget(self._seen)
+            self._seen[key] = found  # its arrays live as long, so that no other has their identity
+        form = (tree, *(x.shape if eqx.is_array(x) else x for x in leaves))
+        same = self._forms.get(form)
+        if same is None:
+            _forget(self._forms)
+            same = self._forms[form] = []
+        for other in same:
+            if other == found:
+                return other
+        if len(same) >= ROBOTS:
+            return None
+        same.append(found)
+        return found
+
+
+def _forget(found: dict) -> None:
+    """Makes room for one more, of the oldest."""
+    while len(found) >= REMEMBERED:
+        del found[next(iter(found))]
 
 
 def solve(
@@ -96,13 +180,13 @@ def solve(
     for name, value in (("tolerance", tolerance), ("violation", violation)):
         real_number("solve", name, value, least=0.0, finite=False, traced=True)
     for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
-                        ("numbers", parameters)):  # fmt: skip
+                        ("parameters", parameters)):  # fmt: skip
         _check_finite(name, value)
     if not isinstance(seed, jax.core.Tracer):
         _check_seed(seed)
     inside = inside_jit()
     show = progress and not inside
-    number = jnp.asarray if inside else _plain
+    number = jnp.asarray if inside else _as_number
     began = guess_of(problem, guess, states, ctrls, parameters)
     rule = StoppingRule(number(tolerance), number(violation), number(iterations))
     options = Options(
@@ -180,7 +264,7 @@ def _report(iterations: Any, cost: Any, violation: Any) -> None:
 _robots = ConstantRobots()
 
 
-def _plain(x: Any) -> Any:
+def _as_number(x: Any) -> Any:
     """A number that a program may be given as it is."""
     return x if isinstance(x, int | float) else jnp.asarray(x)
 
@@ -196,21 +280,25 @@ def _solve(
     problem = jax.tree.unflatten(tree, [x for part in parts for x in part])
     start = problem.system.checked("solve", start)
     knots, ctrls = first_guess(problem, start, *guess[:4])
-    found, off = _judged(problem, start, knots, ctrls, options, method, history)
+    found, off = _search(problem, start, knots, ctrls, options, method, history)
     parameters = found.knots.parameters[0]
     ks = jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
     ts = problem.time(ks, problem.at(parameters)[1])
     return found, off, ts, parameters
 
 
-def _judged(
+def _search(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, method: Any,
     history: int,
 ) -> tuple[SearchResult, jax.Array]:  # fmt: skip
     """The result of a method, its status corrected by violated constraints and values not
     finite."""
-    search = functools.partial(_searched, method, history)
-    if method_of(method).differentiable:
+    used = method_of(method)
+
+    def search(*given: Any) -> SearchResult:
+        return used.solve(*given, history)
+
+    if used.differentiable:
         found = differentiable(search, problem, start, knots, ctrls, options)
     else:
         found = _without_derivative(search(problem, start, knots, ctrls, options))
@@ -238,10 +326,6 @@ def _refuse(primals: Any, tangents: Any) -> Any:
         f"solve: the optimum of this method has no derivative; those of {able} have: solve again "
         "by one of them, from the states and controls found"
     )
-
-
-def _searched(method: Any, history: int, *given: Any) -> SearchResult:
-    return method_of(method).solve(*given, history)
 
 
 _compiled = compiled(_solve, static_argnames=("key", "method", "history"))

@@ -16,15 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiler import side_by_side, threaded
+from rbjax.compiler import compile_threads, map_threads
 from rbjax.dynamics.algorithms.aba import Factor, aba, factorize, solve
-from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
-from rbjax.dynamics.algorithms.operands import inverse_pairs, operands
+from rbjax.dynamics.algorithms.composites import inverse_pairs, link_axes, operands, tree_poses
 from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.drivers.pairs import pair_column, which_moves
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.lanes import Lane, Mat3, Vec3, batch_first, batch_last
+from rbjax.lanes.arrays import pack
 from rbjax.model import Model, prepare
 from rbjax.model.cells import stacked
 from rbjax.spatial import Force, Motion, Transform
@@ -122,7 +121,7 @@ def forward_by_columns(
 ) -> tuple[jax.Array, ...]:
     """`forward_dynamics_derivatives` as three kernels."""
     model = on_threads(model, q.dtype)
-    found = threaded(lambda *x: accelerations(model, *x))(*batch_last((q, v, tau)))
+    found = compile_threads(lambda *x: accelerations(model, *x))(*batch_last((q, v, tau)))
     rows = _kernel(lambda *x: forward_rows(model, *x), q, v, found)
     return forward_columns(model, rows)
 
@@ -168,12 +167,12 @@ def inverse_mass_by_columns(model: Model, q: jax.Array) -> jax.Array:
         unit = _unit(model, j, q)
         return [_solved(model, factors(inward), factors(outward), unit)]
 
-    return side_by_side(column, [_numbers(model)], [0])[0]
+    return map_threads(column, [_numbers(model)], [0])[0]
 
 
 def _kernel(f: Callable, *args: jax.Array) -> jax.Array:
     """f(*args) of one sample, as a kernel whose results have the batch first."""
-    return batch_first(threaded(f)(*args))
+    return batch_first(compile_threads(f)(*args))
 
 
 def _by_column(model: Model, rows: jax.Array, column: Callable) -> list[jax.Array]:
@@ -185,7 +184,7 @@ def _by_column(model: Model, rows: jax.Array, column: Callable) -> list[jax.Arra
 
     # numbers that the threads of a sample read at the same time lie side by side
     places = jnp.asarray(which_moves(model.topology).T)
-    return side_by_side(of_link, [rows, places, _numbers(model)], [0, 1, 0])
+    return map_threads(of_link, [rows, places, _numbers(model)], [0, 1, 0])
 
 
 def _numbers(model: Model) -> jax.Array:

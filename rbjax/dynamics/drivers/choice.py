@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.jax.backend import gpu
+from rbjax.compiler.jax.launch import has_gpu
 from rbjax.dynamics.drivers.contract import Driver as Driver
 from rbjax.dynamics.drivers.limbs import Limbs
 from rbjax.dynamics.drivers.rolled import Rolled
@@ -43,9 +43,9 @@ SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
 #: in two thirds, since JAX differentiates no loops; G1's take the same time, and twice to compile
 CPU_UNROLLED_UP_TO = 26
 
-#: above this many velocity coordinates, algorithms with a row of numbers for each pair of links run
-#: as several kernels, with a thread for each link of each sample
-THREADS_APART_ABOVE = 8
+#: above this many velocity coordinates, algorithms on pairs of links run as several kernels on a
+#: GPU, with a thread for each link of each sample
+KERNELS_ABOVE = 8
 
 DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
     zip(DRIVER_NAMES[1:], (Unrolled, Rolled, Limbs), strict=True)
@@ -69,5 +69,5 @@ def on_threads(model: Model, dtype: Any, *, pairs: bool = False, long: bool = Tr
     if model.driver != "auto":
         return model
     most = THREADS_UNROLLED_UP_TO if pairs or long else SHORT_UNROLLED_UP_TO
-    few = model.nv <= max(most[np.dtype(dtype).itemsize], 0 if gpu() else CPU_UNROLLED_UP_TO)
+    few = model.nv <= max(most[np.dtype(dtype).itemsize], 0 if has_gpu() else CPU_UNROLLED_UP_TO)
     return model.replace(driver="unrolled" if few else "rolled" if pairs else "limbs")

@@ -5,9 +5,7 @@ as in `Unrolled`. So the program is short if a robot repeats itself. Within a li
 nothing: all lanes of a limb are in registers.
 
 A number on which all limbs of a group agree is a literal of the program, so shared zeros vanish. A
-number on which they differ is a column over the limbs, read at the loop's counter. Results of a
-loop are written to memory. Values that a step passes on unchanged are not, nor is a link's pose,
-which is recomputed from cosine and sine.
+number on which they differ is a column over the limbs (`loop`).
 """
 
 from __future__ import annotations
@@ -21,82 +19,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers import unrolled
-from rbjax.dynamics.drivers.contract import Step, Sweeps
-from rbjax.dynamics.drivers.joint_lanes import joint_lanes
-from rbjax.dynamics.drivers.packing import pack
+from rbjax.dynamics.drivers.contract import Step, dof_motion
+from rbjax.dynamics.drivers.loop import Iteration, JointColumns, Parts, loop
 from rbjax.joints import HINGE, JointMotion, PosedJoint, hinge_motion
-from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, sincos, sub
+from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, pack, sincos, sub
 from rbjax.lanes.primitives import whole_cotangent
-from rbjax.model import WORLD, Dof, Group, LinkConstants, Model, Prepared, partition
+from rbjax.model import WORLD, Group, LinkConstants, Model, Prepared, partition
 from rbjax.model.links import lane
 
 
-class Parts:
-    """A per-link value of `Limbs`: a list for the trunk, and for each group a list over the
-    positions in a limb. Its items are columns over the limbs."""
+class Limbs(unrolled.ListDriver):
+    """The trunk unrolled, and a loop over the limbs of each group.
 
-    def __init__(self, trunk: list, limbs: list[list]):
-        self.trunk, self.limbs = trunk, limbs
-
-
-jax.tree_util.register_pytree_node(
-    Parts, lambda x: ((x.trunk, x.limbs), None), lambda _, children: Parts(*children)
-)
-
-
-class LimbJoint:
-    """Among the columns: the joint motions at one position of a group."""
-
-    def __init__(self, link: Dof, constants: LinkConstants, q: list, v: list, trig: Any):
-        self.link, self.columns = link, (constants, q, v, trig)
-
-    def of(self, lane_of: Callable[[Any], Lane]) -> PosedJoint:
-        """The motion in one limb, with the lanes that `lane_of` gives."""
-        constants, q, v, trig = jax.tree.map(lane_of, self.columns)
-        if trig is None:
-            return PosedJoint(self.link.kind.motion(q, v, constants), constants)
-        c, s = trig
-        return PosedJoint(hinge_motion(c, s, v[0]), constants)
-
-
-class PoseLane:
-    """Among the columns: a lane of the links' poses, cheaper to recompute than to store."""
-
-    def __init__(self, joint: LimbJoint, k: int):
-        self.joint, self.k = joint, k
-
-
-class Limb:
-    """Replaces columns by one limb's lanes."""
-
-    def __init__(self, column_lane: Callable[[Any], Lane]):
-        self.lane = lambda x: x if is_literal(x) else column_lane(x)
-        self.joints: dict[int, tuple[LimbJoint, PosedJoint]] = {}
-
-    def __call__(self, x: Any) -> Any:
-        if isinstance(x, LimbJoint):
-            return self.joint(x)
-        if isinstance(x, PoseLane):
-            return jax.tree.leaves(self.joint(x.joint).pose)[x.k]
-        return self.lane(x)
-
-    def joint(self, x: LimbJoint) -> PosedJoint:
-        if id(x) not in self.joints:
-            self.joints[id(x)] = x, x.of(self.lane)
-        return self.joints[id(x)][1]
-
-    @property
-    def poses(self) -> dict[int, PoseLane]:
-        """For each lane of a pose, its `PoseLane` among the columns."""
-        return {
-            id(x): PoseLane(joint, k)
-            for joint, posed in self.joints.values()
-            for k, x in enumerate(jax.tree.leaves(posed.pose)) if not is_literal(x)
-        }  # fmt: skip
-
-
-class Limbs(Sweeps, unrolled.Listed):
-    """The trunk unrolled, and a loop over the limbs of each group."""
+    The columns of a per-link value are a list for each group, over the positions in a limb.
+    """
 
     def __init__(self, model: Model, prepared: Prepared):
         top = self.topology = model.topology
@@ -118,7 +54,7 @@ class Limbs(Sweeps, unrolled.Listed):
         trunk = list(map(of_link, self._trunk, *(x.trunk for x in given)))
         positions = [list(zip(*group.links, strict=True)) for group in self._groups]
         limbs = [
-            list(map(of_links, links, *(x.limbs[n] for x in given)))
+            list(map(of_links, links, *(x.rest[n] for x in given)))
             for n, links in enumerate(positions)
         ]
         return Parts(trunk, limbs)
@@ -130,54 +66,58 @@ class Limbs(Sweeps, unrolled.Listed):
         return _rows(column, links)
 
     def joints(self, q: jax.Array, v: jax.Array | None) -> Parts:
-        """As `Unrolled.joints`."""
         self._like = jnp.zeros(q.shape[1:], q.dtype)
-        links = self.topology.dofs
-        hinges = [i for i, link in enumerate(links) if link.kind is HINGE]
+        dofs = self.topology.dofs
+        hinges = [i for i, dof in enumerate(dofs) if dof.kind is HINGE]
         place = {i: n for n, i in enumerate(hinges)}
         c, s = jnp.zeros((2, 0), q.dtype)
         if hinges:
             reference = self._cast(self._column(self.prepared.columns.reference, hinges))
-            c, s = in_turn(sub(_rows(q, [links[i].q[0] for i in hinges]), reference))
+            c, s = sequential_sincos(sub(_rows(q, [dofs[i].q[0] for i in hinges]), reference))
         qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v
 
         def trunk(i: int, constants: LinkConstants) -> JointMotion:
             if i in place:
                 return hinge_motion(c[place[i]], s[place[i]], vs[i])
-            return joint_lanes(links[i], constants, qs, vs)
+            return dof_motion(dofs[i], constants, qs, vs)
 
-        def limbs(index: Sequence[int], constants: LinkConstants) -> LimbJoint:
-            link = links[index[0]]
-            speeds = zip(*(links[i].v for i in index), strict=True)
+        def limbs(index: Sequence[int], constants: LinkConstants) -> JointColumns:
+            hinge, kind = index[0] in place, dofs[index[0]].kind
+            speeds = zip(*(dofs[i].v for i in index), strict=True)
             speed = [0.0 if v is None else _rows(v, at) for at in speeds]
-            if index[0] in place:
-                turned = [_rows(x, [place[i] for i in index]) for x in (c, s)]
-                return LimbJoint(link, constants, [], speed, turned)
-            at = [_rows(q, every) for every in zip(*(links[i].q for i in index), strict=True)]
-            return LimbJoint(link, constants, at, speed, None)
+            if hinge:
+                at = [_rows(x, [place[i] for i in index]) for x in (c, s)]
+            else:
+                at = [_rows(q, every) for every in zip(*(dofs[i].q for i in index), strict=True)]
+            columns = constants, at, speed
+
+            def posed(lane_of: Callable[[Any], Lane]) -> PosedJoint:
+                constants, at, v = jax.tree.map(lane_of, columns)
+                motion = hinge_motion(*at, v[0]) if hinge else kind.motion(at, v, constants)
+                return PosedJoint(motion, constants)
+
+            return JointColumns(posed, columns)
 
         out = self._parts(trunk, limbs, self.constants)
-        return Parts(fusion_barrier(out.trunk), out.limbs)
+        return Parts(fusion_barrier(out.trunk), out.rest)
 
     def lanes(self, x: jax.Array | None) -> Parts:
-        """As `Unrolled.lanes`."""
         if x is None:
             return self._parts(lambda i: 0.0, lambda links: 0.0)
         return self._parts(lambda i: x[i], lambda links: _rows(x, links))
 
     def scattered(self, values: Mapping[int, Any], zero: Any) -> Parts:
-        """As `Unrolled.scattered`."""
         return self._parts(
             lambda i: values.get(i, zero),
             lambda links: jax.tree.map(_merged, *(values.get(i, zero) for i in links)),
         )
 
     def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
-        """As `Unrolled.pack`. Limbs that follow each other are written as one block."""
+        # limbs that follow each other are written as one block
         rows = dict(zip(self._trunk, lanes.trunk, strict=True))
         blocks: dict[int, jax.Array] = {}
-        for group, columns in zip(self._groups, lanes.limbs, strict=True):
+        for group, columns in zip(self._groups, lanes.rest, strict=True):
             shape = (len(group.links), 1, *like.shape[1:])
             wide = [_wide(jnp.asarray(x, like.dtype), shape) for x in columns]
             block = jnp.concatenate(wide, 1)
@@ -192,23 +132,17 @@ class Limbs(Sweeps, unrolled.Listed):
             blocks[first] = pack(run, like[: len(run)])
         return jnp.concatenate([blocks[i] for i in sorted(blocks)])
 
-    def columns(self, values: Parts, like: jax.Array) -> Any:
-        """As `Unrolled.columns`."""
-        return jax.tree.map(lambda *lanes: pack(lanes, like), *self.whole(values))
-
     def whole(self, values: Parts) -> list:
-        """As `Unrolled.whole`: a list over the links."""
         out: list = [None] * self.topology.nv
         for i, x in zip(self._trunk, values.trunk, strict=True):
             out[i] = x
-        for group, positions in zip(self._groups, values.limbs, strict=True):
+        for group, positions in zip(self._groups, values.rest, strict=True):
             for j, limb in enumerate(group.links):
                 for i, x in zip(limb, self._limb(positions, j), strict=True):
                     out[i] = x
         return out
 
     def rows(self, whole: list) -> Parts:
-        """As `Unrolled.rows`."""
         return self._parts(
             lambda i: whole[i],
             lambda links: jax.tree.map(self._column_of, *(whole[i] for i in links)),
@@ -224,14 +158,12 @@ class Limbs(Sweeps, unrolled.Listed):
         return column
 
     def zip(self, *values: Parts) -> Parts:
-        """As `Unrolled.zip`."""
-        groups = zip(*(v.limbs for v in values), strict=True)
+        groups = zip(*(v.rest for v in values), strict=True)
         limbs = [list(zip(*positions, strict=True)) for positions in groups]
         return Parts(list(zip(*(v.trunk for v in values), strict=True)), limbs)
 
     def part(self, values: Parts, k: int) -> Parts:
-        """As `Unrolled.part`."""
-        return Parts([x[k] for x in values.trunk], [[x[k] for x in xs] for xs in values.limbs])
+        return Parts([x[k] for x in values.trunk], [[x[k] for x in xs] for xs in values.rest])
 
     def outward(self, step: Step, root: Any, xs: Parts) -> Parts:
         """As `Unrolled.outward`: the trunk, then the limbs."""
@@ -254,8 +186,7 @@ class Limbs(Sweeps, unrolled.Listed):
         return Parts(unrolled.inward(self._parents, step, sums, xs.trunk)[1], limbs)
 
     def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: Parts) -> Parts:
-        """As `Sweeps.out_and_in`: the trunk out; out and in through each limb, which stores nothing
-        of its outward sweep; the trunk in."""
+        # each limb runs out and in, and stores nothing of its outward sweep
         carries, first = unrolled.outward(self._parents, outward, root, xs.trunk)
 
         def limb(group, x, before, known):
@@ -274,7 +205,7 @@ class Limbs(Sweeps, unrolled.Listed):
         """message, ys = limb(group, xs, carry of its carrier, known) of every limb: the sums of the
         messages to each link of the trunk, and the columns of ys."""
         sums, out = [zero] * len(self._trunk), []
-        for group, positions in zip(self._groups, xs.limbs, strict=True):
+        for group, positions in zip(self._groups, xs.rest, strict=True):
             messages, ys = self._one_group(group, limb, zero, positions, carries, root)
             out.append(ys)
             for port, message in messages:
@@ -316,38 +247,20 @@ class Limbs(Sweeps, unrolled.Listed):
             self._read[id(found)] = found, column, j
             return found
 
-        return jax.tree.map(Limb(lane), columns)
+        return jax.tree.map(Iteration(lane), columns)
 
     def _loop(self, group: Group, body: Callable, carry: Any, given: Any) -> tuple[Any, Any]:
-        """carry, out = body(carry, given, known) over the limbs, with lanes instead of the columns
-        of `given`. A lane that the body returns unchanged stays the column that it was."""
-        leaves, treedef = jax.tree.flatten(given)
-        found = [c for x in leaves for c in _columns(x)]
-        columns = {id(c): c for c in found}
-        emitted: dict[str, Any] = {}
+        """carry, out = body(carry, given, known) over the limbs of a group."""
 
-        def turn(carry, lanes):
-            lane_of = dict(zip(columns, lanes, strict=True))
-            limb = Limb(lambda column: lane_of[id(column)])
-            x = jax.tree.unflatten(treedef, [limb(x) for x in leaves])
-            poses = limb.poses
-            known = [posed.pose for _, posed in limb.joints.values()]
-            carry, out = body(carry, x, known)
-            flat, emitted["tree"] = jax.tree.flatten(out)
-            kept = poses | {id(x): columns[key] for key, x in lane_of.items()}
-            kept |= {id(x): x for x in flat if is_literal(x)}
-            fresh = {id(x): x for x in flat if id(x) not in kept}
-            emitted["out"] = [(id(x), kept.get(id(x))) for x in flat]
-            emitted["fresh"] = list(fresh)
-            return carry, list(fresh.values())
+        def scan(step: Callable, carry: Any, columns: list) -> tuple[Any, Any]:
+            # a transposed limb recomputes its values: storing them would fill the thread's memory
+            step = jax.checkpoint(step, prevent_cse=False)
+            return jax.lax.scan(step, carry, ((), columns), length=len(group.links))
 
-        lanes = [self._cast(c) for c in columns.values()]
-        # a transposed limb recomputes its values: storing them would fill the thread's memory
-        turn = jax.checkpoint(turn, prevent_cse=False)
-        carry, ys = jax.lax.scan(turn, carry, lanes, length=len(group.links))
-        made = dict(zip(emitted["fresh"], ys, strict=True))
-        out = [made.get(key, column) for key, column in emitted["out"]]
-        return carry, jax.tree.unflatten(emitted["tree"], out)
+        def with_known(carry: Any, lanes: Any, _: tuple, here: Iteration) -> tuple[Any, Any]:
+            return body(carry, lanes, [posed.pose for _, posed in here.joints.values()])
+
+        return loop(scan, with_known, carry, given, self._cast)
 
     def _cast(self, column: Any) -> Any:
         if isinstance(column, np.ndarray):
@@ -356,24 +269,15 @@ class Limbs(Sweeps, unrolled.Listed):
 
 
 @jax.custom_jvp
-def in_turn(angles: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Cosines and sines, one after another: their long program is compiled once for all."""
+def sequential_sincos(angles: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Cosines and sines in a loop, so that their long program is compiled once for all."""
     return jax.lax.scan(lambda _, x: ((), sincos(x)), (), angles)[1]
 
 
-@in_turn.defjvp
-def _in_turn_jvp(primals: tuple, tangents: tuple) -> tuple:
-    c, s = in_turn(*primals)
+@sequential_sincos.defjvp
+def _sequential_sincos_jvp(primals: tuple, tangents: tuple) -> tuple:
+    c, s = sequential_sincos(*primals)
     return (c, s), (-s * tangents[0], c * tangents[0])
-
-
-def _columns(x: Any) -> list:
-    """The columns that a leaf is read from."""
-    if isinstance(x, PoseLane):
-        return _columns(x.joint)
-    if isinstance(x, LimbJoint):
-        return [c for c in jax.tree.leaves(x.columns) if not is_literal(c)]
-    return [] if is_literal(x) else [x]
 
 
 def _wide(column: jax.Array, shape: tuple[int, ...]) -> jax.Array:

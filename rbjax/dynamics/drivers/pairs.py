@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.dynamics.drivers.packing import pack
 from rbjax.lanes import Lane, inner
+from rbjax.lanes.arrays import pack
 from rbjax.model import Topology
 from rbjax.model.cells import stacked
 

@@ -18,47 +18,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.drivers.contract import Step, Sweeps
-from rbjax.dynamics.drivers.joint_lanes import joint_columns, joint_lanes
-from rbjax.dynamics.drivers.packing import pack
-from rbjax.joints import JointMotion, PosedJoint
-from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal
-from rbjax.lanes.primitives import whole_cotangent
-from rbjax.model import WORLD, Model, Prepared
-from rbjax.model.cells import lane_of
-
-
-class Values:
-    """A per-link value of `Rolled`: a list for the head, columns for the rest of the links."""
-
-    def __init__(self, head: list, rest: Any):
-        self.head, self.rest = head, rest
-
-
-jax.tree_util.register_pytree_node(
-    Values, lambda v: ((v.head, v.rest), None), lambda _, children: Values(*children)
+from rbjax.dynamics.drivers.contract import Driver, Step, dof_motion
+from rbjax.dynamics.drivers.loop import Constants, Iteration, JointColumns, Parts, PoseLane, loop
+from rbjax.joints import HINGE, SLIDE, DofKind, JointMotion, NodeMotion, PosedJoint, hinge_motion
+from rbjax.lanes import (
+    Lane,
+    Vec3,
+    add,
+    as_arrays,
+    fusion_barrier,
+    is_literal,
+    pack,
+    rotation_z,
+    sincos,
 )
+from rbjax.lanes.primitives import whole_cotangent
+from rbjax.model import WORLD, Model, Prepared, Topology
+from rbjax.model.cells import lane_of, stacked
+from rbjax.spatial import Motion
 
 
-class Constants:
-    """Among the columns of `Rolled`: the links' constants."""
-
-
-class Joints:
-    """Among the columns of `Rolled`: joint motions, made by `make` from these columns."""
-
-    def __init__(self, make: Callable[..., JointMotion], columns: list[Lane]):
-        self.make, self.columns = make, columns
-
-
-class PoseLane:
-    """Among the columns of `Rolled`: a lane of a pose, cheaper to recompute than to store."""
-
-    def __init__(self, joints: Joints, k: int):
-        self.joints, self.k = joints, k
-
-
-class Rolled(Sweeps):
+class Rolled(Driver):
     """A scan over the links, after the head."""
 
     listed = False
@@ -69,7 +49,7 @@ class Rolled(Sweeps):
         n = top.nv
         self.head = 6 if top.joint_kinds[:1] == ("free",) and n > 6 else 0
         self._columns = jax.tree.map(lambda x: _uniform(x[self.head :]), prepared.columns)
-        self.constants = Values([prepared.link(i) for i in range(self.head)], Constants())
+        self.constants = Parts([prepared.link(i) for i in range(self.head)], Constants())
         #: links in one iteration: two save copies of the carry, and double the program
         self.unroll = 1
         self._like: Any = None  # the shape and dtype of one lane, known with q
@@ -83,28 +63,29 @@ class Rolled(Sweeps):
         target = np.where(parents == WORLD, -2, source)
         self._index = np.stack([source, keep, target], 1).astype(np.int32)[self.head :]
 
-    def joints(self, q: jax.Array, v: jax.Array | None) -> Values:
-        """The joint motion of each link."""
+    def joints(self, q: jax.Array, v: jax.Array | None) -> Parts:
         self._like = jnp.zeros(q.shape[1:], q.dtype)
         qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v
-        links = enumerate(self.topology.dofs[: self.head])
-        head = [joint_lanes(link, self.constants.head[i], qs, vs) for i, link in links]
+        dofs = enumerate(self.topology.dofs[: self.head])
+        head = [dof_motion(dof, self.constants.trunk[i], qs, vs) for i, dof in dofs]
         make, columns = joint_columns(self.topology, self.prepared, q, v, self.head)
         head, columns = fusion_barrier((head, columns))
-        return Values(head, Joints(make, columns))
 
-    def lanes(self, x: jax.Array | None) -> Values:
-        """An array (nv, ...) as a per-link lane; zeros if None."""
+        def posed(lane_of: Callable[[Any], Lane]) -> PosedJoint:
+            return PosedJoint(make(*map(lane_of, columns)), lane_of(Constants()))
+
+        return Parts(head, JointColumns(posed, columns))
+
+    def lanes(self, x: jax.Array | None) -> Parts:
         if x is None:
-            return Values([0.0] * self.head, 0.0)
-        return Values([x[i] for i in range(self.head)], x[self.head :])
+            return Parts([0.0] * self.head, 0.0)
+        return Parts([x[i] for i in range(self.head)], x[self.head :])
 
-    def scattered(self, values: Mapping[int, Any], zero: Any) -> Values:
-        """As `Unrolled.scattered`."""
+    def scattered(self, values: Mapping[int, Any], zero: Any) -> Parts:
         head = [values.get(i, zero) for i in range(self.head)]
         rest = [values.get(i, zero) for i in range(self.head, self.topology.nv)]
-        return Values(head, jax.tree.map(self._column, *rest))
+        return Parts(head, jax.tree.map(self._column, *rest))
 
     def _column(self, *lanes: Lane) -> Lane:
         """Lanes as a column; a literal if all are the same."""
@@ -112,30 +93,25 @@ class Rolled(Sweeps):
             return lanes[0]
         return jnp.stack(as_arrays(list(lanes), self._like))
 
-    def pack(self, lanes: Values, like: jax.Array) -> jax.Array:
-        """A per-link lane as an array (nv, ...)."""
+    def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
         rest = jnp.broadcast_to(jnp.asarray(lanes.rest, like.dtype), like[self.head :].shape)
         if not self.head:
             return rest
-        return jnp.concatenate([pack(lanes.head, like), rest])
+        return jnp.concatenate([pack(lanes.trunk, like), rest])
 
-    def whole(self, values: Values) -> Any:
-        """As `Unrolled.whole`: columns."""
+    def whole(self, values: Parts) -> Any:
         if isinstance(values.rest, Constants):
             return jax.tree.map(lambda x: self._cast(_uniform(x)), self.prepared.columns)
         return self.columns(values, jnp.zeros(self.topology.nv, self._like.dtype))
 
-    def rows(self, whole: Any) -> Values:
-        """As `Unrolled.rows`."""
+    def rows(self, whole: Any) -> Parts:
         head = [_row(whole, i) for i in range(self.head)]
-        return Values(head, _row(whole, slice(self.head, None)))
+        return Parts(head, _row(whole, slice(self.head, None)))
 
     def each(self, f: Callable, *whole: Any) -> Any:
-        """As `Unrolled.each`."""
         return fusion_barrier(f(*whole), known=whole)
 
     def take(self, whole: Any, index: Sequence[int], world: Any = None) -> Any:
-        """As `Unrolled.take`."""
         places = np.array(index, int)
         if np.array_equal(places, np.arange(self.topology.nv)):
             return whole
@@ -144,46 +120,39 @@ class Rolled(Sweeps):
         return _select(outside, world, found) if outside.any() else found
 
     def stack(self, whole: Any, lanes: Callable, like: jax.Array) -> jax.Array:
-        """As `Unrolled.stack`."""
         columns = [jnp.asarray(x, like.dtype) for x in lanes(whole)]
         size = max((x.shape[0] for x in columns if x.ndim), default=self.topology.nv)
         return jnp.stack([jnp.broadcast_to(x, (size,)) for x in columns], -1)
 
-    def known(self, numbers: list[float]) -> Lane:
-        """As `Unrolled.known`."""
+    def literals(self, numbers: list[float]) -> Lane:
         return self._cast(_uniform(np.array(numbers)))
 
     def _cast(self, x: Any) -> Lane:
         return x if is_literal(x) else jnp.asarray(x, self._like.dtype)
 
-    def columns(self, values: Values, like: jax.Array) -> Any:
-        """As `Unrolled.columns`."""
+    def columns(self, values: Parts, like: jax.Array) -> Any:
         rest = jax.tree.map(self._whole, values.rest)
-        return jax.tree.map(lambda r, *h: self.pack(Values(list(h), r), like), rest, *values.head)
+        return jax.tree.map(lambda r, *h: self.pack(Parts(list(h), r), like), rest, *values.trunk)
 
     def _whole(self, x: Any) -> Any:
-        """A pose's lane computed for all links."""
+        """A column; computed if it is a lane of poses."""
         if not isinstance(x, PoseLane):
             return x
-        pose = x.joints.make(*x.joints.columns).transform(self._columns)
-        return jax.tree.leaves(pose)[x.k]
+        return x.of(x.joint.posed(lambda c: self._columns if isinstance(c, Constants) else c))
 
-    def zip(self, *values: Values) -> Values:
-        """Per-link tuples of per-link values."""
-        head = [tuple(v.head[i] for v in values) for i in range(self.head)]
-        return Values(head, tuple(v.rest for v in values))
+    def zip(self, *values: Parts) -> Parts:
+        head = [tuple(v.trunk[i] for v in values) for i in range(self.head)]
+        return Parts(head, tuple(v.rest for v in values))
 
-    def part(self, values: Values, k: int) -> Values:
-        """As `Unrolled.part`."""
-        return Values([x[k] for x in values.head], values.rest[k])
+    def part(self, values: Parts, k: int) -> Parts:
+        return Parts([x[k] for x in values.trunk], values.rest[k])
 
-    def outward(self, step: Step, root: Any, xs: Values) -> Values:
-        """As `Unrolled.outward`."""
+    def outward(self, step: Step, root: Any, xs: Parts) -> Parts:
         carries: list = []
         ys: list = []
         for i in range(self.head):
             before = carries[-1] if i else root
-            carry, y = fusion_barrier(step(xs.head[i], before), known=(xs.head[i], before))
+            carry, y = fusion_barrier(step(xs.trunk[i], before), known=(xs.trunk[i], before))
             carries.append(carry)
             ys.append(y)
         before = as_arrays(carries[-1] if self.head else root, self._like)
@@ -203,10 +172,9 @@ class Rolled(Sweeps):
             return (own, slots), y
 
         _, rest = self._scan(body, (before, tuple(waiting)), xs.rest, reverse=False)
-        return Values(ys, rest)
+        return Parts(ys, rest)
 
-    def inward(self, step: Step, zero: Any, xs: Values) -> Values:
-        """As `Unrolled.inward`."""
+    def inward(self, step: Step, zero: Any, xs: Parts) -> Parts:
         nothing = as_arrays(zero, self._like)
         # the first link's message goes to the head, if there is one
         chain = (self._index[0 if self.head else 1 :, 2] == -1).all()
@@ -233,63 +201,31 @@ class Rolled(Sweeps):
         for i in reversed(range(self.head)):
             if i in self._slot_of:
                 total = jax.tree.map(add, total, slots[self._slot_of[i]])
-            total, ys[i] = fusion_barrier(step(xs.head[i], total), known=(xs.head[i], total))
-        return Values(ys, rest)
+            total, ys[i] = fusion_barrier(step(xs.trunk[i], total), known=(xs.trunk[i], total))
+        return Parts(ys, rest)
 
-    def _scan(self, body, carry, xs, *, reverse: bool) -> tuple[Any, Any]:
-        """`lax.scan` over the columns of xs. Literals and known values are not written."""
-        leaves, treedef = jax.tree.flatten(xs)
+    def _scan(self, body: Callable, carry: Any, xs: Any, *, reverse: bool) -> tuple[Any, Any]:
+        """carry, y = body(carry, index, x) over the columns of xs. The constants are one row."""
         dtype = self._like.dtype
         numbers, of_constants = jax.tree.flatten(self._columns)
-        row = jnp.stack([jnp.asarray(x, dtype) for x in numbers if not is_literal(x)], 1)
-        columns: dict[int, Any] = {}
-        for x in leaves:
-            joints = x.joints if isinstance(x, PoseLane) else x
-            for column in joints.columns if isinstance(joints, Joints) else [x]:
-                if not (is_literal(column) or isinstance(column, Constants)):
-                    columns[id(column)] = column
-        emitted: dict[str, Any] = {}
+        rows = jnp.stack([jnp.asarray(x, dtype) for x in numbers if not is_literal(x)], 1)
 
-        def scanned(carry, x):
-            index, row, lanes = x
-            lane_of = dict(zip(columns, lanes, strict=True))
-            known = {id(lane): columns[key] for key, lane in lane_of.items()}
-            left = iter([row[k] for k in range(row.shape[0])])
-            constants = jax.tree.unflatten(
-                of_constants, [a if is_literal(a) else next(left) for a in numbers]
-            )
-            posed: dict[int, PosedJoint] = {}
+        def scan(step: Callable, carry: Any, columns: list) -> tuple[Any, Any]:
+            def scanned(carry, x):
+                index, row, lanes = x
+                left = iter([row[k] for k in range(row.shape[0])])
+                constants = [a if is_literal(a) else next(left) for a in numbers]
+                more = index, jax.tree.unflatten(of_constants, constants)
+                return fusion_barrier(step(carry, (more, lanes)))
 
-            def joint(joints):
-                if id(joints) not in posed:
-                    motion = joints.make(*(lane_of.get(id(c), c) for c in joints.columns))
-                    posed[id(joints)] = PosedJoint(motion, constants)
-                    for k, lane in enumerate(jax.tree.leaves(posed[id(joints)].pose)):
-                        known.setdefault(id(lane), PoseLane(joints, k))
-                return posed[id(joints)]
+            given = (jnp.asarray(self._index), rows, columns)
+            carry, ys = jax.lax.scan(scanned, carry, given, reverse=reverse, unroll=self.unroll)
+            return carry, list(map(whole_cotangent, ys))
 
-            def value(x):
-                if isinstance(x, Constants):
-                    return constants
-                if isinstance(x, Joints):
-                    return joint(x)
-                if isinstance(x, PoseLane):
-                    return jax.tree.leaves(joint(x.joints).pose)[x.k]
-                return lane_of.get(id(x), x)
+        def with_index(carry: Any, x: Any, more: tuple, _: Iteration) -> tuple[Any, Any]:
+            return body(carry, more[0], x)
 
-            given = jax.tree.unflatten(treedef, [value(x) for x in leaves])
-            carry, y = body(carry, index, given)
-            out, emitted["tree"] = jax.tree.flatten(y)
-            emitted["known"] = [a if is_literal(a) else known.get(id(a)) for a in out]
-            return fusion_barrier(
-                (carry, [a for a, k in zip(out, emitted["known"], strict=True) if k is None])
-            )
-
-        given = (jnp.asarray(self._index), row, list(columns.values()))
-        carry, ys = jax.lax.scan(scanned, carry, given, reverse=reverse, unroll=self.unroll)
-        fresh = map(whole_cotangent, ys)
-        out = [next(fresh) if a is None else a for a in emitted["known"]]
-        return carry, jax.tree.unflatten(emitted["tree"], out)
+        return loop(scan, with_index, carry, xs)
 
 
 def _row(columns: Any, i: Any) -> Any:
@@ -333,3 +269,70 @@ def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
         slot_of[point] = free.pop()
         busy.append((last[point], slot_of[point]))
     return count, slot_of
+
+
+def joint_columns(
+    top: Topology, prepared: Prepared, q: jax.Array, v: jax.Array | None, start: int = 0
+) -> tuple[Callable[..., JointMotion], list[Lane]]:
+    """The motions of the links from `start` on, for the rolled driver: a function and its columns.
+
+    The function makes a `JointMotion` from the columns (nv - start, ...) or from one link's lanes.
+    """
+    links = top.dofs[start:]
+    batch = (1,) * (q.ndim - 1)
+
+    def mask(flags):
+        return np.array(list(flags), bool).reshape(-1, *batch)
+
+    hinge = mask(link.kind is HINGE for link in links)
+    slide = mask(link.kind is SLIDE for link in links)
+    places = np.array([link.q[0] if len(link.q) else 0 for link in links])
+    reference = prepared.columns.reference[start:].reshape(-1, *batch)
+    at = q[places] - stacked(reference, q.dtype)
+    v = None if v is None else v[start:]
+    qd = 0.0 if v is None else v
+    if hinge.all():
+        return hinge_motion, [*sincos(at), qd]
+    J = rotation_z(*sincos(jnp.where(hinge, at, 0.0)))
+    rate = Vec3.zero() if v is None else Vec3(0.0, 0.0, jnp.where(hinge, v, 0.0))
+    S = HINGE.axis(())
+    moves: Lane = 0.0
+    if slide.any():
+        turns = jnp.asarray(~slide, q.dtype)
+        S = Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, 1 - turns))
+        moves = jnp.where(slide, at, 0.0)
+    motion = JointMotion(J, Vec3(0.0, 0.0, moves), S, rate, qd)
+    bent = not all(link.kind.constant_axis for link in links)
+    motion = NodeMotion.of(motion) if bent else motion
+
+    def with_kind(motion: JointMotion, kind: DofKind, rows: np.ndarray) -> JointMotion:
+        """The motion whose rows of a kind are its own."""
+        some = [links[i] for i in rows]
+        qs = [q[np.array(of)] for of in zip(*(link.q for link in some), strict=True)]
+        vs = [
+            0.0 if v is None else v[np.array(of) - start]
+            for of in zip(*(link.v for link in some), strict=True)
+        ]
+        constants = jax.tree.map(
+            lambda x: stacked(x[rows + start].reshape(-1, *batch), q.dtype), prepared.columns
+        )
+        own = kind.motion(qs, vs, constants)
+        own = NodeMotion.of(own) if bent else own
+        return jax.tree.map(lambda column, x: _insert(column, rows, x, at), motion, own)
+
+    # what else there is, kind by kind; what stands still is as above
+    others: dict[DofKind, list[int]] = {}
+    for i, link in enumerate(links):
+        if link.kind not in (HINGE, SLIDE) and not link.kind.rigid_to_previous:
+            others.setdefault(link.kind, []).append(i)
+    for kind, rows in others.items():
+        motion = with_kind(motion, kind, np.array(rows))
+    leaves, treedef = jax.tree.flatten(motion)
+    return lambda *lanes: jax.tree.unflatten(treedef, lanes), leaves
+
+
+def _insert(column: Lane, rows: np.ndarray, values: Lane, like: jax.Array) -> Lane:
+    if is_literal(column) and is_literal(values) and column == values:
+        return column
+    wide = jnp.broadcast_to(jnp.asarray(column, like.dtype), like.shape)
+    return wide.at[rows].set(values)

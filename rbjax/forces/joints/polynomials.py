@@ -66,9 +66,7 @@ class JointPolynomials(Element):
     damping: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
     lowest: int = eqx.field(static=True, default=1)
-
-    def may_be_endless(self, name: str) -> bool:
-        return False
+    unlimited = ()
 
     def shapes(self, model: Model) -> Shapes:
         return {

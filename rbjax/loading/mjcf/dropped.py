@@ -1,4 +1,4 @@
-"""What a compiled MuJoCo model holds that rbjax leaves out, in words."""
+"""The features of a compiled MuJoCo model that rbjax leaves out, in words."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import listed
-from rbjax.loading.mjcf.actuator_kinds import is_at_joint, what_is_left_out
 from rbjax.loading.mjcf.constraints import equalities_are_on, is_loaded
+from rbjax.loading.mjcf.fields import is_at_joint, reason_left_out
 
 _SHOWN = 4  # names listed before "and N more"
 #: the beginning of an entry about limits in the wrong order
@@ -73,7 +73,7 @@ def dropped_features(
         note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
-    left_out = [what_is_left_out(m, i) for i in range(m.nactuator)]
+    left_out = [reason_left_out(m, i) for i in range(m.nactuator)]
     for why in dict.fromkeys(filter(None, left_out)):
         note(f"actuators: {why}", [why == what for what in left_out], obj.mjOBJ_ACTUATOR)
     extra = (m.actuator_damping != 0) | m.actuator_dampingpoly.any(-1) | (m.actuator_armature != 0)
@@ -120,7 +120,7 @@ def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(out)
 
 
-def cured(entry: str) -> str:
+def with_cure(entry: str) -> str:
     """The entry, followed by how to keep the feature, if that is possible."""
     return next((f"{entry}: {cure}" for start, cure in _CURES.items() if entry.startswith(start)),
                 entry)  # fmt: skip
@@ -151,7 +151,7 @@ def _tendons_that_act(m: mujoco.MjModel) -> np.ndarray:
 
 
 def tendon_is_supported(m: mujoco.MjModel, i: int) -> bool:
-    """Whether tendon i only carries the forces of actuators, or is only a spring and a damper
+    """Whether tendon i only transmits the forces of actuators, or is only a spring and a damper
     between two sites."""
     start, count = m.tendon_adr[i], m.tendon_num[i]
     off, bit = m.opt.disableflags, mujoco.mjtDisableBit

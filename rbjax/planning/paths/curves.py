@@ -20,7 +20,7 @@ from rbjax.planning.paths.path import Path
 from rbjax.rotations.arguments import takes
 
 
-@takes(start="planar_pose", goal="planar_pose", radius="positive")
+@takes(positive=["radius"], start="planar_pose", goal="planar_pose", radius="scalar")
 def dubins(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
     """The shortest path of a car that only drives forwards: the best of six words.
 
@@ -47,7 +47,7 @@ def dubins(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
     return shortest(words.DUBINS, words.forwards, start, goal, radius)
 
 
-@takes(start="planar_pose", goal="planar_pose", radius="positive")
+@takes(positive=["radius"], start="planar_pose", goal="planar_pose", radius="scalar")
 def reeds_shepp(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
     """The shortest path of a car that drives in both directions: the best of 48 words.
 

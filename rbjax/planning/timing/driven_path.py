@@ -30,8 +30,7 @@ from rbjax.model import State
 from rbjax.planning.paths.path import Path
 from rbjax.planning.timing.limits import Limits
 from rbjax.wheeled.kinematics.parameters import stack_lanes
-from rbjax.wheeled.models.robot_model import RobotModel
-from rbjax.wheeled.models.states import with_twist
+from rbjax.wheeled.models.robot_model import RobotModel, with_twist
 from rbjax.wheeled.motion.following import commands
 
 TURN = 0.5  # the cosine of the largest change of direction that is rounded: 60 degrees

@@ -38,7 +38,7 @@ from rbjax.planning.timing.sequential_program import optimised
 from rbjax.planning.timing.shooting import Shooting
 from rbjax.planning.timing.time_scaling import check_path, time_scaling
 from rbjax.wheeled import RobotModel
-from rbjax.wheeled.models.states import start
+from rbjax.wheeled.models.robot_model import start
 
 NEAR = 2e-3  # deviations in m, rad and of a limit that a feasible motion may have
 FINER = 4  # steps of the replay for one of the search

@@ -1,4 +1,10 @@
-"""Drift of invariants over a million steps, and a test of their slope.
+"""Equal steps of any solver in constant memory, the drift of invariants, and a test of their slope.
+
+    y_{n+1} = step(t_n, h, y_n),    t_n = n h;    keep(t, y, args) after every `every` steps
+One compiled program runs any number of steps. They are the solver's own, without interpolation,
+controller or checkpoints. A run stops before a state that is not finite, or if the root of an
+implicit step is not found; `ending` is the reason. The remaining samples repeat the last finite
+one, at times that are nan.
 
     x_k = a + s t_k + oscillation;    s by least squares over the means of B blocks,
     its error from the residuals,    sigma^2 = (1 + r) / (1 - r) sum e^2 / (B - 2) / sum (t - t_)^2
@@ -21,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rbjax.arguments import integer, real_array
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.dynamics import (
     center_of_mass,
     centroidal_momentum,
@@ -31,13 +37,155 @@ from rbjax.dynamics import (
 from rbjax.errors import InputError
 from rbjax.forces import elastic_energy
 from rbjax.model import Model, State, Topology
-from rbjax.motion.term import motion, unit
+from rbjax.motion.term import make_term, unit_quaternions
 from rbjax.stability.methods import Solver, stepping
-from rbjax.stability.runs.long_run import March, check_state, long_run
 
 BLOCKS = 64  # block means of a series, to which the slope is fitted
 SIGNIFICANT = 4.0  # standard errors beyond which a slope is a trend
 WALK = 0.7  # correlation of neighbours beyond which residuals may be a random walk
+
+
+#: the endings of a run, by the number in `March.ending`
+DONE, NOT_FINITE, NO_ROOT = ENDINGS = range(3)
+
+Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> arrays to keep
+
+
+class March(eqx.Module):
+    """The result of a run.
+
+    Fields: ts (K + 1,) s, nan after an early end; kept, the results of `keep`, each leaf
+    (K + 1, ...), of the last state y where ts is nan; y, the last state; steps (), their number;
+    ending (), one of `DONE`, `NOT_FINITE`, `NO_ROOT` of `rb.stability`.
+    """
+
+    ts: jax.Array
+    kept: Any
+    y: Any
+    steps: jax.Array
+    ending: jax.Array
+
+
+def long_run(
+    term: diffrax.AbstractTerm,
+    solver: diffrax.AbstractSolver,
+    y0: Any,
+    dt: Any,
+    keep: Keep,
+    *,
+    every: int,
+    samples: int,
+    args: Any = None,
+) -> March:
+    """samples * every steps of dt from t = 0. One program serves all dt, `every`, y0 and args."""
+    y0 = as_floats("a run", y0)
+    dtype = jnp.result_type(*jax.tree.leaves(y0))
+    check_times(dt, every * samples, dtype)
+    return _run(term, solver, y0, jnp.asarray(dt, dtype), keep, jnp.asarray(every), samples, args)
+
+
+@eqx.filter_jit
+def _run(term, solver, y0, dt, keep, every, samples, args) -> March:
+    def sound(state):
+        _, ending, _, _ = state
+        return ending == DONE
+
+    def once(state):
+        n, _, y, memory = state
+        t = n * dt
+        y1, _, _, memory, result = solver.step(term, t, t + dt, y, args, memory, made_jump=False)
+        found = result == diffrax.RESULTS.successful
+        ending = jnp.where(found, jnp.where(finite(y1), DONE, NOT_FINITE), NO_ROOT)
+        y1 = jax.tree.map(lambda new, old: jnp.where(ending == DONE, new, old), y1, y)
+        return n + (ending == DONE), ending, y1, memory
+
+    def sample(state, _):
+        until = state[0] + every
+        state = jax.lax.while_loop(lambda s: (s[0] < until) & sound(s), once, state)
+        t = state[0] * dt
+        reached = jnp.where(sound(state), t, jnp.nan)
+        return state, (reached, keep(t, state[2], args))
+
+    memory = solver.init(term, 0 * dt, dt, y0, args)
+    start = (jnp.zeros((), jnp.int32), jnp.full((), DONE), y0, memory)
+    (steps, ending, y, _), later = jax.lax.scan(sample, start, length=samples)
+    first = (0 * dt, keep(0 * dt, y0, args))
+    ts, kept = jax.tree.map(lambda a, b: jnp.concatenate([jnp.asarray(a)[None], b]), first, later)
+    return March(ts, kept, y, steps, ending)
+
+
+def finite(y: Any) -> jax.Array:
+    """Whether all numbers of a state are finite."""
+    return jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(y)]).all()
+
+
+def as_floats(where: str, y: Any) -> Any:
+    """A state as finite arrays of one float type."""
+    leaves = jax.tree.leaves(y)
+    if not leaves or not all(hasattr(x, "dtype") or isinstance(x, (int, float)) for x in leaves):
+        raise InputError(f"{where}: y0 is {y!r}, expected arrays of numbers")
+    if not any(isinstance(x, jax.core.Tracer) for x in leaves):
+        for x in leaves:
+            real_array(where, "y0", x)
+    dtype = jnp.result_type(*leaves)
+    dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype), y)
+
+
+def check_times(dt: Any, steps: int, dtype: Any) -> None:
+    """`InputError` for times that the dtype cannot resolve: t + h - t would differ from h."""
+    h = np.asarray(real_number("a run", "dt", dt, above=0.0), dtype)
+    steps = integer("a run", "steps", steps, least=1)
+    if not (np.isfinite(h) and h > 0):
+        raise InputError(f"a run: dt is {dt} s, which is {h} in {np.dtype(dtype).name}")
+    exact = np.frexp(h)[0] == 0.5 and steps * np.finfo(dtype).eps <= 1
+    if not exact and steps * np.finfo(dtype).eps > 1e-3:
+        power = float(2.0 ** np.round(np.log2(float(h))))
+        raise InputError(
+            f"got {steps} steps of dt = {dt} s in {np.dtype(dtype).name}, which cannot resolve "
+            f"times of so many steps; take a power of two, dt = {power!r}, or float64"
+        )
+
+
+def opened(
+    where: str, system: Any, y0: Any, solver: Any, args: Any
+) -> tuple[diffrax.AbstractTerm, Any, Any]:
+    """The term, its state and its arguments, of a robot or a term.
+
+    Raises:
+        InputError: another system, or a state of another shape.
+    """
+    if isinstance(system, Model):
+        if not isinstance(y0, State):
+            kind = type(y0).__name__
+            raise InputError(f"{where}: y0 is {kind}, expected State(q, v) of the robot")
+        if jnp.shape(y0.q) != (system.nq,) or jnp.shape(y0.v) != (system.nv,):
+            raise InputError(
+                f"{where}: y0 has q {jnp.shape(y0.q)} and v {jnp.shape(y0.v)}, expected "
+                f"({system.nq},) and ({system.nv},)"
+            )
+        return *make_term(system, y0, solver), system
+    if not isinstance(system, diffrax.AbstractTerm):
+        raise InputError(
+            f"{where}: system is {type(system).__name__}, expected a Model or a term of diffrax"
+        )
+    return system, y0, args
+
+
+def steps_of_a_sample(where: str, steps: Any, samples: Any) -> int:
+    """The number of steps between two samples.
+
+    Raises:
+        InputError: `steps` is not a multiple of `samples`.
+    """
+    integer(where, "samples", samples, least=1)
+    integer(where, "steps", steps, least=1)
+    if steps % samples:
+        raise InputError(
+            f"{where}: got {steps} steps and {samples} samples, expected steps to be a multiple of "
+            "samples"
+        )
+    return steps // samples
 
 
 class Trend(NamedTuple):
@@ -56,7 +204,7 @@ class Trend(NamedTuple):
 
 
 def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
-    """Least-squares slope of a series, with a standard error that accounts for oscillation.
+    """Fit the slope of a series, with a standard error that accounts for oscillation.
 
     s = sum (t - t_) x / sum (t - t_)^2 over the means of 64 blocks.
 
@@ -122,7 +270,7 @@ class Invariants(eqx.Module):
     """
 
     def __call__(self, t: Any, y: State, model: Model) -> dict[str, jax.Array]:
-        q, v = unit(model.topology, y.q), y.v
+        q, v = unit_quaternions(model.topology, y.q), y.v
         energy = kinetic_energy(model, q, v) + potential_energy(model, q) + elastic_energy(model, q)
         about = centroidal_momentum(model, q, v)
         linear = about[3:]
@@ -151,7 +299,7 @@ def drift(
     samples: int = 1000,
     args: Any = None,
 ) -> March:
-    """Invariants along a run of equal steps, in memory that does not grow with their number.
+    """Sample invariants along a run of equal steps, in memory that does not grow with their number.
 
     y_{n+1} = step(t_n, h, y_n); keep(t, y, args) at the start and at `samples` later times.
 
@@ -190,23 +338,10 @@ def drift(
         True
         False
     """
-    integer("drift", "samples", samples, least=1)
-    integer("drift", "steps", steps, least=1)
-    if steps < samples or steps % samples:
-        raise InputError(
-            f"drift: got {steps} steps and {samples} samples, expected a multiple of the samples"
-        )
+    every = steps_of_a_sample("drift", steps, samples)
     one = stepping(solver)
-    if isinstance(system, Model):
-        check_state("drift", system, y0)
-        term, y0 = motion(system, y0, one)
-        args, keep = system, Invariants() if keep is None else keep
-    elif not isinstance(system, diffrax.AbstractTerm):
-        raise InputError(
-            f"drift: system is {type(system).__name__}, expected a Model or a term of diffrax"
-        )
-    elif keep is None:
+    term, y0, args = opened("drift", system, y0, one, args)
+    if keep is None and not isinstance(system, Model):
         raise InputError("drift: keep is None, expected (t, y, args) -> arrays for a term")
-    else:
-        term = system
-    return long_run(term, one, y0, dt, keep, every=steps // samples, samples=samples, args=args)
+    keep = Invariants() if keep is None else keep
+    return long_run(term, one, y0, dt, keep, every=every, samples=samples, args=args)

@@ -23,10 +23,15 @@ from rbjax._jax_compat import scan_kind
 from rbjax.arguments import integer, real_number
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.motion.term import motion
 from rbjax.solvers import rkmk
 from rbjax.stability.methods import Solver, stepping
-from rbjax.stability.runs.long_run import as_floats, check_state, check_times, finite
+from rbjax.stability.runs.drift import (
+    as_floats,
+    check_times,
+    finite,
+    opened,
+    steps_of_a_sample,
+)
 
 BLOCKS = 16  # blocks of the run, whose means give the error of the result
 
@@ -71,7 +76,7 @@ def lyapunov(
     transient: float = 0.1,
     args: Any = None,
 ) -> Exponent:
-    """The largest Lyapunov exponent of a motion, by Benettin's method.
+    """Estimate the largest Lyapunov exponent of a motion, by Benettin's method.
 
     lambda = 1 / (K m h) sum_k log |u_k|, u_k the tangent after m steps from length 1.
 
@@ -84,7 +89,7 @@ def lyapunov(
             attitudes, and keeps attitudes and their tangents on the manifold.
         every: m, steps between two normalizations.
         transient: share of the run that is skipped at its start.
-        args: those of the term; for a robot, the model is used.
+        args: of the term; for a robot, the model is used.
 
     Returns:
         `Exponent`. About 0 for regular motion (it falls as log t / t), negative at a sink.
@@ -111,11 +116,11 @@ def lyapunov(
             f"lyapunov: got {steps} steps, every {every}, transient {transient}; expected at least "
             "16 normalizations after the transient, and a transient from 0 to below 1"
         )
-    term, solver, y0, args = _opened("lyapunov", system, y0, solver, args, dt, steps)
+    term, solver, y0, args = _prepared("lyapunov", system, y0, solver, args, dt, steps)
     size = sum(x.size for x in jax.tree.leaves(y0))
     direction = np.random.default_rng(0).normal(size=(size, 1))
     direction /= np.linalg.norm(direction)
-    parts, fine = _stretching(term, solver, y0, dt, direction, every, samples, args)
+    parts, fine = _tangent_factors(term, solver, y0, dt, direction, every, samples, args)
     rates = np.log(np.abs(np.asarray(parts)[skip:, 0, 0])) / (dt * every)
     running = np.cumsum(rates) / np.arange(1, len(rates) + 1)
     blocks = np.array([part.mean() for part in np.array_split(rates, BLOCKS)])
@@ -134,7 +139,7 @@ def gradient_growth(
     samples: int = 100,
     args: Any = None,
 ) -> GradientGrowth:
-    """The growth of a gradient through a motion, and the horizon beyond which it is noise.
+    """Measure the growth of a gradient through a motion, and the horizon beyond which it is noise.
 
     |Phi(t)| = |d y(t) / d y(0)|, and T with |Phi(T)| eps = 1.
 
@@ -145,14 +150,14 @@ def gradient_growth(
         steps: the number of steps, a multiple of `samples`.
         solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None.
         samples: the number of samples; at each the tangents are orthogonalized.
-        args: those of the term; for a robot, the model is used.
+        args: of the term; for a robot, the model is used.
 
     Returns:
         `GradientGrowth`. The state has mixed units (rad, rad/s), and the norm too.
 
     Raises:
         UnknownName: an unknown name of a solver.
-        InputError: `steps` is no multiple of `samples`; times that the dtype cannot resolve.
+        InputError: `steps` is not a multiple of `samples`; times that the dtype cannot resolve.
 
     Source: Metz et al., *Gradients are not all you need*, 2021.
 
@@ -163,17 +168,10 @@ def gradient_growth(
         >>> round(found.f32, 1), round(found.f64, 1)
         (15.9, 36.0)
     """
-    integer("gradient_growth", "samples", samples, least=1)
-    integer("gradient_growth", "steps", steps, least=1)
-    if steps < samples or steps % samples:
-        raise InputError(
-            f"gradient_growth: got {steps} steps and {samples} samples, expected steps to be a "
-            "multiple of samples"
-        )
-    term, solver, y0, args = _opened("gradient_growth", system, y0, solver, args, dt, steps)
+    every = steps_of_a_sample("gradient_growth", steps, samples)
+    term, solver, y0, args = _prepared("gradient_growth", system, y0, solver, args, dt, steps)
     size = sum(x.size for x in jax.tree.leaves(y0))
-    every = steps // samples
-    parts, fine = _stretching(term, solver, y0, dt, np.eye(size), every, samples, args)
+    parts, fine = _tangent_factors(term, solver, y0, dt, np.eye(size), every, samples, args)
     # Phi = Q R_K ... R_1: the product is normalized, and the logarithm of its norm is stored
     product, lost, norms = np.eye(size), 0.0, [0.0]
     for part in np.asarray(parts, np.float64):
@@ -195,34 +193,21 @@ def _crossing(ts: np.ndarray, xs: np.ndarray, level: float) -> float:
     return float(np.interp(level, xs[i - 1 : i + 1], ts[i - 1 : i + 1]))
 
 
-def _opened(
+def _prepared(
     where: str, system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int
 ) -> tuple:
+    """The term, the solver with loops that support tangents, the state and the arguments."""
     solver = rkmk(4) if solver is None else stepping(solver)
-    if isinstance(system, Model):
-        check_state(where, system, y0)
-        term, y0 = motion(system, y0, solver)
-        args = system
-    elif isinstance(system, diffrax.AbstractTerm):
-        term = system
-    else:
-        raise InputError(
-            f"{where}: system is {type(system).__name__}, expected a Model or a term of diffrax"
-        )
+    term, y0, args = opened(where, system, y0, solver, args)
     y0 = as_floats(where, y0)
     check_times(dt, steps, jnp.result_type(*jax.tree.leaves(y0)))
-    return term, _forward(solver), y0, args
-
-
-def _forward(solver: Any) -> Any:
-    """The solver with loops that support tangents, which diffrax's Runge-Kutta methods need."""
-    if scan_kind(solver) is not None:
-        return solver
-    return eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=lambda x: x is None)
+    if scan_kind(solver) is None:  # Runge-Kutta methods of diffrax
+        solver = eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=lambda x: x is None)
+    return term, solver, y0, args
 
 
 @eqx.filter_jit
-def _stretching(term, solver, y0, dt, directions, every, samples, args):
+def _tangent_factors(term, solver, y0, dt, directions, every, samples, args):
     """R of Phi_k Q_{k-1} = Q_k R_k for each sample, (samples, n, n), and whether all is finite."""
     flat, unflat = jax.flatten_util.ravel_pytree(y0)
     dt, number = jnp.asarray(dt, flat.dtype), directions.shape[1]

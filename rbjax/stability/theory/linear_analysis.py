@@ -1,17 +1,30 @@
-"""The linear theory of a method, in one report."""
+"""The linear theory of a method in one report, and its order: by conditions, and measured.
+
+    error(h) ~ C h^p,    p = log2(error(h) / error(h / 2))
+Methods for vector fields and for pairs q' = v, v' = a are measured on a driven damped pendulum,
+Lie-group methods on a rigid body under a torque. The reference is SciPy's Dormand-Prince 8.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import solve_ivp
 
+from rbjax import solvers
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.rosenbrock import RosenbrockW, holds
-from rbjax.stability.methods import made
+from rbjax.stability.methods import Solver, made, stepping
 from rbjax.stability.theory import regions
 from rbjax.stability.theory.multistep_roots import Characteristic, Method, Theory, characteristic
 from rbjax.stability.theory.stability_function import StabilityFunction, butcher, stability_function
@@ -22,14 +35,19 @@ HIGHEST = 8  # largest order of the conditions: 115 trees with eight nodes
 
 @dataclass(frozen=True)
 class LinearAnalysis:
-    """A method on y' = lambda y, z = h lambda, and the order by its conditions.
+    """The linear theory of a method: y' = lambda y, z = h lambda.
 
-    Fields: method, `StabilityFunction` or `Characteristic`; order, below 1 if not consistent, above
-    8 the order that Butcher's simplifying assumptions prove; linear_order, on y' = lambda y;
-    error_constant C, of y(t + h) - y1 = C h^(p + 1) y^(p + 1) there; real_limit <= 0 and
-    imaginary_limit >= 0 of stability; A_stable; alpha in degrees (90: A-stable, 0: no sector);
-    stiff_D, stable for Re z <= -D (inf: for no D); R_inf = |R(infinity)|, for multistep methods
-    the largest root; L_stable; zero_stable.
+    Fields:
+        method: `StabilityFunction` or `Characteristic`.
+        order: by the order conditions; below 1 if not consistent, above 8 the order that Butcher's
+            simplifying assumptions prove.
+        linear_order: the order on y' = lambda y.
+        error_constant: C of y(t + h) - y1 = C h^(p + 1) y^(p + 1) there.
+        real_limit, imaginary_limit: of stability, at most and at least zero.
+        A_stable, L_stable, zero_stable: bool.
+        alpha: the angle of A(alpha)-stability in degrees (90: A-stable, 0: no sector).
+        stiff_D: stable for Re z <= -D (inf: for no D).
+        R_inf: |R(infinity)|, for multistep methods the largest root.
     """
 
     method: StabilityFunction | Characteristic
@@ -47,9 +65,9 @@ class LinearAnalysis:
 
 
 def order_by_conditions(solver: Method) -> int:
-    """The order by the order conditions: rooted trees up to 8 nodes (one-step), phi (multistep).
+    """Find the order by its conditions: rooted trees up to 8 nodes (one-step), phi (multistep).
 
-    The argument is as for `linear_analysis`. A `StabilityFunction` gives the order on linear
+    The argument is that of `linear_analysis`. A `StabilityFunction` gives the order on linear
     problems only. Above 8 the result is the order that Butcher's simplifying assumptions B(p),
     C(eta), D(zeta) prove, at least 8.
 
@@ -74,7 +92,7 @@ def order_by_conditions(solver: Method) -> int:
 
 
 def linear_analysis(solver: Method) -> LinearAnalysis:
-    """The linear theory of a method: order, error constant, stability limits and verdicts.
+    """Analyse a method on y' = lambda y: order, error constant, stability limits, A-, L-stability.
 
     Args:
         solver: a name of `rb.solvers.all()`, any Runge-Kutta, Rosenbrock or multistep solver of
@@ -85,7 +103,7 @@ def linear_analysis(solver: Method) -> LinearAnalysis:
         `LinearAnalysis`.
 
     Raises:
-        InputError: methods only for q' = v, v' = a (`spectral_radius` measures these), or no
+        InputError: methods only for q' = v, v' = a (`spectral_radius` measures these), or not a
             method.
 
     Source: Hairer & Wanner, *Solving ODEs II*, IV.3, V.1.
@@ -128,3 +146,121 @@ def _method(solver: Method) -> tuple[StabilityFunction | Characteristic, Charact
         return stability_function(solver), phi
     except InputError:
         return phi, phi
+
+
+# -------------------------------------------------------------------- the order, measured
+
+END = 2.0
+INERTIA = np.array([1.0, 2.0, 3.5])
+COARSEST, FINEST = 8, 8192
+SMALL, LARGE = 1e-11, 1e-2  # errors at which rounding, or higher powers of h, matter
+ON_GROUPS = (
+    solvers.MuntheKaas,
+    solvers.CrouchGrossman3,
+    solvers.CommutatorFree4,
+    solvers.RigidBodySplitting,
+)
+
+
+@dataclass(frozen=True)
+class MeasuredOrder:
+    """The measured order: the mean over the two finest halvings; steps and errors of all runs."""
+
+    order: float
+    steps: tuple[int, ...]
+    errors: tuple[float, ...]
+
+
+def _pendulum(t: Any, y: Any, args: Any) -> Any:
+    q, v = y
+    return v, -2.0 * jnp.sin(q) + 0.5 * jnp.cos(t) - 0.3 * v
+
+
+def _plain_pendulum(t: float, y: np.ndarray) -> np.ndarray:
+    return np.array(_pendulum(t, y, None))
+
+
+def _torque(t: Any, turn: Any, args: Any) -> Any:
+    return 0.5 * jnp.sin(t) * jnp.array([1.0, 0.0, 0.5])
+
+
+def _plain_body(t: float, y: np.ndarray) -> np.ndarray:
+    w, x, y_, z = y[:4]
+    a, b, c = rate = y[4:]
+    turn = [-x * a - y_ * b - z * c, w * a + y_ * c - z * b, w * b + z * a - x * c,
+            w * c + x * b - y_ * a]  # fmt: skip
+    torque = 0.5 * np.sin(t) * np.array([1.0, 0.0, 0.5])
+    return np.concatenate(
+        [0.5 * np.array(turn), (np.cross(INERTIA * rate, rate) + torque) / INERTIA]
+    )
+
+
+@functools.cache
+def _problem(on_group: bool) -> tuple[Any, Any, np.ndarray]:
+    """Term, initial state, and the state at the end."""
+    if on_group:
+        start = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, -0.7])
+        term, plain = solvers.RigidBody(INERTIA, _torque), _plain_body
+    else:
+        start = np.array([1.0]), np.array([0.3])
+        term, plain = diffrax.ODETerm(_pendulum), _plain_pendulum  # type: ignore[assignment]
+    found = solve_ivp(
+        plain, (0.0, END), np.concatenate(start), method="DOP853", rtol=3e-14, atol=1e-14
+    )
+    return term, start, found.y[:, -1]
+
+
+@eqx.filter_jit
+def _end(term: Any, solver: Any, start: Any, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The state after `steps` equal steps, and whether all succeeded."""
+    found = diffrax.diffeqsolve(
+        term, solver, 0.0, END, END / steps * (1 + 1e-12), start, throw=False, max_steps=None,
+        stepsize_controller=diffrax.ConstantStepSize(), adjoint=diffrax.ForwardMode(),
+    )  # fmt: skip
+    last = jnp.concatenate([x[-1] for x in jax.tree.leaves(found.ys)])
+    return last, found.result == diffrax.RESULTS.successful
+
+
+def measured_order(solver: Solver) -> MeasuredOrder:
+    """Measure the order of a solver on a smooth problem, over halvings of the step.
+
+    Args:
+        solver: a name of `rb.solvers.all()` or a diffrax solver, of any vector field, of
+            q' = v, v' = a, or on Lie groups, or an `rb.solvers.Tableau`. A root finder whose
+            tolerances are a controller's is replaced by `rb.solvers.very_chord()`.
+
+    Returns:
+        `MeasuredOrder`: the order, with the steps and errors it follows from.
+
+    Raises:
+        UnknownName: an unknown name.
+        InputError: a method without code; no two halvings have errors that are neither rounding nor
+            too large.
+
+    Source: Hairer, Norsett & Wanner, *Solving ODEs I*, II.4.
+
+    Example:
+        >>> import rbjax as rb
+        >>> round(rb.stability.measured_order("rk4").order, 1)
+        4.0
+    """
+    own = isinstance(solver, solvers.Tableau)  # its order is for vector fields
+    solver = stepping(solver)
+    steps: list[int] = []
+    errors: list[float] = []
+    n = COARSEST
+    with jax.enable_x64(True):
+        term, start, truth = _problem(not own and isinstance(solver, ON_GROUPS))
+        while n <= FINEST and (not errors or not errors[-1] < SMALL):
+            y, ok = _end(term, solver, start, jnp.array(float(n)))
+            steps.append(n)
+            errors.append(float(np.abs(np.asarray(y) - truth).max()) if ok else np.inf)
+            n *= 2
+    good = [e for e in errors if SMALL / 100 < e < LARGE]
+    if len(good) < 3:
+        raise InputError(
+            f"measured_order: {type(solver).__name__} has errors {errors} after {steps} steps, "
+            f"expected three between {SMALL / 100:.0e} and {LARGE:.0e}"
+        )
+    rates = np.log2(np.divide(good[:-1], good[1:]))
+    return MeasuredOrder(float(rates[-2:].mean()), tuple(steps), tuple(errors))

@@ -2,8 +2,8 @@
 
     y' = lambda y:  as two real equations, z = h lambda
     q'' + 2 xi omega q' + omega^2 q = 0:  (q, v / omega), Omega = h omega
-A step is linear in the state and in the solver's memory. So one step from each unit vector gives
-its matrix, and the eigenvalues of this matrix are the growth factors of the code. The exact ones
+A step is linear in the state and in the solver's memory. One step from each unit vector gives its
+matrix, whose eigenvalues are the growth factors of the code. The exact ones
 are exp(z) and exp(+-i Omega). A factor exp(Omega' (-xi' +- i)) means a vibration with frequency
 Omega' / h and damping ratio xi'.
 (Hughes, *The Finite Element Method*, 9.3; Chung & Hulbert, *J. Applied Mechanics* 60, 1993.)
@@ -25,12 +25,12 @@ from rbjax.arguments import real_array, real_number
 from rbjax.errors import InputError
 from rbjax.solvers import Adams, GeneralizedAlpha
 from rbjax.solvers.multistep import AbstractMultistep
-from rbjax.stability.methods import Solver, stepping
+from rbjax.stability.methods import stepping
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
 from rbjax.stability.theory.regions import imaginary_limit
 
 DOUBLE = 1e-7  # a double root of modulus one has an error of sqrt(rounding)
-LOST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)
+NEEDS_PAST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)  # more than a state
 
 
 def _scalar(t: Any, y: Any, z: jax.Array) -> jax.Array:
@@ -45,7 +45,13 @@ def _oscillator(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array
     return v, -k * q - d * v
 
 
-def _remembered(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
+def _pair(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array, jax.Array]:
+    K, D = stiffness_damping
+    q, v = y
+    return v, K @ q + D @ v
+
+
+def _memory_of(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
     """The numbers in a solver's state, and the function that makes such a state from numbers."""
     if isinstance(solver, AbstractMultistep):
         full = state.ts.shape[0]
@@ -56,62 +62,63 @@ def _remembered(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
 
 
 @eqx.filter_jit
-def _matrices(field: Any, solver: Any, like: Any, args: jax.Array, scale: Any) -> jax.Array:
-    """The matrices (n, k, k) of one step of length one, for rows of arguments (n, ...)."""
+def _matrices(field: Any, solver: Any, like: Any, args: jax.Array, omega: Any) -> jax.Array:
+    """The matrices (m, k, k) of one step of length one, for rows of arguments (m, ...), in units of
+    powers of omega (m,)."""
     term = diffrax.ODETerm(field)
     t0, t1 = jnp.array(0.0), jnp.array(1.0)
 
-    def matrix(args, scale):
-        fresh = solver.init(term, t0, t1, like, args)
-        memory, _ = _remembered(solver, fresh)
-        _, unravel = ravel_pytree((like, memory))
+    def matrix(args, omega):
+        memory, _ = _memory_of(solver, solver.init(term, t0, t1, like, args))
+        flat, unravel = ravel_pytree((like, memory))
+        scale = omega ** _powers(solver, flat.size)
 
         def step(x):
             y, memory = unravel(x)
             before = solver.init(term, t0, t1, y, args)
-            before = _remembered(solver, before)[1](memory)
+            before = _memory_of(solver, before)[1](memory)
             y1, _, _, after, _ = solver.step(term, t0, t1, y, args, before, made_jump=False)
-            return ravel_pytree((y1, _remembered(solver, after)[0]))[0]
+            return ravel_pytree((y1, _memory_of(solver, after)[0]))[0]
 
         return jax.vmap(step)(jnp.diag(scale)).T / scale[:, None]
 
-    return jax.vmap(matrix)(args, scale)
+    return jax.vmap(matrix)(args, omega)
 
 
-def _measured(*args: Any) -> np.ndarray:
-    """`_matrices` in f64, whatever the caller's precision."""
-    with jax.enable_x64(True):
-        return np.asarray(_matrices(*args))
+def _powers(solver: Any, n: int) -> np.ndarray:
+    """The powers of omega that scale q, v and the memory to similar size."""
+    if isinstance(solver, GeneralizedAlpha):
+        return np.array([0, 1, 2])[np.minimum(np.arange(n) * 3 // n, 2)]
+    past = (n - 2) // 2
+    rates = int(isinstance(solver, Adams))
+    return np.array([0, 1] + [rates] * past + [1 + rates] * past)
 
 
-def _prepared(solver: Solver) -> Any:
-    """The solver, with numbers instead of constants, so that all of a kind share a program."""
+def step_matrices(
+    solver: Any, field: Any, like: Any, args: np.ndarray, omega: np.ndarray | None = None
+) -> np.ndarray:
+    """`_matrices` in f64, in any precision of the caller. The constants of a solver become numbers,
+    so that all solvers of a kind share a program."""
     one = stepping(solver)
-    if isinstance(one, LOST) or one.term_structure is not diffrax.AbstractTerm:
+    if isinstance(one, NEEDS_PAST) or one.term_structure is not diffrax.AbstractTerm:
         raise InputError(
             f"stability: {type(one).__name__} does not step a linear equation from only a "
             "state, expected a solver of vector fields, or of q' = v, v' = a"
         )
-    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, one)
-
-
-def _pair(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array, jax.Array]:
-    K, D = stiffness_damping
-    q, v = y
-    return v, K @ q + D @ v
+    one = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, one)
+    omega = np.ones(len(args)) if omega is None else omega
+    with jax.enable_x64(True):
+        return np.asarray(_matrices(field, one, like, args, omega))
 
 
 def matrices_of_pair(solver: Any, K: np.ndarray, D: np.ndarray) -> np.ndarray:
     """The matrix (m, k, k) of one step of length one on q' = v, v' = K q + D v; K, D (m, n, n)."""
-    solver = _prepared(solver)
     n = K.shape[-1]
-    like, args = (np.zeros(n), np.zeros(n)), np.stack([K, D], 1)
-    ones = np.ones((len(K), _size(_pair, solver, like, args[0])))
-    return _measured(_pair, solver, like, args, ones)
+    return step_matrices(solver, _pair, (np.zeros(n), np.zeros(n)), np.stack([K, D], 1))
 
 
 def growth_factors(solver: Method, z: Any) -> np.ndarray:
-    """The factors by which a step of the code multiplies y of y' = lambda y, z = h lambda.
+    """Measure the growth factors of y in a step of the code on y' = lambda y, z = h lambda.
 
     Args:
         solver: a name of `rb.solvers.all()`, a diffrax solver of any vector field, or an
@@ -133,29 +140,27 @@ def growth_factors(solver: Method, z: Any) -> np.ndarray:
     z = real_array("growth_factors", "z", z, "finite numbers h lambda", complex_numbers=True)
     if isinstance(solver, Theory):
         return _sorted(characteristic(solver).roots(z))
-    solver = _prepared(solver)
     if not z.size:
         raise InputError(f"growth_factors: z has shape {z.shape}, expected at least one number")
     rows = np.stack([z.real.ravel(), z.imag.ravel()], -1)
-    ones = np.ones((len(rows), _size(_scalar, solver, np.zeros(2), rows[0])))
-    real = _measured(_scalar, solver, np.zeros(2), rows, ones)
-    # a complex number is [[a, -b], [b, a]]: each block's first column is a + i b
+    real = step_matrices(solver, _scalar, np.zeros(2), rows)
+    # a complex number is [[a, -b], [b, a]]: the first column of each block is a + i b
     matrix = real[:, ::2, ::2] + 1j * real[:, 1::2, ::2]
     return _sorted(np.linalg.eigvals(matrix)).reshape(*z.shape, -1)
 
 
 def frequencies(h_omega: Any) -> np.ndarray:
-    """h omega (...) as an array."""
+    """Angles h omega (...) of a step, as an array."""
     expected = "numbers, the step times the angular frequency"
     return real_array("stability", "h_omega", h_omega, expected, finite=False)
 
 
 def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
-    """The factors by which a step of the code multiplies an oscillation, largest first.
+    """Measure the growth factors of an oscillation in a step of the code, largest first.
 
     Args:
         solver: a name of `rb.solvers.all()` or a diffrax solver, of any vector field or of
-            q' = v, v' = a; or anything that `growth_factors` takes.
+            q' = v, v' = a; or any argument of `growth_factors`.
         h_omega: Omega = h omega (...), step times natural angular frequency, positive.
         damping_ratio: xi of q'' + 2 xi omega q' + omega^2 q = 0.
 
@@ -185,42 +190,10 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
         pair = -damping_ratio + np.array([1j, -1j]) * np.emath.sqrt(1 - damping_ratio**2)
         roots = characteristic(solver).roots(omega[..., None] * pair)
         return _sorted(roots.reshape(*omega.shape, -1))
-    solver = _prepared(solver)
     w = omega.ravel()
-    like = (np.zeros(()), np.zeros(()))
     rows = np.stack([w**2, 2 * damping_ratio * w], -1)
-    powers = _powers(solver, _size(_oscillator, solver, like, rows[0]))
-    matrix = _measured(_oscillator, solver, like, rows, w[:, None] ** powers)
+    matrix = step_matrices(solver, _oscillator, (np.zeros(()), np.zeros(())), rows, w)
     return _sorted(np.linalg.eigvals(matrix)).reshape(*omega.shape, -1)
-
-
-def _points(z: Any) -> np.ndarray:
-    """The points z of growth_factors as complex numbers."""
-    try:
-        known = np.asarray(z)
-        out = known.astype(complex) if known.dtype.kind in "biufc" else None
-    except (TypeError, ValueError, OverflowError):
-        out = None
-    if out is None or not out.size or not np.isfinite(out).all():
-        raise InputError(f"growth_factors: z is {z!r}, expected finite numbers, real or complex")
-    return out
-
-
-def _powers(solver: Any, n: int) -> np.ndarray:
-    """The powers of omega that scale q, v and the memory to similar size."""
-    if isinstance(solver, GeneralizedAlpha):
-        return np.array([0, 1, 2])
-    past = (n - 2) // 2
-    rates = int(isinstance(solver, Adams))
-    return np.array([0, 1] + [rates] * past + [1 + rates] * past)
-
-
-def _size(field: Any, solver: Any, like: Any, args: Any) -> int:
-    """Numbers in the state and the memory."""
-    term, zero = diffrax.ODETerm(field), jnp.array(0.0)
-    state = jax.eval_shape(lambda: solver.init(term, zero, zero + 1, like, args))
-    memory, _ = _remembered(solver, state)
-    return sum(int(np.size(x)) for x in jax.tree.leaves((like, memory)))
 
 
 def _sorted(factors: np.ndarray) -> np.ndarray:
@@ -228,7 +201,7 @@ def _sorted(factors: np.ndarray) -> np.ndarray:
 
 
 def spectral_radius(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
-    """The modulus of the code's largest growth factor on an oscillator of h omega (...).
+    """Measure the modulus of the largest growth factor on an oscillator of h omega (...).
 
     Example:
         >>> import rbjax as rb
@@ -248,7 +221,7 @@ def _principal(solver: Method, h_omega: Any) -> np.ndarray:
 
 
 def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
-    """The numerical damping ratio xi' of the code's step on an undamped oscillation.
+    """Measure the numerical damping ratio xi' of a step of the code on an undamped oscillation.
 
     xi' = -ln |zeta| / arg zeta, with the factor zeta that approximates exp(i Omega).
 
@@ -271,7 +244,9 @@ def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
 
 
 def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
-    """(T' - T) / T of the code's step on an undamped oscillation: Omega / arg zeta - 1.
+    """Measure the period elongation (T' - T) / T of a step of the code on an undamped oscillation.
+
+    (T' - T) / T = Omega / arg zeta - 1
 
     Args and nan values are as for `dissipation`. Newmark's average acceleration gives Omega^2 / 12.
 
@@ -284,10 +259,11 @@ def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
 
 
 def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
-    """The largest h omega up to which an undamped oscillation does not grow; inf above `highest`.
+    """Find the largest h omega up to which an undamped oscillation does not grow; inf above
+    `highest`.
 
     It is exact (`imaginary_limit`) if there is linear theory. Otherwise, as for methods of q' = v,
-    v' = a, it is found by bisection on the code's step. There |zeta| may exceed one by 1e-7, and
+    v' = a, it is found by bisection on a step of the code. There |zeta| may exceed one by 1e-7, and
     limits below `highest` / 500 are zero.
 
     Example:

@@ -1,4 +1,4 @@
-"""The stability function of a one-step method, exactly, from its coefficients.
+"""The stability function of a one-step method, in exact arithmetic, from its coefficients.
 
     y' = lambda y:  y1 = R(z) y0,    z = h lambda
     R(z) = det(I - z A + z e b') / det(I - z A) = 1 + z b' (I - z A)^-1 e
@@ -24,7 +24,6 @@ from rbjax.solvers import tableau as tables
 from rbjax.stability.methods import Solver, made
 from rbjax.stability.theory.polynomials import (
     EPS,
-    PRINTED,
     Poly,
     added,
     cleaned,
@@ -83,21 +82,9 @@ class StabilityFunction:
             return math.inf
         return 0.0 if over < 0 else float(self.numerator[-1] / self.denominator[-1])
 
-    @functools.cached_property
-    def defect(self) -> tuple[int, Fraction]:
-        """(n, C) of R(z) - exp(z) = C z^n + ...: the method has order n - 1 on linear problems."""
-        for n in range(1, len(self.numerator) + len(self.denominator) + 1):
-            terms = [q / math.factorial(n - k) for k, q in enumerate(self.denominator) if k <= n]
-            if n < len(self.numerator):
-                terms.append(-self.numerator[n])
-            left, size = added(terms), added(map(abs, terms))
-            if abs(left) > PRINTED * size:
-                return n, rational(-left, 8 * EPS * size)
-        raise AssertionError("a rational function is not the exponential")
-
 
 def of_tableau(a: np.ndarray, b: np.ndarray) -> StabilityFunction:
-    """R(z) from coefficients a (s, s) and b (s,); doubles become the simple fractions near them."""
+    """R(z) of coefficients a (s, s) and b (s,). Doubles become the simple fractions near them."""
     A = [[rational(x) for x in row] for row in np.asarray(a)]
     B = [rational(x) for x in np.asarray(b)]
     exact = _quotient(A, B, -1)
@@ -185,7 +172,7 @@ def _(solver: solvers.CrouchGrossman3) -> Coefficients:
 
 
 def stability_function(solver: Solver | StabilityFunction) -> StabilityFunction:
-    """R(z) of a one-step method, y1 = R(h lambda) y0 on y' = lambda y, exactly.
+    """Derive R(z) of a one-step method, y1 = R(h lambda) y0 on y' = lambda y, in exact arithmetic.
 
     Args:
         solver: a name of `rb.solvers.all()`, any Runge-Kutta, Rosenbrock or Munthe-Kaas solver

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.loading.at_rest import AtRest, Composite
-from rbjax.loading.round_shapes import Round
+from rbjax.loading.at_rest import AtRest, Composite, Round
 from rbjax.wheeled.files.joints import Roles, check_upright
 
 UP = np.array([0.0, 0.0, 1.0])

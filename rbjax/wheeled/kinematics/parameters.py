@@ -83,8 +83,12 @@ class Parameters:
         return (*self.bodies, *self.forks)
 
     def lane(self, x: Any) -> Lane:
-        """A number of a part."""
+        """Convert a number of a part to a lane."""
         return scalar(x, self.dtype)
+
+    def shaft_rates(self, w: Sequence[Lane]) -> Sequence[Lane]:
+        """The rates of shafts among the full velocities w."""
+        return w[2 + len(self.bodies) :]
 
 
 def stack_lanes(lanes: Sequence[Lane], dtype: Any) -> jax.Array:

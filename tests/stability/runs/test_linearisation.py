@@ -68,8 +68,6 @@ def test_a_spring_is_seen() -> None:
     assert float(sprung - plain) == pytest.approx(1e5 / I, rel=1e-12)
 
 
-
-
 @pytest.mark.parametrize(
     "method",
     [m if m == FIRST else pytest.param(m, marks=slow) for m in (

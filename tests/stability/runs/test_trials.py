@@ -12,8 +12,7 @@ from scipy.integrate import solve_ivp
 
 import rbjax as rb
 from rbjax.stability import Arm, Body, Outcome, Truth, attempt, scenes, truth
-from rbjax.stability.runs.scenes import SAMPLES
-from rbjax.stability.runs.systems import spherical, tumbling
+from rbjax.stability.runs.scenes import SAMPLES, spherical, tumbling
 
 SOLVERS = rb.solvers.all()
 SCENES = scenes()

@@ -99,9 +99,8 @@ def test_implicit_runge_kutta(name: str) -> None:
     for part, text in ((R.numerator, oracle["R_num"]), (R.denominator, oracle["R_den"])):
         for z in map(Fraction, range(1, 6)):  # degree at most three: five points are an identity
             assert value(part, z) == eval(text, {"z": z})
-    n, C = R.defect
-    assert (n, C) == (oracle["order"] + 1, Fraction(oracle["R_minus_exp_coefficient"]))
-    assert report.error_constant == -C
+    assert report.linear_order == oracle["order"]
+    assert -report.error_constant == Fraction(oracle["R_minus_exp_coefficient"])
     assert R.at_infinity == float(oracle["R_inf"])
     assert (report.A_stable, report.L_stable) == (oracle["A_stable"], oracle["L_stable"])
     assert report.order == oracle["order"]
@@ -255,9 +254,11 @@ def test_a_tableau_with_printed_digits() -> None:
         b = [-(6 * gamma**2 - 16 * gamma + 1) / 4, (6 * gamma**2 - 20 * gamma + 5) / 4, gamma]
         a = np.array([[gamma, 0, 0], [late - gamma, gamma, 0], b])
         R = of_tableau(a, np.array(b))
-        assert tableau.attained_order(a, np.array(b)) == R.defect[0] - 1 == 3
+        assert tableau.attained_order(a, np.array(b)) == stability.characteristic(R).order == 3
         assert (stability.imaginary_limit(R), stability.alpha_degrees(R)) == (math.inf, 90)
-        assert -float(R.defect[1]) == pytest.approx(0.0258970846, rel=1e-8)
+        assert float(stability.characteristic(R).error_constant) == pytest.approx(
+            0.0258970846, rel=1e-8
+        )
 
 
 def test_ninety_degrees_are_a_stability() -> None:

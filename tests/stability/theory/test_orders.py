@@ -8,9 +8,7 @@ from rbjax import stability
 
 WITHIN = 0.15
 QUICK = {"rk4"}
-NAMES = [
-    pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in rb.solvers.all()
-]
+NAMES = [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in rb.solvers.all()]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -28,6 +26,6 @@ def test_orders_of_diffrax_tableaus() -> None:
 
 
 def test_what_cannot_be_measured_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rbjax.stability.theory.orders.FINEST", 16)
+    monkeypatch.setattr("rbjax.stability.theory.linear_analysis.FINEST", 16)
     with pytest.raises(rb.InputError, match="measured_order: RK4 has errors"):
         stability.measured_order("rk4")

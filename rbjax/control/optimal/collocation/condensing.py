@@ -1,13 +1,18 @@
-"""A step of a collocation to second order, its stages eliminated.
+"""A step of a collocation: its equations at the stages, and the problem without the stages.
+
+    K_i = f(t_i, x (+) xi_i, u_i),   xi_i = h sum_j a_ij K_j,   x+ = x (+) h sum_i b_i K_i
+    cost = sum of h b_i L(t_i, x (+) xi_i, u_i) + Phi(x_N)
+
+a, b and c are a tableau (`rbjax.solvers.tableau`): Gauss-Legendre has order 2 s, Radau IIA 2 s - 1,
+Lobatto IIIA 2 s - 2. Each stage has its own controls. The stages are eliminated:
 
     E dK = -miss - e_x dx - e_u du       gives   dK = Z (dx, du) + offset
     dx+ = A dx + B du + gap,      Z' H Z the Hessian of the Lagrangian in (dx, du)
 
-The condensed problem is a discrete problem whose controls are those of all stages of a step: a
-Riccati recursion solves it, in time linear in the horizon. Constraints at the stages enter by their
-slacks and multipliers (`row_terms`), equations by the method of multipliers.
-
-lambda follows from the stationarity of K: E' lambda = -(cost + y.rows + p.x+)_K.
+The multipliers of the stages follow from E' lambda = -(cost + y.rows + p.x+)_K. Constraints enter
+by their slacks and multipliers (`row_terms`), equations by the method of multipliers. Source:
+Hager, *Runge-Kutta methods in optimal control*, 2000; Betts, *Practical Methods for Optimal
+Control*, ch. 4.
 """
 
 from __future__ import annotations
@@ -19,18 +24,95 @@ import jax.numpy as jnp
 
 from rbjax.control.optimal.collocation import barrier
 from rbjax.control.optimal.collocation.barrier import Bounded, Duals
-from rbjax.control.optimal.collocation.transcription import (
-    Inner,
-    at_end,
-    at_stage,
-    combined,
-    constants,
-    stages,
-)
-from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.objective import knot_cost
+from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
 from rbjax.control.optimal.shooting.expansion import Quadratic
 from rbjax.lanes.arrays import matmat, matvec
 from rbjax.solvers.tableau import Tableau
+
+
+class Inner(NamedTuple):
+    """The unknowns within a step: us (s, m), and rates K (s, n) of the system's increments."""
+
+    us: jax.Array
+    rates: jax.Array
+
+
+class Stages(NamedTuple):
+    """The values of a step: miss (s, n), rates minus f; the knot after; its cost (); and the rows
+    (s, c) of the constraints."""
+
+    miss: jax.Array
+    after: Knot
+    cost: jax.Array
+    rows: jax.Array
+
+
+def tableau_arrays(table: Tableau, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """a (s, s), b (s,) and c (s,)."""
+    a, b, c = (jnp.asarray(x, dtype) for x in (table.a, table.b, table.c))
+    return a, b, c
+
+
+def combine(weights: jax.Array, rates: jax.Array) -> jax.Array:
+    """sum_j w_ij K_j, or sum_j w_j K_j."""
+    return (weights[..., None] * rates).sum(-2)
+
+
+def at_stage(
+    problem: Problem, where: Any, knot: Knot, xi: jax.Array, ctrl: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """f (n,), the running cost () and the rows (c,) at knot (+) xi. where: k + c_i."""
+    system, dt = problem.at(knot.parameters)
+    rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
+    point = Knot(system.plus(knot.state, xi), knot.parameters)
+    cost = knot_cost(problem, "path", where, point, ctrl)
+    return rates, cost, problem.rows("path", where, point, ctrl)
+
+
+def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -> Knot:
+    """x (+) h sum_i b_i K_i."""
+    system, dt = problem.at(knot.parameters)
+    _, b, _ = tableau_arrays(table, rates.dtype)
+    return Knot(system.plus(knot.state, dt * combine(b, rates)), knot.parameters)
+
+
+def evaluate_stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -> Stages:
+    """The step k."""
+    a, b, c = tableau_arrays(table, inner.rates.dtype)
+    _, dt = problem.at(knot.parameters)
+    xi = dt * combine(a, inner.rates)
+    rates, costs, rows = jax.vmap(lambda *x: at_stage(problem, x[0], knot, *x[1:]))(
+        k + c, xi, inner.us
+    )
+    after = after_step(problem, table, knot, inner.rates)
+    return Stages(inner.rates - rates, after, (b * costs).sum(), rows)
+
+
+def stage_states(problem: Problem, table: Tableau, knot: Knot, inner: Inner) -> Any:
+    """The states of the stages of a step."""
+    a, _, _ = tableau_arrays(table, inner.rates.dtype)
+    system, dt = problem.at(knot.parameters)
+    return jax.vmap(lambda xi: system.plus(knot.state, xi))(dt * combine(a, inner.rates))
+
+
+def at_end(problem: Problem, knot: Knot) -> tuple[jax.Array, jax.Array]:
+    """The terminal cost () and the rows (e,) at the end."""
+    N, none = problem.horizon, jnp.zeros(problem.nu, problem.dt.dtype)
+    return knot_cost(problem, "end", N, knot, none), problem.rows("end", N, knot, none)
+
+
+def straight_guess(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> Inner:
+    """A first guess between knots: constant controls, and states on straight lines."""
+    s = len(table.b)
+
+    def one(knot: Knot, following: Knot, ctrl: jax.Array) -> Inner:
+        system, dt = problem.at(knot.parameters)
+        slope = system.minus(following.state, knot.state) / dt
+        return Inner(*(jnp.broadcast_to(x, (s, *x.shape)) for x in (ctrl, slope)))
+
+    body, following = take(knots, BODY), take(knots, NEXT)
+    return jax.vmap(one)(body, following, ctrls)
 
 
 class Rows(NamedTuple):
@@ -51,7 +133,7 @@ class Rows(NamedTuple):
 
     @property
     def bounded(self) -> Bounded:
-        """The slacks; those of equations have no bounds."""
+        """The slacks. The slacks of equations have no bounds."""
         low = jnp.where(self.equal, -jnp.inf, self.low)
         return Bounded(self.slack, low, jnp.where(self.equal, jnp.inf, self.high))
 
@@ -120,19 +202,19 @@ def _springs(rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array, jax.Array]:
     return barrier.gradient(x, w.mu), stiff, 1 / (1 + stiff * w.soft)
 
 
-def condensed(
+def condense(
     problem: Problem, table: Tableau, w: Weights, k: Any, knot: Knot, inner: Inner,
     following: Knot, costate: jax.Array, us: Bounded, us_duals: Duals, rows: Rows,
 ) -> Condensed:  # fmt: skip
     """The step k. costate (n,): of the knot that follows."""
     (s, m), ns, n = inner.us.shape, problem.system.n, problem.n
     dtype = inner.us.dtype
-    a, b, c = constants(table, dtype)
+    a, b, c = tableau_arrays(table, dtype)
     _, dt = problem.at(knot.parameters)
     by_numbers = jax.grad(lambda p: problem.at(p)[1])(knot.parameters)
     dt_x = jnp.concatenate([jnp.zeros(ns, dtype), by_numbers])
-    inside = combined(a, inner.rates)  # xi = h inside
-    whole = combined(b, inner.rates)
+    inside = combine(a, inner.rates)  # xi = h inside
+    whole = combine(b, inner.rates)
 
     def stage(where, xi, u):
         def near(d):
@@ -188,7 +270,7 @@ def condensed(
         d, along = e[:-1], e[-1]
         du, dk = d[n:].reshape(s, m), matvec(Z, d) + along * offset
         there = Inner(inner.us + du, inner.rates + dk.reshape(s, ns))
-        at = stages(problem, table, k, problem.plus(knot, d[:n]), there)
+        at = evaluate_stages(problem, table, k, problem.plus(knot, d[:n]), there)
         total = at.cost + (lam.reshape(s, ns) * at.miss).sum() + (y * at.rows).sum()
         return total + (costate * problem.minus(at.after, following)).sum()
 
@@ -209,7 +291,7 @@ def condensed(
     )  # fmt: skip
 
 
-def end_condensed(problem: Problem, w: Weights, knot: Knot, rows: Rows) -> End:
+def condense_end(problem: Problem, w: Weights, knot: Knot, rows: Rows) -> End:
     """The end."""
     n, m, dtype = problem.n, problem.nu, problem.dt.dtype
 

@@ -1,15 +1,12 @@
-"""The linear equations of an optimum, solved along the horizon.
+"""The linear equations of an optimum, solved along the horizon in O(N).
 
     [ H   G' ] [ w ]   [ r ]      w = (x_0, u_0, x_1, ..., x_N): H of blocks Q_k, S_k, R_k
     [ G   0  ] [ y ] = [ s ]      rows of G: A_k x_k + B_k u_k - x_{k+1},  C_k x_k + D_k u_k,  E x_N
 
 y = (l, nu) are costates and multipliers. Active rows enter the recursion as penalties
-rho |C x + D u - s|^2 / 2 (a proximal step of the multipliers with -1/rho in the place of the zero
-block), which needs no row to be independent of others. The error of 1/rho falls by that factor in
-each turn of refinement, r <- r - K z. Work and memory are O(N).
-
-Source: Wright, *Interior point methods for optimal control of discrete time systems*, 1993;
-Golub & Van Loan, *Matrix Computations*, 3.5.3 (refinement).
+rho |C x + D u - s|^2 / 2, so they need not be independent. Each step of refinement r <- r - K z
+reduces the error of 1/rho by that factor.
+Source: Wright, *Interior point methods for optimal control of discrete time systems*, 1993.
 """
 
 from __future__ import annotations
@@ -19,10 +16,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.linear.riccati import propagate_hessian
+from rbjax.control.linear.riccati import propagate_hessian, roll_linear
 from rbjax.control.products import product
 
 TURNS = 4  # of refinement
+
 
 def transpose_product(A: jax.Array, B: jax.Array) -> jax.Array:
     """A' B."""
@@ -124,7 +122,7 @@ def factorise(e: Saddle) -> Factor:
 
 
 def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The inverse of a symmetric matrix, with its least eigenvalues held off zero, and whether all
+    """The inverse of a symmetric matrix, its eigenvalues bounded away from zero, and whether all
     are positive."""
     tiny = jnp.finfo(H.dtype).eps
     values, vectors = jnp.linalg.eigh(H)
@@ -164,16 +162,9 @@ def _solve_penalised(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
     x0 = x0 - (1 - e.fixed) * product(f.first, (1 - e.fixed) * slope)
     l0 = e.fixed * (product(f.V[0], x0) + v) + (1 - e.fixed) * r.l[0]
 
-    def forth(x: jax.Array, knot: tuple) -> tuple:
-        A, B, K, k, gap, V, v = knot
-        u = k + product(K, x)
-        after = product(A, x) + product(B, u) - gap
-        return after, (x, u, product(V, after) + v)
-
-    played: tuple = jax.lax.scan(forth, x0, (e.A, e.B, f.K, k, r.l[1:], f.V[1:], vs))
-    x_N, (x, u, l) = played
+    x, u = roll_linear(e.A, e.B, -r.l[1:], f.K, k, x0)
     mul = jax.vmap(product)
-    path = rho * (mul(e.C, x) + mul(e.D, u)) - rows + (1 - e.path) * r.path
-    end = rho * product(e.E, x_N) - ends + (1 - e.end) * r.end
-    x, l = jnp.concatenate([x, x_N[None]]), jnp.concatenate([l0[None], l])
+    l = jnp.concatenate([l0[None], mul(f.V[1:], x[1:]) + vs])
+    path = rho * (mul(e.C, x[:-1]) + mul(e.D, u)) - rows + (1 - e.path) * r.path
+    end = rho * product(e.E, x[-1]) - ends + (1 - e.end) * r.end
     return Unknowns(x, u, l, path, end)

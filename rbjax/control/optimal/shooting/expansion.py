@@ -1,9 +1,12 @@
-"""A knot of a problem to second order: dynamics, costs, constraints.
+"""A problem to second order at all of its knots, and the gaps between its steps.
 
     dx+ = A dx + B du + gap,      cost = c + q.dx + r.du + dx'Q dx/2 + du'R du/2 + dx'S du
+    gap_0 = start (-) x_0,        gap_{k+1} = f(x_k, u_k) (-) x_{k+1}
 
-Costs of residuals by Gauss and Newton, costs that are numbers by their Hessians. Constraints are
-residuals too, those of the augmented Lagrangian (`augmented_lagrangian`).
+Costs of residuals are expanded by Gauss and Newton, costs that are numbers by their Hessians.
+Constraints enter as the residuals of the augmented Lagrangian. States and controls are unknowns
+(multiple shooting, Bock & Plitt 1984), so a step need not end at the next knot. Each knot is a
+program of one sample (`rb.threads`).
 """
 
 from __future__ import annotations
@@ -16,10 +19,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Var
 
-from rbjax.control.optimal.constraint_rows import example, row_sizes
-from rbjax.control.optimal.objective import half_square, knot_cost
-from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import penalty_residuals
+from rbjax.compiler import map_threads, threads, with_multi_kernel
+from rbjax.control.optimal.objective import (
+    Multipliers,
+    example_knot,
+    half_square,
+    knot_violation,
+    merit_terms,
+    row_bounds,
+    shifted_excess,
+)
+from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
 from rbjax.control.products import product
 
 
@@ -42,31 +52,22 @@ class Local(NamedTuple):
     cost: Quadratic
 
 
-def merit(
-    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
-    where: str,
-) -> jax.Array:  # fmt: skip
-    """The cost () of a knot with its part of the augmented Lagrangian."""
-    total = knot_cost(problem, where, k, knot, ctrl)
-    for penalty in penalties(problem, rows, mu, where):
-        total = total + half_square(penalty(k, knot, ctrl))
-    return total
-
-
 def quadratic(
-    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
-    where: str,
+    problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array,
+    mu: jax.Array,
 ) -> Quadratic:  # fmt: skip
-    """The cost of a knot to second order: the sum over its costs, each differentiated by the
+    """The cost of a knot to second order: the sum over its terms, each differentiated by the
     coordinates that it reads only."""
     n, m, dtype = problem.n, problem.nu, ctrl.dtype
     total = jnp.zeros((), dtype)
     gradient, H = jnp.zeros(n + m, dtype), jnp.zeros((n + m, n + m), dtype)
-
     zero = jnp.zeros(n + m, dtype)
-    for part in parts(problem, rows, mu, where):
-        near = functools.partial(_beside, problem, part, k, knot, ctrl)
-        at = read_columns(problem, part)
+    for term in merit_terms(problem, where, rows, mu):
+
+        def near(d: jax.Array, term: Any = term) -> jax.Array:
+            return term(k, problem.plus(knot, d[:n]), ctrl + d[n:])
+
+        at = read_columns(problem, term)
         value, slope, curvature = _second_order_in(near, zero, jnp.eye(n + m, dtype=dtype)[at])
         total = total + value
         gradient = gradient.at[at].add(slope)
@@ -74,17 +75,10 @@ def quadratic(
     return Quadratic(total, gradient[:n], H[:n, :n], gradient[n:], H[n:, n:], H[:n, n:])
 
 
-def _beside(
-    problem: Problem, part: Any, k: Any, knot: Knot, ctrl: jax.Array, d: jax.Array
-) -> jax.Array:
-    """A function of a knot and controls, moved by d."""
-    return part(k, problem.plus(knot, d[: problem.n]), ctrl + d[problem.n :])
-
-
 def _second_order_in(
     f: Any, zero: jax.Array, basis: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """A cost and its first and second derivatives along the rows of `basis`."""
+    """The cost of a term and its first and second derivatives along the rows of `basis`."""
     value = f(zero)
     if value.ndim:
         J = jax.vmap(lambda e: jax.jvp(f, (zero,), (e,))[1])(basis)
@@ -94,33 +88,9 @@ def _second_order_in(
     return value, product(basis, gradient(zero)), product(turned, basis.T)
 
 
-def parts(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
-    """The functions (k, knot, ctrl) whose costs are summed: of each cost, weighted residuals or a
-    number; of each constraint, the residuals of the augmented Lagrangian."""
-    costs = [functools.partial(problem.value, cost, where) for cost in problem.costs(where)]
-    return costs + penalties(problem, rows, mu, where)
-
-
-def penalties(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
-    """The functions (k, knot, ctrl) -> residuals of the augmented Lagrangian, one a constraint."""
-    found: list[Any] = []
-    at = 0
-    for c, size in row_sizes(problem, where):
-        own = rows[at : at + size]
-        at += size
-
-        def penalty(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c, own: Any = own) -> jax.Array:
-            value = problem.row(c, k, knot, ctrl)
-            low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
-            return penalty_residuals(value, own, mu, low, high)
-
-        found.append(penalty)
-    return found
-
-
 def read_columns(problem: Problem, part: Any) -> np.ndarray:
     """The coordinates of a knot's tangent space and of the controls on which a function depends."""
-    knot, ctrl = example(problem)
+    knot, ctrl = example_knot(problem)
     leaves, tree = jax.tree.flatten((knot, ctrl))
 
     def flat(*xs: Any) -> Any:
@@ -137,7 +107,7 @@ def read_columns(problem: Problem, part: Any) -> np.ndarray:
 
 
 def arguments_read(f: Any, args: list) -> list[bool]:
-    """Whether the result of f depends on each of its arguments, as its equations say."""
+    """Whether the result of f depends on each of its arguments, by the equations of its jaxpr."""
     jaxpr = jax.make_jaxpr(f)(*args).jaxpr
     live = {v for v in jaxpr.outvars if isinstance(v, Var)}
     for eqn in reversed(jaxpr.eqns):
@@ -147,25 +117,25 @@ def arguments_read(f: Any, args: list) -> list[bool]:
 
 
 def second_order(
-    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
-    where: str, costate: jax.Array | None = None,
+    problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array,
+    mu: jax.Array, costate: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
     """The parts of Q, R and S that Gauss-Newton omits: sum of r_i r_i'' of the residuals, and of
     costate_i f_i'' of the step."""
     n, m = problem.n, problem.nu
     zero = jnp.zeros(n + m, ctrl.dtype)
     residuals = [
-        (part, value)
-        for part in parts(problem, rows, mu, where)
-        if (value := part(k, knot, ctrl)).ndim
+        (term, value)
+        for term in merit_terms(problem, where, rows, mu)
+        if (value := term(k, knot, ctrl)).ndim
     ]
     after = problem.step(k, knot, ctrl)
 
     def curved(d: jax.Array) -> jax.Array:
         there, u = problem.plus(knot, d[:n]), ctrl + d[n:]
         total = jnp.zeros((), ctrl.dtype)
-        for part, value in residuals:
-            total = total + (value * part(k, there, u)).sum()
+        for term, value in residuals:
+            total = total + (value * term(k, there, u)).sum()
         if costate is not None:
             total = total + (costate * problem.minus(problem.step(k, there, u), after)).sum()
         return total
@@ -183,3 +153,160 @@ def costates(path: Local, end: Quadratic) -> jax.Array:
         return q + product(A.T, l), l
 
     return jax.lax.scan(back, end.q, (path.A, path.cost.q), reverse=True)[1]
+
+
+#: knots, of all problems together, up to which a GPU has a thread a column
+FEW = 2048
+
+
+class Expanded(NamedTuple):
+    """All knots to second order; gaps (N + 1, n), the first from the first knot to the start;
+    cost (), with the augmented Lagrangian; gap () and violation (), the largest."""
+
+    path: Local
+    end: Quadratic
+    gaps: jax.Array
+    cost: jax.Array
+    gap: jax.Array
+    violation: jax.Array
+
+
+def expand(
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
+) -> Expanded:
+    """All knots to second order, side by side."""
+    N, dtype = problem.horizon, ctrls.dtype
+    body, following = take(knots, BODY), take(knots, NEXT)
+
+    def cost_of(k, knot, ctrl, rows, mu):
+        cost = quadratic(problem, "path", k, knot, ctrl, rows, mu)
+        return cost, knot_violation(problem, "path", k, knot, ctrl)
+
+    def one(k, knot, ctrl, rows, mu, following):
+        after, A, B = problem.linear(k, knot, ctrl)
+        cost, off = cost_of(k, knot, ctrl, rows, mu)
+        return Local(A, B, cost), problem.minus(after, following), off
+
+    def by_columns(k, knot, ctrl, rows, mu, following):
+        def of_whole(k, ctrl, rows, mu):
+            return cost_of(k, knots_at(knots, k)[0], ctrl, rows, mu)
+
+        A, B, gap = columns(problem, k, knots, ctrl)
+        cost, off = threads(of_whole)(k, ctrl, rows, mu)
+        return Local(A, B, cost), gap, off
+
+    def ends(start, knots, rows, mu):
+        """The gap of the start, and the end."""
+        first, last = take(knots, 0), take(knots, -1)
+        gap = problem.off_start(start, first)
+        none = jnp.zeros(problem.nu, dtype)
+        cost = quadratic(problem, "end", jnp.asarray(N, dtype), last, none, rows, mu)
+        return gap, cost, knot_violation(problem, "end", jnp.asarray(N, dtype), last, none)
+
+    ks, mu = knot_indices(N, dtype), multipliers.penalty
+    path, gaps, off = jax.vmap(with_multi_kernel(one, by_columns, FEW), (0, 0, 0, 0, None, 0))(
+        ks, body, ctrls, multipliers.path, mu, following
+    )
+    gap, end, off_end = threads(ends)(start, knots, multipliers.end, mu)
+    gaps = jnp.concatenate([gap[None], gaps])
+    off = jnp.maximum(off.max(), off_end) if problem.constraints else jnp.zeros((), dtype)
+    return Expanded(path, end, gaps, path.cost.c.sum() + end.c, jnp.abs(gaps).max(), off)
+
+
+def columns(
+    problem: Problem, k: jax.Array, knots: Knot, ctrl: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A, B and the gap of knot k, a thread a column."""
+    n, none = problem.n, np.zeros(problem.n + problem.nu, ctrl.dtype)
+
+    def column(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
+        knot, following = knots_at(knots, k)
+        after = problem.step(k, knot, ctrl)
+
+        def moved(d: jax.Array) -> jax.Array:
+            there = problem.step(k, problem.plus(knot, d[:n]), ctrl + d[n:])
+            return problem.minus(there, after)
+
+        return jax.jvp(moved, (jnp.asarray(none),), (direction,))[1], problem.minus(
+            after, following
+        )
+
+    both, gap = map_threads(column, [jnp.asarray(np.eye(len(none), dtype=none.dtype))], [1])
+    return both[:, :n], both[:, n:], gap[:, 0]
+
+
+def knot_indices(N: int, dtype: Any) -> jax.Array:
+    """The indices of the knots with controls, as a constant of the program."""
+    return jnp.asarray(np.arange(N, dtype=dtype))
+
+
+def knots_at(knots: Any, k: jax.Array) -> tuple[Any, Any]:
+    """Knot k and the next one, read in a program of one sample: slices of arrays outside of it are
+    copies, and each copy is a kernel."""
+    k = k.astype(np.uint32)
+    here, following = (
+        jax.tree.map(lambda x, i=i: jax.lax.dynamic_index_in_dim(x, i, keepdims=False), knots)
+        for i in (k, k + np.uint32(1))
+    )
+    return here, following
+
+
+def add_curvature(
+    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
+) -> Expanded:
+    """All knots with the second derivatives that Gauss-Newton omits."""
+    N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
+    body, last = take(knots, BODY), take(knots, -1)
+
+    def one(k, knot, ctrl, rows, costate):
+        return second_order(problem, "path", k, knot, ctrl, rows, mu, costate)
+
+    def closing(knot, rows):
+        none = jnp.zeros(problem.nu, dtype)
+        return second_order(problem, "end", jnp.asarray(N, dtype), knot, none, rows, mu)
+
+    def added(cost: Quadratic, more: tuple) -> Quadratic:
+        Q, R, S = more
+        return cost._replace(Q=cost.Q + Q, R=cost.R + R, S=cost.S + S)
+
+    l = threads(costates)(found.path, found.end)
+    ks = jnp.arange(N, dtype=dtype)
+    more = jax.vmap(threads(one))(ks, body, ctrls, multipliers.path, l)
+    path = found.path._replace(cost=added(found.path.cost, more))
+    end = added(found.end, threads(closing)(last, multipliers.end))
+    return found._replace(path=path, end=end)
+
+
+def updated_multipliers(
+    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
+) -> tuple[jax.Array, jax.Array]:
+    """The next multipliers of path and end, side by side."""
+    N, dtype = problem.horizon, ctrls.dtype
+
+    def one(where, k, knot, ctrl, y, mu):
+        c = problem.rows(where, k, knot, ctrl)
+        return mu * shifted_excess(c, y, mu, *row_bounds(problem, where, c.dtype))
+
+    body, last = take(knots, BODY), take(knots, -1)
+    ks, mu = jnp.arange(N, dtype=dtype), multipliers.penalty
+    path = multipliers.path
+    if path.size:
+        along = threads(functools.partial(one, "path"))
+        path = jax.vmap(along, (0, 0, 0, 0, None))(ks, body, ctrls, path, mu)
+    none = jnp.zeros(problem.nu, dtype)
+    closing = threads(functools.partial(one, "end"))
+    end = closing(jnp.asarray(N, dtype), last, none, multipliers.end, mu)
+    return path, end
+
+
+def largest_gap(problem: Problem, start: Any, knots: Knot, ctrls: jax.Array) -> jax.Array:
+    """The largest entry of a gap between a step and the next state, and of the start's."""
+    body, following = take(knots, BODY), take(knots, NEXT)
+
+    def one(k: Any, knot: Knot, ctrl: jax.Array, after: Knot) -> jax.Array:
+        return jnp.abs(problem.minus(problem.step(k, knot, ctrl), after)).max()
+
+    ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
+    gap = jax.vmap(threads(one))(ks, body, ctrls, following).max()
+    first = take(knots, 0)
+    return jnp.maximum(gap, jnp.abs(problem.off_start(start, first)).max())

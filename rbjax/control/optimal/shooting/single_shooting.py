@@ -4,14 +4,10 @@
     u = middle + half sin(w)          within bounds, of unknowns w that have none
     J + mu/2 sum |s - clip(s, low, high)|^2,   s = c + lambda / mu     with constraints
 
-Free numbers and the free part of the start are unknowns too. `by_optax` follows the gradient with
-an optimiser of optax; `by_optimistix` takes BFGS, or Levenberg and Marquardt where all costs are
-residuals. Gradients come from reverse mode through the scan of the steps. Unstable motions make J
-steep: a state after N steps depends on the first control through a product of N matrices, which
-multiple shooting ("ddp") and collocation avoid. A search has converged if the gradient by w is
-small, scaled by the unknowns and the cost.
-
-Source: Betts, *Practical Methods for Optimal Control*, 3.3; Kingma & Ba 2015 (Adam).
+Parameters and the free part of the start are unknowns too. A search has converged if the gradient
+by w is small, scaled by the unknowns and the cost. Unstable motions make J steep; multiple shooting
+and collocation avoid that. Source: Betts, *Practical Methods for Optimal Control*, 3.3; Kingma & Ba
+2015 (Adam).
 """
 
 from __future__ import annotations
@@ -26,27 +22,12 @@ import jax.numpy as jnp
 import optax
 import optimistix as optx
 
-from rbjax.control.optimal.constraint_rows import (
-    example,
-    limits,
-    row_count,
-    rows_along,
-    violation,
-)
-from rbjax.control.optimal.objective import half_square, motion_cost, over_knots, residuals
-from rbjax.control.optimal.options import Options
-from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import (
-    PENALTY_MOST,
-    Multipliers,
-    next_multipliers,
-    next_penalty,
-    no_multipliers,
-    penalty_residuals,
-)
-from rbjax.control.optimal.shooting.knots import largest_gap
-from rbjax.control.optimal.shooting.search_state import CLOSER, FLOOR, LOOSE
-from rbjax.control.optimal.solution import SearchResult
+from rbjax.control.optimal import objective
+from rbjax.control.optimal.objective import Multipliers
+from rbjax.control.optimal.problem import Knot, Problem, take
+from rbjax.control.optimal.shooting.expansion import largest_gap
+from rbjax.control.optimal.shooting.search import CLOSER, FLOOR, LOOSE
+from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.errors import InputError
 
@@ -75,24 +56,12 @@ class Shooting(NamedTuple):
         problem = self.problem
         us = from_unbounded(w.us, problem.low, problem.high)
         ns = problem.system.n
-        low, high = (x[ns:] for x in problem.start_bounds(us.dtype))
+        low, high = problem.parameter_bounds(us.dtype)
         free = jnp.asarray(problem.free)
         state = problem.system.plus(self.first.state, jnp.where(free, w.dx[:ns], 0.0))
         first = Knot(state, from_unbounded(w.dx[ns:], low, high))
 
-        def step(knot: Knot, x: tuple) -> tuple[Knot, Knot]:
-            k, u = x
-            return problem.step(k, knot, u), knot
-
-        ks = jnp.arange(problem.horizon, dtype=us.dtype)
-        last, body = jax.lax.scan(step, first, (ks, us))
-        return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), body, last), us
-
-    def residuals(self, knots: Knot, us: jax.Array) -> tuple[list[jax.Array], jax.Array]:
-        """All residuals, and the sum of the costs that are numbers."""
-        of_knot = functools.partial(residuals, self.problem)
-        (path, parameters), (end, last) = over_knots(of_knot, self.problem, knots, us)
-        return [path.reshape(-1), end], parameters.sum() + last
+        return objective.roll_out(problem, first, lambda k, knot, u: u, us)
 
 
 def from_unbounded(w: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
@@ -122,20 +91,19 @@ def lagrangian_residuals(
     s: Shooting, w: Unknowns, l: Multipliers
 ) -> tuple[list[jax.Array], jax.Array]:
     """Residuals and the rest of the augmented Lagrangian."""
-    knots, us = s.knots(w)
-    found, rest = s.residuals(knots, us)
-    if s.problem.constraints:
-        both = rows_along(s.problem, knots, us)
-        for rows, y, where in zip(both, l[:2], ("path", "end"), strict=True):
-            low, high = limits(s.problem, where, us.dtype)
-            found.append(penalty_residuals(rows, y, l.penalty, low, high).reshape(-1))
-    return found, rest
+
+    def at(where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array) -> tuple:
+        terms = objective.merit_terms(s.problem, where, rows, l.penalty)
+        return objective.residuals(terms, k, knot, ctrl)
+
+    (path, rest), (end, last) = objective.over_knots(at, s.problem, *s.knots(w), l[:2])
+    return [path.reshape(-1), end], rest.sum() + last
 
 
 def lagrangian_value(s: Shooting, w: Unknowns, l: Multipliers) -> jax.Array:
     """The augmented Lagrangian ()."""
     found, rest = lagrangian_residuals(s, w, l)
-    return rest + sum(map(half_square, found), jnp.zeros_like(rest))
+    return rest + sum(map(objective.half_square, found), jnp.zeros_like(rest))
 
 
 class Target(NamedTuple):
@@ -158,7 +126,7 @@ class Target(NamedTuple):
 
 
 class InnerResult(NamedTuple):
-    """Unknowns; status; iterations; stationarity, that of `Target`; costs (history,)."""
+    """Unknowns; status; iterations; stationarity of `Target`; costs (history,)."""
 
     w: Unknowns
     status: jax.Array
@@ -279,21 +247,21 @@ def optimistix_search(squares: bool) -> Inner:
     return search
 
 
-def by_shooting(
+def solve_single_shooting(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     inner: Callable[[Problem], Inner],
 ) -> SearchResult:  # fmt: skip
     """`solve` by single shooting. The guess of the states is not used, but for a free start."""
     dtype, n = ctrls.dtype, problem.n
     search = inner(problem)
-    first = jax.tree.map(lambda x: x[0], knots)
+    first = take(knots, 0)
     state = first.state if any(problem.free) else start
     s = Shooting(problem, Knot(state, first.parameters))
-    low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
+    low, high = problem.parameter_bounds(dtype)
     dx = jnp.zeros(n, dtype).at[problem.system.n :].set(to_unbounded(first.parameters, low, high))
     w = Unknowns(to_unbounded(ctrls, problem.low, problem.high), dx)
-    path, closing = (row_count(problem, at) for at in ("path", "end"))
-    l = no_multipliers(problem.horizon, path, closing, dtype)
+    path, closing = (objective.row_count(problem, at) for at in ("path", "end"))
+    l = objective.no_multipliers(problem.horizon, path, closing, dtype)
     costs = jnp.full(history, jnp.nan, dtype)
     rule = options.rule
     scale = rule.scale
@@ -309,8 +277,9 @@ def by_shooting(
     knots, us = s.knots(end.w)
     off, _ = next_multipliers_of(s, knots, us, l)
     return SearchResult(
-        knots, us, motion_cost(problem, knots, us), status, end.iterations, end.stationarity,
-        largest_gap(problem, jax.tree.map(lambda x: x[0], knots.state), knots, us), off,
+        knots, us, objective.motion_cost(problem, knots, us), status, end.iterations,
+        end.stationarity,
+        largest_gap(problem, take(knots.state, 0), knots, us), off,
         end.costs, jnp.zeros((problem.horizon, problem.nu, n), dtype), l.path, l.end,
     )  # fmt: skip
 
@@ -319,13 +288,13 @@ def next_multipliers_of(
     s: Shooting, knots: Knot, us: jax.Array, l: Multipliers
 ) -> tuple[jax.Array, Multipliers]:
     """The largest violation, and the next multipliers."""
-    worst, ys = jnp.zeros((), us.dtype), []
-    both = rows_along(s.problem, knots, us)
+    both = objective.rows_along(s.problem, knots, us)
+    ys = []
     for rows, y, where in zip(both, l[:2], ("path", "end"), strict=True):
-        low, high = limits(s.problem, where, us.dtype)
-        worst = jnp.maximum(worst, violation(rows, low, high).max(initial=0.0))
-        ys.append(next_multipliers(rows, y, l.penalty, low, high))
-    return worst, Multipliers(ys[0], ys[1], l.penalty)
+        bounds = objective.row_bounds(s.problem, where, us.dtype)
+        ys.append(l.penalty * objective.shifted_excess(rows, y, l.penalty, *bounds))
+    off = objective.constraint_violations(s.problem, *both).max(initial=0.0)
+    return off, Multipliers(ys[0], ys[1], l.penalty)
 
 
 def _multiplier_iterations(
@@ -340,9 +309,9 @@ def _multiplier_iterations(
         end = search(s, end.w, l, target._replace(tolerance=inner), end.iterations, end.costs)
         off, after = next_multipliers_of(s, *s.knots(end.w), l)
         held = off <= violation
-        penalty, failing = next_penalty(l.penalty, off, before, held)
+        penalty, failing = objective.next_penalty(l.penalty, off, before, held)
         after = after._replace(penalty=penalty)
-        hopeless = failing & (off > PERSISTS * before) & (l.penalty >= PENALTY_MOST)
+        hopeless = failing & (off > PERSISTS * before) & (l.penalty >= objective.PENALTY_MOST)
         rests = (end.status == CONVERGED) & (inner <= least)
         status = jnp.where((end.status == STUCK) & held & (before <= violation), STUCK, GOING)
         status = jnp.where(end.iterations >= target.iterations, BUDGET, status)
@@ -360,26 +329,23 @@ def _multiplier_iterations(
     return end, l, status
 
 
-def by_adam(problem: Problem) -> Inner:
+def adam_search(problem: Problem) -> Inner:
     """Adam of optax."""
     return optax_search(optax.adam(RATE))
 
 
-def by_bfgs(problem: Problem) -> Inner:
+def bfgs_search(problem: Problem) -> Inner:
     """BFGS of optimistix."""
     return optimistix_search(False)
 
 
-def by_levenberg_marquardt(problem: Problem) -> Inner:
+def levenberg_marquardt_search(problem: Problem) -> Inner:
     """Levenberg and Marquardt's method of optimistix; raises for costs that are numbers."""
-    knot, ctrl = example(problem)
-    for where, costs in (("path", problem.running), ("end", problem.terminal)):
-        for cost in costs:
-            value = jax.eval_shape(
-                lambda x, u, cost=cost, where=where: problem.value(cost, where, 0.0, x, u),
-                knot, ctrl,
-            )  # fmt: skip
-            if value.ndim == 0:
+    knot, ctrl = objective.example_knot(problem)
+    for where in ("path", "end"):
+        terms = objective.cost_terms(problem, where)
+        for cost, term in zip(problem.costs(where), terms, strict=True):
+            if jax.eval_shape(functools.partial(term, 0.0), knot, ctrl).ndim == 0:
                 raise InputError(
                     f"solve: method 'levenberg_marquardt' needs residuals, and the cost "
                     f"{cost.term.label} is a number; return a vector, or take 'bfgs'"

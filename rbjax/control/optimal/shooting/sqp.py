@@ -1,28 +1,19 @@
 """Sequential quadratic programming with multiple shooting: all knots side by side.
 
-An iteration is that of `ddp` except for the step, which is that of the linear model: only small
-products from knot to knot,
+An iteration is that of `search` with the step of the linear model,
 
     du_k = k_k + K_k dx_k,     dx_{k+1} = A dx_k + B du_k + gap_{k+1}
 
-without clipping du to bounds, because the linear model may be unstable without feedback. The trials
-x (+) a dx, u + a du of all lengths a, with u projected onto its bounds, are evaluated at all knots
-at once: no motion is rolled out, so no evaluation waits for N steps of the dynamics in a row. Gaps
-close in proportion to a, and exactly if the dynamics is linear and no bound is met.
-The trial with the least
+The trials x (+) a dx, u + a du of all lengths a, with u projected onto its bounds, are evaluated at
+all knots at once, without a rollout. Gaps close in proportion to a. The trial with the least
 
     phi(a) = J(a) + sum over k of  l_k'gap_k(a) + rho/2 gap_k(a)'V_k gap_k(a)
 
-is taken if it satisfies Armijo's rule with the slope of phi at a = 0: that of J minus the sum of
-l'gap + rho gap'V gap. l_k = v_k + V_k dx_k are the costates of the step and V_k the Hessians of the
-value function, both from the backward pass, so that with rho = 1 phi is the cost plus the cost
-of closing the gaps. It is an augmented Lagrangian with the multipliers of the step
-(Gill, Murray, Saunders & Wright 1992). A cost of sum mu |gap| instead shortens the steps near an
-optimum (Maratos 1978): of the listed problems it took 116 iterations for 30 on an arm, and more
-than 300 for 86 on a double pendulum.
-
-Source: Bock & Plitt, *A multiple shooting algorithm for direct solution of optimal control
-problems*, IFAC 1984; Nocedal & Wright, *Numerical Optimization*, 18.
+is taken if it satisfies Armijo's rule. l_k = v_k + V_k dx_k are the costates of the step and V_k
+the Hessians of the value function: phi is an augmented Lagrangian (Gill, Murray, Saunders & Wright
+1992). A cost of sum mu |gap| would shorten the steps near an optimum (Maratos 1978). Source: Bock &
+Plitt, *A multiple shooting algorithm for direct solution of optimal control problems*, IFAC 1984;
+Nocedal & Wright, *Numerical Optimization*, 18.
 """
 
 from __future__ import annotations
@@ -32,17 +23,22 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import in_parts, threads
-from rbjax.control.optimal.constraint_rows import knot_violation
-from rbjax.control.optimal.options import Options
-from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
+from rbjax.compiler import threads, with_multi_kernel
+from rbjax.control.linear.riccati import roll_linear
+from rbjax.control.optimal.objective import knot_violation, merit
+from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
 from rbjax.control.optimal.shooting.backward_pass import Feedback
-from rbjax.control.optimal.shooting.ddp import Iterate, StepPolicy, search
-from rbjax.control.optimal.shooting.expansion import Local, merit
+from rbjax.control.optimal.shooting.expansion import FEW, Expanded, Local, knot_indices, knots_at
 from rbjax.control.optimal.shooting.filter_search import ARMIJO, rounding
-from rbjax.control.optimal.shooting.knots import FEW, Expanded, knot_indices, knots_at
-from rbjax.control.optimal.shooting.search_state import LENGTHS, Decision, IterationValues
-from rbjax.control.optimal.solution import SearchResult
+from rbjax.control.optimal.shooting.search import (
+    LENGTHS,
+    Decision,
+    Iterate,
+    IterationValues,
+    StepPolicy,
+    search,
+)
+from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.products import product
 
 RHO = 3.0
@@ -67,29 +63,22 @@ class LinearTrials(NamedTuple):
     step: Step
 
 
-def by_sqp(
+def solve_sqp(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     exact: bool = False,
 ) -> SearchResult:  # fmt: skip
-    """`solve` by sequential quadratic programming. exact: as in `by_ddp`."""
+    """`solve` by sequential quadratic programming. exact: as in `solve_ddp`."""
     return search(LINEAR_STEPS, problem, start, knots, ctrls, options, history, exact)
 
 
 def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
     """The step of the linear model. The gains keep a control at a bound within it."""
 
-    def forth(dx: jax.Array, x: tuple) -> tuple:
-        A, B, gap, K, k = x
-        du = k + product(K, dx)
-        return product(A, dx) + product(B, du) + gap, (dx, du)
-
-    given = (path.A, path.B, gaps[1:], gains.K, gains.k)
-    found: Any = jax.lax.scan(forth, gains.first, given)
-    last, (dx, du) = found
+    dx, du = roll_linear(path.A, path.B, gaps[1:], gains.K, gains.k, gains.first)
     V, first = gains.V[0], gaps[0]
     l = gains.v[0] + product(V, gains.first - first)
     opening = jnp.stack([(l * first).sum(), RHO * (first * product(V, first)).sum()])
-    return Step(jnp.concatenate([dx, last[None]]), du, opening)
+    return Step(dx, du, opening)
 
 
 def _trials(
@@ -108,15 +97,15 @@ def _trials(
         there, u = problem.plus(knot, a * dx), problem.within_bounds(ctrl + a * du)
         after = problem.plus(following, a * ahead)
         c, q, r = cost
-        change = merit(problem, k, there, u, y, mu, "path") - c
-        off = knot_violation(problem, k, there, u, "path")
+        change = merit(problem, "path", k, there, u, y, mu) - c
+        off = knot_violation(problem, "path", k, there, u)
         slope = (q * dx).sum() + (r * du).sum()
 
         def closing() -> tuple:
             none = jnp.zeros(problem.nu, dtype)
             c, q = end
-            more = merit(problem, k + 1, after, none, y_end, mu, "end") - c
-            return more, (q * ahead).sum(), knot_violation(problem, k + 1, after, none, "end")
+            more = merit(problem, "end", k + 1, after, none, y_end, mu) - c
+            return more, (q * ahead).sum(), knot_violation(problem, "end", k + 1, after, none)
 
         def nothing() -> tuple:
             zero = jnp.zeros((), dtype)
@@ -141,8 +130,8 @@ def _trials(
 
         return threads(read)(k, ctrl, y, du, *rest)
 
-    each = jax.vmap(in_parts(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
-    body, following = (jax.tree.map(lambda x, at=at: x[at], now.knots) for at in (BODY, NEXT))
+    each = jax.vmap(with_multi_kernel(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
+    body, following = take(now.knots, BODY), take(now.knots, NEXT)
     path, l = found.path.cost, now.multipliers
     sums, offs = jax.vmap(each, (None,) * 15 + (0,))(
         knot_indices(N, dtype), body, now.ctrls, l.path, step.dx[:-1], step.du,
@@ -168,9 +157,7 @@ def _take_linear_step(
     return knots, problem.within_bounds(ctrls)
 
 
-def _decreases_merit(
-    values: IterationValues, lengths: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _decreases_merit(values: IterationValues, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The longest trial of the least phi, but for rounding, by Armijo's rule."""
     change, slope, opening = values.more
     pull, square = opening[0], opening[1]

@@ -1,0 +1,348 @@
+"""Control laws of a frame: operational-space control and Cartesian impedance.
+
+    e = [log(R_d R^T); p_d - p],   V = J v,   V' = J a + J' v          (world axes, angular first)
+    operational space   a = a_0 + M^-1 J^T Lambda (V'_c - J' v - J a_0),   Lambda = (J M^-1 J^T)^-1
+    impedance           tau = h + J^T (K e + D (V_d - V)) + N^T tau_0,   N = 1 - M^-1 J^T Lambda J
+
+a_0 and tau_0 lead to a posture in the dynamically consistent null space of the frame. Near a
+singular configuration Lambda is damped: (A + d 1)^-1 for A = J M^-1 J^T, with
+d = d_max (1 - s / s_0)^2 if s = 1 / tr((A + tiny)^-1) < s_0, else 0.
+Source: Khatib 1987; Bruyninckx & Khatib 2000; Hogan 1985; Ott, *Cartesian Impedance Control of
+Redundant and Flexible-Joint Robots*, 2008; Nakamura & Hanafusa 1986 and Chiaverini 1997 (damping).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.laws.controller import (
+    Controller,
+    Pose,
+    actuator_forces,
+    balancing_forces,
+    check_compensate,
+    check_configurations,
+    check_controlled_model,
+    check_poses,
+    configuration,
+    gains,
+    pose,
+)
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_pose, jacobian
+from rbjax.dynamics.algorithms.manifold import difference
+from rbjax.dynamics.arguments import check_array, check_static, shape_of
+from rbjax.errors import InputError
+from rbjax.kinematics.goals import Goal, body_of
+from rbjax.lanes import ldlt, matmat, matvec
+from rbjax.model import Model, State
+from rbjax.model.record import Record
+from rbjax.rotations import so3
+
+#: kinds of tasks: the controlled motions, and their rows in [angular; linear]
+KINDS = {
+    "pose": (("rotation", "position"), slice(0, 6)),
+    "position": (("position",), slice(3, 6)),
+    "rotation": (("rotation",), slice(0, 3)),
+}
+#: the least s, as a share of tr(A) / rows, that is not damped, and the damping at s = 0
+NEAR, DAMPED = 1e-3, 1e-2
+
+
+class Task(Record):
+    """A frame and which of its six motions count. Static throughout."""
+
+    site: str | None = eqx.field(static=True)
+    body: str | None = eqx.field(static=True)
+    kind: str = eqx.field(static=True)
+
+    @property
+    def rows(self) -> slice:
+        """Among [angular; linear]."""
+        return KINDS[self.kind][1]
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Which of rotation and position count."""
+        return KINDS[self.kind][0]
+
+    @property
+    def size(self) -> int:
+        """How many motions count."""
+        return self.rows.stop - self.rows.start
+
+    @property
+    def frame(self) -> dict[str, str | None]:
+        """The frame's name, as the algorithms take it."""
+        return {"body": self.body, "site": self.site}
+
+
+class Motion(NamedTuple):
+    """A task at a state: error e, velocity V, J (m, nv), J' v (m,), and the reference."""
+
+    e: jax.Array
+    V: jax.Array
+    J: jax.Array
+    bias: jax.Array
+    desired: Pose
+
+
+def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> Task:
+    """The task of a frame that a joint moves."""
+    if kind not in KINDS:
+        raise InputError(f"{where}: task is {kind!r}, expected one of {', '.join(KINDS)}")
+    if (site is None) == (body is None):
+        got = "neither" if site is None else "both"
+        raise InputError(f"{where}: got {got} of site and body, expected exactly one")
+    check_static(where, "site", site)
+    check_static(where, "body", body)
+    carrier = body_of(model, Goal(site=site, body=body, position=[0.0, 0.0, 0.0]))
+    if carrier < 0 or model.topology.body_links[carrier] < 0:
+        raise InputError(f"{where}: no joint moves {site or body!r}, expected one that moves")
+    return Task(site, body, kind)
+
+
+def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Motion:
+    """A task and its reference at a state."""
+    q, v = state.q, state.v
+    desired = pose(reference, t, task.parts, q.dtype)
+    R, p = frame_pose(model, q, **task.frame)
+    turn = (desired.R[:, None, :] * R[None, :, :]).sum(-1)
+    e = jnp.concatenate([so3.log(turn), desired.p - p])[task.rows]
+    J = jacobian(model, q, **task.frame)[task.rows]
+    bias = frame_bias_acceleration(model, q, v, **task.frame)[task.rows]
+    return Motion(e, matvec(J, v), J, bias, desired)
+
+
+class Inertia(NamedTuple):
+    """M^-1 J^T (nv, m) and Lambda (m, m)."""
+
+    to_joints: jax.Array
+    task: jax.Array
+
+
+def task_inertia(model: Model, state: State, J: jax.Array) -> Inertia:
+    """The inertia of a task with the Jacobian J, damped near singular configurations."""
+    M, m = mass_matrix(model, state.q), J.shape[0]
+    factors = ldlt([list(row) for row in M])
+    columns = [factors.solve(list(row)) for row in J]
+    to_joints = jnp.stack([jnp.stack([jnp.asarray(x, M.dtype) for x in c]) for c in columns], 1)
+    A = matmat(J, to_joints)
+    one, mean = jnp.eye(m, dtype=A.dtype), jnp.trace(A) / m
+    tiny = 8 * jnp.finfo(A.dtype).eps * mean
+    s = 1 / jnp.trace(_inverse(A + tiny * one)) / mean
+    d = DAMPED * mean * jnp.square(jnp.maximum(1 - s / NEAR, 0.0))
+    return Inertia(to_joints, _inverse(A + d * one))
+
+
+def _inverse(A: jax.Array) -> jax.Array:
+    """Of a symmetric positive definite matrix."""
+    factors = ldlt([list(row) for row in A])
+    columns = [factors.solve(list(row)) for row in jnp.eye(A.shape[0], dtype=A.dtype)]
+    out = jnp.stack([jnp.stack([jnp.asarray(x, A.dtype) for x in c]) for c in columns])
+    return (out + out.T) / 2
+
+
+class FrameController(Controller):
+    """A control law of a frame.
+
+    Fields: task; reference; stiffness and damping of the frame, (m,) or (m, m); posture,
+    posture_stiffness and posture_damping (nv,) of the rest of the motion.
+    """
+
+    task: Task
+    reference: Any
+    stiffness: jax.Array
+    damping: jax.Array
+    posture: Any
+    posture_stiffness: jax.Array
+    posture_damping: jax.Array
+
+    def _posture(self, t: Any, state: State) -> jax.Array:
+        """K_0 (q_0 - q) - D_0 v (nv,)."""
+        out = -self.posture_damping * state.v
+        if self.posture is None:
+            return out
+        desired = configuration(self.model, self.posture, t, state.q.dtype)
+        return out + self.posture_stiffness * difference(self.model, state.q, desired.q)
+
+
+class OperationalSpace(FrameController):
+    """See `operational_space`."""
+
+    def tau(self, t: Any, state: State) -> jax.Array:
+        return actuator_forces(self.model, state, self.acceleration(t, state))
+
+    def acceleration(self, t: Any, state: State) -> jax.Array:
+        """The desired accelerations (nv,)."""
+        frame = motion(self.model, self.task, self.reference, t, state)
+        inertia = task_inertia(self.model, state, frame.J)
+        rest = self._posture(t, state)
+        left = self._command(frame) - frame.bias - matvec(frame.J, rest)
+        return rest + matvec(inertia.to_joints, matvec(inertia.task, left))
+
+    def command(self, t: Any, state: State) -> jax.Array:
+        """V'_c (m,): the desired acceleration of the frame."""
+        return self._command(motion(self.model, self.task, self.reference, t, state))
+
+    def _command(self, frame: Motion) -> jax.Array:
+        rows = self.task.rows
+        back = self.damping * (frame.desired.V[rows] - frame.V) + self.stiffness * frame.e
+        return frame.desired.A[rows] + back
+
+
+class CartesianImpedance(FrameController):
+    """See `cartesian_impedance`."""
+
+    compensate: str = eqx.field(static=True)
+
+    def tau(self, t: Any, state: State) -> jax.Array:
+        frame = motion(self.model, self.task, self.reference, t, state)
+        slip = frame.desired.V[self.task.rows] - frame.V
+        wrench = matvec(self.stiffness, frame.e) + matvec(self.damping, slip)
+        rest = self._posture(t, state)
+        inertia = task_inertia(self.model, state, frame.J)
+        wrench = wrench - matvec(inertia.task, matvec(inertia.to_joints.T, rest))
+        h = balancing_forces(self.model, state, self.compensate)
+        return h + rest + matvec(frame.J.T, wrench)
+
+
+def operational_space(
+    model: Model,
+    reference: Any,
+    *,
+    site: str | None = None,
+    body: str | None = None,
+    task: str = "pose",
+    stiffness: Any,
+    damping: Any = None,
+    posture: Any = None,
+    posture_stiffness: Any = 10.0,
+    posture_damping: Any = None,
+    undriven: str = "refuse",
+) -> OperationalSpace:
+    """The law by which a frame's motion obeys V' = A_d + D (V_d - V) + K e.
+
+    tau = M (a_0 + M^-1 J^T Lambda (V'_c - J' v - J a_0)) + b - other forces.
+
+    Args:
+        model: the robot, a tree.
+        reference: of a pose (R (3, 3), p (3,)), of a position (3,), of a rotation (3, 3); or a
+            function of t that returns it, whose velocity and acceleration are its derivatives.
+        site, body: the name of the frame.
+        task: "pose", "position" or "rotation": which motions of the frame count.
+        stiffness: K, 1/s^2, a number or one for each motion, angular first, world axes.
+        damping: D, 1/s, as the stiffness; 2 sqrt(K) if None.
+        posture: (nq,), or a function of t, that the rest of the motion tends to; None only damps.
+        posture_stiffness, posture_damping: K_0 1/s^2 and D_0 1/s, numbers or (nv,); D_0 is
+            2 sqrt(K_0) if None.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
+
+    Returns:
+        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,),
+        `law.command(t, state)` the frame's acceleration.
+
+    Raises:
+        UnknownName: no such frame. InputError: coordinates that nothing drives, by name;
+        constraints; a wrong shape; a frame that no joint moves.
+
+    Source: Khatib 1987.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("arm7")
+        >>> law = rb.control.operational_space(
+        ...     model, [0.4, 0.0, 0.5], site="tool", task="position", stiffness=100.0)
+        >>> law.damping.tolist()
+        [20.0, 20.0, 20.0]
+    """
+    where = "operational_space"
+    check_controlled_model(where, model, undriven)
+    frame = task_of(where, model, site, body, task)
+    reference = check_poses(where, reference, frame.parts)
+    K = gains(where, "stiffness", stiffness, frame.size)
+    D = 2 * jnp.sqrt(K) if damping is None else gains(where, "damping", damping, frame.size)
+    K0 = gains(where, "posture_stiffness", posture_stiffness, model.nv)
+    D0 = 2 * jnp.sqrt(K0)
+    if posture_damping is not None:
+        D0 = gains(where, "posture_damping", posture_damping, model.nv)
+    if posture is not None:
+        posture = check_configurations(where, model, posture, "posture")
+    return OperationalSpace(model, undriven, frame, reference, K, D, posture, K0, D0)
+
+
+def cartesian_impedance(
+    model: Model,
+    reference: Any,
+    *,
+    site: str | None = None,
+    body: str | None = None,
+    task: str = "pose",
+    stiffness: Any,
+    damping: Any,
+    posture: Any = None,
+    posture_stiffness: Any = 0.0,
+    posture_damping: Any = 0.0,
+    compensate: str = "rest",
+    undriven: str = "refuse",
+) -> CartesianImpedance:
+    """The law that makes a frame a spring and a damper about a motion.
+
+    tau = h + J^T (K e + D (V_d - V)) + N^T (K_0 (q_0 - q) - D_0 v).
+
+    Args:
+        model: the robot, a tree.
+        reference: of a pose (R (3, 3), p (3,)), of a position (3,), of a rotation (3, 3); or a
+            function of t that returns it.
+        site, body: the name of the frame.
+        task: "pose", "position" or "rotation": which motions of the frame count, m in number.
+        stiffness: K, N m/rad and N/m, a number, (m,) or a matrix (m, m); angular first, world axes.
+        damping: D, N m s/rad and N s/m, as the stiffness.
+        posture: (nq,), or a function of t, that the rest of the motion tends to.
+        posture_stiffness, posture_damping: K_0 and D_0, numbers or (nv,).
+        compensate: "rest", gravity and the other forces at rest; "motion", the velocity terms too.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
+
+    Returns:
+        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
+
+    Raises:
+        UnknownName: no such frame. InputError: coordinates that nothing drives, by name;
+        constraints; a wrong shape; a frame that no joint moves.
+
+    Source: Hogan 1985; Ott 2008.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("arm7")
+        >>> law = rb.control.cartesian_impedance(
+        ...     model, [0.4, 0.0, 0.5], site="tool", task="position", stiffness=500.0, damping=50.0)
+        >>> law.stiffness.shape
+        (3, 3)
+    """
+    where = "cartesian_impedance"
+    check_controlled_model(where, model, undriven)
+    check_compensate(where, compensate)
+    frame = task_of(where, model, site, body, task)
+    reference = check_poses(where, reference, frame.parts)
+    if posture is not None:
+        posture = check_configurations(where, model, posture, "posture")
+    return CartesianImpedance(
+        model, undriven, frame, reference, _matrix(where, "stiffness", stiffness, frame.size),
+        _matrix(where, "damping", damping, frame.size), posture,
+        gains(where, "posture_stiffness", posture_stiffness, model.nv),
+        gains(where, "posture_damping", posture_damping, model.nv), compensate,
+    )  # fmt: skip
+
+
+def _matrix(where: str, name: str, value: Any, m: int) -> jax.Array:
+    """(m, m) from a number, (m,) or a matrix."""
+    if len(shape_of(where, name, value)) == 2:
+        return check_array(where, name, value, (m, m))
+    return jnp.diag(gains(where, name, value, m))

@@ -1,0 +1,238 @@
+"""Control laws of joints: computed torque, gravity compensation, impedance.
+
+    computed torque        tau = M(q) a + b(q, v) - other forces,   e'' + D e' + K e = 0
+    gravity compensation   tau = g(q) - sum of J_b^T w_b - other forces at rest
+    impedance              tau = h + K e + D (v_d - v)
+
+e = q_d - q on the manifold. For hinges and slides  a = a_d + D (v_d - v) + K e. For an attitude
+e = phi with q_d = q exp(phi), in body axes, with E = exp(phi),
+
+    phi' = J_l^-1(phi) (E w_d - w)
+    w'   = E w_d' - w x E w_d - J_l(phi) phi'' - (dJ_l/dt) phi' ,     phi'' = -D phi' - K phi
+
+Source: Luh, Walker & Paul 1980; Siciliano et al., *Robotics*, 8.5; Bullo & Murray 1999
+(attitudes); Righetti et al. 2011 (floating bases); Hogan 1985 (impedance).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.laws.controller import (
+    Controller,
+    Followed,
+    actuator_forces,
+    balancing_forces,
+    check_compensate,
+    check_configurations,
+    check_controlled_model,
+    configuration,
+    gains,
+    holding_forces,
+)
+from rbjax.dynamics.algorithms.frames import generalized_forces
+from rbjax.dynamics.algorithms.manifold import difference
+from rbjax.dynamics.arguments import check_array, check_takes
+from rbjax.lanes import matvec
+from rbjax.model import Model, State, spans
+from rbjax.rotations import so3
+
+
+class ComputedTorque(Controller):
+    """See `computed_torque`. Fields: reference; stiffness and damping (nv,), 1/s^2 and 1/s."""
+
+    reference: Any
+    stiffness: jax.Array
+    damping: jax.Array
+
+    def tau(self, t: Any, state: State) -> jax.Array:
+        return actuator_forces(self.model, state, self.acceleration(t, state))
+
+    def acceleration(self, t: Any, state: State) -> jax.Array:
+        """The desired accelerations (nv,)."""
+        wanted = configuration(self.model, self.reference, t, state.q.dtype)
+        return tracking_acceleration(self.model, state, wanted, self.stiffness, self.damping)
+
+
+def computed_torque(
+    model: Model, reference: Any, *, stiffness: Any, damping: Any = None, undriven: str = "refuse"
+) -> ComputedTorque:
+    """The law that makes the error of a motion obey e'' + D e' + K e = 0.
+
+    tau = M a + b - other forces, a = a_d + D (v_d - v) + K e for coordinates that add.
+
+    Args:
+        model: the robot, a tree. Forces of other elements are compensated too.
+        reference: (nq,) a configuration; or a function of t that returns one, whose velocity and
+            acceleration are its derivatives; or one that returns (q, v, a).
+        stiffness: K, 1/s^2, a number or (nv,).
+        damping: D, 1/s, a number or one a coordinate; 2 sqrt(K), critical, if None.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
+
+    Returns:
+        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,) for
+        `rollout(tau=...)`, `law.acceleration(t, state)` the accelerations (nv,).
+
+    Raises:
+        InputError: coordinates that nothing drives, by name; constraints; a wrong shape.
+
+    Source: Luh, Walker & Paul 1980; Siciliano et al., *Robotics*, 8.5.2.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("arm7")
+        >>> law = rb.control.computed_torque(model, jnp.zeros(7), stiffness=25.0)
+        >>> law.damping.tolist()
+        [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0]
+    """
+    where = "computed_torque"
+    check_controlled_model(where, model, undriven)
+    reference = check_configurations(where, model, reference)
+    K = gains(where, "stiffness", stiffness, model.nv)
+    D = 2 * jnp.sqrt(K) if damping is None else gains(where, "damping", damping, model.nv)
+    return ComputedTorque(model, undriven, reference, K, D)
+
+
+def tracking_acceleration(
+    model: Model, state: State, wanted: Followed, K: jax.Array, D: jax.Array
+) -> jax.Array:
+    """a (nv,) with which the error obeys its equation."""
+    q, v = state.q, state.v
+    e = difference(model, q, wanted.q)
+    a = wanted.a + D * (wanted.v - v) + K * e
+    for span in spans(model.topology):
+        if span.attitude:
+            at = span.attitude[1]
+            turning = _turning(e[at], v[at], wanted.v[at], wanted.a[at], K[at], D[at])
+            a = a.at[at].set(turning)
+    return a
+
+
+def _turning(
+    phi: jax.Array, w: jax.Array, w_d: jax.Array, a_d: jax.Array, K: jax.Array, D: jax.Array
+) -> jax.Array:
+    """w' of a body whose error phi shall obey phi'' + D phi' + K phi = 0; body axes."""
+    E = so3.exp(phi)
+    there = matvec(E, w_d)
+    rate = matvec(so3.inverse_left_jacobian(phi), there - w)
+    J, J_rate = jax.jvp(so3.left_jacobian, (phi,), (rate,))
+    wanted = -D * rate - K * phi
+    return matvec(E, a_d) - jnp.cross(w, there) - matvec(J, wanted) - matvec(J_rate, rate)
+
+
+class GravityCompensation(Controller):
+    """See `gravity_compensation`. Fields: wrenches (nb, 6), a function of (t, state), or None."""
+
+    wrenches: Any
+
+    def tau(self, t: Any, state: State) -> jax.Array:
+        tau = holding_forces(self.model, state)
+        if self.wrenches is None:
+            return tau
+        w = self.wrenches(t, state) if callable(self.wrenches) else self.wrenches
+        return tau - generalized_forces(self.model, state.q, w.astype(tau.dtype))
+
+
+def gravity_compensation(
+    model: Model, *, wrenches: Any = None, undriven: str = "refuse"
+) -> GravityCompensation:
+    """The controller that balances gravity and the other forces at rest.
+
+    tau = g(q) - sum of J_b^T w_b - other forces at v = 0.
+
+    Args:
+        model: the robot, a tree.
+        wrenches: (nb, 6) [moment N m; force N] on bodies, world axes, at each body's frame origin,
+            that the surroundings give; or a function (t, state) that returns them.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares":
+            the actuated joints get their forces, `law.allocated(t, state)` has the residual.
+
+    Returns:
+        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
+
+    Raises:
+        InputError: coordinates that nothing drives, by name; constraints; a wrong shape.
+
+    Source: Siciliano et al., *Robotics*, 8.5.1.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("arm7")
+        >>> law = rb.control.gravity_compensation(model)
+        >>> law(0.0, model.default_state()).shape
+        (7,)
+    """
+    check_controlled_model("gravity_compensation", model, undriven)
+    if callable(wrenches):
+        check_takes("gravity_compensation", "wrenches", wrenches, "t", "state")
+    elif wrenches is not None:
+        wrenches = check_array("gravity_compensation", "wrenches", wrenches, (model.nb, 6))
+    return GravityCompensation(model, undriven, wrenches)
+
+
+class JointImpedance(Controller):
+    """See `joint_impedance`. Fields: reference; stiffness and damping (nv,)."""
+
+    reference: Any
+    stiffness: jax.Array
+    damping: jax.Array
+    compensate: str = eqx.field(static=True)
+
+    def tau(self, t: Any, state: State) -> jax.Array:
+        wanted = configuration(self.model, self.reference, t, state.q.dtype)
+        e = difference(self.model, state.q, wanted.q)
+        spring = self.stiffness * e + self.damping * (wanted.v - state.v)
+        return balancing_forces(self.model, state, self.compensate) + spring
+
+
+def joint_impedance(
+    model: Model,
+    reference: Any,
+    *,
+    stiffness: Any,
+    damping: Any,
+    compensate: str = "rest",
+    undriven: str = "refuse",
+) -> JointImpedance:
+    """The law that makes each joint a spring and a damper about a motion.
+
+    tau = h + K (q_d - q) + D (v_d - v).
+
+    Args:
+        model: the robot, a tree.
+        reference: (nq,) a configuration, or a function of t that returns one.
+        stiffness: K, N m/rad or N/m, a number or (nv,).
+        damping: D, N m s/rad or N s/m, a number or one a coordinate.
+        compensate: "rest", gravity and the other forces at rest; "motion", the velocity terms too.
+        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
+            "least_squares".
+
+    Returns:
+        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
+
+    Raises:
+        InputError: coordinates that nothing drives, by name; constraints; a wrong shape.
+
+    Source: Hogan 1985.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("arm7")
+        >>> law = rb.control.joint_impedance(model, jnp.zeros(7), stiffness=50.0, damping=5.0)
+        >>> law.tau(0.0, model.default_state()).shape
+        (7,)
+    """
+    where = "joint_impedance"
+    check_controlled_model(where, model, undriven)
+    check_compensate(where, compensate)
+    return JointImpedance(
+        model, undriven, check_configurations(where, model, reference),
+        gains(where, "stiffness", stiffness, model.nv), gains(where, "damping", damping, model.nv),
+        compensate,
+    )  # fmt: skip

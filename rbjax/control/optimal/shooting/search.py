@@ -1,0 +1,345 @@
+"""The iterations of differential dynamic programming and of sequential quadratic programming.
+
+An iteration expands the problem at its knots, computes gains, makes trial steps by a `StepPolicy`,
+and takes the longest trial that the policy accepts. The regularisation falls tenfold after a step
+longer than half. It rises tenfold after a step of a hundredth or none, or without gains (Mastalli
+et al. 2020). The search is stuck if no regularisation gives a step, or if many steps lower the cost
+by rounding only. If the expected decrease of the cost is small, the constraints get new
+multipliers, or the search has converged; under regularisation the gradient must be small too.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.compiler import threads
+from rbjax.control.optimal.objective import (
+    PENALTY_MOST,
+    Multipliers,
+    motion_cost,
+    next_penalty,
+    no_multipliers,
+    row_count,
+)
+from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.shooting.backward_pass import Bounds, Feedback, backward_pass
+from rbjax.control.optimal.shooting.expansion import (
+    Expanded,
+    add_curvature,
+    expand,
+    largest_gap,
+    updated_multipliers,
+)
+from rbjax.control.optimal.shooting.filter_search import rounding
+from rbjax.control.optimal.solution import Options, SearchResult, StoppingRule
+from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
+
+LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
+LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
+LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
+SHORT_CONSTRAINED = 0.3  # with constraints: their multipliers bend a cost that the model lacks
+LOOSE, CLOSER = 1e-3, 0.3  # tolerance before the first multipliers; its factor at each update
+FLOOR = 10.0  # the least tolerance, in units in the last place
+MAX_STALLED = 50  # iterations that lower the cost by rounding only, after which a search is stuck
+
+
+class SearchState(NamedTuple):
+    """The state of a search between two iterations. Each field is ()."""
+
+    feasible: jax.Array  # whether the motion has no gaps
+    reg: jax.Array  # the regularisation
+    cost: jax.Array  # of the motion
+    scale: jax.Array  # the tolerance is relative to it if the cost is less
+    expected_decrease: jax.Array  # of the cost, by the last step
+    violation: jax.Array  # of the constraints
+    violation_before: jax.Array  # at the last change of the multipliers
+    inner_tolerance: jax.Array  # of the search with the present multipliers
+    iterations: jax.Array  # so far
+    status: jax.Array  # of `rbjax.control.status`
+    penalty: jax.Array  # of the augmented Lagrangian
+    reference_cost: jax.Array  # the cost at its last fall by more than rounding
+    stalled: jax.Array  # iterations since then
+
+
+class IterationValues(NamedTuple):
+    """The values of an iteration on which its decision depends.
+
+    cost, gap, violation: (), of the present motion.
+    slope, curvature: (), of the cost along the step.
+    costs, violations: (T,), of the trials.
+    """
+
+    cost: jax.Array
+    gap: jax.Array
+    violation: jax.Array
+    slope: jax.Array
+    curvature: jax.Array
+    square: jax.Array  # (), the squared norm of the gradient without regularisation
+    ok: jax.Array  # (), whether the gains exist
+    costs: jax.Array
+    violations: jax.Array
+    more: Any  # further values of the method
+
+
+class Decision(NamedTuple):
+    """search: the state after the iteration; best: the index of a trial, its length, and whether it
+    is accepted; new_multipliers: whether the multipliers change. Each ()."""
+
+    search: SearchState
+    best: jax.Array
+    length: jax.Array
+    accepted: jax.Array
+    new_multipliers: jax.Array
+
+
+#: (values, lengths) -> which trials (T,) may be taken, and the expected decrease () of the cost
+Accept = Callable[[IterationValues, jax.Array], tuple[jax.Array, jax.Array]]
+
+
+def initial_search_state(rule: StoppingRule, constrained: bool, penalty: jax.Array) -> SearchState:
+    """The state before the first iteration."""
+    dtype = penalty.dtype
+    number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
+    least = jnp.maximum(rule.tolerance, FLOOR * jnp.finfo(dtype).eps)
+    inner = jnp.maximum(least, LOOSE) if constrained else least
+    scale = number(-1) if rule.scale is None else number(rule.scale)
+    return SearchState(
+        jnp.asarray(False), number(LEAST), number(jnp.inf), scale, number(jnp.inf), number(0),
+        number(jnp.inf), inner.astype(dtype), jnp.asarray(0), jnp.asarray(GOING), penalty,
+        number(jnp.inf), jnp.asarray(0),
+    )  # fmt: skip
+
+
+def decide(
+    accept: Accept, closes_gaps: bool, constrained: bool, now: SearchState, rule: StoppingRule,
+    values: IterationValues,
+) -> Decision:  # fmt: skip
+    """The decision of one iteration. closes_gaps: whether a full step leaves no gap."""
+    dtype = values.cost.dtype
+    lengths = jnp.asarray(LENGTHS, dtype)
+    good, decrease = accept(values, lengths)
+    good = good & jnp.isfinite(values.costs) & values.ok
+    decrease = jnp.where(values.ok, decrease, now.expected_decrease)
+    best, accepted = jnp.argmax(good), good.any()
+    length = lengths[best]
+    cost = jnp.where(accepted, values.costs[best], values.cost)
+    off = jnp.where(accepted, values.violations[best], values.violation)
+
+    reg = jnp.where(accepted & (length > LONG), jnp.maximum(now.reg / FACTOR, LEAST), now.reg)
+    raised = ~accepted | (length <= (SHORT_CONSTRAINED if constrained else SHORT))
+    stuck = raised & (reg >= MOST)
+    reg = jnp.where(raised, jnp.minimum(reg * FACTOR, MOST), reg)
+
+    if closes_gaps:
+        here, feasible = now.feasible, now.feasible | (accepted & (best == 0))
+    else:
+        feasible = values.gap <= gap_tolerance(dtype)
+        here = feasible | (constrained & (values.gap <= now.inner_tolerance))
+    first = jnp.minimum(jnp.abs(values.cost), 1.0)
+    scale = jnp.where(now.scale < 0, first, now.scale)
+    share = jnp.maximum(scale, jnp.abs(values.cost))
+    small = functools.partial(_small, now, values, decrease, share)
+    stationary = here & small(now.inner_tolerance)
+    # gains that do not exist are computed again with more regularisation: the same iteration
+    iterations = now.iterations + values.ok.astype(now.iterations.dtype)
+    status = jnp.where(iterations >= rule.iterations, BUDGET, GOING)
+    reference, stalled = count_stalled(
+        now.reference_cost, now.stalled, cost, values.gap <= gap_tolerance(dtype)
+    )
+    status = jnp.where(stuck | (stalled >= MAX_STALLED), STUCK, status)
+    finite = jnp.isfinite(values.cost) & jnp.isfinite(values.gap)
+    status = jnp.where(finite, status, NOT_FINITE)
+    if not constrained:
+        status = jnp.where(stationary, CONVERGED, status)
+        after = now._replace(
+            feasible=feasible, reg=reg, cost=cost, scale=scale, expected_decrease=decrease,
+            iterations=iterations, status=status, reference_cost=reference, stalled=stalled,
+        )  # fmt: skip
+        return Decision(after, best, length, accepted, jnp.asarray(False))
+
+    satisfied = off <= rule.violation
+    least = jnp.maximum(rule.tolerance.astype(dtype), FLOOR * jnp.finfo(dtype).eps)
+    done = stationary & small(least) & satisfied & (True if closes_gaps else feasible)
+    change = stationary & ~done
+    penalty, failing = next_penalty(now.penalty, off, now.violation_before, satisfied)
+    hopeless = change & failing & (now.penalty >= PENALTY_MOST)
+    status = jnp.where(hopeless, INFEASIBLE, status)
+    inner = jnp.maximum(CLOSER * now.inner_tolerance, least)
+    change = change & (status == GOING)  # a search that ends leaves its multipliers as they are
+    after = SearchState(
+        feasible, jnp.where(change, LEAST, reg).astype(dtype), cost, scale, decrease, off,
+        jnp.where(change, off, now.violation_before),
+        jnp.where(change, inner, now.inner_tolerance), iterations,
+        jnp.where(done, CONVERGED, status), jnp.where(change, penalty, now.penalty),
+        jnp.where(change, jnp.inf, reference).astype(dtype), stalled,
+    )  # fmt: skip
+    return Decision(after, best, length, accepted, change)
+
+
+def _small(
+    now: SearchState, values: IterationValues, decrease: Any, share: Any, tolerance: Any
+) -> jax.Array:
+    """Whether the expected decrease of the cost is small and, with regularisation, the gradient."""
+    flat = jnp.sqrt(values.square) <= jnp.sqrt(tolerance) * share
+    return values.ok & (decrease <= tolerance * share) & ((now.reg <= LEAST) | flat)
+
+
+def count_stalled(
+    reference: jax.Array, stalled: jax.Array, cost: jax.Array, closed: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The cost () at the last iteration that lowered it by more than rounding, and the number () of
+    iterations since then. closed (): whether the gaps are closed: the cost may rise until then."""
+    lower = ~closed | (cost < reference - rounding(reference)) | ~jnp.isfinite(reference)
+    return jnp.where(lower, cost, reference), jnp.where(lower, 0, stalled + 1)
+
+
+def gap_tolerance(dtype: Any) -> float:
+    """The largest gap that counts as none: 4e-10 in f64."""
+    return float(jnp.finfo(dtype).eps) ** 0.6
+
+
+class Iterate(NamedTuple):
+    """The iterate of a search: knots (N + 1, ...), ctrls (N, m), multipliers, the gains K
+    (N, m, n), the state of the search, and the costs (history,) of its iterations."""
+
+    knots: Knot
+    ctrls: jax.Array
+    multipliers: Multipliers
+    K: jax.Array
+    search: SearchState
+    costs: jax.Array
+
+
+class StepPolicy(NamedTuple):
+    """How a method steps.
+
+    trials: (problem, now, expanded, gaps, gains) -> trials with the costs, violations and more of
+        `IterationValues`.
+    apply: (problem, now, trials, decision) -> knots and controls.
+    """
+
+    accept: Accept  # which trials may be taken
+    closes_gaps: bool  # whether a full step leaves no gap
+    trials: Callable[..., Any]
+    apply: Callable[..., tuple[Knot, jax.Array]]
+
+
+def search(
+    policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
+    options: Options, history: int, exact: bool = False,
+) -> SearchResult:  # fmt: skip
+    """`solve` by the steps of a policy."""
+    last = iterate(policy, problem, start, knots, ctrls, options, history, exact)
+    path, end = last.multipliers.path, last.multipliers.end
+    if problem.constraints:  # the gradient of the augmented Lagrangian is that with these
+        path, end = updated_multipliers(problem, last.knots, last.ctrls, last.multipliers)
+    at, cost = last.search, motion_cost(problem, last.knots, last.ctrls)
+    return SearchResult(
+        last.knots, last.ctrls, cost, at.status, at.iterations, at.expected_decrease,
+        largest_gap(problem, start, last.knots, last.ctrls), at.violation, last.costs,
+        last.K, path, end, penalty=last.multipliers.penalty,
+    )  # fmt: skip
+
+
+def compute_gains(
+    problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any,
+    boxed: bool = False,
+) -> Feedback:  # fmt: skip
+    """The backward pass at knots. boxed: whether k obeys all bounds, or only the bounds at which
+    the controls already are.
+
+    k is the step if the state stays at its knot. If gaps or a long step move the state, a bound
+    that binds k need not bind k + K dx. A bound that binds removes its row of K, so the closed loop
+    may be unstable, and the bound then binds in all later iterations.
+    """
+    bounds = None
+    if problem.bounded:
+        low, high = (x.astype(ctrls.dtype) - ctrls for x in (problem.low, problem.high))
+        huge = jnp.finfo(ctrls.dtype).max
+        if not boxed:
+            low, high = jnp.where(low < 0, -huge, low), jnp.where(high > 0, huge, high)
+        bounds = Bounds(jnp.maximum(low, -huge), jnp.minimum(high, huge))
+    first = None
+    if problem.free_first_knot:
+        free = jnp.asarray([*problem.free, *[True] * problem.parameter_count], ctrls.dtype)
+        endless = jnp.full(problem.system.n, jnp.inf, ctrls.dtype)
+        low, high = (x - knots.parameters[0] for x in problem.parameter_bounds(ctrls.dtype))
+        first = (free, jnp.concatenate([-endless, low]), jnp.concatenate([endless, high]))
+    reg = jnp.where(reg > LEAST, reg, 0.0)
+    return threads(backward_pass, team=True)(
+        found.path.A, found.path.B, gaps, found.path.cost, found.end, bounds, first, reg,
+        problem.at(knots.parameters[0])[1] if problem.by_velocities else None,
+    )  # fmt: skip
+
+
+def iterate(
+    policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
+    options: Options, history: int, exact: bool,
+) -> Iterate:  # fmt: skip
+    """The iterations, from states and controls."""
+    constrained = bool(problem.constraints)
+    decision = threads(functools.partial(decide, policy.accept, policy.closes_gaps, constrained))
+
+    def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
+        reg = now.search.reg
+        # with second derivatives, steps along the dynamics are short: k obeys all bounds there
+        boxed = exact and policy.closes_gaps
+        plain = functools.partial(compute_gains, problem, now.knots, now.ctrls, boxed=boxed)
+        if not exact:
+            return plain(found, gaps, reg)
+        full = plain(
+            add_curvature(problem, now.knots, now.ctrls, now.multipliers, found), gaps, reg
+        )
+        return jax.lax.cond(full.ok, lambda: full, lambda: plain(found, gaps, reg))
+
+    def turn(now: Iterate) -> Iterate:
+        at = now.search
+        found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
+        gaps = jnp.where(at.feasible, 0.0, found.gaps) if policy.closes_gaps else found.gaps
+        gains = gains_at(now, found, gaps)
+        trials = policy.trials(problem, now, found, gaps, gains)
+        decided = decision(
+            at, options.rule,
+            IterationValues(
+                found.cost, found.gap, found.violation, gains.slope, gains.curvature, gains.square,
+                gains.ok, trials.costs, trials.violations, trials.more,
+            ),
+        )  # fmt: skip
+        knots, ctrls = policy.apply(problem, now, trials, decided)
+        after, multipliers = decided.search, now.multipliers
+        if constrained:
+            new = updated_multipliers(problem, knots, ctrls, multipliers)
+            path, end = jax.tree.map(
+                lambda x, old: jnp.where(decided.new_multipliers, x, old), new, multipliers[:2]
+            )
+            multipliers = Multipliers(path, end, after.penalty)
+        if options.report is not None:
+            jax.debug.callback(options.report, after.iterations, after.cost, after.violation)
+        costs = now.costs.at[jnp.minimum(at.iterations, history - 1)].set(after.cost)
+        return Iterate(knots, ctrls, multipliers, gains.K, after, costs)
+
+    begin = initial_iterate(problem, knots, ctrls, options.rule, history, options.multipliers)
+    return jax.lax.while_loop(lambda now: now.search.status == GOING, turn, begin)
+
+
+def initial_iterate(
+    problem: Problem, knots: Knot, ctrls: jax.Array, rule: StoppingRule, history: int,
+    multipliers: Multipliers | None = None,
+) -> Iterate:  # fmt: skip
+    """The iterate from which a search starts."""
+    dtype, N = ctrls.dtype, problem.horizon
+    ctrls = problem.within_bounds(ctrls)
+    if multipliers is None:
+        path, end = (row_count(problem, where) for where in ("path", "end"))
+        multipliers = no_multipliers(N, path, end, dtype)
+    return Iterate(
+        knots, ctrls, multipliers, jnp.zeros((N, problem.nu, problem.n), dtype),
+        initial_search_state(rule, bool(problem.constraints), multipliers.penalty),
+        jnp.full(history, jnp.nan, dtype),
+    )  # fmt: skip

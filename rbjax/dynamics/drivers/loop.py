@@ -1,0 +1,126 @@
+"""Loops over columns of lanes, by `lax.scan`.
+
+A column has one lane for each iteration. A lane that the body returns unchanged stays the column
+that it was, and the pose of a link is recomputed from the columns of its joint: neither is stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from rbjax.joints import PosedJoint
+from rbjax.lanes import Lane, is_literal
+
+
+class Parts:
+    """A per-link value of a driver: a list over the unrolled links, and columns for the rest."""
+
+    def __init__(self, trunk: list, rest: Any):
+        self.trunk, self.rest = trunk, rest
+
+
+jax.tree_util.register_pytree_node(
+    Parts, lambda x: ((x.trunk, x.rest), None), lambda _, children: Parts(*children)
+)
+
+
+class JointColumns:
+    """The joint motions of all iterations. `posed` computes that of one iteration, from a function
+    that returns its lane of each of the `columns`, or from the identity those of all."""
+
+    def __init__(self, posed: Callable[[Callable[[Any], Lane]], PosedJoint], columns: Any):
+        self.posed, self.columns = posed, columns
+
+
+class PoseLane:
+    """Lane k of the poses of joint motions."""
+
+    def __init__(self, joint: JointColumns, k: int):
+        self.joint, self.k = joint, k
+
+    def of(self, posed: PosedJoint) -> Lane:
+        """The lane of a joint motion."""
+        return jax.tree.leaves(posed.pose)[self.k]
+
+
+class Constants:
+    """The constants of the links, as a leaf among columns."""
+
+
+class Iteration:
+    """A function that replaces columns by the lanes of one iteration."""
+
+    def __init__(self, column_lane: Callable[[Any], Lane], constants: Any = None):
+        def lane(x: Any) -> Any:
+            if isinstance(x, Constants):
+                return constants
+            return x if is_literal(x) else column_lane(x)
+
+        self.lane = lane
+        self.joints: dict[int, tuple[JointColumns, PosedJoint]] = {}
+
+    def __call__(self, x: Any) -> Any:
+        if isinstance(x, JointColumns):
+            return self.joint(x)
+        return x.of(self.joint(x.joint)) if isinstance(x, PoseLane) else self.lane(x)
+
+    def joint(self, x: JointColumns) -> PosedJoint:
+        """The joint motion, computed on first use."""
+        if id(x) not in self.joints:
+            self.joints[id(x)] = x, x.posed(self.lane)
+        return self.joints[id(x)][1]
+
+    @property
+    def pose_lanes(self) -> dict[int, PoseLane]:
+        """The `PoseLane` of each lane of a pose, by the id of the lane."""
+        return {
+            id(x): PoseLane(joint, k)
+            for joint, posed in self.joints.values()
+            for k, x in enumerate(jax.tree.leaves(posed.pose)) if not is_literal(x)
+        }  # fmt: skip
+
+
+def loop(
+    scan: Callable, body: Callable, carry: Any, given: Any, cast: Callable = lambda x: x
+) -> tuple[Any, Any]:
+    """Run carry, out = body(carry, lanes, more, iteration) over the columns of `given`.
+
+    Args:
+        scan: f(step, carry, columns) -> carry, stacked results, where the xs of the step are a
+            tuple (more, lanes); `more` is (index, constants) or ().
+        cast: applied to each column.
+    """
+    leaves, treedef = jax.tree.flatten(given)
+    columns = {id(c): c for x in leaves for c in _columns(x)}
+    emitted: dict[str, Any] = {}
+
+    def step(carry, x):
+        more, lanes = x
+        lane_of = dict(zip(columns, lanes, strict=True))
+        here = Iteration(lambda column: lane_of[id(column)], *more[1:])
+        given = jax.tree.unflatten(treedef, [here(x) for x in leaves])
+        carry, out = body(carry, given, more, here)
+        flat, emitted["tree"] = jax.tree.flatten(out)
+        kept: dict[int, Any] = {**here.pose_lanes}
+        kept |= {id(x): columns[key] for key, x in lane_of.items()}
+        kept |= {id(x): x for x in flat if is_literal(x)}
+        fresh = {id(x): x for x in flat if id(x) not in kept}
+        emitted["out"] = [(id(x), kept.get(id(x))) for x in flat]
+        emitted["fresh"] = list(fresh)
+        return carry, list(fresh.values())
+
+    carry, ys = scan(step, carry, [cast(c) for c in columns.values()])
+    made = dict(zip(emitted["fresh"], ys, strict=True))
+    out = [made.get(key, column) for key, column in emitted["out"]]
+    return carry, jax.tree.unflatten(emitted["tree"], out)
+
+
+def _columns(x: Any) -> list:
+    """The columns that a leaf is computed from."""
+    if isinstance(x, PoseLane):
+        return _columns(x.joint)
+    found = jax.tree.leaves(x.columns) if isinstance(x, JointColumns) else [x]
+    return [c for c in found if not (is_literal(c) or isinstance(c, Constants))]

@@ -1,0 +1,140 @@
+"""Controls, generalized forces and wrenches of a motion: constants, arrays, or functions."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.arguments import check_array, check_arrays, check_takes, shape_of
+from rbjax.errors import InputError
+from rbjax.forces.inputs import Inputs, check_returned, evaluated, joined, shapes
+from rbjax.model import Model, State
+
+NAMES = ("ctrl", "tau", "wrenches")
+_FIXES = (
+    "nu numbers for the controls; or a policy (t, state) -> (nu,), or None",
+    "nv numbers; or a function (t, state) -> (nv,), or None",
+    "wrenches on nb bodies; or a function (t, state) -> (nb, 6), or None",
+)
+
+
+def check_functions(where: str, given: Inputs) -> None:
+    """Raise if an input that is callable is not a function of (t, state)."""
+    for name, f in zip(NAMES, given, strict=True):
+        if callable(f):
+            check_takes(where, name, f, "t", "state")
+
+
+def inputs_at(where: str, model: Model, given: Inputs, t: Any, state: State) -> Inputs:
+    """Evaluate the inputs at a time."""
+    if not any(map(callable, given)):
+        return given
+    check_functions(where, given)
+    state = check_arrays(where, model, {"state": state})["state"]
+    return evaluated(where, model, given, t, state)
+
+
+class Held(eqx.Module):
+    """A function (t, state) of time that is constant between given times.
+
+    starts: (n,) the first time of each interval.
+    rows: (n, ...) the values.
+    """
+
+    starts: jax.Array
+    rows: jax.Array
+
+    def __call__(self, t: Any, state: State) -> jax.Array:
+        last = (t >= self.starts[1:]).sum()
+        return self.rows[last]
+
+
+def inputs_between(where: str, model: Model, given: Inputs, ts: jax.Array) -> Inputs:
+    """The inputs of a motion through the times ts (T,): constants, functions of (t, state), and
+    arrays with T - 1 rows, each held from one time to the next."""
+    check_functions(where, given)
+    out: list[Any] = []
+    for name, x, own, fix in zip(NAMES, given, shapes(model), _FIXES, strict=True):
+        if x is not None and not callable(x):
+            rows = (ts.shape[0] - 1, *own)
+            x = check_array(where, name, x, own, rows, fix=f": {fix}").astype(ts.dtype)
+            x = Held(ts[:-1], x) if x.ndim > len(own) else x
+        out.append(x)
+    return Inputs(*out)
+
+
+class Sources(eqx.Module):
+    """The inputs of the steps of a rollout.
+
+    rows: (steps, k), or (B, steps, k) for a batch, the inputs that are arrays; None if none is.
+    functions: the inputs that are functions; None for the others.
+    listed: the inputs that a row contains, in this order.
+    """
+
+    rows: jax.Array | None
+    functions: Inputs
+    listed: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def has_functions(self) -> bool:
+        """Whether any input is a function."""
+        return any(f is not None for f in self.functions)
+
+    def evaluate(self, model: Model, t: Any, state: State) -> jax.Array:
+        """The values of the functions, side by side."""
+        found = [
+            check_returned("rollout", model, k, f(t, state), state.q.dtype).reshape(-1)
+            for k, f in enumerate(self.functions)
+            if f is not None
+        ]
+        return joined(found)
+
+    def inputs(self, model: Model, *given: Any) -> Inputs:
+        """The inputs of a step, from its row and the values of the functions, if there are any."""
+        of_functions = tuple(k for k, f in enumerate(self.functions) if f is not None)
+        out: list[Any] = [None, None, None]
+        for numbers, which in zip(given, filter(None, (self.listed, of_functions)), strict=True):
+            at = 0
+            for k in which:
+                shape = shapes(model)[k]
+                n = math.prod(shape)
+                out[k] = numbers[at : at + n].reshape(shape)
+                at += n
+        return Inputs(*out)
+
+
+def check_sources(
+    model: Model, given: Inputs, steps: int | None, batch: tuple[int, ...], dtype: Any
+) -> tuple[Sources, int]:
+    """The checked inputs of a rollout, and its number of steps."""
+    arrays = {k: x for k, x in enumerate(given) if x is not None and not callable(x)}
+    check_functions("rollout", given)
+    if steps is None:
+        for k, x in arrays.items():
+            shape = shape_of("rollout", NAMES[k], x)
+            axis = -1 - len(shapes(model)[k])
+            if len(shape) >= -axis:
+                steps = max(1, shape[axis])
+                break
+        else:
+            for k, x in arrays.items():
+                check_array("rollout", NAMES[k], x, shapes(model)[k], fix=f": {_FIXES[k]}")
+            raise InputError(
+                "rollout: steps is None, expected a number unless an input has a row for each step"
+            )
+    rows, listed = [], []
+    for k, x in arrays.items():
+        own = shapes(model)[k]
+        due = [(*lead, int(steps), *own) for lead in dict.fromkeys([(), batch])]
+        x = check_array("rollout", NAMES[k], x, *due, own, fix=f": a row a step, or {_FIXES[k]}")
+        if x.ndim == len(own):
+            x = jnp.broadcast_to(x, due[0])
+        if math.prod(own):  # without actuators the controls only give the number of steps
+            listed.append(k)
+            rows.append(x.reshape(*x.shape[: x.ndim - len(own)], -1).astype(dtype))
+    functions = Inputs(*(x if callable(x) else None for x in given))
+    return Sources(joined(rows) if rows else None, functions, tuple(listed)), int(steps)

@@ -1,0 +1,153 @@
+"""The acceleration of a robot at a state, and its state after one step, with all forces that
+act."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints.formulation import Formulation
+from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.forces.inputs import Inputs, Source
+from rbjax.lanes import fusion_barrier
+from rbjax.model import Model, State
+from rbjax.motion.field import Dynamics, Field, VelocityDynamics, dynamics_of, free_motion
+from rbjax.motion.inputs import inputs_at
+from rbjax.motion.integrators import Integrator, advance_state, integrator_of
+
+
+def acceleration(
+    model: Model,
+    state: State,
+    ctrl: jax.Array | Source | None = None,
+    *,
+    tau: jax.Array | Source | None = None,
+    wrenches: jax.Array | Source | None = None,
+    t: Any = 0.0,
+    dynamics: Dynamics = free_motion,
+    constraints: str | Formulation | None = None,
+) -> jax.Array:
+    """Compute the acceleration v' (nv,) of the whole model: actuators, springs and dampers, force
+    elements and constraints.
+
+    v' = M^-1 (tau(q, v, x, ctrl) + tau_given + J^T w - b), and with constraints the acceleration
+    that fulfils them. `forward_dynamics` has only the bodies and the given forces.
+
+    Args:
+        model: the robot.
+        state: `State(q (nq,), v (nv,))`, with x (nx,) if force elements have states.
+        ctrl: controls (nu,); None for no actuation.
+        tau: generalized forces (nv,) in addition to those of the model.
+        wrenches: (nb, 6) [moment N m; force N] on bodies, in world axes at their origins. Each of
+            ctrl, tau and wrenches may be a function (t, state).
+        t: time in s, for force elements that depend on it.
+        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
+        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
+            or a `Formulation`; None for "projected".
+
+    Returns:
+        (nv,).
+
+    Raises:
+        InputError: shapes, dtypes, values that are not finite.
+
+    Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 7, 8.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> rb.acceleration(model, model.default_state(), jnp.ones(1)).shape
+        (2,)
+    """
+    given = inputs_at("acceleration", model, Inputs(ctrl, tau, wrenches), t, state)
+    return _acceleration(model, state, *given, t=t, dynamics=dynamics, constraints=constraints)
+
+
+@algorithm("state", "ctrl", "tau", "wrenches", "t", where="acceleration")
+def _acceleration(
+    model: Model, state: State, ctrl: Any = None, tau: Any = None, wrenches: Any = None,
+    *, t: Any = 0.0, dynamics: Any = free_motion, constraints: Any = None,
+) -> jax.Array:  # fmt: skip
+    if not model.nv:
+        return jnp.zeros(0, state.q.dtype)
+    dynamics = dynamics_of("acceleration", model, dynamics, constraints)
+    a, _ = Field(model, dynamics).rates(t, state, Inputs(ctrl, tau, wrenches))
+    return jnp.stack(fusion_barrier(list(a)))
+
+
+def step(
+    model: Model,
+    state: State,
+    ctrl: jax.Array | Source | None = None,
+    dt: Any = None,
+    *,
+    tau: jax.Array | Source | None = None,
+    wrenches: jax.Array | Source | None = None,
+    t: Any = 0.0,
+    integrator: str | Integrator | None = None,
+    dynamics: Dynamics | VelocityDynamics = free_motion,
+    constraints: str | Formulation | None = None,
+) -> State:
+    """Advance a state by one step, with the inputs held over it: one step of `rollout`.
+
+    Args:
+        model: the robot.
+        state: `State(q (nq,), v (nv,))`, with x (nx,) if force elements have states, and the memory
+            of the dynamics if it has one (None: its initial memory).
+        ctrl: controls (nu,); None for no actuation.
+        dt: step in s; the model's timestep if None.
+        tau: generalized forces (nv,) in addition to those of the model.
+        wrenches: (nb, 6) [moment N m; force N] on bodies, in world axes at their origins. Each of
+            ctrl, tau and wrenches may be a function (t, state).
+        t: time in s, for force elements that depend on it.
+        integrator: as in `rollout`.
+        dynamics: from forces to accelerations, or to the velocity after the step
+            (`rbjax.motion.field.Dynamics`, `VelocityDynamics`).
+        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
+            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
+
+    Returns:
+        `State`.
+
+    Raises:
+        InputError: shapes, dtypes, values that are not finite, an unknown integrator, a step that
+            is not positive.
+
+    Source: as `rollout`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("cart_pole")
+        >>> rb.step(model, model.default_state(), dt=0.01).q.shape
+        (2,)
+    """
+    given = inputs_at("step", model, Inputs(ctrl, tau, wrenches), t, state)
+    return _step(
+        model, state, given.ctrl, dt, given.tau, given.wrenches, t=t, integrator=integrator,
+        dynamics=dynamics, constraints=constraints,
+    )  # fmt: skip
+
+
+@algorithm("state", "ctrl", "dt", "tau", "wrenches", "t", where="step")
+def _step(
+    model: Model, state: State, ctrl: Any = None, dt: Any = None, tau: Any = None,
+    wrenches: Any = None, *, t: Any = 0.0, integrator: Any = None, dynamics: Any = free_motion,
+    constraints: Any = None,
+) -> State:  # fmt: skip
+    dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
+    dynamics = dynamics_of("step", model, dynamics, constraints, steps=True)
+    integrator = integrator_of("step", integrator, dynamics)
+    state, inputs = with_memory(model, state, dynamics), Inputs(ctrl, tau, wrenches)
+    return advance_state(integrator, Field(model, dynamics, dt), t, state, inputs, dt)
+
+
+def with_memory(model: Model, state: State, dynamics: Any, batch: tuple[int, ...] = ()) -> State:
+    """The state with the memory of the dynamics: its own, or the initial one."""
+    if not isinstance(dynamics, VelocityDynamics):
+        return state.replace(memory=None)
+    if state.memory is not None:
+        return state
+    memory = jnp.asarray(dynamics.initial_memory(model), state.q.dtype)
+    return state.replace(memory=jnp.broadcast_to(memory, (*batch, *memory.shape)))
