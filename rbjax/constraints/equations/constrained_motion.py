@@ -42,15 +42,25 @@ from rbjax.constraints.equations.model_rows import (
 )
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, aba, accelerated, eliminated, solve
-from rbjax.dynamics.algorithms.rnea import LinkForces
-from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.lanes.arrays import pack
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
-from rbjax.lanes import Lane, Vec3, add, batch_first, fusion_barrier, is_literal, is_zero, mul, neg, sub, total
-from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes import (
+    Lane,
+    Vec3,
+    add,
+    batch_first,
+    fusion_barrier,
+    is_literal,
+    is_zero,
+    mul,
+    neg,
+    sub,
+    total,
+)
+from rbjax.lanes.arrays import matmat, matvec, pack
 from rbjax.lanes.factorization import LeastNorm, diagonal_floor, regularization
 from rbjax.model import WORLD, Model, State
 from rbjax.spatial import Force

@@ -12,12 +12,12 @@ import numpy as np
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.lanes.arrays import pack
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, fusion_barrier, is_zero
+from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
 from rbjax.spatial import Force
 

@@ -45,11 +45,10 @@ from rbjax.dynamics.algorithms.aba import solve as solve_mass
 from rbjax.dynamics.algorithms.manifold import difference_lanes, retract, velocity_lanes
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.lanes.arrays import pack
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3, batch_first
-from rbjax.lanes.arrays import matmat, matvec
+from rbjax.lanes.arrays import matmat, matvec, pack
 from rbjax.lanes.factorization import diagonal_floor
 from rbjax.model import Model, State
 from rbjax.rank_tolerances import rank_tolerance

@@ -45,13 +45,12 @@ from rbjax.constraints.equations.model_rows import wrenches_by_link
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
-from rbjax.dynamics.algorithms.rnea import LinkForces
-from rbjax.dynamics.algorithms.rnea import transmitted_forces, rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea, transmitted_forces
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.lanes.arrays import pack, unpack
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, sub
+from rbjax.lanes.arrays import pack, unpack
 from rbjax.lanes.factorization import LeastNorm
 from rbjax.model import WORLD, Topology
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
