@@ -64,7 +64,7 @@ def check_functions(constraint: Any, *names: str) -> None:
     for name in names:
         check_function(f"{kind}({name}=...)", getattr(constraint, name))
     for x in jax.tree.leaves(constraint.numbers):
-        check_numbers(f"{kind}(numbers=...)", x, endless=False)
+        check_numbers(f"{kind}(numbers=...)", x, infinite=False)
 
 
 def evaluate(

@@ -113,7 +113,7 @@ class TyreOnGround(Element):
         above = dict.fromkeys(("radius", "stiffness", "onset"), 0.0)
         check_ranges(self, above=above, least={"damping": 0.0})
 
-    def may_be_endless(self, name: str) -> bool:
+    def may_be_infinite(self, name: str) -> bool:
         return False
 
     def shapes(self, model: Model) -> Shapes:
