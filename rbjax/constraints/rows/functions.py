@@ -65,7 +65,7 @@ def check_size(where: str, size: Any) -> None:
 def check_leaves(where: str, numbers: Any) -> None:
     """Refuse numbers that are not finite."""
     for x in jax.tree.leaves(numbers):
-        check_numbers(where, x, endless=False)
+        check_numbers(where, x, infinite=False)
 
 
 def evaluate(
