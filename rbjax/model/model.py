@@ -362,7 +362,7 @@ class Model(Record):
         """Replace a joint by one of another kind (`rbjax.joints.kinds()`).
 
         The new joint keeps the anchor and the axis, in its body's frame. If it has as many
-        coordinates as the old one, it keeps what belongs to them (armature, damping, reference); if
+        coordinates as the old one, it keeps their armature, damping and reference; if
         both have one, it keeps the spring and the ranges too. Actuators drive its coordinates one
         for one.
 
