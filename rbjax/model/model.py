@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import FLOATS
 from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import known_entries, with_fixed_entries
 from rbjax.model.geoms import Geoms
@@ -25,7 +26,6 @@ from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
-from rbjax.rotations.arguments import FLOATS
 
 #: the number of axes of each leaf of one model, in the order of the leaves
 AXES = {
