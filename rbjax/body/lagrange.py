@@ -119,7 +119,7 @@ def energy(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def term(system: System) -> diffrax.ODETerm:
-    """The term for diffrax, y = (q, v); args: forces (n,), a function (t, q, v) -> (n,), or None."""
+    """The term for diffrax, y = (q, v); args: forces (n,), a function (t, q, v), or None."""
 
     def rate(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple[jax.Array, jax.Array]:
         q, v = y
