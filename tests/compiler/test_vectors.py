@@ -17,7 +17,7 @@ from rbjax.compiler.ir.program import Layout
 from rbjax.compiler.ir.statements import Loop, Reserve, walk
 from rbjax.compiler.llvm.batch import parts
 from rbjax.compiler.lower.write import write_program
-from rbjax.compiler.passes.divergence import divergence
+from rbjax.compiler.passes.analysis import divergence
 from tests.compiler import random_programs
 from tests.compiler.host import by_vectors, by_xla, part_function, written
 from tests.compiler.test_algorithms import PARTS, agree, of_a_sample

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rbjax.compiler.cuda.c_source import Printer
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import Block, Load, Loop, Op, Statement, Store, Var, walk
 
 #: rows with more entries than about a sector, and at most this many, are staged whole
 SHORT, WHOLE = 8, 128
@@ -151,8 +151,8 @@ class Spot:
 def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict[int, Spot]]:
     """Of these results (id -> entries of a row), those that are stored through the tile, and the
     spots of their stores, by id. No thread reads them, and all threads reach their stores."""
-    statements = [s for s in walk(program.builder.block) if isinstance(s, (Load, Store))]
-    read = {s.array.id for s in statements if isinstance(s, Load)}
+    statements = [s for s in ir.walk(program.builder.block) if isinstance(s, (ir.Load, ir.Store))]
+    read = {s.array.id for s in statements if isinstance(s, ir.Load)}
     rows = {key: n for key, n in rows.items() if n > 1 and key not in read}
     written = [s for s in statements if s.array.id in rows]
     alike, found = _alike(program), {}
@@ -171,30 +171,30 @@ def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict
     return found, spots
 
 
-def _alike(program: Written) -> set[Var | None]:
+def _alike(program: Written) -> set[ir.Var | None]:
     """The indices that are the same for all threads: those made from loop counters."""
-    found: set[Var | None] = {None}
-    for s in walk(program.builder.block):
-        if isinstance(s, Loop):
+    found: set[ir.Var | None] = {None}
+    for s in ir.walk(program.builder.block):
+        if isinstance(s, ir.Loop):
             found.add(s.counter)
-        elif isinstance(s, Op) and all(x in found for x in s.args if isinstance(x, Var)):
+        elif isinstance(s, ir.Op) and all(x in found for x in s.args if isinstance(x, ir.Var)):
             found.add(s.dest)
     return found
 
 
-def _runs(block: Block, rows: dict[int, int]) -> Iterator[list[Store]]:
+def _runs(block: ir.Block, rows: dict[int, int]) -> Iterator[list[ir.Store]]:
     """Stores of consecutive entries of one of these results, without others in between."""
-    run: list[Store] = []
+    run: list[ir.Store] = []
     for s in block.statements:
-        if isinstance(s, Store) and s.array.id in rows:
+        if isinstance(s, ir.Store) and s.array.id in rows:
             last = run[-1] if run else s
             follows = s.array is last.array and s.base is last.base
             if run and not (follows and s.offset == last.offset + 1):
                 yield run
                 run = []
             run.append(s)
-        elif isinstance(s, Loop) and any(
-            isinstance(x, Store) and x.array.id in rows for x in walk(s.body)
+        elif isinstance(s, ir.Loop) and any(
+            isinstance(x, ir.Store) and x.array.id in rows for x in ir.walk(s.body)
         ):
             if run:
                 yield run
@@ -227,13 +227,13 @@ class StorePrinter(Printer):
         super().__init__(names)
         self.tiles, self.spots, self.passing = tiles, spots, passing
 
-    def _lines(self, statement: Statement) -> Iterator[str]:
+    def _lines(self, statement: ir.Statement) -> Iterator[str]:
         spot = self.spots.get(id(statement))
-        if isinstance(statement, Store) and spot is not None:
+        if isinstance(statement, ir.Store) and spot is not None:
             yield from self._through_tile(statement, spot)
-        elif isinstance(statement, (Load, Store)) and statement.array.id in self.passing:
+        elif isinstance(statement, (ir.Load, ir.Store)) and statement.array.id in self.passing:
             at = f"&{self.place(statement.array, statement.base, statement.offset)}"
-            if isinstance(statement, Store):
+            if isinstance(statement, ir.Store):
                 yield f"__stcs({at},{self.value(statement.value)});"
             else:
                 dest = statement.dest
@@ -241,7 +241,7 @@ class StorePrinter(Printer):
         else:
             yield from super()._lines(statement)
 
-    def _through_tile(self, store: Store, spot: Spot) -> Iterator[str]:
+    def _through_tile(self, store: ir.Store, spot: Spot) -> Iterator[str]:
         k, rows = self.tiles[store.array.id]
         kind, pitch = c_type(rows.dtype), rows.pitch
         yield f"w{k}[threadIdx.x*{pitch}+{spot.at}]={self.value(store.value)};"

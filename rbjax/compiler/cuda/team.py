@@ -17,20 +17,9 @@ from collections.abc import Iterator
 
 from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, offset, parameters, sample_index, table
 from rbjax.compiler.cuda.kernels import BASICS, STATEMENTS_UP_TO, Kernel
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import (
-    Await,
-    Barrier,
-    Block,
-    Load,
-    Loop,
-    Op,
-    Reserve,
-    Statement,
-    Store,
-    walk,
-)
 
 #: threads of a team where there are fewer samples than this; a warp where there are more
 TEAMS = {600: 128, 1200: 64}
@@ -83,9 +72,9 @@ def _resident(bytes: int, team: int) -> int:
     return min(wanted, SHARED_BYTES_IN_ALL // (bytes + DRIVERS_BYTES))
 
 
-def shared_bytes(block: Block) -> int:
+def shared_bytes(block: ir.Block) -> int:
     """Bytes of the arrays that a team shares."""
-    arrays = [s.array for s in walk(block) if isinstance(s, Reserve) and s.array.shared]
+    arrays = [s.array for s in ir.walk(block) if isinstance(s, ir.Reserve) and s.array.shared]
     return sum(-(-max(a.size, 1) * a.dtype.itemsize // 16) * 16 for a in arrays)
 
 
@@ -125,24 +114,24 @@ class TeamPrinter(Printer):
     def barrier(self) -> str:
         return "__syncwarp();" if self.team == WARP else "__syncthreads();"
 
-    def _lines(self, statement: Statement) -> Iterator[str]:
+    def _lines(self, statement: ir.Statement) -> Iterator[str]:
         match statement:
-            case Barrier():
+            case ir.Barrier():
                 yield self.barrier
-            case Await():
+            case ir.Await():
                 yield f"arrived();{self.barrier}"
-            case Reserve(array=array) if array.shared:
+            case ir.Reserve(array=array) if array.shared:
                 yield f"__shared__ {c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
-            case Loop(team=True):
+            case ir.Loop(team=True):
                 yield from self._turns(statement)
-            case Load(dest=dest, array=array, base=base, offset=offset) if self._early:
+            case ir.Load(dest=dest, array=array, base=base, offset=offset) if self._early:
                 yield f"const auto* {self.value(dest)}=&{self.place(array, base, offset)};"
-            case Store(array=array, base=base, offset=offset, value=value) if self._early:
+            case ir.Store(array=array, base=base, offset=offset, value=value) if self._early:
                 yield f"early(&{self.place(array, base, offset)},{self.value(value)});"
             case _:
                 yield from super()._lines(statement)
 
-    def _turns(self, loop: Loop) -> Iterator[str]:
+    def _turns(self, loop: ir.Loop) -> Iterator[str]:
         """The turns of this thread."""
         i, count, team = self.value(loop.counter), loop.count, self.team
         self._early = loop.prefetch
@@ -153,7 +142,7 @@ class TeamPrinter(Printer):
             yield "{" if count == team else f"if(lane<{count}){{"
             yield f"const int {i}=lane;"
         else:
-            ops = sum(isinstance(s, (Op, Load, Store)) for s in walk(loop.body))
+            ops = sum(isinstance(s, (ir.Op, ir.Load, ir.Store)) for s in ir.walk(loop.body))
             yield "#pragma unroll" if rounds * ops <= WRITTEN_OUT else "#pragma unroll 1"
             yield f"for(int r{i}=0;r{i}<{rounds};r{i}++){{"
             yield f"const int {i}=r{i}*{team}+lane;"

@@ -10,12 +10,73 @@ exponential is its Taylor series.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.statements import F64, I32, I64
+from rbjax.compiler.ir.statements import BOOL, F64, I32, I64, Value
 from rbjax.lanes.primitives import SERIES, horner
+
+if TYPE_CHECKING:
+    from rbjax.compiler.ir.builder import Builder
+
+
+def _operator(
+    name: str, dtype: np.dtype | None = None
+) -> Callable[[Number, Number | float], Number]:
+    return lambda self, x: self.op(name, x, dtype=dtype)
+
+
+def _reflected(name: str) -> Callable[[Number, float], Number]:
+    return lambda self, x: self.known(x).op(name, self)
+
+
+@dataclass(frozen=True, eq=False)
+class Number:
+    """A value with the operators of numbers, which write operations with a builder."""
+
+    builder: Builder
+    value: Value
+
+    def op(self, name: str, *others: Number | float, dtype: np.dtype | None = None) -> Number:
+        """Write an operation on this and others of its type."""
+        own = self.value.dtype
+        rest = [x.value if isinstance(x, Number) else own.type(x) for x in others]
+        return Number(self.builder, self.builder.op(name, dtype or own, self.value, *rest))
+
+    def cast(self, dtype: np.dtype) -> Number:
+        return Number(self.builder, self.builder.cast(self.value, dtype))
+
+    def bits(self, dtype: np.dtype) -> Number:
+        """Reinterpret the bits as another type."""
+        return self.op("bitcast", dtype=dtype)
+
+    def known(self, x: float) -> Number:
+        """Return a constant of this type."""
+        return Number(self.builder, self.value.dtype.type(x))
+
+    def where(self, yes: Number | float, no: Number | float, dtype: type = np.float64) -> Number:
+        """Select `yes` if this condition holds, else `no`."""
+        values = [x.value if isinstance(x, Number) else dtype(x) for x in (yes, no)]
+        return Number(self.builder, self.builder.select(self.value, *values))
+
+    __add__, __radd__ = _operator("add"), _reflected("add")
+    __sub__, __rsub__ = _operator("sub"), _reflected("sub")
+    __mul__, __rmul__ = _operator("mul"), _reflected("mul")
+    __truediv__, __rtruediv__ = _operator("div"), _reflected("div")
+    __and__, __or__ = _operator("and"), _operator("or")
+    __lshift__, __rshift__ = _operator("shl"), _operator("shr")
+    __lt__, __gt__, __ge__ = (_operator(name, BOOL) for name in ("lt", "gt", "ge"))
+    equals = _operator("eq", BOOL)
+
+    def __neg__(self) -> Number:
+        return self.op("neg")
+
+    def __abs__(self) -> Number:
+        return self.op("abs")
+
 
 #: pi / 2 and ln 2 in parts, whose products with small integers are exact, and the rest
 QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21,

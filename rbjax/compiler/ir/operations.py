@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.compiler.ir import c_text as c
-from rbjax.compiler.ir import elementary, error_function, powers
+from rbjax.compiler.ir import elementary, powers
 from rbjax.compiler.ir import llvm_text as llvm
 
 Fold = Callable[..., Any]
@@ -162,8 +162,8 @@ ALL = (
     _function("asinh", elementary.asinh),
     _function("acosh", elementary.acosh),
     _function("atanh", elementary.atanh),
-    _function("erf", error_function.erf),
-    _function("erfc", error_function.erfc),
+    _function("erf", powers.erf),
+    _function("erfc", powers.erfc),
     _function("lgamma"),
     _function("atan2", elementary.atan2, np.arctan2, arity=2, sees_subnormals=True),
     _function("pow", powers.pow, np.power, arity=2, primitive=False, sees_subnormals=True),

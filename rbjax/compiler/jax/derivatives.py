@@ -29,6 +29,7 @@ Flags = tuple[bool, ...]
 INLINED = {"jit", "pjit", "closed_call", "core_call"}
 NO_EFFECTS: frozenset = frozenset()
 
+
 def needed(
     eqns: Sequence[JaxprEqn], outs: Sequence[Atom], given: Sequence[Var], effects: bool = False
 ) -> list[JaxprEqn]:

@@ -18,7 +18,7 @@ from rbjax.compiler.ir.program import batch_first
 from rbjax.compiler.jax import launch
 from rbjax.compiler.jax.function import compile_threads, flatten_call
 from rbjax.compiler.lower.write import write_program
-from rbjax.compiler.passes.counting import operations
+from rbjax.compiler.passes.analysis import operations
 
 
 @dataclass(frozen=True)

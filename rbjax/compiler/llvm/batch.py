@@ -18,7 +18,7 @@ from rbjax.compiler.llvm.operations import ALIGNMENT
 from rbjax.compiler.llvm.samples import Lines
 from rbjax.compiler.llvm.statements import MALLOC, one_sample, stored
 from rbjax.compiler.llvm.vectors import Step, many_samples
-from rbjax.compiler.passes.counting import accesses, operations
+from rbjax.compiler.passes.analysis import accesses, operations
 
 #: operations that are worth a part of their own: some ten microseconds
 OPERATIONS_A_PART = 50_000

@@ -12,29 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import (
-    Array,
-    Assign,
-    Block,
-    Declare,
-    If,
-    Load,
-    Loop,
-    Name,
-    Op,
-    Reserve,
-    Statement,
-    Store,
-    Value,
-    Var,
-    While,
-)
-from rbjax.compiler.llvm.mathematics import definitions
 from rbjax.compiler.llvm.operations import (
     ALIGNMENT,
     ATTRIBUTES,
     Operations,
+    definitions,
     literal,
     llvm_type,
 )
@@ -136,9 +120,9 @@ class Writer:
     def cuts(self, program: Written) -> Cuts | None:
         return cut(program.builder.block, branches=True)
 
-    def bytes(self, x: Var | Array) -> int:
+    def bytes(self, x: ir.Var | ir.Array) -> int:
         """The size of a variable or of a local array."""
-        return x.dtype.itemsize * (max(x.size, 1) if isinstance(x, Array) else 1)
+        return x.dtype.itemsize * (max(x.size, 1) if isinstance(x, ir.Array) else 1)
 
     def function(self, name: str, takes: list[str], more: str = "") -> list[str]:
         """What has been written, as a function."""
@@ -153,30 +137,30 @@ class Writer:
         self.entry, self.here, self.recalled = [], number, {}
         self.lines.clear()
         self.begin(self.program)
-        self.block(Block(statements))
+        self.block(ir.Block(statements))
         name, takes = f"{self.name}{number}", [*self.takes, "ptr noalias %frame"]
         self.pieces += self.function(name, takes, "noinline ")
         self.entry, self.here, self.recalled = outside[0], 0, {}
         pointers = ", ".join("ptr " + x.split()[-1] for x in takes)
         self.lines[:] = [*outside[1], f"call void @{name}({pointers})"]
 
-    def shares(self, x: Name) -> bool:
+    def shares(self, x: ir.Name) -> bool:
         """Whether a variable or an array lies in the frame."""
         return self.frame is not None and x in self.frame.places
 
-    def framed(self, x: Name, lines: list[str] | None = None) -> str:
+    def framed(self, x: ir.Name, lines: list[str] | None = None) -> str:
         """The address of what lies in the frame."""
         assert self.frame is not None
         lines, name = self.lines if lines is None else lines, f"%p{next(self.numbers)}"
         lines.append(f"{name} = getelementptr i8, ptr %frame, i64 {self.frame.places[x]}")
         return name
 
-    def keep(self, x: Var) -> None:
+    def keep(self, x: ir.Var) -> None:
         """Leaves a new value to the other functions."""
         if self.shares(x):
             self.lines.append(f"store {self.kind(x)} %t{x.id}, ptr {self.framed(x)}")
 
-    def recall(self, x: Var) -> str:
+    def recall(self, x: ir.Var) -> str:
         """A value that another function has left; the caller of the others may read a newer one."""
         if x.id not in self.recalled:
             name = f"%r{next(self.numbers)}"
@@ -189,7 +173,7 @@ class Writer:
 
     # ---------------------------------------------------------------- memory
 
-    def reserve(self, array: Array, lanes: int = 1) -> None:
+    def reserve(self, array: ir.Array, lanes: int = 1) -> None:
         """A local array, on the stack or in the workspace."""
         if self.shares(array):
             return
@@ -205,16 +189,16 @@ class Writer:
         text = f"getelementptr i8, ptr %space, i64 {start}"
         self.pointers[array.id] = self.made(text)
 
-    def start(self, array: Array) -> str:
+    def start(self, array: ir.Array) -> str:
         """The address of an array."""
         if self.shares(array):
             return self.framed(array)
         return f"@a{array.id}" if array.space == "constant" else self.pointers[array.id]
 
-    def address(self, array: Array, base: Value | None, offset: int) -> str:
+    def address(self, array: ir.Array, base: ir.Value | None, offset: int) -> str:
         return self.at(stored(array.dtype), self.start(array), base, offset)
 
-    def at(self, t: str, start: str, base: Value | None, offset: int) -> str:
+    def at(self, t: str, start: str, base: ir.Value | None, offset: int) -> str:
         """start + base + offset, in entries of type t."""
         if base is not None:
             kind, index = llvm_type(base.dtype), self.value(base)
@@ -223,16 +207,16 @@ class Writer:
 
     # ---------------------------------------------------------------- values
 
-    def value(self, x: Value) -> str:
-        if not isinstance(x, Var):
+    def value(self, x: ir.Value) -> str:
+        if not isinstance(x, ir.Var):
             return literal(x)
         return self.current(x)
 
-    def kind(self, x: Var) -> str:
+    def kind(self, x: ir.Var) -> str:
         """The type of a variable."""
         return llvm_type(x.dtype)
 
-    def current(self, x: Var) -> str:
+    def current(self, x: ir.Var) -> str:
         """The value that a variable has now."""
         if x.id in self.places:
             return self.made(f"load {self.kind(x)}, ptr {self.place_of(x)}")
@@ -240,22 +224,22 @@ class Writer:
             return self.recall(x)
         return f"%t{x.id}"
 
-    def place(self, var: Var) -> None:
+    def place(self, var: ir.Var) -> None:
         """Makes the place of a variable that is assigned several times."""
         self.places[var.id] = f"%m{var.id}"
         if not self.shares(var):
             self.entry.append(f"%m{var.id} = alloca {self.kind(var)}")
 
-    def place_of(self, var: Var) -> str:
+    def place_of(self, var: ir.Var) -> str:
         return self.framed(var) if self.shares(var) else self.places[var.id]
 
-    def put(self, var: Var, value: Value) -> None:
+    def put(self, var: ir.Var, value: ir.Value) -> None:
         text = self.value(value)
         self.lines.append(f"store {self.kind(var)} {text}, ptr {self.place_of(var)}")
 
     # ---------------------------------------------------------------- statements
 
-    def block(self, block: Block) -> None:
+    def block(self, block: ir.Block) -> None:
         pieces = self.frame.cuts.runs.get(id(block)) if self.frame else None
         for number, statements in pieces or [(0, block.statements)]:
             if number:
@@ -263,35 +247,35 @@ class Writer:
                 continue
             for statement in statements:
                 self.statement(statement)
-                if isinstance(statement, Op | Load):
+                if isinstance(statement, ir.Op | ir.Load):
                     self.keep(statement.dest)
 
-    def statement(self, statement: Statement) -> None:
+    def statement(self, statement: ir.Statement) -> None:
         match statement:
-            case Op(dest=dest, args=args):
+            case ir.Op(dest=dest, args=args):
                 self.operations.write(statement, f"%t{dest.id}", [self.value(a) for a in args])
-            case Load(dest=dest, array=array, base=base, offset=offset):
+            case ir.Load(dest=dest, array=array, base=base, offset=offset):
                 self.load(dest, array, base, offset)
-            case Store(array=array, base=base, offset=offset, value=value):
+            case ir.Store(array=array, base=base, offset=offset, value=value):
                 self.store(array, base, offset, value)
-            case Declare(var=var, value=value):
+            case ir.Declare(var=var, value=value):
                 self.place(var)
                 if value is not None:
                     self.put(var, value)
-            case Assign(var=var, value=value):
+            case ir.Assign(var=var, value=value):
                 self.put(var, value)
-            case Reserve(array=array):
+            case ir.Reserve(array=array):
                 self.reserve(array)
-            case Loop():
+            case ir.Loop():
                 self.loop(statement)
-            case While(test=test, condition=condition, body=body):
+            case ir.While(test=test, condition=condition, body=body):
                 self.while_(test, condition, body)
-            case If(condition=condition, then=then, otherwise=otherwise):
+            case ir.If(condition=condition, then=then, otherwise=otherwise):
                 self.if_(condition, then, otherwise)
             case _:
                 raise TypeError(f"no such statement: {statement}")
 
-    def load(self, dest: Var, array: Array, base: Value | None, offset: int) -> None:
+    def load(self, dest: ir.Var, array: ir.Array, base: ir.Value | None, offset: int) -> None:
         """dest = array[base + offset]."""
         address = self.address(array, base, offset)
         if dest.dtype.kind == "b":
@@ -300,7 +284,7 @@ class Writer:
         else:
             self.made(f"load {llvm_type(dest.dtype)}, ptr {address}", f"%t{dest.id}")
 
-    def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
+    def store(self, array: ir.Array, base: ir.Value | None, offset: int, value: ir.Value) -> None:
         """array[base + offset] = value."""
         text, address = self.value(value), self.address(array, base, offset)
         if array.dtype.kind == "b":
@@ -317,7 +301,7 @@ class Writer:
         n = next(self.numbers)
         return (f"{name}{n}" for name in names)
 
-    def loop(self, loop: Loop) -> None:
+    def loop(self, loop: ir.Loop) -> None:
         if loop.count <= 0:
             return
         (body,) = self.labels("loop")
@@ -337,7 +321,7 @@ class Writer:
         self.lines.append(f"br i1 {done}, label %{end}, label %{body}")
         self.start_of(end, come=False)
 
-    def while_(self, test: Block, condition: Value, body: Block) -> None:
+    def while_(self, test: ir.Block, condition: ir.Value, body: ir.Block) -> None:
         top, turn, end = self.labels("while", "turn", "leave")
         self.start_of(top)
         self.block(test)
@@ -347,7 +331,7 @@ class Writer:
         self.lines.append(f"br label %{top}")
         self.start_of(end, come=False)
 
-    def if_(self, condition: Value, then: Block, otherwise: Block) -> None:
+    def if_(self, condition: ir.Value, then: ir.Block, otherwise: ir.Block) -> None:
         yes, no, end = self.labels("then", "else", "both")
         self.lines.append(f"br i1 {self.value(condition)}, label %{yes}, label %{no}")
         self.start_of(yes, come=False)
@@ -363,7 +347,7 @@ def stored(dtype: np.dtype) -> str:
     return "i8" if dtype.kind == "b" else llvm_type(dtype)
 
 
-def _table(array: Array) -> str:
+def _table(array: ir.Array) -> str:
     """The definition of a constant array."""
     t, data = stored(array.dtype), array.data
     assert data is not None

@@ -14,16 +14,15 @@ import numpy as np
 
 from rbjax.compiler.ir.program import Written
 from rbjax.compiler.ir.statements import Array, Block, Op, Statement, Value, Var
-from rbjax.compiler.llvm.mathematics import definitions
-from rbjax.compiler.llvm.operations import ALIGNMENT, Operations, llvm_type, splat
+from rbjax.compiler.llvm.operations import ALIGNMENT, Operations, definitions, llvm_type, splat
 from rbjax.compiler.llvm.statements import (
     Function,
     Writer,
     stored,
     written_function,
 )
+from rbjax.compiler.passes.analysis import divergence, part_of
 from rbjax.compiler.passes.cutting import Cuts, cut
-from rbjax.compiler.passes.divergence import divergence, part_of
 
 Step = int | None  # entries from a lane's sample to the next; None if lanes lie anywhere
 

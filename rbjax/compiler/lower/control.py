@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.statements import BOOL, I32, Await, Block, If, Value, Var, While
 from rbjax.compiler.lower.arrays import (
     FEW,
     ThreadArray,
@@ -127,7 +127,7 @@ class Carry:
         b = self.low.b
         old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
         arrays = {x.array for x in self.values if isinstance(x, View)}
-        moves: list[tuple[Var, Value]] = []
+        moves: list[tuple[ir.Var, ir.Value]] = []
         copies: list[tuple[View, ThreadArray]] = []
         for to, x in zip(self.values, new, strict=True):
             if isinstance(to, View):
@@ -142,7 +142,7 @@ class Carry:
             for var, value in zip(to.flat, self.low.to_scalars(x).flat, strict=True):
                 if value is var:
                     continue
-                if isinstance(value, Var) and value.id in old:
+                if isinstance(value, ir.Var) and value.id in old:
                     value = b.declare(value.dtype, value)
                 moves.append((var, value))
         for to, x in copies:
@@ -177,9 +177,9 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     if not length:
         return [*init, *ys]
     if length == 1:
-        first = [x.at(b, 0, I32.type(0)) if isinstance(x, View) else x[0, ...] for x in xs]
+        first = [x.at(b, 0, ir.I32.type(0)) if isinstance(x, View) else x[0, ...] for x in xs]
         spots = [
-            y.at(b, 0, I32.type(0)) if isinstance(y, View) and given is None else None
+            y.at(b, 0, ir.I32.type(0)) if isinstance(y, View) and given is None else None
             for y, given in zip(ys, same, strict=True)
         ]
         out = low.closed(body, [*consts, *init, *first], [*[None] * nk, *spots])
@@ -224,23 +224,23 @@ def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable
         View.of(b.local(x.dtype, 2 * (x.size // length)), (2, *x.shape[1:])) if o else x
         for x, o in zip(xs, own, strict=True)
     ]
-    one = I32.type(1)
+    one = ir.I32.type(1)
 
-    def fetch(row: Value) -> None:
-        half = b.op("and", I32, row, one)
+    def fetch(row: ir.Value) -> None:
+        half = b.op("and", ir.I32, row, one)
         for x, to, o in zip(xs, both, own, strict=True):
             if o:
                 _copied_early(b, to.at(b, 0, half), x.at(b, 0, row))
 
-    def rows(counter: Value) -> list[View]:
-        b.block.statements.append(Await())
+    def rows(counter: ir.Value) -> list[View]:
+        b.block.statements.append(ir.Await())
         last, step = (0, -1) if reverse else (length - 1, 1)
-        with b.when(b.op("ne", BOOL, counter, I32.type(last))):
-            fetch(b.op("index_add", I32, counter, I32.type(step)))
-        half = b.op("and", I32, counter, one)
+        with b.when(b.op("ne", ir.BOOL, counter, ir.I32.type(last))):
+            fetch(b.op("index_add", ir.I32, counter, ir.I32.type(step)))
+        half = b.op("and", ir.I32, counter, one)
         return [to.at(b, 0, half if o else counter) for to, o in zip(both, own, strict=True)]
 
-    return lambda: fetch(I32.type(length - 1 if reverse else 0)), rows
+    return lambda: fetch(ir.I32.type(length - 1 if reverse else 0)), rows
 
 
 def _copied_early(b: Builder, to: View, x: View) -> None:
@@ -270,7 +270,7 @@ def _while(low: Lowering, eqn: Equation, ins: list) -> list:
     }
     with low.pinned([*test_consts, *body_consts]):
         carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
-    loop = While(Block(), np.bool_(False), Block())
+    loop = ir.While(ir.Block(), np.bool_(False), ir.Block())
     b.block.statements.append(loop)
     with low.pinned([*test_consts, *body_consts]):
         with b.inside(loop.test), low.pinned(carry.values):
@@ -288,7 +288,7 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     going_on = [branch for branch in branches if not only_reports(branch)]
     if len(going_on) == 1:
         return low.closed(going_on[0], args, places)
-    if not isinstance(which, Var):
+    if not isinstance(which, ir.Var):
         chosen = branches[min(max(int(which), 0), len(branches) - 1)]
         return low.closed(chosen, args, places)
     b, outs = low.b, []
@@ -323,11 +323,13 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         if first == len(branches) - 1:
             run(branches[first])
             return
-        here = which if which.dtype == BOOL else b.op("le", BOOL, which, which.dtype.type(first))
-        node = If(here, Block(), Block())
+        here = (
+            which if which.dtype == ir.BOOL else b.op("le", ir.BOOL, which, which.dtype.type(first))
+        )
+        node = ir.If(here, ir.Block(), ir.Block())
         b.block.statements.append(node)
         blocks = (node.then, node.otherwise)
-        if which.dtype == BOOL:  # branch 1 where it holds
+        if which.dtype == ir.BOOL:  # branch 1 where it holds
             blocks = (node.otherwise, node.then)
         with b.inside(blocks[0]):
             run(branches[first])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -54,20 +54,36 @@ def entrywise(
             return delayed
         xs = tuple(low.to_scalars(x) for x in xs)
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
-    if size > LOOP_ABOVE or in_memory_now:
-        b = low.b
+    loop_above = 0 if in_memory_now else LOOP_ABOVE
+    return map_entries(low, [dtype], shape, lambda *x: (f(*x),), *xs, loop_above=loop_above)[0]
+
+
+def map_entries(
+    low: Lowering, dtypes: Sequence[DTypeLike], shape: tuple, f: Callable[..., Sequence[Value]],
+    *xs: ThreadArray, loop_above: int,
+) -> list[ThreadArray]:  # fmt: skip
+    """Apply f, which returns one value per dtype, to the entries of arrays broadcast to a shape.
+
+    Arrays of more than `loop_above` entries are computed by a loop over memory.
+    """
+    b, size = low.b, math.prod(shape)
+    if size > loop_above:
         sources = [broadcast_in_memory(b, x, _dtype(x), shape) for x in xs]
-        view = View.of(b.local(dtype, math.prod(shape)), shape)
-        for_each_index(
-            b, shape, lambda *i: store_entry(b, view, i, f(*(load_entry(b, s, i) for s in sources)))
-        )
-        return view
-    arrays = [low.to_scalars(x) for x in xs]
-    out = np.empty(shape, object)
-    arrays = [x if x.shape == shape else np.broadcast_to(x, shape) for x in arrays]
+        views = [View.of(b.local(dtype, size), shape) for dtype in dtypes]
+
+        def one(*i: Value) -> None:
+            values = f(*(load_entry(b, x, i) for x in sources))
+            for view, value in zip(views, values, strict=True):
+                store_entry(b, view, i, value)
+
+        for_each_index(b, shape, one)
+        return list(views)
+    arrays = np.broadcast_arrays(*(low.to_scalars(x) for x in xs), np.empty(shape, bool))[:-1]
+    outs = [np.empty(shape, object) for _ in dtypes]
     for i in indices_of(shape):
-        out[i] = f(*(x[i] for x in arrays))
-    return out
+        for out, value in zip(outs, f(*(x[i] for x in arrays)), strict=True):
+            out[i] = value
+    return list(outs)
 
 
 def _is_wide(xs: tuple, size: int) -> bool:
@@ -295,29 +311,14 @@ def _bitcast(low: Lowering, eqn: Equation, ins: list) -> list:
 
 @rule("sincos")
 def _sincos(low: Lowering, eqn: Equation, ins: list) -> list:
-    """Cosine and sine by polynomials of one reduced angle."""
-    aval = jax.ShapeDtypeStruct((), eqn.invars[0].aval.dtype)
-    closed = _traced(polynomial_sincos, aval.dtype)
+    """Compute cosine and sine by polynomials of one reduced angle."""
+    dtype = eqn.invars[0].aval.dtype
+    closed = _traced(polynomial_sincos, dtype)
 
     def pair(angle: Value) -> list[Value]:
         return [low.to_scalar(x) for x in low.closed(closed, [full_of((), angle)])]
 
-    b, shape = low.b, _shape(eqn)
-    if math.prod(shape) > LOOP_ABOVE_IN_MEMORY:
-        angles = broadcast_in_memory(b, ins[0], aval.dtype, shape)
-        views = [View.of(b.local(aval.dtype, math.prod(shape)), shape) for _ in range(2)]
-
-        def one(*i: Value) -> None:
-            for view, value in zip(views, pair(load_entry(b, angles, i)), strict=True):
-                store_entry(b, view, i, value)
-
-        for_each_index(b, shape, one)
-        return list(views)
-    x = low.to_scalars(ins[0])
-    out = np.empty(shape, object), np.empty(shape, object)
-    for i in indices_of(shape):
-        out[0][i], out[1][i] = pair(x[i])
-    return list(out)
+    return map_entries(low, [dtype] * 2, _shape(eqn), pair, *ins, loop_above=LOOP_ABOVE_IN_MEMORY)
 
 
 @functools.cache

@@ -5,6 +5,7 @@ Source: Salmon et al., *Parallel random numbers: as easy as 1, 2, 3*, 2011.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -15,13 +16,9 @@ from rbjax._jax_compat import key_implementation
 from rbjax.compiler.ir.statements import Unsupported, Value
 from rbjax.compiler.lower.arrays import (
     ThreadArray,
-    View,
-    broadcast_in_memory,
-    for_each_index,
     indices_of,
-    load_entry,
-    store_entry,
 )
+from rbjax.compiler.lower.elementwise import map_entries
 from rbjax.compiler.lower.lowering import KEY, Equation, Lowering, dtype_of, rule
 
 U32 = np.dtype(np.uint32)
@@ -32,23 +29,8 @@ ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 
 @rule("threefry2x32")
 def _threefry(low: Lowering, eqn: Equation, ins: list) -> list:
-    b, aval = low.b, eqn.outvars[0].aval
-    if aval.size > LOOP_ABOVE:
-        sources = [broadcast_in_memory(b, x, U32, aval.shape) for x in ins]
-        views = [View.of(b.local(U32, aval.size), aval.shape) for _ in range(2)]
-
-        def one(*i: Value) -> None:
-            values = threefry(low, *(load_entry(b, x, i) for x in sources))
-            for view, value in zip(views, values, strict=True):
-                store_entry(b, view, i, value)
-
-        for_each_index(b, aval.shape, one)
-        return list(views)
-    arrays = np.broadcast_arrays(*(low.to_scalars(x) for x in ins))
-    outs = np.empty(aval.shape, object), np.empty(aval.shape, object)
-    for i in indices_of(outs[0].shape):
-        outs[0][i], outs[1][i] = threefry(low, *(x[i] for x in arrays))
-    return list(outs)
+    shape, f = eqn.outvars[0].aval.shape, functools.partial(threefry, low)
+    return map_entries(low, [U32] * 2, shape, f, *ins, loop_above=LOOP_ABOVE)
 
 
 @rule("iota_2x32_shape")

@@ -19,7 +19,6 @@ from rbjax.compiler.lower import (  # noqa: F401 (rules)
     factorise,
     gather,
     indexing,
-    inversion,
     linear,
     random,
     reductions,
@@ -30,9 +29,8 @@ from rbjax.compiler.lower import (  # noqa: F401 (rules)
 )
 from rbjax.compiler.lower.arrays import View
 from rbjax.compiler.lower.lowering import DTYPES, Lowering
+from rbjax.compiler.passes.liveness import prune, share_memory
 from rbjax.compiler.passes.phases import synchronised
-from rbjax.compiler.passes.prune import prune
-from rbjax.compiler.passes.reuse import share_memory
 
 
 def write_program(

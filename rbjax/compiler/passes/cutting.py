@@ -14,17 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from rbjax.compiler.ir.statements import (
-    Array,
-    Assign,
-    Block,
-    Loop,
-    Name,
-    Reserve,
-    Statement,
-    Var,
-    walk,
-)
+from rbjax.compiler.ir import statements as ir
 
 #: statements of a block from which on it is cut, and of a function
 CUT_ABOVE, EACH = 12_000, 1_500
@@ -38,34 +28,34 @@ class Cuts:
     home: the function that makes a variable. shared: the variables that others read as well.
     """
 
-    runs: dict[int, list[tuple[int, list[Statement]]]] = field(default_factory=dict)
-    home: dict[Var, int] = field(default_factory=dict)
-    shared: dict[Var, None] = field(default_factory=dict)
-    arrays: dict[Array, None] = field(default_factory=dict)
+    runs: dict[int, list[tuple[int, list[ir.Statement]]]] = field(default_factory=dict)
+    home: dict[ir.Var, int] = field(default_factory=dict)
+    shared: dict[ir.Var, None] = field(default_factory=dict)
+    arrays: dict[ir.Array, None] = field(default_factory=dict)
 
 
-def cut(block: Block, branches: bool) -> Cuts | None:
+def cut(block: ir.Block, branches: bool) -> Cuts | None:
     """The functions of a block, or None if it is short. branches: whether those of branches and of
     `while` loops may be cut, too."""
-    cuts, used, count = Cuts(), dict[Var, set[int]](), 0
+    cuts, used, count = Cuts(), dict[ir.Var, set[int]](), 0
 
-    def note(statement: Statement, here: int) -> None:
+    def note(statement: ir.Statement, here: int) -> None:
         read = statement.reads()
-        if isinstance(statement, Assign):  # the variable has been declared before
+        if isinstance(statement, ir.Assign):  # the variable has been declared before
             read = (statement.var, *read)
         else:
-            cuts.home.update((x, here) for x in statement.writes() if isinstance(x, Var))
+            cuts.home.update((x, here) for x in statement.writes() if isinstance(x, ir.Var))
         for x in read:
-            if isinstance(x, Var):
+            if isinstance(x, ir.Var):
                 used.setdefault(x, set()).add(here)
-        if isinstance(statement, Reserve):
+        if isinstance(statement, ir.Reserve):
             cuts.arrays[statement.array] = None
 
-    def every(statements: list[Statement], here: int) -> None:
-        for statement in walk(Block(statements)):
+    def every(statements: list[ir.Statement], here: int) -> None:
+        for statement in ir.walk(ir.Block(statements)):
             note(statement, here)
 
-    def visit(block: Block) -> None:
+    def visit(block: ir.Block) -> None:
         nonlocal count
         sizes = [_size(s) for s in block.statements]
         if sum(n for n in sizes if n <= EACH) <= CUT_ABOVE:
@@ -83,7 +73,7 @@ def cut(block: Block, branches: bool) -> Cuts | None:
             for statement in statements:
                 note(statement, 0)
                 for inner in statement.children():
-                    if branches or isinstance(statement, Loop):
+                    if branches or isinstance(statement, ir.Loop):
                         visit(inner)
                     else:
                         every(inner.statements, 0)
@@ -98,10 +88,10 @@ def cut(block: Block, branches: bool) -> Cuts | None:
 
 
 def _pieces(
-    statements: list[Statement], sizes: list[int]
-) -> Iterator[tuple[bool, list[Statement]]]:
+    statements: list[ir.Statement], sizes: list[int]
+) -> Iterator[tuple[bool, list[ir.Statement]]]:
     """Pieces of some `EACH` statements, and longer statements that stay where they are."""
-    piece: list[Statement] = []
+    piece: list[ir.Statement] = []
     length = 0
     for statement, n in zip(statements, sizes, strict=True):
         if n > EACH:
@@ -119,19 +109,19 @@ def _pieces(
         yield length > EACH // 4, piece
 
 
-def _size(statement: Statement) -> int:
-    return sum(1 for _ in walk(Block([statement])))
+def _size(statement: ir.Statement) -> int:
+    return sum(1 for _ in ir.walk(ir.Block([statement])))
 
 
 class Frame:
     """The places, in bytes, of what functions share. size_of: the bytes of a variable, an array."""
 
-    def __init__(self, cuts: Cuts, size_of: Callable[[Name], int], alignment: int):
+    def __init__(self, cuts: Cuts, size_of: Callable[[ir.Name], int], alignment: int):
         self.cuts, self.bytes = cuts, 0
-        self.places: dict[Name, int] = {}
-        every: tuple[Name, ...] = (*cuts.arrays, *cuts.shared)
+        self.places: dict[ir.Name, int] = {}
+        every: tuple[ir.Name, ...] = (*cuts.arrays, *cuts.shared)
         for x in every:
             size = size_of(x)
-            step = alignment if isinstance(x, Array) else min(alignment, size)
+            step = alignment if isinstance(x, ir.Array) else min(alignment, size)
             self.places[x] = -(-self.bytes // step) * step
             self.bytes = self.places[x] + size

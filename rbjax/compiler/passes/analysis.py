@@ -1,0 +1,103 @@
+"""Analyses of a program: operation counts, and values that differ between the lanes of a vector.
+
+A value that derives only from loop counters, constants and shared operands is the same in every
+lane, and stays a scalar. If a condition differs, the lanes diverge: a block runs for some of them.
+A variable that is declared outside of a divergent block and assigned in it becomes lane-dependent.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from rbjax.compiler.ir import statements as ir
+
+
+def operations(block: ir.Block, turns: int = 1) -> int:
+    """The operations that run: the longer branch, a loop's once a turn, a `while` `turns` times."""
+    total = 0
+    for statement in block.statements:
+        match statement:
+            case ir.Op():
+                total += 1
+            case ir.Loop(count=count, body=body):
+                total += count * operations(body, turns)
+            case ir.While(test=test, body=body):
+                total += turns * (operations(test, turns) + operations(body, turns))
+            case ir.If(then=then, otherwise=otherwise):
+                total += max(operations(then, turns), operations(otherwise, turns))
+    return total
+
+
+def accesses(block: ir.Block) -> Counter[int]:
+    """How often each array is read or written; in a `while` each statement counts once."""
+    total: Counter[int] = Counter()
+    for statement in block.statements:
+        match statement:
+            case ir.Load(array=array) | ir.Store(array=array):
+                total[array.id] += 1
+            case ir.Loop(count=count, body=body):
+                total.update({k: count * n for k, n in accesses(body).items()})
+            case ir.While(test=test, body=body):
+                total += accesses(test) + accesses(body)
+            case ir.If(then=then, otherwise=otherwise):
+                total += accesses(then) + accesses(otherwise)
+    return total
+
+
+@dataclass
+class Divergence:
+    """The ids of variables and arrays that differ between lanes.
+
+    home: the block, of those in which lanes have parted, that declares a variable or an array.
+    """
+
+    different: set[int] = field(default_factory=set)
+    home: dict[int, int] = field(default_factory=dict)
+
+    def of(self, x: ir.Value | ir.Array | None) -> bool:
+        """Whether a value, or what an array holds, differs."""
+        return isinstance(x, ir.Var | ir.Array) and x.id in self.different
+
+    def outlives(self, x: ir.Var | ir.Array, part: int) -> bool:
+        """Whether lanes have parted since x was declared, and now run block `part`."""
+        return self.home.get(x.id, 0) != part
+
+
+def divergence(block: ir.Block, different: Iterable[ir.Array]) -> Divergence:
+    """What differs if these arrays do."""
+    found = Divergence({a.id for a in different})
+    size = -1
+    while size != len(found.different):  # a loop's later turns may change its earlier ones
+        size = len(found.different)
+        _visit(block, 0, found)
+    return found
+
+
+def _visit(block: ir.Block, part: int, found: Divergence) -> None:
+    different = found.different
+    for s in block.statements:
+        differs = False
+        for x in s.reads():
+            if x.id in different:
+                differs = True
+        match s:
+            case ir.Op() | ir.Load():
+                pass
+            case ir.Declare(var=declared) | ir.Reserve(array=declared):
+                found.home[declared.id] = part
+            case ir.Store(array=changed) | ir.Assign(var=changed):
+                differs = differs or found.outlives(changed, part)
+        if differs:
+            different.update([x.id for x in s.writes()])
+        for inner in () if s.is_leaf else s.children():
+            among = part
+            if isinstance(s, ir.While | ir.If):
+                among = part_of(inner, s.condition, part, found)
+            _visit(inner, among, found)
+
+
+def part_of(block: ir.Block, condition: ir.Value, part: int, found: Divergence) -> int:
+    """The part of the lanes that runs a block under a condition, of those of `part`."""
+    return id(block) if found.of(condition) else part
