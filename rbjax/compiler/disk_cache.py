@@ -1,7 +1,6 @@
-"""Compiled code on disk, next to JAX's own compilation cache if the caller has enabled that.
+"""A disk cache of compiled code, next to JAX's compilation cache if the caller has enabled that.
 
-A cache saves time only: if the folder cannot be read or written, code is compiled again and a
-warning names the folder.
+If the folder cannot be read or written, code is compiled again and a warning names the folder.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ DIGEST = hashlib.sha256().digest_size
 
 
 def cached(name: str, make: Callable[[], bytes]) -> bytes:
-    """The bytes of the file of this name, made at the first time."""
+    """Return the content of the file of this name, or make and write it."""
     folder = _folder()
     if folder is None:
         return make()
@@ -40,7 +39,7 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
 
 
 def _read(file: Path) -> bytes | None:
-    """The content of a file; None if it is missing, cannot be read or is damaged."""
+    """Read a file; None if it is missing, cannot be read or is damaged."""
     try:
         found = file.read_bytes()
     except OSError:

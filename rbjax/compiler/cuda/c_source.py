@@ -1,4 +1,4 @@
-"""The statements of a program as C, for both NVRTC and a host's C compiler."""
+"""Prints the statements of a program as C, for NVRTC and for a host's C compiler."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GROUP, SHORT_BODY = 16, 10
 
 
 def literal(x: np.generic) -> str:
-    """A known number."""
+    """Return a constant as C."""
     kind = x.dtype.kind
     if kind == "b":
         return "true" if x else "false"
@@ -44,8 +44,10 @@ def literal(x: np.generic) -> str:
 
 
 def _moves_entries(loop: ir.Loop) -> bool:
-    """Whether a loop is a few loads and operations whose results go to local arrays that it does
-    not read: a thread waits for memory once for several turns, and not at each."""
+    """Return whether a loop only copies to local arrays that it does not read.
+
+    Several iterations of such a loop load before they store, so a thread waits for memory once.
+    """
     body = loop.body.statements
     if loop.count < GROUP or loop.reverse or len(body) > SHORT_BODY:
         return False
@@ -57,7 +59,7 @@ def _moves_entries(loop: ir.Loop) -> bool:
 
 
 class Printer:
-    """Prints blocks; `address(array)` gives the C name of an array that is indexed."""
+    """Prints blocks as C. names: the C name of each array, by id."""
 
     def __init__(self, names: dict[int, str]):
         self.names = names
@@ -123,7 +125,7 @@ class Printer:
                 raise TypeError(f"no such statement: {statement}")
 
     def _in_groups(self, loop: ir.Loop) -> Iterator[str]:
-        """Some turns at a time, which read all that they read before they write."""
+        """Print groups of iterations, each of which loads all its entries before it stores."""
         body, i = loop.body.statements, self.value(loop.counter)
         own = {self.value(s.dest) for s in body if isinstance(s, ir.Op | ir.Load)} | {i}
         name = re.compile("|".join(rf"\b{x}\b" for x in own))
@@ -151,8 +153,7 @@ class Printer:
 
 
 def _by_bits(array: ir.Array) -> bool:
-    """Whether a table has infinities or nan. CUDA does not accept their names as constants, but it
-    accepts their bits."""
+    """Return whether a table has infinities or nan, which CUDA accepts as constants only by bits."""
     return array.data is not None and array.dtype.kind == "f" and not np.isfinite(array.data).all()
 
 
@@ -163,7 +164,7 @@ def _name(array: ir.Array) -> str:
 
 
 def table(array: ir.Array, qualifier: str) -> str:
-    """The definition of a constant array."""
+    """Return the definition of a constant array."""
     data = array.data
     if _by_bits(array):
         data = np.asarray(data).view(f"uint{8 * array.dtype.itemsize}")
@@ -173,14 +174,14 @@ def table(array: ir.Array, qualifier: str) -> str:
 
 
 def parameters(program: Written, restrict: str) -> str:
-    """The pointers that a function of the program takes: operands, then results."""
+    """Return the pointer parameters of a program's function: operands, then results."""
     reads = [f"const {c_type(a.dtype)}* {restrict} p{k}" for k, a in enumerate(program.operands)]
     writes = [f"{c_type(a.dtype)}* {restrict} r{k}" for k, a in enumerate(program.results)]
     return ", ".join(reads + writes)
 
 
 def sample_index(batch: tuple[int, ...]) -> list[str]:
-    """The index along each axis of the batch, from the linear index b."""
+    """Return the index along each axis of the batch, from the linear index b."""
     out, rest = [], "b"
     for k in reversed(range(len(batch))):
         if k == 0:
@@ -192,6 +193,6 @@ def sample_index(batch: tuple[int, ...]) -> list[str]:
 
 
 def offset(layout: Layout, index: list[str]) -> str:
-    """The offset of a sample, as C."""
+    """Return the offset of a sample, as C."""
     terms = [f"{i}*{step}ll" for i, step in zip(index, layout.steps, strict=True) if step]
     return "+".join(terms) or "0"

@@ -1,9 +1,9 @@
-"""The CUDA source around a program: one thread a sample, one warp a block.
+"""Prints a program as a CUDA kernel: one thread a sample, one warp a block.
 
-The warp fetches rows of a batch-first operand through shared memory, so that it reads whole lines.
-Batch-first results are written in the same way (`stores`). Other layouts are read and written in
-place. A result that all samples share (the cotangent of an operand without a batch) is summed over
-the warp, with one partial sum a block.
+The warp loads rows of a batch-first operand through shared memory, so that it reads whole cache
+lines. Batch-first results are stored in the same way (`stores`). Other layouts are read and written
+in place. A result that all samples share (the cotangent of an operand without a batch) is summed
+over the warp, with one partial sum a block.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ template <class T> QUALIFIED T over_warp(T x) {
 
 @dataclass(frozen=True)
 class Kernel:
-    """CUDA source of a program and how to launch it."""
+    """The CUDA source of a program, and its launch parameters."""
 
     source: str
     name: str
@@ -83,7 +83,7 @@ class Kernel:
 
 
 def kernel(program: Written, name: str = "threads") -> Kernel:
-    """The kernel of a program; raises `Unsupported` if it is too large for a thread."""
+    """Return the kernel of a program, or raise `Unsupported` if it is too large for a thread."""
     if program.statements > STATEMENTS_UP_TO:
         raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
     sums = (a for a, s in zip(program.results, program.summed, strict=True) if s)
@@ -97,10 +97,13 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
 
 @dataclass(frozen=True)
 class Room:
-    """The contents of a block's shared memory.
+    """The plan of a block's shared memory.
 
-    staged: fetched operands, id -> entries of a row; whole: results whose rows are staged; tiled:
-    results that are written through the tile, at these `spots`; tile: bytes of the tile a thread.
+    staged: entries of a row of each operand that is loaded through it, by id.
+    whole: results whose rows are staged whole, by id.
+    tiled: results that are stored through the tile, by id.
+    spots: the tile slots of their stores, by the id of the store.
+    tile: bytes of the tile, per thread.
     """
 
     staged: dict[int, int]
@@ -111,12 +114,14 @@ class Room:
 
 
 def _pitch(row: int) -> int:
-    """Entries from row to row. It is odd, so that the threads of a warp use different banks."""
+    """Return the odd distance between rows, with which the threads of a warp use different banks."""
     return row | 1
 
 
 def _room(program: Written) -> Room:
-    """Fills shared memory: results that are staged whole, small ones first, a tile, operands."""
+    """Allocate shared memory: to results that are staged whole, smallest first, a tile, and
+    operands.
+    """
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
     rows = stores.rows_of(program)
     short = [key for key, row in rows.items() if stores.is_staged(row)]
@@ -201,7 +206,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
 
 
 def _sums(program: Written) -> Iterator[str]:
-    """Sums of results over the batch: one partial sum a block."""
+    """Print sums of results over the batch, with one partial sum a block."""
     for k, array in enumerate(program.results):
         if not program.summed[k] or not array.size:
             continue

@@ -1,10 +1,10 @@
-"""Stores of batch-first results: rows are collected in shared memory, and a warp writes its 32.
+"""Stores batch-first results through shared memory, in whole sectors.
 
-Rows that fit are staged whole, in any order of their entries: 32 of them are consecutive in memory.
-A longer row that is written once, in order, is stored piece by piece through the warp's tile.
-Pieces start at a sector of memory in every row, even if the row does not: the tile keeps the last
-entries of the previous piece, and a row's piece lags by as many as necessary. In other long rows,
-runs of entries that are written together are stored in this way from any start.
+Short rows are staged whole, in any order of their entries: the 32 rows of a warp are consecutive in
+    memory. A longer row that is written once, in order, is stored in chunks through the warp's
+    tile. Chunks start at a memory sector in every row: the tile keeps the last entries of the
+    previous chunk, and a row's chunk is shifted by its misalignment. In other long rows, runs of
+    consecutive stores go through the tile, from any start.
 """
 
 from __future__ import annotations
@@ -84,8 +84,12 @@ QUALIFIED void flush(T* to, T* tile, int rows) {
 class Rows:
     """The layout of a result's rows in shared memory.
 
-    size: entries of a row; width: entries of a piece, `size` if a row is stored whole. align:
-    pieces start at multiples of this many entries; margin: entries kept from the previous piece.
+    dtype: type of an entry.
+    size: entries of a row.
+    width: entries of a chunk; `size` if a row is stored whole.
+    align: chunks start at multiples of this many entries.
+    margin: entries kept from the previous chunk.
+    pitch: entries from a thread's row to the next.
     """
 
     dtype: np.dtype
@@ -97,22 +101,22 @@ class Rows:
 
     @property
     def bytes(self) -> int:
-        """Bytes of one thread."""
+        """Bytes of a thread's row."""
         return self.pitch * self.dtype.itemsize
 
 
 def is_staged(row: int) -> bool:
-    """Whether rows with this many entries, of operands or results, go through shared memory."""
+    """Return whether rows of this length go through shared memory."""
     return SHORT < row <= WHOLE
 
 
 def whole(dtype: np.dtype, size: int) -> Rows:
-    """Rows that are stored whole; without gaps if at most two threads of a warp share a bank."""
+    """Lay out rows that are stored whole; without gaps if at most two threads share a bank."""
     return Rows(dtype, size, size, 1, 0, size if size % 4 else size | 1)
 
 
 def pieces(dtype: np.dtype, size: int) -> Rows:
-    """Rows that are stored piece by piece, or whole if there is one piece."""
+    """Lay out rows that are stored in chunks, or whole if there is one chunk."""
     width = TILE * 4 // max(dtype.itemsize, 4)
     if size <= width:
         return whole(dtype, size)
@@ -122,13 +126,13 @@ def pieces(dtype: np.dtype, size: int) -> Rows:
 
 
 def run_of(dtype: np.dtype, size: int) -> Rows:
-    """Pieces of a row that start anywhere."""
+    """Lay out chunks of a row that start anywhere."""
     width = min(TILE * 4 // max(dtype.itemsize, 4), size)
     return Rows(dtype, size, width, 1, 0, width | 1)
 
 
 def rows_of(program: Written) -> dict[int, int]:
-    """The batch-first results: id -> entries of a row."""
+    """Return the entries of a row of each batch-first result, by id."""
     found = {}
     for array, layout in zip(program.results, program.layouts[1], strict=True):
         row = layout.rows(program.batch)
@@ -139,8 +143,9 @@ def rows_of(program: Written) -> dict[int, int]:
 
 @dataclass(frozen=True)
 class Spot:
-    """The place of a value in the tile: column `at`. With `last` the entries from `first` to `upto`
-    are stored to memory, counted from the store's own base."""
+    """A slot of the tile: column `at`. With `last`, the entries from `first` to `upto`, counted
+    from the store's own base, are stored to memory.
+    """
 
     at: int
     first: int
@@ -149,8 +154,11 @@ class Spot:
 
 
 def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict[int, Spot]]:
-    """Of these results (id -> entries of a row), those that are stored through the tile, and the
-    spots of their stores, by id. No thread reads them, and all threads reach their stores."""
+    """Return the results that are stored through the tile, and the slots of their stores, by id.
+
+    rows: entries of a row of each candidate. No thread reads these results, and all threads reach
+        their stores.
+    """
     statements = [s for s in ir.walk(program.builder.block) if isinstance(s, (ir.Load, ir.Store))]
     read = {s.array.id for s in statements if isinstance(s, ir.Load)}
     rows = {key: n for key, n in rows.items() if n > 1 and key not in read}
@@ -172,7 +180,7 @@ def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict
 
 
 def _alike(program: Written) -> set[ir.Var | None]:
-    """The indices that are the same for all threads: those made from loop counters."""
+    """Return the uniform indices, the same for all threads: those made from loop counters."""
     found: set[ir.Var | None] = {None}
     for s in ir.walk(program.builder.block):
         if isinstance(s, ir.Loop):
@@ -183,7 +191,7 @@ def _alike(program: Written) -> set[ir.Var | None]:
 
 
 def _runs(block: ir.Block, rows: dict[int, int]) -> Iterator[list[ir.Store]]:
-    """Stores of consecutive entries of one of these results, without others in between."""
+    """Yield runs of stores to consecutive entries of one of these results."""
     run: list[ir.Store] = []
     for s in block.statements:
         if isinstance(s, ir.Store) and s.array.id in rows:
@@ -205,7 +213,7 @@ def _runs(block: ir.Block, rows: dict[int, int]) -> Iterator[list[ir.Store]]:
 
 
 def passing(program: Written) -> set[int]:
-    """Long batch-last arrays of floats, which are read or written once, a line by each warp."""
+    """Return the long batch-last float arrays, which are read or written once, a line by each warp."""
     found = set()
     for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
         for array, layout in zip(arrays, layouts, strict=True):
@@ -217,8 +225,10 @@ def passing(program: Written) -> set[int]:
 
 
 class StorePrinter(Printer):
-    """Prints statements. Stores of a result in pieces fill the warp's tile and flush it. Entries of
-    passing arrays do not stay in the cache, which needs its lines for other data."""
+    """Prints statements, with stores through the tile, and streaming loads and stores.
+
+    Entries of streaming arrays (`passing`) do not stay in the cache.
+    """
 
     def __init__(
         self, names: dict[int, str], tiles: dict[int, tuple[int, Rows]], spots: dict[int, Spot],

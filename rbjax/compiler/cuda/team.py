@@ -1,13 +1,12 @@
-"""The CUDA source of a program that a team of threads runs: a block a sample.
+"""Prints a program as a CUDA kernel of a team of threads: one block a sample.
 
-Arrays lie in the block's shared memory. The turns of a loop over entries are independent, and
-thread i of n takes turns i, i + n, ... . All threads run what is outside of such loops, with the
-same values, so they take the same branches. Where a loop reads what other threads have written, or
-writes what they may still read, the threads meet at a barrier first. So a sample may have matrices
-of ten to thirty rows, which are too many numbers for the registers of one thread.
+Arrays lie in the block's shared memory. The iterations of a team loop are independent: thread i of
+n runs iterations i, i + n, ... . All threads run the statements outside of such loops with the same
+values, so they take the same branches. Barriers separate writes from the reads of other threads
+(`phases`). This suits matrices of ten to thirty rows, which do not fit into one thread's registers.
 
-Source: steps between barriers (Valiant 1990, *A bridging model for parallel computation*); a block
-a small matrix (Haidar et al. 2015, *Batched matrix computations on hardware accelerators*).
+Source: Valiant 1990, *A bridging model for parallel computation* (phases between barriers); Haidar
+    et al. 2015, *Batched matrix computations on hardware accelerators* (a block a small matrix).
 """
 
 from __future__ import annotations
@@ -47,12 +46,12 @@ QUALIFIED void arrived() {}
 
 
 def size_of(samples: int) -> int:
-    """The threads of a team."""
+    """Return the number of threads of a team."""
     return next((n for most, n in TEAMS.items() if samples <= most), WARP)
 
 
 def kernel(program: Written, name: str = "threads", team: int | None = None) -> Kernel:
-    """The kernel of a program that was written for a team, and that fits."""
+    """Return the kernel of a program that was written for a team, and that fits."""
     samples = math.prod(program.batch)
     team = team or size_of(samples)
     source = "\n".join(_lines(program, name, team))
@@ -60,20 +59,19 @@ def kernel(program: Written, name: str = "threads", team: int | None = None) -> 
 
 
 def fits(program: Written) -> bool:
-    """Whether the program's arrays fit into shared memory, and its text into a kernel."""
+    """Return whether the program's arrays fit into shared memory, and its text into a kernel."""
     bytes = shared_bytes(program.builder.block)
     return bytes <= SHARED_BYTES and program.statements <= STATEMENTS_UP_TO
 
 
 def _resident(bytes: int, team: int) -> int:
-    """The blocks for which a multiprocessor should have registers: not more than its shared memory
-    holds."""
+    """Return the blocks that should reside on a multiprocessor, as its shared memory allows."""
     wanted = RESIDENT if team == WARP else RESIDENT_LARGE
     return min(wanted, SHARED_BYTES_IN_ALL // (bytes + DRIVERS_BYTES))
 
 
 def shared_bytes(block: ir.Block) -> int:
-    """Bytes of the arrays that a team shares."""
+    """Return the bytes of the arrays that a team shares."""
     arrays = [s.array for s in ir.walk(block) if isinstance(s, ir.Reserve) and s.array.shared]
     return sum(-(-max(a.size, 1) * a.dtype.itemsize // 16) * 16 for a in arrays)
 
@@ -132,7 +130,7 @@ class TeamPrinter(Printer):
                 yield from super()._lines(statement)
 
     def _turns(self, loop: ir.Loop) -> Iterator[str]:
-        """The turns of this thread."""
+        """Print the iterations of this thread."""
         i, count, team = self.value(loop.counter), loop.count, self.team
         self._early = loop.prefetch
         body = list(self.lines(loop.body))

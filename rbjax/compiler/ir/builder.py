@@ -15,7 +15,7 @@ from rbjax.compiler.ir.operations import OPERATIONS
 
 
 def folded(name: str, dtype: np.dtype, args: tuple) -> ir.Value | None:
-    """The result of an operation on known values, or None if the program must compute it."""
+    """Fold an operation on constants; None if the program must compute it."""
     operation = OPERATIONS[name]
     if operation.fold is None or dtype.kind not in operation.fold_types:
         return None
@@ -26,7 +26,7 @@ def folded(name: str, dtype: np.dtype, args: tuple) -> ir.Value | None:
 
 
 def simpler(builder: Builder, name: str, args: tuple) -> ir.Value | None:
-    """A value equal to the operation, from a known argument or a double negation; or None."""
+    """Simplify an operation with a constant argument or a double negation; None if it cannot be."""
     match name, args:
         case ("select", (c, a, b)) if isinstance(c, np.generic):
             return a if c else b
@@ -62,7 +62,7 @@ def simpler(builder: Builder, name: str, args: tuple) -> ir.Value | None:
 
 
 def keys_of(name: str, args: Sequence[ir.Value]) -> list:
-    """Keys that are shared by operations with the same result."""
+    """Return keys of arguments that are equal for operations with equal results."""
     keys: list = [(a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args]
     if OPERATIONS[name].commutes and _order(keys[0]) > _order(keys[1]):
         keys.reverse()
@@ -74,11 +74,11 @@ def _order(key: tuple | int) -> tuple:
 
 
 class Builder:
-    """Writes statements. Equal expressions in scope of each other become one variable.
+    """Writes statements. Equal expressions in nested scopes become one variable.
 
-    platform: where the program runs, "cuda" or "cpu", for functions that depend on it. team:
-    whether a team of threads runs it. matrices: whether one sample's matrices are to fill the
-    vectors of a CPU.
+    platform: "cuda" or "cpu", for functions that depend on it.
+    team: whether a team of threads runs the program.
+    matrices: whether the matrices of one sample fill the vectors of a CPU.
     """
 
     def __init__(self, platform: str = "cuda", team: bool = False, matrices: bool = False) -> None:
@@ -104,7 +104,7 @@ class Builder:
         return ir.Var(next(self.ids), np.dtype(dtype))
 
     def op(self, name: str, dtype: DTypeLike, *args: ir.Value) -> ir.Value:
-        """name(args), of the given type."""
+        """Write the operation name(args) with a result of this type."""
         dtype = np.dtype(dtype)
         known = [a for a in args if not isinstance(a, ir.Var)]
         if len(known) == len(args):
@@ -126,15 +126,15 @@ class Builder:
         return dest
 
     def cast(self, x: ir.Value, dtype: DTypeLike) -> ir.Value:
-        """x as another type."""
+        """Convert x to another type."""
         return x if x.dtype == dtype else self.op("cast", dtype, x)
 
     def select(self, condition: ir.Value, yes: ir.Value, no: ir.Value) -> ir.Value:
-        """yes if the condition holds, else no."""
+        """Select `yes` if the condition holds, else `no`."""
         return self.op("select", yes.dtype, condition, yes, no)
 
     def declare(self, dtype: DTypeLike, value: ir.Value | None = None) -> ir.Var:
-        """A variable that is assigned later."""
+        """Declare a variable that is assigned later."""
         var = self.var(dtype)
         self.block.statements.append(ir.Declare(var, value))
         return var
@@ -153,11 +153,11 @@ class Builder:
     def external_array(
         self, dtype: DTypeLike, size: int, space: str, index: DTypeLike = ir.I32
     ) -> ir.Array:
-        """An operand or a result."""
+        """Make an operand or a result."""
         return ir.Array(next(self.ids), np.dtype(dtype), size, space, index=np.dtype(index))
 
     def table(self, data: np.ndarray) -> ir.Array:
-        """Known numbers in memory; equal tables are shared."""
+        """Return constants in memory; equal tables are shared."""
         key = (data.dtype.char, data.tobytes())
         if key not in self._tables:
             flat = data.reshape(-1)
@@ -169,7 +169,7 @@ class Builder:
         return list(self._tables.values())
 
     def load(self, array: ir.Array, base: ir.Value | None, offset: int) -> ir.Value:
-        """array[base + offset]."""
+        """Write the load of array[base + offset]."""
         base, offset = _at(base, offset)
         if array.data is not None and base is None:
             return array.data[offset]
@@ -183,13 +183,13 @@ class Builder:
         return dest
 
     def store(self, array: ir.Array, base: ir.Value | None, offset: int, value: ir.Value) -> None:
-        """array[base + offset] = value."""
+        """Write array[base + offset] = value."""
         base, offset = _at(base, offset)
         self.block.statements.append(ir.Store(array, base, offset, value))
         self.written(array)
 
     def written(self, array: ir.Array) -> None:
-        """From here on, earlier loads of this array are repeated."""
+        """Invalidate earlier loads of this array."""
         self.time += 1
         array.version = self.time
 
@@ -211,7 +211,7 @@ class Builder:
 
     @contextmanager
     def loop(self, count: int, *, reverse: bool = False) -> Iterator[ir.Var]:
-        """A loop over a counter."""
+        """Write a loop over a counter."""
         counter, body = self.var(ir.I32), ir.Block()
         self.block.statements.append(ir.Loop(counter, count, reverse, body))
         with self.inside(body):
@@ -219,7 +219,7 @@ class Builder:
 
     @contextmanager
     def team_loop(self, count: int, prefetch: bool = False) -> Iterator[ir.Var]:
-        """A loop over a counter whose turns a team shares."""
+        """Write a loop over a counter whose iterations a team shares."""
         counter, body = self.var(ir.I32), ir.Block()
         loop = ir.Loop(counter, count, False, body, True, prefetch, self._group)
         self.block.statements.append(loop)
@@ -228,7 +228,7 @@ class Builder:
 
     @contextmanager
     def per_thread(self) -> Iterator[None]:
-        """What each thread of a team does by itself."""
+        """Write statements that each thread of a team runs by itself."""
         before, self.in_team = self.in_team, False
         try:
             yield
@@ -237,7 +237,7 @@ class Builder:
 
     @contextmanager
     def disjoint_writes(self) -> Iterator[None]:
-        """Loops of a team that write different entries of one array."""
+        """Write team loops that write disjoint elements of one array."""
         before, self._group = self._group, next(self._groups)
         try:
             yield
@@ -246,7 +246,7 @@ class Builder:
 
     @contextmanager
     def when(self, condition: ir.Value) -> Iterator[None]:
-        """Statements that run where a condition holds."""
+        """Write statements that run if a condition holds."""
         then = ir.Block()
         self.block.statements.append(ir.If(condition, then, ir.Block()))
         with self.inside(then):
@@ -257,13 +257,13 @@ class Builder:
         self._scopes[-1].append(key)
 
     def memoize(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """make(), or what it gave for this key in the same scope."""
+        """Return make(), or its earlier result for this key in the same scope."""
         if key not in self._known:
             self._remember(key, make())
         return self._known[key]
 
     def index(self, array: ir.Array, *terms: tuple[ir.Value, int]) -> ir.Value | None:
-        """Sum of value * stride over the terms, in the array's type of index; None for 0."""
+        """Return the sum of value * stride over the terms, as an index of the array; None for 0."""
         total: ir.Value = array.index.type(0)
         for value, stride in terms:
             step = self.op(

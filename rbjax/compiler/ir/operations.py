@@ -1,4 +1,4 @@
-"""The table of operations: all that the compiler knows of an operation stands in its row.
+"""The table of operations: everything that the compiler needs of an operation is in its row.
 
 A new operation is one row. `primitives` are the JAX primitives that become this operation, entry by
 entry; a primitive that becomes several operations needs a rule in `lower`.

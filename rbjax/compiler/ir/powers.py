@@ -1,6 +1,12 @@
-"""Powers and roots of vectors, through a logarithm in twice the precision (Dekker, 1971).
+"""Powers, roots and the error function of vectors.
 
-x^y = exp(y log x): an error of log x is multiplied by up to 700
+x^y = exp(y log x), with a logarithm in twice the precision (Dekker, 1971), because its error is
+multiplied by up to 700
+erf x = x p(x^2), |x| < 1
+erfc a = exp(-a^2) q((a - 4) / (a + 4)) / (1 + 2 a), a >= 0
+
+Source: Shepherd & Laframboise, *Mathematics of Computation* 36, 1981, for the variable of q. The
+    coefficients are Chebyshev's interpolation in 400 bits.
 """
 
 from __future__ import annotations
@@ -43,14 +49,14 @@ def _split(x: Number) -> Double:
 
 
 def product(x: Number, y: Number) -> Double:
-    """x y, and what it lacks."""
+    """Return x y and its rounding error."""
     p = x * y
     (a, b), (c, d) = _split(x), _split(y)
     return p, ((a * c - p) + a * d + b * c) + b * d
 
 
 def _log_of_mantissa(m: Number) -> Double:
-    """2 artanh((m - 1) / (m + 1))."""
+    """Return log m = 2 artanh((m - 1) / (m + 1)) as a sum of two numbers."""
     d, d_low = two_sum(m, m.known(1.0))
     f = m - 1.0
     s = f / d
@@ -116,7 +122,7 @@ FAR = 27.3
 
 
 def _complement(a: Number) -> Number:
-    """erfc a, for a that is not negative."""
+    """Return erfc a, for nonnegative a."""
     a = limited(a, 0.0, FAR)
     square, low = product(a, a)
     p, n = power_of_two(-square)

@@ -18,19 +18,19 @@ INDENT = "  "
 
 
 def program_text(program: Written) -> str:
-    """The text of a program: its arrays, then its statements."""
+    """Print a program: its arrays, then its statements."""
     arrays = (*program.operands, *program.results, *program.builder.tables)
     lines = [f"{'table' if x.space == 'constant' else x.space} {_array(x)}" for x in arrays]
     return "\n".join([*lines, *_lines(program.builder.block)])
 
 
 def block_text(block: ir.Block) -> str:
-    """The text of a block."""
+    """Print a block."""
     return "\n".join(_lines(block))
 
 
 def statement_text(statement: ir.Statement) -> str:
-    """The text of a statement, without its inner blocks."""
+    """Print a statement without its inner blocks."""
     match statement:
         case ir.Op(dest=dest, name=name, args=args):
             return f"{_typed(dest)} = {name}({', '.join(map(_value, args))})"

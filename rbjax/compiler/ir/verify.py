@@ -1,7 +1,6 @@
-"""A verifier of programs: it finds statements that no back end may get.
+"""A verifier of programs. It names a statement that is not valid, before a back end fails on it.
 
-A rule or a pass with a mistake shows here, with the statement, and not as a wrong number or as an
-error of LLVM or NVRTC. The tests run it on every program that they write.
+The tests verify every program that they write.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ FREE = {"cast", "bitcast", "isfinite", "lt", "le", "gt", "ge", "eq", "ne"}
 
 
 class InvalidProgram(Exception):
-    """A program with a statement that no back end may get."""
+    """A program has an invalid statement."""
 
 
 def verify(program: Written) -> None:
@@ -34,13 +33,13 @@ def verify(program: Written) -> None:
 
 
 def verify_block(block: ir.Block, arrays: Iterable[ir.Array] = ()) -> None:
-    """The same of a block that may use these arrays."""
+    """Verify a block that may use these arrays."""
     _Scope(arrays={x.id for x in arrays}).block(block)
 
 
 @dataclass
 class _Scope:
-    """The ids of what the statements of a block may use."""
+    """The ids of the variables and arrays that the statements of a block may use."""
 
     arrays: set[int]
     variables: set[int] = field(default_factory=set)
@@ -49,7 +48,7 @@ class _Scope:
     in_team_loop: bool = False
 
     def block(self, block: ir.Block) -> _Scope:
-        """Check a block; the scope of what follows within."""
+        """Check a block, and return its scope at the end."""
         inner = _Scope(
             {*self.arrays}, {*self.variables}, {*self.declared}, self.every, self.in_team_loop
         )

@@ -1,4 +1,4 @@
-"""LLVM IR to machine code of this processor, by llvmlite, which carries LLVM in its wheel.
+"""Compiles LLVM IR to machine code of this processor, by llvmlite, whose wheel carries LLVM.
 
 The code is cached on disk next to JAX's own compilation cache, if the caller has enabled that.
 """
@@ -79,27 +79,27 @@ def _libm() -> ctypes.CDLL:
 
 
 def _address(function: str) -> int | None:
-    """Of a function of C's mathematics, or of the system."""
+    """Return the address of a function of C's mathematics, or of the system."""
     library = _libm() if hasattr(_libm(), function) else ctypes.CDLL(None)
     return ctypes.cast(getattr(library, function), ctypes.c_void_p).value
 
 
 @functools.cache
 def _processor() -> tuple[str, str, str]:
-    """The triple, the name and the features of this processor."""
+    """Return the triple, the name and the features of this processor."""
     llvm = _llvm()
     features = llvm.get_host_cpu_features().flatten()
     return llvm.get_process_triple(), llvm.get_host_cpu_name(), features
 
 
 def register_bytes() -> int:
-    """The size of a vector register of this processor."""
+    """Return the size of a vector register of this processor."""
     features = _processor()[2].split(",")
     return 64 if "+avx512f" in features else 32 if "+avx" in features else 16
 
 
 def _machine(levels: Levels) -> Any:
-    """A target machine; the engine that is given one destroys it."""
+    """Make a target machine; the engine that gets it destroys it."""
     triple, cpu, features = _processor()
     if levels.features and triple.startswith("x86_64"):
         features = f"{features},{levels.features}"
@@ -116,8 +116,7 @@ _lock = threading.Lock()
 
 
 def compiled(module: Module, levels: Levels = LEVELS) -> Code:
-    """The machine code of a module's function `run`. Equal programs share it, even if several
-    threads compile them at the same time.
+    """Compile a module's function `run`, or return the code of an equal module.
 
     Raises:
         NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.
@@ -147,7 +146,7 @@ def _loaded(module: Module, levels: Levels, key: str) -> Code:
 
 
 def object_of(text: str, passes: tuple[str, ...] | int, machine: Any) -> bytes:
-    """The object file of IR for a target machine."""
+    """Compile IR to an object file for a target machine."""
     llvm = _llvm()
     parsed = llvm.parse_assembly(text)
     options = llvm.create_pipeline_tuning_options()

@@ -25,13 +25,13 @@ ATTRIBUTES = f"nounwind alignstack({ALIGNMENT})"
 
 @functools.lru_cache(64)
 def llvm_type(dtype: np.dtype) -> str:
-    """The type of a value in a register."""
+    """Return the type of a value in a register."""
     dtype = np.dtype(dtype)
     return TYPES.get(dtype.name) or f"i{8 * dtype.itemsize}"
 
 
 def literal(x: np.generic) -> str:
-    """A known number. Floats are given by their bits, those of float as double."""
+    """Return a constant as LLVM IR; floats by their bits, those of float32 as a double."""
     if x.dtype.kind == "b":
         return "true" if x else "false"
     if x.dtype.kind == "f":
@@ -40,14 +40,14 @@ def literal(x: np.generic) -> str:
 
 
 def splat(made: Callable[[str], str], lanes: int, t: str, x: str) -> str:
-    """A scalar in every lane; `made` names what an instruction gives."""
+    """Write a scalar into every lane. made: writes an instruction and returns its name."""
     many = f"<{lanes} x {t}>"
     one = made(f"insertelement {many} poison, {t} {x}, i64 0")
     return made(f"shufflevector {many} {one}, {many} poison, <{lanes} x i32> zeroinitializer")
 
 
 class Operations:
-    """Writes instructions with `emit` and notes the functions that they call.
+    """Writes instructions with `emit`, and records the functions that they call.
 
     lanes: entries of a value; with more than one, all values are vectors.
     """
@@ -70,20 +70,20 @@ class Operations:
         return t if self.lanes == 1 else f"<{self.lanes} x {t}>"
 
     def number(self, x: float | np.generic, dtype: np.dtype | None = None) -> str:
-        """A known number, in every lane."""
+        """Return a constant in every lane."""
         if not isinstance(x, np.generic) or dtype is not None:
             x = np.dtype(dtype).type(x)
         text = literal(x)
         return text if self.lanes == 1 else f"splat ({llvm_type(x.dtype)} {text})"
 
     def made(self, text: str, name: str | None = None) -> str:
-        """A new value."""
+        """Write an instruction, and return the name of its value."""
         name = name or f"%v{next(self.names)}"
         self.emit(f"{name} = {text}")
         return name
 
     def call(self, function: str, result: str, args: list[tuple[str, str]]) -> str:
-        """The text of a call."""
+        """Return the text of a call."""
         types = ", ".join(t for t, _ in args)
         own = function.startswith("llvm.")
         # the functions keep their meaning to the last bit: LLVM may not replace them
@@ -94,7 +94,7 @@ class Operations:
     def intrinsic(
         self, name: str, of: Sequence[DTypeLike], result: DTypeLike, x: Sequence[str], *more: str
     ) -> str:
-        """The text of a call of `llvm.name`, which is overloaded by the types of `of`."""
+        """Return the text of a call of `llvm.name`, which is overloaded by the types `of`."""
         suffix = ".".join(self.short(dtype) for dtype in of)
         args = [(self.type(of[-1]), a) for a in x] + [("i1", a) for a in more]
         return self.call(f"llvm.{name}.{suffix}", self.type(result), args)
@@ -113,7 +113,7 @@ class Operations:
         self.made(last, name)
 
     def mathematical(self, name: str, kind: np.dtype, x: Sequence[str]) -> str:
-        """A call of a function of C's mathematics, or for vectors of one that is defined here."""
+        """Return the call of a C mathematical function, or of its formula for vectors."""
         t = self.type(kind)
         if self.lanes == 1 and name != "atan2":  # C's is wrong at subnormal numbers in XLA
             return self.call(of_c(name, kind), t, [(t, a) for a in x])
@@ -122,12 +122,12 @@ class Operations:
 
 
 def of_c(what: str, kind: np.dtype) -> str:
-    """The name of a function of C's mathematics for a type."""
+    """Return the name of a C mathematical function of this type."""
     return what + ("f" if kind.itemsize == 4 else "")
 
 
 def definitions(vectors: Operations) -> list[str]:
-    """The functions that vector operations call."""
+    """Define the mathematical functions that vector operations call."""
     out = []
     for what, kind in list(vectors.functions):
         if OPERATIONS[what].formula:
@@ -142,14 +142,14 @@ def name_of(vectors: Operations, what: str, kind: np.dtype) -> str:
 
 
 def _head(vectors: Operations, name: str, kind: np.dtype, takes: list[str]) -> str:
-    """How a function begins."""
+    """Return the first line of a function."""
     t = vectors.type(kind)
     given = ", ".join(f"{t} {x}" for x in takes)
     return f"define internal {t} @{name}({given}) noinline {ATTRIBUTES} willreturn memory(none) {{"
 
 
 def _lane_by_lane(vectors: Operations, what: str, kind: np.dtype, name: str) -> str:
-    """A function of C's mathematics, called once a lane."""
+    """Define a function that calls C's function once per lane."""
     t, one = vectors.type(kind), llvm_type(kind)
     takes = ["%x", "%y"][: OPERATIONS[what].arity]
     lines, out = [], "poison"
@@ -163,7 +163,7 @@ def _lane_by_lane(vectors: Operations, what: str, kind: np.dtype, name: str) -> 
 
 
 def _by_formula(vectors: Operations, what: str, kind: np.dtype) -> list[str]:
-    """A function by its formula, in double precision; where that does not hold, lane by lane."""
+    """Define a function by its formula in double precision, and lane by lane where that fails."""
     builder, operation = Builder(), OPERATIONS[what]
     assert operation.formula is not None
     given = [builder.var(kind) for _ in range(operation.arity)]

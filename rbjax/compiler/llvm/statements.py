@@ -1,7 +1,7 @@
-"""The statements of a program as LLVM IR: a function of one sample.
+"""Writes the statements of a program as LLVM IR: a function of one sample.
 
-Scalars are values of SSA form. A variable that is assigned several times is a place on the stack,
-which LLVM's `sroa` turns into a register.
+Scalars are values in SSA form. A variable that is assigned several times is on the stack; LLVM's
+pass `sroa` moves it into a register.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ MALLOC = ("declare noalias ptr @malloc(i64)", "declare void @free(ptr)")
 
 @dataclass(frozen=True)
 class Function:
-    """A function of one sample or some, `void name(operands, results, space)`, all of them
-    pointers.
+    """A function of one or several samples, `void name(operands, results, space)`, of pointers.
 
-    outside: the tables and declarations that it needs. libm: the functions of C's mathematics that
-    it calls. workspace: bytes at `space`.
+    outside: the tables and declarations that it needs.
+    libm: the functions of C's mathematics that it calls.
+    workspace: bytes at `space`.
     """
 
     text: str
@@ -47,17 +47,17 @@ class Function:
     workspace: int
 
     def call(self, pointers: list[str], space: str) -> str:
-        """A call with these operands and results."""
+        """Return a call with these operands and results."""
         return f"call void @{self.name}({', '.join(f'ptr {x}' for x in (*pointers, space))})"
 
 
 def one_sample(program: Written, name: str = "sample") -> Function:
-    """The function of one sample of a program."""
+    """Write the function of one sample of a program."""
     return written_function(Writer(), program, name)
 
 
 def written_function(writer: Writer, program: Written, name: str) -> Function:
-    """What a writer makes of a program."""
+    """Write the function of a program with a writer."""
     xs = [f"%x{k}" for k in range(len(program.operands))]
     ys = [f"%y{k}" for k in range(len(program.results))]
     for array, place in zip((*program.operands, *program.results), (*xs, *ys), strict=True):
@@ -77,8 +77,9 @@ def written_function(writer: Writer, program: Written, name: str) -> Function:
 
 
 class Writer:
-    """Writes statements for one sample; `entry` has the stack places, which LLVM wants in the first
-    block."""
+    """Writes statements for one sample. entry: stack allocations, which LLVM expects in the first
+    block.
+    """
 
     def __init__(self) -> None:
         self.entry: list[str] = []
@@ -95,16 +96,16 @@ class Writer:
         self.pieces: list[str] = []
 
     def begin(self, program: Written) -> None:
-        """What comes before the statements."""
+        """Write the lines before the statements."""
 
     def functions(self) -> list[str]:
-        """The mathematical functions that the statements call, except those of the C library."""
+        """Define the mathematical functions that the statements call and the C library lacks."""
         return definitions(self.operations)
 
     # ---------------------------------------------------------------- functions
 
     def parts(self, name: str, program: Written, takes: list[str]) -> None:
-        """Cuts a long program into functions."""
+        """Prepare the frame of a program that is split into functions."""
         cuts = self.cuts(program)
         if cuts is None:
             return
@@ -121,18 +122,18 @@ class Writer:
         return cut(program.builder.block, branches=True)
 
     def bytes(self, x: ir.Var | ir.Array) -> int:
-        """The size of a variable or of a local array."""
+        """Return the size of a variable or of a local array."""
         return x.dtype.itemsize * (max(x.size, 1) if isinstance(x, ir.Array) else 1)
 
     def function(self, name: str, takes: list[str], more: str = "") -> list[str]:
-        """What has been written, as a function."""
+        """Return the lines written so far as a function."""
         return [
             f"define internal void @{name}({', '.join(takes)}) {more}{ATTRIBUTES} {{",
             "entry:", *self.entry, "br label %start", "start:", *self.lines, "ret void", "}",
         ]  # fmt: skip
 
     def piece(self, number: int, statements: list) -> None:
-        """Writes statements as a function of their own, and calls it."""
+        """Write statements as a function of their own, and call it."""
         outside = self.entry, [*self.lines]
         self.entry, self.here, self.recalled = [], number, {}
         self.lines.clear()
@@ -145,23 +146,23 @@ class Writer:
         self.lines[:] = [*outside[1], f"call void @{name}({pointers})"]
 
     def shares(self, x: ir.Name) -> bool:
-        """Whether a variable or an array lies in the frame."""
+        """Return whether a variable or an array is in the frame."""
         return self.frame is not None and x in self.frame.places
 
     def framed(self, x: ir.Name, lines: list[str] | None = None) -> str:
-        """The address of what lies in the frame."""
+        """Write the address of a variable or an array in the frame."""
         assert self.frame is not None
         lines, name = self.lines if lines is None else lines, f"%p{next(self.numbers)}"
         lines.append(f"{name} = getelementptr i8, ptr %frame, i64 {self.frame.places[x]}")
         return name
 
     def keep(self, x: ir.Var) -> None:
-        """Leaves a new value to the other functions."""
+        """Store a new value in the frame, if other functions read it."""
         if self.shares(x):
             self.lines.append(f"store {self.kind(x)} %t{x.id}, ptr {self.framed(x)}")
 
     def recall(self, x: ir.Var) -> str:
-        """A value that another function has left; the caller of the others may read a newer one."""
+        """Load a value that another function has stored; again at each use in the main function."""
         if x.id not in self.recalled:
             name = f"%r{next(self.numbers)}"
             lines = self.entry if self.here else self.lines
@@ -174,7 +175,7 @@ class Writer:
     # ---------------------------------------------------------------- memory
 
     def reserve(self, array: ir.Array, lanes: int = 1) -> None:
-        """A local array, on the stack or in the workspace."""
+        """Allocate a local array on the stack or in the workspace."""
         if self.shares(array):
             return
         count = max(array.size, 1)
@@ -190,7 +191,7 @@ class Writer:
         self.pointers[array.id] = self.made(text)
 
     def start(self, array: ir.Array) -> str:
-        """The address of an array."""
+        """Return the address of an array."""
         if self.shares(array):
             return self.framed(array)
         return f"@a{array.id}" if array.space == "constant" else self.pointers[array.id]
@@ -199,7 +200,7 @@ class Writer:
         return self.at(stored(array.dtype), self.start(array), base, offset)
 
     def at(self, t: str, start: str, base: ir.Value | None, offset: int) -> str:
-        """start + base + offset, in entries of type t."""
+        """Write the address start + base + offset, in entries of type t."""
         if base is not None:
             kind, index = llvm_type(base.dtype), self.value(base)
             start = self.made(f"getelementptr {t}, ptr {start}, {kind} {index}")
@@ -213,11 +214,11 @@ class Writer:
         return self.current(x)
 
     def kind(self, x: ir.Var) -> str:
-        """The type of a variable."""
+        """Return the type of a variable."""
         return llvm_type(x.dtype)
 
     def current(self, x: ir.Var) -> str:
-        """The value that a variable has now."""
+        """Return the present value of a variable."""
         if x.id in self.places:
             return self.made(f"load {self.kind(x)}, ptr {self.place_of(x)}")
         if self.frame is not None and self.shares(x) and self.frame.cuts.home[x] != self.here:
@@ -225,7 +226,7 @@ class Writer:
         return f"%t{x.id}"
 
     def place(self, var: ir.Var) -> None:
-        """Makes the place of a variable that is assigned several times."""
+        """Allocate a variable that is assigned several times."""
         self.places[var.id] = f"%m{var.id}"
         if not self.shares(var):
             self.entry.append(f"%m{var.id} = alloca {self.kind(var)}")
@@ -276,7 +277,7 @@ class Writer:
                 raise TypeError(f"no such statement: {statement}")
 
     def load(self, dest: ir.Var, array: ir.Array, base: ir.Value | None, offset: int) -> None:
-        """dest = array[base + offset]."""
+        """Write dest = array[base + offset]."""
         address = self.address(array, base, offset)
         if dest.dtype.kind == "b":
             byte = self.made(f"load i8, ptr {address}")
@@ -285,14 +286,14 @@ class Writer:
             self.made(f"load {llvm_type(dest.dtype)}, ptr {address}", f"%t{dest.id}")
 
     def store(self, array: ir.Array, base: ir.Value | None, offset: int, value: ir.Value) -> None:
-        """array[base + offset] = value."""
+        """Write array[base + offset] = value."""
         text, address = self.value(value), self.address(array, base, offset)
         if array.dtype.kind == "b":
             text = self.made(f"zext i1 {text} to i8")
         self.lines.append(f"store {stored(array.dtype)} {text}, ptr {address}")
 
     def start_of(self, label: str, come: bool = True) -> None:
-        """A new block of instructions, to which the one before goes on."""
+        """Begin a basic block. come: whether the previous block branches to it."""
         if come:
             self.lines.append(f"br label %{label}")
         self.lines.append(f"{label}:")
@@ -343,12 +344,12 @@ class Writer:
 
 
 def stored(dtype: np.dtype) -> str:
-    """The type of an entry in memory."""
+    """Return the type of an entry in memory."""
     return "i8" if dtype.kind == "b" else llvm_type(dtype)
 
 
 def _table(array: ir.Array) -> str:
-    """The definition of a constant array."""
+    """Return the definition of a constant array."""
     t, data = stored(array.dtype), array.data
     assert data is not None
     plain = data.view(np.uint8) if data.dtype.kind == "b" else data

@@ -1,4 +1,4 @@
-"""Rules of loops, branches and nested calls."""
+"""Rules for loops, branches and nested calls."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", *COMBINE}
 
 
 def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
-    """The inputs of a jaxpr with indices that are not known. They must be in memory."""
+    """Return the inputs of a jaxpr with indices that are not constant. They must be in memory."""
     jaxpr = closed.jaxpr
     varying = {v for v, u in zip(jaxpr.invars, unknown, strict=True) if u}
     origin = {v: {k} for k, v in enumerate(jaxpr.invars)}  # inputs that a variable is a version of
@@ -123,7 +123,7 @@ class Carry:
         return copy_to_memory(self.low.b, x, dtype_of(aval))
 
     def advance(self, new: Sequence[ThreadArray]) -> None:
-        """Updates all at once: old values are read before any of them changes."""
+        """Update all values at once: old values are read before any of them changes."""
         b = self.low.b
         old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
         arrays = {x.array for x in self.values if isinstance(x, View)}
@@ -152,7 +152,7 @@ class Carry:
 
 
 def _most(x: ThreadArray) -> int:
-    """The most entries that a team keeps in registers."""
+    """Return the most entries that a team keeps in registers."""
     return 4 * FEW if isinstance(x, np.ndarray) and not is_constant(x) else FEW // 2
 
 
@@ -211,8 +211,10 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable, Callable]:
-    """What comes before a loop over the rows of arrays, and its rows at a counter. A team copies
-    those of operands to its memory a turn before they are read."""
+    """Return functions that write the lines before a loop over rows, and the rows at a counter.
+
+    A team copies rows of operands to shared memory one iteration before they are read.
+    """
     own = [
         b.in_team and x.array.space == "operand" and x.dtype.itemsize >= 4
         and x.size > length and x.size // length <= ROW_UP_TO
@@ -251,7 +253,7 @@ def _copied_early(b: Builder, to: View, x: View) -> None:
 
 
 def over_time(outside: Sequence[Atom], inside: Sequence[Atom]) -> int:
-    """The number of arguments or results of a scan with a time axis (jax 0.11 gives no counts)."""
+    """Count the arguments or results of a scan with a time axis (jax 0.11 does not store it)."""
     return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
 
 
@@ -342,7 +344,7 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list) -> dict[int, int]:
-    """The argument of each result that is, in every branch, this argument or an update of it.
+    """Return the argument of each result that every branch returns unchanged or updated.
 
     Such an argument is updated in place, if nothing reads it later.
     """
@@ -360,7 +362,7 @@ def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list
 
 
 def _versions(closed: ClosedJaxpr) -> list[int | None]:
-    """For each result, the input that it equals or that it is an updated copy of; or None."""
+    """Return, for each result, the input that it equals or is an updated copy of; or None."""
     jaxpr = closed.jaxpr
     origin: dict[Any, int | None] = {v: k for k, v in enumerate(jaxpr.invars)}
 

@@ -1,7 +1,7 @@
-"""Rules for the primitives of Equinox and lineax, for one sample, and for calls into Python.
+"""Rules for the primitives of Equinox and lineax, and for calls into Python.
 
-Equinox asks whether a loop's predicate has a batch. In a thread there is no batch. So its
-selections are known, and combinations over the batch are the value itself.
+A thread has no batch, so Equinox's selections by batch are constant, and its reductions over the
+batch are the value itself.
 """
 
 from __future__ import annotations
@@ -45,5 +45,5 @@ def _callback(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def only_reports(branch: ClosedJaxpr) -> bool:
-    """Whether a branch raises an error of `equinox.error_if`, after which no run continues."""
+    """Return whether a branch raises an error of `equinox.error_if`, which ends the run."""
     return any(map(is_error, branch.jaxpr.eqns))

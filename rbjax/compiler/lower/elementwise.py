@@ -42,7 +42,7 @@ LOOP_ABOVE_IN_MEMORY = 64
 def entrywise(
     low: Lowering, dtype: DTypeLike, shape: tuple, f: Callable[..., Value], *xs: ThreadArray
 ) -> ThreadArray:
-    """f of the entries of arrays of equal shape; an axis may have 1 entry, a shape may be ()."""
+    """Apply f to the entries of arrays; an axis may have one entry, and a shape may be ()."""
     if not shape:
         out = np.empty((), object)
         out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.to_scalar(x) for x in xs))
@@ -87,7 +87,9 @@ def map_entries(
 
 
 def _is_wide(xs: tuple, size: int) -> bool:
-    """Whether threads of a team may share the entries: not where registers hold as many."""
+    """Return whether the threads of a team share the entries, and do not hold them all in
+    registers.
+    """
     if all(isinstance(x, np.ndarray) for x in xs):
         entries = sum(own_entries(x).size for x in xs if not is_constant(x))
         return size > FEW and 0 < entries < size
@@ -95,13 +97,13 @@ def _is_wide(xs: tuple, size: int) -> bool:
 
 
 def own_entries(x: np.ndarray) -> np.ndarray:
-    """The entries of an array without those that broadcasting repeats."""
+    """Return the entries of an array without those that broadcasting repeats."""
     own = (slice(0, 1) if s == 0 else slice(None) for s in x.strides)
     return x[tuple(own)] if x.size and x.ndim else x
 
 
 def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple) -> Delayed:
-    """The same of a team, entry by entry when they are read."""
+    """Return the result for a team, with entries that are computed when they are read."""
     sources = [source(b, x, shape) for x in xs]
     arrays = frozenset().union(*(s.sources for s in sources))
     cost = 1 + sum(s.cost for s in sources)
@@ -113,8 +115,10 @@ def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple)
 
 
 def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
-    """The entries of an array, broadcast to a shape as numpy does. Values in registers are also in
-    memory, for an index that is not known."""
+    """Return the entries of an array, broadcast to a shape as numpy does.
+
+    Values in registers are also put in memory, for an index that is not constant.
+    """
     if not isinstance(x, np.ndarray):
         wide = x.broadcast(shape, range(len(shape) - x.ndim, len(shape)))
         if isinstance(wide, Delayed):

@@ -30,7 +30,7 @@ FILL = GatherScatterMode.FILL_OR_DROP
 
 
 def _starts(low: Lowering, indices: np.ndarray, at: tuple, axes: Sequence[int], rank: int) -> list:
-    """The start of a window of a gather or scatter, one value per axis of the operand."""
+    """Return the start of a window, one value per axis of the operand."""
     out: list[Value] = [I32.type(0)] * rank
     for k, axis in enumerate(axes):
         out[axis] = indices[(*at, k)]
@@ -102,8 +102,10 @@ def _place(
     low: Lowering, indices: View, at: tuple, axes: Sequence[int], batching: tuple, offsets: dict,
     most: list[int], mode: Any,
 ) -> tuple[list[Value], Value]:  # fmt: skip
-    """The entry of the operand that one iteration reads or writes, and whether its window is
-    inside. `offsets` are within the window, by axis."""
+    """Return the operand's index in one iteration, and whether its window is in bounds.
+
+    offsets: the offset within the window, by axis.
+    """
     starts: list[Value] = [I32.type(0)] * len(most)
     for k, axis in enumerate(axes):
         starts[axis] = load_entry(low.b, indices, (*at, I32.type(k)))
@@ -203,7 +205,7 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def _combination(low: Lowering, eqn: Equation) -> Callable[[Value, Value], Value]:
-    """The function that combines an entry and its update."""
+    """Return the function that combines an entry and its update."""
     name, update = COMBINE[eqn.primitive.name], eqn.params["update_jaxpr"]
     if name is not None:
         return functools.partial(low.b.op, name, dtype_of(eqn.outvars[0].aval))

@@ -1,7 +1,7 @@
-"""Rules for primitives that index: slices at an index that is not known, gather, scatter.
+"""Rules for slices at an index that may not be constant.
 
-Known indices cost nothing. Otherwise the operand is in memory, or a small array stays in registers
-and selections find the entry.
+Constant indices need no operations. Otherwise the operand is in memory, or a small array stays in
+registers and selections choose the entry.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SELECT_UP_TO = 8
 
 
 def clamped(low: Lowering, index: Value, most: int) -> Value:
-    """The index clamped to 0 ... most."""
+    """Clamp an index to 0 ... most."""
     if not isinstance(index, Var):
         return I32.type(min(max(int(index), 0), most))
     if most <= 0:
@@ -44,7 +44,7 @@ def clamped(low: Lowering, index: Value, most: int) -> Value:
 
 
 def in_bounds(low: Lowering, index: Value, most: int) -> Value:
-    """Whether 0 <= index <= most."""
+    """Return whether 0 <= index <= most."""
     b, kind = low.b, index.dtype
     ok: Value = np.bool_(True)
     if kind.kind != "u":
@@ -55,7 +55,7 @@ def in_bounds(low: Lowering, index: Value, most: int) -> Value:
 
 
 def changeable(low: Lowering, x: ThreadArray, dtype: DTypeLike) -> View:
-    """x as memory that may be updated: itself if nothing reads it later, else a copy."""
+    """Return x as memory that may be updated: itself if nothing reads it later, else a copy."""
     if isinstance(x, View) and x.is_updatable:
         return x
     return copy_to_memory(low.b, x, dtype)

@@ -74,7 +74,7 @@ accepts_delayed("dot_general")
 
 
 def _unrolled(b: Builder, matrices: bool) -> int:
-    """The terms up to which a product, perhaps of two matrices, is no loop."""
+    """Return the most terms of a product that is not a loop."""
     if b.matrices:
         return VECTORS_UP_TO
     return MATRICES_UP_TO if matrices and b.platform == "cuda" else UNROLL_UP_TO
@@ -89,7 +89,9 @@ def _delayed(
     sizes: tuple,
     dtype: DTypeLike,
 ) -> ThreadArray:
-    """Each sum where it is read. What several sums read is in memory, or as good as there."""
+    """Return a product whose sums are computed when they are read. Factors are put in memory if
+    several sums read them.
+    """
     b, (nb, na, ny) = low.b, sizes
     terms = math.prod(contracted)
     if not terms:
@@ -115,7 +117,7 @@ def _delayed(
 
 
 def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DTypeLike) -> Value:
-    """term(*index) of each index of a shape, which has entries, put together by add."""
+    """Reduce term(*index) over each index of a shape, which is not empty, by `add`."""
     if math.prod(shape) <= TERMS_UP_TO:
         every = [term(*map(I32.type, k)) for k in indices_of(shape)]
         return functools.reduce(add, every)
@@ -142,8 +144,9 @@ def _looped(
     sizes: tuple,
     dtype: DTypeLike,
 ) -> View:
-    """Sums in loops. On a CPU some run side by side: each waits for its last term, not for the
-    others, and they share what they read of x."""
+    """Write a product as loops. On a CPU, several sums run side by side to hide latency and share
+    loads.
+    """
     b, (nb, na, ny) = low.b, sizes
     x, y = to_memory(b, x, dtype), to_memory(b, y, dtype)
     if b.matrices and na and ny and y.strides[nb + ny - 1] != 1:
@@ -165,7 +168,7 @@ def _looped(
 
 
 def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
-    """A copy in which the entries of y that a row of sums reads lie side by side."""
+    """Copy y so that the entries that a row of sums reads are contiguous."""
     order = (*range(nb), *range(nb + ny, y.ndim), *range(nb, nb + ny))
     rows = transposed(y, order)
     assert isinstance(rows, View)
@@ -177,7 +180,7 @@ def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
 
 
 def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> None:
-    """out = sum over the last axes of x y. Axis -1 of out and the same one of y are a tile."""
+    """Write out = sum over the last axes of x y. The last axis of out is a tile, an axis of y too."""
     (nb, na), dtype = sizes, out.dtype
     tile = [np.int32(k) for k in range(out.shape[-1])]
 
@@ -200,7 +203,7 @@ def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> No
 
 
 def _in_tiles(x: View, axis: int, start: int, stop: int, size: int) -> View:
-    """Entries of an axis as two axes: tiles, and the entries of a tile."""
+    """Split an axis into two: tiles, and the entries of a tile."""
     step = x.strides[axis]
     return replace(
         x, offset=x.offset + start * step,
@@ -210,7 +213,7 @@ def _in_tiles(x: View, axis: int, start: int, stop: int, size: int) -> View:
 
 
 def _with_axis(x: View, axis: int) -> View:
-    """With an axis of one entry."""
+    """Insert an axis of one entry."""
     strides, shape = ((*xs[:axis], n, *xs[axis:]) for xs, n in ((x.strides, 0), (x.shape, 1)))
     return replace(x, strides=strides, shape=shape)
 
@@ -235,7 +238,13 @@ def _inverse(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 class _Elimination:
-    """In place, on views of the parts of a matrix (n, n)."""
+    """Gauss-Jordan elimination in place, with row pivots, on views of the parts of a matrix (n, n).
+
+    With the pivot p = a_kk, step k is
+    a_kj <- a_kj / p,  a_ij <- a_ij - a_ik a_kj,  column k: -a_ik / p and 1 / p.
+    Exchanged rows are columns of the inverse, which are put back at the end. A complex number is a
+    tuple of two. (Golub & Van Loan, *Matrix Computations*, 3.4)
+    """
 
     def __init__(self, b: Builder, parts: Sequence[View], n: int):
         self._b, self._parts, self._n = b, parts, n
@@ -265,7 +274,7 @@ class _Elimination:
                 self._exchange(i, k, i, p)
 
     def _pivot(self, k: Value) -> Value:
-        """The row, from k on, of the largest entry of column k."""
+        """Write the search for the row, from k on, with the largest entry of column k."""
         b = self._b
         best, at = b.declare(self._dtype, self._dtype.type(-1)), b.declare(I32, k)
         with b.loop(self._n) as i:

@@ -41,7 +41,7 @@ def _counters(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[Value, Value]:
-    """Twenty rounds of the block cipher on two numbers."""
+    """Write twenty rounds of the block cipher on two numbers."""
     b = low.b
 
     def op(name: str, *args: Value) -> Value:
@@ -60,7 +60,7 @@ def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[V
 
 
 def unwrapped(low: Lowering, keys: ThreadArray) -> np.ndarray:
-    """Keys as pairs of 32-bit numbers."""
+    """Convert keys to pairs of 32-bit numbers."""
     b, x = low.b, low.to_scalars(keys)
     out = np.empty((*x.shape, 2), object)
     for i in indices_of(x.shape):
@@ -70,7 +70,7 @@ def unwrapped(low: Lowering, keys: ThreadArray) -> np.ndarray:
 
 
 def wrapped(low: Lowering, data: ThreadArray) -> np.ndarray:
-    """Pairs of numbers as keys."""
+    """Convert pairs of numbers to keys."""
     b, x = low.b, low.to_scalars(data)
     out = np.empty(x.shape[:-1], object)
     for i in indices_of(out.shape):
@@ -133,7 +133,7 @@ def _fold_in(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def _each(low: Lowering, f: Callable, shape: tuple, args: list, dtypes: list) -> list[ThreadArray]:
-    """f mapped over the leading axes of this shape."""
+    """Lower f, mapped over the leading axes of this shape."""
     for _ in shape:
         f = jax.vmap(f)
     avals = [jax.ShapeDtypeStruct(x.shape, d) for x, d in zip(args, dtypes, strict=True)]

@@ -1,4 +1,4 @@
-"""From the jaxpr of one sample to its finished program: rules, then passes."""
+"""Lowers the jaxpr of one sample to its finished program: rules, then passes."""
 
 from __future__ import annotations
 
@@ -43,8 +43,13 @@ def write_program(
     team: bool = False,
     matrices: bool = False,
 ) -> Written:
-    """The program of one sample of a batch. Summed results are sums over the batch. team: for a
-    team of threads a sample (`team.kernel`). matrices: those of one sample fill a CPU's vectors."""
+    """Write the program of one sample of a batch.
+
+    Args:
+        summed: which results are sums over the batch.
+        team: whether a team of threads runs a sample (`team.kernel`).
+        matrices: whether the matrices of one sample fill the vectors of a CPU.
+    """
     b = Builder(platform, team, matrices)
     ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(
         closed.jaxpr.invars, operands, strict=True)]  # fmt: skip

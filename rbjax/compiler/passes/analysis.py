@@ -15,7 +15,9 @@ from rbjax.compiler.ir import statements as ir
 
 
 def operations(block: ir.Block, turns: int = 1) -> int:
-    """The operations that run: the longer branch, a loop's once a turn, a `while` `turns` times."""
+    """Count the operations that run: the longer branch, a loop's once per iteration, a `while`'s
+    `turns` times.
+    """
     total = 0
     for statement in block.statements:
         match statement:
@@ -31,7 +33,7 @@ def operations(block: ir.Block, turns: int = 1) -> int:
 
 
 def accesses(block: ir.Block) -> Counter[int]:
-    """How often each array is read or written; in a `while` each statement counts once."""
+    """Count the reads and writes of each array; in a `while` each statement counts once."""
     total: Counter[int] = Counter()
     for statement in block.statements:
         match statement:
@@ -50,23 +52,23 @@ def accesses(block: ir.Block) -> Counter[int]:
 class Divergence:
     """The ids of variables and arrays that differ between lanes.
 
-    home: the block, of those in which lanes have parted, that declares a variable or an array.
+    home: the divergent region that declares a variable or an array, by its id.
     """
 
     different: set[int] = field(default_factory=set)
     home: dict[int, int] = field(default_factory=dict)
 
     def of(self, x: ir.Value | ir.Array | None) -> bool:
-        """Whether a value, or what an array holds, differs."""
+        """Return whether a value, or the content of an array, differs between lanes."""
         return isinstance(x, ir.Var | ir.Array) and x.id in self.different
 
     def outlives(self, x: ir.Var | ir.Array, part: int) -> bool:
-        """Whether lanes have parted since x was declared, and now run block `part`."""
+        """Return whether x was declared outside the divergent region `part`."""
         return self.home.get(x.id, 0) != part
 
 
 def divergence(block: ir.Block, different: Iterable[ir.Array]) -> Divergence:
-    """What differs if these arrays do."""
+    """Find the values that differ between lanes if these arrays do."""
     found = Divergence({a.id for a in different})
     size = -1
     while size != len(found.different):  # a loop's later turns may change its earlier ones
@@ -99,5 +101,5 @@ def _visit(block: ir.Block, part: int, found: Divergence) -> None:
 
 
 def part_of(block: ir.Block, condition: ir.Value, part: int, found: Divergence) -> int:
-    """The part of the lanes that runs a block under a condition, of those of `part`."""
+    """Return the divergent region of a block that runs under a condition in region `part`."""
     return id(block) if found.of(condition) else part

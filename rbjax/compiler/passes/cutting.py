@@ -1,12 +1,7 @@
-"""Long straight code cut into functions.
+"""Splits long straight code into functions, because LLVM's compile time grows faster than length.
 
-LLVM's register allocator and scheduler take four times as long for code of twice the length. What
-one function makes and another reads lies in a frame, to which all have a pointer.
-Forward dynamics of 60 links (seconds of LLVM; microseconds of one call, of 1,024 samples):
-    26,000 lines in one piece   2.2; 11.6          20,000 lines, with limbs   1.5; 10.3, 1,070
-    pieces of 1,500 statements  1.2; 11.3                                     1.0; 10.0, 962
-The body of a loop loses more than it gains: the gradient of 100 steps, 9,000 statements a turn,
-takes 274 us in one piece and 309 us in pieces, and compiles as fast.
+Values that one function computes and another reads lie in a frame, to which all have a pointer. The
+bodies of long loops are not split: they would run slower and compile as long.
 """
 
 from __future__ import annotations
@@ -24,8 +19,10 @@ CUT_ABOVE, EACH = 12_000, 1_500
 class Cuts:
     """The functions of a program: 0, which calls the others, and 1, 2, ...
 
-    runs: of a block that is cut, by its `id`, pieces of statements and the function of each.
-    home: the function that makes a variable. shared: the variables that others read as well.
+    runs: for each block that is split, by its id, a list of (function, statements).
+    home: the function that computes a variable.
+    shared: the variables that other functions read too.
+    arrays: the local arrays.
     """
 
     runs: dict[int, list[tuple[int, list[ir.Statement]]]] = field(default_factory=dict)
@@ -35,8 +32,10 @@ class Cuts:
 
 
 def cut(block: ir.Block, branches: bool) -> Cuts | None:
-    """The functions of a block, or None if it is short. branches: whether those of branches and of
-    `while` loops may be cut, too."""
+    """Split a block into functions; None if it is short.
+
+    branches: whether to split the blocks of branches and of `while` loops too.
+    """
     cuts, used, count = Cuts(), dict[ir.Var, set[int]](), 0
 
     def note(statement: ir.Statement, here: int) -> None:
@@ -90,7 +89,7 @@ def cut(block: ir.Block, branches: bool) -> Cuts | None:
 def _pieces(
     statements: list[ir.Statement], sizes: list[int]
 ) -> Iterator[tuple[bool, list[ir.Statement]]]:
-    """Pieces of some `EACH` statements, and longer statements that stay where they are."""
+    """Yield pieces of about `EACH` statements, and single longer statements, which are not moved."""
     piece: list[ir.Statement] = []
     length = 0
     for statement, n in zip(statements, sizes, strict=True):
@@ -114,7 +113,7 @@ def _size(statement: ir.Statement) -> int:
 
 
 class Frame:
-    """The places, in bytes, of what functions share. size_of: the bytes of a variable, an array."""
+    """The layout of a frame, in bytes. size_of: returns the bytes of a variable or an array."""
 
     def __init__(self, cuts: Cuts, size_of: Callable[[ir.Name], int], alignment: int):
         self.cuts, self.bytes = cuts, 0

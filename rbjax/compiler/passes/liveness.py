@@ -15,7 +15,7 @@ def prune(block: ir.Block) -> None:
 
 
 def _needed(block: ir.Block) -> set[ir.Name]:
-    """The variables and arrays that results and conditions depend on."""
+    """Return the variables and arrays that results and conditions depend on."""
     sources: dict[ir.Name, list[ir.Name]] = {}
     reached: list[ir.Name] = []
     for statement in ir.walk(block):
@@ -47,7 +47,7 @@ def _keep(block: ir.Block, needed: set[ir.Name]) -> None:
 
 
 def _is_needed(statement: ir.Statement, needed: set[ir.Name]) -> bool:
-    """Whether a statement that changes nothing needed is needed nevertheless."""
+    """Return whether to keep a statement that changes no needed variable."""
     match statement:
         case ir.Op() | ir.Load() | ir.Store():
             return False
@@ -60,7 +60,7 @@ def _is_needed(statement: ir.Statement, needed: set[ir.Name]) -> bool:
 
 @dataclass
 class Span:
-    """The statements, by their numbers, during which an array is needed."""
+    """The live range of an array, by statement numbers."""
 
     first: int
     last: float
@@ -70,7 +70,12 @@ class Span:
 
 
 def share_memory(block: ir.Block) -> None:
-    """Gives arrays whose spans are apart the same memory, declared at the start."""
+    """Give arrays with disjoint live ranges the same memory, declared at the start.
+
+    An array lives from its declaration to its last use; in a loop that uses but does not declare
+    it, to the end of the loop. Arrays of one type are placed largest first, in the first free place
+    (greedy interval colouring). An array that a team shares lives until the next barrier.
+    """
     spans = _spans(block)
     places: list[tuple[ir.Array, list[Span]]] = []
     shared: dict[ir.Array, ir.Array] = {}
@@ -89,13 +94,13 @@ def share_memory(block: ir.Block) -> None:
 
 
 def _spans(block: ir.Block) -> dict[ir.Array, Span]:
-    """The span of each local array of a block."""
+    """Return the live range of each local array of a block."""
     spans: dict[ir.Array, Span] = {}
     barriers: list[float] = []  # those that every run meets
     count = unsure = 0
 
     def visit(block: ir.Block) -> set[ir.Array]:
-        """Numbers the statements; the arrays that are used in them."""
+        """Number the statements, and return the arrays that are used in them."""
         nonlocal count, unsure
         used: set[ir.Array] = set()
         for statement in block.statements:
@@ -121,7 +126,7 @@ def _spans(block: ir.Block) -> dict[ir.Array, Span]:
         return used
 
     def turns(*blocks: ir.Block) -> set[ir.Array]:
-        """The same of a loop; what is older than the loop is needed until its end."""
+        """Number the statements of a loop; arrays from outside live until its end."""
         nonlocal count
         start = count
         used = {array for block in blocks for array in visit(block)}

@@ -1,9 +1,9 @@
-"""The statements of a team of threads in phases: the threads meet at a barrier between two of them.
+"""Places barriers between the statements of a team of threads.
 
-Each statement reads and writes variables and arrays, and comes after those that it depends on. A
-barrier is due before a statement that reads what other threads have written since the last one, or
-that writes what they may still read. Before it is placed, later loops of the team that need no
-barrier, with what they are made of, come forward into the phase (list scheduling, Graham 1969).
+A barrier is needed before a statement that reads entries that other threads have written since the
+last one, or writes entries that they may still read. Before it is placed, later team loops that
+need no barrier are hoisted into the phase, after the statements that they depend on (list
+scheduling, Graham 1969).
 """
 
 from __future__ import annotations
@@ -20,8 +20,12 @@ def synchronised(block: ir.Block) -> ir.Block:
 
 @dataclass
 class Pending:
-    """Accesses since the last barrier: arrays that were read; places that all threads wrote; arrays
-    that loops of a team wrote, and the part of each loop."""
+    """Accesses since the last barrier.
+
+    read: arrays that were read.
+    uniform: entries that all threads wrote with equal values, by array.
+    spread: groups of the team loops that wrote an array.
+    """
 
     read: set[ir.Array] = field(default_factory=set)
     alike: dict[ir.Array, set] = field(default_factory=dict)
@@ -43,7 +47,7 @@ class Pending:
         self.spread.clear()
 
     def may(self, s: ir.Statement) -> bool:
-        """Whether a statement without inner blocks, or a loop of a team, needs no barrier."""
+        """Return whether a leaf statement or a team loop needs no barrier."""
         match s:
             case ir.Load(array=array):
                 return array not in self.spread
@@ -64,7 +68,7 @@ class Pending:
         return array not in self.read and array not in self.alike and not others
 
     def note(self, s: ir.Statement) -> None:
-        """Its accesses."""
+        """Record the accesses of a statement."""
         match s:
             case ir.Load(array=array) if _is_seen(array):
                 self.read.add(array)
@@ -78,19 +82,19 @@ class Pending:
 
 
 def _is_seen(array: ir.Array) -> bool:
-    """Whether several threads access an array that changes."""
+    """Return whether several threads access an array that changes."""
     return array.shared or array.space == "result"
 
 
 def _touched(*blocks: ir.Block) -> tuple[set[ir.Array], set[ir.Array]]:
-    """The arrays that statements read, and those that they write."""
+    """Return the arrays that blocks read, and the arrays that they write."""
     every = [s for block in blocks for s in ir.walk(block)]
     loads = {s.array for s in every if isinstance(s, ir.Load) and _is_seen(s.array)}
     return loads, {s.array for s in every if isinstance(s, ir.Store) and _is_seen(s.array)}
 
 
 class _Phases:
-    """Writes the statements of a block, and of those inside."""
+    """Writes the statements of a block and its inner blocks, with barriers."""
 
     def __init__(self, now: Pending):
         self.now = now
@@ -116,7 +120,7 @@ class _Phases:
     def _forward(
         self, statements: list[ir.Statement], before: list[set[int]], left: dict[int, None], k: int
     ) -> None:
-        """A loop of a team, after what it depends on, if none of that waits."""
+        """Hoist a team loop, with its dependencies, if none of them needs a barrier."""
         wanted, reached = {k}, [k]
         while reached:
             more = {j for j in before[reached.pop()] if j in left} - wanted
@@ -133,7 +137,7 @@ class _Phases:
             del left[j]
 
     def _waits(self, s: ir.Statement) -> bool:
-        """Whether the threads meet before a statement, or in it."""
+        """Return whether a barrier precedes a statement, or is in it."""
         return _has_phases(s) or not self.now.may(s)
 
     def _write(self, s: ir.Statement) -> None:
@@ -162,8 +166,7 @@ class _Phases:
         self.out.append(s)
 
     def _turn(self, block: ir.Block, *others: ir.Block) -> ir.Block:
-        """The first statements of a loop's turn, before which the threads meet if it changes
-        arrays."""
+        """Write the body of a loop, with a barrier first if an iteration changes arrays."""
         if not any(_touched(block, *others)):
             return _Phases(self.now).ordered(block)
         self.now.clear()
@@ -173,17 +176,17 @@ class _Phases:
 
 
 def _is_shared(s: ir.Statement) -> bool:
-    """Whether the threads of a team share the turns of a loop."""
+    """Return whether a statement is a team loop."""
     return isinstance(s, ir.Loop) and s.team
 
 
 def _has_phases(s: ir.Statement) -> bool:
-    """Whether the threads may meet in a statement."""
+    """Return whether a statement may contain barriers."""
     return isinstance(s, ir.Loop | ir.While | ir.If | ir.Await) and not _is_shared(s)
 
 
 def _declared(statements: list[ir.Statement], own: set[ir.Array]) -> list[ir.Statement]:
-    """The statements, and before the first use of each of a block's own arrays its declaration."""
+    """Declare each of a block's own arrays before its first use."""
     out: list[ir.Statement] = []
     left = set(own)
     for s in statements:
@@ -196,8 +199,7 @@ def _declared(statements: list[ir.Statement], own: set[ir.Array]) -> list[ir.Sta
 
 
 def _uses(s: ir.Statement) -> tuple[set[ir.Name], set[ir.Name]]:
-    """The variables and arrays that a statement reads, and those that it writes, with its inner
-    blocks."""
+    """Return the variables and arrays that a statement reads and writes, with its inner blocks."""
     reads: set[ir.Name] = set()
     writes: set[ir.Name] = set()
     for x in ir.walk(ir.Block([s])):
@@ -207,7 +209,7 @@ def _uses(s: ir.Statement) -> tuple[set[ir.Name], set[ir.Name]]:
 
 
 def _dependencies(statements: list[ir.Statement]) -> list[set[int]]:
-    """For each statement those before it that it depends on."""
+    """Return, for each statement, the earlier statements that it depends on."""
     out: list[set[int]] = []
     writers: dict[ir.Name, list[int]] = {}
     readers: dict[ir.Name, list[int]] = {}
