@@ -114,9 +114,7 @@ def equation(eqn: JaxprEqn, ins: list, outs: list, at: JaxprEqn) -> JaxprEqn:
     return JaxprEqn(ins, outs, eqn.primitive, eqn.params, eqn.effects, at.source_info, at.ctx)
 
 
-def custom_rule(
-    eqn: JaxprEqn, moving: tuple[bool, ...]
-) -> tuple[ClosedJaxpr, list[bool]] | None:
+def custom_rule(eqn: JaxprEqn, moving: tuple[bool, ...]) -> tuple[ClosedJaxpr, list[bool]] | None:
     """The rule of a `custom_jvp` for the arguments that have tangents (`moving`), and which of its
     output tangents are not zero. None if JAX stores the rule in another form."""
     rule = eqn.params.get("jvp_jaxpr_fun")

@@ -137,7 +137,7 @@ def by_rbjax(m: mujoco.MjModel, steps: int, part: str = "") -> Callable:
 
             def states(x: jax.Array, run: Run) -> Any:
                 def along(e: jax.Array) -> Any:
-                    return jax.jvp(lambda x: programs.path(x, run)[1][:2], (x,), (e,))[1]
+                    return jax.jvp(lambda x: programs.simulate(x, run)[1][:2], (x,), (e,))[1]
 
                 return jax.vmap(along)(jnp.eye(p.size, dtype=p.dtype))
 

@@ -37,7 +37,7 @@ from rbjax.constraints.methods.soft import Compliant, Soft, is_soft
 from rbjax.constraints.rows import couplings, curve, functions, pairs, rolling
 from rbjax.constraints.rows.pairs import QuaternionWeld
 from rbjax.constraints.rows.row import Constraint
-from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
 

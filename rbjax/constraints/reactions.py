@@ -14,7 +14,7 @@ from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.equations.model_rows import by_link
 from rbjax.constraints.methods.soft import Soft, compliant_motion, is_soft
 from rbjax.constraints.rows.pairs import Pair
-from rbjax.dynamics.algorithms.link_forces import on_links
+from rbjax.dynamics.algorithms.rnea import wrenches_to_links
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
@@ -82,7 +82,7 @@ def constrained_dynamics(
     f_ext: Any = None
     if wrenches is not None:
         d = driver(model, q.dtype)
-        f_ext = on_links(d, d.joints(q, None), wrenches)
+        f_ext = wrenches_to_links(d, d.joints(q, None), wrenches)
     return ConstrainedMotion(*_motion(model, t, State(q, v), tau, f_ext))
 
 

@@ -39,7 +39,7 @@ unknowns = {
     "payload centre of mass x": Unknown("bodies.com", (7, 0)),
     "damping of joint 4": Unknown("joints.damping", 3, positive=True), ...
 }
-found = rb.sysid.identify(model, run, unknowns, starts=True)   # with the state at the start
+found = rb.sysid.identify(model, run, unknowns)   # with the state at the start
 rb.sysid.report(found, "identification.html")"""
 
 
@@ -73,7 +73,7 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
     )
     grid = Grid(model.timestep, integrator="semi_implicit_euler")  # MuJoCo's own step
     unknowns = {name: u for name, (u, _, _) in TRUTH.items()}
-    found = identified(model, run, unknowns, starts=True, grid=grid)
+    found = identified(model, run, unknowns, grid=grid)
     report(found, folder / "identification.html", title="Identification of an arm's payload")
     truth = {name: found.guess[name] + added for name, (_, _, added) in TRUTH.items()}
     rows = []

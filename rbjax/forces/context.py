@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.link_forces import LinkForces, generalized
-from rbjax.dynamics.algorithms.link_motion import LinkMotion
+from rbjax.dynamics.algorithms.kinematics import LinkMotion
+from rbjax.dynamics.algorithms.rnea import LinkForces, generalized_of_links
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
@@ -78,23 +78,22 @@ class Context:
         dt: Any = None,
         d: Driver | None = None,
     ) -> Context:
-        """The instant of a state; its x is that of all elements. d: the driver, the model's if
-        None."""
+        """The context of a state, with x of all elements. d: the driver; the model's if None."""
         links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
         own = without_constants(model)  # a user's element may change the leaves
         return cls(own, t, state.q, state.v, ctrl, state.x, links, dt)
 
     def accelerating(self, a: jax.Array) -> Context:
-        """The same with the accelerations a (nv,)."""
+        """A copy with the accelerations a (nv,)."""
         return replace(self, a=a, links=self.links.accelerating(a))
 
     def with_own(self, x: Any) -> Context:
-        """The same, as an element with the state x sees it."""
+        """A copy with the state x of one element."""
         return replace(self, x=x)
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What `make` returns, made once for this key (an object) and this instant: for what
-        depends only on t, q, v and u, and is needed by both `loads` and `rate`."""
+        """The result of `make`, computed once for this key (an object) and this context. Use it for
+        values that depend only on t, q, v and ctrl and are needed by both `loads` and `rate`."""
         if id(key) not in self.found:
             self.found[id(key)] = key, make()
         return self.found[id(key)][1]
@@ -139,7 +138,7 @@ class Context:
     def generalized_of(self, wrenches: LinkForces) -> jax.Array:
         """The generalized forces (nv,) of forces on links: sum of J_i^T f_i."""
         d = self.links.driver
-        return d.pack(generalized(d, self.links.joints, wrenches), self.v)
+        return d.pack(generalized_of_links(d, self.links.joints, wrenches), self.v)
 
 
 class Frame:
@@ -197,8 +196,8 @@ class Frame:
 
     @cached_property
     def acceleration(self) -> Vec3:
-        """The acceleration of its origin in world axes, m/s^2, gravity not counted. A force element
-        sees what only velocities make (v' = 0)."""
+        """The acceleration of its origin in world axes, m/s^2, without gravity. For a force element
+        it has only the terms of velocities (v' = 0)."""
         return self.rotation @ self._accelerated.lin
 
     @cached_property
@@ -224,7 +223,7 @@ class Frame:
         return functools.reduce(lambda f, X: X.T(f), reversed(self._placed), wrench)
 
     def arms(self, wrench: Force) -> dict[int, Lane]:
-        """J^T w of such a wrench, by velocity coordinate."""
+        """J^T w of a wrench in the frame's axes, by velocity coordinate."""
         if not self._links.driver.listed:
             return self.world_arms(self.rotation @ wrench.lin, self.rotation @ wrench.ang)
         wrench, out, at = self._on_link(wrench), {}, self.link
@@ -259,7 +258,8 @@ class Joint:
     start: int
 
     def push(self, *tau: Any) -> Loads:
-        """Generalized forces on its velocity coordinates: N m where it turns, N where it slides."""
+        """Loads of generalized forces on its velocity coordinates: N m of a rotation, N of a
+        translation."""
         if len(tau) == 1 and np.ndim(tau[0]) == 1:
             tau = tuple(tau[0])
         if len(tau) != len(self.v):

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.link_forces import LinkForces, added
+from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul
@@ -51,7 +51,7 @@ class Loads:
 
     def __add__(self, other: Loads) -> Loads:
         internal = all(x.internal or not x.wrenches for x in (self, other))
-        wrenches = added(self.wrenches, other.wrenches)
+        wrenches = add_forces(self.wrenches, other.wrenches)
         return Loads(_summed(self.tau, other.tau), wrenches, internal)
 
     def __radd__(self, other: Any) -> Loads:
@@ -152,8 +152,8 @@ class Element(Record):
 
     def implicit_stiffness(self, now: Context, h: Any) -> Mapping[int, Lane]:
         """h D / 2 + h^2 K / 4 by velocity coordinate, where -D and -K are the slopes of its
-        generalized forces: what these, taken at the middle of a step h, add to the diagonal of the
-        mass matrix. Only how fast an implicit step converges depends on it."""
+        generalized forces: the diagonal terms that forces at the middle of a step h add to the mass
+        matrix. They affect only the convergence of an implicit step."""
         return {}
 
     def within(self, x: jax.Array) -> Sequence[Lane]:

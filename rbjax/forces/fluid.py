@@ -268,7 +268,7 @@ class EllipsoidFluid(Element):
 
 
 class _Ellipsoid(NamedTuple):
-    """What the forces on an ellipsoid are made of, the fluid's density and viscosity included."""
+    """The coefficients of the forces on an ellipsoid, with the fluid's density and viscosity."""
 
     squares: Vec3  # (r_j r_k)^2, the largest of them 1
     area: Lane  # A_max
@@ -285,7 +285,7 @@ class _Ellipsoid(NamedTuple):
 
 
 def _moment(length: Lane, radius: Lane) -> Lane:
-    """Of drag, about an axis of that half length."""
+    """The moment of drag about an axis of that half length."""
     square = radius * radius
     return 8.0 / 15.0 * math.pi * length * square * square
 

@@ -22,7 +22,7 @@ import numpy as np
 from rbjax.errors import InputError, UnknownName
 from rbjax.loading.checks import data_of
 from rbjax.loading.mjcf.fields import Bias, Dyn, Gain, Trn, Wrap, is_off, names_of, reflected
-from rbjax.loading.mjcf.fields import what_is_left_out as left_out_of
+from rbjax.loading.mjcf.fields import reason_left_out as left_out_of
 from rbjax.loading.sources import compile_model
 
 _OBJ = mujoco.mjtObj
@@ -48,7 +48,8 @@ class Composite:
 class FileActuator:
     """An actuator on hinges: tau_j = arm_j f,  f = gain u + b0 + b1 l + b2 l',  l' = sum arm_j v_j.
 
-    arms: joint -> arm; odd: why it has no such law, in words, or empty.
+    arms: joint -> arm.
+    odd: the reason for which it has no such law; empty if it has.
     """
 
     name: str
@@ -114,7 +115,7 @@ class AtRest:
         return self.m.body(body).name
 
     def composite(self, bodies: Iterable[int]) -> Composite:
-        """Bodies as one that is rigid."""
+        """Several bodies as one rigid body."""
         rows = list(bodies)
         mass = self.m.body_mass[rows]
         whole = float(mass.sum())
@@ -127,7 +128,7 @@ class AtRest:
         return Composite(whole, com, inertia)
 
     def frame(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """The origin and the rotation (3, 3) of a body or, where none has the name, of a site."""
+        """The origin and the rotation (3, 3) of a body, or of a site if no body has the name."""
         bodies = names_of(self.m, _OBJ.mjOBJ_BODY, self.m.nbody)[1:]
         sites = names_of(self.m, _OBJ.mjOBJ_SITE, self.m.nsite)
         if name in bodies:
@@ -144,18 +145,18 @@ class AtRest:
         return np.zeros(3) if off else self.m.opt.gravity.copy()
 
     def armature(self, j: int) -> float:
-        """What the file adds to the inertia of a hinge, with that of its actuators."""
+        """The armature of a hinge, with that of its actuators."""
         at = self.m.jnt_dofadr[j]
         return float(self.m.dof_armature[at] + reflected(self.m)[0][at])
 
     def damping(self, j: int) -> float:
-        """N m s/rad, with that of its actuators."""
+        """The damping of a hinge in N m s/rad, with that of its actuators."""
         at = self.m.jnt_dofadr[j]
         off = self.m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
         return 0.0 if off else float(self.m.dof_damping[at] + reflected(self.m)[1][at])
 
     def resisting(self, j: int) -> tuple[str, ...]:
-        """What else resists the motion of a hinge, in words."""
+        """The names of further forces that resist the motion of a hinge."""
         at = self.m.jnt_dofadr[j]
         found = {
             "friction loss": self.m.dof_frictionloss[at],
@@ -165,7 +166,7 @@ class AtRest:
         return tuple(name for name, x in found.items() if x > 0)
 
     def round_shapes(self, joints: Sequence[int]) -> list[Round | None]:
-        """Of each joint, the extents about its axis of the shapes that it carries, or None.
+        """The extents about each joint's axis of the shapes that the joint carries, or None.
 
         The links of a URDF are compiled with their shapes for this.
         """
@@ -184,7 +185,7 @@ class AtRest:
         return out
 
     def actuators(self) -> tuple[FileActuator, ...]:
-        """Those that act on joints of one coordinate."""
+        """The actuators of joints of one coordinate."""
         found = (_actuator(self.m, i) for i in range(self.m.nactuator) if not is_off(self.m, i))
         return tuple(x for x in found if x.arms)
 
@@ -275,8 +276,11 @@ Frame = tuple[np.ndarray, np.ndarray]
 
 
 class Round(NamedTuple):
-    """radius, m, the farthest point from the axle; centre (3,), on the axle, the middle between
-    both sides of what reaches so far."""
+    """The extent of shapes about an axle.
+
+    radius: m, the distance of the farthest point from the axle.
+    centre: (3,), on the axle, the middle of the shapes that reach that far.
+    """
 
     radius: float
     centre: np.ndarray
@@ -304,7 +308,8 @@ def round_shape(
 def _extents(
     m: mujoco.MjModel, g: int, frame: Frame, anchor: np.ndarray, axis: np.ndarray
 ) -> tuple[float, float, float] | None:
-    """The farthest point from the axis, and both ends along it; of a mesh, those of its rim."""
+    """The distance of the farthest point from the axis, and both ends along it; of a mesh, those of
+    its rim."""
     origin, turn = frame
     place = origin + turn @ m.geom_pos[g]
     own = np.empty(9)

@@ -29,7 +29,7 @@ from rbjax.forces.actuators.actuator import (
 )
 from rbjax.forces.actuators.transmissions import JointAxis, SiteWrench
 from rbjax.forces.context import Context
-from rbjax.loading.checks import joints_that_cancel, refuse_nan_in, within_range
+from rbjax.loading.checks import cast_leaf, check_finite_fields, joints_that_cancel
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of
@@ -115,7 +115,7 @@ def load(
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
     texts = [
-        f"{describe(source)}: {what}: {'; '.join(map(features.cured, entries))}"
+        f"{describe(source)}: {what}: {'; '.join(map(features.with_cure, entries))}"
         for what, entries in (("left out of the model", dropped), (_ACTIVE, active))
         if entries
     ]
@@ -148,10 +148,10 @@ def from_compiled(
     compliant: bool = False,
 ) -> Model:
     """The `Model` of a compiled MuJoCo model."""
-    refuse_nan_in(m)
+    check_finite_fields(m)
 
     def array(x):
-        return within_range(np.asarray(x, np.float64))
+        return cast_leaf(np.asarray(x, np.float64))
 
     def enabled(flag, x):
         return x if is_on(m, flag) else np.zeros_like(x)

@@ -22,7 +22,7 @@ from jax.extend.core import Literal, Var, jaxpr_as_fun
 
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program, traced
-from rbjax.dynamics.algorithms.forward import LEFT
+from rbjax.dynamics.algorithms.aba import LEFT
 
 Arrays = tuple[jax.Array, ...]
 

@@ -49,8 +49,13 @@ FITTING = (
 
 
 class Stages(NamedTuple):
-    """What a step finds: its stages' rates (s, 2 nv + nx) times h, their multipliers (s, rows),
-    whether they were found, and the start."""
+    """The result of a step.
+
+    k: rates of the stages (s, 2 nv + nx) times h.
+    w: their multipliers (s, rows).
+    ok: whether the iteration converged.
+    start: the initial point.
+    """
 
     k: jax.Array
     w: jax.Array
@@ -76,7 +81,7 @@ def stages(
 ) -> Stages:
     """The stages of a Runge-Kutta step."""
     dtype = state.q.dtype
-    equations, start = begun(dynamics, model, forces, t, state)
+    equations, start = initial_equations(dynamics, model, forces, t, state)
     c = jnp.asarray(tableau.c, jnp.result_type(h))
     base = jnp.broadcast_to(start.y, (tableau.stages, start.y.size))
     found = solve(equations, h, t + c * h, base, weights(np.array(tableau.a), dtype), start)
@@ -102,14 +107,14 @@ def error_of(
 
 
 def _padded(w: jax.Array, size: int) -> jax.Array:
-    """Multipliers, and as many that are zero as are missing."""
+    """Pad multipliers with zeros."""
     return jnp.concatenate([w, jnp.zeros(size - len(w), w.dtype)])
 
 
-def begun(
+def initial_equations(
     dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
 ) -> tuple[Equations, Point]:
-    """The equations from a state on, and its rates and multipliers as those of index 1."""
+    """The equations from a state on, and its rates and multipliers by the equations of index 1."""
     tau, f_ext, dx = forces(t, state)
     a, l = constrained_motion(model, t, state, tau, f_ext)
     equations = equations_of(dynamics, model, forces, t, state)
@@ -170,7 +175,7 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         term, h = unwrap(terms), t1 - t0
         h = jnp.where(h == 0, 1.0, h)
-        (model, forces, start), dynamics = seen(term.vector_field, args), self.formulation
+        (model, forces, start), dynamics = parts_of_field(term.vector_field, args), self.formulation
         found = stages(dynamics, self.tableau, model, forces, start + t0, y0, h)
         y1 = term.group.retract(y0, increment(model, weighted_sums(self.tableau.b, found.k)))
         error = None
@@ -183,7 +188,7 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return y1, error, dense, solver_state, step_result(found.ok)
 
 
-def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
+def parts_of_field(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
     """The model, the forces and the first time of the vector field of `simulate`."""
     model = vector_field.model(args)
 
@@ -194,9 +199,9 @@ def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
     return model, forces, vector_field.start
 
 
-def stepped_by(where: str, dynamics: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
-    """The tableau of the implicit method that steps a formulation. given: a name, a solver, or None
-    for the default; also: what else `where` takes."""
+def tableau_of(where: str, dynamics: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
+    """The tableau of the implicit method for a formulation. given: a name, a solver, or None for
+    the default; also: further methods that the caller supports."""
     if given is None:
         return radau_iia(3).tableau
     solver = solvers()[given].make() if isinstance(given, str) and given in FITTING else given
@@ -212,7 +217,7 @@ def stepped_by(where: str, dynamics: DifferentialAlgebraic, given: Any, also: st
 
 
 class History(NamedTuple):
-    """The states before the current one, latest first, and how many have been filled."""
+    """The states before the current one, latest first, and the number of them that are filled."""
 
     ts: jax.Array  # (n,)
     states: State  # a leading axis n
@@ -274,7 +279,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return jnp.pad(coefficients, ((0, self._degree - len(coefficients)), (0, 0)))
 
     def _begin(self, term: Any, args: Any, t0: Any, h: Any, y0: State) -> Step:
-        (model, forces, start), dynamics = seen(term.vector_field, args), self.formulation
+        (model, forces, start), dynamics = parts_of_field(term.vector_field, args), self.formulation
         tableau = radau_iia(1 if self.formula_order == 1 else 3).tableau
         found = stages(dynamics, tableau, model, forces, start + t0, y0, h)
         return Step(
@@ -287,8 +292,8 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     def _formula(
         self, term: Any, args: Any, t0: Any, h: Any, y0: State, ts: Any, states: State
     ) -> Step:
-        (model, forces, first), dynamics = seen(term.vector_field, args), self.formulation
-        equations, start = begun(dynamics, model, forces, first + t0, y0)
+        (model, forces, first), dynamics = parts_of_field(term.vector_field, args), self.formulation
+        equations, start = initial_equations(dynamics, model, forces, first + t0, y0)
         past = jax.vmap(lambda y: term.group.difference(y0, y))(states)
         past = jnp.concatenate([past.q, past.v, *([] if past.x is None else [past.x])], -1)
         nodes = jnp.concatenate([jnp.array([1.0, 0.0], ts.dtype), (ts - t0) / h])

@@ -24,7 +24,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field, VelocityDynamics, free_motion
-from rbjax.motion.implicit import ByStages, stepped_by
+from rbjax.motion.implicit import ByStages, tableau_of
 from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.steps import combine, explicit_stages, scale
 from rbjax.solvers.tableau import DOP853, KUTTA4, Tableau, of_diffrax
@@ -89,7 +89,7 @@ INTEGRATORS: dict[str, Integrator] = {
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
 
 
-def looped(name: str) -> Integrator:
+def loop_stages(name: str) -> Integrator:
     """The integrator with its stages in a loop, for a short program."""
     if name not in TABLEAUS:
         return INTEGRATORS[name]
@@ -102,7 +102,7 @@ def integrator_of(
     """The integrator of a dynamics: the caller's, by its name, or the default."""
     formulation = stepped(dynamics)
     if formulation is not None:
-        return ByStages(formulation, stepped_by(where, formulation, integrator))
+        return ByStages(formulation, tableau_of(where, formulation, integrator))
     if integrator is None:
         return semi_implicit_euler
     velocities = isinstance(dynamics, VelocityDynamics) and not callable(dynamics)
@@ -126,7 +126,7 @@ def integrator_of(
     return INTEGRATORS[integrator]
 
 
-def advanced(
+def advance_state(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
     """Advance a state by a step of any integrator; clip the states of force elements to their

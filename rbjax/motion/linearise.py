@@ -31,7 +31,7 @@ from rbjax.lanes.arrays import matmat
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.field import Dynamics, Field, VelocityDynamics, dynamics_of, free_motion
-from rbjax.motion.integrators import Integrator, advanced, integrator_of, semi_implicit_euler
+from rbjax.motion.integrators import Integrator, advance_state, integrator_of, semi_implicit_euler
 from rbjax.motion.step import with_memory
 
 
@@ -111,11 +111,11 @@ def linearise(
     dynamics = dynamics_of("linearise", model, dynamics, constraints, steps=dt is not None)
     given = Inputs(ctrl, tau, wrenches)
     if dt is None:
-        rates, A, B = linearised(model, state, given, t, dynamics)
+        rates, A, B = linearise_rates(model, state, given, t, dynamics)
         return Linear(A, B, rates[: model.nv])
     integrator = integrator_of("linearise", integrator, dynamics)
     if integrator is semi_implicit_euler and dynamics is free_motion and ctrl is not None:
-        found = euler_linearised(model, t, state, given, dt)
+        found = linearise_euler_step(model, t, state, given, dt)
         if found is not None:
             after, A, B = found
             return Linear(A, B, (after.v - state.v) / dt)
@@ -123,7 +123,7 @@ def linearise(
 
     def advance(dx: jax.Array, du: jax.Array) -> State:
         at = box_plus(model, state, dx)
-        return advanced(integrator, field, t, at, _inputs(model, given, t, at, du), dt)
+        return advance_state(integrator, field, t, at, _inputs(model, given, t, at, du), dt)
 
     zero = _zero(model, state, given)
     after = advance(*zero)
@@ -143,7 +143,7 @@ def _inputs(model: Model, given: Inputs, t: Any, state: State, du: jax.Array) ->
     return u if u.ctrl is None else u._replace(ctrl=u.ctrl + du)
 
 
-def linearised(
+def linearise_rates(
     model: Model, state: State, given: Inputs, t: Any = 0.0, dynamics: Dynamics = free_motion
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The rates (nv + nx,) of v and of the elements' states, A and B of the continuous form."""
@@ -217,7 +217,7 @@ def box_minus(model: Model, one: State, other: State) -> jax.Array:
     return jnp.concatenate(dx)
 
 
-def euler_linearised(
+def linearise_euler_step(
     model: Model, t: Any, state: State, given: Inputs, dt: Any
 ) -> tuple[State, jax.Array, jax.Array] | None:
     """The state after a semi-implicit Euler step of free motion, A and B, by the closed form of

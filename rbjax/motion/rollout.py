@@ -35,10 +35,10 @@ from rbjax.model import Model, State
 from rbjax.motion.closures.captured import Captured, with_captured
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
 from rbjax.motion.inputs import Sources, check_sources
-from rbjax.motion.integrators import Integrator, advanced, integrator_of
+from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 from rbjax.motion.linearise import linearise
 from rbjax.motion.step import with_memory
-from rbjax.motion.threaded import Steps, on_threads
+from rbjax.motion.threaded import Steps, rollout_on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
 
 
@@ -143,7 +143,7 @@ def rollout(
         >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
         (11, 2)
     """
-    path, step, dynamics = integrated(
+    path, step, dynamics = run_rollout(
         model, state, ctrl, dt, tau, wrenches, integrator, dynamics, constraints, save_every,
         steps, kernel, memory,
     )  # fmt: skip
@@ -152,7 +152,7 @@ def rollout(
     return path
 
 
-def integrated(
+def run_rollout(
     model: Model, state: State, ctrl: Any, dt: Any, tau: Any = None, wrenches: Any = None,
     integrator: Any = None, dynamics: Dynamics = free_motion, constraints: Any = None,
     save_every: int = 1,
@@ -195,7 +195,7 @@ def integrated(
 
 def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
     rest = jax.tree.unflatten(key[0], key[1:])
-    run_steps = functools.partial(on_threads, memory=memory) if threads else _under_xla
+    run_steps = functools.partial(rollout_on_threads, memory=memory) if threads else _under_xla
 
     def moved(model: Model, state: State, numbers: Any, dt: jax.Array) -> State:
         given, dynamics, advance = eqx.combine(numbers, rest)
@@ -246,7 +246,7 @@ def _states(
         if sources.has_functions:
             given.append(sources.evaluate(model, i * dt, state))
         inputs = sources.inputs(model, *given)
-        return advanced(how.integrator, field, i * dt, state, inputs, dt), None
+        return advance_state(how.integrator, field, i * dt, state, inputs, dt), None
 
     def segment(state: State, start: jax.Array) -> tuple[State, State]:
         steps = start + jnp.arange(how.save_every)

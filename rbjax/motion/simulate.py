@@ -31,7 +31,13 @@ from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
 from rbjax.motion.inputs import inputs_between
-from rbjax.motion.term import check_takes_robots, motion, project_after_steps, solver_of, unit
+from rbjax.motion.term import (
+    check_for_robots,
+    make_term,
+    project_after_steps,
+    solver_of,
+    unit_quaternions,
+)
 from rbjax.motion.trajectory import Trajectory, all_finite
 
 
@@ -123,7 +129,7 @@ def simulate(
         integer("simulate", "max_steps", max_steps, least=1)
     dynamics = dynamics_of("simulate", model, dynamics, constraints)
     solver = solver_of(solver, dynamics)
-    check_takes_robots(solver)
+    check_for_robots(solver)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt is not None:
@@ -194,7 +200,7 @@ def _solved(
     args, of_args = split_tracers(model)
 
     def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-        term, state = motion(
+        term, state = make_term(
             of_args(args), state, how.solver, Inputs(*given), of_args, dynamics, start
         )
         out = diffrax.diffeqsolve(
@@ -224,7 +230,7 @@ _compiled = compiled(_solved, jit=eqx.filter_jit)
 
 
 class _Saved(eqx.Module):
-    """What is kept of a state: the same with unit quaternions, projected by the dynamics."""
+    """The saved form of a state: with unit quaternions, and projected onto the constraints."""
 
     model: Callable[[Any], Model]
     dynamics: Dynamics
@@ -232,7 +238,7 @@ class _Saved(eqx.Module):
 
     def __call__(self, t, y: State, args) -> State:
         model = self.model(args)
-        y = State(unit(model.topology, y.q), y.v, y.x)
+        y = State(unit_quaternions(model.topology, y.q), y.v, y.x)
         return Field(model, self.dynamics).project(self.start + t, y)
 
 

@@ -26,7 +26,7 @@ from rbjax.forces.inputs import NO_INPUTS, Inputs, evaluated
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State, Topology, spans
 from rbjax.motion.field import Dynamics, Field, free_motion, moves_stages
-from rbjax.motion.implicit import BDFSolver, StagesSolver, stepped_by
+from rbjax.motion.implicit import BDFSolver, StagesSolver, tableau_of
 from rbjax.rotations import quaternion
 from rbjax.solvers import BDF, AbstractGroup, AbstractGroupSolver, OnGroup
 from rbjax.solvers.compensated import Wrapped
@@ -44,7 +44,7 @@ def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
     return jnp.concatenate(out)
 
 
-def unit(top: Topology, q: jax.Array) -> jax.Array:
+def unit_quaternions(top: Topology, q: jax.Array) -> jax.Array:
     """q with quaternions of unit length."""
     for start in top.quaternion_starts:
         rows = slice(start, start + 4)
@@ -72,7 +72,7 @@ class VectorField(eqx.Module):
     def __call__(self, t: Any, y: State, args: Any) -> State:
         model = self.model(args)
         t = t if self.start is None else self.start + t
-        at = State(unit(model.topology, y.q), y.v, y.x)
+        at = State(unit_quaternions(model.topology, y.q), y.v, y.x)
         field = Field(model, self.dynamics)
         at = field.stage_state(t, at, *((t, at) if self.begun is None else self.begun))
         inputs = evaluated("simulate", model, self.inputs, t, at)
@@ -110,35 +110,35 @@ class Momentum(eqx.Module):
     @eqx.filter_jit
     def __call__(self, t: Any, y: State, args: Any) -> jax.Array:
         model = self.model(args)
-        return momentum(model, unit(model.topology, y.q), y.v)
+        return momentum(model, unit_quaternions(model.topology, y.q), y.v)
 
 
-def itself(x: Any) -> Any:
+def identity(x: Any) -> Any:
     return x
 
 
-def motion(
+def make_term(
     model: Model,
     state: State,
     solver: diffrax.AbstractSolver,
     inputs: Inputs = NO_INPUTS,
-    of_args: Callable[[Any], Model] = itself,
+    of_args: Callable[[Any], Model] = identity,
     dynamics: Dynamics = free_motion,
     start: Any = None,
 ) -> tuple[diffrax.AbstractTerm, State]:
-    """The term of a robot's motion that a solver takes, and where it starts: solvers on groups move
-    along the manifold, from quaternions of unit length. The term's args hold the model."""
+    """The term of a robot's motion for a solver, and the initial state: solvers on groups move
+    along the manifold, from quaternions of unit length. The args of the term contain the model."""
     if not isinstance(solver, AbstractGroupSolver):
         return diffrax.ODETerm(VectorField(inputs, of_args, dynamics, start)), state
     top = model.topology
-    check_takes_robots(solver)
+    check_for_robots(solver)
     field = VectorField(inputs, of_args, dynamics, start, tangent=True)
     term = OnGroup(field, Manifold(top), Momentum(of_args))
-    return term, State(unit(top, state.q), state.v, state.x)
+    return term, State(unit_quaternions(top, state.q), state.v, state.x)
 
 
-def check_takes_robots(solver: diffrax.AbstractSolver) -> None:
-    """Refuse solvers of other equations."""
+def check_for_robots(solver: diffrax.AbstractSolver) -> None:
+    """Raise if a solver is for other equations."""
     if not isinstance(solver, AbstractGroupSolver):
         return
     name = type(solver).__name__
@@ -184,7 +184,7 @@ def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffr
     if formulation is not None:
         if isinstance(given, BDF):
             return BDFSolver(formulation, given.formula_order)
-        tableau = stepped_by("simulate", formulation, given, ", bdf1 to bdf6")
+        tableau = tableau_of("simulate", formulation, given, ", bdf1 to bdf6")
         return StagesSolver(formulation, tableau)
     return diffrax.Tsit5() if given is None else given
 

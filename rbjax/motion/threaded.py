@@ -15,7 +15,7 @@ from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program
 from rbjax.compiler.jax.uniform import hoist_uniform
 from rbjax.dynamics.drivers import choice
-from rbjax.dynamics.tracing.constants import with_compiled_constants
+from rbjax.dynamics.tracing.algorithm import with_compiled_constants
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.dynamics.tracing.devices import on_each_device
 from rbjax.dynamics.tracing.operations import operation_count
@@ -24,7 +24,7 @@ from rbjax.model import Model, State
 from rbjax.motion.checkpointed_rollout import CheckpointedRollout, checkpoint_interval
 from rbjax.motion.field import Dynamics, Field
 from rbjax.motion.inputs import Sources
-from rbjax.motion.integrators import Integrator, advanced
+from rbjax.motion.integrators import Integrator, advance_state
 
 #: operations of a step above which it is faster to keep its residuals than to compute it again
 SAVE_RESIDUALS_ABOVE = 4_000
@@ -43,7 +43,7 @@ class Steps:
     batched: bool
 
 
-def on_threads(
+def rollout_on_threads(
     model: Model, state: State, sources: Sources, dt: jax.Array, how: Steps, memory: float
 ) -> State:
     """The states (..., T, nq), (..., T, nv) and (..., T, nx) of a rollout, one sample a thread.
@@ -75,7 +75,7 @@ def on_threads(
             numbers.append(sources.evaluate(model, i * dt, state))
         inputs = sources.inputs(model, *numbers)
         field = Field(model, how.dynamics, dt)
-        return jax.tree.leaves(advanced(how.integrator, field, i * dt, state, inputs, dt))
+        return jax.tree.leaves(advance_state(how.integrator, field, i * dt, state, inputs, dt))
 
     control = [jnp.zeros(_width(sources, model, rows, between), dtype)] if driven else []
     step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])

@@ -30,12 +30,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.algorithms.momenta import (
+from rbjax.dynamics.algorithms.energy import (
     linearly_implicit_velocity,
     momentum_and_rate,
-    momentum_of,
     velocity_of,
 )
+from rbjax.dynamics.algorithms.rnea import momentum
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import Lane, Vec3, fusion_barrier
@@ -76,7 +76,7 @@ class VariationalMidpoint:
 
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
         model, q0, v0, x0 = field.precomputed, state.q, state.v, state.x
-        p0, half = momentum_of(model, q0, v0), dt / 2
+        p0, half = momentum(model, q0, v0), dt / 2
         middle = field.retract(q0, half * v0)
         extra = field.implicit_stiffness(t + half, State(middle, v0, x0), u, dt)
         correction = linearly_implicit_velocity(model, middle, jax.lax.stop_gradient(extra))

@@ -83,8 +83,8 @@ class Columns:
         return off
 
     def noise(self, rms: np.ndarray) -> np.ndarray:
-        """The standard deviation (n,) for residuals of size rms (n,); for an attitude, that of the
-        rotation about each axis."""
+        """The standard deviation (n,) for residuals of size rms (n,); an attitude has the deviation
+        of its rotation about each axis."""
         found = rms.copy()
         for k in self.turns:
             found[k : k + 4] = np.sqrt((rms[k : k + 4] ** 2).sum() / 3)

@@ -19,7 +19,7 @@ import numpy as np
 
 from rbjax.loading import compile_model
 from rbjax.loading.mjcf.dropped import dropped_features, tendon_is_supported
-from rbjax.loading.mjcf.fields import is_at_joint, what_is_left_out
+from rbjax.loading.mjcf.fields import is_at_joint, reason_left_out
 
 Array = np.ndarray
 
@@ -60,7 +60,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     m.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     m.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     for i in range(m.nactuator):
-        if what_is_left_out(m, i):
+        if reason_left_out(m, i):
             loosen(m, i)
         if not is_at_joint(m, i):
             m.actuator_damping[i] = m.actuator_dampingpoly[i] = m.actuator_armature[i] = 0.0

@@ -93,7 +93,10 @@ def compiled(source: str, flags: Sequence[str] = FLAGS) -> Any:
 
 
 def written(
-    f: Callable, *args: Any, layout: Callable = batch_first, platform: str = "cuda",
+    f: Callable,
+    *args: Any,
+    layout: Callable = batch_first,
+    platform: str = "cuda",
     team: bool = False,
 ) -> tuple[Written, Any, list]:
     """The program of f, the tree of its results, and their shapes and types."""
@@ -187,6 +190,7 @@ def on_host(f: Callable, *args: Any) -> Any:
 
 
 # ------------------------------------------------------------------- vectors
+
 
 def by_vectors(cases: Sequence[Case], lanes: int = 4, samples: int = 5) -> list:
     """The same by vectors of samples. Few samples are repeated; the batch is first or last."""

@@ -28,9 +28,7 @@ def first(h):
 
 def loss(h):
     """A sum over a batch, of an operand that all samples share and of two of their own."""
-    return lambda x, y, w: sum(
-        jnp.sin(out).sum() for out in jax.vmap(h, (0, 0, None))(x, y, w)
-    )
+    return lambda x, y, w: sum(jnp.sin(out).sum() for out in jax.vmap(h, (0, 0, None))(x, y, w))
 
 
 def closing(h):

@@ -44,6 +44,7 @@ def positive(*shape):
 
 def kalman(P, F, H, Q, R, zs):
     """A Kalman filter of more states than a thread has room for."""
+
     def step(carry, z):
         x, P = carry
         x, P = F @ x, F @ P @ F.T + Q
@@ -56,6 +57,7 @@ def kalman(P, F, H, Q, R, zs):
 
 def counted(A, x):
     """A `while` over a matrix, with a branch inside."""
+
     def turn(now):
         k, A, x = now
         A = lax.cond(k % 2 == 0, lambda A: A / jnp.abs(A).sum(), lambda A: A.T + x, A)
@@ -122,6 +124,7 @@ def elementwise(A, x):
 
 def sums_in_turn(A, xs):
     """A loop inside a loop; the carry changes places."""
+
     def outer(carry, x):
         A, B = carry
         B = lax.fori_loop(0, 3, lambda k, B: B + 0.1 * k * A @ B, B)
@@ -294,6 +297,7 @@ def test_what_a_knot_takes():
 @host_only
 def test_a_second_solve_takes_the_solution_as_it_is_now():
     """One loop solves two systems in a row only if the first solution is passed on as it was."""
+
     def solve(L, B, **how):
         return solve_triangular(L, B, lower=True, **how)
 

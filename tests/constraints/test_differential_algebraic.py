@@ -16,7 +16,7 @@ from rbjax import constraints as rc
 from rbjax.constraints.equations.projection import projected
 from rbjax.forces.acting import applied
 from rbjax.motion.implicit import BDFSolver, increment, stages
-from rbjax.motion.term import motion
+from rbjax.motion.term import make_term
 from rbjax.solvers.steps import weighted_sums
 from tests.constraints.test_formulations import hung_twice, pendulum, skate
 from tests.oracles import load
@@ -88,7 +88,7 @@ def by_bdf(k: int, law: rc.Formulation) -> Callable:
     @jax.jit
     def run(n):
         h = SECONDS / n
-        term, y0 = motion(model, REST, solver, dynamics=law, start=jnp.zeros(()))
+        term, y0 = make_term(model, REST, solver, dynamics=law, start=jnp.zeros(()))
 
         def once(i, at):
             y, history, _ = at

@@ -86,7 +86,7 @@ def test_a_gripper_s_fingers_stay_parallel_and_meet() -> None:
         np.testing.assert_allclose(w[:3], 0.0, atol=1e-12)
     np.testing.assert_allclose(velocities[0][3], -velocities[1][3], rtol=1e-9)
     pads = [
-        rb.site_pose(model, model.keyframe("closed").q, f"{side}_pad")[1]
+        rb.frame_pose(model, model.keyframe("closed").q, site=f"{side}_pad")[1]
         for side in ("left", "right")
     ]
     np.testing.assert_allclose(pads[0], pads[1], atol=1e-12)

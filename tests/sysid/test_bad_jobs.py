@@ -99,7 +99,7 @@ def bad_jobs(draw):
             inside.pop("index", None)
         if key in ("inertia", "tilt"):
             inside.clear()
-        inside[key] = draw(BAD[KEYS[table][key].kind])
+        inside[key] = draw(BAD[KEYS[table][key]])
         hypothesis.assume(inside[key] != [] or key not in ("held_out",))
         # any text of these may be right
         text = isinstance(inside[key], str) and inside[key].strip()

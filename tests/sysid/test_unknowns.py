@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax.sysid import PD, Derived, FixedTotal, Inertia, Setup, Shared, Tilt, Unknown
 from rbjax.sysid.parameters import log_determinant_divergence, pseudo_inertia_of
-from rbjax.sysid.parameters.guesses import drawn
+from rbjax.sysid.parameters.guesses import draw_guesses
 from rbjax.sysid.parameters.unknowns import Unknowns
 
 MODEL = rb.load("arm7")
@@ -148,5 +148,5 @@ def test_infinite_sides_of_bounds(bounds, low, high):
     assert np.isinf(u.divergence(np.array([-1.0]), p0).value) == (low == 0.0)
     assert np.isinf(u.divergence(np.array([3.0]), p0).value) == (high == 2.0)
     sought = Unknowns.of("test", {"mass": u}, rb.load("pendulum"))
-    guesses = drawn(sought, rb.load("pendulum"), 8, 1.0, 0)
+    guesses = draw_guesses(sought, rb.load("pendulum"), 8, 1.0, 0)
     assert np.isfinite(guesses).all() and (guesses > low).all() and (guesses < high).all()

@@ -31,13 +31,24 @@ from rbjax.constraints.equations.model_rows import (
 )
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, aba, accelerated, eliminated, solve
-from rbjax.dynamics.algorithms.link_forces import LinkForces
-from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
+from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
-from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, neg, sub, total
+from rbjax.lanes import (
+    Lane,
+    Vec3,
+    add,
+    batch_first,
+    fusion_barrier,
+    is_literal,
+    is_zero,
+    mul,
+    neg,
+    sub,
+    total,
+)
 from rbjax.lanes.arrays import matmat, matvec, pack
 from rbjax.lanes.factorization import LeastNorm, diagonal_floor, regularization
 from rbjax.model import WORLD, Model, State
@@ -102,8 +113,8 @@ def constrained_motion(
         a = da if start is None else start + da
         return jnp.concatenate([a, l]), solve
 
-    def plain(changed, q, v, tau):
-        return (run(changed, q, v, tau)[0],)
+    def plain(*at):
+        return batch_first((run(*at)[0],), at)
 
     def solved(changed, q, v, tau):
         x, solve = run(changed, q, v, tau)
@@ -125,7 +136,8 @@ def constrained_motion(
         off = pack(left_at(now, rows, l, alpha, beta), a)
         return jnp.concatenate([tau - d.pack(forces, tau), off])
 
-    (found,) = with_implicit_jvp(plain, solved, residual)(given, state.q, state.v, tau)
+    at = jax_arrays(given, state.q, state.v, tau)
+    (found,) = with_implicit_jvp(plain, solved, residual)(*at)
     return found[:nv], found[nv:]
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.link_forces import LinkForces, added
+from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
@@ -81,7 +81,7 @@ def with_multipliers(
 ) -> tuple[jax.Array, LinkForces]:
     """tau + G^T l, in two parts: generalized forces (nv,) and forces on links."""
     held = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
-    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(f_ext, held.wrenches)
+    return tau + d.pack(d.scattered(held.tau, 0.0), tau), add_forces(f_ext, held.wrenches)
 
 
 class Residual(NamedTuple):

@@ -26,9 +26,9 @@ from rbjax.dynamics.algorithms.aba import solve as solved
 from rbjax.dynamics.algorithms.manifold import difference_lanes, retract, velocity_lanes
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
+from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
-from rbjax.lanes import Vec3
+from rbjax.lanes import Vec3, batch_first
 from rbjax.lanes.arrays import matmat, matvec, pack
 from rbjax.lanes.factorization import diagonal_floor
 from rbjax.model import Model, State
@@ -65,8 +65,8 @@ def least_changes(
         x = method(driver(model, q.dtype), model, t0, t, q, u, v)
         return (_joined(x.dq, x.l), _joined(x.dv, x.m)), x
 
-    def plain(changed, q, u, v):
-        return found(changed, q, u, v)[0]
+    def plain(*at):
+        return batch_first(found(*at)[0], at)
 
     def solved(changed, q, u, v):
         values, x = found(changed, q, u, v)
@@ -97,7 +97,8 @@ def least_changes(
         _, rate = off(d, model, t, q, u + x[:nv], v + dv)
         return _joined(force, -rate)
 
-    changes = with_implicit_jvp(plain, solved, of_positions, of_velocities)(given, q, u, v)
+    solution = with_implicit_jvp(plain, solved, of_positions, of_velocities)
+    changes = solution(*jax_arrays(given, q, u, v))
     return changes[0][:nv], changes[1][:nv]
 
 

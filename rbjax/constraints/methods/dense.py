@@ -37,8 +37,7 @@ from rbjax.constraints.equations.model_rows import gradient_matrix
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.crba import crba
-from rbjax.dynamics.algorithms.link_forces import LinkForces
-from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane

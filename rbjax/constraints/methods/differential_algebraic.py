@@ -30,9 +30,8 @@ from rbjax.constraints.equations.constrained_motion import as_free_bodies, const
 from rbjax.constraints.equations.model_rows import rows_of, with_multipliers
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
-from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, Vec3

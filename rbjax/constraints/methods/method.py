@@ -15,8 +15,8 @@ from rbjax.arguments import integer, real_number
 from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.equations.model_rows import rows_of, with_multipliers
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.forward import acceleration
-from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.aba import acceleration
+from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.errors import InputError
 from rbjax.forces.context import Context

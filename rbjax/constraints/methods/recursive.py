@@ -46,8 +46,7 @@ from rbjax.constraints.equations.model_rows import by_link
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
-from rbjax.dynamics.algorithms.link_forces import LinkForces
-from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea, transmitted_forces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
@@ -148,7 +147,7 @@ def by_clusters(
             by_rows = response(d, factorize(d, joints), now, rows)
             left = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
             return lambda f, c: by_rows.solved(left if f is None else f, c)
-        moved = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, f_ext))
+        moved = d.whole(transmitted_forces(d, joints, d.lanes(None), gravity, f_ext))
         tree = ClusterTree(d, joints, [X for X, _ in moved], rows, found, tau)
         own = {i: -f for i, (_, f) in enumerate(moved)}
         return lambda f, c: tree.solved(tau, own, c) if f is None else tree.solved(f, {}, c)

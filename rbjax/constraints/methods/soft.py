@@ -38,7 +38,7 @@ from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.dynamics.algorithms.aba import aba
 from rbjax.dynamics.algorithms.crba import mass_matrix
-from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.errors import InputError
 from rbjax.forces.context import Context

@@ -5,14 +5,10 @@
     impedance              tau = h + K e + D (v_d - v)
 
 e = q_d - q on the manifold. For hinges and slides  a = a_d + D (v_d - v) + K e. For an attitude
-e = phi with q_d = q exp(phi), and in body axes, with E = exp(phi),
+e = phi with q_d = q exp(phi), in body axes, with E = exp(phi),
+
     phi' = J_l^-1(phi) (E w_d - w)
     w'   = E w_d' - w x E w_d - J_l(phi) phi'' - (dJ_l/dt) phi' ,     phi'' = -D phi' - K phi
-so the error obeys the linear equation exactly there too, as long as its angle stays below pi.
-
-w_b are known wrenches from the surroundings, as at the feet of a standing robot. A robot on a
-floating base has no actuators at its base: the wrenches must balance the forces there. h balances
-gravity and the other forces at rest, or with "motion" the velocity terms too.
 
 Source: Luh, Walker & Paul 1980; Siciliano et al., *Robotics*, 8.5; Bullo & Murray 1999
 (attitudes); Righetti et al. 2011 (floating bases); Hogan 1985 (impedance).
@@ -38,7 +34,7 @@ from rbjax.control.laws.controller import (
     gains,
     holding_forces,
 )
-from rbjax.dynamics.algorithms.jacobians import generalized_forces
+from rbjax.dynamics.algorithms.frames import generalized_forces
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_array, check_takes
 from rbjax.lanes import matvec
@@ -63,12 +59,7 @@ class ComputedTorque(Controller):
 
 
 def computed_torque(
-    model: Model,
-    reference: Any,
-    *,
-    stiffness: Any,
-    damping: Any = None,
-    undriven: str = "refuse",
+    model: Model, reference: Any, *, stiffness: Any, damping: Any = None, undriven: str = "refuse"
 ) -> ComputedTorque:
     """The law that makes the error of a motion obey e'' + D e' + K e = 0.
 

@@ -21,8 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control.optimal.system import as_system
+from rbjax.dynamics.algorithms.aba import forward_dynamics
 from rbjax.dynamics.algorithms.energy import center_of_mass
-from rbjax.dynamics.algorithms.forward import forward_dynamics
 from rbjax.dynamics.algorithms.frames import frame_pose, frame_velocity
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
@@ -193,7 +193,7 @@ class Velocity(Term):
 
 
 class Configuration(Term):
-    """q (nq,): what the limits of hinges and slides bound."""
+    """q (nq,), for the limits of hinges and slides."""
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         return state.q
@@ -329,31 +329,30 @@ def at_time(where: str, reference: Any, t: Any) -> Any:
 
 
 def check_target(where: str, name: str, value: Any, shape: tuple[int, ...] | None) -> None:
-    """Reject a reference that is neither a function of t nor arrays with these last axes."""
+    """`InputError` unless a reference is a function of t, or arrays, finite if known, whose last
+    axes have a shape (None: any). Leading axes are a batch."""
     if callable(value):
         check_takes(where, f"the {name}", value, "t")
         return
-    for x in jax.tree.leaves(value) if shape is None else [value]:
-        if not isinstance(x, jax.ShapeDtypeStruct):
-            check_reference(where, name, x, shape)
-
-
-def check_reference(where: str, name: str, value: Any, shape: tuple[int, ...] | None) -> None:
-    """`InputError` unless value is an array, finite if known, whose last axes have a shape (None:
-    any). Leading axes are those of a batch."""
-    try:
-        x = jnp.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{where}: {name} is {type(value).__name__}, expected numbers or a function of t"
-        ) from error
-    if shape is not None and x.shape[max(0, x.ndim - len(shape)) :] != shape:
-        raise InputError(
-            f"{where}: {name} has shape {x.shape}, expected {shape} or a function of t"
-        )
-    known = known_array(x)
-    if known is not None and not np.isfinite(known).all():
-        raise InputError(f"{where}: {name} has numbers that are not finite, expected finite ones")
+    for given in jax.tree.leaves(value) if shape is None else [value]:
+        if isinstance(given, jax.ShapeDtypeStruct):
+            continue
+        try:
+            x = jnp.asarray(given)
+        except (TypeError, ValueError) as error:
+            got = type(given).__name__
+            raise InputError(
+                f"{where}: {name} is {got}, expected numbers or a function of t"
+            ) from error
+        if shape is not None and x.shape[max(0, x.ndim - len(shape)) :] != shape:
+            raise InputError(
+                f"{where}: {name} has shape {x.shape}, expected {shape} or a function of t"
+            )
+        known = known_array(x)
+        if known is not None and not np.isfinite(known).all():
+            raise InputError(
+                f"{where}: {name} has numbers that are not finite, expected finite ones"
+            )
 
 
 def check_frame(where: str, site: Any, body: Any) -> None:

@@ -18,8 +18,7 @@ import numpy as np
 
 from rbjax.compiler import compile_threads, map_threads
 from rbjax.dynamics.algorithms.aba import Factor, aba, factorize, solve
-from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
-from rbjax.dynamics.algorithms.operands import inverse_pairs, operands
+from rbjax.dynamics.algorithms.composites import inverse_pairs, link_axes, operands, tree_poses
 from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.pairs import pair_column, which_moves
 from rbjax.dynamics.drivers.unrolled import Unrolled

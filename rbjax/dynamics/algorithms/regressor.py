@@ -12,7 +12,7 @@ import numpy as np
 
 from rbjax.compiler import compile_threads, map_threads
 from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
-from rbjax.dynamics.algorithms.jacobians import ancestor_mask
+from rbjax.dynamics.algorithms.frames import ancestor_mask
 from rbjax.dynamics.algorithms.kinematics import accelerated_base, body_transforms, sweep
 from rbjax.dynamics.arguments import check_model
 from rbjax.dynamics.drivers.choice import driver, on_threads
@@ -62,7 +62,7 @@ def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array)
     return map_threads(column, [wrenches, jnp.asarray(_moved_by(model))], [1, 1])[0]
 
 
-@algorithm("q", "v", "a", apart=regressor_by_columns)
+@algorithm("q", "v", "a", multi_kernel=regressor_by_columns)
 def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
     """Y(q, v, a) (nv, 10 nb), with ID(q, v, a) = Y pi + armature * a.
 

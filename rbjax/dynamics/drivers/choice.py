@@ -43,9 +43,9 @@ SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
 #: in two thirds, since JAX differentiates no loops; G1's take the same time, and twice to compile
 CPU_UNROLLED_UP_TO = 26
 
-#: above this many velocity coordinates, algorithms with a row of numbers for each pair of links run
-#: as several kernels, with a thread for each link of each sample
-THREADS_APART_ABOVE = 8
+#: above this many velocity coordinates, algorithms on pairs of links run as several kernels on a
+#: GPU, with a thread for each link of each sample
+KERNELS_ABOVE = 8
 
 DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
     zip(DRIVER_NAMES[1:], (Unrolled, Rolled, Limbs), strict=True)

@@ -39,7 +39,7 @@ LEAST = 1e-15
 
 
 class Activation(Record):
-    """One number a of state. `limits` (2,) are its range, infinite where there is none."""
+    """One state a between a control and a force. limits: its range (2,), or infinite."""
 
     limits: jax.Array
 
@@ -91,12 +91,12 @@ class Filter(Activation):
     def advanced(self, u: Lane, a: Lane, h: Any) -> Lane:
         if not self.exact:
             return super().advanced(u, a, h)
-        return self.within(a + decayed(h, scalar(self.time_constant, a.dtype), u - a))
+        return self.within(a + lag_step(h, scalar(self.time_constant, a.dtype), u - a))
 
 
 class Recruitment(Activation):
-    """Of a muscle: time constants (2,) of activation and deactivation, both longer where that is
-    further to go (Millard et al., 2013), and the width of a smooth change between the two."""
+    """The activation of a muscle: time constants (2,) of activation and deactivation, both longer
+    for a longer way (Millard et al., 2013), and the width of a smooth transition between them."""
 
     time_constants: jax.Array
     width: jax.Array
@@ -121,13 +121,13 @@ def smoothstep(x: Lane) -> Lane:
     return x * x * x * (3 * x * (2 * x - 5) + 10)
 
 
-def decayed(h: Any, time_constant: Lane, gap: Lane) -> Lane:
-    """How much of a gap a lag of first order closes in h."""
+def lag_step(h: Any, time_constant: Lane, gap: Lane) -> Lane:
+    """The part of a gap that a first-order lag closes in a step h."""
     return -jnp.expm1(jnp.asarray(-h / at_least(time_constant), gap.dtype)) * gap
 
 
 def at_least(x: Lane) -> Lane:
-    """x as a divisor."""
+    """Bound a divisor from below."""
     return max(x, LEAST) if is_literal(x) else jnp.maximum(x, LEAST)
 
 

@@ -31,8 +31,13 @@ from rbjax.model.model import Actuators, Record
 
 
 class Signals:
-    """What the law of an actuator sees: its controls u within their ranges, its state x, the length
-    and speed of its transmission, and the step h: the model's timestep where none is fixed."""
+    """The inputs of a force law.
+
+    u: controls, clipped to their ranges.
+    x: the state of the law.
+    length, speed: of the transmission.
+    h: the step in s; the model's timestep if no step is fixed.
+    """
 
     def __init__(self, now: Context, u: Sequence[Lane], transmission: Transmission):
         self.u, self.x, self.dtype = u, now.x, now.q.dtype
@@ -56,11 +61,11 @@ class Signals:
 
     @property
     def turn(self) -> Lane:
-        """What a full turn adds to the length."""
+        """The change of the length over a full turn."""
         return self._transmission.turn(self.dtype)
 
     def nearest(self, angle: Lane, to: Lane) -> Lane:
-        """Of all that differ from an angle by full turns, the one nearest to another."""
+        """The angle plus the number of full turns that brings it nearest to another angle."""
         return angle - self.turn * jnp.round((angle - to) / self.turn)
 
 
@@ -69,7 +74,7 @@ class ForceLaw(Record):
 
     @property
     def size(self) -> int:
-        """How many numbers its state has."""
+        """The size of its state."""
         return 0
 
     @abc.abstractmethod
@@ -98,8 +103,12 @@ class ForceLaw(Record):
 
 
 class Actuator(Element):
-    """One actuator. Fields: ctrlrange (n, 2) of its controls and forcerange (2,), infinite where
-    the file sets none. Static: `controls`, their indices among those of the model."""
+    """A transmission and a force law.
+
+    ctrlrange: (n, 2) of its controls, infinite if the file sets none.
+    forcerange: (2,), infinite if the file sets none.
+    controls: their indices among those of the model; static.
+    """
 
     transmission: Transmission
     law: ForceLaw
@@ -188,7 +197,7 @@ class Passive(Record):
 
 
 class GainBias(ForceLaw):
-    """f = gain a + bias, with a the activation, or the control where there is none.
+    """f = gain a + bias, with the activation a, or the control if there is no activation.
 
     `early`: the force is that of the activation after the step. `circular`: a is an angle; of all
     that differ from it by full turns the one nearest to l counts.
@@ -242,7 +251,8 @@ class GainBias(ForceLaw):
         return [self.activation.within(a, period) for a in x]
 
     def _control(self, seen: Signals) -> Lane:
-        """The control; on a circle, where it is followed, the one nearest to the activation."""
+        """The control; on a circle, for an activation that follows it, the equivalent angle nearest
+        to the activation."""
         followed = self.activation is not None and self.activation.follows
         return seen.nearest(seen.u[0], seen.x[0]) if self.circular and followed else seen.u[0]
 

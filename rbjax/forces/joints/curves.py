@@ -149,7 +149,7 @@ class JointCurves(Element):
         return total(stored(row) for row in range(len(self.joints)))
 
     def _place(self, now: Context, row: int) -> tuple[Lane, Lane, Lane]:
-        """x within -1 and 1, half the range, and how far the joint is beyond it."""
+        """x clipped to -1 and 1, half the range, and the distance of the joint beyond it."""
         ends = table(self.range, now.q.dtype)
         low, high = lane(ends[:, 0], row), lane(ends[:, 1], row)
         (q,) = now.joint(self.joints[row]).q

@@ -97,8 +97,8 @@ class JointLimits(Element):
         )
 
     def _stops(self, now: Context) -> Iterator[tuple[int, Joint, Lane, list[Lane]]]:
-        """Each stop: its joint's place among the fields, its joint, how deep that is in it, and the
-        direction in which it goes deeper."""
+        """Yield each stop: the index of its joint among the fields, the joint, the depth, and the
+        direction of increasing depth."""
         given = (now.model.joints.range, self.stiffness, self.margin)
         ranges, stiffness, margins = (table(x, now.q.dtype) for x in given)
         for n, name in enumerate(self.joints):
@@ -137,8 +137,8 @@ def stop_force(p: Lane, rate: Lane, k: Lane, d: Lane, w: Lane) -> Lane:
 
 
 def stop_energy(p: Lane, k: Lane, w: Lane) -> Lane:
-    """What the spring of a stop stores at the depth p: k p^3 / (6 w), beyond the onset
-    k (p^2 / 2 - p w / 2 + w^2 / 6)."""
+    """The energy of the spring of a stop at the depth p: k p^3 / (6 w), beyond the onset k (p^2 / 2
+    - p w / 2 + w^2 / 6)."""
     p = jnp.maximum(p, 0.0)
     return k * where(p < w, p * p * p / (6 * w), (p * p - p * w) / 2 + w * w / 6)
 
@@ -159,14 +159,14 @@ def _coordinate(joint: Joint) -> tuple[Lane, list[Lane]]:
 
 
 def _apart(low: Lane, high: Lane) -> bool:
-    """Whether two stops are known never to act at once: one begins below where the other does."""
+    """Whether two stops never act at once, as far as their limits are compile-time constants."""
     known = is_literal(low) and is_literal(high)
     return known and bool(np.isfinite(low) and np.isfinite(high) and low <= high)
 
 
 def _nearer(x: Lane, low: Lane, high: Lane) -> tuple[Lane, list[Lane]]:
-    """How deep x is in the stop of the nearer end, and in which direction it goes deeper: of two
-    stops that are apart the other does nothing, so one evaluation of the law serves both."""
+    """The depth of x in the stop of the nearer end, and the direction of increasing depth. Of two
+    stops that never act at once, one evaluation serves both."""
     below = x < (low + high) / 2
     end, side = (
         where(below, jnp.full_like(x, a), jnp.full_like(x, b)) for a, b in ((low, high), (-1, 1))

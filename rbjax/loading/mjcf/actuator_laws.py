@@ -49,7 +49,7 @@ def parameters(m: mujoco.MjModel, i: int, table: Table) -> SimpleNamespace:
 
 
 def attributes(table: Table, **given: Any) -> dict[str, str]:
-    """The attributes of an actuator with these parameters; zero for those that are not given."""
+    """The attributes of an actuator with these parameters; missing parameters are zero."""
     given = {k: x if np.isfinite(x) or k not in _LIMITS else 0.0 for k, x in given.items()}
 
     def entry(name: str) -> Any:

@@ -94,7 +94,7 @@ def is_circular(m: mujoco.MjModel, i: int) -> bool:
     return bool(servo and angle)
 
 
-def what_is_left_out(m: mujoco.MjModel, i: int) -> str:
+def reason_left_out(m: mujoco.MjModel, i: int) -> str:
     """The reason for which actuator i is left out; empty if it is supported."""
     transmission, tendon = m.actuator_trntype[i], m.actuator_trnid[i, 0]
     if is_off(m, i):

@@ -35,7 +35,7 @@ from rbjax.forces import (
     Place,
     PointSpring,
 )
-from rbjax.loading.checks import refuse_nan
+from rbjax.loading.checks import check_finite
 from rbjax.loading.mjcf.dropped import inverted_limits, tendon_is_supported
 from rbjax.loading.mjcf.fields import Off, is_on, leaf, reflected
 
@@ -52,7 +52,7 @@ def force_elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[
         found += _friction(m)
     found += [*_gravity_compensation(m), *_tendons(m), *fluid_elements(m)]
     for element in found:
-        refuse_nan(element)
+        check_finite(element)
     return tuple(found)
 
 

@@ -58,7 +58,7 @@ def is_urdf(text: str, name: str) -> bool:
 
 
 def _bodies(root: ET.Element) -> int:
-    """How many bodies a file has, including the copies of <replicate>."""
+    """The number of bodies of a file, with the copies of <replicate>."""
     if root.tag == "robot":
         return len(root.findall("link"))
     count, front = 0, [(root, 1)]

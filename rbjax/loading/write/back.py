@@ -1,7 +1,7 @@
-"""Numbers of a model into the user's own file, of which all else stays as it is.
+"""Write the numbers of a model into the user's own file, and leave the rest of the file unchanged.
 
-Only attributes and elements of the XML are changed: MuJoCo's own writer would round every other
-number to six digits, and leave out comments.
+Only attributes and elements of the XML are changed: MuJoCo's writer would round every other number
+to six digits, and leave out comments.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ def _child(element: ET.Element, tag: str) -> ET.Element:
 
 
 def _check(model: Model, again: Model, urdf: bool) -> None:
-    """`ModelError` where the written file says another number."""
+    """Raise `ModelError` if the written file has other numbers than the model."""
     wrong = []
     pairs = [("gravity", model.gravity, again.gravity)]
     pairs += [(f"bodies.{n}", getattr(model.bodies, n), getattr(again.bodies, n))

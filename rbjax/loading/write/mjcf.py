@@ -63,8 +63,8 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
         >>> (again.bodies.mass / model.bodies.mass).tolist()
         [2.0]
     """
-    draft = drafted(model)
-    out = serialised(draft)
+    draft = make_draft(model)
+    out = serialize(draft)
     if draft.notes:
         message = f"write_mjcf: not in the file as in the model: {'; '.join(draft.notes)}"
         if strict:
@@ -75,8 +75,8 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     return out
 
 
-def drafted(model: Model) -> Draft:
-    """The file of a model before it is text, for those who add to it; its notes say what it lacks.
+def make_draft(model: Model) -> Draft:
+    """Build the file of a model before it is text; its notes name the parts that it lacks.
 
     Raises:
         As `write_mjcf`.
@@ -91,7 +91,7 @@ def drafted(model: Model) -> Draft:
     written = [*write_forces(draft), *write_actuators(draft)]
     constraints = write_constraints(draft)
     _write_keyframes(draft)
-    again = jax.tree.map(np.asarray, from_compiled(compiled(serialised(draft))))
+    again = jax.tree.map(np.asarray, from_compiled(compile_mjcf(serialize(draft))))
     for what, names in differences(draft, again, written, constraints):
         draft.note(what, names)
     return draft
@@ -195,8 +195,8 @@ def _bare(model: Model) -> set[int]:
 
 
 def _principal(inertia: Any, asked: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Principal moments and their axes: those that are asked for, if they are such axes; or else
-    those that are turned least."""
+    """Principal moments and their axes: the requested axes if they are principal, otherwise those
+    with the smallest rotation."""
     still = np.array([1.0, 0.0, 0.0, 0.0])
     exact = np.array([[float(text(x)) for x in row] for row in inertia])  # as decimals have it
     for quat in (still if asked is None else asked, still):
@@ -270,7 +270,7 @@ def _write_keyframes(draft: Draft) -> None:
         ET.SubElement(section, "key", {"name": name} | some)
 
 
-def serialised(draft: Draft) -> str:
+def serialize(draft: Draft) -> str:
     """The text of the file, its notes first."""
     root = ET.Element(draft.root.tag, draft.root.attrib)
     for note in draft.notes:
@@ -284,7 +284,7 @@ def serialised(draft: Draft) -> str:
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def compiled(mjcf: str) -> mujoco.MjModel:
+def compile_mjcf(mjcf: str) -> mujoco.MjModel:
     """MuJoCo's model of a file that is written here."""
     try:
         return mujoco.MjModel.from_xml_string(mjcf)

@@ -24,7 +24,7 @@ import numpy as np
 from rbjax.arguments import instance, integer, real_number, shown
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
-from rbjax.planning.maps.footprint import Footprint, placed
+from rbjax.planning.maps.footprint import Footprint, check_map, placed
 from rbjax.planning.maps.occupancy import DistanceField
 
 #: the largest number of parts of a step that `clear_along` takes
@@ -227,9 +227,8 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
         False
     """
     where = "clear_along"
-    instance(where, "field", field, DistanceField, "rb.planning.DistanceField")
+    check_map(where, field, footprint)
     instance(where, "path", path, Path, "rb.planning.Path")
-    instance(where, "footprint", footprint, Footprint, "rb.planning.Footprint")
     integer(where, "parts", parts, least=1)
     if parts > MOST_PARTS:
         raise InputError(f"{where}: parts is {shown(parts)}, expected at most {MOST_PARTS:,}")

@@ -37,7 +37,7 @@ from rbjax.dynamics import (
 from rbjax.errors import InputError
 from rbjax.forces import elastic_energy
 from rbjax.model import Model, State, Topology
-from rbjax.motion.term import motion, unit
+from rbjax.motion.term import make_term, unit_quaternions
 from rbjax.stability.methods import Solver, stepping
 
 BLOCKS = 64  # block means of a series, to which the slope is fitted
@@ -164,7 +164,7 @@ def opened(
                 f"{where}: y0 has q {jnp.shape(y0.q)} and v {jnp.shape(y0.v)}, expected "
                 f"({system.nq},) and ({system.nv},)"
             )
-        return *motion(system, y0, solver), system
+        return *make_term(system, y0, solver), system
     if not isinstance(system, diffrax.AbstractTerm):
         raise InputError(
             f"{where}: system is {type(system).__name__}, expected a Model or a term of diffrax"
@@ -270,7 +270,7 @@ class Invariants(eqx.Module):
     """
 
     def __call__(self, t: Any, y: State, model: Model) -> dict[str, jax.Array]:
-        q, v = unit(model.topology, y.q), y.v
+        q, v = unit_quaternions(model.topology, y.q), y.v
         energy = kinetic_energy(model, q, v) + potential_energy(model, q) + elastic_energy(model, q)
         about = centroidal_momentum(model, q, v)
         linear = about[3:]

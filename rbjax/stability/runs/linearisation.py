@@ -16,7 +16,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
 from rbjax.motion.field import dynamics_of, free_motion
-from rbjax.motion.linearise import box_plus, linearise, linearised
+from rbjax.motion.linearise import box_plus, linearise, linearise_rates
 from rbjax.rank_tolerances import rank_tolerance
 
 
@@ -45,7 +45,7 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
         (2, 2)
     """
     dynamics = dynamics_of("state_matrix", model, free_motion, None)
-    return linearised(model, state, Inputs(ctrl), dynamics=dynamics)[1]
+    return linearise_rates(model, state, Inputs(ctrl), dynamics=dynamics)[1]
 
 
 class Reduced(NamedTuple):
@@ -127,7 +127,7 @@ def _tangent(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
 def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
     """The rates (nv + nx,) and A, with the constraints of the model."""
     dynamics = dynamics_of("state_matrix", model, free_motion, None)
-    return linearised(model, state, Inputs(ctrl), dynamics=dynamics)[:2]
+    return linearise_rates(model, state, Inputs(ctrl), dynamics=dynamics)[:2]
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:

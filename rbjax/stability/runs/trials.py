@@ -27,7 +27,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
 from rbjax.motion.simulate import simulate
-from rbjax.motion.term import motion
+from rbjax.motion.term import make_term
 from rbjax.motion.trajectory import Trajectory
 from rbjax.solvers import AbstractGroupSolver, RigidBodySplitting
 from rbjax.stability.methods import Solver, made, stepping
@@ -255,7 +255,7 @@ def _equally(solver: Any, scene: Scene, dtype: Any = np.float64) -> Run:
     system = scene.system
     if isinstance(system, Arm):
         args = system.model()
-        term, state = motion(args, state, solver, Inputs(_hold))
+        term, state = make_term(args, state, solver, Inputs(_hold))
     else:
         inertia, weight = (jnp.asarray(x, dtype) for x in (system.inertia, system.weight))
         if isinstance(solver, AbstractGroupSolver):

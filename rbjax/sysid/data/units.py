@@ -1,7 +1,4 @@
-"""`in_si`: the factor that takes a measured number to SI.
-
-A log says degrees, rpm or mm; arrays are held in rad, rad/s and m.
-"""
+"""Units of recordings, and their conversion to SI."""
 
 from __future__ import annotations
 
@@ -41,13 +38,13 @@ OF_SENSORS = {
 
 
 def in_si(unit: str) -> float:
-    """The value of a unit in SI.
+    """Convert a unit to SI.
 
     Args:
         unit: such as "deg", "rpm", "mm", "g0" (standard gravity), "N m"; "" is SI already.
 
     Returns:
-        The factor of a number in this unit.
+        The factor of a number in this unit, in SI.
 
     Raises:
         UnknownName: a unit that is not in the table.

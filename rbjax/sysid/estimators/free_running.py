@@ -1,4 +1,4 @@
-"""A model beside recordings: its motion from their first states, with nothing fitted but these."""
+"""`free_run`: the simulation of recordings by a model, with no fit except of initial states."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.sysid.arguments import check_how, floats, recordings_of, setup_of
+from rbjax.sysid.arguments import check_options, floats, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.runs import batch_of, grid_of
+from rbjax.sysid.simulation.runs import default_grid, make_batch
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError
-from rbjax.sysid.simulation.traces import Traces, traces
+from rbjax.sysid.simulation.traces import Traces, make_traces
 from rbjax.sysid.statistics.precision import cast, in_double
 
 
@@ -26,24 +26,26 @@ def free_run(
     recordings: Sequence[Recording],
     *,
     grid: Grid | None = None,
-    starts: bool | None = False,
+    estimate_initial_state: bool | None = False,
     noise: Mapping[str, np.ndarray] | None = None,
 ) -> Traces:
-    """Recordings beside what a model does from their first states.
+    """Simulate recordings with a model, to compare it with them or with another model.
 
     Args:
         model: the robot, or a `Setup`.
         recordings: with channels "q", perhaps "v" and "ctrl".
         grid: as in `identify`.
-        starts: whether each first state is the one from which the simulation comes nearest to the
-            whole recording (least squares), not the first readings, which are noisy. So two models
-            can be compared by their errors on a motion, each from its own best start. None: it is,
-            unless the recordings state that their initial states are known.
-        noise: sensor -> standard deviation (n,), by which `starts` weighs it; what channels say, or
-            1, if None.
+        estimate_initial_state: whether each motion starts from the initial state that fits the
+            whole recording best (least squares), instead of the first readings, which are noisy.
+            None: unless the recordings have an `initial_state`.
+        noise: sensor -> standard deviation (n,), which weighs that fit; None for the stated noise,
+            or 1.
 
     Returns:
         Recording -> sensor -> `Trace`, with `residual`.
+
+    Raises:
+        InputError: recordings that do not suit the model; noise without a recorded sensor.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -56,19 +58,20 @@ def free_run(
     """
     setup = cast(setup_of("free_run", model), np.float64)
     recordings = recordings_of("free_run", recordings)
-    check_how("free_run", starts=starts)
-    grid = grid_of(recordings, setup) if grid is None else grid
-    data = batch_of(setup, recordings, grid)
+    check_options("free_run", estimate_initial_state=estimate_initial_state)
+    grid = default_grid(recordings, setup) if grid is None else grid
+    data = make_batch(setup, recordings, grid)
     if noise is not None:
         weights = {s: (w > 0) / _noise_of(noise, s, w) for s, w in data.weights.items()}
         data = data._replace(weights=weights)
-    of = SimulationError(setup, Unknowns({}, (), ()), data, grid, starts=starts)
+    none = Unknowns({}, (), ())
+    of = SimulationError(setup, none, data, grid, estimate_initial_state=estimate_initial_state)
     x = minimise(of, np.zeros(of.size)).x if of.own else np.zeros(0)
-    return traces(setup, of, x, recordings)
+    return make_traces(setup, of, x, recordings)
 
 
 def _noise_of(noise: Any, sensor: str, weights: Any) -> np.ndarray:
-    """The standard deviations of a sensor that `noise` states."""
+    """Check the standard deviations of a sensor."""
     if not isinstance(noise, Mapping) or sensor not in noise:
         raise InputError(
             f"free_run: noise has no sensor {sensor}, expected a dict with the standard deviations "

@@ -1,34 +1,16 @@
-"""The keys of a job file: the meaning and the valid values of each.
-
-`docs/job_files.md` has the same tables; a test compares the two.
-"""
+"""The keys of a job file, and the kinds of their values."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.sysid.data.units import TIME, UNITS
 
-#: characters of a value that a message repeats
+#: the largest number of characters of a value in a message
 SHOWN = 60
-
-
-class Key(NamedTuple):
-    """A key of a table.
-
-    kind: of its value, a name of `KINDS`.
-    default: "" if the key is needed, or has no value if it is left out.
-    unit: of its value.
-    means: its meaning.
-    """
-
-    kind: str
-    default: str
-    unit: str
-    means: str
 
 
 def _number(x: Any) -> bool:
@@ -87,81 +69,35 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "character": (lambda x: isinstance(x, str) and len(x) == 1, "one character in quotes"),
 }
 
-OF_IDENTIFY = "the default of `identify`"
-#: table -> key -> `Key`; "" is the head of the file; each line of "columns" and "unknowns" has keys
-KEYS: dict[str, dict[str, Key]] = {
+#: table -> key -> kind of its value. "" is the head of the file; each line of "columns" and of
+#: "unknowns" has keys. `docs/job_files.md` has units, defaults and meanings.
+KEYS: dict[str, dict[str, str]] = {
     "": {
-        "model": Key("text", "", "", "MJCF or URDF file, or the name of a bundled scene"),
-        "floating_base": Key(
-            "yes", "false, with a warning if the root has a mass", "",
-            "whether a URDF's root link is free",
-        ),
-        "friction": Key("yes", "false", "", "whether the file's friction loss is simulated"),
-        "limits": Key("yes", "false", "", "whether the file's joint limits are simulated"),
-        "motors": Key("yes", "false", "", "whether joints without an actuator get a motor"),
+        "model": "text", "floating_base": "yes", "friction": "yes", "limits": "yes",
+        "motors": "yes",
     },
     "recordings": {
-        "fit": Key("texts", "", "", "csv, txt or npz files that are fitted"),
-        "held_out": Key("texts", "none", "", "files that are not fitted, for the verdict"),
-        "time": Key("text", '"t"', "", "name of the column, or array, with the clock"),
-        "time_unit": Key("unit", '"s"', "", "unit of the clock: s, ms, us, ns or min"),
-        "rate": Key("positive", "", "Hz", "sampling rate, if the files have no clock"),
-        "delimiter": Key("character", "detected", "", "between the cells of csv and txt files"),
-        "decimal": Key("decimal", '"."', "", "decimal mark of csv and txt files"),
-        "comment": Key("character", '"#"', "", "first character of lines that are skipped"),
+        "fit": "texts", "held_out": "texts", "time": "text", "time_unit": "unit",
+        "rate": "positive", "delimiter": "character", "decimal": "decimal", "comment": "character",
     },
     "columns": {
-        "sensor": Key("text", "", "", "what is measured: a sensor of the table above"),
-        "joint": Key("texts", "the column's name", "", "the joint, or for `ctrl` the actuator; a "
-                     "list for an array with several columns, or the name of an array that holds "
-                     "the names"),
-        "unit": Key("unit", '""', "", "unit of the numbers in the file; SI if empty"),
-        "scale": Key("factor", "1", "", "a further factor: a gear ratio, a torque constant"),
-        "sign": Key("sign", "1", "", "-1 if the sensor has the opposite positive direction"),
-        "noise": Key("positive", "estimated", "SI", "standard deviation; for all columns of a "
-                     "sensor or for none"),
-        "time": Key("text", "the time column of [recordings]", "", "the column's own clock"),
+        "sensor": "text", "joint": "texts", "unit": "unit", "scale": "factor", "sign": "sign",
+        "noise": "positive", "time": "text",
     },
     "unknowns": {
-        "leaf": Key("text", "", "", 'array of the set-up, such as "bodies.mass"'),
-        "index": Key("index", "all", "", "entries of the leaf: integers from 0, or names"),
-        "positive": Key("yes", "false", "", "whether the numbers are above 0"),
-        "bounds": Key("bounds", "none", "SI", "[low, high], neither of which is reached"),
-        "scale": Key("positive", "1", "SI", "a large change of numbers that are neither "
-                     "positive nor bounded"),
-        "inertia": Key("text", "", "", "instead of leaf: the body whose ten inertial parameters "
-                       "are estimated"),
-        "tilt": Key("true", "", "", "instead of leaf: the direction of gravity is estimated"),
+        "leaf": "text", "index": "index", "positive": "yes", "bounds": "bounds",
+        "scale": "positive", "inertia": "text", "tilt": "true",
     },
     "controller": {
-        "kp": Key("numbers", "0", "N m/rad", "ctrl = kp (command - q) - kd v; one, or one for each "
-                  "actuator"),
-        "kd": Key("numbers", "0", "N m s/rad", "as kp"),
-        "delay": Key("not negative", "none", "s", "from a command to its action; can be unknown"),
-        "longest_delay": Key("positive", "3 delays", "s", "upper limit of an unknown delay"),
+        "kp": "numbers", "kd": "numbers", "delay": "not negative", "longest_delay": "positive",
     },
-    "sensors": {
-        "current": Key("positives", "", "N m/A", "torque constant at each joint, if `current` is a "
-                       "sensor"),
-    },
+    "sensors": {"current": "positives"},
     "options": {
-        "starts": Key("yes", OF_IDENTIFY, "", "whether initial states are estimated"),
-        "pieces": Key("positive", "none", "s", "length of pieces that are fitted first"),
-        "shooting": Key("positive", "none", "s", "length of the segments of multiple shooting, for "
-                        "a long or chaotic motion"),
-        "many_starts": Key("count", "none", "", "number of first guesses of `many_starts`"),
-        "restarts": Key("integer", OF_IDENTIFY, "", "largest number of other starts, if the fit is "
-                        "poor"),
-        "loss": Key("loss", OF_IDENTIFY, "", '"huber" reduces the weight of outliers'),
-        "steps": Key("count", OF_IDENTIFY, "", "largest number of evaluations of the residual, of "
-                     "each fit"),
-        "period": Key("positive", "the finest clock", "s", "time for which a command is held"),
-        "substeps": Key("count", "by a check", "", "steps of integration in a period; the check "
-                        "halves them until the numbers do not change"),
+        "estimate_initial_state": "yes", "segments": "positive", "multiple_shooting": "positive",
+        "many_starts": "count", "restarts": "integer", "loss": "loss", "max_evaluations": "count",
+        "period": "positive", "substeps": "count",
     },
-    "output": {
-        "folder": Key("text", "the file's name", "", "within the file's folder, for the results"),
-    },
+    "output": {"folder": "text"},
 }  # fmt: skip
 #: needed tables and keys -> an example
 NEEDED = {
@@ -174,7 +110,7 @@ NEEDED = {
 
 
 def check(given: Mapping[str, Any]) -> None:
-    """`InputError` or `UnknownName` unless the tables and keys are those of `KEYS`, and each value
+    """Raise `InputError` or `UnknownName` unless the tables and keys are in `KEYS`, and each value
     is of its kind."""
     heads, tables = KEYS[""], [table for table in KEYS if table]
     for key in given:
@@ -187,16 +123,18 @@ def check(given: Mapping[str, Any]) -> None:
     for table in tables:
         inside = given.get(table, {})
         if not isinstance(inside, dict):
-            raise InputError(f"identify: {table} is {short(inside)}, expected a table [{table}]")
+            raise InputError(f"identify: {table} is {shorten(inside)}, expected a table [{table}]")
         if table not in ("columns", "unknowns"):
             _values(table, inside, f"[{table}]")
             continue
         for name, line in inside.items():
             if not _text(name):
-                raise InputError(f"identify: [{table}] has the name {short(name)}, expected a text")
+                raise InputError(
+                    f"identify: [{table}] has the name {shorten(name)}, expected a text"
+                )
             if not isinstance(line, dict):
                 raise InputError(
-                    f"identify: [{table}] {name} is {short(line)}, expected {NEEDED[table]}"
+                    f"identify: [{table}] {name} is {shorten(line)}, expected {NEEDED[table]}"
                 )
             _values(table, line, f"[{table}] {name}")
     if not given["recordings"].get("fit"):
@@ -210,20 +148,18 @@ def _values(table: str, given: Mapping[str, Any], where: str) -> None:
     for key, value in given.items():
         if key not in KEYS[table]:
             raise UnknownName(f"key of {where or 'the configuration'}", key, KEYS[table])
-        fits, expected = KINDS[KEYS[table][key].kind]
+        fits, expected = KINDS[KEYS[table][key]]
         if not fits(value):
-            if key == "held_out" and value == []:
+            if key in ("held_out", "fit") and value == []:  # `check` names a missing fit
                 continue
-            if key == "fit" and value == []:
-                continue  # named as missing
             at = f"{where} {key}".strip()
-            raise InputError(f"identify: {at} is {short(value)}, expected {expected}")
-        if KEYS[table][key].kind == "unit" and value not in UNITS:
+            raise InputError(f"identify: {at} is {shorten(value)}, expected {expected}")
+        if KEYS[table][key] == "unit" and value not in UNITS:
             raise UnknownName(f"unit of {where}", value, UNITS)
 
 
-def short(value: Any) -> str:
-    """A value for a message."""
+def shorten(value: Any) -> str:
+    """Shorten a value for a message."""
     if isinstance(value, int) and abs(value) > 10**SHOWN:
         return f"an integer of {int(math.log10(abs(value))) + 1} digits"
     text = repr(value)

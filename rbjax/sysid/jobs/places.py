@@ -1,4 +1,4 @@
-"""Names in a job file: joints of its columns, and entries in the indices of its unknowns."""
+"""Names in a job file: joints of columns, and entries in the indices of unknowns."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rbjax.model import Model
 from rbjax.sysid.data.readers import Column
 from rbjax.sysid.data.recording import HELD, JOINT_SENSORS, Recording
 from rbjax.sysid.data.units import MOVES
-from rbjax.sysid.jobs.keys import short
+from rbjax.sysid.jobs.keys import shorten
 from rbjax.sysid.parameters.unknowns import leaf_of
 from rbjax.sysid.simulation.setup import Setup
 
 
 def check_joints(model: Model, run: Recording, columns: Mapping[str, Column]) -> None:
-    """`UnknownName` or `InputError` unless each column of a joint's sensor names a joint (for
+    """Raise `UnknownName` or `InputError` unless each column of a joint's sensor names a joint (for
     `ctrl` an actuator), or one array has all columns in the order of the model."""
     for sensor in JOINT_SENSORS:
         if sensor not in run.channels:
@@ -45,7 +45,7 @@ def check_joints(model: Model, run: Recording, columns: Mapping[str, Column]) ->
 def _check_units(
     model: Model, sensor: str, named: Sequence[str], columns: Mapping[str, Column]
 ) -> None:
-    """`UnknownName` for an angle's unit on a slide, or a length's on a hinge."""
+    """Raise `UnknownName` for an angle's unit of a slide, or a length's unit of a hinge."""
     turning, sliding = MOVES.get(sensor, ((), ()))
     for column in (columns[n] for n in named):
         joint = column.joint
@@ -57,8 +57,8 @@ def _check_units(
             raise UnknownName(f"unit of the {kind} {joint} in sensor {sensor}", column.unit, suited)
 
 
-def place_of(setup: Setup, leaf: str, index: Any) -> Any:
-    """The numpy index of an index in a job file.
+def index_of(setup: Setup, leaf: str, index: Any) -> Any:
+    """Convert an index of a job file to an index of numpy.
 
     An integer or a name is an entry of the first axis (of a joint with several coordinates, all
     its entries). A list of integers, or of names, is several entries. A list of a name or a list,
@@ -72,7 +72,7 @@ def place_of(setup: Setup, leaf: str, index: Any) -> Any:
         if places:
             if len(index) > value.ndim:
                 raise InputError(
-                    f"identify: index of {leaf} is {short(index)}, a place on {len(index)} axes, "
+                    f"identify: index of {leaf} is {shorten(index)}, a place on {len(index)} axes, "
                     f"expected one on {value.ndim}: {leaf} has shape {value.shape}"
                 )
             found = _rows(setup, leaf, value, first), *(_plain(leaf, x) for x in rest)
@@ -83,7 +83,7 @@ def place_of(setup: Setup, leaf: str, index: Any) -> Any:
 
 
 def _rows(setup: Setup, leaf: str, value: np.ndarray, index: Any) -> Any:
-    """Entries of the first axis."""
+    """The entries of the first axis."""
     if isinstance(index, list):
         return np.concatenate([np.atleast_1d(_rows(setup, leaf, value, x)) for x in index])
     if not isinstance(index, str):
@@ -103,7 +103,7 @@ def _rows(setup: Setup, leaf: str, value: np.ndarray, index: Any) -> Any:
 def _plain(leaf: str, index: Any) -> Any:
     if isinstance(index, list) and not all(isinstance(x, int) for x in index):
         raise InputError(
-            f"identify: index of {leaf} has {short(index)} on a later axis, expected integers; "
+            f"identify: index of {leaf} has {shorten(index)} on a later axis, expected integers; "
             "only the first axis has names"
         )
     return np.array(index) if isinstance(index, list) else index
@@ -125,7 +125,8 @@ def _checked(leaf: str, value: np.ndarray, found: Any) -> Any:
 
 
 def _names(setup: Setup, leaf: str, value: np.ndarray) -> Sequence[str]:
-    """The name of each entry of the first axis of a leaf: the joint's name for each coordinate."""
+    """The names of the entries of the first axis of a leaf, a joint's for each of its
+    coordinates."""
     model = setup.model
     parts = leaf.removeprefix("model.").split(".")
     kind, size = parts[0], len(value) if value.ndim else 0
@@ -147,8 +148,8 @@ def _names(setup: Setup, leaf: str, value: np.ndarray) -> Sequence[str]:
 
 
 def _coordinates(model: Model, joints: Sequence[Any], size: int) -> list[str]:
-    """Names of joints, each repeated as often as the joint has entries: one, or one for each
-    velocity or configuration coordinate."""
+    """The names of joints, repeated for each of their entries: one a joint, one a velocity, or one
+    a configuration coordinate."""
     if not all(isinstance(j, (str, int)) for j in joints):
         return []
     names = [j if isinstance(j, str) else model.joint_names[j] for j in joints]

@@ -12,7 +12,7 @@ import numpy as np
 from rbjax.style import BLUE, INK, ORANGE, RED, STYLE
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.simulation.traces import Trace
-from rbjax.sysid.statistics.whiteness_tests import whiteness
+from rbjax.sysid.statistics.residual_tests import whiteness
 
 COLUMNS = 12  # of a sensor that are shown
 POINTS = 1500  # dots of a recording
@@ -20,7 +20,7 @@ Axes = Any
 
 
 def _styled(draw: Callable[..., bytes]) -> Callable[..., bytes]:
-    """The picture in rbjax's style."""
+    """Draw a picture in the style of rbjax."""
 
     @functools.wraps(draw)
     def drawn(*args: Any) -> bytes:
@@ -34,7 +34,7 @@ def _styled(draw: Callable[..., bytes]) -> Callable[..., bytes]:
 
 @_styled
 def fit(trace: Trace, sensor: str) -> bytes:
-    """Recorded and simulated, a panel for each column."""
+    """Draw recorded and simulated values, a panel for each column."""
 
     def draw(ax: Axes, k: int) -> None:
         some = slice(None, None, max(1, len(trace.t) // POINTS))
@@ -47,7 +47,7 @@ def fit(trace: Trace, sensor: str) -> bytes:
 
 @_styled
 def residuals(trace: Trace, sensor: str) -> bytes:
-    """By column, the residual over time and its autocorrelation."""
+    """Draw the residual over time and its autocorrelation, a row for each column."""
     n = min(len(trace.names), COLUMNS // 2)
     figure, axes = _figure(n, 2, 1.5 * n + 0.6, widths=(2.6, 1))
     for k, (left, right) in enumerate(axes):
@@ -69,7 +69,7 @@ def residuals(trace: Trace, sensor: str) -> bytes:
 
 @_styled
 def intervals(found: Identified) -> bytes:
-    """A panel for each unknown: its numbers with intervals, beside the first guess."""
+    """Draw estimates with intervals and first guesses, a panel for each unknown."""
     groups: dict[str, list[str]] = {}
     for name in found.values:
         groups.setdefault(name.split("[")[0].split(".")[0], []).append(name)
@@ -83,8 +83,8 @@ def intervals(found: Identified) -> bytes:
                 ax.vlines(at, x.low, x.high, color=BLUE, lw=2.2, alpha=0.5)
             ax.plot(at, found.values[name], "o", ms=5, color=BLUE if np.isfinite(x.sigma) else RED)
             ax.plot(at, found.guess[name], "o", ms=7, mfc="none", mec=ORANGE, mew=1.3)
-        said = [n.removeprefix(label).strip(".[]") for n in names]
-        ax.set_xticks(range(len(names)), said, rotation=0 if len(names) < 8 else 60, fontsize=8)
+        ticks = [n.removeprefix(label).strip(".[]") for n in names]
+        ax.set_xticks(range(len(names)), ticks, rotation=0 if len(names) < 8 else 60, fontsize=8)
         ax.set_xlim(-0.6, len(names) - 0.4)
         ax.margins(y=0.15)
         ax.grid(axis="x", visible=False)
@@ -95,7 +95,7 @@ def intervals(found: Identified) -> bytes:
 
 @_styled
 def correlation(found: Identified) -> bytes:
-    """The correlation matrix of the estimates, without the starts."""
+    """Draw the correlation matrix of the estimates, without initial states."""
     n = len(found.values)
     figure, axes = _figure(1, 1, min(7.5, 2.5 + 0.16 * n), width=min(8.5, 3.5 + 0.16 * n))
     ax = axes[0][0]
@@ -109,7 +109,7 @@ def correlation(found: Identified) -> bytes:
 
 
 def _panels(count: int, draw: Any, label: str, shared: bool = True) -> bytes:
-    """Small panels, up to three in a row."""
+    """Draw small panels, up to three in a row."""
     count = min(count, COLUMNS)
     across = min(count, 3)
     down = -(-count // across)

@@ -1,4 +1,4 @@
-"""First guesses of unknowns, spread over what they can be."""
+"""First guesses of unknowns, spread over their ranges."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ from rbjax.sysid.parameters.unknowns import (
 )
 
 
-def drawn(unknowns: Unknowns, target: Any, count: int, spread: float, seed: int) -> np.ndarray:
-    """Guesses (count, n), evenly spread (Sobol's sequence); the first is that of the set-up.
+def draw_guesses(
+    unknowns: Unknowns, target: Any, count: int, spread: float, seed: int
+) -> np.ndarray:
+    """Draw guesses (count, n) by a Sobol sequence; the first is that of the set-up.
 
     With z in (-spread, spread): positive numbers are p exp(z), and free ones p + scale z. Numbers
     between two bounds are uniform. The distance to a single bound is scaled by exp(z). Bodies
@@ -38,7 +40,7 @@ def drawn(unknowns: Unknowns, target: Any, count: int, spread: float, seed: int)
     Source: Sobol, USSR Comput. Math. Math. Phys. 7(4), 1967; Owen, J. Complexity 14(4), 1998.
     """
     n = sum(unknowns.sizes)
-    many = 1 << (count - 1).bit_length()  # a Sobol sequence is even in powers of two
+    many = 1 << (count - 1).bit_length()  # a Sobol sequence is balanced for powers of two
     even = qmc.Sobol(n, rng=np.random.default_rng(seed)).random(many)[:count]
     z = spread * (2 * even - 1)
     ends = np.cumsum(unknowns.sizes)[:-1]
@@ -53,7 +55,7 @@ def drawn(unknowns: Unknowns, target: Any, count: int, spread: float, seed: int)
 
 
 def _one(label: str, u: Parametrisation, p: np.ndarray, z: np.ndarray, even: Any) -> np.ndarray:
-    """A guess of one unknown, whose numbers are p."""
+    """A guess of one unknown, whose parameters are p in the set-up."""
     if isinstance(u, Inertia):
         theta = to_log_cholesky(pseudo_inertia_of(jnp.asarray(p)))
         return np.asarray(inertial_parameters_of(from_log_cholesky(theta + z / 2)))

@@ -41,7 +41,7 @@ from rbjax.arguments import choice, real_number
 from rbjax.constraints import Gear, JointPolynomial
 from rbjax.errors import InputError, UnsupportedFeature
 from rbjax.loading.write.draft import Draft, text
-from rbjax.loading.write.mjcf import compiled, drafted, serialised
+from rbjax.loading.write.mjcf import compile_mjcf, make_draft, serialize
 from rbjax.model import Model
 from rbjax.wheeled.kinematics.parameters import Parameters, parameters_of
 from rbjax.wheeled.models.forces import wheel_loads
@@ -114,7 +114,7 @@ def write_mjcf(
     full = full_model(robot, "free")
     rigid = [row for row in full.constraints if isinstance(row, Gear)]
     linkages, error = _linkages(n, float(steering_range))
-    draft = drafted(full.replace(constraints=(*rigid, *linkages)))
+    draft = make_draft(full.replace(constraints=(*rigid, *linkages)))
     touch = {"solref": text(solref), "solimp": text(solimp)}
     for key, value in (OPTION | option).items():
         draft.option.set(key, value if isinstance(value, str) else text(value))
@@ -125,8 +125,8 @@ def write_mjcf(
     lost = [note for note in draft.notes if not note.startswith(_HARMLESS)]
     if linkages:
         draft.note(f"Ackermann's linkage within {error:.1g} rad")
-    out = serialised(draft)
-    compiled(out)
+    out = serialize(draft)
+    compile_mjcf(out)
     if lost:
         warnings.warn(f"wheeled.write_mjcf: {'; '.join(lost)}", stacklevel=2)
     if path is not None:

@@ -4,14 +4,8 @@
     du = k + K dx,   k = argmin over the box,   K = -Quu^-1 Qux in the free controls
     V = Qxx + Qxu K,   v = Qx + Qxu k
 
-The gap of a step that the states do not follow yet enters v (Mastalli et al. 2020, feasibility-
-driven DDP); bounds of controls enter k and K (Tassa, Mansard & Todorov 2014). The program in the
-box is
-
-    min  d'H d/2 + g.d,      low <= d <= high
-
-Each iteration fixes the entries whose descent leaves the box, takes Newton's step in the others,
-and halves it until the cost falls (Bertsekas 1982).
+The gaps of steps enter v (Mastalli et al. 2020). The quadratic program in the box is solved by
+projected Newton steps (Bertsekas 1982; Tassa, Mansard & Todorov 2014).
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def read_columns(problem: Problem, part: Any) -> np.ndarray:
 
 
 def arguments_read(f: Any, args: list) -> list[bool]:
-    """Whether the result of f depends on each of its arguments, as its equations say."""
+    """Whether the result of f depends on each of its arguments, by the equations of its jaxpr."""
     jaxpr = jax.make_jaxpr(f)(*args).jaxpr
     live = {v for v in jaxpr.outvars if isinstance(v, Var)}
     for eqn in reversed(jaxpr.eqns):

@@ -1,10 +1,9 @@
 """Which steps a line search takes: a filter of pairs (infeasibility, cost).
 
-A trial is taken if neither the current pair nor one of the filter is better than it in both; where
-the search is nearly feasible and descends, the cost must fall as its slope foresees (Armijo).
-Every pair that was left by a step which did not have to lower the cost enters the filter
-(Waechter & Biegler 2006, *On the implementation of an interior-point filter line-search
-algorithm*, Math. Program. 106, eqs. 18 to 22; without its restoration phase).
+A trial is taken if neither the current pair nor one of the filter is better than it in both. Near
+feasibility the cost must fall as its slope predicts (Armijo). A pair enters the filter when a step
+leaves it that did not have to lower the cost.
+Source: Waechter & Biegler, Math. Program. 106, 2006, eqs. 18 to 22.
 """
 
 from __future__ import annotations
