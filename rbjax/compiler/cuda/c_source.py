@@ -125,7 +125,7 @@ class Printer:
                 raise TypeError(f"no such statement: {statement}")
 
     def _in_groups(self, loop: ir.Loop) -> Iterator[str]:
-        """Print groups of iterations, each of which loads all its entries before it stores."""
+        """Print groups of iterations, which load all their entries before they store."""
         body, i = loop.body.statements, self.value(loop.counter)
         own = {self.value(s.dest) for s in body if isinstance(s, ir.Op | ir.Load)} | {i}
         name = re.compile("|".join(rf"\b{x}\b" for x in own))
@@ -153,7 +153,7 @@ class Printer:
 
 
 def _by_bits(array: ir.Array) -> bool:
-    """Return whether a table has infinities or nan, which CUDA accepts as constants only by bits."""
+    """Return whether a table has infinities or nan, which CUDA accepts only as bits."""
     return array.data is not None and array.dtype.kind == "f" and not np.isfinite(array.data).all()
 
 

@@ -119,9 +119,7 @@ def _pitch(row: int) -> int:
 
 
 def _room(program: Written) -> Room:
-    """Allocate shared memory: to results that are staged whole, smallest first, a tile, and
-    operands.
-    """
+    """Allocate shared memory: to results staged whole, smallest first, a tile, and operands."""
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
     rows = stores.rows_of(program)
     short = [key for key, row in rows.items() if stores.is_staged(row)]

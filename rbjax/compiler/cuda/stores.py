@@ -213,7 +213,7 @@ def _runs(block: ir.Block, rows: dict[int, int]) -> Iterator[list[ir.Store]]:
 
 
 def passing(program: Written) -> set[int]:
-    """Return the long batch-last float arrays, which are read or written once, a line by each warp."""
+    """Return the long batch-last float arrays, which are read or written once."""
     found = set()
     for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
         for array, layout in zip(arrays, layouts, strict=True):

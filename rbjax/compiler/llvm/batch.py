@@ -167,7 +167,7 @@ class _Frame:
         return names
 
     def pointers(self, names: list[str]) -> tuple[list[str], Lines]:
-        """Write the arguments of the function of samples from %b on, and the lines after its call."""
+        """Write the arguments of the function of samples from %b on, and the lines after it."""
         lines, batch, out = self.lines, self.program.batch, []
         after = Lines(lines)
         for k, (array, layout) in enumerate(zip(self.arrays, self.layouts, strict=True)):
@@ -189,7 +189,7 @@ class _Frame:
 
 
 def _lanes(program: Written) -> int:
-    """Return the number of samples that fit into a register; one if local arrays need much memory."""
+    """Return the samples that fit into a register; one if local arrays need much memory."""
     values = [s.dest for s in walk(program.builder.block) if isinstance(s, Op)]
     dtypes = {x.dtype for x in values} | {x.dtype for x in (*program.operands, *program.results)}
     floats = [t.itemsize for t in dtypes if t.kind == "f"] or [t.itemsize for t in dtypes]

@@ -90,14 +90,14 @@ class View(Shaped):
         return replace(self, base=self.base if base is None else base, offset=self.offset + known)
 
     def sliced(self, slices: Sequence[slice]) -> View:
-        """Return a rectangle of it; slices have a start, a stop and a step, which may be negative."""
+        """Return a rectangle of it. Slices have a start, a stop and perhaps a negative step."""
         offset = self.offset + sum(s.start * k for s, k in zip(slices, self.strides, strict=True))
         shape = tuple(len(range(s.start, s.stop, s.step or 1)) for s in slices)
         strides = tuple(k * (s.step or 1) for s, k in zip(slices, self.strides, strict=True))
         return replace(self, offset=offset, strides=strides, shape=shape)
 
     def reshaped(self, shape: Sequence[int]) -> View | None:
-        """Return the same entries with another shape, or None if they would have to be copied."""
+        """Return the same entries with another shape, or None if they would move."""
         shape = tuple(shape)
         if 0 in shape:
             return replace(self, strides=(0,) * len(shape), shape=shape)

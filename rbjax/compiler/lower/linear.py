@@ -144,9 +144,7 @@ def _looped(
     sizes: tuple,
     dtype: DTypeLike,
 ) -> View:
-    """Write a product as loops. On a CPU, several sums run side by side to hide latency and share
-    loads.
-    """
+    """Write a product as loops. On a CPU, several sums run side by side and share loads."""
     b, (nb, na, ny) = low.b, sizes
     x, y = to_memory(b, x, dtype), to_memory(b, y, dtype)
     if b.matrices and na and ny and y.strides[nb + ny - 1] != 1:
@@ -168,7 +166,7 @@ def _looped(
 
 
 def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
-    """Copy y so that the entries that a row of sums reads are contiguous."""
+    """Copy y, so that entries that a row of sums reads are contiguous."""
     order = (*range(nb), *range(nb + ny, y.ndim), *range(nb, nb + ny))
     rows = transposed(y, order)
     assert isinstance(rows, View)
@@ -180,7 +178,7 @@ def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
 
 
 def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> None:
-    """Write out = sum over the last axes of x y. The last axis of out is a tile, an axis of y too."""
+    """Write out = sum over the last axes of x y. The last axis of out, also of y, is a tile."""
     (nb, na), dtype = sizes, out.dtype
     tile = [np.int32(k) for k in range(out.shape[-1])]
 

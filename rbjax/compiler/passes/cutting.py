@@ -89,7 +89,7 @@ def cut(block: ir.Block, branches: bool) -> Cuts | None:
 def _pieces(
     statements: list[ir.Statement], sizes: list[int]
 ) -> Iterator[tuple[bool, list[ir.Statement]]]:
-    """Yield pieces of about `EACH` statements, and single longer statements, which are not moved."""
+    """Yield pieces of about `EACH` statements, and longer statements, which are not moved."""
     piece: list[ir.Statement] = []
     length = 0
     for statement, n in zip(statements, sizes, strict=True):
