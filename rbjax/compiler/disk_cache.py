@@ -22,7 +22,7 @@ import jax
 DIGEST = hashlib.sha256().digest_size
 
 
-def cached(name: str, make: Callable[[], bytes]) -> bytes:
+def read_or_make(name: str, make: Callable[[], bytes]) -> bytes:
     """Return the content of the file of this name, or make and write it."""
     folder = _folder()
     if folder is None:
@@ -34,7 +34,7 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
     try:
         _write(folder, name, made)
     except OSError as error:
-        _say(str(folder), str(error))
+        _warn(str(folder), str(error))
     return made
 
 
@@ -62,7 +62,7 @@ def _write(folder: Path, name: str, content: bytes) -> None:
 
 
 @functools.cache
-def _say(folder: str, reason: str) -> None:
+def _warn(folder: str, reason: str) -> None:
     warnings.warn(
         f"rbjax.compiler: compiled code is not kept on disk ({reason}), so each process compiles "
         f"it again; make {folder} writable, or set JAX_COMPILATION_CACHE_DIR to another folder",

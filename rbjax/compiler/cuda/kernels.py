@@ -46,7 +46,7 @@ HEAD = """
 #else
 #define SPILL_TO_SHARED
 #endif
-template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, int rows) {
+template <class T, int N, int PITCH> QUALIFIED void load_rows(T* to, const T* from, int rows) {
   if (rows < BLOCK) {
     for (int k = threadIdx.x; k < rows * N; k += BLOCK) to[PITCH == N ? k : k + k / N] = from[k];
     return;
@@ -90,13 +90,13 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
     bytes = program.array_bytes + sum(a.size * a.dtype.itemsize for a in sums)
     if bytes > ARRAY_BYTES_UP_TO:
         raise Unsupported(f"{bytes} bytes of arrays in a thread, more than {ARRAY_BYTES_UP_TO}")
-    source = "\n".join(_lines(program, name, _room(program)))
+    source = "\n".join(_lines(program, name, _plan_shared_memory(program)))
     grid = max(-(-math.prod(program.batch) // BLOCK), 1)
     return Kernel(source, name, BLOCK, grid, program.summed)
 
 
 @dataclass(frozen=True)
-class Room:
+class SharedMemoryPlan:
     """The plan of a block's shared memory.
 
     staged: entries of a row of each operand that is loaded through it, by id.
@@ -107,25 +107,27 @@ class Room:
     """
 
     staged: dict[int, int]
-    whole: dict[int, stores.Rows]
-    tiled: dict[int, stores.Rows]
-    spots: dict[int, stores.Spot]
+    whole: dict[int, stores.RowTile]
+    tiled: dict[int, stores.RowTile]
+    spots: dict[int, stores.TileSlot]
     tile: int
 
 
 def _pitch(row: int) -> int:
-    """Return the odd distance between rows, with which the threads of a warp use different banks."""
+    """Return the odd row pitch, with which the threads of a warp use different banks."""
     return row | 1
 
 
-def _room(program: Written) -> Room:
+def _plan_shared_memory(program: Written) -> SharedMemoryPlan:
     """Allocate shared memory: to results staged whole, smallest first, a tile, and operands."""
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
-    rows = stores.rows_of(program)
+    rows = stores.row_sizes(program)
     short = [key for key, row in rows.items() if stores.is_staged(row)]
-    whole = {key: stores.whole(kinds[key], rows[key]) for key in short}
+    whole = {key: stores.whole_rows(kinds[key], rows[key]) for key in short}
     while True:
-        tiled, spots = stores.tiled(program, {k: n for k, n in rows.items() if k not in whole})
+        tiled, spots = stores.assign_tile(
+            program, {k: n for k, n in rows.items() if k not in whole}
+        )
         tile = max((r.bytes for r in tiled.values()), default=0)
         total = tile + sum(r.bytes for r in whole.values())
         if total <= left or not whole:
@@ -143,10 +145,10 @@ def _room(program: Written) -> Room:
         if total + bytes <= left:
             total += bytes
             staged[key] = row
-    return Room(staged, whole, tiled, spots, tile)
+    return SharedMemoryPlan(staged, whole, tiled, spots, tile)
 
 
-def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
+def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]:
     size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
     yield f"#define BLOCK {BLOCK}"
@@ -171,13 +173,13 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
         else:
             pitch = _pitch(row)
             yield f"__shared__ {kind} s{k}[{pitch * BLOCK}];"
-            yield f"fetch<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
+            yield f"load_rows<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
             yield f"const {kind}* x{k}=s{k}+own*{pitch};"
     if room.staged:
         yield "__syncwarp();"
     if room.tiled:
         yield f"__shared__ uint4 tile[{room.tile * BLOCK // 16}];"
-    tiles: dict[int, tuple[int, stores.Rows]] = {}
+    tiles: dict[int, tuple[int, stores.RowTile]] = {}
     leaving = []
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
         names[array.id] = f"y{k}"
@@ -188,7 +190,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
             n, pitch = room.whole[key].size, room.whole[key].pitch
             yield f"__shared__ uint4 o{k}[{room.whole[key].bytes * BLOCK // 16}];"
             yield f"{kind}* const y{k}=({kind}*)o{k}+threadIdx.x*{pitch};"
-            leaving.append(f"leave<{kind},{n},{pitch}>(r{k}+first*{n},({kind}*)o{k},rows);")
+            leaving.append(f"store_rows<{kind},{n},{pitch}>(r{k}+first*{n},({kind}*)o{k},rows);")
         elif key in room.tiled:
             tiles[key] = k, room.tiled[key]
             yield f"{kind}* const w{k}=({kind}*)tile;"
@@ -196,7 +198,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
         else:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
-    printer = stores.StorePrinter(names, tiles, room.spots, stores.passing(program))
+    printer = stores.StorePrinter(names, tiles, room.spots, stores.streaming_arrays(program))
     yield from printer.lines(program.builder.block)
     yield from leaving
     yield from _sums(program)

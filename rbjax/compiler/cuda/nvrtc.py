@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
 
-from rbjax.compiler.disk_cache import cached
+from rbjax.compiler.disk_cache import read_or_make
 
 OPTIONS = ("--std=c++17", "--restrict", "-default-device")
 #: for programs that run for seconds only: several times as fast to compile; and since which NVRTC
@@ -70,7 +70,7 @@ def ptx(source: str, capability: str) -> str:
     """Compile a CUDA C source to PTX for a compute capability ("9.0")."""
     arch = f"compute_{capability.replace('.', '')}"
     key = hashlib.sha256("\n".join((source, arch, *options(), version())).encode()).hexdigest()
-    return cached(f"{key}.ptx", lambda: _compile(source, arch).encode()).decode()
+    return read_or_make(f"{key}.ptx", lambda: _compile(source, arch).encode()).decode()
 
 
 @functools.cache

@@ -33,19 +33,19 @@ WRITTEN_OUT = 600
 HEAD = """
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
 // copies that go on while the thread does other things
-template <class T> QUALIFIED void early(T* to, const T* from) {
+template <class T> QUALIFIED void copy_async(T* to, const T* from) {
   asm volatile("cp.async.ca.shared.global [%0], [%1], %2;"
     :: "r"((unsigned)__cvta_generic_to_shared(to)), "l"(from), "n"((int)sizeof(T)) : "memory");
 }
-QUALIFIED void arrived() { asm volatile("cp.async.wait_all;" ::: "memory"); }
+QUALIFIED void wait_for_copies() { asm volatile("cp.async.wait_all;" ::: "memory"); }
 #else
-template <class T> QUALIFIED void early(T* to, const T* from) { *to = *from; }
-QUALIFIED void arrived() {}
+template <class T> QUALIFIED void copy_async(T* to, const T* from) { *to = *from; }
+QUALIFIED void wait_for_copies() {}
 #endif
 """
 
 
-def size_of(samples: int) -> int:
+def team_size(samples: int) -> int:
     """Return the number of threads of a team."""
     return next((n for most, n in TEAMS.items() if samples <= most), WARP)
 
@@ -53,7 +53,7 @@ def size_of(samples: int) -> int:
 def kernel(program: Written, name: str = "threads", team: int | None = None) -> Kernel:
     """Return the kernel of a program that was written for a team, and that fits."""
     samples = math.prod(program.batch)
-    team = team or size_of(samples)
+    team = team or team_size(samples)
     source = "\n".join(_lines(program, name, team))
     return Kernel(source, name, team, samples, program.summed)
 
@@ -117,7 +117,7 @@ class TeamPrinter(Printer):
             case ir.Barrier():
                 yield self.barrier
             case ir.Await():
-                yield f"arrived();{self.barrier}"
+                yield f"wait_for_copies();{self.barrier}"
             case ir.Reserve(array=array) if array.shared:
                 yield f"__shared__ {c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
             case ir.Loop(team=True):
@@ -125,7 +125,7 @@ class TeamPrinter(Printer):
             case ir.Load(dest=dest, array=array, base=base, offset=offset) if self._early:
                 yield f"const auto* {self.value(dest)}=&{self.place(array, base, offset)};"
             case ir.Store(array=array, base=base, offset=offset, value=value) if self._early:
-                yield f"early(&{self.place(array, base, offset)},{self.value(value)});"
+                yield f"copy_async(&{self.place(array, base, offset)},{self.value(value)});"
             case _:
                 yield from super()._lines(statement)
 

@@ -14,7 +14,7 @@ from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.operations import OPERATIONS
 
 
-def folded(name: str, dtype: np.dtype, args: tuple) -> ir.Value | None:
+def fold(name: str, dtype: np.dtype, args: tuple) -> ir.Value | None:
     """Fold an operation on constants; None if the program must compute it."""
     operation = OPERATIONS[name]
     if operation.fold is None or dtype.kind not in operation.fold_types:
@@ -25,7 +25,7 @@ def folded(name: str, dtype: np.dtype, args: tuple) -> ir.Value | None:
         return dtype.type(operation.fold(*args))
 
 
-def simpler(builder: Builder, name: str, args: tuple) -> ir.Value | None:
+def simplify(builder: Builder, name: str, args: tuple) -> ir.Value | None:
     """Simplify an operation with a constant argument or a double negation; None if it cannot be."""
     match name, args:
         case ("select", (c, a, b)) if isinstance(c, np.generic):
@@ -61,7 +61,7 @@ def simpler(builder: Builder, name: str, args: tuple) -> ir.Value | None:
     return None
 
 
-def keys_of(name: str, args: Sequence[ir.Value]) -> list:
+def value_keys(name: str, args: Sequence[ir.Value]) -> list:
     """Return keys of arguments that are equal for operations with equal results."""
     keys: list = [(a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args]
     if OPERATIONS[name].commutes and _order(keys[0]) > _order(keys[1]):
@@ -108,14 +108,14 @@ class Builder:
         dtype = np.dtype(dtype)
         known = [a for a in args if not isinstance(a, ir.Var)]
         if len(known) == len(args):
-            known_result = folded(name, dtype, args)
+            known_result = fold(name, dtype, args)
             if known_result is not None:
                 return known_result
         if known or name in ("neg", "select"):
-            simple = simpler(self, name, args)
+            simple = simplify(self, name, args)
             if simple is not None:
                 return simple
-        key = (name, dtype.char, *keys_of(name, args))
+        key = (name, dtype.char, *value_keys(name, args))
         dest = self._known.get(key)
         if dest is None:
             dest = self.var(dtype)

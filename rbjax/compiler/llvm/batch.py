@@ -16,9 +16,9 @@ from rbjax.compiler.ir.statements import Array, Load, Op, Store, walk
 from rbjax.compiler.llvm.jit import register_bytes
 from rbjax.compiler.llvm.operations import ALIGNMENT
 from rbjax.compiler.llvm.samples import Lines
-from rbjax.compiler.llvm.statements import MALLOC, one_sample, stored
-from rbjax.compiler.llvm.vectors import Step, many_samples
-from rbjax.compiler.passes.analysis import accesses, operations
+from rbjax.compiler.llvm.statements import MALLOC, memory_type, write_sample
+from rbjax.compiler.llvm.vectors import Step, write_samples
+from rbjax.compiler.passes.analysis import count_accesses, count_operations
 
 #: operations that are worth a part of their own: some ten microseconds
 OPERATIONS_A_PART = 50_000
@@ -43,7 +43,7 @@ class Parts:
     count: int
 
 
-def parts(program: Written, lanes: int | None = None, samples: int | None = None) -> Parts:
+def write_parts(program: Written, lanes: int | None = None, samples: int | None = None) -> Parts:
     """Write the function of one part of the program's batch.
 
     Args:
@@ -54,7 +54,7 @@ def parts(program: Written, lanes: int | None = None, samples: int | None = None
     """
     size = math.prod(program.batch)
     lanes = _lanes(program) if lanes is None else lanes
-    return _Frame(program, lanes if size >= lanes else 1).parts(samples)
+    return _Frame(program, lanes if size >= lanes else 1).write_parts(samples)
 
 
 class _Frame:
@@ -71,9 +71,9 @@ class _Frame:
         self.sums = [k + len(program.operands) for k, s in enumerate(program.summed) if s]
         self.tiles = self.in_tiles() if lanes > 1 else []
         if lanes > 1:
-            self.samples = many_samples(program, lanes, self.steps, (*self.sums, *self.tiles))
+            self.samples = write_samples(program, lanes, self.steps, (*self.sums, *self.tiles))
         else:
-            self.samples = one_sample(program)
+            self.samples = write_sample(program)
         self.room, self.places = self.samples.workspace, {}
         for k in (*self.sums, *self.tiles):
             self.places[k] = self.room
@@ -94,7 +94,7 @@ class _Frame:
         """
         block = self.program.builder.block
         named = Counter(s.array.id for s in walk(block) if isinstance(s, Load | Store))
-        reached = accesses(block)
+        reached = count_accesses(block)
 
         def most(k: int, array: Array) -> bool:
             short = self.lanes * self.bytes_of(k) <= TILE_BYTES
@@ -108,7 +108,7 @@ class _Frame:
             and layout.strides == row_major(layout.sample)
         ]  # fmt: skip
 
-    def parts(self, share: int | None = None) -> Parts:
+    def write_parts(self, share: int | None = None) -> Parts:
         each, count = _shares(self.program, self.size, self.lanes)
         if share is not None:
             each, count = share, self.size // share
@@ -120,7 +120,7 @@ class _Frame:
         pointers, after = self.pointers(names)
         lines.append(samples.call(pointers, "%space" if self.room else "null"))
         for k in self.sums:
-            t = stored(self.arrays[k].dtype)
+            t = memory_type(self.arrays[k].dtype)
             lines.add_up(names[k], pointers[k], t, self.arrays[k].size, self.lanes)
         lines += [
             *after, "br label %after", "after:", f"%next = add i64 %wanted, {self.lanes}",
@@ -171,7 +171,7 @@ class _Frame:
         lines, batch, out = self.lines, self.program.batch, []
         after = Lines(lines)
         for k, (array, layout) in enumerate(zip(self.arrays, self.layouts, strict=True)):
-            t = stored(array.dtype)
+            t = memory_type(array.dtype)
             if k in self.tiles or k in self.tables:
                 rows = lines.each(names[k], t, layout, batch, self.lanes, self.steps[k])
             if k in self.places:
@@ -217,7 +217,7 @@ def _shares(program: Written, size: int, lanes: int) -> tuple[int, int]:
 
     The last part also has the rest of the batch, unless parts are single vectors.
     """
-    work = max(operations(program.builder.block, TURNS), 1)
+    work = max(count_operations(program.builder.block, TURNS), 1)
     wanted = max(OPERATIONS_A_PART * max(lanes // 2, 1) // work, -(-size // PARTS_UP_TO), 1)
     each = max(min(-(-wanted // lanes) * lanes, size), 1)
     single = each == lanes and not any(program.summed)

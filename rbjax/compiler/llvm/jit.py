@@ -13,7 +13,7 @@ import threading
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from rbjax.compiler.disk_cache import cached
+from rbjax.compiler.disk_cache import read_or_make
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ KEPT = 128
 _lock = threading.Lock()
 
 
-def compiled(module: Module, levels: Levels = LEVELS) -> Code:
+def compile_module(module: Module, levels: Levels = LEVELS) -> Code:
     """Compile a module's function `run`, or return the code of an equal module.
 
     Raises:
@@ -134,7 +134,9 @@ def compiled(module: Module, levels: Levels = LEVELS) -> Code:
 def _loaded(module: Module, levels: Levels, key: str) -> Code:
     llvm = _llvm()
     try:
-        code = cached(f"{key}.o", lambda: object_of(module.text, levels.passes, _machine(levels)))
+        code = read_or_make(
+            f"{key}.o", lambda: compile_object(module.text, levels.passes, _machine(levels))
+        )
         for function in module.symbols:
             llvm.add_symbol(function, _address(function))
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(levels))
@@ -145,7 +147,7 @@ def _loaded(module: Module, levels: Levels, key: str) -> Code:
         raise NoCompiler(f"LLVM does not compile for this machine: {error}") from error
 
 
-def object_of(text: str, passes: tuple[str, ...] | int, machine: Any) -> bytes:
+def compile_object(text: str, passes: tuple[str, ...] | int, machine: Any) -> bytes:
     """Compile IR to an object file for a target machine."""
     llvm = _llvm()
     parsed = llvm.parse_assembly(text)

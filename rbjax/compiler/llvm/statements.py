@@ -22,7 +22,7 @@ from rbjax.compiler.llvm.operations import (
     literal,
     llvm_type,
 )
-from rbjax.compiler.passes.cutting import Cuts, Frame, cut
+from rbjax.compiler.passes.cutting import Cuts, Frame, split_block
 
 #: larger local arrays lie in the workspace, not on the stack, of which a thread has little
 STACK_ARRAY_BYTES = 2048
@@ -51,12 +51,12 @@ class Function:
         return f"call void @{self.name}({', '.join(f'ptr {x}' for x in (*pointers, space))})"
 
 
-def one_sample(program: Written, name: str = "sample") -> Function:
+def write_sample(program: Written, name: str = "sample") -> Function:
     """Write the function of one sample of a program."""
-    return written_function(Writer(), program, name)
+    return write_function(Writer(), program, name)
 
 
-def written_function(writer: Writer, program: Written, name: str) -> Function:
+def write_function(writer: Writer, program: Written, name: str) -> Function:
     """Write the function of a program with a writer."""
     xs = [f"%x{k}" for k in range(len(program.operands))]
     ys = [f"%y{k}" for k in range(len(program.results))]
@@ -119,7 +119,7 @@ class Writer:
             self.entry.append("%frame = getelementptr i8, ptr %space, i64 0")
 
     def cuts(self, program: Written) -> Cuts | None:
-        return cut(program.builder.block, branches=True)
+        return split_block(program.builder.block, branches=True)
 
     def bytes(self, x: ir.Var | ir.Array) -> int:
         """Return the size of a variable or of a local array."""
@@ -183,7 +183,7 @@ class Writer:
         if size <= lanes * STACK_ARRAY_BYTES and self.stack + size <= STACK_BYTES:
             self.stack += size
             name = self.pointers[array.id] = f"%a{array.id}"
-            t = f"[{lanes * count} x {stored(array.dtype)}]"
+            t = f"[{lanes * count} x {memory_type(array.dtype)}]"
             self.entry.append(f"{name} = alloca {t}, align {16 if lanes == 1 else ALIGNMENT}")
             return
         start, self.workspace = self.workspace, self.workspace + -(-size // ALIGNMENT) * ALIGNMENT
@@ -197,7 +197,7 @@ class Writer:
         return f"@a{array.id}" if array.space == "constant" else self.pointers[array.id]
 
     def address(self, array: ir.Array, base: ir.Value | None, offset: int) -> str:
-        return self.at(stored(array.dtype), self.start(array), base, offset)
+        return self.at(memory_type(array.dtype), self.start(array), base, offset)
 
     def at(self, t: str, start: str, base: ir.Value | None, offset: int) -> str:
         """Write the address start + base + offset, in entries of type t."""
@@ -290,7 +290,7 @@ class Writer:
         text, address = self.value(value), self.address(array, base, offset)
         if array.dtype.kind == "b":
             text = self.made(f"zext i1 {text} to i8")
-        self.lines.append(f"store {stored(array.dtype)} {text}, ptr {address}")
+        self.lines.append(f"store {memory_type(array.dtype)} {text}, ptr {address}")
 
     def start_of(self, label: str, come: bool = True) -> None:
         """Begin a basic block. come: whether the previous block branches to it."""
@@ -343,14 +343,14 @@ class Writer:
         self.start_of(end)
 
 
-def stored(dtype: np.dtype) -> str:
+def memory_type(dtype: np.dtype) -> str:
     """Return the type of an entry in memory."""
     return "i8" if dtype.kind == "b" else llvm_type(dtype)
 
 
 def _table(array: ir.Array) -> str:
     """Return the definition of a constant array."""
-    t, data = stored(array.dtype), array.data
+    t, data = memory_type(array.dtype), array.data
     assert data is not None
     plain = data.view(np.uint8) if data.dtype.kind == "b" else data
     numbers = ", ".join(f"{t} {literal(x)}" for x in plain)

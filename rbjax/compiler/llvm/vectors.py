@@ -18,16 +18,16 @@ from rbjax.compiler.llvm.operations import ALIGNMENT, Operations, definitions, l
 from rbjax.compiler.llvm.statements import (
     Function,
     Writer,
-    stored,
-    written_function,
+    memory_type,
+    write_function,
 )
-from rbjax.compiler.passes.analysis import divergence, part_of
-from rbjax.compiler.passes.cutting import Cuts, cut
+from rbjax.compiler.passes.analysis import find_divergence, region_of
+from rbjax.compiler.passes.cutting import Cuts, split_block
 
 Step = int | None  # entries from a lane's sample to the next; None if lanes lie anywhere
 
 
-def many_samples(
+def write_samples(
     program: Written, lanes: int, steps: Sequence[Step], tiles: Collection[int] = (),
     name: str = "samples",
 ) -> Function:  # fmt: skip
@@ -45,7 +45,7 @@ def many_samples(
         )
         if k not in tiles
     }
-    return written_function(_Vectors(lanes, program, apart), program, name)
+    return write_function(_Vectors(lanes, program, apart), program, name)
 
 
 class _Vectors(Writer):
@@ -62,11 +62,11 @@ class _Vectors(Writer):
         self.mask, self.part = "", 0
         self.vectors = Operations(self.lines.append, lanes, self.operations)
         differ = [a for a in program.operands if self.steps.get(a.id) != 0]
-        self.found = divergence(program.builder.block, [*differ, *program.results])
+        self.found = find_divergence(program.builder.block, [*differ, *program.results])
         self.splats: list[dict[int, str]] = []
 
     def cuts(self, program: Written) -> Cuts | None:
-        return cut(program.builder.block, branches=False)  # where all lanes run
+        return split_block(program.builder.block, branches=False)  # where all lanes run
 
     def piece(self, number: int, statements: list) -> None:
         outside, self.splats = self.splats, []
@@ -85,7 +85,7 @@ class _Vectors(Writer):
             if step is None:
                 self.entry.append(f"{name} = load {self.many('ptr')}, ptr {place}")
             elif step:
-                t = f"getelementptr {stored(array.dtype)}, ptr {place}"
+                t = f"getelementptr {memory_type(array.dtype)}, ptr {place}"
                 self.entry.append(f"{name} = {t}, {self.counts(step)}")
 
     def counts(self, step: int = 1) -> str:
@@ -131,7 +131,7 @@ class _Vectors(Writer):
         if not self.found.of(var):
             return super().put(var, value)
         text, t, place = self.vector(value), self.vectors.type(var.dtype), self.place_of(var)
-        if self.mask and self.found.outlives(var, self.part):
+        if self.mask and self.found.is_declared_outside(var, self.part):
             text = self.blended(t, text, self.made(f"load {t}, ptr {place}"))
         self.lines.append(f"store {t} {text}, ptr {place}")
         return None
@@ -155,7 +155,7 @@ class _Vectors(Writer):
     def load(self, dest: Var, array: Array, base: Value | None, offset: int) -> None:
         if not self.found.of(dest):
             return super().load(dest, array, base, offset)
-        t = self.many(stored(dest.dtype))
+        t = self.many(memory_type(dest.dtype))
         if self.found.of(base):
             x = self.gathered(self.running(self.pointers_at(array, base, offset)), dest.dtype)
         elif self.side_by_side(array):
@@ -171,11 +171,11 @@ class _Vectors(Writer):
     def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
         if not self.found.of(array):
             return super().store(array, base, offset, value)
-        x, one = self.vector(value), stored(array.dtype)
+        x, one = self.vector(value), memory_type(array.dtype)
         t = self.many(one)
         if array.dtype.kind == "b":
             x = self.made(f"zext {self.many('i1')} {x} to {t}")
-        some = bool(self.mask) and self.found.outlives(array, self.part)
+        some = bool(self.mask) and self.found.is_declared_outside(array, self.part)
         if self.side_by_side(array) and not self.found.of(base):
             place, align = self.entry_of(array, base, offset)
             if some:
@@ -195,7 +195,7 @@ class _Vectors(Writer):
 
     def entry_of(self, array: Array, base: Value | None, offset: int) -> tuple[str, int]:
         """Write the address of an entry of all lanes, and return its alignment."""
-        t, size = stored(array.dtype), array.dtype.itemsize
+        t, size = memory_type(array.dtype), array.dtype.itemsize
         if array.id in self.steps:
             return self.address(array, base, offset), size
         place = self.at(self.many(t), self.start(array), base, offset)
@@ -203,7 +203,7 @@ class _Vectors(Writer):
 
     def pointers_at(self, array: Array, base: Value | None, offset: int) -> str:
         """Write the addresses of an entry in each lane."""
-        t, places = stored(array.dtype), self.many("ptr")
+        t, places = memory_type(array.dtype), self.many("ptr")
         whole = t
         if not self.found.of(array):
             start = self.spread("ptr", self.start(array))
@@ -232,7 +232,7 @@ class _Vectors(Writer):
 
     def gathered(self, pointers: str, dtype: np.dtype) -> str:
         """Load the entries at these addresses; return the text of the last instruction."""
-        t = stored(dtype)
+        t = memory_type(dtype)
         text = "poison"
         for k, place in enumerate(self.lanes_of("ptr", pointers)):
             x = self.made(f"load {t}, ptr {place}")
@@ -257,7 +257,7 @@ class _Vectors(Writer):
     def among(self, mask: str, block: Block, condition: Value) -> Iterator[None]:
         """Write a block for some lanes, and the lines of the context in the same region."""
         before = self.mask, self.part
-        self.mask, self.part = mask, part_of(block, condition, self.part, self.found)
+        self.mask, self.part = mask, region_of(block, condition, self.part, self.found)
         self.block(block)
         yield
         self.mask, self.part = before

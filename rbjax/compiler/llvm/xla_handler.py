@@ -9,7 +9,7 @@ left; the caller then waits for the parts in progress.
 from __future__ import annotations
 
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.llvm.batch import parts
+from rbjax.compiler.llvm.batch import write_parts
 from rbjax.compiler.llvm.jit import Module
 
 # members of the structs of c_api.h, in bytes
@@ -192,12 +192,12 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 """
 
 
-def handler(program: Written, samples: int | None = None) -> tuple[Module, int]:
+def write_handler(program: Written, samples: int | None = None) -> tuple[Module, int]:
     """Return the module of the handler `run`, and the number of parts of the batch.
 
     Each summed result has one row a part. samples: the size of a part; None: by its work.
     """
-    made = parts(program, samples=samples)
+    made = write_parts(program, samples=samples)
     n = len(program.operands)
     names = [*((ARGS, k) for k in range(n)), *((RESULTS, k) for k in range(len(program.results)))]
     lines = ["%list = alloca [" + str(max(len(names), 1)) + " x ptr]"]

@@ -49,7 +49,7 @@ class View(Shaped):
         own = self.array.space == "local" and not self.array.write_once
         return apart and own and not self.array.reference_count
 
-    def same(self, other: object) -> bool:
+    def is_same_view(self, other: object) -> bool:
         """Return whether the other is a view of the same entries."""
         return isinstance(other, View) and all(
             a is b or a == b
@@ -63,7 +63,7 @@ class View(Shaped):
         """Return the strides along axes of more than one entry."""
         return [s for s, n in zip(self.strides, self.shape, strict=True) if n > 1]
 
-    def places(self) -> np.ndarray:
+    def offsets(self) -> np.ndarray:
         """Return the constant part of the address of each entry."""
         out = np.full(self.shape, self.offset)
         for axis, (n, stride) in enumerate(zip(self.shape, self.strides, strict=True)):
@@ -77,10 +77,10 @@ class View(Shaped):
         strides, shape = (
             tuple(x for k, x in enumerate(xs) if k != axis) for xs in (self.strides, self.shape)
         )
-        moved = self.moved(b, (index, stride))
+        moved = self.shift(b, (index, stride))
         return replace(moved, strides=strides, shape=shape)
 
-    def moved(self, b: Builder, *terms: tuple[Value, int]) -> View:
+    def shift(self, b: Builder, *terms: tuple[Value, int]) -> View:
         """Shift the view by value * stride entries, for each term."""
         known = sum(int(v) * s for v, s in terms if isinstance(v, np.generic))
         unknown = [(v, s) for v, s in terms if not isinstance(v, np.generic)]
@@ -89,14 +89,14 @@ class View(Shaped):
             base = b.op("index_add", self.array.index, self.base, base)
         return replace(self, base=self.base if base is None else base, offset=self.offset + known)
 
-    def sliced(self, slices: Sequence[slice]) -> View:
+    def slice_box(self, slices: Sequence[slice]) -> View:
         """Return a rectangle of it. Slices have a start, a stop and perhaps a negative step."""
         offset = self.offset + sum(s.start * k for s, k in zip(slices, self.strides, strict=True))
         shape = tuple(len(range(s.start, s.stop, s.step or 1)) for s in slices)
         strides = tuple(k * (s.step or 1) for s, k in zip(slices, self.strides, strict=True))
         return replace(self, offset=offset, strides=strides, shape=shape)
 
-    def reshaped(self, shape: Sequence[int]) -> View | None:
+    def reshape_view(self, shape: Sequence[int]) -> View | None:
         """Return the same entries with another shape, or None if they would move."""
         shape = tuple(shape)
         if 0 in shape:
@@ -190,7 +190,7 @@ def to_scalars(b: Builder, x: ThreadArray) -> np.ndarray:
     if not isinstance(x, View):
         return as_objects(x)
     out = np.empty(x.shape, object)
-    places = x.places()
+    places = x.offsets()
     for i in indices_of(x.shape):
         out[i] = b.load(x.array, x.base, int(places[i]))
     return out
@@ -264,7 +264,7 @@ def materialize(b: Builder, x: ThreadArray) -> ThreadArray:
 
 def write_to(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> None:
     """Copy x to memory; many entries by a loop."""
-    if isinstance(x, View) and x.same(to):
+    if isinstance(x, View) and x.is_same_view(to):
         return
     if b.in_team and isinstance(x, View):
         to, x = as_flat_views(to, x)
@@ -277,7 +277,7 @@ def write_to(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> N
         source = to_memory(b, x, to.dtype)
         for_each_index(b, to.shape, lambda *i: store_entry(b, to, i, load_entry(b, source, i)))
         return
-    values, places = to_scalars(b, x), to.places()
+    values, places = to_scalars(b, x), to.offsets()
     for i in indices_of(to.shape):
         b.store(to.array, to.base, int(places[i]), values[i])
 
@@ -289,7 +289,7 @@ def transposed(x: ThreadArray, order: Sequence[int]) -> ThreadArray:
 
 def as_flat_views(*views: View) -> Sequence[View]:
     """Return the views with one axis if the entries of each are equally spaced."""
-    flat = [x.reshaped((x.size,)) for x in views]
+    flat = [x.reshape_view((x.size,)) for x in views]
     return [x for x in flat if x is not None] if None not in flat else views
 
 
@@ -312,13 +312,13 @@ def load_entry(b: Builder, view: View | Delayed, index: Sequence[Value]) -> Valu
     """Write the load of one entry."""
     if isinstance(view, Delayed):
         return view.entry(*index)
-    there = view.moved(b, *zip(index, view.strides, strict=True))
+    there = view.shift(b, *zip(index, view.strides, strict=True))
     return b.load(there.array, there.base, there.offset)
 
 
 def store_entry(b: Builder, view: View, index: Sequence[Value], value: Value) -> None:
     """Write the store of one entry."""
-    there = view.moved(b, *zip(index, view.strides, strict=True))
+    there = view.shift(b, *zip(index, view.strides, strict=True))
     b.store(there.array, there.base, there.offset, value)
 
 

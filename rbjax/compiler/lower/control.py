@@ -131,7 +131,7 @@ class Carry:
         copies: list[tuple[View, ThreadArray]] = []
         for to, x in zip(self.values, new, strict=True):
             if isinstance(to, View):
-                if isinstance(x, View) and x.same(to):
+                if isinstance(x, View) and x.is_same_view(to):
                     continue
                 if isinstance(x, View) and x.array in arrays:
                     x = copy_to_memory(b, x, to.dtype)

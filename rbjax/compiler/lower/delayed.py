@@ -51,7 +51,7 @@ class Delayed(Shaped):
     def work(self) -> int:
         return self.size * self.cost
 
-    def moved(self, shape: Sequence[int], index: Callable[..., Sequence[Value]]) -> Delayed:
+    def shift(self, shape: Sequence[int], index: Callable[..., Sequence[Value]]) -> Delayed:
         """Return other entries of it: entry i is at index(*i)."""
         entry = self.entry
         return replace(self, shape=tuple(shape), entry=lambda *i: entry(*index(*i)))
@@ -59,31 +59,31 @@ class Delayed(Shaped):
     def transposed(self, permutation: Sequence[int]) -> Delayed:
         order = np.argsort(permutation)
         shape = [self.shape[k] for k in permutation]
-        return self.moved(shape, lambda *i: [i[k] for k in order])
+        return self.shift(shape, lambda *i: [i[k] for k in order])
 
     def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> Delayed:
         """Broadcast as `jax.lax.broadcast_in_dim`."""
         wide = [self.shape[k] == shape[axis] for k, axis in enumerate(axes)]
         zero = I32.type(0)
-        return self.moved(shape, lambda *i: [
+        return self.shift(shape, lambda *i: [
             i[axis] if w else zero for axis, w in zip(axes, wide, strict=True)
         ])  # fmt: skip
 
-    def sliced(self, b: Builder, slices: Sequence[slice]) -> Delayed:
+    def slice_box(self, b: Builder, slices: Sequence[slice]) -> Delayed:
         """Return a rectangle of it."""
         shape = [len(range(s.start, s.stop, s.step or 1)) for s in slices]
-        return self.moved(shape, lambda *i: [
+        return self.shift(shape, lambda *i: [
             _along(b, k, s.start, s.step or 1) for k, s in zip(i, slices, strict=True)
         ])  # fmt: skip
 
-    def reshaped(self, shape: Sequence[int]) -> Delayed | None:
+    def reshape_view(self, shape: Sequence[int]) -> Delayed | None:
         """Add or remove axes of one entry; None for other shapes."""
         own, new = ([k for k, n in enumerate(s) if n != 1] for s in (self.shape, shape))
         if [self.shape[k] for k in own] != [shape[k] for k in new]:
             return None
         place = dict(zip(own, new, strict=True))
         zero = I32.type(0)
-        return self.moved(
+        return self.shift(
             shape, lambda *i: [i[place[k]] if k in place else zero for k in range(self.ndim)]
         )
 

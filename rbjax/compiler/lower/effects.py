@@ -14,7 +14,7 @@ from jax.extend.core import ClosedJaxpr
 from rbjax._jax_compat import UNVMAP, is_error
 from rbjax.compiler.ir.statements import Unsupported
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
-from rbjax.compiler.lower.reductions import reduced
+from rbjax.compiler.lower.reductions import reduce_entries
 
 
 @rule("select_if_vmap", unread=(0, 2))
@@ -33,7 +33,11 @@ def _unvmap(low: Lowering, eqn: Equation, ins: list) -> list:
     x = ins[0]
     if not x.size:
         return [np.asarray(name == "and", dtype)]
-    return [reduced(low, x, tuple(range(x.ndim)), dtype, functools.partial(low.b.op, name, dtype))]
+    return [
+        reduce_entries(
+            low, x, tuple(range(x.ndim)), dtype, functools.partial(low.b.op, name, dtype)
+        )
+    ]
 
 
 rule(*UNVMAP)(_unvmap)

@@ -39,7 +39,7 @@ LOOP_ABOVE = 1024
 LOOP_ABOVE_IN_MEMORY = 64
 
 
-def entrywise(
+def map_entrywise(
     low: Lowering, dtype: DTypeLike, shape: tuple, f: Callable[..., Value], *xs: ThreadArray
 ) -> ThreadArray:
     """Apply f to the entries of arrays; an axis may have one entry, and a shape may be ()."""
@@ -156,7 +156,7 @@ def _one(low: Lowering, eqn: Equation, ins: list) -> list:
         with np.errstate(all="ignore"):
             return [np.asarray(operation.fold(*ins), dtype)]
     f = functools.partial(low.b.op, operation.name, dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 rule(*OF_PRIMITIVE)(_one)
@@ -173,14 +173,14 @@ def _div(low: Lowering, eqn: Equation, ins: list) -> list:
         with np.errstate(all="ignore"):
             return [np.asarray(np.divide(*ins), dtype)]
     f = functools.partial(low.b.op, "div" if dtype.kind == "f" else "idiv", dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("rem")
 def _rem(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     f = functools.partial(low.b.op, "fmod" if dtype.kind == "f" else "irem", dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("pow")
@@ -189,13 +189,13 @@ def _pow(low: Lowering, eqn: Equation, ins: list) -> list:
     if dtype.kind != "f":
         raise Unsupported("pow of integers")
     f = lambda x, y: low.b.op("pow", dtype, x, low.b.cast(y, dtype))  # noqa: E731
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("square")
 def _square(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
-    return [entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
 
 
 @rule("one_minus_square")  # from jax 0.11 on, in the derivatives of tanh, asin, acos, atanh
@@ -218,7 +218,7 @@ def _integer_pow(low: Lowering, eqn: Equation, ins: list) -> list:
         out = dtype.type(1) if out is None else out
         return low.b.op("div", dtype, dtype.type(1), out) if y < 0 else out
 
-    return [entrywise(low, dtype, _shape(eqn), power, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), power, *ins)]
 
 
 @rule("logistic")
@@ -230,7 +230,7 @@ def _logistic(low: Lowering, eqn: Equation, ins: list) -> list:
         e = b.op("exp", dtype, b.op("neg", dtype, x))
         return b.op("div", dtype, one, b.op("add", dtype, e, one))
 
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("sign")
@@ -244,7 +244,7 @@ def _sign(low: Lowering, eqn: Equation, ins: list) -> list:
         )  # fmt: skip
         return b.select(b.op("gt", BOOL, x, zero), dtype.type(1), below)
 
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("round")
@@ -252,7 +252,7 @@ def _round(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     to_even = int(eqn.params["rounding_method"]) == 1
     f = functools.partial(b.op, "rint" if to_even else "round", dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("clamp")
@@ -262,7 +262,7 @@ def _clamp(low: Lowering, eqn: Equation, ins: list) -> list:
     def f(least: Value, x: Value, most: Value) -> Value:
         return b.op("min", dtype, b.op("max", dtype, x, least), most)
 
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("select_n")
@@ -279,7 +279,7 @@ def _select_n(low: Lowering, eqn: Equation, ins: list) -> list:
             out = b.select(b.op("eq", BOOL, which, which.dtype.type(k)), cases[k], out)
         return out
 
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("convert_element_type", "reduce_precision")
@@ -301,7 +301,7 @@ def _convert(low: Lowering, eqn: Equation, ins: list) -> list:
             return b.op("ne", BOOL, x, x.dtype.type(0)) if x.dtype != BOOL else x
         return b.cast(x, dtype)
 
-    return [entrywise(low, dtype, _shape(eqn), f, x)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, x)]
 
 
 @rule("bitcast_convert_type")
@@ -310,7 +310,7 @@ def _bitcast(low: Lowering, eqn: Equation, ins: list) -> list:
     if eqn.invars[0].aval.dtype.itemsize != dtype.itemsize:
         raise Unsupported("bitcast_convert_type to another size")
     f = functools.partial(low.b.op, "bitcast", dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("sincos")

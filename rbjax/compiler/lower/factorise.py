@@ -56,7 +56,7 @@ def _row(a: jax.Array, k: ArrayLike, first: int = 0) -> jax.Array:
     return out
 
 
-def _exchanged(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.Array:
+def _exchange_rows(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.Array:
     """Exchange rows k and p of x, where p >= first."""
     rows = np.arange(len(x))
     here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
@@ -110,7 +110,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         p = p + k if isinstance(k, int) else p
         first = k if isinstance(k, int) else 0
 
-        a, order = _exchanged(a, k, p, first), _exchanged(order, k, p, first)
+        a, order = _exchange_rows(a, k, p, first), _exchange_rows(order, k, p, first)
         pivots = jnp.where(np.arange(count) == k, p, pivots)
         below = rows > k
         pivot = a[k, k]
@@ -171,7 +171,7 @@ def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, j
         if pivoting:
             left = jnp.where((rows >= k)[:, None], a, 0)
             p = jnp.where(columns >= k, (left * left).sum(0), -1).argmax().astype(jnp.int32)
-            a, order = _exchanged(a.T, k, p).T, _exchanged(order, k, p)
+            a, order = _exchange_rows(a.T, k, p).T, _exchange_rows(order, k, p)
         below, alpha = rows > k, a[k, k]
         rest = jnp.where(below, a[:, k] ** 2, 0).sum()
         length = jnp.sqrt(alpha**2 + rest)
@@ -212,7 +212,9 @@ def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[ja
     return (*found, order) if pivoting else found
 
 
-def mapped(low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
+def lower_mapped(
+    low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]
+) -> list:
     """Lower f, mapped over the leading axes."""
     for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
         f = jax.vmap(f)
@@ -224,22 +226,22 @@ def _cholesky(low: Lowering, eqn: Equation, ins: list) -> list:
     if low.b.in_team and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
         a = low.to_scalars(ins[0])
         with low.b.per_thread():  # each thread the whole factor, in its registers
-            L, inverses = mapped(low, eqn, [a], cholesky_and_inverses, (2,))
+            L, inverses = lower_mapped(low, eqn, [a], cholesky_and_inverses, (2,))
         for root, inverse in zip(np.diagonal(L), inverses, strict=True):
             low.b.inverses[root] = inverse
         return [L]
-    return mapped(low, eqn, ins, cholesky, (2,))
+    return lower_mapped(low, eqn, ins, cholesky, (2,))
 
 
 @rule("lu")
 def _lu(low: Lowering, eqn: Equation, ins: list) -> list:
-    return mapped(low, eqn, ins, lu, (2,))
+    return lower_mapped(low, eqn, ins, lu, (2,))
 
 
 @rule("lu_pivots_to_permutation")
 def _permutation(low: Lowering, eqn: Equation, ins: list) -> list:
     f = functools.partial(permutation, size=eqn.params["permutation_size"])
-    return mapped(low, eqn, ins, f, (1,))
+    return lower_mapped(low, eqn, ins, f, (1,))
 
 
 @rule("triangular_solve")
@@ -249,7 +251,7 @@ def _triangular_solve(low: Lowering, eqn: Equation, ins: list) -> list:
         return [_solved_by_team(low, eqn, *ins)]
     ins = [materialize(low.b, x) for x in ins]
     f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
-    return mapped(low, eqn, ins, f, (2,))
+    return lower_mapped(low, eqn, ins, f, (2,))
 
 
 accepts_delayed("triangular_solve")
@@ -282,7 +284,7 @@ class Solved:
         column = self.column.id if isinstance(self.column, Var) else 0
         there = all(not isinstance(v, Var) or v.id < column for v in used)
         known = not any(isinstance(v, View) for v in used)
-        whole = self.solution.same(right) and right.array.version == self.version
+        whole = self.solution.is_same_view(right) and right.array.version == self.version
         return self.left == left and there and known and whole
 
 
@@ -344,19 +346,19 @@ def _solved_by_team(
 
 @rule("geqrf")
 def _geqrf(low: Lowering, eqn: Equation, ins: list) -> list:
-    return mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
+    return lower_mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
 
 
 @rule("householder_product")
 def _householder_product(low: Lowering, eqn: Equation, ins: list) -> list:
-    return mapped(low, eqn, ins, householder_product, (2,))
+    return lower_mapped(low, eqn, ins, householder_product, (2,))
 
 
 @rule("qr")
 def _qr(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "full_matrices", "pivoting"
     f = functools.partial(qr, **{name: eqn.params.get(name, False) for name in names})
-    return mapped(low, eqn, ins, f, (2,))
+    return lower_mapped(low, eqn, ins, f, (2,))
 
 
 @rule("custom_linear_solve")

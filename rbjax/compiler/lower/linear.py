@@ -28,7 +28,7 @@ from rbjax.compiler.lower.arrays import (
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import source
-from rbjax.compiler.lower.indexing import changeable
+from rbjax.compiler.lower.indexing import make_updatable
 from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
 #: products with more terms are loops
@@ -110,13 +110,13 @@ def _delayed(
             pair = (b.cast(z.entry(*at, *k), dtype) for z, at in ((s, left), (t, right)))
             return b.op("mul", dtype, *pair)
 
-        return summed(b, contracted, term, functools.partial(b.op, "add", dtype), dtype)
+        return sum_terms(b, contracted, term, functools.partial(b.op, "add", dtype), dtype)
 
     cost = terms * (2 + s.cost + t.cost)
     return Delayed(shape, np.dtype(dtype), entry, s.sources | t.sources, cost)
 
 
-def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DTypeLike) -> Value:
+def sum_terms(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DTypeLike) -> Value:
     """Reduce term(*index) over each index of a shape, which is not empty, by `add`."""
     if math.prod(shape) <= TERMS_UP_TO:
         every = [term(*map(I32.type, k)) for k in indices_of(shape)]
@@ -226,7 +226,7 @@ def _inverse(low: Lowering, eqn: Equation, ins: list) -> list:
         raise Unsupported("inverse of a stack of matrices")
     parts = []
     for x in ins:  # each part has memory of its own
-        part = changeable(low, x, dtype)
+        part = make_updatable(low, x, dtype)
         part.array.reference_count += 1
         parts.append(part)
     _Elimination(low.b, parts, shape[0]).run()

@@ -351,7 +351,7 @@ def _places(
             wanted.setdefault(var, place)
 
     def same_entries(var: Any, place: View) -> None:
-        want(var, place.reshaped(var.aval.shape))
+        want(var, place.reshape_view(var.aval.shape))
 
     for var, place in zip(jaxpr.outvars, places, strict=False):
         want(var, place)
@@ -386,7 +386,7 @@ def _places(
                 for k, var in enumerate(eqn.invars):
                     box = [slice(0, n, 1) for n in place.shape]
                     box[axis] = slice(k, k + 1, 1)
-                    same_entries(var, place.sliced(box))
+                    same_entries(var, place.slice_box(box))
             case "concatenate":
                 start, axis = 0, eqn.params["dimension"]
                 atoms: list[Any] = eqn.invars
@@ -394,7 +394,7 @@ def _places(
                     stop = start + var.aval.shape[axis]
                     box = [slice(0, n, 1) for n in place.shape]
                     box[axis] = slice(start, stop, 1)
-                    want(var, place.sliced(box))
+                    want(var, place.slice_box(box))
                     start = stop
     return wanted
 

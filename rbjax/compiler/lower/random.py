@@ -59,7 +59,7 @@ def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[V
     return x, y
 
 
-def unwrapped(low: Lowering, keys: ThreadArray) -> np.ndarray:
+def unwrap_keys(low: Lowering, keys: ThreadArray) -> np.ndarray:
     """Convert keys to pairs of 32-bit numbers."""
     b, x = low.b, low.to_scalars(keys)
     out = np.empty((*x.shape, 2), object)
@@ -69,7 +69,7 @@ def unwrapped(low: Lowering, keys: ThreadArray) -> np.ndarray:
     return out
 
 
-def wrapped(low: Lowering, data: ThreadArray) -> np.ndarray:
+def wrap_keys(low: Lowering, data: ThreadArray) -> np.ndarray:
     """Convert pairs of numbers to keys."""
     b, x = low.b, low.to_scalars(data)
     out = np.empty(x.shape[:-1], object)
@@ -88,12 +88,12 @@ def _impl(dtype: Any) -> Any:
 @rule("random_wrap")
 def _wrap(low: Lowering, eqn: Equation, ins: list) -> list:
     _impl(eqn.outvars[0].aval.dtype)
-    return [wrapped(low, ins[0])]
+    return [wrap_keys(low, ins[0])]
 
 
 @rule("random_unwrap")
 def _unwrap(low: Lowering, eqn: Equation, ins: list) -> list:
-    return [unwrapped(low, ins[0])]
+    return [unwrap_keys(low, ins[0])]
 
 
 @rule("random_clone")
@@ -104,7 +104,7 @@ def _clone(low: Lowering, eqn: Equation, ins: list) -> list:
 @rule("random_seed")
 def _seed(low: Lowering, eqn: Equation, ins: list) -> list:
     impl, aval = _impl(eqn.outvars[0].aval.dtype), eqn.invars[0].aval
-    return [wrapped(low, _each(low, impl.seed, aval.shape, [ins[0]], [aval.dtype])[0])]
+    return [wrap_keys(low, _each(low, impl.seed, aval.shape, [ins[0]], [aval.dtype])[0])]
 
 
 @rule("random_bits")
@@ -112,24 +112,24 @@ def _bits(low: Lowering, eqn: Equation, ins: list) -> list:
     P, aval = eqn.params, eqn.invars[0].aval
     impl = _impl(aval.dtype)
     f = lambda key: impl.random_bits(key, P["bit_width"], P["shape"])  # noqa: E731
-    return _each(low, f, aval.shape, [unwrapped(low, ins[0])], [U32])
+    return _each(low, f, aval.shape, [unwrap_keys(low, ins[0])], [U32])
 
 
 @rule("random_split")
 def _split(low: Lowering, eqn: Equation, ins: list) -> list:
     aval = eqn.invars[0].aval
     f = lambda key: _impl(aval.dtype).split(key, eqn.params["shape"])  # noqa: E731
-    return [wrapped(low, _each(low, f, aval.shape, [unwrapped(low, ins[0])], [U32])[0])]
+    return [wrap_keys(low, _each(low, f, aval.shape, [unwrap_keys(low, ins[0])], [U32])[0])]
 
 
 @rule("random_fold_in")
 def _fold_in(low: Lowering, eqn: Equation, ins: list) -> list:
     key, message = (v.aval for v in eqn.invars)
     shape = eqn.outvars[0].aval.shape
-    keys = np.broadcast_to(unwrapped(low, ins[0]), (*shape, 2))
+    keys = np.broadcast_to(unwrap_keys(low, ins[0]), (*shape, 2))
     args = [keys, np.broadcast_to(low.to_scalars(ins[1]), shape)]
     (out,) = _each(low, _impl(key.dtype).fold_in, shape, args, [U32, message.dtype])
-    return [wrapped(low, out)]
+    return [wrap_keys(low, out)]
 
 
 def _each(low: Lowering, f: Callable, shape: tuple, args: list, dtypes: list) -> list[ThreadArray]:

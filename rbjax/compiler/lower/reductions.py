@@ -23,11 +23,11 @@ from rbjax.compiler.lower.arrays import (
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE, source
-from rbjax.compiler.lower.linear import summed
+from rbjax.compiler.lower.linear import sum_terms
 from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
 
-def reduced(
+def reduce_entries(
     low: Lowering, x: ThreadArray, axes: tuple, dtype: DTypeLike, f: Callable
 ) -> ThreadArray:
     """Reduce entries along axes by f of two values."""
@@ -73,7 +73,7 @@ def _delayed(
             at = dict(zip((*kept, *axes), (*i, *k), strict=True))
             return s.entry(*(at[j] for j in range(s.ndim)))
 
-        return summed(low.b, count, term, f, dtype)
+        return sum_terms(low.b, count, term, f, dtype)
 
     cost = int(np.prod(count, dtype=int)) * (1 + s.cost)
     return Delayed(shape, np.dtype(dtype), entry, s.sources, cost)
@@ -146,7 +146,7 @@ def _reduce(low: Lowering, eqn: Equation, ins: list) -> list:
     if not x.size:
         return [np.full(eqn.outvars[0].aval.shape, _neutral(name, dtype), dtype)]
     f = functools.partial(low.b.op, name, dtype)
-    return [reduced(low, x, eqn.params["axes"], dtype, f)]
+    return [reduce_entries(low, x, eqn.params["axes"], dtype, f)]
 
 
 rule(*REDUCTIONS)(_reduce)

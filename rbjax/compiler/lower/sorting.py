@@ -17,7 +17,7 @@ from rbjax.compiler.lower.arrays import (
     load_entry,
     store_entry,
 )
-from rbjax.compiler.lower.elementwise import LOOP_ABOVE, entrywise
+from rbjax.compiler.lower.elementwise import LOOP_ABOVE, map_entrywise
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
 #: the most entries that are sorted in registers
@@ -106,13 +106,13 @@ def _top_k(low: Lowering, eqn: Equation, ins: list) -> list:
     axis = eqn.params.get("axis", -1) % x.ndim
     kind, places = eqn.invars[0].aval.dtype, dtype_of(eqn.outvars[1].aval)
     key = np.dtype(f"i{kind.itemsize}") if kind.kind == "f" else kind
-    rank = entrywise(low, key, x.shape, functools.partial(_descending, low.b), x)
+    rank = map_entrywise(low, key, x.shape, functools.partial(_descending, low.b), x)
     row = np.arange(x.shape[axis], dtype=places)
     row = np.broadcast_to(row.reshape([-1 if k == axis else 1 for k in range(x.ndim)]), x.shape)
     _, values, index = sort(low, [rank, x, row], [key, kind, places], axis, 1)
     best = [slice(0, n, 1) for n in x.shape]
     best[axis] = slice(0, eqn.params["k"], 1)
-    return [y.sliced(best) if isinstance(y, View) else y[tuple(best)] for y in (values, index)]
+    return [y.slice_box(best) if isinstance(y, View) else y[tuple(best)] for y in (values, index)]
 
 
 @rule("eq_to", "le_to", "lt_to")
@@ -124,7 +124,7 @@ def _total_order(low: Lowering, eqn: Equation, ins: list) -> list:
     def compared(x: Value, y: Value) -> Value:
         return low.b.op(turned, BOOL, _descending(low.b, x), _descending(low.b, y))
 
-    return [entrywise(low, BOOL, eqn.outvars[0].aval.shape, compared, *ins)]
+    return [map_entrywise(low, BOOL, eqn.outvars[0].aval.shape, compared, *ins)]
 
 
 def _descending(b: Builder, x: Value) -> Value:

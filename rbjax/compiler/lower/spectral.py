@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 
 from rbjax.compiler.ir.statements import Unsupported
-from rbjax.compiler.lower.factorise import UNROLL_UP_TO, mapped, qr
+from rbjax.compiler.lower.factorise import UNROLL_UP_TO, lower_mapped, qr
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
 #: more than any matrix needs: 4 to 8 are usual
@@ -128,7 +128,7 @@ def _whole(eqn: Equation) -> None:
 @rule("eigh")
 def _eigh(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
-    return mapped(low, eqn, ins, functools.partial(eigh, lower=eqn.params["lower"]), (2,))
+    return lower_mapped(low, eqn, ins, functools.partial(eigh, lower=eqn.params["lower"]), (2,))
 
 
 @rule("svd")
@@ -136,5 +136,5 @@ def _svd(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
     f = functools.partial(svd, full_matrices=eqn.params.get("full_matrices", False))
     if not eqn.params["compute_uv"]:
-        return mapped(low, eqn, ins, lambda a: svd(a, full_matrices=False)[:1], (2,))
-    return mapped(low, eqn, ins, f, (2,))
+        return lower_mapped(low, eqn, ins, lambda a: svd(a, full_matrices=False)[:1], (2,))
+    return lower_mapped(low, eqn, ins, f, (2,))

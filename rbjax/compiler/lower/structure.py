@@ -52,8 +52,8 @@ def _slice(low: Lowering, eqn: Equation, ins: list) -> list:
 def cut(low: Lowering, x: ThreadArray, box: tuple[slice, ...]) -> ThreadArray:
     """Return a rectangle of x."""
     if isinstance(x, Delayed):
-        return x.sliced(low.b, box)
-    return x.sliced(box) if isinstance(x, View) else x[box]
+        return x.slice_box(low.b, box)
+    return x.slice_box(box) if isinstance(x, View) else x[box]
 
 
 @rule("squeeze", "reshape", "expand_dims")
@@ -64,12 +64,12 @@ def _reshape(low: Lowering, eqn: Equation, ins: list) -> list:
 def reshaped(low: Lowering, x: ThreadArray, shape: tuple[int, ...]) -> ThreadArray:
     """Return x with another shape."""
     if isinstance(x, Delayed):
-        delayed = x.reshaped(shape)
+        delayed = x.reshape_view(shape)
         if delayed is not None:
             return delayed
         x = materialize_in_memory(low.b, x)
     if isinstance(x, View):
-        out = x.reshaped(shape)
+        out = x.reshape_view(shape)
         return View.of(copy_to_memory(low.b, x, x.dtype).array, shape) if out is None else out
     return x.reshape(shape)
 
@@ -114,7 +114,7 @@ def _concatenate(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         for x in ins:
             box = [slice(0, n, 1) for n in place.shape]
             box[axis] = slice(start, start + x.shape[axis], 1)
-            write_to(low.b, place.sliced(box), x)
+            write_to(low.b, place.slice_box(box), x)
             start += x.shape[axis]
     return [place]
 

@@ -30,7 +30,7 @@ from rbjax.compiler.lower import (  # noqa: F401 (rules)
 from rbjax.compiler.lower.arrays import View
 from rbjax.compiler.lower.lowering import DTYPES, Lowering
 from rbjax.compiler.passes.liveness import prune, share_memory
-from rbjax.compiler.passes.phases import synchronised
+from rbjax.compiler.passes.phases import insert_barriers
 
 
 def write_program(
@@ -64,7 +64,7 @@ def write_program(
         Lowering(b).closed(closed, args, places)
     prune(b.block)
     if team:
-        b.block = synchronised(b.block)
+        b.block = insert_barriers(b.block)
     share_memory(b.block)
     layouts = tuple(operands), tuple(results)
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)

@@ -14,38 +14,29 @@ from dataclasses import dataclass, field
 from rbjax.compiler.ir import statements as ir
 
 
-def operations(block: ir.Block, turns: int = 1) -> int:
-    """Count the operations that run: the longer branch, a loop's once per iteration, a `while`'s
-    `turns` times.
-    """
+def count_operations(block: ir.Block, turns: int = 1) -> int:
+    """Count the operations that run: the longer branch, `turns` iterations of a `while`."""
     total = 0
-    for statement in block.statements:
-        match statement:
-            case ir.Op():
-                total += 1
-            case ir.Loop(count=count, body=body):
-                total += count * operations(body, turns)
-            case ir.While(test=test, body=body):
-                total += turns * (operations(test, turns) + operations(body, turns))
-            case ir.If(then=then, otherwise=otherwise):
-                total += max(operations(then, turns), operations(otherwise, turns))
+    for s in block.statements:
+        inner = [count_operations(x, turns) for x in s.children()]
+        runs = max(inner) if isinstance(s, ir.If) else sum(inner)
+        total += isinstance(s, ir.Op) + _iterations(s, turns) * runs
     return total
 
 
-def accesses(block: ir.Block) -> Counter[int]:
-    """Count the reads and writes of each array; in a `while` each statement counts once."""
+def count_accesses(block: ir.Block) -> Counter[int]:
+    """Count the reads and writes of each array, with one iteration of a `while`."""
     total: Counter[int] = Counter()
-    for statement in block.statements:
-        match statement:
-            case ir.Load(array=array) | ir.Store(array=array):
-                total[array.id] += 1
-            case ir.Loop(count=count, body=body):
-                total.update({k: count * n for k, n in accesses(body).items()})
-            case ir.While(test=test, body=body):
-                total += accesses(test) + accesses(body)
-            case ir.If(then=then, otherwise=otherwise):
-                total += accesses(then) + accesses(otherwise)
+    for s in block.statements:
+        if isinstance(s, ir.Load | ir.Store):
+            total[s.array.id] += 1
+        for inner in s.children():
+            total.update({k: _iterations(s) * n for k, n in count_accesses(inner).items()})
     return total
+
+
+def _iterations(s: ir.Statement, turns: int = 1) -> int:
+    return s.count if isinstance(s, ir.Loop) else turns if isinstance(s, ir.While) else 1
 
 
 @dataclass
@@ -62,12 +53,12 @@ class Divergence:
         """Return whether a value, or the content of an array, differs between lanes."""
         return isinstance(x, ir.Var | ir.Array) and x.id in self.different
 
-    def outlives(self, x: ir.Var | ir.Array, part: int) -> bool:
+    def is_declared_outside(self, x: ir.Var | ir.Array, part: int) -> bool:
         """Return whether x was declared outside the divergent region `part`."""
         return self.home.get(x.id, 0) != part
 
 
-def divergence(block: ir.Block, different: Iterable[ir.Array]) -> Divergence:
+def find_divergence(block: ir.Block, different: Iterable[ir.Array]) -> Divergence:
     """Find the values that differ between lanes if these arrays do."""
     found = Divergence({a.id for a in different})
     size = -1
@@ -90,16 +81,16 @@ def _visit(block: ir.Block, part: int, found: Divergence) -> None:
             case ir.Declare(var=declared) | ir.Reserve(array=declared):
                 found.home[declared.id] = part
             case ir.Store(array=changed) | ir.Assign(var=changed):
-                differs = differs or found.outlives(changed, part)
+                differs = differs or found.is_declared_outside(changed, part)
         if differs:
             different.update([x.id for x in s.writes()])
         for inner in () if s.is_leaf else s.children():
             among = part
             if isinstance(s, ir.While | ir.If):
-                among = part_of(inner, s.condition, part, found)
+                among = region_of(inner, s.condition, part, found)
             _visit(inner, among, found)
 
 
-def part_of(block: ir.Block, condition: ir.Value, part: int, found: Divergence) -> int:
+def region_of(block: ir.Block, condition: ir.Value, part: int, found: Divergence) -> int:
     """Return the divergent region of a block that runs under a condition in region `part`."""
     return id(block) if found.of(condition) else part

@@ -31,7 +31,7 @@ class Cuts:
     arrays: dict[ir.Array, None] = field(default_factory=dict)
 
 
-def cut(block: ir.Block, branches: bool) -> Cuts | None:
+def split_block(block: ir.Block, branches: bool) -> Cuts | None:
     """Split a block into functions; None if it is short.
 
     branches: whether to split the blocks of branches and of `while` loops too.

@@ -59,13 +59,13 @@ def _is_needed(statement: ir.Statement, needed: set[ir.Name]) -> bool:
 
 
 @dataclass
-class Span:
+class LiveRange:
     """The live range of an array, by statement numbers."""
 
     first: int
     last: float
 
-    def meets(self, other: Span) -> bool:
+    def meets(self, other: LiveRange) -> bool:
         return self.first <= other.last and other.first <= self.last
 
 
@@ -76,8 +76,8 @@ def share_memory(block: ir.Block) -> None:
     it, to the end of the loop. Arrays of one type are placed largest first, in the first free place
     (greedy interval colouring). An array that a team shares lives until the next barrier.
     """
-    spans = _spans(block)
-    places: list[tuple[ir.Array, list[Span]]] = []
+    spans = _live_ranges(block)
+    places: list[tuple[ir.Array, list[LiveRange]]] = []
     shared: dict[ir.Array, ir.Array] = {}
     for array, span in sorted(spans.items(), key=lambda x: -x[0].size):
         for place, taken in places:
@@ -93,9 +93,9 @@ def share_memory(block: ir.Block) -> None:
     block.statements[:0] = [ir.Reserve(place) for place, _ in places]
 
 
-def _spans(block: ir.Block) -> dict[ir.Array, Span]:
+def _live_ranges(block: ir.Block) -> dict[ir.Array, LiveRange]:
     """Return the live range of each local array of a block."""
-    spans: dict[ir.Array, Span] = {}
+    spans: dict[ir.Array, LiveRange] = {}
     barriers: list[float] = []  # those that every run meets
     count = unsure = 0
 
@@ -105,32 +105,31 @@ def _spans(block: ir.Block) -> dict[ir.Array, Span]:
         used: set[ir.Array] = set()
         for statement in block.statements:
             count += 1
-            match statement:
-                case ir.Reserve(array=array):
-                    spans[array] = Span(count, count)
-                case ir.Load(array=array) | ir.Store(array=array) if array in spans:
-                    spans[array].last = count
-                    used.add(array)
-                case ir.Barrier() | ir.Await() if not unsure:
+            if isinstance(statement, ir.Reserve):
+                spans[statement.array] = LiveRange(count, count)
+            elif isinstance(statement, ir.Barrier | ir.Await):
+                if not unsure:
                     barriers.append(count)
-                case ir.Loop(body=body):
-                    used |= turns(body)
-                case ir.While(test=test, body=body):
-                    unsure += 1
-                    used |= turns(test, body)
-                    unsure -= 1
-                case ir.If(then=then, otherwise=otherwise):
-                    unsure += 1
-                    used |= visit(then) | visit(otherwise)
-                    unsure -= 1
+            elif statement.is_leaf:
+                for x in (*statement.reads(), *statement.writes()):
+                    if isinstance(x, ir.Array) and x in spans:
+                        spans[x].last = count
+                        used.add(x)
+            else:
+                unsure += not isinstance(statement, ir.Loop)
+                run = branches if isinstance(statement, ir.If) else turns
+                used |= run(*statement.children())
+                unsure -= not isinstance(statement, ir.Loop)
         return used
+
+    def branches(*blocks: ir.Block) -> set[ir.Array]:
+        return {array for block in blocks for array in visit(block)}
 
     def turns(*blocks: ir.Block) -> set[ir.Array]:
         """Number the statements of a loop; arrays from outside live until its end."""
         nonlocal count
         start = count
-        used = {array for block in blocks for array in visit(block)}
-        used = {array for array in used if spans[array].first <= start}
+        used = {array for array in branches(*blocks) if spans[array].first <= start}
         count += 1
         for array in used:
             spans[array].last = count

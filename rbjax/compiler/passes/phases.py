@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from rbjax.compiler.ir import statements as ir
 
 
-def synchronised(block: ir.Block) -> ir.Block:
+def insert_barriers(block: ir.Block) -> ir.Block:
     """The statements in an order with few barriers, with these."""
     return _Phases(Pending()).ordered(block)
 
@@ -28,7 +28,7 @@ class Pending:
     """
 
     read: set[ir.Array] = field(default_factory=set)
-    alike: dict[ir.Array, set] = field(default_factory=dict)
+    uniform: dict[ir.Array, set] = field(default_factory=dict)
     spread: dict[ir.Array, set[int]] = field(default_factory=dict)
 
     def copy(self) -> Pending:
@@ -36,23 +36,23 @@ class Pending:
 
     def joined(self, other: Pending) -> Pending:
         self.read |= other.read
-        for mine, more in ((self.alike, other.alike), (self.spread, other.spread)):
+        for mine, more in ((self.uniform, other.uniform), (self.spread, other.spread)):
             for array, places in more.items():
                 mine.setdefault(array, set()).update(places)
         return self
 
     def clear(self) -> None:
         self.read.clear()
-        self.alike.clear()
+        self.uniform.clear()
         self.spread.clear()
 
-    def may(self, s: ir.Statement) -> bool:
+    def needs_no_barrier(self, s: ir.Statement) -> bool:
         """Return whether a leaf statement or a team loop needs no barrier."""
         match s:
             case ir.Load(array=array):
                 return array not in self.spread
             case ir.Store(array=array, base=base, offset=offset) if _is_seen(array):
-                here = self.alike.get(array, ())
+                here = self.uniform.get(array, ())
                 apart = all(b is base and at != offset for b, at in here)
                 free = array not in self.read and array not in self.spread
                 return array.write_once or (apart and free)
@@ -65,15 +65,15 @@ class Pending:
 
     def _may_spread(self, array: ir.Array, group: int) -> bool:
         others = self.spread.get(array, set()) - ({group} if group else set())
-        return array not in self.read and array not in self.alike and not others
+        return array not in self.read and array not in self.uniform and not others
 
-    def note(self, s: ir.Statement) -> None:
+    def record(self, s: ir.Statement) -> None:
         """Record the accesses of a statement."""
         match s:
             case ir.Load(array=array) if _is_seen(array):
                 self.read.add(array)
             case ir.Store(array=array, base=base, offset=offset) if _is_seen(array):
-                self.alike.setdefault(array, set()).add((base, offset))
+                self.uniform.setdefault(array, set()).add((base, offset))
             case ir.Loop(team=True, body=body, group=group, prefetch=prefetch):
                 loads, stores = _touched(body)
                 self.read |= loads
@@ -110,14 +110,14 @@ class _Phases:
                 for k in list(left):
                     s = statements[k]
                     if k in left and _is_shared(s):
-                        self._forward(statements, before, left, k)
+                        self._hoist(statements, before, left, k)
             if first in left:
                 self._write(statements[first])
                 del left[first]
         own = {s.array for s in block.statements if isinstance(s, ir.Reserve)}
         return ir.Block(_declared(self.out, own))
 
-    def _forward(
+    def _hoist(
         self, statements: list[ir.Statement], before: list[set[int]], left: dict[int, None], k: int
     ) -> None:
         """Hoist a team loop, with its dependencies, if none of them needs a barrier."""
@@ -129,16 +129,16 @@ class _Phases:
         trial = self.now.copy()
         for j in sorted(wanted):
             s = statements[j]
-            if _has_phases(s) or not trial.may(s):
+            if _has_phases(s) or not trial.needs_no_barrier(s):
                 return
-            trial.note(s)
+            trial.record(s)
         for j in sorted(wanted):
             self._write(statements[j])
             del left[j]
 
     def _waits(self, s: ir.Statement) -> bool:
         """Return whether a barrier precedes a statement, or is in it."""
-        return _has_phases(s) or not self.now.may(s)
+        return _has_phases(s) or not self.now.needs_no_barrier(s)
 
     def _write(self, s: ir.Statement) -> None:
         now = self.now
@@ -159,10 +159,10 @@ class _Phases:
             case ir.Await():
                 now.clear()
             case _:
-                if not now.may(s):
+                if not now.needs_no_barrier(s):
                     self.out.append(ir.Barrier())
                     now.clear()
-                now.note(s)
+                now.record(s)
         self.out.append(s)
 
     def _turn(self, block: ir.Block, *others: ir.Block) -> ir.Block:
