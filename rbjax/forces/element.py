@@ -106,7 +106,7 @@ class Element(Record):
         for name in self.positive:
             check_above_zero(f"{type(self).__name__}({name}=...)", getattr(self, name))
 
-    def may_be_endless(self, name: str) -> bool:
+    def may_be_infinite(self, name: str) -> bool:
         return self.unlimited is None or name in self.unlimited
 
     def shapes(self, model: Model) -> Shapes:

@@ -115,7 +115,7 @@ def load(
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
     texts = [
-        f"{describe(source)}: {what}: {'; '.join(map(features.cured, entries))}"
+        f"{describe(source)}: {what}: {'; '.join(map(features.with_cure, entries))}"
         for what, entries in (("left out of the model", dropped), (_ACTIVE, active))
         if entries
     ]

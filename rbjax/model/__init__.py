@@ -1,6 +1,5 @@
 """Models: what a robot is (`Topology`) and its numbers (`Model`)."""
 
-from rbjax.model.limbs import Group, Partition, partition
 from rbjax.model.links import (
     LinkConstants,
     Prepared,
@@ -19,7 +18,7 @@ from rbjax.model.model import (
     Sites,
     State,
 )
-from rbjax.model.topology import WORLD, Dof, Topology, spans
+from rbjax.model.topology import WORLD, Dof, Group, Partition, Topology, partition, spans
 
 __all__ = [
     "DRIVER_NAMES",

@@ -101,7 +101,7 @@ def _numbers(given: dict[str, Any], joint: Joint, kind: str, dtype: Any) -> dict
     out = {}
     for key, x in (dict(joint.params) | given).items():
         where = f"with_joint({key}=...)"
-        out[key] = array_like(where, x, shapes[key], dtype, endless=False)
+        out[key] = array_like(where, x, shapes[key], dtype, infinite=False)
         if key in axes:
             _check_length(where, out[key], "an axis")
         elif key == "reference" and joint.quaternion:

@@ -48,7 +48,7 @@ def check_ranges(
         value, where = getattr(record, field.name), f"{type(record).__name__}({field.name}=...)"
         if not str(field.type).startswith(("jax.Array", "<class 'jax.Array")) or value is None:
             continue
-        check_numbers(where, value, endless=record.may_be_endless(field.name))
+        check_numbers(where, value, infinite=record.may_be_infinite(field.name))
         shape = jnp.shape(value)
         if field.name in pairs:
             if shape != (2,):

@@ -343,3 +343,20 @@ def test_the_pose_of_a_point_of_a_body_or_site() -> None:
         assert relative_error(p_site, origin + R_site @ POINT) <= F64_IDENTITY
     np.testing.assert_array_equal(R, np.eye(3))
     np.testing.assert_array_equal(p, POINT)
+
+
+def test_frames_as_values() -> None:
+    """`rb.Frame` in place of a body gives the results of its parts, and excludes them."""
+    model = robot("small").model
+    q, v = model.keyframe("bent").q, model.keyframe("bent").v
+    point = np.array([0.1, -0.2, 0.3])
+    for parts in ({"body": "hand", "point": point}, {"site": "tip"}):
+        frame = rb.Frame(**parts)
+        for f, given in ((rb.frame_pose, (q,)), (rb.jacobian, (q,)), (rb.frame_velocity, (q, v))):
+            got, want = (
+                jax.tree.leaves(x) for x in (f(model, *given, frame), f(model, *given, **parts))
+            )
+            for a, b in zip(got, want, strict=True):
+                np.testing.assert_array_equal(a, b)
+    with pytest.raises(rb.InputError, match="jacobian: got a Frame and site"):
+        rb.jacobian(model, q, rb.Frame("hand"), site="tip")

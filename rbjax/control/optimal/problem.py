@@ -159,6 +159,12 @@ class Problem(Record):
                 f"Problem: constraints has {wrong}, expected rb.control.Constraint(term, low, high)"
             )
         self.constraints = tuple(constraints)
+        for x in (*self.running, *self.terminal, *self.constraints):
+            if x.knots is not None and max(x.knots, default=0) >= horizon:
+                raise InputError(
+                    f"Problem: {x.term.label} has knots {x.knots}, expected indices below the "
+                    f"horizon {horizon}"
+                )
         self.low, self.high, self.bounded = _bounds(self.system, bounds)
         self.integral = flag("Problem", "integral", integral)
         if not isinstance(design, Design | None):
@@ -291,6 +297,8 @@ class Problem(Record):
         w = jnp.asarray(cost.weight, dt.dtype)
         if self.integral and where == "path":
             w = w * dt
+        if where == "path" and cost.knots is not None:
+            w = w * self.counts_at(cost.knots, k)
         if value.ndim > 1:
             raise InputError(
                 f"Problem: the cost {cost.term.label} returned shape {value.shape}, expected a "
@@ -305,7 +313,18 @@ class Problem(Record):
 
     def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of a constraint at a knot."""
-        return jnp.ravel(self.term(c.term, k, knot, ctrl)[0])
+        value = jnp.ravel(self.term(c.term, k, knot, ctrl)[0])
+        if c.knots is None:
+            return value
+        low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
+        return jnp.where(self.counts_at(c.knots, k), value, jnp.clip(value, low, high))
+
+    def counts_at(self, knots: tuple[int, ...], k: Any) -> jax.Array:
+        """Whether place k is at one of the knots, or at the end."""
+        counts = np.zeros(self.horizon + 1, bool)
+        counts[[*knots, self.horizon]] = True
+        at = jnp.floor(jnp.asarray(k) + 1e-6).astype(jnp.uint32)
+        return jax.lax.dynamic_index_in_dim(jnp.asarray(counts), at, keepdims=False)
 
     def rows(self, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""

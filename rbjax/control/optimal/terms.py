@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.control.optimal.system import as_system
 from rbjax.dynamics.algorithms.aba import forward_dynamics
 from rbjax.dynamics.algorithms.energy import center_of_mass
@@ -27,7 +28,7 @@ from rbjax.dynamics.algorithms.frames import frame_pose, frame_velocity
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
-from rbjax.kinematics.arguments import check_bound, check_rotation, known_array
+from rbjax.kinematics.arguments import check_bound, check_rotation, check_several, known_array
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.linearise import box_minus, box_plus
@@ -65,14 +66,18 @@ class Given(Term):
 class Cost(Record):
     """A term with its weight.
 
-    Fields: term; weight, () or (m,) of residuals, not negative; () of a number.
+    Fields: term; weight, () or (m,) of residuals, not negative; () of a number; knots, the indices
+    of the knots at which a running cost counts, all if None. In a collocation the stages from a
+    knot up to the next belong to it.
     """
 
     term: Term
     weight: jax.Array
+    knots: tuple[int, ...] | None = eqx.field(static=True)
 
-    def __init__(self, term: Any, weight: Any = 1.0) -> None:
+    def __init__(self, term: Any, weight: Any = 1.0, knots: Any = None) -> None:
         self.term = term_of("Cost", term)
+        self.knots = knot_indices_of(f"Cost({self.term.label})", knots)
         self.weight = check_bound(f"Cost({self.term.label})", "weight", weight)
         known = known_array(self.weight)
         if known is not None and ((known < 0).any() or not np.isfinite(known).all()):
@@ -86,7 +91,8 @@ class Constraint(Record):
     """low <= term <= high; an equation where both are equal.
 
     Fields: term; low and high, () or as the term, infinite without a bound; where: at which
-    knots: "path" (those with controls), "end" or "all"; name.
+    knots: "path" (the knots with controls), "end" or "all"; name; knots, the indices of the knots
+    of the path at which it counts, all if None.
     """
 
     term: Term
@@ -94,16 +100,18 @@ class Constraint(Record):
     high: jax.Array
     where: str = eqx.field(static=True)
     name: str = eqx.field(static=True)
+    knots: tuple[int, ...] | None = eqx.field(static=True)
 
     def __init__(
         self, term: Any, low: Any = 0.0, high: Any = 0.0, where: str = "path",
-        name: str | None = None,
+        name: str | None = None, knots: Any = None,
     ) -> None:  # fmt: skip
         self.term = term_of("Constraint", term)
         self.name = self.term.label if name is None else name
         if not isinstance(self.name, str):
             raise InputError(f"Constraint: name is {name!r}, expected a string")
         here = f"Constraint({self.name})"
+        self.knots = knot_indices_of(here, knots)
         self.low, self.high = check_bound(here, "low", low), check_bound(here, "high", high)
         self.where = where
         if where not in ("path", "end", "all"):
@@ -142,6 +150,14 @@ def term_of(where: str, f: Any) -> Term:
             "(model, t, state, ctrl)"
         )
     return Given(f, count == 4, _name(f))
+
+
+def knot_indices_of(where: str, knots: Any) -> tuple[int, ...] | None:
+    """Indices of knots as integers; None for all."""
+    if knots is None:
+        return None
+    given = check_several(where, "knots", knots, "indices of knots")
+    return tuple(integer(where, "an entry of knots", k, least=0) for k in given)
 
 
 def cost_of(where: str, given: Any) -> Cost:

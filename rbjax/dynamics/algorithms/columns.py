@@ -50,7 +50,7 @@ def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.
 
 
 def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-    """a, 1 / D and U of each link, in its own axes, as an array (8, nv)."""
+    """a, 1 / D and U of each link in its own axes, as an array (8, nv)."""
     d = driver(model, q.dtype)
     a, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
     _, _, U, inverse_D = d.unzip(factors, 4)
@@ -74,8 +74,8 @@ def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> 
 
 
 def inverse_mass_rows(model: Model, q: jax.Array) -> jax.Array:
-    """X, U and 1 / D of each link, in its own axes, where f32 keeps more digits, as (19, nv). If
-    the axes depend on q, S follows below."""
+    """X, U and 1 / D of each link in its own axes, where f32 keeps more digits, as (19, nv); then
+    S, if the axes depend on q."""
     d = driver(model, q.dtype)
     X, S, U, inverse_D = d.unzip(factorize(d, d.joints(q, None)), 4)
     moving = () if model.topology.constant_axes else (S,)
@@ -171,7 +171,7 @@ def inverse_mass_by_columns(model: Model, q: jax.Array) -> jax.Array:
 
 
 def _kernel(f: Callable, *args: jax.Array) -> jax.Array:
-    """f(*args) of one sample, as a kernel whose results have the batch first."""
+    """Run f(*args) of one sample as a kernel whose results have the batch first."""
     return batch_first(compile_threads(f)(*args))
 
 
@@ -198,8 +198,7 @@ def _unit(model: Model, j: jax.Array, like: jax.Array) -> jax.Array:
 def _entries(
     rows: jax.Array, own: jax.Array, places: jax.Array, start: int, count: int
 ) -> list[list[Lane]]:
-    """The entries of one column of that many matrices, link by link. A link uses what it reads
-    before the next one reads."""
+    """The entries of one column of `count` matrices, link by link."""
     out: list[list[Lane]] = []
     for row in rows:
         S, below = _lanes(row, AXIS), _lanes(row, slice(start, start + BELOW))

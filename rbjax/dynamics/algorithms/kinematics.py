@@ -32,8 +32,8 @@ class Poses(NamedTuple):
 
 
 class Hop(NamedTuple):
-    """One outward step: the pose X of a link in its parent, its joint's motion, its acceleration.
-    `qdd` is a lane, 0.0 if the sweep has no accelerations."""
+    """One outward step: the pose X of a link in its parent, the motion of its joint, and its joint
+    acceleration, 0.0 if the sweep has none."""
 
     X: Transform
     joint: JointMotion
@@ -41,8 +41,8 @@ class Hop(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity of a link that follows from that of its parent: `root`, its value in the world,
-    and `step(hop, value of the parent)`."""
+    """A quantity of links by recursion: `root`, its value in the world, and `step(hop, value of
+    the parent)`."""
 
     root: Any
     step: Callable[[Hop, Any], Any]
@@ -76,7 +76,7 @@ ACCELERATION = Quantity((Vec3.zero(), Motion.zero()), _acceleration)
 
 
 def accelerated_base(a: Motion) -> Quantity:
-    """`ACCELERATION` on a base with the acceleration a; -g acts as gravity g does."""
+    """`ACCELERATION` on a base with the acceleration a: -g for gravity g."""
     return ACCELERATION._replace(root=(Vec3.zero(), a))
 
 
@@ -94,7 +94,7 @@ def sweep(d: Driver, joints: Any, *quantities: Quantity, a: Any = None) -> tuple
 
 
 def body_transforms(d: Driver, poses: Any) -> Any:
-    """The pose of each body, from the poses of the links in the form of `Driver.whole`."""
+    """The pose of each body, from the poses of the links in the whole form."""
     top = d.topology
     if d.listed:
         welds = [d.prepared.weld(b) for b in range(top.nb)]
@@ -193,16 +193,20 @@ def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force
 
 
 class LinkMotion:
-    """Poses in the world, twists and accelerations of the links of a robot at (q, v, a); v None is
-    at rest, a None is zero."""
+    """Poses, twists and accelerations of single links at (q, v, a), each computed on first use.
+
+    For force elements that need a few links, such as a spring between two points. The recursions
+    run along the path from the base to the link. `columns` and `scattered` are for elements on many
+    bodies. v None is at rest, a None is zero.
+    """
 
     def __init__(self, d: Driver, q: jax.Array, v: jax.Array | None, a: jax.Array | None = None):
         self.driver, self._q, self._v, self._a = d, q, v, a
-        #: quantity -> its value of each link that was asked for, or its columns
+        #: quantity -> its values by link, or its columns
         self._found: dict[Quantity, Any] = {}
 
     def accelerating(self, a: jax.Array) -> LinkMotion:
-        """The same motion, with the accelerations a (nv,)."""
+        """The same motion with the accelerations a (nv,)."""
         out = copy.copy(self)
         out._a, out._found = a, {k: x for k, x in self._found.items() if k is not ACCELERATION}
         return out
@@ -217,7 +221,7 @@ class LinkMotion:
 
     def acceleration(self, link: int) -> Motion:
         """The angular acceleration of the link and the classical acceleration of its origin, in its
-        own axes; gravity has no part in it."""
+        own axes, without gravity."""
         return self._of(ACCELERATION, link)[1]
 
     def _of(self, quantity: Quantity, link: int) -> Any:
@@ -245,7 +249,7 @@ class LinkMotion:
         return joint.transform(constants), joint.S
 
     def axis(self, link: int) -> Motion:
-        """The axis S of a link in its own axes, where links are columns."""
+        """The axis S of a link in its own axes, if links are columns."""
         if self.driver.topology.constant_axes:
             kind = self.driver.topology.dofs[link].kind
             return kind.axis(self.driver.prepared.link(link).params)
@@ -264,12 +268,12 @@ class LinkMotion:
         return pose, twist, jax.tree.map(lambda column: self.column(column, bodies), welds)
 
     def column(self, column: Any, rows: np.ndarray) -> Lane:
-        """These rows of a column; a literal if they are known and agree."""
+        """Rows of a column; a literal if they are known and equal."""
         if not isinstance(column, np.ndarray):
             return column[rows]
         found = np.asarray(column[rows], np.float64)
-        alike = bool((found == found[0]).all())
-        return float(found[0]) if alike else jnp.asarray(found, self._q.dtype)
+        equal = bool((found == found[0]).all())
+        return float(found[0]) if equal else jnp.asarray(found, self._q.dtype)
 
     def scattered(self, bodies: np.ndarray, forces: Force) -> Force:
         """Forces on the links that carry these bodies, as columns over all links."""

@@ -52,7 +52,7 @@ class Limits(Record):
             if not isinstance(x, jax.core.Tracer) and not (np.asarray(x) > 0).all():
                 raise InputError(f"Limits({name}=...): got {x}, expected numbers above zero")
 
-    def may_be_endless(self, name: str) -> bool:
+    def may_be_infinite(self, name: str) -> bool:
         return name != "torque"
 
     def torques(self, vehicle: RobotModel) -> jax.Array:

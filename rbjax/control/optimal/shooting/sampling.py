@@ -92,13 +92,6 @@ class Sampling:
                 raise InputError(f"Sampling: {what} has shape {np.shape(value)}, expected a number")
             real_number("Sampling", what, value, least=low, most=high, traced=True)
 
-    def __call__(
-        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
-        history: int,
-    ) -> SearchResult:  # fmt: skip
-        """`solve` by samples."""
-        return solve_sampling(self, problem, start, knots, ctrls, options, history)
-
 
 @dataclasses.dataclass(frozen=True)
 class SampledStart:
