@@ -158,8 +158,9 @@ def choice(kind: str, name: Any, known: Collection[str]) -> str:
     return name
 
 
-def instance(where: str, name: str, value: Any, kind: type, public: str) -> None:
-    """`InputError` unless the value is an instance of a class, whose public name is given."""
+def instance(where: str, name: str, value: Any, kind: Any, public: str) -> None:
+    """`InputError` unless the value is an instance of a class, or of one of several; public: their
+    name for the message."""
     if not isinstance(value, kind):
         raise InputError(f"{where}: {name} is {shown(value)}, expected {public}")
 
