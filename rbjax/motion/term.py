@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.formulation import Formulation, stepped
+from rbjax.constraints.formulation import Formulation, differential_algebraic_method
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.algorithms.rnea import momentum
 from rbjax.errors import InputError
@@ -179,7 +179,7 @@ def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffr
     of index 2 or 3, or the default."""
     if given is not None:
         _check_solver("simulate", given)
-    formulation = stepped(dynamics)
+    formulation = differential_algebraic_method(dynamics)
     if formulation is not None:
         if isinstance(given, BDF):
             return BDFSolver(formulation, given.formula_order)
