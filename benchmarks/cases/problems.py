@@ -18,7 +18,7 @@ from rbjax.sysid.parameters import (
     pseudo_inertia_of,
     to_log_cholesky,
 )
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.setup import simulate_motion
 
 ORACLES = Path(__file__).parents[2] / "tests" / "oracles"

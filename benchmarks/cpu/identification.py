@@ -45,7 +45,7 @@ from benchmarks.cases.problems import ORACLES, Problem, arm, quadruped  # noqa: 
 from benchmarks.shared.cma_es import cma_es  # noqa: E402
 from benchmarks.shared.timing import markdown_table, others, save  # noqa: E402
 from rbjax.sysid import identify  # noqa: E402
-from rbjax.sysid.parameters.unknowns import Unknowns  # noqa: E402
+from rbjax.sysid.parameters.unknown_vector import Unknowns  # noqa: E402
 from rbjax.sysid.simulation.runs import make_batch  # noqa: E402
 from rbjax.sysid.simulation.simulation_error import SimulationError  # noqa: E402
 

@@ -26,7 +26,7 @@ from benchmarks.cases import go2  # noqa: E402
 from benchmarks.shared.cma_es import cma_es  # noqa: E402
 from benchmarks.shared.timing import markdown_table, others, save  # noqa: E402
 from rbjax.sysid import Setup, identify  # noqa: E402
-from rbjax.sysid.parameters.unknowns import Unknowns  # noqa: E402
+from rbjax.sysid.parameters.unknown_vector import Unknowns  # noqa: E402
 from rbjax.sysid.simulation.runs import make_run  # noqa: E402
 from rbjax.sysid.simulation.setup import simulate_motion  # noqa: E402
 

@@ -40,7 +40,7 @@ from benchmarks.shared.timing import markdown_table, others, save
 from benchmarks.work.scenes import bare
 from rbjax.model import State
 from rbjax.sysid import Derived, Grid, Setup
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.simulation_error import SimulationError
 

@@ -19,9 +19,8 @@ from rbjax.sysid.data.readers import Column, read_csv, read_npz
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.data.recording_checks import Finding, findings
 from rbjax.sysid.data.splits import Split, split
-from rbjax.sysid.estimators.free_running import free_run
 from rbjax.sysid.estimators.identification import identifiability, identify
-from rbjax.sysid.estimators.identified import Identified
+from rbjax.sysid.estimators.identified import Identified, free_run
 from rbjax.sysid.estimators.multi_start import Basin, ManyStarts, many_starts
 from rbjax.sysid.estimators.prediction import Predicted, prediction_error
 from rbjax.sysid.judgement.diagnosis import Cause, Diagnosis, diagnose

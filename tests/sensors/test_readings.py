@@ -16,7 +16,7 @@ from rbjax.sysid import (
     Unknown,
     identify,
 )
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import make_batch
 from rbjax.sysid.simulation.simulation_error import SimulationError
 from tests.sysid.sensed import ARM, FLIGHT, T, by_mujoco, first, loaded, swung, thrown

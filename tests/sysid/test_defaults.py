@@ -10,7 +10,7 @@ import pytest
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, identify
 from rbjax.sysid.estimators.staged_fit import start_grid
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import default_grid, make_run
 from rbjax.sysid.statistics.precision import cast
 

@@ -23,7 +23,7 @@ from rbjax import sysid
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown
 from rbjax.sysid.estimators.likelihood import Levels, Likelihood, make_series
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.multiple_shooting import MultipleShooting
 from rbjax.sysid.simulation.runs import make_batch, make_run
 from rbjax.sysid.simulation.simulation_error import SimulationError

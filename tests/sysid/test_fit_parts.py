@@ -12,9 +12,9 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Identified, Recording, Setup, Unknown, squares
-from rbjax.sysid.estimators import free_running, identification, staged_fit
+from rbjax.sysid.estimators import identification, identified, staged_fit
 from rbjax.sysid.estimators.identified import Options
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation import objective
 from rbjax.sysid.simulation.jacobian_colouring import compile_time_constants
 from rbjax.sysid.simulation.runs import Run
@@ -61,12 +61,12 @@ def test_a_free_run_weighs_each_sample_that_arrived_by_the_noise(monkeypatch):
     def stop(setup, unknowns, data, grid, **how):
         raise Reached(data.weights)
 
-    monkeypatch.setattr(free_running, "SimulationError", stop)
+    monkeypatch.setattr(identified, "SimulationError", stop)
     q = np.sin(T)
     q[3] = np.nan
     run = Recording("gap", {"q": Channel(T, q, dropped="nan")})
     with pytest.raises(Reached) as found:
-        free_running.free_run(MODEL, run, noise={"q": [0.25]})
+        identified.free_run(MODEL, run, noise={"q": [0.25]})
     due = np.where(np.isnan(q), 0.0, 4.0)
     np.testing.assert_array_equal(found.value.args[0]["q"][0, :, 0], due)
 

@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax.rotations import quaternion
 from rbjax.sysid import Grid, Setup, Unknown
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.setup import simulate_motion
 from rbjax.sysid.simulation.simulation_error import SimulationError

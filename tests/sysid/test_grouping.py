@@ -10,7 +10,7 @@ import pytest
 import rbjax as rb
 from rbjax.sensors import CustomSensor
 from rbjax.sysid import Grid, Inertia, Setup, Tilt, Unknown
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation import jacobian_colouring
 from rbjax.sysid.simulation.jacobian_colouring import base_unknowns, colour_jacobian
 from rbjax.sysid.simulation.runs import Run

@@ -12,7 +12,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import PD, Derived, Grid, Setup, Tilt, Unknown
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.equal_parts import equal_parts
 from rbjax.sysid.simulation.jacobian_colouring import ALL, colour_jacobian, independent_parts
 from rbjax.sysid.simulation.runs import Run

@@ -14,8 +14,7 @@ from rbjax.sysid import Setup
 from rbjax.sysid.jobs import job as jobs
 from rbjax.sysid.jobs.example import CONFIGURATION, write_example
 from rbjax.sysid.jobs.job import Job
-from rbjax.sysid.jobs.keys import KEYS, KINDS
-from rbjax.sysid.jobs.places import index_of
+from rbjax.sysid.jobs.keys import KEYS, KINDS, index_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "job_files.md"
 ANGLE = '"shoulder angle" = { sensor = "q", joint = "shoulder", unit = "deg" }'

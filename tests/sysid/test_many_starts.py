@@ -18,8 +18,7 @@ from rbjax.sysid import (
     identify,
     many_starts,
 )
-from rbjax.sysid.parameters.guesses import draw_guesses
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
 
 MODEL = rb.load("pendulum")
 ROTOR = {"armature": Unknown("joints.armature", 0, positive=True)}

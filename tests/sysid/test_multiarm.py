@@ -8,7 +8,7 @@ import rbjax as rb
 from benchmarks.cases import pendulums
 from benchmarks.cases.pendulums import NAMES, Arms, chain
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, free_run, identify
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.multiple_shooting import MultipleShooting
 from rbjax.sysid.simulation.runs import make_run
 from rbjax.sysid.simulation.setup import simulate_motion

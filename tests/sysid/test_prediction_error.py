@@ -115,7 +115,7 @@ BETWEEN = Recording("between", {"q": Channel([0.0, 0.02, 0.035, 0.06], np.zeros(
 @pytest.mark.parametrize(
     ("change", "error"),
     [
-        ({"drive": "wind"}, "expected one of"),
+        ({"drive": "wind"}, "unknown drive"),
         ({"driven": ["elbow"]}, "elbow"),
         ({"recordings": []}, "expected one Recording"),
         ({"recordings": BETWEEN, "grid": GRID}, "at 0.035 s after its start, between instants"),

@@ -5,7 +5,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import Channel, Derived, Grid, Recording, Setup, Unknown, identify
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.programs import get_cached
 from tests.compilations import compilations
 

@@ -11,7 +11,8 @@ from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.estimators.staged_fit import halve_steps
 from rbjax.sysid.estimators.verdict import _tiny
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.parameters.unknowns import Inertia, Unknown, Unknowns, put
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Inertia, Unknown, put
 from rbjax.sysid.simulation.runs import _first_readings
 from rbjax.sysid.simulation.setup import Grid, Path, interpolate_state
 from rbjax.sysid.simulation.traces import FEW, Trace

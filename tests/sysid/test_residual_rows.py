@@ -47,6 +47,7 @@ def robust(times, u):
         runs=runs, setup=SimpleNamespace(columns=lambda sensor: Columns(1)),
     )  # fmt: skip
     of.rows_of = functools.partial(SimulationError.rows_of, of)
+    of.unknowns = SimpleNamespace(prior_rows=lambda p: np.zeros((0, 2)))
     return of
 
 

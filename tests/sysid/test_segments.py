@@ -9,7 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import PD, Grid, Setup, Unknown
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation import parallel_in_time
 from rbjax.sysid.simulation.parallel_in_time import simulate_windows
 from rbjax.sysid.simulation.setup import simulate_motion

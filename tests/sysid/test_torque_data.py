@@ -173,7 +173,7 @@ def test_columns_go_to_the_joints_of_their_names():
         ({"joint_terms": "viscous"}, "expected a list such as"),
         ({"joint_terms": ["viscous", "viscous"]}, "expected none twice"),
         ({"joint_terms": 5}, "joint_terms is 5, expected a list"),
-        ({"recording": [1]}, "recording is list, expected one Recording"),
+        ({"recording": [1]}, "expected one Recording"),
         ({"model": "arm"}, "model is str, expected a Model"),
     ],
 )

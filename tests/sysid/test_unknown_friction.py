@@ -9,7 +9,7 @@ import rbjax as rb
 from rbjax.errors import InputError, UnknownName
 from rbjax.forces import JointFriction
 from rbjax.sysid import Setup, Unknown
-from rbjax.sysid.jobs.places import index_of
+from rbjax.sysid.jobs.keys import index_of
 
 MODEL = rb.load("double_pendulum")
 A, B = MODEL.joint_names

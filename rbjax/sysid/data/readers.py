@@ -158,8 +158,7 @@ def read_npz(
         # `ZipFile` rejects an npy file
         with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as file:
             for n in (*wanted, *clocks):
-                if n not in file.files:
-                    raise UnknownName(f"array of {path.name}", n, file.files)
+                choice(f"array of {path.name}", n, file.files)
             table = {n: _array(path, n, file[n]) for n in (*wanted, *clocks)}
             for n, c in wanted.items():
                 if isinstance(c.joint, str) and c.joint in file.files:
@@ -254,8 +253,8 @@ def _columns(where: str, columns: Mapping[str, Any]) -> dict[str, Column]:
             raise InputError(f"{at} has time {c.time!r}, expected the name of a column")
         in_si(c.unit)
         suited = OF_SENSORS.get(c.sensor.partition(":")[0])
-        if c.unit and suited is not None and c.unit not in suited:
-            raise UnknownName(f"unit of sensor {c.sensor}", c.unit, suited)
+        if c.unit and suited is not None:
+            choice(f"unit of sensor {c.sensor}", c.unit, suited)
     return out
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import real_array
+from rbjax.arguments import choice, instance, real_array
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
 from rbjax.sensors import kinds
@@ -170,27 +170,18 @@ class Recording:
     initial_state: State | None = None
 
     def __post_init__(self) -> None:
-        if not (self.initial_state is None or isinstance(self.initial_state, State)):
-            raise InputError(
-                f"Recording {self.name}: initial_state is {type(self.initial_state).__name__}, "
-                "expected a State, such as State(q, v), or None to have it estimated"
-            )
-        if not isinstance(self.name, str) or not isinstance(self.channels, Mapping):
-            raise InputError(
-                f"Recording: name is {type(self.name).__name__} and channels "
-                f"{type(self.channels).__name__}, expected a str and a dict sensor -> Channel"
-            )
+        where = f"Recording {self.name}"
+        fix = "a State, such as State(q, v), or None to have it estimated"
+        instance(where, "initial_state", self.initial_state, State | None, fix)
+        instance("Recording", "name", self.name, str, "a str")
+        instance(where, "channels", self.channels, Mapping, "a dict sensor -> Channel")
         object.__setattr__(self, "channels", dict(self.channels))
         object.__setattr__(self, "source", self.source or self.name)
         if not self.channels:
             raise InputError(f"Recording {self.name}: no channels, expected at least one sensor")
         for sensor, channel in self.channels.items():
             kind, _, where = str(sensor).partition(":")
-            if not isinstance(channel, Channel):
-                raise InputError(
-                    f"Recording {self.name}: channel {sensor} is {type(channel).__name__}, "
-                    "expected a Channel"
-                )
+            instance(f"Recording {self.name}", f"channel {sensor}", channel, Channel, "a Channel")
             added = kinds()
             known = [*JOINT_SENSORS, *(k for k, of in added.items() if not of.placed)]
             placed = [*PLACED_SENSORS, *(k for k, of in added.items() if of.placed), "other"]
@@ -223,9 +214,7 @@ class Recording:
         return bool(arrived[0].all() and not arrived[1:].any())
 
     def __getitem__(self, sensor: str) -> Channel:
-        if sensor not in self.channels:
-            raise UnknownName(f"channel of recording {self.name}", sensor, self.channels)
-        return self.channels[sensor]
+        return self.channels[choice(f"channel of recording {self.name}", sensor, self.channels)]
 
     @property
     def start(self) -> float:

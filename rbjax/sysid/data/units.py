@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from rbjax.errors import UnknownName
+from rbjax.arguments import choice
 
 #: unit -> its value in SI
 UNITS = {
@@ -56,6 +56,4 @@ def in_si(unit: str) -> float:
         >>> round(60 * in_si("rpm"), 4)
         6.2832
     """
-    if not isinstance(unit, str) or unit not in UNITS:
-        raise UnknownName("unit", unit, UNITS)
-    return UNITS[unit]
+    return UNITS[choice("unit", unit, UNITS)]

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.errors import InputError
 
 DEGREE = 5  # of the splines: the acceleration is smooth
@@ -187,16 +187,9 @@ def _check_numbers(where: str, name: str, x: Any) -> None:
     """`InputError` unless x is an array of finite numbers, or traced."""
     if isinstance(x, jax.core.Tracer):
         return
-    if x is None or isinstance(x, str):
-        raise InputError(f"{where}: {name} is {x!r}, expected an array of numbers")
-    if not isinstance(x, (jax.Array, np.ndarray, list, tuple, int, float)):
-        return  # a placeholder of JAX or equinox for an array
-    try:
-        finite = np.isfinite(np.asarray(x, float)).all()
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: {name} is {x!r}, expected an array of numbers") from error
-    if not finite:
-        raise InputError(f"{where}: {name} has numbers that are not finite, expected finite ones")
+    # other classes are placeholders of JAX or equinox for an array
+    if x is None or isinstance(x, (jax.Array, np.ndarray, str, list, tuple, int, float)):
+        real_array(where, name, x, "an array of finite numbers")
 
 
 def _check_time(where: str, name: str, seconds: Any) -> None:

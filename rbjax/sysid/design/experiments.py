@@ -25,9 +25,9 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import cho_solve
 
-from rbjax.arguments import integer
+from rbjax.arguments import choice, instance, integer, real_array
 from rbjax.dynamics import inverse_dynamics
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.sysid.design.excitation import Fourier, Spline
@@ -96,15 +96,10 @@ class MotionLimits(eqx.Module):
         if (self.torque is None) != (self.model is None):
             raise InputError("MotionLimits: only one of torque and model is given, expected both")
         for name in ("low", "high", "speed", "acceleration", "torque"):
-            x = getattr(self, name)
-            if x is not None and np.asarray(x).dtype.kind not in "biuf":
-                raise InputError(f"MotionLimits: {name} is {x!r}, expected numbers, or None")
-        if not (self.model is None or isinstance(self.model, Model)):
-            raise InputError(
-                f"MotionLimits: model is {type(self.model).__name__}, expected a Model (rbjax.load)"
-            )
-        if not (self.own is None or callable(self.own)):
-            raise InputError(f"MotionLimits: own is {self.own!r}, expected a function of q, v, a")
+            if getattr(self, name) is not None:
+                real_array("MotionLimits", name, getattr(self, name), "numbers, or None")
+        instance("MotionLimits", "model", self.model, Model | None, "a Model (rbjax.load)")
+        instance("MotionLimits", "own", self.own, Callable | None, "a function of q, v, a")
         span = () if self.low is None else np.asarray(self.high) - np.asarray(self.low)
         for name, x in (("high - low", span), ("speed", self.speed), ("torque", self.torque),
                         ("acceleration", self.acceleration)):  # fmt: skip
@@ -214,25 +209,15 @@ def design_experiment(
         >>> found.success, found.value < found.start_value
         (True, True)
     """
-    if criterion not in CRITERIA:
-        raise UnknownName("criterion", criterion, CRITERIA)
+    choice("criterion", criterion, CRITERIA)
     for name, number in (("samples", samples), ("rounds", rounds), ("steps", steps)):
         integer("design_experiment", name, number, least=1)
-    if not isinstance(start, (Fourier, Spline)):
-        raise InputError(
-            f"design_experiment: start is {type(start).__name__}, expected a motion: Fourier or "
-            "Spline"
-        )
-    if not callable(information):
-        raise InputError(
-            f"design_experiment: information is {type(information).__name__}, expected a function "
-            "(q, v, a) -> J (rows, unknowns)"
-        )
-    if not (limits is None or isinstance(limits, MotionLimits)):
-        raise InputError(
-            f"design_experiment: limits is {type(limits).__name__}, expected MotionLimits"
-        )
+    where = "design_experiment"
+    instance(where, "start", start, (Fourier, Spline), "a motion: Fourier or Spline")
+    fix = "a function (q, v, a) -> J (rows, unknowns)"
+    instance(where, "information", information, Callable, fix)
     limits = MotionLimits() if limits is None else limits
+    instance(where, "limits", limits, MotionLimits, "MotionLimits")
     _check_joints(start, limits)
     times, fine = _times(start, samples), _times(start, FINE * samples)
     flat: jax.Array

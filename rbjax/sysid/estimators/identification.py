@@ -15,8 +15,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
-from rbjax.errors import InputError
+from rbjax.arguments import instance, integer
 from rbjax.model import Model
 from rbjax.progress import Say, progress_line
 from rbjax.sysid.arguments import check_options, recordings_of, setup_of
@@ -24,7 +23,8 @@ from rbjax.sysid.data.recording import Recording, noise_is_stated
 from rbjax.sysid.estimators.identified import Identified, Options, read_fit
 from rbjax.sysid.estimators.staged_fit import Fit, StagedFit, start_grid
 from rbjax.sysid.estimators.verdict import judge
-from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Parametrisation
 from rbjax.sysid.simulation.runs import make_batch
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError
@@ -115,8 +115,7 @@ def identify(
         "identify", loss, estimate_initial_state, segments=segments,
         multiple_shooting=multiple_shooting,
     )  # fmt: skip
-    if not (save is None or isinstance(save, (str, Path))):
-        raise InputError(f"identify: save is {type(save).__name__}, expected the path of a file")
+    instance("identify", "save", save, str | Path | None, "the path of a file")
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     sought = Unknowns.of("identify", unknowns, setup)
     options = Options(

@@ -1,4 +1,5 @@
-"""The result of `identify`: its options, its summary, its file, and its validation."""
+"""The result of `identify`, with its file and its validation, and `free_run`, the simulation of
+recordings with no fit except of initial states."""
 
 from __future__ import annotations
 
@@ -11,19 +12,22 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName
+from rbjax.arguments import choice, instance
+from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.sysid.arguments import floats, recordings_of
+from rbjax.sysid.arguments import check_options, floats, recordings_of, setup_of
 from rbjax.sysid.data.recording import HELD, Recording
-from rbjax.sysid.estimators.free_running import free_run
+from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.estimators.verdict import Verdict, without_outliers
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.runs import default_grid, make_batch
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError
-from rbjax.sysid.simulation.traces import Traces, rms_of
+from rbjax.sysid.simulation.traces import Traces, make_traces, rms_of
 from rbjax.sysid.statistics.comparisons import HeldOut, held_out
 from rbjax.sysid.statistics.fit_statistics import FitStatistics
 from rbjax.sysid.statistics.intervals import Estimates
-from rbjax.sysid.statistics.precision import in_double
+from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.status import FitStatus, HasStatus
 
@@ -173,8 +177,7 @@ class Identified(HasStatus):
         """
         recordings = recordings_of("validate", recordings)
         sensor = self.judged_sensor if sensor is None else sensor
-        if sensor not in self.rms:
-            raise UnknownName("sensor", sensor, self.rms)
+        choice("sensor", sensor, self.rms)
         seen = self.traces
         unseen = self.simulated(recordings, estimate_initial_state=estimate_initial_state)
         if self.options.loss == "huber":
@@ -186,6 +189,72 @@ class Identified(HasStatus):
             noise=_stated_noise(recordings, sensor),
             unit=self.setup.unit(sensor),
         )
+
+
+@in_double
+def free_run(
+    model: Model | Setup,
+    recordings: Sequence[Recording],
+    *,
+    grid: Grid | None = None,
+    estimate_initial_state: bool | None = False,
+    noise: Mapping[str, np.ndarray] | None = None,
+) -> Traces:
+    """Simulate recordings with a model, to compare it with them or with another model.
+
+    Args:
+        model: the robot, or a `Setup`.
+        recordings: with channels "q", perhaps "v" and "ctrl".
+        grid: as in `identify`.
+        estimate_initial_state: whether each motion starts from the initial state that fits the
+            whole recording best (least squares), instead of the first readings, which are noisy.
+            None: unless the recordings have an `initial_state`.
+        noise: sensor -> standard deviation (n,), which weighs that fit; None for the stated noise,
+            or 1.
+
+    Returns:
+        Recording -> sensor -> `Trace`, with `residual`.
+
+    Raises:
+        InputError: recordings that do not suit the model; noise without a recorded sensor.
+
+    Example:
+        >>> import rbjax as rb, numpy as np
+        >>> from rbjax.sysid import Channel, Recording, free_run
+        >>> model, t = rb.load("pendulum"), np.arange(51) * 0.01
+        >>> still = Channel(t, np.zeros(51))
+        >>> hangs = Recording("hangs", {"q": still, "v": still})
+        >>> float(abs(free_run(model, [hangs])["hangs"]["q"].residual).max())
+        0.0
+    """
+    setup = cast(setup_of("free_run", model), np.float64)
+    recordings = recordings_of("free_run", recordings)
+    check_options("free_run", estimate_initial_state=estimate_initial_state)
+    grid = default_grid(recordings, setup) if grid is None else grid
+    data = make_batch(setup, recordings, grid)
+    if noise is not None:
+        weights = {s: (w > 0) / _noise_of(noise, s, w) for s, w in data.weights.items()}
+        data = data._replace(weights=weights)
+    none = Unknowns({}, (), ())
+    of = SimulationError(setup, none, data, grid, estimate_initial_state=estimate_initial_state)
+    x = minimise(of, np.zeros(of.size)).x if of.own else np.zeros(0)
+    return make_traces(setup, of, x, recordings)
+
+
+def _noise_of(noise: Any, sensor: str, weights: Any) -> np.ndarray:
+    """Check the standard deviations of a sensor."""
+    if not isinstance(noise, Mapping) or sensor not in noise:
+        raise InputError(
+            f"free_run: noise has no sensor {sensor}, expected a dict with the standard deviations "
+            "of each sensor that was recorded"
+        )
+    sigma = floats("free_run", f"noise[{sensor!r}]", noise[sensor], "standard deviations")
+    if sigma.shape not in ((), weights.shape[-1:]) or not (sigma > 0).all():
+        raise InputError(
+            f"free_run: noise[{sensor!r}] is {sigma.tolist()}, expected one number above 0, or "
+            f"{weights.shape[-1]}, one a column"
+        )
+    return sigma
 
 
 def _stated_noise(recordings: Sequence[Recording], sensor: str) -> float | None:
@@ -213,11 +282,8 @@ def read_fit(fit: str | Path | Mapping[str, float], names: Sequence[str]) -> np.
     Raises:
         InputError: no such file, or a fit of other unknowns.
     """
-    if not isinstance(fit, (str, Path, Mapping)):
-        raise InputError(
-            f"identify: resume is {type(fit).__name__}, expected the file of a fit, or a dict "
-            "name -> value"
-        )
+    fix = "the file of a fit, or a dict name -> value"
+    instance("identify", "resume", fit, (str, Path, Mapping), fix)
     where, values, corrections = "resume", fit, []
     if not isinstance(fit, Mapping):
         where = str(fit)

@@ -32,7 +32,7 @@ from rbjax.motion.integrators import advance_state, integrator_of
 from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import make_run
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import state_of_readings, triangle_of

@@ -24,8 +24,8 @@ from rbjax.sysid.estimators.identification import identify
 from rbjax.sysid.estimators.identified import Identified, Options
 from rbjax.sysid.estimators.least_squares import Minimum, Request, search
 from rbjax.sysid.estimators.staged_fit import StagedFit
-from rbjax.sysid.parameters.guesses import draw_guesses
-from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
+from rbjax.sysid.parameters.unknowns import Parametrisation
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import (
     Programs,

@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import choice, integer
 from rbjax.dynamics import mass_matrix
 from rbjax.dynamics.algorithms.manifold import difference
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.estimation.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.model import Model
 from rbjax.progress import progress_line
@@ -30,7 +30,8 @@ from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.least_squares import Tolerances, minimise
 from rbjax.sysid.estimators.likelihood import DRIVES, Levels, Likelihood, Series, make_series
-from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Parametrisation
 from rbjax.sysid.simulation.runs import order_columns
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.statistics.comparisons import HeldOut, held_out
@@ -182,7 +183,7 @@ def prediction_error(
 
     Raises:
         InputError: recordings that do not suit the model or the grid; a set-up with delays.
-        UnknownName: no such leaf, body or joint.
+        UnknownName: no such drive, leaf, body or joint.
 
     Source: Ljung, *System Identification*, 2nd ed., 7.4 and 9.4; Astrom, Automatica 16(5), 1980.
 
@@ -207,8 +208,7 @@ def prediction_error(
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     runs = recordings_of(where, recordings)
     integer(where, "max_evaluations", max_evaluations, least=1)
-    if drive not in DRIVES:
-        raise InputError(f"{where}: drive is {drive!r}, expected one of {DRIVES}")
+    choice("drive", drive, DRIVES)
     sought = Unknowns.of(where, unknowns, setup)
     if grid is None:
         clocks = [run[s] for run in runs for s in ("q", "v", "ctrl") if s in run.channels]
@@ -279,9 +279,7 @@ def _driven(where: str, model: Model, joints: Sequence[str] | None) -> np.ndarra
         return np.ones(model.nv, bool)
     found = np.zeros(model.nv, bool)
     for name in names_of(where, "driven", [joints] if isinstance(joints, str) else joints):
-        if name not in model.joint_names:
-            raise UnknownName("joint", name, model.joint_names)
-        found[model.v_slice(name)] = True
+        found[model.v_slice(choice("joint", name, model.joint_names))] = True
     return found
 
 

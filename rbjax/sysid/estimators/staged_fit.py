@@ -25,8 +25,8 @@ from rbjax.sysid.data.recording import Recording, noise_is_stated
 from rbjax.sysid.estimators.identified import Options, write_fit
 from rbjax.sysid.estimators.least_squares import PRIOR_WEIGHTS, Minimum, minimise
 from rbjax.sysid.estimators.verdict import NORMAL, is_poor, roughness
-from rbjax.sysid.parameters.guesses import draw_guesses
-from rbjax.sysid.parameters.unknowns import Unknown, Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
+from rbjax.sysid.parameters.unknowns import Unknown
 from rbjax.sysid.simulation.multiple_shooting import CONTINUITY_WEIGHTS, MultipleShooting
 from rbjax.sysid.simulation.runs import Run, default_grid, make_batch, make_run
 from rbjax.sysid.simulation.setup import Grid, Setup

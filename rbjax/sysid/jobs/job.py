@@ -15,7 +15,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName, UnsupportedFeature, listed
+from rbjax.arguments import choice
+from rbjax.errors import InputError, UnsupportedFeature, listed
 from rbjax.loading import load, scenes, write_back, write_mjcf
 from rbjax.model import Model
 from rbjax.sensors import Currents
@@ -24,11 +25,11 @@ from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identification import identify
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.multi_start import many_starts
-from rbjax.sysid.jobs.keys import KEYS, NEEDED, check, shorten
-from rbjax.sysid.jobs.places import check_joints, index_of
+from rbjax.sysid.jobs.keys import KEYS, NEEDED, check, check_joints, index_of, shorten
 from rbjax.sysid.judgement.diagnosis import Diagnosis, diagnose
 from rbjax.sysid.judgement.report_page import report
-from rbjax.sysid.parameters.unknowns import Inertia, Parametrisation, Tilt, Unknown, Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Inertia, Parametrisation, Tilt, Unknown
 from rbjax.sysid.simulation.runs import default_grid
 from rbjax.sysid.simulation.setup import PD, Grid, Setup
 from rbjax.sysid.statistics.comparisons import HeldOut
@@ -293,12 +294,10 @@ def _unknown(setup: Setup, name: str, line: Mapping[str, Any]) -> Parametrisatio
             )
         if kinds[0] == "tilt":
             return Tilt()
-        if line["inertia"] not in setup.model.body_names:
-            raise UnknownName("body", line["inertia"], setup.model.body_names)
-        return Inertia(line["inertia"])
+        return Inertia(choice("body", line["inertia"], setup.model.body_names))
     how = dict(line)
-    if "bounds" in how:
-        how["bounds"] = tuple(map(float, how["bounds"]))
+    for key in how.keys() & {"bounds", "prior"}:
+        how[key] = tuple(map(float, how[key]))
     if "positive" in how and "bounds" in how:
         raise InputError(
             f"identify: unknown {name} has positive and bounds, expected one of them: "

@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName
+from rbjax.arguments import choice
+from rbjax.errors import UnknownName
 from rbjax.model import Model
 from rbjax.spatial.mass import from_pseudo_inertia, pseudo_inertia
 from rbjax.sysid.parameters.divergence import Divergence
@@ -72,6 +73,7 @@ class Unknown(Scalars):
         positive: whether they are above zero.
         bounds: lower and upper bound, which are not reached.
         scale: a large change of free parameters.
+        prior: mean and standard deviation of a normal prior of each entry; None: no prior.
 
     Example:
         >>> import rbjax as rb
@@ -85,6 +87,7 @@ class Unknown(Scalars):
     positive: bool = False
     bounds: tuple[float, float] | None = None
     scale: float = 1.0
+    prior: tuple[float, float] | None = None
 
     def names(self, label: str, target: Any) -> list[str]:
         shape = np.asarray(leaf_of(target, self.leaf))[self.index].shape
@@ -146,9 +149,7 @@ class Inertia:
         model: Model = getattr(target, "model", target)
         if isinstance(self.body, int):
             return model.bodies, self.body
-        if self.body not in model.body_names:
-            raise UnknownName("body", self.body, model.body_names)
-        return model.bodies, model.body_names.index(self.body)
+        return model.bodies, model.body_names.index(choice("body", self.body, model.body_names))
 
 
 @dataclass(frozen=True)
@@ -265,88 +266,6 @@ class Derived(Scalars):
 
     def write(self, target: Any, p: jax.Array) -> Any:
         return self.into(target, p)
-
-
-@dataclass(frozen=True)
-class Unknowns:
-    """Unknowns by name, with their parameters as one vector p in the order of the names."""
-
-    members: Mapping[str, Parametrisation]
-    sizes: tuple[int, ...]
-    names: tuple[str, ...]
-
-    @classmethod
-    def of(cls, where: str, members: Mapping[str, Parametrisation], target: Any) -> Unknowns:
-        """Check unknowns against the set-up that they are read from."""
-        fine = isinstance(members, Mapping) and members
-        if not fine or not all(isinstance(u, Parametrisation) for u in members.values()):
-            raise InputError(
-                f"{where}: unknowns is {members!r}, expected a dict name -> Unknown, Inertia, "
-                'Shared, FixedTotal, Tilt or Derived, such as {"mass": Unknown("bodies.mass", 0)}'
-            )
-        sizes, names = [], []
-        for label, u in members.items():
-            try:
-                called = u.names(label, target)  # raises for an index that does not exist
-                p = np.asarray(u.read(target))
-            except (IndexError, TypeError) as error:
-                raise InputError(f"{where}: {label} is {u!r}, but {error}") from error
-            if not np.isfinite(u.divergence(p, p).value):
-                raise InputError(
-                    f"{where}: {label} is {p.tolist()}, expected a first guess within its range: "
-                    "positive where positive=True, between the bounds, an inertia that a body can "
-                    "have"
-                )
-            sizes.append(p.size)
-            names += called
-        return cls(dict(members), tuple(sizes), tuple(names))
-
-    def read(self, target: Any) -> jax.Array:
-        """Read p of all unknowns."""
-        parts = [u.read(target) for u in self.members.values()]
-        return jnp.concatenate(parts) if parts else jnp.zeros(0)
-
-    def limits(self, target: Any) -> dict[str, tuple[float, float]]:
-        """The bounds (low, high), by name, of the parameters that have bounds."""
-        found: dict[str, tuple[float, float]] = {}
-        for label, u in self.members.items():
-            low, high = getattr(u, "bounds", None) or (-np.inf, np.inf)
-            if getattr(u, "positive", False):
-                low = max(low, 0.0)
-            if low > -np.inf or high < np.inf:
-                found |= dict.fromkeys(u.names(label, target), (low, high))
-        return found
-
-    def write(self, target: Any, p: jax.Array) -> Any:
-        """Write p into the set-up."""
-        end = 0
-        for u, size in zip(self.members.values(), self.sizes, strict=True):
-            target = u.write(target, p[end : end + size])
-            end += size
-        return target
-
-    def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        """The sum of the divergences."""
-        if not self.sizes:
-            return Divergence.free(p, p0, 1.0)
-        parts, end = [], 0
-        for u, size in self._joined:
-            own = slice(end, end + size)
-            parts.append(u.divergence(p[own], p0[own]))
-            end += size
-        return Divergence.joined(parts)
-
-    @functools.cached_property
-    def _joined(self) -> list[tuple[Parametrisation, int]]:
-        """The unknowns with their sizes; successive bodies are one unknown, as the divergence of
-        several bodies takes as long as that of one."""
-        found: list[tuple[Parametrisation, int]] = []
-        for u, size in zip(self.members.values(), self.sizes, strict=True):
-            if isinstance(u, Inertia) and found and isinstance(found[-1][0], Inertia):
-                found[-1] = u, found[-1][1] + size
-            else:
-                found.append((u, size))
-        return found
 
 
 def put(array: Any, index: Any, new: Any) -> jax.Array:

@@ -25,7 +25,8 @@ import scipy.linalg
 from rbjax.compiling import inside_jit
 from rbjax.forces import JointFriction, JointLimits
 from rbjax.model import WORLD
-from rbjax.sysid.parameters.unknowns import Inertia, Unknown, Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Inertia, Unknown
 from rbjax.sysid.simulation.setup import PD, Setup
 from rbjax.sysid.statistics.rank import combinations
 from rbjax.sysid.torque.regressors import observation_matrix, random_motions

@@ -24,7 +24,7 @@ from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation import simulation_error
 from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run, stack_runs

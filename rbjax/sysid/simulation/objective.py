@@ -22,7 +22,8 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.sysid.arguments import check_options, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
-from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Parametrisation
 from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run, default_grid, make_batch
 from rbjax.sysid.simulation.setup import Grid, Setup

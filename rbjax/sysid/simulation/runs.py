@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import instance, integer, real_number
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.integrators import integrator_of
@@ -45,11 +45,8 @@ class Run(NamedTuple):
 
 
 def _check_grid(setup: Setup, grid: Grid) -> None:
-    if not isinstance(grid, Grid):
-        raise InputError(f"identify: grid is {type(grid).__name__}, expected a Grid(period)")
-    period = grid.period
-    if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
-        raise InputError(f"identify: grid has period {period!r}, expected seconds above 0")
+    instance("identify", "grid", grid, Grid, "a Grid(period)")
+    period = real_number("identify", "period of the grid", grid.period, "seconds above 0", above=0)
     integrator_of("identify", grid.integrator)
     integer("identify", "substeps of the grid", grid.substeps, least=1)
     integer("identify", "longest_delay of the grid", grid.longest_delay, least=0)

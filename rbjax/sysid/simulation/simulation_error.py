@@ -22,7 +22,7 @@ from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.model import State
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.equal_parts import equal_parts, simulate_parts
 from rbjax.sysid.simulation.jacobian_colouring import Colouring, colour_jacobian
 from rbjax.sysid.simulation.parallel_in_time import count_windows
@@ -204,8 +204,9 @@ class SimulationError:
         return np.asarray(self.programs.residuals(self.by_run(x), self.runs))
 
     def cost(self, x: np.ndarray) -> float:
-        """|r|^2."""
-        return sum_of_squares(self.residuals(x))
+        """|r|^2, with that of the priors."""
+        priors = self.unknowns.prior_rows(x[: self.shared])[:, -1]
+        return sum_of_squares(self.residuals(x)) + float(priors @ priors)
 
     @property
     def colouring(self) -> Colouring | None:
@@ -274,11 +275,23 @@ class SimulationError:
                     runs.append(Rows(J, psi, inside, place[k][rows], which[k]))
                 if any(len(rows.psi) for rows in runs):
                     found.append(Column(f"{sensor}[{c}]", runs, sensor in stated))
+        priors, none = self.unknowns.prior_rows(x[:n]), np.zeros(0, int)
+        if len(priors):
+            J, ones = np.pad(priors[:, :n], ((0, 0), (0, l))), np.ones(len(priors))
+            rest = [Rows(J[:0], none, none, none, at) for at in which[1:]]
+            first = Rows(J, priors[:, -1], ones, np.arange(len(priors)), which[0])
+            found.append(Column("prior", [first, *rest], True))
         return found
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
-        """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
-        return self.assemble(*self._seeded_slopes(x))
+        """R (size + 1, size + 1) with R^T R = [J r]^T [J r], with the rows of the priors."""
+        R, n = self.assemble(*self._seeded_slopes(x)), self.shared
+        priors = self.unknowns.prior_rows(x[:n])
+        if not len(priors):
+            return R
+        wide = np.zeros((len(priors), self.size + 1))
+        wide[:, :n], wide[:, -1] = priors[:, :n], priors[:, -1]
+        return triangle_of(np.concatenate([R, wide]))
 
     def assemble(self, r: Any, J: Any) -> np.ndarray:
         """R of the residuals (runs, rows) and their derivatives along the seeds."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from rbjax.arguments import real_number
+from rbjax.arguments import instance, real_number
 from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats
 from rbjax.sysid.statistics.residual_tests import ALPHA, explained, whiteness
@@ -98,8 +98,7 @@ def held_out(
             )
     if noise is not None:
         real_number("held_out", "noise", noise, "a number above 0, or None", above=0.0)
-    if not isinstance(unit, str):
-        raise InputError(f"held_out: unit is {unit!r}, expected a str")
+    instance("held_out", "unit", unit, str, "a str")
     both = sorted(set(fitted) & set(unseen))
     if both or not fitted or not unseen:
         raise InputError(
@@ -280,10 +279,7 @@ def _is_number(x: Any) -> bool:
 
 
 def _checked(name: str, given: Any) -> dict[str, np.ndarray]:
-    if not isinstance(given, Mapping):
-        raise InputError(
-            f"held_out: {name} is {type(given).__name__}, expected a dict recording -> residuals"
-        )
+    instance("held_out", name, given, Mapping, "a dict recording -> residuals")
     return {
         run: np.atleast_1d(floats("held_out", f"{name}[{run!r}]", x)) for run, x in given.items()
     }

@@ -19,8 +19,8 @@ import jax
 import numpy as np
 from scipy import linalg, special, stats
 
-from rbjax.arguments import real_number
-from rbjax.errors import InputError, UnknownName
+from rbjax.arguments import choice, instance, real_number
+from rbjax.errors import InputError
 from rbjax.rank_tolerances import rank_tolerance as tolerance_of
 from rbjax.sysid.arguments import floats, names_of
 
@@ -126,8 +126,7 @@ class Estimates:
         if isinstance(of, Mapping):
             gradient = np.zeros(len(self.names))
             for name, coefficient in of.items():
-                if name not in self.names:
-                    raise UnknownName("parameter", name, self.names)
+                choice("parameter", name, self.names)
                 gradient[self.names.index(name)] = coefficient
             return float(gradient @ self.values), gradient
         at = dict(zip(self.names, map(float, self.values), strict=True))
@@ -195,12 +194,9 @@ def estimates(
             f"estimates: {len(names)} names and {values.size} values, expected {n} different ones, "
             "as the jacobian has columns"
         )
-    if not (bounds is None or isinstance(bounds, Mapping)):
-        raise InputError(f"estimates: bounds is {bounds!r}, expected a dict name -> (low, high)")
-    unknown = set(bounds or {}) - set(names)
-    if unknown:
-        raise UnknownName("parameter", min(unknown), names)
+    instance("estimates", "bounds", bounds, Mapping | None, "a dict name -> (low, high)")
     for name, limits in (bounds or {}).items():
+        choice("parameter", name, names)
         low_high = floats("estimates", f"bounds of {name}", limits, "(low, high)")
         if low_high.shape != (2,) or not low_high[0] < low_high[1]:
             raise InputError(f"estimates: bounds of {name} are {limits!r}, expected low < high")

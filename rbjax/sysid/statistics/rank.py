@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from rbjax.errors import InputError, UnknownName, listed
+from rbjax.arguments import choice
+from rbjax.errors import InputError, listed
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.arguments import floats, names_of
 
@@ -188,8 +189,7 @@ def combinations(
     if not (isinstance(tolerance, (int, float, np.number)) and 0 < tolerance < 1):
         raise InputError(f"combinations: tolerance is {tolerance!r}, expected between 0 and 1")
     for name in first:
-        if name not in names:
-            raise UnknownName("parameter", name, names)
+        choice("parameter", name, names)
     J = J.reshape(-1, len(names))
     if not np.isfinite(J).all():
         i, j = np.argwhere(~np.isfinite(J))[0]

@@ -19,6 +19,7 @@ import numpy as np
 import scipy.linalg
 import scipy.stats
 
+from rbjax.arguments import instance
 from rbjax.errors import InputError
 from rbjax.sysid.statistics.fit_statistics import FEW, Column, FitStatistics, Rows, fit_statistics
 from rbjax.sysid.statistics.rank import Combinations, combinations
@@ -147,10 +148,7 @@ def equations(
                 "values; leave samples that are missing out"
             )
     base = combinations(given, names) if base is None else base
-    if not isinstance(base, Combinations):
-        raise InputError(
-            f"regress: base is {type(base).__name__}, expected the Combinations of `combinations`"
-        )
+    instance("regress", "base", base, Combinations, "the Combinations of `combinations`")
     if base.names != tuple(names):
         raise InputError("regress: base has other names than the columns of W")
     if not base.rank or tau.size <= base.rank:

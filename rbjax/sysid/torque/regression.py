@@ -26,8 +26,8 @@ import numpy as np
 import scipy.linalg
 import scipy.stats
 
-from rbjax.arguments import integer
-from rbjax.errors import InputError, UnknownName
+from rbjax.arguments import choice, integer
+from rbjax.errors import InputError
 from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.statistics.residual_tests import long_run_covariance
 from rbjax.sysid.status import FitStatus
@@ -92,12 +92,10 @@ def regress(
         >>> found.beta.round(6).tolist()
         [2.0, -1.0]
     """
-    if method not in METHODS:
-        raise UnknownName("regression method", method, METHODS)
+    choice("regression method", method, METHODS)
     known = inspect.signature(METHODS[method]).parameters
     for option in options:
-        if option not in list(known)[1:]:
-            raise UnknownName(f"option of method {method}", option, list(known)[1:])
+        choice(f"option of method {method}", option, list(known)[1:])
     if method == "instrumental" and "instruments" not in options:
         raise InputError(
             "regress: method instrumental without instruments, expected an array (N, k, p) like W, "
@@ -152,8 +150,7 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
     farther than 4.7 standard deviations. The scale of a channel is the median of |u| / 0.6745. The
     covariance is that of weighted least squares times mean psi^2 / (mean psi')^2 (Huber).
     """
-    if loss not in LOSSES:
-        raise UnknownName("loss", loss, LOSSES)
+    choice("loss", loss, LOSSES)
     integer("robust", "max_steps", max_steps, least=1)
     sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
     found, done, step = _weighted(eq, sd), False, 0

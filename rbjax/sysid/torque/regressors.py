@@ -29,10 +29,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import choice, integer, real_number
 from rbjax.dynamics import inertial_parameters, inertial_regressor
 from rbjax.dynamics.arguments import SHAPES, check_array, check_model, check_moves, shape_of
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model
 from rbjax.sysid.parameters.log_cholesky import PARAMETERS
@@ -251,8 +251,7 @@ def _check_terms(where: str, terms: Any, smoothing: float = 0.0) -> None:
         )
     terms = list(terms)
     for term in terms:
-        if not isinstance(term, str) or term not in JOINT_TERMS:
-            raise UnknownName("joint term", term, JOINT_TERMS)
+        choice("joint term", term, JOINT_TERMS)
     if len(set(terms)) < len(terms):
         raise InputError(f"{where}: joint_terms is {list(terms)}, expected none twice")
     real_number(where, "smoothing", smoothing, "a speed in rad/s or m/s, 0 or more", least=0.0)

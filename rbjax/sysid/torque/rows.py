@@ -22,8 +22,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import choice, instance
 from rbjax.dynamics.arguments import check_model
-from rbjax.errors import InputError, UnknownName, listed
+from rbjax.errors import InputError, listed
 from rbjax.model import Model
 from rbjax.sysid.arguments import floats
 from rbjax.sysid.data.filtering import check_cutoff, differentiate, low_pass
@@ -84,8 +85,7 @@ class TorqueRows:
     def only(self, names: Sequence[str]) -> TorqueRows:
         """Select columns, for a model with fewer terms."""
         for name in names:
-            if name not in self.names:
-                raise UnknownName("column", name, self.names)
+            choice("column", name, self.names)
         at = [self.names.index(name) for name in names]
         return dataclasses.replace(
             self, W=self.W[:, :, at], names=tuple(names), slopes_of=lambda: self.slopes[:, :, at]
@@ -155,11 +155,8 @@ def torque_rows(
             f"{where}: the model has {model.nq} positions and {model.nv} velocities, expected "
             "hinges and slides only"
         )
-    if not isinstance(recording, Recording):
-        raise InputError(
-            f"{where}: recording is {type(recording).__name__}, expected one Recording; call it "
-            "for each of several"
-        )
+    fix = "one Recording; call it for each of several"
+    instance(where, "recording", recording, Recording, fix)
     recording.check_model(model)
     names = parameter_names(model, joint_terms)
     z = _zeros(where, model, zeros)
