@@ -89,8 +89,8 @@ CASES = [
 def stages() -> Iterator[dict[str, float]]:
     """Seconds within the parts of the lowering."""
     found = {"program_s": 0.0, "llvm_s": 0.0, "statements": 0.0}
-    parts = ((primitive, "write_program", "program_s"), (launch, "handler", "program_s"),
-             (llvm_jit, "object_of", "llvm_s"))  # fmt: skip
+    parts = ((primitive, "write_program", "program_s"), (launch, "write_handler", "program_s"),
+             (llvm_jit, "compile_object", "llvm_s"))  # fmt: skip
     before = [getattr(module, name) for module, name, _ in parts]
 
     def timed(f: Callable, stage: str) -> Callable:

@@ -139,13 +139,13 @@ def main() -> None:
         rows.append(row_of("team", size, N, batch, True, given, want))
         if args.teams:
             for team_size, resident in ((32, 12), (32, 20), (32, 27), (64, 8), (64, 13), (128, 4)):
-                before = team.size_of, team.RESIDENT, team.RESIDENT_LARGE
-                team.size_of = lambda samples, n=team_size: n
+                before = team.team_size, team.RESIDENT, team.RESIDENT_LARGE
+                team.team_size = lambda samples, n=team_size: n
                 team.RESIDENT = team.RESIDENT_LARGE = resident
                 primitive._kernel.cache_clear()
                 what = f"team of {team_size}, {resident} blocks"
                 rows.append(row_of(what, size, N, batch, True, given, want))
-                team.size_of, team.RESIDENT, team.RESIDENT_LARGE = before
+                team.team_size, team.RESIDENT, team.RESIDENT_LARGE = before
                 primitive._kernel.cache_clear()
         rows.append(row_of("a thread", size, N, batch, False, given, want))
         print(f"{time.perf_counter() - start:.0f} s", flush=True)

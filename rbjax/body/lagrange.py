@@ -1,4 +1,4 @@
-"""Lagrange's equations from your own energies in any coordinates (Olguin Diaz, 7; Cai, 4).
+"""Lagrange's equations from energies in any coordinates (Olguin Diaz, 7; Cai, 4).
 
     d/dt dT/dq' - dT/dq + dV/dq + dD/dq' = Q
 
@@ -85,7 +85,7 @@ def damping_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def bias_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """The left-hand side without M q'': (d p/dq) q' - dT/dq + dV/dq + dD/dq', p = dT/dq'."""
+    """The forces at q'' = 0: (d p/dq) q' - dT/dq + dV/dq + dD/dq', with p = dT/dq'."""
     q, v = _state("bias_forces", system, q, v)
     T = _scalar(system.kinetic)
     _, swept = jax.jvp(lambda q: jax.grad(T, 1)(q, v), (q,), (v,))
@@ -119,7 +119,7 @@ def energy(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def term(system: System) -> diffrax.ODETerm:
-    """For diffrax: y = (q, v); args are generalized forces (n,), (t, q, v) -> (n,), or None."""
+    """The term for diffrax, y = (q, v); args: forces (n,), a function (t, q, v), or None."""
 
     def rate(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple[jax.Array, jax.Array]:
         q, v = y
@@ -156,7 +156,7 @@ def _state(where: str, system: Any, q: Any, v: Any) -> tuple[jax.Array, jax.Arra
 
 
 def _like(where: str, name: str, value: Any, q: jax.Array) -> jax.Array:
-    """An array of the shape of q."""
+    """Check an array of the shape of q."""
     x = coordinate_vector(where, name, value)
     if x.shape != q.shape:
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {q.shape}, that of q")

@@ -173,6 +173,6 @@ def _known(where: str, frame: Any, name: str = "frame") -> MovingFrame:
 
 
 def _vectors(where: str, frame: Any, **vectors: Any) -> list[jax.Array]:
-    """The vectors of a function of a frame, checked with it."""
+    """Check a frame and vectors."""
     _known(where, frame)
     return [unbatched(where, name, x, "vector") for name, x in vectors.items()]

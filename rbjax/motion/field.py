@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import jax
 
-from rbjax.constraints.formulation import Formulation, TangentSpace, formulation_of
+from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
@@ -155,7 +155,7 @@ class Field:
 
 def moves_stages(dynamics: Any) -> TypeGuard[Formulation]:
     """Whether a dynamics evaluates the rates of a stage at another state."""
-    return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, TangentSpace)
+    return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, StageProjection)
 
 
 def dynamics_of(

@@ -4,9 +4,9 @@
     variational midpoint  of momenta: `variational`
     Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
 
-A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: its order is
-that of its tableau, attitudes included (Munthe-Kaas 1998; Hairer, Lubich & Wanner, *Geometric
-Numerical Integration*, IV.8). Controls are held over a step.
+A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: it has the order
+of its tableau, attitudes included (Munthe-Kaas 1998; Hairer, Lubich & Wanner, *Geometric Numerical
+Integration*, IV.8). Controls are held over a step.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.formulation import stepped
+from rbjax.constraints.formulation import differential_algebraic_method
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
@@ -100,7 +100,7 @@ def integrator_of(
     where: str, integrator: str | Integrator | None, dynamics: Any = free_motion
 ) -> Integrator:
     """The integrator of a dynamics: the caller's, by its name, or the default."""
-    formulation = stepped(dynamics)
+    formulation = differential_algebraic_method(dynamics)
     if formulation is not None:
         return ByStages(formulation, tableau_of(where, formulation, integrator))
     if integrator is None:

@@ -151,15 +151,7 @@ def linearise_rates(
     if dynamics is free_motion and n:
         found, lower, B = _free_rates(model, state, given, t)
     else:
-
-        def rates(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
-            at = box_plus(model, state, dx)
-            a, x = Field(model, dynamics).rates(t, at, _inputs(model, given, t, at, du))
-            found = a if x is None else jnp.concatenate([a, x])
-            return found, found
-
-        zero = _zero(model, state, given)
-        (lower, B), found = jax.jacfwd(rates, (0, 1), has_aux=True)(*zero)
+        found, lower, B = _rates(model, state, given, t, dynamics)
     turning = jnp.zeros((n, n), dtype)
     for at in model.topology.turn_starts:
         rows = slice(at, at + 3)
@@ -167,6 +159,22 @@ def linearise_rates(
     upper = [turning, jnp.eye(n, dtype=dtype), jnp.zeros((n, model.nx), dtype)]
     A = jnp.concatenate([jnp.concatenate(upper, 1), lower])
     return found, A, jnp.concatenate([jnp.zeros((n, B.shape[1]), dtype), B])
+
+
+def _rates(
+    model: Model, state: State, given: Inputs, t: Any, dynamics: Dynamics
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The rates (nv + nx,) of any dynamics and their derivatives by dx and du."""
+
+    def rates(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
+        at = box_plus(model, state, dx)
+        a, x = Field(model, dynamics).rates(t, at, _inputs(model, given, t, at, du))
+        found = a if x is None else jnp.concatenate([a, x])
+        return found, found
+
+    zero = _zero(model, state, given)
+    (by_x, by_u), found = jax.jacfwd(rates, (0, 1), has_aux=True)(*zero)
+    return found, by_x, by_u
 
 
 def _free_rates(

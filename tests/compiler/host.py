@@ -26,7 +26,7 @@ from rbjax.compiler.ir.statements import Loop, walk
 from rbjax.compiler.ir.verify import verify
 from rbjax.compiler.jax.function import compile_threads
 from rbjax.compiler.jax.native import compile
-from rbjax.compiler.llvm.batch import parts
+from rbjax.compiler.llvm.batch import write_parts
 from rbjax.compiler.lower.write import write_program
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
@@ -72,8 +72,8 @@ def host_source(program: Written, name: str = "run") -> str:
     ]  # fmt: skip
     head = f'extern "C" void {name}({parameters(program, "")}){{'
     loop = f"for(long long b=0;b<{math.prod(program.batch)}ll;b++){{"
-    parts = [HOST_HEAD, PREAMBLE, *tables, head, *clear, loop, *body, *lines, *after, "}}"]
-    return "\n".join(parts)
+    write_parts = [HOST_HEAD, PREAMBLE, *tables, head, *clear, loop, *body, *lines, *after, "}}"]
+    return "\n".join(write_parts)
 
 
 def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
@@ -208,7 +208,7 @@ def _by_vectors(f: Callable, args: tuple, lanes: int, samples: int, last: bool) 
     shapes = [layout.shape for layout in program.layouts[1]]
     # poisoned, so that an entry that is not written shows
     results = [np.full(s, 77, a.dtype) for s, a in zip(shapes, avals, strict=True)]
-    run, _ = part_function(parts(program, lanes))
+    run, _ = part_function(write_parts(program, lanes))
     run([*map(np.ascontiguousarray, leaves), *results])
     if last:
         results = [np.moveaxis(x, -1, 0) for x in results]

@@ -251,9 +251,9 @@ def test_rows_are_staged_where_they_are_neither_short_nor_long():
 
     layouts = [Layout((200, n), (0,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
     source = emitted(g, layouts, (200,))[0].source
-    assert re.findall(r"fetch<double,(\d+),(\d+)>", source) == [("20", "21")]
+    assert re.findall(r"load_rows<double,(\d+),(\d+)>", source) == [("20", "21")]
     assert source.count("__shared__ double s1[") == 1
-    assert re.findall(r"leave<double,(\d+),(\d+)>\(r0", source) == [("20", "21")]
+    assert re.findall(r"store_rows<double,(\d+),(\d+)>\(r0", source) == [("20", "21")]
     batch_last = [Layout((n, 200), (1,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
     source = emitted(g, batch_last, (200,), last=True)[0].source
     assert not re.search(r"(fetch|leave|flush)<double", source)
@@ -384,7 +384,7 @@ def test_staged_rows_are_memory():
         b.store(y, k, 0, b.op("add", np.float64, b.load(y, k, 0), value))
     ins, outs = batch_first((), (size,)), batch_first((n,), (size,))
     code = kernel(Written(b, (x,), (y,), ((ins,), (outs,)), (size,), (False,)))
-    assert "leave<double,12,13>(r0" in code.source
+    assert "store_rows<double,12,13>(r0" in code.source
     numbers = np.arange(size, dtype=np.float64)
     want = np.tile(np.arange(float(n)), (size, 1))
     want[:7, 3] = 100
@@ -397,7 +397,7 @@ def test_staged_rows_are_memory():
 @pytest.mark.parametrize("size", [*range(9, 41), 128])
 def test_rows_meet_few_conflicts(size):
     """At most two threads of a warp meet a bank of shared memory."""
-    pitch = stores.whole(np.dtype(np.float32), size).pitch
+    pitch = stores.whole_rows(np.dtype(np.float32), size).pitch
     assert max(np.bincount(np.arange(32) * pitch % 32)) <= 2
 
 

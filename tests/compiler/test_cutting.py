@@ -7,7 +7,7 @@ import pytest
 
 from rbjax.compiler.ir.program import batch_first
 from rbjax.compiler.jax import launch
-from rbjax.compiler.llvm.xla_handler import handler
+from rbjax.compiler.llvm.xla_handler import write_handler
 from rbjax.compiler.lower.write import write_program
 from rbjax.compiler.passes import cutting
 
@@ -41,7 +41,7 @@ def test_pieces_give_the_same(monkeypatch, f, count):
 
     def kernel():
         program = write_program(closed, (count,), ins, outs, platform="cpu")
-        functions = handler(program)[0].text.count("define internal")
+        functions = write_handler(program)[0].text.count("define internal")
         made = launch.register_host_kernel(program)
         return functions, jax.jit(lambda x: launch.call_host_kernel(made, [x], shapes))(x)
 

@@ -39,7 +39,7 @@ def folder(tmp_path):
     """JAX's cache in a folder of the test."""
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
-    disk_cache._say.cache_clear()
+    disk_cache._warn.cache_clear()
     yield tmp_path / "cache"
     jax.config.update("jax_compilation_cache_dir", before)
 
@@ -47,7 +47,8 @@ def folder(tmp_path):
 def test_a_folder_that_cannot_be_written_is_said_once(folder):
     folder.write_text("a file, where a folder should be")
     with pytest.warns(UserWarning, match=r"not kept on disk.*make .*cache.* writable") as found:
-        assert [disk_cache.cached("one.o", lambda: b"code") for _ in range(3)] == [b"code"] * 3
+        made = [disk_cache.read_or_make("one.o", lambda: b"code") for _ in range(3)]
+        assert made == [b"code"] * 3
     assert len(found) == 1
 
 
@@ -59,7 +60,7 @@ def test_whatever_step_fails_the_code_is_made(folder, monkeypatch, step):
     monkeypatch.setattr(disk_cache.os if step == "replace" else Path, step, fails)
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        assert disk_cache.cached("one.o", lambda: b"code") == b"code"
+        assert disk_cache.read_or_make("one.o", lambda: b"code") == b"code"
     assert len(found) == (step != "read_bytes")
     monkeypatch.undo()
     assert [file.name for file in folder.rglob("*.o")] == ["one.o"] * (step == "read_bytes")
@@ -71,8 +72,8 @@ def test_damaged_code_is_compiled_again(folder):
     for damage in (None, b"", b"short", bytes(100)):
         if damage is not None:
             (folder / "rbjax-threads" / "one.o").write_bytes(damage)
-        assert disk_cache.cached("one.o", lambda: made.append(1) or b"code") == b"code"
-        assert disk_cache.cached("one.o", lambda: made.append(1) or b"code") == b"code"
+        assert disk_cache.read_or_make("one.o", lambda: made.append(1) or b"code") == b"code"
+        assert disk_cache.read_or_make("one.o", lambda: made.append(1) or b"code") == b"code"
     assert len(made) == 4
 
 
@@ -147,7 +148,7 @@ def test_the_version_of_the_interface_is_that_of_the_offsets():
     header = Path(jax.ffi.include_dir(), "xla/ffi/api/c_api.h").read_text()
     number = {name: int(n) for name, n in re.findall(r"#define XLA_FFI_API_(M\w+) (\d+)", header)}
     assert number["MAJOR"] == llvm_xla.MAJOR and number["MINOR"] >= llvm_xla.MINOR
-    text = llvm_xla.handler(program())[0].text
+    text = llvm_xla.write_handler(program())[0].text
     assert f"store i64 {llvm_xla.MINOR << 32 | llvm_xla.MAJOR}, ptr %v" in text
 
 
@@ -176,8 +177,8 @@ def test_a_handler_of_an_unknown_version_runs_under_xla(monkeypatch, minor):
 def test_the_self_test_covers_two_parts(monkeypatch):
     """The threads of XLA's pool are reached by a batch of parts only."""
     made = []
-    real = launch.handler
-    monkeypatch.setattr(launch, "handler", lambda *a: made.append(real(*a)) or made[-1])
+    real = launch.write_handler
+    monkeypatch.setattr(launch, "write_handler", lambda *a: made.append(real(*a)) or made[-1])
     launch.host_kernels_work.cache_clear()
     try:
         assert launch.host_kernels_work()
@@ -199,8 +200,8 @@ def test_threads_that_compile_equal_functions_at_once(monkeypatch):
     """XLA rejects a second handler of one name at another address."""
     monkeypatch.setattr(launch, "_registered", {})
     llvm_jit._codes.clear()
-    made, make = [], llvm_jit.object_of
-    monkeypatch.setattr(llvm_jit, "object_of", lambda *a: made.append(1) or make(*a))
+    made, make = [], llvm_jit.compile_object
+    monkeypatch.setattr(llvm_jit, "compile_object", lambda *a: made.append(1) or make(*a))
     together = threading.Barrier(8)
 
     def one(_):
@@ -228,7 +229,7 @@ def test_compiled_code_is_let_go(monkeypatch):
     for k in range(5):
         closed = jax.make_jaxpr(lambda x, k=k: [x + k])(1.0)
         places = [batch_first((), ())]
-        llvm_jit.compiled(numpy_call.write_module(write_program(closed, (), places, places)))
+        llvm_jit.compile_module(numpy_call.write_module(write_program(closed, (), places, places)))
     assert len(llvm_jit._codes) == 3
     assert all(len(key) == 64 for key in llvm_jit._codes)  # a digest, not the text
 

@@ -273,8 +273,8 @@ def test_arguments_by_name(native, monkeypatch):
 
 def test_objects_are_kept_beside_jax_s_cache(monkeypatch, tmp_path):
     made, before = [], jax.config.jax_compilation_cache_dir
-    make = llvm_jit.object_of
-    monkeypatch.setattr(llvm_jit, "object_of", lambda m, *how: made.append(m) or make(m, *how))
+    make = llvm_jit.compile_object
+    monkeypatch.setattr(llvm_jit, "compile_object", lambda m, *how: made.append(m) or make(m, *how))
     try:
         jax.config.update("jax_compilation_cache_dir", str(tmp_path))
         for _ in range(2):

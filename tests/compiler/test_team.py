@@ -387,4 +387,4 @@ def test_other_layouts_and_sums():
 
 @pytest.mark.parametrize(("samples", "threads"), [(1, 128), (1000, 64), (4096, 32)])
 def test_size_of_a_team(samples, threads):
-    assert team.size_of(samples) == threads
+    assert team.team_size(samples) == threads

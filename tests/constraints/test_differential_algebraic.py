@@ -13,7 +13,7 @@ import scipy.special
 import rbjax as rb
 from benchmarks.cases.mechanisms import andrews, four_bars, tilted_four_bar
 from rbjax import constraints as rc
-from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.projection import project_state
 from rbjax.forces.acting import applied
 from rbjax.motion.implicit import BDFSolver, increment, stages
 from rbjax.motion.term import make_term
@@ -207,7 +207,7 @@ def test_orders_with_attitudes_and_redundant_rows(name: str, mechanism: Callable
     model = mechanism()
     v = jnp.cos(jnp.arange(model.nv, dtype=float))
     q = model.default_state().q + (0.4 if mechanism is skate else 0.0)
-    start = projected(model, 0.0, rb.State(q, v), positions=False)
+    start = project_state(model, 0.0, rb.State(q, v), positions=False)
     want = rb.rollout(model, start, None, 5e-4, steps=800, integrator="rk4", save_every=800)
     ends = [
         rb.rollout(model, start, None, 0.4 / n, steps=n, constraints=name, save_every=n)
@@ -237,7 +237,7 @@ def test_gradients(name: str) -> None:
     those of "projected"; a second derivative against differences of the first."""
     model = tilted()
     q, n = model.default_state().q, 10
-    v = projected(model, 0.0, rb.State(q, jnp.array([1.0, -0.4, 0.3])), positions=False).v
+    v = project_state(model, 0.0, rb.State(q, jnp.array([1.0, -0.4, 0.3])), positions=False).v
 
     def end(faster, mass, **how):
         heavy = model.replace(bodies=model.bodies.replace(mass=mass))

@@ -10,7 +10,7 @@ import pytest
 import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.constraints.equations.constrained_motion import constrained_motion
-from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.projection import project_state
 
 #: name -> freedoms (the textbooks' number), motors, and redundant rows: those across the plane of a
 #: plane loop
@@ -31,7 +31,7 @@ def moving(name: str) -> tuple[rb.Model, rb.State, jax.Array]:
     start = model.default_state()
 
     def at(v):
-        state = projected(model, 0.0, rb.State(start.q, v), positions=False)
+        state = project_state(model, 0.0, rb.State(start.q, v), positions=False)
         q, v = state.q, state.v
         a = constrained_motion(model, 0.0, state, jnp.zeros(model.nv), {})[0]
 

@@ -74,7 +74,7 @@ def _substitute(env: dict[Var, Atom], atoms: Sequence[Atom]) -> list[Atom]:
 
 
 def _inner_jaxpr(eqn: JaxprEqn) -> ClosedJaxpr:
-    inner = eqn.params.get("jaxpr", eqn.params.get("call_jaxpr"))
+    inner = eqn.params["jaxpr" if "jaxpr" in eqn.params else "call_jaxpr"]
     return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
 
@@ -307,8 +307,8 @@ class Linearised:
                 new = eqns.inline(rule, [*_split(eqn.invars, moving)[0], *some], eqn)
             rest = iter(new)
             found = [next(rest) if p else None for p in present]
-            for to, cotangent in zip(itertools.compress(eqn.invars, moving), found, strict=True):
-                add(to, cotangent)
+            for atom, x in zip(itertools.compress(eqn.invars, moving), found, strict=True):
+                add(atom, x)
         outs = [sums[v] if v in sums else eqns.zeros(v) for v in self.tangents]
         return Transposed(eqns, forward, self.args, cotangents, self.results, outs)
 

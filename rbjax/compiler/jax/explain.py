@@ -18,7 +18,7 @@ from rbjax.compiler.ir.program import batch_first
 from rbjax.compiler.jax import launch
 from rbjax.compiler.jax.function import compile_threads, flatten_call
 from rbjax.compiler.lower.write import write_program
-from rbjax.compiler.passes.counting import operations
+from rbjax.compiler.passes.analysis import count_operations
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def explain(f: Callable, *args: object, batch: int = 65_536) -> Explanation:
     program = write_program(closed, (batch,), ins, outs)
     arrays = (*program.operands, *program.results)
     found = Explanation(
-        program.statements, operations(program.builder.block), program.array_bytes,
+        program.statements, count_operations(program.builder.block), program.array_bytes,
         sum(a.size * a.dtype.itemsize for a in arrays), batch,
     )  # fmt: skip
     if not (launch.has_gpu() and launch.kernels_work()):

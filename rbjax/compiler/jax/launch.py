@@ -14,6 +14,7 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -28,7 +29,7 @@ from rbjax.compiler.cuda.nvrtc import CompileError, ptx
 from rbjax.compiler.ir.program import Written, batch_first
 from rbjax.compiler.ir.statements import Unsupported
 from rbjax.compiler.llvm import jit as llvm_jit
-from rbjax.compiler.llvm.xla_handler import handler
+from rbjax.compiler.llvm.xla_handler import write_handler
 from rbjax.compiler.lower.write import write_program
 from rbjax.errors import InputError
 
@@ -96,7 +97,8 @@ def typed_call(target: str, ctx, *operands, **attributes: object):
     for example a call with an empty operand.
     """
     results = jax.ffi.ffi_lowering(target)(ctx, *operands, **attributes)
-    typed(results[0].owner.attributes, mlir.i32_attr(4))
+    first: Any = results[0]
+    typed(first.owner.attributes, mlir.i32_attr(4))
     return results
 
 
@@ -156,9 +158,9 @@ def register_host_kernel(
         Unsupported: the program has an operation that LLVM lacks, LLVM rejects it, or XLA rejects
             the handler.
     """
-    module, rows = handler(program, samples)
+    module, rows = write_handler(program, samples)
     try:
-        code = llvm_jit.compiled(module, levels)
+        code = llvm_jit.compile_module(module, levels)
     except llvm_jit.NoCompiler as error:
         raise Unsupported(str(error)) from error
     name = f"rbjax_{code.key}"

@@ -81,7 +81,7 @@ def compile(f: Callable, *example: object) -> Callable:
         if not numpy_call.layout_is_known():
             raise llvm_jit.NoCompiler("numpy's arrays have an unknown layout")
         program = write_program(closed, (), ins, outs, platform="cpu")
-        code = llvm_jit.compiled(numpy_call.write_module(program))
+        code = llvm_jit.compile_module(numpy_call.write_module(program))
     except (Unsupported, llvm_jit.NoCompiler) as error:
         warnings.warn(f"compile: {error}; {_name(f)} runs under XLA", stacklevel=2)
         code = None

@@ -24,7 +24,7 @@ import numpy as np
 
 from rbjax.compiler.ir.program import Written
 from rbjax.compiler.llvm.jit import Module
-from rbjax.compiler.llvm.statements import MALLOC, one_sample
+from rbjax.compiler.llvm.statements import MALLOC, write_sample
 
 TYPE, DATA, ND, DIMENSIONS, DESCR, FLAGS = 8, 16, 24, 32, 56, 64
 COUNT, ITEMS = 16, tuple.__basicsize__
@@ -62,7 +62,7 @@ def _has_layout(x: np.ndarray) -> bool:
 
 def write_module(program: Written) -> Module:
     """Write the function `run` of a program without a batch."""
-    sample, frame = one_sample(program), _Arrays()
+    sample, frame = write_sample(program), _Arrays()
     xs = frame.operands(program)
     ys = [frame.data("%ys", k) for k in range(len(program.results))]
     space, lines = "null", [*frame.lines]

@@ -1,8 +1,8 @@
 """Small arrays of a thread.
 
-They have three forms: a numpy array whose entries are known; an object array of `Value`s, each in a
-register; a `View` of memory. Only a `View` may have indices that are not known. A team of threads
-has a fourth, `Delayed`: entries that are computed where they are read.
+They have three forms: a numpy array of constants; an object array of `Value`s, each in a register;
+    a `View` of memory. Only a `View` may have indices that are not constant. A team of threads has
+    a fourth form, `Delayed`: entries that are computed where they are read.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class View(Shaped):
 
     @staticmethod
     def of(array: Array, shape: Sequence[int]) -> View:
-        """All of an array, row by row."""
+        """View all of an array, row by row."""
         return View(array, None, 0, row_major(shape), tuple(shape))
 
     @property
@@ -42,13 +42,15 @@ class View(Shaped):
 
     @property
     def is_updatable(self) -> bool:
-        """Whether it may be updated in place: no two entries share a place, and no one reads it."""
+        """Whether it may be updated in place: entries have distinct addresses, and nothing else
+        reads it.
+        """
         apart = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
         own = self.array.space == "local" and not self.array.write_once
         return apart and own and not self.array.reference_count
 
-    def same(self, other: object) -> bool:
-        """Whether the other is a view of the same place."""
+    def is_same_view(self, other: object) -> bool:
+        """Return whether the other is a view of the same entries."""
         return isinstance(other, View) and all(
             a is b or a == b
             for a, b in (
@@ -58,11 +60,11 @@ class View(Shaped):
         )  # fmt: skip
 
     def _steps(self) -> list[int]:
-        """The strides along axes of more than one entry."""
+        """Return the strides along axes of more than one entry."""
         return [s for s, n in zip(self.strides, self.shape, strict=True) if n > 1]
 
-    def places(self) -> np.ndarray:
-        """The known part of the address of each entry."""
+    def offsets(self) -> np.ndarray:
+        """Return the constant part of the address of each entry."""
         out = np.full(self.shape, self.offset)
         for axis, (n, stride) in enumerate(zip(self.shape, self.strides, strict=True)):
             wide = [-1 if k == axis else 1 for k in range(self.ndim)]
@@ -70,16 +72,16 @@ class View(Shaped):
         return out
 
     def at(self, b: Builder, axis: int, index: Value) -> View:
-        """The slice at an index along an axis, which disappears."""
+        """Return the slice at an index along an axis, which disappears."""
         stride = self.strides[axis]
         strides, shape = (
             tuple(x for k, x in enumerate(xs) if k != axis) for xs in (self.strides, self.shape)
         )
-        moved = self.moved(b, (index, stride))
+        moved = self.shift(b, (index, stride))
         return replace(moved, strides=strides, shape=shape)
 
-    def moved(self, b: Builder, *terms: tuple[Value, int]) -> View:
-        """The view shifted by value * stride entries, for each term."""
+    def shift(self, b: Builder, *terms: tuple[Value, int]) -> View:
+        """Shift the view by value * stride entries, for each term."""
         known = sum(int(v) * s for v, s in terms if isinstance(v, np.generic))
         unknown = [(v, s) for v, s in terms if not isinstance(v, np.generic)]
         base = b.index(self.array, *unknown)
@@ -87,15 +89,15 @@ class View(Shaped):
             base = b.op("index_add", self.array.index, self.base, base)
         return replace(self, base=self.base if base is None else base, offset=self.offset + known)
 
-    def sliced(self, slices: Sequence[slice]) -> View:
-        """A rectangle of it; slices have start, stop and a step that may be negative."""
+    def slice_box(self, slices: Sequence[slice]) -> View:
+        """Return a rectangle of it. Slices have a start, a stop and perhaps a negative step."""
         offset = self.offset + sum(s.start * k for s, k in zip(slices, self.strides, strict=True))
         shape = tuple(len(range(s.start, s.stop, s.step or 1)) for s in slices)
         strides = tuple(k * (s.step or 1) for s, k in zip(slices, self.strides, strict=True))
         return replace(self, offset=offset, strides=strides, shape=shape)
 
-    def reshaped(self, shape: Sequence[int]) -> View | None:
-        """The same entries with another shape, or None if they would have to move."""
+    def reshape_view(self, shape: Sequence[int]) -> View | None:
+        """Return the same entries with another shape, or None if they would move."""
         shape = tuple(shape)
         if 0 in shape:
             return replace(self, strides=(0,) * len(shape), shape=shape)
@@ -130,7 +132,9 @@ class View(Shaped):
         )
 
     def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> View:
-        """As `jax.lax.broadcast_in_dim`: axis k of the view is axis axes[k] of the result."""
+        """Broadcast as `jax.lax.broadcast_in_dim`: axis k of the view is axis axes[k] of the
+        result.
+        """
         strides = [0] * len(shape)
         for k, axis in enumerate(axes):
             strides[axis] = self.strides[k] if self.shape[k] == shape[axis] else 0
@@ -147,12 +151,12 @@ SHARED_ABOVE = 64
 
 
 def is_constant(x: ThreadArray) -> bool:
-    """Whether all entries are numbers."""
+    """Return whether all entries are constants."""
     return isinstance(x, np.ndarray) and x.dtype != object
 
 
 def as_objects(x: np.ndarray) -> np.ndarray:
-    """Entries, known or not, as an object array of Values."""
+    """Convert constants to an object array of Values."""
     if x.dtype == object:
         return x
     out = np.empty(x.shape, object)
@@ -163,19 +167,19 @@ def as_objects(x: np.ndarray) -> np.ndarray:
 
 
 def indices_of(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """The indices of all entries of a shape, row by row."""
+    """Return the indices of all entries of a shape, row by row."""
     return iter(np.ndindex(tuple(shape)))
 
 
 def full_of(shape: Sequence[int], value: Value) -> np.ndarray:
-    """One value everywhere (`np.full` would convert it to a Python number)."""
+    """Return an array with one value (`np.full` would convert it to a Python number)."""
     out = np.empty(shape, object)
     out[...] = value
     return out
 
 
 def to_scalars(b: Builder, x: ThreadArray) -> np.ndarray:
-    """The entries as an array of Values; those in memory are read."""
+    """Return the entries as an array of Values, and load those in memory."""
     if isinstance(x, Delayed):
         if not b.in_team or x.work <= SHARED_ABOVE or x.size == 1:
             out = np.empty(x.shape, object)
@@ -186,14 +190,14 @@ def to_scalars(b: Builder, x: ThreadArray) -> np.ndarray:
     if not isinstance(x, View):
         return as_objects(x)
     out = np.empty(x.shape, object)
-    places = x.places()
+    places = x.offsets()
     for i in indices_of(x.shape):
         out[i] = b.load(x.array, x.base, int(places[i]))
     return out
 
 
 def fold_if_constant(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
-    """An object array as known numbers, if every entry is known."""
+    """Convert an object array of constants to a constant array."""
     if x.dtype != object:
         return x
     if not x.shape:
@@ -205,7 +209,7 @@ def fold_if_constant(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
 
 
 def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
-    """The entries in memory: a table of known numbers, or a local copy of registers."""
+    """Put the entries in memory: a table of constants, or a local copy of registers."""
     if isinstance(x, View):
         return x
     if isinstance(x, Delayed):
@@ -221,8 +225,10 @@ def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
 
 
 def _share_in_memory(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
-    """Values of a team's threads in memory that does not change; equal ones once. Axes along which
-    they repeat have no entries of their own."""
+    """Put a team's values in memory that does not change, once for equal values.
+
+    Axes along which they repeat have no entries of their own.
+    """
     repeats = [n > 1 and s == 0 for n, s in zip(x.shape, x.strides, strict=True)]
     own = x[tuple(slice(0, 1) if r else slice(None) for r in repeats)]
 
@@ -237,7 +243,7 @@ def _share_in_memory(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
 
 
 def materialize_in_memory(b: Builder, x: Delayed) -> View:
-    """Delayed entries in memory that does not change, once."""
+    """Compute delayed entries, once, in memory that does not change."""
 
     def make() -> tuple[View, Delayed]:
         view = View.of(b.local(x.dtype, max(x.size, 1)), x.shape)
@@ -249,7 +255,7 @@ def materialize_in_memory(b: Builder, x: Delayed) -> View:
 
 
 def materialize(b: Builder, x: ThreadArray) -> ThreadArray:
-    """A delayed array in registers if it is small, else in memory; another as it is."""
+    """Compute a delayed array, in registers if it is small, else in memory."""
     if not isinstance(x, Delayed):
         return x
     few = (x.size <= FEW and x.work <= SHARED_ABOVE) or x.size == 1
@@ -257,8 +263,8 @@ def materialize(b: Builder, x: ThreadArray) -> ThreadArray:
 
 
 def write_to(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> None:
-    """Copy x to a place in memory; large pieces by a loop."""
-    if isinstance(x, View) and x.same(to):
+    """Copy x to memory; many entries by a loop."""
+    if isinstance(x, View) and x.is_same_view(to):
         return
     if b.in_team and isinstance(x, View):
         to, x = as_flat_views(to, x)
@@ -271,7 +277,7 @@ def write_to(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> N
         source = to_memory(b, x, to.dtype)
         for_each_index(b, to.shape, lambda *i: store_entry(b, to, i, load_entry(b, source, i)))
         return
-    values, places = to_scalars(b, x), to.places()
+    values, places = to_scalars(b, x), to.offsets()
     for i in indices_of(to.shape):
         b.store(to.array, to.base, int(places[i]), values[i])
 
@@ -282,13 +288,13 @@ def transposed(x: ThreadArray, order: Sequence[int]) -> ThreadArray:
 
 
 def as_flat_views(*views: View) -> Sequence[View]:
-    """The views with one axis, if the entries of each are in a row."""
-    flat = [x.reshaped((x.size,)) for x in views]
+    """Return the views with one axis if the entries of each are equally spaced."""
+    flat = [x.reshape_view((x.size,)) for x in views]
     return [x for x in flat if x is not None] if None not in flat else views
 
 
 def copy_to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
-    """A local copy that may be changed."""
+    """Return a local copy that may be changed."""
     view = View.of(b.local(dtype, x.size), x.shape)
     write_to(b, view, x)
     return view
@@ -297,28 +303,30 @@ def copy_to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
 def broadcast_in_memory(
     b: Builder, x: ThreadArray, dtype: DTypeLike, shape: tuple[int, ...]
 ) -> View | Delayed:
-    """x in memory, broadcast to a shape as numpy does."""
+    """Put x in memory, and broadcast it to a shape as numpy does."""
     view = x if isinstance(x, Delayed) else to_memory(b, x, dtype)
     return view.broadcast(shape, range(len(shape) - view.ndim, len(shape)))
 
 
 def load_entry(b: Builder, view: View | Delayed, index: Sequence[Value]) -> Value:
-    """One entry."""
+    """Write the load of one entry."""
     if isinstance(view, Delayed):
         return view.entry(*index)
-    there = view.moved(b, *zip(index, view.strides, strict=True))
+    there = view.shift(b, *zip(index, view.strides, strict=True))
     return b.load(there.array, there.base, there.offset)
 
 
 def store_entry(b: Builder, view: View, index: Sequence[Value], value: Value) -> None:
-    """Change one entry."""
-    there = view.moved(b, *zip(index, view.strides, strict=True))
+    """Write the store of one entry."""
+    there = view.shift(b, *zip(index, view.strides, strict=True))
     b.store(there.array, there.base, there.offset, value)
 
 
 def for_each_index(b: Builder, shape: Sequence[int], f: Callable[..., None], *index: Value) -> None:
-    """f(*index) for every index of a shape, in nested loops; by a team in one loop. What f does for
-    an index does not depend on what it does for others."""
+    """Write f(*index) for every index of a shape, in nested loops, or in one loop of a team.
+
+    The work of f for an index does not depend on its work for others.
+    """
     if b.in_team and not math.prod(shape):
         return
     if b.in_team and math.prod(shape) != 1:
@@ -334,7 +342,7 @@ def for_each_index(b: Builder, shape: Sequence[int], f: Callable[..., None], *in
 
 
 def unravel_index(b: Builder, counter: Value, shape: Sequence[int]) -> list[Value]:
-    """The index along each axis of a shape, from a place row by row."""
+    """Write the index along each axis of a shape, from a row-major position."""
     out: list[Value] = []
     wide = [n for n in shape if n > 1]
     for n in reversed(shape):

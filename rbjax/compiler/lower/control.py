@@ -1,4 +1,4 @@
-"""Rules of loops, branches and nested calls."""
+"""Rules for loops, branches and nested calls."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.statements import BOOL, I32, Await, Block, If, Value, Var, While
 from rbjax.compiler.lower.arrays import (
     FEW,
     ThreadArray,
@@ -48,7 +48,7 @@ INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", *COMBINE}
 
 
 def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
-    """The inputs of a jaxpr with indices that are not known. They must be in memory."""
+    """Return the inputs of a jaxpr with indices that are not constant. They must be in memory."""
     jaxpr = closed.jaxpr
     varying = {v for v, u in zip(jaxpr.invars, unknown, strict=True) if u}
     origin = {v: {k} for k, v in enumerate(jaxpr.invars)}  # inputs that a variable is a version of
@@ -123,15 +123,15 @@ class Carry:
         return copy_to_memory(self.low.b, x, dtype_of(aval))
 
     def advance(self, new: Sequence[ThreadArray]) -> None:
-        """Updates all at once: old values are read before any of them changes."""
+        """Update all values at once: old values are read before any of them changes."""
         b = self.low.b
         old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
         arrays = {x.array for x in self.values if isinstance(x, View)}
-        moves: list[tuple[Var, Value]] = []
+        moves: list[tuple[ir.Var, ir.Value]] = []
         copies: list[tuple[View, ThreadArray]] = []
         for to, x in zip(self.values, new, strict=True):
             if isinstance(to, View):
-                if isinstance(x, View) and x.same(to):
+                if isinstance(x, View) and x.is_same_view(to):
                     continue
                 if isinstance(x, View) and x.array in arrays:
                     x = copy_to_memory(b, x, to.dtype)
@@ -142,7 +142,7 @@ class Carry:
             for var, value in zip(to.flat, self.low.to_scalars(x).flat, strict=True):
                 if value is var:
                     continue
-                if isinstance(value, Var) and value.id in old:
+                if isinstance(value, ir.Var) and value.id in old:
                     value = b.declare(value.dtype, value)
                 moves.append((var, value))
         for to, x in copies:
@@ -152,7 +152,7 @@ class Carry:
 
 
 def _most(x: ThreadArray) -> int:
-    """The most entries that a team keeps in registers."""
+    """Return the most entries that a team keeps in registers."""
     return 4 * FEW if isinstance(x, np.ndarray) and not is_constant(x) else FEW // 2
 
 
@@ -177,9 +177,9 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     if not length:
         return [*init, *ys]
     if length == 1:
-        first = [x.at(b, 0, I32.type(0)) if isinstance(x, View) else x[0, ...] for x in xs]
+        first = [x.at(b, 0, ir.I32.type(0)) if isinstance(x, View) else x[0, ...] for x in xs]
         spots = [
-            y.at(b, 0, I32.type(0)) if isinstance(y, View) and given is None else None
+            y.at(b, 0, ir.I32.type(0)) if isinstance(y, View) and given is None else None
             for y, given in zip(ys, same, strict=True)
         ]
         out = low.closed(body, [*consts, *init, *first], [*[None] * nk, *spots])
@@ -211,8 +211,10 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable, Callable]:
-    """What comes before a loop over the rows of arrays, and its rows at a counter. A team copies
-    those of operands to its memory a turn before they are read."""
+    """Return functions that write the lines before a loop over rows, and the rows at a counter.
+
+    A team copies rows of operands to shared memory one iteration before they are read.
+    """
     own = [
         b.in_team and x.array.space == "operand" and x.dtype.itemsize >= 4
         and x.size > length and x.size // length <= ROW_UP_TO
@@ -224,23 +226,23 @@ def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable
         View.of(b.local(x.dtype, 2 * (x.size // length)), (2, *x.shape[1:])) if o else x
         for x, o in zip(xs, own, strict=True)
     ]
-    one = I32.type(1)
+    one = ir.I32.type(1)
 
-    def fetch(row: Value) -> None:
-        half = b.op("and", I32, row, one)
+    def fetch(row: ir.Value) -> None:
+        half = b.op("and", ir.I32, row, one)
         for x, to, o in zip(xs, both, own, strict=True):
             if o:
                 _copied_early(b, to.at(b, 0, half), x.at(b, 0, row))
 
-    def rows(counter: Value) -> list[View]:
-        b.block.statements.append(Await())
+    def rows(counter: ir.Value) -> list[View]:
+        b.block.statements.append(ir.Await())
         last, step = (0, -1) if reverse else (length - 1, 1)
-        with b.when(b.op("ne", BOOL, counter, I32.type(last))):
-            fetch(b.op("index_add", I32, counter, I32.type(step)))
-        half = b.op("and", I32, counter, one)
+        with b.when(b.op("ne", ir.BOOL, counter, ir.I32.type(last))):
+            fetch(b.op("index_add", ir.I32, counter, ir.I32.type(step)))
+        half = b.op("and", ir.I32, counter, one)
         return [to.at(b, 0, half if o else counter) for to, o in zip(both, own, strict=True)]
 
-    return lambda: fetch(I32.type(length - 1 if reverse else 0)), rows
+    return lambda: fetch(ir.I32.type(length - 1 if reverse else 0)), rows
 
 
 def _copied_early(b: Builder, to: View, x: View) -> None:
@@ -251,7 +253,7 @@ def _copied_early(b: Builder, to: View, x: View) -> None:
 
 
 def over_time(outside: Sequence[Atom], inside: Sequence[Atom]) -> int:
-    """The number of arguments or results of a scan with a time axis (jax 0.11 gives no counts)."""
+    """Count the arguments or results of a scan with a time axis (jax 0.11 does not store it)."""
     return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
 
 
@@ -270,7 +272,7 @@ def _while(low: Lowering, eqn: Equation, ins: list) -> list:
     }
     with low.pinned([*test_consts, *body_consts]):
         carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
-    loop = While(Block(), np.bool_(False), Block())
+    loop = ir.While(ir.Block(), np.bool_(False), ir.Block())
     b.block.statements.append(loop)
     with low.pinned([*test_consts, *body_consts]):
         with b.inside(loop.test), low.pinned(carry.values):
@@ -288,7 +290,7 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     going_on = [branch for branch in branches if not only_reports(branch)]
     if len(going_on) == 1:
         return low.closed(going_on[0], args, places)
-    if not isinstance(which, Var):
+    if not isinstance(which, ir.Var):
         chosen = branches[min(max(int(which), 0), len(branches) - 1)]
         return low.closed(chosen, args, places)
     b, outs = low.b, []
@@ -323,11 +325,13 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         if first == len(branches) - 1:
             run(branches[first])
             return
-        here = which if which.dtype == BOOL else b.op("le", BOOL, which, which.dtype.type(first))
-        node = If(here, Block(), Block())
+        here = (
+            which if which.dtype == ir.BOOL else b.op("le", ir.BOOL, which, which.dtype.type(first))
+        )
+        node = ir.If(here, ir.Block(), ir.Block())
         b.block.statements.append(node)
         blocks = (node.then, node.otherwise)
-        if which.dtype == BOOL:  # branch 1 where it holds
+        if which.dtype == ir.BOOL:  # branch 1 where it holds
             blocks = (node.otherwise, node.then)
         with b.inside(blocks[0]):
             run(branches[first])
@@ -340,7 +344,7 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list) -> dict[int, int]:
-    """The argument of each result that is, in every branch, this argument or an update of it.
+    """Return the argument of each result that every branch returns unchanged or updated.
 
     Such an argument is updated in place, if nothing reads it later.
     """
@@ -358,7 +362,7 @@ def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list
 
 
 def _versions(closed: ClosedJaxpr) -> list[int | None]:
-    """For each result, the input that it equals or that it is an updated copy of; or None."""
+    """Return, for each result, the input that it equals or is an updated copy of; or None."""
     jaxpr = closed.jaxpr
     origin: dict[Any, int | None] = {v: k for k, v in enumerate(jaxpr.invars)}
 

@@ -1,7 +1,7 @@
-"""Rules for the primitives of Equinox and lineax, for one sample, and for calls into Python.
+"""Rules for the primitives of Equinox and lineax, and for calls into Python.
 
-Equinox asks whether a loop's predicate has a batch. In a thread there is no batch. So its
-selections are known, and combinations over the batch are the value itself.
+A thread has no batch, so Equinox's selections by batch are constant, and its reductions over the
+batch are the value itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from jax.extend.core import ClosedJaxpr
 from rbjax._jax_compat import UNVMAP, is_error
 from rbjax.compiler.ir.statements import Unsupported
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
-from rbjax.compiler.lower.reductions import reduced
+from rbjax.compiler.lower.reductions import reduce_entries
 
 
 @rule("select_if_vmap", unread=(0, 2))
@@ -33,7 +33,11 @@ def _unvmap(low: Lowering, eqn: Equation, ins: list) -> list:
     x = ins[0]
     if not x.size:
         return [np.asarray(name == "and", dtype)]
-    return [reduced(low, x, tuple(range(x.ndim)), dtype, functools.partial(low.b.op, name, dtype))]
+    return [
+        reduce_entries(
+            low, x, tuple(range(x.ndim)), dtype, functools.partial(low.b.op, name, dtype)
+        )
+    ]
 
 
 rule(*UNVMAP)(_unvmap)
@@ -45,5 +49,5 @@ def _callback(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def only_reports(branch: ClosedJaxpr) -> bool:
-    """Whether a branch raises an error of `equinox.error_if`, after which no run continues."""
+    """Return whether a branch raises an error of `equinox.error_if`, which ends the run."""
     return any(map(is_error, branch.jaxpr.eqns))

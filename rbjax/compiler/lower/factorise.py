@@ -1,7 +1,7 @@
 """Rules for dense factorisations and triangular systems.
 
-Each is a JAX function that works column by column, which is traced and lowered. Small matrices are
-unrolled, entry by entry. Larger ones use a loop over the columns.
+Each rule traces and lowers a JAX function that works column by column. Small matrices are unrolled
+entry by entry; larger ones use a loop over the columns.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ ROWS_UP_TO = 16
 
 
 def _columns(n: int, step: Callable, *state: jax.Array, reverse: bool = False) -> Any:
-    """step(k, *state) for each column; k is known if there are few."""
+    """Run step(k, *state) for each column; k is a constant if there are few columns."""
     if n <= UNROLL_UP_TO:
         for k in reversed(range(n)) if reverse else range(n):
             state = step(k, *state)
@@ -47,7 +47,7 @@ def _columns(n: int, step: Callable, *state: jax.Array, reverse: bool = False) -
 
 
 def _row(a: jax.Array, k: ArrayLike, first: int = 0) -> jax.Array:
-    """a[k], where k is at least `first`; by selections if k is not known and rows are few."""
+    """Return a[k] with k >= first; by selections if k is not constant and rows are few."""
     if isinstance(k, int) or len(a) > UNROLL_UP_TO:
         return a[k]
     out = a[-1]
@@ -56,8 +56,8 @@ def _row(a: jax.Array, k: ArrayLike, first: int = 0) -> jax.Array:
     return out
 
 
-def _exchanged(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.Array:
-    """x, with rows k and p in each other's place, where p is at least `first`."""
+def _exchange_rows(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.Array:
+    """Exchange rows k and p of x, where p >= first."""
     rows = np.arange(len(x))
     here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
     there = (rows == k).reshape(here.shape)
@@ -65,13 +65,15 @@ def _exchanged(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.
 
 
 def cholesky(a: jax.Array) -> jax.Array:
-    """L of A = L L^T, from the lower triangle; nan if A is not positive definite."""
+    """Compute L of A = L L^T from the lower triangle; nan if A is not positive definite."""
     return _cholesky_by(a, False)[0]
 
 
 def cholesky_and_inverses(a: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The same by the inverse of each root, which on a GPU takes a third of a root's and a
-    division's time; and these inverses (n,) of the diagonal."""
+    """Compute L and the inverses (n,) of its diagonal by inverse square roots.
+
+    On a GPU, an inverse root takes a third of the time of a root and a division.
+    """
     return _cholesky_by(a, True)
 
 
@@ -97,7 +99,7 @@ def _cholesky_by(a: jax.Array, inverse: bool) -> tuple[jax.Array, jax.Array]:
 
 
 def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """L and U in one matrix, the row swapped at each column, and the permutation."""
+    """Compute L and U in one matrix, the row swapped at each column, and the permutation."""
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
@@ -108,7 +110,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         p = p + k if isinstance(k, int) else p
         first = k if isinstance(k, int) else 0
 
-        a, order = _exchanged(a, k, p, first), _exchanged(order, k, p, first)
+        a, order = _exchange_rows(a, k, p, first), _exchange_rows(order, k, p, first)
         pivots = jnp.where(np.arange(count) == k, p, pivots)
         below = rows > k
         pivot = a[k, k]
@@ -122,7 +124,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 def permutation(pivots: jax.Array, *, size: int) -> jax.Array:
-    """The order of rows after the swaps, one after another."""
+    """Compose row swaps into a permutation."""
     rows = np.arange(size)
 
     def step(k: ArrayLike, order: jax.Array) -> tuple:
@@ -136,7 +138,7 @@ def triangular_solve(
     a: jax.Array, b: jax.Array, *, left_side: bool, lower: bool, transpose_a: bool,
     unit_diagonal: bool,
 ) -> jax.Array:  # fmt: skip
-    """x of a x = b, or of x a = b; a may be transposed."""
+    """Solve a x = b, or x a = b; a may be transposed."""
     if not left_side:
         a, b = a.T, b.T
         lower = not lower
@@ -157,8 +159,11 @@ def triangular_solve(
 
 
 def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Householder's reflections below the diagonal, R above it, the reflections' factors, and the
-    order of the columns: with `pivoting` the longest that is left comes next."""
+    """Factorise by Householder reflections.
+
+    Returns the reflections below the diagonal with R above it, the factors of the reflections, and
+        the order of the columns: with `pivoting`, the longest remaining column is next.
+    """
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
@@ -166,7 +171,7 @@ def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, j
         if pivoting:
             left = jnp.where((rows >= k)[:, None], a, 0)
             p = jnp.where(columns >= k, (left * left).sum(0), -1).argmax().astype(jnp.int32)
-            a, order = _exchanged(a.T, k, p).T, _exchanged(order, k, p)
+            a, order = _exchange_rows(a.T, k, p).T, _exchange_rows(order, k, p)
         below, alpha = rows > k, a[k, k]
         rest = jnp.where(below, a[:, k] ** 2, 0).sum()
         length = jnp.sqrt(alpha**2 + rest)
@@ -186,7 +191,7 @@ def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, j
 
 
 def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
-    """The first columns of the product of reflections."""
+    """Return the first columns of the product of reflections."""
     rows = np.arange(a.shape[0])
 
     def step(k: ArrayLike, q: jax.Array) -> tuple:
@@ -198,7 +203,7 @@ def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
 
 
 def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[jax.Array, ...]:
-    """Q and R; with `pivoting` the order of the columns too."""
+    """Compute Q and R; with `pivoting`, the order of the columns too."""
     m, n = a.shape
     r, taus, order = geqrf(a, pivoting)
     k = m if full_matrices else min(m, n)
@@ -207,8 +212,10 @@ def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[ja
     return (*found, order) if pivoting else found
 
 
-def mapped(low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
-    """The results of f, mapped over the axes before the last ones."""
+def lower_mapped(
+    low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]
+) -> list:
+    """Lower f, mapped over the leading axes."""
     for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
         f = jax.vmap(f)
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
@@ -219,22 +226,22 @@ def _cholesky(low: Lowering, eqn: Equation, ins: list) -> list:
     if low.b.in_team and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
         a = low.to_scalars(ins[0])
         with low.b.per_thread():  # each thread the whole factor, in its registers
-            L, inverses = mapped(low, eqn, [a], cholesky_and_inverses, (2,))
+            L, inverses = lower_mapped(low, eqn, [a], cholesky_and_inverses, (2,))
         for root, inverse in zip(np.diagonal(L), inverses, strict=True):
             low.b.inverses[root] = inverse
         return [L]
-    return mapped(low, eqn, ins, cholesky, (2,))
+    return lower_mapped(low, eqn, ins, cholesky, (2,))
 
 
 @rule("lu")
 def _lu(low: Lowering, eqn: Equation, ins: list) -> list:
-    return mapped(low, eqn, ins, lu, (2,))
+    return lower_mapped(low, eqn, ins, lu, (2,))
 
 
 @rule("lu_pivots_to_permutation")
 def _permutation(low: Lowering, eqn: Equation, ins: list) -> list:
     f = functools.partial(permutation, size=eqn.params["permutation_size"])
-    return mapped(low, eqn, ins, f, (1,))
+    return lower_mapped(low, eqn, ins, f, (1,))
 
 
 @rule("triangular_solve")
@@ -244,7 +251,7 @@ def _triangular_solve(low: Lowering, eqn: Equation, ins: list) -> list:
         return [_solved_by_team(low, eqn, *ins)]
     ins = [materialize(low.b, x) for x in ins]
     f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
-    return mapped(low, eqn, ins, f, (2,))
+    return lower_mapped(low, eqn, ins, f, (2,))
 
 
 accepts_delayed("triangular_solve")
@@ -252,14 +259,14 @@ accepts_delayed("triangular_solve")
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A loop of a team in which each thread has solved a system for a column (or row) of the right
-    side.
+    """A team loop in which each thread has solved a system for a column (or row) of the right side.
 
-    solution: all entries of the solutions in memory, as at `version` of their array.
+    solution: all solutions in memory, at `version` of their array.
+    version: the version of the array when they were stored.
     block: the loop's statements.
     left: whether the matrix is on the left.
     column: the column of a thread.
-    x: the entries of a thread's solution, in registers.
+    x: a thread's solution, in registers.
     """
 
     solution: View
@@ -270,20 +277,21 @@ class Solved:
     x: list[Value]
 
     def goes_on(self, left: bool, used: Sequence[View | Value | None], right: View) -> bool:
-        """Whether the same threads can solve the next system at once: with numbers that were
-        there before the loop, and the whole of the solutions."""
+        """Return whether a second solve may be fused into this loop.
+
+        It may use only values from before the loop, and the right side must be all the solutions.
+        """
         column = self.column.id if isinstance(self.column, Var) else 0
         there = all(not isinstance(v, Var) or v.id < column for v in used)
         known = not any(isinstance(v, View) for v in used)
-        whole = self.solution.same(right) and right.array.version == self.version
+        whole = self.solution.is_same_view(right) and right.array.version == self.version
         return self.left == left and there and known and whole
 
 
 def _solved_by_team(
     low: Lowering, eqn: Equation, a: ThreadArray, right: ThreadArray
 ) -> ThreadArray:
-    """Each thread solves for some columns of the right side (or its rows, from the right), which
-    are in its registers, with the inverses of the diagonal."""
+    """Write a solve in which each thread has columns (or rows) of the right side in registers."""
     b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]
     left, turned = P["left_side"], P["transpose_a"] == P["left_side"]
     forwards = P["lower"] != turned
@@ -338,19 +346,19 @@ def _solved_by_team(
 
 @rule("geqrf")
 def _geqrf(low: Lowering, eqn: Equation, ins: list) -> list:
-    return mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
+    return lower_mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
 
 
 @rule("householder_product")
 def _householder_product(low: Lowering, eqn: Equation, ins: list) -> list:
-    return mapped(low, eqn, ins, householder_product, (2,))
+    return lower_mapped(low, eqn, ins, householder_product, (2,))
 
 
 @rule("qr")
 def _qr(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "full_matrices", "pivoting"
     f = functools.partial(qr, **{name: eqn.params.get(name, False) for name in names})
-    return mapped(low, eqn, ins, f, (2,))
+    return lower_mapped(low, eqn, ins, f, (2,))
 
 
 @rule("custom_linear_solve")

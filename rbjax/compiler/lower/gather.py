@@ -23,14 +23,14 @@ from rbjax.compiler.lower.arrays import (
     to_memory,
 )
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
-from rbjax.compiler.lower.indexing import SELECT_UP_TO, changeable, clamped, in_bounds
+from rbjax.compiler.lower.indexing import SELECT_UP_TO, clamp, is_in_bounds, make_updatable
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
 FILL = GatherScatterMode.FILL_OR_DROP
 
 
 def _starts(low: Lowering, indices: np.ndarray, at: tuple, axes: Sequence[int], rank: int) -> list:
-    """The start of a window of a gather or scatter, one value per axis of the operand."""
+    """Return the start of a window, one value per axis of the operand."""
     out: list[Value] = [I32.type(0)] * rank
     for k, axis in enumerate(axes):
         out[axis] = indices[(*at, k)]
@@ -47,7 +47,7 @@ def _batch_starts(
 def _all_in_bounds(low: Lowering, starts: list, most: list[int]) -> Value:
     inside: Value = np.bool_(True)
     for start, m in zip(starts, most, strict=True):
-        inside = low.b.op("and", BOOL, inside, in_bounds(low, start, m))
+        inside = low.b.op("and", BOOL, inside, is_in_bounds(low, start, m))
     return inside
 
 
@@ -77,8 +77,8 @@ def _gather(low: Lowering, eqn: Equation, ins: list) -> list:
         starts = _starts(low, indices, at, dims.start_index_map, len(x.shape))
         _batch_starts(starts, at, dims.operand_batching_dims, dims.start_indices_batching_dims)
         inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
-        starts = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
-        corner = x.moved(b, *zip(starts, x.strides, strict=True)) if isinstance(x, View) else x
+        starts = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
+        corner = x.shift(b, *zip(starts, x.strides, strict=True)) if isinstance(x, View) else x
         for offset in indices_of([*(sizes[axis] for axis in window_axes)]):
             window = [0] * len(x.shape)
             for axis, k in zip(window_axes, offset, strict=True):
@@ -102,14 +102,16 @@ def _place(
     low: Lowering, indices: View, at: tuple, axes: Sequence[int], batching: tuple, offsets: dict,
     most: list[int], mode: Any,
 ) -> tuple[list[Value], Value]:  # fmt: skip
-    """The entry of the operand that one iteration reads or writes, and whether its window is
-    inside. `offsets` are within the window, by axis."""
+    """Return the operand's index in one iteration, and whether its window is in bounds.
+
+    offsets: the offset within the window, by axis.
+    """
     starts: list[Value] = [I32.type(0)] * len(most)
     for k, axis in enumerate(axes):
         starts[axis] = load_entry(low.b, indices, (*at, I32.type(k)))
     _batch_starts(starts, at, *batching)
     inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
-    place = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
+    place = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
     for axis, offset in offsets.items():
         place[axis] = low.b.op("index_add", I32, place[axis], offset)
     return place, inside
@@ -171,16 +173,14 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
         sizes[axis] = updates.shape[k]
     most = [n - size for n, size in zip(x.shape, sizes, strict=True)]
     dynamic = any(isinstance(v, Var) for v in indices.flat)
-    few = not isinstance(x, View) and x.size <= SELECT_UP_TO
-    out = as_objects(x).copy() if not isinstance(x, View) and (few or not dynamic) else changeable(
-        low, x, dtype
-    )  # fmt: skip
+    in_registers = not isinstance(x, View) and (x.size <= SELECT_UP_TO or not dynamic)
+    out = as_objects(x).copy() if in_registers else make_updatable(low, x, dtype)
     for at in indices_of([*(updates.shape[k] for k in batch_dims)]):
         starts = _starts(low, indices, at, dims.scatter_dims_to_operand_dims, len(x.shape))
         _batch_starts(starts, at, dims.operand_batching_dims, dims.scatter_indices_batching_dims)
         inside: Value = np.bool_(True)
         if mode == GatherScatterMode.CLIP:
-            starts = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
+            starts = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
         elif mode != GatherScatterMode.PROMISE_IN_BOUNDS:
             inside = _all_in_bounds(low, starts, most)
         if not isinstance(inside, Var) and not inside:
@@ -203,7 +203,7 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def _combination(low: Lowering, eqn: Equation) -> Callable[[Value, Value], Value]:
-    """The function that combines an entry and its update."""
+    """Return the function that combines an entry and its update."""
     name, update = COMBINE[eqn.primitive.name], eqn.params["update_jaxpr"]
     if name is not None:
         return functools.partial(low.b.op, name, dtype_of(eqn.outvars[0].aval))
@@ -224,7 +224,7 @@ def _scatter_looped(low: Lowering, eqn: Equation, ins: list, combine: Callable) 
         to_memory(b, x, dtype_of(v.aval)) for x, v in zip(ins[1:], eqn.invars[1:], strict=True)
     )
     with low.pinned([indices, updates]):
-        out = changeable(low, ins[0], dtype_of(eqn.outvars[0].aval))
+        out = make_updatable(low, ins[0], dtype_of(eqn.outvars[0].aval))
     gone = {*dims.inserted_window_dims, *dims.operand_batching_dims}
     window_axes = [axis for axis in range(out.ndim) if axis not in gone]
     batch_dims = [k for k in range(updates.ndim) if k not in dims.update_window_dims]
@@ -257,8 +257,8 @@ def _stored(
     b = low.b
 
     def store() -> None:
-        safe = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
-        corner = out.moved(b, *zip(safe, out.strides, strict=True))
+        safe = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
+        corner = out.shift(b, *zip(safe, out.strides, strict=True))
         for k in indices_of(window.shape):
             offset = corner.offset + sum(i * s for i, s in zip(k, corner.strides, strict=True))
             old = b.load(corner.array, corner.base, offset)

@@ -1,7 +1,7 @@
-"""Rules for primitives that index: slices at an index that is not known, gather, scatter.
+"""Rules for slices at an index that may not be constant.
 
-Known indices cost nothing. Otherwise the operand is in memory, or a small array stays in registers
-and selections find the entry.
+Constant indices need no operations. Otherwise the operand is in memory, or a small array stays in
+registers and selections choose the entry.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 SELECT_UP_TO = 8
 
 
-def clamped(low: Lowering, index: Value, most: int) -> Value:
-    """The index clamped to 0 ... most."""
+def clamp(low: Lowering, index: Value, most: int) -> Value:
+    """Clamp an index to 0 ... most."""
     if not isinstance(index, Var):
         return I32.type(min(max(int(index), 0), most))
     if most <= 0:
@@ -43,8 +43,8 @@ def clamped(low: Lowering, index: Value, most: int) -> Value:
     return b.cast(index, I32)
 
 
-def in_bounds(low: Lowering, index: Value, most: int) -> Value:
-    """Whether 0 <= index <= most."""
+def is_in_bounds(low: Lowering, index: Value, most: int) -> Value:
+    """Return whether 0 <= index <= most."""
     b, kind = low.b, index.dtype
     ok: Value = np.bool_(True)
     if kind.kind != "u":
@@ -54,8 +54,8 @@ def in_bounds(low: Lowering, index: Value, most: int) -> Value:
     return ok
 
 
-def changeable(low: Lowering, x: ThreadArray, dtype: DTypeLike) -> View:
-    """x as memory that may be updated: itself if nothing reads it later, else a copy."""
+def make_updatable(low: Lowering, x: ThreadArray, dtype: DTypeLike) -> View:
+    """Return x as memory that may be updated: itself if nothing reads it later, else a copy."""
     if isinstance(x, View) and x.is_updatable:
         return x
     return copy_to_memory(low.b, x, dtype)
@@ -63,20 +63,20 @@ def changeable(low: Lowering, x: ThreadArray, dtype: DTypeLike) -> View:
 
 def _moved(low: Lowering, view: View, starts: Sequence[Value], sizes: Sequence[int]) -> View:
     box = [slice(0, n, 1) for n in sizes]
-    return view.sliced(box).moved(low.b, *zip(starts, view.strides, strict=True))
+    return view.slice_box(box).shift(low.b, *zip(starts, view.strides, strict=True))
 
 
 @rule("dynamic_slice")
 def _dynamic_slice(low: Lowering, eqn: Equation, ins: list) -> list:
     x, sizes = ins[0], eqn.params["slice_sizes"]
     starts = [
-        clamped(low, low.to_scalar(i), n - size)
+        clamp(low, low.to_scalar(i), n - size)
         for i, n, size in zip(ins[1:], x.shape, sizes, strict=True)
     ]
     known = [s.item() for s in starts if not isinstance(s, Var)]
     if len(known) == len(starts):
         box = tuple(slice(s, s + n, 1) for s, n in zip(known, sizes, strict=True))
-        return [x.sliced(box) if isinstance(x, View) else x[box]]
+        return [x.slice_box(box) if isinstance(x, View) else x[box]]
     if not isinstance(x, View) and not is_constant(x) and x.size <= SELECT_UP_TO:
         return [_selected(low, x, starts, sizes)]
     view = _moved(low, to_memory(low.b, x, dtype_of(eqn.outvars[0].aval)), starts, sizes)
@@ -104,7 +104,7 @@ def _dynamic_update_slice(low: Lowering, eqn: Equation, ins: list) -> list:
     x, update, *index = ins
     dtype = dtype_of(eqn.outvars[0].aval)
     starts = [
-        clamped(low, low.to_scalar(i), n - size)
+        clamp(low, low.to_scalar(i), n - size)
         for i, n, size in zip(index, x.shape, update.shape, strict=True)
     ]
     known = [s.item() for s in starts if not isinstance(s, Var)]
@@ -116,7 +116,7 @@ def _dynamic_update_slice(low: Lowering, eqn: Equation, ins: list) -> list:
     if not isinstance(x, View) and x.size <= SELECT_UP_TO:
         return [_updated(low, as_objects(x), low.to_scalars(update), starts)]
     with low.pinned([update]):
-        whole = changeable(low, x, dtype)
+        whole = make_updatable(low, x, dtype)
     write_to(low.b, _moved(low, whole, starts, update.shape), update)
     return [whole]
 

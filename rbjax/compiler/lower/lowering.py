@@ -1,9 +1,9 @@
-"""From the jaxpr of one sample to the program of one thread.
+"""Lowers the jaxpr of one sample to the program of one thread.
 
-`Lowering.run` goes through the equations. A rule for each primitive (`RULES`) maps small arrays to
-small arrays. Moving entries (slices, reshapes, transposes) costs nothing: it renames them. A result
-that is written entry by entry (the stacked outputs of a scan) is written to its final place, so a
-trajectory goes directly to the kernel's result.
+`Lowering.run` visits the equations. The rule of each primitive (`RULES`) maps small arrays to small
+arrays. Slices, reshapes and transposes need no statements. A result that is written entry by entry
+(the stacked outputs of a scan) is written to its final place, so a trajectory goes directly to the
+kernel's result.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
 
 
 def placing_rule(*names: str) -> Callable:
-    """The same, for rules that get the places of their results."""
+    """Register a rule that also gets the places of its results."""
 
     def register(f: Callable) -> Callable:
         WRITERS.update(dict.fromkeys(names, f))
@@ -121,8 +121,9 @@ def placing_rule(*names: str) -> Callable:
 class Needs:
     """The part of a jaxpr that its results need.
 
-    last: for each variable that is read, the last equation that reads it. equations: for each, its
-    number, itself and the inputs that it reads. uses: how often each variable is read.
+    last: for each variable that is read, the number of the last equation that reads it.
+    uses: how often each variable is read.
+    equations: for each needed equation, its number, itself, and the inputs that it reads.
     """
 
     jaxpr: Jaxpr
@@ -150,7 +151,7 @@ class Lowering:
         args: Sequence[ThreadArray],
         places: Sequence[View | None] = (),
     ) -> list[ThreadArray]:
-        """The results of a jaxpr. A result with a place is written there."""
+        """Write a jaxpr, and return its results. A result with a place is written there."""
         needs = self.analyze(jaxpr)
         last = needs.last
         env: dict[Any, ThreadArray] = {}
@@ -222,7 +223,7 @@ class Lowering:
         return self.closed(inner, ins, places)
 
     def _joined(self, var: Any) -> View | None:
-        """A place for a concatenation of a team, for the pieces to be written there."""
+        """Reserve memory for a concatenation of a team, so that the pieces are written there."""
         aval = var.aval
         if aval.size <= FEW or dtype_of(aval) not in DTYPES:
             return None
@@ -231,7 +232,7 @@ class Lowering:
         return View.of(array, aval.shape)
 
     def analyze(self, jaxpr: Jaxpr) -> Needs:
-        """The part of a jaxpr that its results need."""
+        """Return the part of a jaxpr that its results need."""
         known = self.needs.get(id(jaxpr))
         if known is None or known.jaxpr is not jaxpr:
             known = self.needs[id(jaxpr)] = self._analyze(jaxpr)
@@ -264,7 +265,7 @@ class Lowering:
 
     @contextmanager
     def pinned(self, values: Sequence[ThreadArray]) -> Iterator[None]:
-        """Prevents updates in place of values that are read again later."""
+        """Prevent updates in place of values that are read again later."""
         for value in values:
             _count_reference(value, 1)
         try:
@@ -277,35 +278,35 @@ class Lowering:
         return to_scalars(self.b, x)
 
     def to_scalar(self, x: ThreadArray) -> Value:
-        """The value of an array with one entry and no axes."""
+        """Return the value of an array with one entry and no axes."""
         return self.to_scalars(x).item()
 
     def evaluate(self, f: Callable, *args: ThreadArray, avals: Sequence[Aval]) -> list[ThreadArray]:
-        """The results of a JAX function, traced for arguments of these shapes and types."""
+        """Trace and write a JAX function of arguments of these types."""
         return self.closed(jax.make_jaxpr(f)(*avals), args)
 
 
 def dtype_of(aval: Aval) -> Any:
-    """The dtype of an array's entries; a random key is one 64-bit number."""
+    """Return the dtype of an array's entries; a random key is one 64-bit number."""
     dtype: Any = getattr(aval, "dtype", None)
     return KEY if is_key(dtype) and dtype.itemsize == KEY.itemsize else dtype
 
 
 @functools.lru_cache(256)
 def is_key(dtype: Any) -> bool:
-    """Whether this is a dtype of random keys."""
+    """Return whether this is a dtype of random keys."""
     return jnp.issubdtype(dtype, jax.dtypes.prng_key)
 
 
 def known(x: Any, aval: Any) -> np.ndarray:
-    """A constant as a numpy array, with the dtype of the jaxpr."""
+    """Return a constant as a numpy array, with the dtype of the jaxpr."""
     if is_key(getattr(x, "dtype", None)):
         return np.asarray(jax.random.key_data(x)).view(KEY)[..., 0]
     return np.asarray(x, aval.dtype)
 
 
 def inner_jaxpr(eqn: Equation) -> ClosedJaxpr | None:
-    """The jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
+    """Return the jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
     if eqn.primitive.name not in CALLS:
         return None
     for name in JAXPRS:
@@ -338,8 +339,10 @@ MOVES = {
 def _places(
     jaxpr: Jaxpr, places: Sequence[View | None], joined: Callable | None = None
 ) -> dict[Any, View]:
-    """The places of results, passed back through equations that only move entries. joined: a place
-    for another concatenation with computed pieces."""
+    """Propagate the places of results back through equations that only move entries.
+
+    joined: reserves memory for a concatenation of computed pieces.
+    """
     wanted: dict[Any, View] = {}
     inputs = {*jaxpr.invars, *jaxpr.constvars}
 
@@ -348,7 +351,7 @@ def _places(
             wanted.setdefault(var, place)
 
     def same_entries(var: Any, place: View) -> None:
-        want(var, place.reshaped(var.aval.shape))
+        want(var, place.reshape_view(var.aval.shape))
 
     for var, place in zip(jaxpr.outvars, places, strict=False):
         want(var, place)
@@ -383,7 +386,7 @@ def _places(
                 for k, var in enumerate(eqn.invars):
                     box = [slice(0, n, 1) for n in place.shape]
                     box[axis] = slice(k, k + 1, 1)
-                    same_entries(var, place.sliced(box))
+                    same_entries(var, place.slice_box(box))
             case "concatenate":
                 start, axis = 0, eqn.params["dimension"]
                 atoms: list[Any] = eqn.invars
@@ -391,7 +394,7 @@ def _places(
                     stop = start + var.aval.shape[axis]
                     box = [slice(0, n, 1) for n in place.shape]
                     box[axis] = slice(start, stop, 1)
-                    want(var, place.sliced(box))
+                    want(var, place.slice_box(box))
                     start = stop
     return wanted
 

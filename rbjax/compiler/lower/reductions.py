@@ -23,14 +23,14 @@ from rbjax.compiler.lower.arrays import (
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE, source
-from rbjax.compiler.lower.linear import summed
+from rbjax.compiler.lower.linear import sum_terms
 from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
 
-def reduced(
+def reduce_entries(
     low: Lowering, x: ThreadArray, axes: tuple, dtype: DTypeLike, f: Callable
 ) -> ThreadArray:
-    """Entries reduced along axes by f of two values."""
+    """Reduce entries along axes by f of two values."""
     axes = tuple(axes)
     kept = [k for k in range(x.ndim) if k not in axes]
     shape = tuple(x.shape[k] for k in kept)
@@ -51,8 +51,10 @@ def reduced(
 def _delayed(
     low: Lowering, x: ThreadArray, kept: list, axes: list, dtype: DTypeLike, f: Callable
 ) -> Delayed | None:
-    """Reductions of a team, each where it is read; None if a thread does them sooner. One of more
-    than one axis is first of all but the longest."""
+    """Return a team's reductions, computed when they are read; None if one thread is faster.
+
+    A reduction over all of several axes first reduces all but the longest.
+    """
     s = source(low.b, x, x.shape)
     if s.work <= SHARED_ABOVE:
         return None
@@ -71,7 +73,7 @@ def _delayed(
             at = dict(zip((*kept, *axes), (*i, *k), strict=True))
             return s.entry(*(at[j] for j in range(s.ndim)))
 
-        return summed(low.b, count, term, f, dtype)
+        return sum_terms(low.b, count, term, f, dtype)
 
     cost = int(np.prod(count, dtype=int)) * (1 + s.cost)
     return Delayed(shape, np.dtype(dtype), entry, s.sources, cost)
@@ -123,7 +125,7 @@ REDUCTIONS = {
 
 
 def _neutral(name: str, dtype: np.dtype) -> Any:
-    """The neutral element of a reduction."""
+    """Return the neutral element of a reduction."""
     if name in ("add", "or", "xor"):
         return 0
     if name == "and":
@@ -144,7 +146,7 @@ def _reduce(low: Lowering, eqn: Equation, ins: list) -> list:
     if not x.size:
         return [np.full(eqn.outvars[0].aval.shape, _neutral(name, dtype), dtype)]
     f = functools.partial(low.b.op, name, dtype)
-    return [reduced(low, x, eqn.params["axes"], dtype, f)]
+    return [reduce_entries(low, x, eqn.params["axes"], dtype, f)]
 
 
 rule(*REDUCTIONS)(_reduce)
@@ -227,7 +229,7 @@ def _cumulative_looped(low: Lowering, x: View, eqn: Equation, name: str) -> View
 
 
 def _along(low: Lowering, x: View, axis: int, dtype: DTypeLike, f: Callable) -> View:
-    """f(x with the axis last, the result, *index) for each index of the other axes."""
+    """Write f(x with the axis last, result, *index) for each index of the other axes."""
     rest = [k for k in range(x.ndim) if k != axis]
     moved = x.transposed([*rest, axis])
     shape = moved.shape[:-1]

@@ -17,7 +17,7 @@ from rbjax.compiler.lower.arrays import (
     load_entry,
     store_entry,
 )
-from rbjax.compiler.lower.elementwise import LOOP_ABOVE, entrywise
+from rbjax.compiler.lower.elementwise import LOOP_ABOVE, map_entrywise
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
 #: the most entries that are sorted in registers
@@ -25,7 +25,7 @@ REGISTERS = 16
 
 
 def before(b: Builder, x: Sequence[Value], y: Sequence[Value]) -> Value:
-    """Whether x comes before y: by the first entry that differs; nan comes last."""
+    """Write whether x precedes y: by the first entry that differs; nan is last."""
     out: Value = np.bool_(False)
     for p, q in reversed(list(zip(x, y, strict=True))):
         less, same = b.op("lt", BOOL, p, q), b.op("eq", BOOL, p, q)
@@ -44,7 +44,7 @@ def _sort(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[np.ndarray | View]:
-    """Arrays in the order of the first `keys` of them; the sort is stable."""
+    """Sort arrays by the first `keys` of them; the sort is stable."""
     if xs[0].shape[axis] > REGISTERS or xs[0].size > LOOP_ABOVE:
         return _sort_in_memory(low, xs, dtypes, axis, keys)
     b = low.b
@@ -63,7 +63,7 @@ def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[np
 def _sort_in_memory(
     low: Lowering, xs: list, dtypes: list, axis: int, keys: int
 ) -> list[np.ndarray | View]:
-    """Insertion sort: each entry moves down until the one before it comes no later."""
+    """Write an insertion sort: each entry moves down until its predecessor is not later."""
     b = low.b
     outs = [copy_to_memory(b, x, dtype) for x, dtype in zip(xs, dtypes, strict=True)]
     shape = outs[0].shape
@@ -101,34 +101,34 @@ def _sort_in_memory(
 
 @rule("top_k")
 def _top_k(low: Lowering, eqn: Equation, ins: list) -> list:
-    """The largest entries, in descending order: stable, with nan first."""
+    """Find the largest entries, in descending order: stable, with nan first."""
     x = ins[0]
     axis = eqn.params.get("axis", -1) % x.ndim
     kind, places = eqn.invars[0].aval.dtype, dtype_of(eqn.outvars[1].aval)
     key = np.dtype(f"i{kind.itemsize}") if kind.kind == "f" else kind
-    rank = entrywise(low, key, x.shape, functools.partial(_descending, low.b), x)
+    rank = map_entrywise(low, key, x.shape, functools.partial(_descending, low.b), x)
     row = np.arange(x.shape[axis], dtype=places)
     row = np.broadcast_to(row.reshape([-1 if k == axis else 1 for k in range(x.ndim)]), x.shape)
     _, values, index = sort(low, [rank, x, row], [key, kind, places], axis, 1)
     best = [slice(0, n, 1) for n in x.shape]
     best[axis] = slice(0, eqn.params["k"], 1)
-    return [y.sliced(best) if isinstance(y, View) else y[tuple(best)] for y in (values, index)]
+    return [y.slice_box(best) if isinstance(y, View) else y[tuple(best)] for y in (values, index)]
 
 
 @rule("eq_to", "le_to", "lt_to")
 def _total_order(low: Lowering, eqn: Equation, ins: list) -> list:
-    """Comparisons in IEEE 754's total order, in which -0 < 0 and nan is the largest."""
+    """Compare in IEEE 754's total order, in which -0 < 0 and nan is the largest."""
     name = eqn.primitive.name.removesuffix("_to")
     turned = {"lt": "gt", "le": "ge"}.get(name, name)  # the ranks descend
 
     def compared(x: Value, y: Value) -> Value:
         return low.b.op(turned, BOOL, _descending(low.b, x), _descending(low.b, y))
 
-    return [entrywise(low, BOOL, eqn.outvars[0].aval.shape, compared, *ins)]
+    return [map_entrywise(low, BOOL, eqn.outvars[0].aval.shape, compared, *ins)]
 
 
 def _descending(b: Builder, x: Value) -> Value:
-    """An integer that decreases as x grows, in IEEE 754's total order."""
+    """Write an integer that decreases as x increases, in IEEE 754's total order."""
     if x.dtype.kind != "f":
         return b.op("not", x.dtype, x)
     kind = np.dtype(f"i{x.dtype.itemsize}")

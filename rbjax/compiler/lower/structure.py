@@ -50,10 +50,10 @@ def _slice(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def cut(low: Lowering, x: ThreadArray, box: tuple[slice, ...]) -> ThreadArray:
-    """A rectangle of x."""
+    """Return a rectangle of x."""
     if isinstance(x, Delayed):
-        return x.sliced(low.b, box)
-    return x.sliced(box) if isinstance(x, View) else x[box]
+        return x.slice_box(low.b, box)
+    return x.slice_box(box) if isinstance(x, View) else x[box]
 
 
 @rule("squeeze", "reshape", "expand_dims")
@@ -62,14 +62,14 @@ def _reshape(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def reshaped(low: Lowering, x: ThreadArray, shape: tuple[int, ...]) -> ThreadArray:
-    """x with another shape."""
+    """Return x with another shape."""
     if isinstance(x, Delayed):
-        delayed = x.reshaped(shape)
+        delayed = x.reshape_view(shape)
         if delayed is not None:
             return delayed
         x = materialize_in_memory(low.b, x)
     if isinstance(x, View):
-        out = x.reshaped(shape)
+        out = x.reshape_view(shape)
         return View.of(copy_to_memory(low.b, x, x.dtype).array, shape) if out is None else out
     return x.reshape(shape)
 
@@ -114,13 +114,13 @@ def _concatenate(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         for x in ins:
             box = [slice(0, n, 1) for n in place.shape]
             box[axis] = slice(start, start + x.shape[axis], 1)
-            write_to(low.b, place.sliced(box), x)
+            write_to(low.b, place.slice_box(box), x)
             start += x.shape[axis]
     return [place]
 
 
 def _pieces_of_one(xs: list, axis: int) -> View | None:
-    """Pieces of one array, side by side along an axis as they were, as one view; else None."""
+    """Return pieces that are adjacent in one array as one view; else None."""
     first = xs[0]
     if not all(isinstance(x, View) and x.array is first.array for x in xs):
         return None
@@ -162,7 +162,7 @@ def _stack(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _rows_of_one(xs: list, axis: int) -> View | None:
-    """Rows of one array, at equal distances, as one view; else None."""
+    """Return equally spaced rows of one array as one view; else None."""
     first = xs[0]
     if len(xs) < 2 or not all(isinstance(x, View) for x in xs):
         return None

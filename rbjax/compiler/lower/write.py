@@ -1,4 +1,4 @@
-"""From the jaxpr of one sample to its finished program: rules, then passes."""
+"""Lowers the jaxpr of one sample to its finished program: rules, then passes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from rbjax.compiler.lower import (  # noqa: F401 (rules)
     factorise,
     gather,
     indexing,
-    inversion,
     linear,
     random,
     reductions,
@@ -30,9 +29,8 @@ from rbjax.compiler.lower import (  # noqa: F401 (rules)
 )
 from rbjax.compiler.lower.arrays import View
 from rbjax.compiler.lower.lowering import DTYPES, Lowering
-from rbjax.compiler.passes.phases import synchronised
-from rbjax.compiler.passes.prune import prune
-from rbjax.compiler.passes.reuse import share_memory
+from rbjax.compiler.passes.liveness import prune, share_memory
+from rbjax.compiler.passes.phases import insert_barriers
 
 
 def write_program(
@@ -45,8 +43,13 @@ def write_program(
     team: bool = False,
     matrices: bool = False,
 ) -> Written:
-    """The program of one sample of a batch. Summed results are sums over the batch. team: for a
-    team of threads a sample (`team.kernel`). matrices: those of one sample fill a CPU's vectors."""
+    """Write the program of one sample of a batch.
+
+    Args:
+        summed: which results are sums over the batch.
+        team: whether a team of threads runs a sample (`team.kernel`).
+        matrices: whether the matrices of one sample fill the vectors of a CPU.
+    """
     b = Builder(platform, team, matrices)
     ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(
         closed.jaxpr.invars, operands, strict=True)]  # fmt: skip
@@ -61,7 +64,7 @@ def write_program(
         Lowering(b).closed(closed, args, places)
     prune(b.block)
     if team:
-        b.block = synchronised(b.block)
+        b.block = insert_barriers(b.block)
     share_memory(b.block)
     layouts = tuple(operands), tuple(results)
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)

@@ -5,7 +5,7 @@
     inward    f = f + sum of X^T f of the children;   tau = S.f + armature qdd
 
 Gravity is an acceleration of the base, a_0 = -g. External forces f_ext are each in the axes of
-their link at its origin; alone they give the generalized forces sum J_i^T f_i (Featherstone, 5.3).
+their link at its origin. Their generalized forces are sum J_i^T f_i (Featherstone, 5.3).
 """
 
 from __future__ import annotations

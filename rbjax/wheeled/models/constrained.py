@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from rbjax.arguments import choice, instance
 from rbjax.constraints import Formulation
 from rbjax.constraints.equations.constrained_motion import constrained_motion
-from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.projection import project_state
 from rbjax.lanes import Lane, add, mul, sub
 from rbjax.model import Model, State
 from rbjax.wheeled.kinematics.context import RobotContext, coordinate_rates, steering_rates
@@ -72,7 +72,7 @@ class Constrained(RobotModel):
 
     def full_velocities(self, now: RobotContext) -> list[Lane]:
         model, state = full_state(now, now.v)
-        return robot_velocities(now, model, projected(model, 0.0, state, positions=False).v)
+        return robot_velocities(now, model, project_state(model, 0.0, state, positions=False).v)
 
     def project(self, now: RobotContext) -> list[Lane]:
         return self.full_velocities(now)
