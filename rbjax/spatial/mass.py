@@ -92,9 +92,11 @@ def rotate_inertia(R: jax.Array, inertia: jax.Array) -> jax.Array:
 
 
 @takes(T="pose", mass="scalar", com="vector", inertia="matrix")
-def moved(T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array) -> MassProperties:
+def transform_properties(
+    T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array
+) -> MassProperties:
     """The mass properties in A from those in B, with T the pose of B in A:
-    `moved(T, *properties)`.
+    `transform_properties(T, *properties)`.
     """
     R, p = pose_parts(T)
     turned = rotate_inertia(T[..., :3, :3], inertia)
