@@ -44,7 +44,8 @@ rb.sysid.report(found, "identification.html")"""
 
 
 def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
-    """Controls (steps, nu), and MuJoCo's angles (1 + steps / EVERY, nq) with noise and without."""
+    """Make controls (steps, nu) and MuJoCo's angles (1 + steps / EVERY, nq), with noise and
+    without."""
     reference, _ = smooth("arm7")
     body = reference.body("link7").id
     reference.body_mass[body] += TRUTH["payload mass"][2]
@@ -62,7 +63,7 @@ def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
 
 
 def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> Section:
-    """Measure, fit, draw."""
+    """Measure, fit and draw."""
     say("identification: MuJoCo measures, Gauss-Newton compiles")
     model = load("arm7").replace(driver="rolled")
     assert model.body("link7") == 7

@@ -74,7 +74,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
 
 
 def loosen(m: mujoco.MjModel, i: int) -> None:
-    """Take the forces of actuator i from the joints."""
+    """Disconnect actuator i from the joints."""
     first = m.actuator_outadr[i]
     m.actuator_gear[first : first + m.actuator_outnum[i]] = 0.0
     if m.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_SO3:  # no gear acts on its torques
@@ -94,7 +94,8 @@ class Samples:
 
 
 def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
-    """States near that of the file, uniform attitudes, velocities of spread 1, inner controls."""
+    """Draw states near that of the file: uniform attitudes, velocities of spread 1, inner
+    controls."""
     rng = np.random.default_rng(seed)
     q = m.qpos0 + rng.uniform(-1.0, 1.0, (count, m.nq))
     for kind, at in zip(m.jnt_type, m.jnt_qposadr, strict=True):

@@ -128,7 +128,7 @@ def check_map(where: str, field: Any, footprint: Any) -> None:
     instance(where, "footprint", footprint, Footprint, shape)
 
 
-def placed(poses: jax.Array, footprint: Footprint) -> jax.Array:
+def disc_centers(poses: jax.Array, footprint: Footprint) -> jax.Array:
     """Centres of discs (..., n, 2) m in the world."""
     x, y, heading = (poses[..., k, None] for k in range(3))
     c, s = jnp.cos(heading), jnp.sin(heading)
@@ -160,7 +160,7 @@ def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> j
         0.3
     """
     check_map("clearance", field, footprint)
-    return smallest(field.at(placed(poses, footprint)) - footprint.radii)
+    return smallest(field.at(disc_centers(poses, footprint)) - footprint.radii)
 
 
 @takes(poses="planar_pose")
@@ -186,4 +186,4 @@ def clear(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.A
         [True, False]
     """
     check_map("clear", field, footprint)
-    return (field.below(placed(poses, footprint)) > footprint.radii).all(-1)
+    return (field.below(disc_centers(poses, footprint)) > footprint.radii).all(-1)

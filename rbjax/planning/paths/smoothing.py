@@ -33,7 +33,7 @@ from rbjax.arguments import instance, integer, real_number
 from rbjax.compiling import alone, compiled, wide_vectors
 from rbjax.errors import InputError
 from rbjax.model.record import Record
-from rbjax.planning.maps.footprint import Footprint, check_map, placed
+from rbjax.planning.maps.footprint import Footprint, check_map, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
 from rbjax.planning.paths.path import Path, chain, clear_along
 
@@ -86,7 +86,7 @@ class _Problem(NamedTuple):
         jump = jnp.where(self.same, z[1, 1:] - z[1, :-1], 0.0)
         pace = jnp.where(self.same, self.unit[1:] + self.unit[:-1], 1.0) / 2
         jump = jump * jnp.sqrt(BENDING * self.radius / pace)
-        away = self.field.at(placed(poses[1:], self.footprint)) - self.footprint.radii
+        away = self.field.at(disc_centers(poses[1:], self.footprint)) - self.footprint.radii
         short = jnp.maximum(1 - away / self.margin, 0.0)
         short = jnp.where(self.arcs[:, None], math.sqrt(CLEARANCE) * share[:, None] * short, 0.0)
         length = jnp.where(self.arcs, share * z[0], 0.0)

@@ -105,7 +105,7 @@ def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> ja
     return most * (G.T @ jnp.linalg.solve(G @ G.T, short))
 
 
-def driven(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
+def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
     """The coordinates and torques along one path, from straight steerings. Zero steps have no
     effect."""
     robot, steps = vehicle.robot, path.steps

@@ -29,7 +29,7 @@ from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, cast_floats
-from rbjax.planning.maps.footprint import Footprint, placed
+from rbjax.planning.maps.footprint import Footprint, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
 from rbjax.planning.paths.path import Path
 from rbjax.planning.timing.driven_path import reach_of
@@ -253,7 +253,7 @@ def _residuals(s: Shooting, w: jax.Array, coarse: jax.Array) -> Residuals:
     if s.field is not None and s.footprint is not None:
         clearance = jax.vmap(s.clearances)(z)
         sure = clearance - s.field.resolution / math.sqrt(2)
-        below = s.field.below(placed(z[:, :3], s.footprint)) - s.footprint.radii
+        below = s.field.below(disc_centers(z[:, :3], s.footprint)) - s.footprint.radii
         clearance, free = smallest(clearance), (jnp.maximum(sure, below) > 0).all()
 
     def worst(x: jax.Array) -> jax.Array:

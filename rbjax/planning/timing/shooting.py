@@ -29,7 +29,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.model import State
-from rbjax.planning.maps.footprint import Footprint, placed
+from rbjax.planning.maps.footprint import Footprint, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
 from rbjax.planning.timing import elastic_program
 from rbjax.planning.timing.driven_path import rk4
@@ -137,7 +137,7 @@ class Shooting(NamedTuple):
     def clearances(self, z: jax.Array) -> jax.Array:
         """Clearances of the discs, m."""
         assert self.field is not None and self.footprint is not None
-        return self.field.at(placed(z[:3], self.footprint)) - self.footprint.radii
+        return self.field.at(disc_centers(z[:3], self.footprint)) - self.footprint.radii
 
     def rows(self, w: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Evaluate e (3 + nv,) and b (rows,)."""

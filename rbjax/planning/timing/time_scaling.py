@@ -28,7 +28,7 @@ from rbjax.errors import InputError
 from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, cast_floats
 from rbjax.planning.paths.path import Path
-from rbjax.planning.timing.driven_path import DrivenPath, Sides, driven
+from rbjax.planning.timing.driven_path import DrivenPath, Sides, drive_along
 from rbjax.planning.timing.limits import Limits, Timed, check_can_follow
 from rbjax.wheeled import RobotModel
 
@@ -104,7 +104,7 @@ def check_path(where: str, path: Any) -> None:
 def _time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     dtype = path.steps.dtype
     vehicle, limits = cast_floats((vehicle, limits), dtype)
-    p = driven(vehicle, limits, path)
+    p = drive_along(vehicle, limits, path)
     most = limits.torques(vehicle)
     caps = jnp.stack([_cap(p, side, limits) for side in (p.first, p.last)])
     zero = jnp.zeros((), dtype)

@@ -38,7 +38,7 @@ from rbjax.errors import InputError
 from rbjax.forces import elastic_energy
 from rbjax.model import Model, State, Topology
 from rbjax.motion.term import make_term, unit_quaternions
-from rbjax.stability.methods import Solver, stepping
+from rbjax.stability.methods import Solver, fixed_step_solver
 
 BLOCKS = 64  # block means of a series, to which the slope is fitted
 SIGNIFICANT = 4.0  # standard errors beyond which a slope is a trend
@@ -147,7 +147,7 @@ def check_times(dt: Any, steps: int, dtype: Any) -> None:
         )
 
 
-def opened(
+def resolve_system(
     where: str, system: Any, y0: Any, solver: Any, args: Any
 ) -> tuple[diffrax.AbstractTerm, Any, Any]:
     """The term, its state and its arguments, of a robot or a term.
@@ -339,8 +339,8 @@ def drift(
         False
     """
     every = steps_of_a_sample("drift", steps, samples)
-    one = stepping(solver)
-    term, y0, args = opened("drift", system, y0, one, args)
+    one = fixed_step_solver(solver)
+    term, y0, args = resolve_system("drift", system, y0, one, args)
     if keep is None and not isinstance(system, Model):
         raise InputError("drift: keep is None, expected (t, y, args) -> arrays for a term")
     keep = Invariants() if keep is None else keep
