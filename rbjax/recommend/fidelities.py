@@ -38,7 +38,7 @@ ON_REQUEST = ("constrained",)
 
 @dataclass(frozen=True)
 class FidelityRecommendation(Recommendation):
-    """A fidelity and a step: `rb.wheeled.rollout(r.model, r.state, controls, r.dt)`.
+    """A fidelity and a step: `rb.wheeled.rollout(r.model, r.state, ctrl, r.dt)`.
 
     Fields, in addition to those of `Recommendation` (cost: microseconds per second of motion):
         model: the robot at the fidelity.
@@ -62,7 +62,7 @@ class FidelityRecommendation(Recommendation):
 
 def fidelity(
     robot: Robot,
-    controls: Any,
+    ctrl: Any,
     accuracy: float,
     *,
     q: Any = None,
@@ -81,13 +81,13 @@ def fidelity(
 
     Args:
         robot: `Robot`.
-        controls: (steps, nu), each for a time dt; or (nu,), constant; or a function (t, state) ->
+        ctrl: (steps, nu), each for a time dt; or (nu,), constant; or a function (t, state) ->
             (nu,), which may read `state.q`: other sizes depend on the fidelity. In the units of the
             robot's motors.
         accuracy: the largest deviation of the chassis' place, m, and heading, rad, at least 1e-10.
         q: (nq,), the coordinates at the start; zeros if None.
         twist: (3,), that of the chassis at the start, m/s and rad/s in its axes.
-        horizon: seconds of motion, 1 if None; steps dt where controls are (steps, nu).
+        horizon: seconds of motion, 1 if None; steps dt if ctrl is (steps, nu).
         dt: the largest step, s.
         tyre: the law of "slipping", or a tuple of one a wheel; its default if None.
         among: the names of fidelities to choose from; all but "constrained" if None, because that
@@ -123,39 +123,37 @@ def fidelity(
         if name not in fidelities():
             raise UnknownName("fidelity", name, fidelities())
     names, why_not = _possible(robot, names)
-    given = [at(robot, x, **({"tyre": tyre} if x == "slipping" else {})) for x in names]
+    made = [at(robot, x, **({"tyre": tyre} if x == "slipping" else {})) for x in names]
     with jax.enable_x64(True):
         start = jnp.zeros(robot.layout.nq) if q is None else q
         start = check_array("recommend", "q", start, (robot.layout.nq,)).astype(jnp.float64)
         twist = check_array("recommend", "twist", twist, (3,)).astype(jnp.float64)
-        controls = _controls(robot, controls, horizon, float(dt))
-        models = [jax.tree.map(double, x) for x in given]
+        given = _controls(robot, ctrl, horizon, float(dt))
+        models = [jax.tree.map(double, x) for x in made]
         with progress_line("recommend", progress) as say:
-            run = Manoeuvre(models, start, twist, *controls, float(accuracy), say)
+            run = Manoeuvre(models, start, twist, *given, float(accuracy), say)
             found = _choose(run, models, why_not)
     # as given, and in the caller's dtype
-    model, dtype = given[names.index(found.name)], jnp.result_type(float)
+    model, dtype = made[names.index(found.name)], jnp.result_type(float)
     state = with_twist(model, *(jnp.asarray(np.asarray(x), dtype) for x in (start, twist)))
     return replace(found, model=model, state=state)
 
 
-def _controls(
-    robot: Robot, controls: Any, horizon: float | None, dt: float
-) -> tuple[Any, float, int]:
+def _controls(robot: Robot, ctrl: Any, horizon: float | None, dt: float) -> tuple[Any, float, int]:
     """Return the controls as a table or a function, a step, and the number of steps."""
     seconds = 1.0 if horizon is None else float(horizon)
     steps = max(1, math.ceil(seconds / dt * (1 - 1e-9)))
-    if callable(controls):
-        check_takes("recommend", "controls", controls, "t", "state")
-        return controls, seconds / steps, steps
-    shape = shape_of("recommend", "controls", controls)
+    if callable(ctrl):
+        check_takes("recommend", "ctrl", ctrl, "t", "state")
+        return ctrl, seconds / steps, steps
+    shape = shape_of("recommend", "ctrl", ctrl)
     if len(shape) == 2 and horizon is not None:
         raise InputError(
-            f"recommend: horizon is {horizon} and controls are a table of {shape[0]} steps of dt; "
+            f"recommend: horizon is {horizon} and ctrl is a table of {shape[0]} steps of dt; "
             "leave out the horizon, or give a function (t, state) -> (nu,)"
         )
     lead = (max(1, shape[0]),) if len(shape) == 2 else ()  # at least one step
-    table = check_array("recommend", "controls", controls, (*lead, robot.nu)).astype(jnp.float64)
+    table = check_array("recommend", "ctrl", ctrl, (*lead, robot.nu)).astype(jnp.float64)
     if len(shape) == 2:
         return table, dt, shape[0]
     return table[None], seconds / steps, steps

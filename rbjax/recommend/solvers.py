@@ -89,10 +89,10 @@ class Candidate:
 
 @eqx.filter_jit
 def _reference(
-    model: Model, state: State, ts: jax.Array, control: Any, solver: Any, tolerance: Any
+    model: Model, state: State, ts: jax.Array, ctrl: Any, solver: Any, tolerance: Any
 ) -> Any:
     return simulate(
-        model, state, ts, control, solver=solver, throw=False, max_steps=MOST_STEPS,
+        model, state, ts, ctrl, solver=solver, throw=False, max_steps=MOST_STEPS,
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         adjoint=diffrax.ForwardMode(),
     )  # fmt: skip
@@ -100,23 +100,21 @@ def _reference(
 
 @eqx.filter_jit
 def _error(
-    model: Model, state: State, ts: jax.Array, control: Any, solver: Any, dt: Any, truth: jax.Array
+    model: Model, state: State, ts: jax.Array, ctrl: Any, solver: Any, dt: Any, truth: jax.Array
 ) -> jax.Array:
     """Compute the largest deviation of a configuration coordinate from the motion (T, nq)."""
     path = simulate(
-        model, state, ts, control, solver=solver, dt=dt, throw=False, max_steps=MOST_STEPS,
+        model, state, ts, ctrl, solver=solver, dt=dt, throw=False, max_steps=MOST_STEPS,
         adjoint=diffrax.ForwardMode(),
     )  # fmt: skip
     gap = jax.vmap(lambda a, b: difference(model, a, b))(truth, path.q)
     return jnp.where(path.ok, jnp.abs(gap).max(), jnp.inf)
 
 
-def _controls(control: Source | None, ts: np.ndarray, states: State) -> jax.Array | None:
-    if control is None:
+def _controls(ctrl: Source | None, ts: np.ndarray, states: State) -> jax.Array | None:
+    if ctrl is None:
         return None
-    return jnp.stack(
-        [control(t, State(q, v)) for t, q, v in zip(ts, states.q, states.v, strict=True)]
-    )
+    return jnp.stack([ctrl(t, State(q, v)) for t, q, v in zip(ts, states.q, states.v, strict=True)])
 
 
 def _largest_step(
@@ -173,7 +171,7 @@ def solver(
     accuracy: float,
     *,
     horizon: float = 1.0,
-    control: Source | None = None,
+    ctrl: Source | None = None,
     progress: bool = True,
 ) -> SolverRecommendation:
     """Recommend a solver and a constant step for this robot from this state.
@@ -187,7 +185,7 @@ def solver(
         accuracy: the largest deviation of a configuration coordinate over the horizon, in m and
             rad, at least 1e-10.
         horizon: seconds of motion; only the first 10 are run, and the error is extrapolated.
-        control: (t, state) -> (nu,), as `rb.simulate` takes it; None for no actuation.
+        ctrl: (t, state) -> (nu,), as `rb.simulate` takes it; None for no actuation.
         progress: show the progress on the terminal.
 
     Returns:
@@ -218,7 +216,7 @@ def solver(
         model = with_constants(jax.tree.map(double, model), jnp.float64)
         state = State(*(jnp.asarray(x, jnp.float64) for x in (state.q, state.v)))
         with progress_line("recommend", progress) as say:
-            return _recommended(model, state, float(accuracy), float(horizon), control, say)
+            return _recommended(model, state, float(accuracy), float(horizon), ctrl, say)
 
 
 def _light(model: Model) -> Model:
@@ -228,12 +226,12 @@ def _light(model: Model) -> Model:
 
 
 def _recommended(
-    model: Model, state: State, accuracy: float, horizon: float, control: Source | None, say: Say
+    model: Model, state: State, accuracy: float, horizon: float, ctrl: Source | None, say: Say
 ) -> SolverRecommendation:
     light = _light(model)
     say("linearising the motion")
     start = State(*(jnp.tile(x, (LOOKS, 1)) for x in (state.q, state.v)))
-    A = motion_matrices(light, start, _controls(control, np.zeros(LOOKS), start))
+    A = motion_matrices(light, start, _controls(ctrl, np.zeros(LOOKS), start))
     fastest = _fastest(A)
     trial = min(horizon, TRIAL)
     # vibrations must be followed; for mere decay an implicit reference is enough
@@ -246,7 +244,7 @@ def _recommended(
     ts = jnp.linspace(0.0, trial, POINTS)
     longer = horizon / trial
     tolerance = jnp.asarray(max(1e-13, 1e-4 * accuracy / longer**2))
-    truth = _reference(model, state, ts, control, method, tolerance)
+    truth = _reference(model, state, ts, ctrl, method, tolerance)
     if not bool(truth.ok):
         raise InputError(
             f"recommend: the motion over {trial:.3g} s could not be followed by "
@@ -255,20 +253,18 @@ def _recommended(
         )
     looks = np.linspace(0, POINTS - 1, LOOKS).astype(int)
     along = State(truth.q[looks], truth.v[looks])
-    A = motion_matrices(light, along, _controls(control, np.asarray(ts[looks]), along))
+    A = motion_matrices(light, along, _controls(ctrl, np.asarray(ts[looks]), along))
     fastest = _fastest(A)
 
     nv = model.nv
-    conservative = control is None and not np.asarray(model.joints.damping).any()
+    conservative = ctrl is None and not np.asarray(model.joints.damping).any()
 
     def measured(c: Candidate, most: float) -> tuple[float, float, Candidate] | None:
         scale = longer ** (c.growth if conservative else 1.0)
 
         def error(h: float) -> float:
             say(f"{c.name} with steps of {h:.2g} s")
-            return scale * float(
-                _error(model, state, ts, control, c.solver, jnp.asarray(h), truth.q)
-            )
+            return scale * float(_error(model, state, ts, ctrl, c.solver, jnp.asarray(h), truth.q))
 
         found = _largest_step(error, min(most / 2, trial / 32), most, c.order, accuracy)
         return None if found is None else (*found, c)

@@ -164,10 +164,10 @@ def test_controls_of_a_function_and_motors_with_a_free_speed() -> None:
         ({"robot": "cart"}, "robot is str, expected a Robot"),
         ({"accuracy": 1e-12}, "accuracy is 1e-12, expected at least 1e-10"),
         ({"horizon": -1.0}, "horizon is -1.0, expected a positive time"),
-        ({"controls": np.zeros((5, 2)), "horizon": 1.0}, "leave out the horizon"),
-        ({"controls": np.zeros((0, 2))}, r"controls has shape \(0, 2\), expected \(1, 2\)"),
-        ({"controls": np.zeros(3)}, r"controls has shape \(3,\)"),
-        ({"controls": lambda t: None}, "controls"),
+        ({"ctrl": np.zeros((5, 2)), "horizon": 1.0}, "leave out the horizon"),
+        ({"ctrl": np.zeros((0, 2))}, r"ctrl has shape \(0, 2\), expected \(1, 2\)"),
+        ({"ctrl": np.zeros(3)}, r"ctrl has shape \(3,\)"),
+        ({"ctrl": lambda t: None}, "ctrl"),
         ({"q": np.zeros(3)}, r"q has shape \(3,\), expected \(5,\)"),
         ({"twist": [np.nan, 0.0, 0.0]}, r"twist\[0\] is nan"),
         ({"among": ["kinematic"]}, r"no fidelity is left .*drives\[0\] is a TorqueSource"),
@@ -175,7 +175,7 @@ def test_controls_of_a_function_and_motors_with_a_free_speed() -> None:
     ],
 )
 def test_wrong_inputs(given: dict, message: str) -> None:
-    given = {"robot": cart(), "controls": [0.0, 0.0], "accuracy": 1e-3} | given
+    given = {"robot": cart(), "ctrl": [0.0, 0.0], "accuracy": 1e-3} | given
     with pytest.raises(InputError, match=message):
         recommend.fidelity(**given)
 
