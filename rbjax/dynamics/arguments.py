@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import floating_array
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.model.record import FEW
-from rbjax.rotations.arguments import FLOATS
 
 #: argument name -> its shape in terms of the model
 SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
@@ -125,20 +125,10 @@ def check_array(
 ) -> jax.Array:
     """Convert a value to a floating array of one of the shapes. Known values must be finite."""
     expected = " or ".join(map(str, shapes)) + fix
-    try:
-        x = jnp.asarray(value)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{where}: {name} is {type(value).__name__}, expected an array of shape {expected}"
-        ) from error
-    if x.shape not in shapes:
-        one_more = shapes[0] in (x.shape[1:], x.shape[:-1]) and not fix
-        hint = "; for a batch use jax.vmap" if one_more else ""
-        raise InputError(f"{where}: {name} has shape {x.shape}, expected {expected}{hint}")
-    if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
-        x = x.astype(jnp.result_type(float))
-    if x.dtype not in FLOATS:
-        raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
+    given = getattr(value, "shape", ())
+    if shapes[0] in (given[1:], given[:-1]) and not fix:
+        expected += "; for a batch use jax.vmap"
+    x = floating_array(where, name, value, shapes.__contains__, expected)
     if not isinstance(x, jax.core.Tracer):
         on_host = isinstance(value, np.ndarray) and value.dtype == x.dtype
         xp, values = module_for_check(value if on_host else x)

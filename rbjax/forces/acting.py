@@ -2,11 +2,7 @@
 
     M(q) a + b(q, v) = sum of tau_k + sum of J_k^T w_k,      x' = the rates of the elements' states
 The elements of a model are the springs and dampers of its joints, its actuators, and
-`model.forces`. All motion functions use these sums, and no other file contains an element by name.
-
-    M(q) a + b(q, v) = sum of tau_k + sum of J_k^T w_k,      x' = the rates of the elements' states
-A model's elements are the springs and dampers of its joints, its actuators, and `model.forces`.
-Everything that moves a robot asks here, and nothing else knows an element by name.
+`model.forces`. All motion functions use these sums; no other file depends on a kind of element.
 """
 
 from __future__ import annotations
@@ -80,7 +76,7 @@ def _limited(model: Model, driven: Loads, now: Context) -> Loads:
     """Actuators' forces within the force ranges of the joints."""
     top, limits = model.topology, table(model.joints.forcerange, now.v.dtype)
     endless = isinstance(limits, np.ndarray) and bool(np.isinf(limits).all())
-    if driven.wrenches and not endless:  # what a joint carries of them counts too
+    if driven.wrenches and not endless:  # the share that a joint carries counts too
         summed = now.generalized_of(driven.wrenches)
         driven = Loads(driven.tau) + Loads({i: summed[i] for i in range(model.nv)})
     tau = dict(driven.tau)

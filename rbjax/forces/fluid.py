@@ -47,14 +47,15 @@ from rbjax.model.links import lane
 from rbjax.rotations import quaternion
 from rbjax.spatial import Force, Motion, Transform
 
-#: MuJoCo's least value of what it divides by or takes the root of
+#: MuJoCo's least value of divisors and radicands
 LEAST = 1e-15
 
 
 class InertiaBoxFluid(Element):
     """A fluid that drags on bodies as on boxes with their masses and inertias.
 
-    f_i = -(3 pi mu d + rho s_j s_k |v_i| / 2) v_i, and likewise a torque, of a box with edges s.
+    f_i = -(3 pi mu d + rho s_j s_k |v_i| / 2) v_i, and a torque of the same form, of a box with
+    edges s.
 
     Fields: density rho () kg/m^3; viscosity mu () Pa s; wind (3,) m/s, the velocity of the fluid in
     the world; orientation (n, 4), quaternions of the boxes' axes in the bodies' frames. Static:
@@ -181,7 +182,7 @@ class EllipsoidFluid(Element):
     """A fluid that acts on ellipsoids fixed to bodies: drag, lift and added mass.
 
     f = -(3 pi mu D + rho |v| (c_b A + c_s (A_max - A))) v + c_m rho V w x v + Kutta lift + p x w,
-    and likewise a torque.
+    and a torque of the same form.
 
     Fields: density rho () kg/m^3; viscosity mu () Pa s; wind (3,) m/s, the velocity of the fluid in
     the world; of each ellipsoid semi_axes (n, 3) m, position (n, 3) m and orientation (n, 4) in its

@@ -30,7 +30,7 @@ class Inputs(NamedTuple):
 
 NO_INPUTS = Inputs()
 
-#: what of an input the message of a wrong one says
+#: the subject of a message about an input
 NAMES = Inputs("the control returned", "what tau returned", "what wrenches returned")
 
 

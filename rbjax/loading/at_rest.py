@@ -194,7 +194,7 @@ def at_rest(source: Any, q: Any = None) -> AtRest:
     """A file, at its reference configuration or at q.
 
     Args:
-        source: what `rbjax.load` takes; a URDF gets a floating base.
+        source: as for `rbjax.load`; a URDF gets a floating base.
         q: None, the name of a keyframe, values by names of hinges and slides, or (nq,).
 
     Raises:
@@ -291,7 +291,7 @@ def round_shape(
 ) -> Round | None:
     """The extents about an axis of the shapes of bodies whose frames are given.
 
-    Shapes that touch others count; where there are none, those that are only seen.
+    Shapes that touch others count; if there are none, the visual ones count.
     """
     own = [g for g in range(m.ngeom) if int(m.geom_bodyid[g]) in frames]
     touching = [g for g in own if m.geom_contype[g] or m.geom_conaffinity[g]]

@@ -161,7 +161,7 @@ class ModelBuilder:
         """Attach another robot to a body, with its joints, actuators, sites and shapes.
 
         Args:
-            source: what `load` takes, a `Model`, or another builder. A model and a URDF come
+            source: a source of `load`, a `Model`, or another builder. A model and a URDF come
                 without shapes, every robot without its floor.
             parent: a body; None for the world.
             prefix: for all names of the robot. Names must differ from those that are here.

@@ -78,13 +78,13 @@ def load(
             (`rbjax.constraints.Soft`); mimics stay rigid.
 
     Returns:
-        The model; `model.dropped` says what was left out. A URDF's inertials are the file's own; a
-        warning names links whose inertial no rigid body can have, and joints whose motions cancel.
-        A URDF's link 'world' that is not the ground becomes 'world_link'.
+        The model; `model.dropped` lists the features that were left out. A URDF's inertials are the
+        file's own; a warning names links whose inertial no rigid body can have, and joints whose
+        motions cancel. A URDF's link 'world' that is not the ground becomes 'world_link'.
 
     Raises:
         ModelError: the source cannot be read; the message names the file, the cause and the fix.
-        UnsupportedFeature: with `strict=True`, the list of what would be left out.
+        UnsupportedFeature: with `strict=True`, the list of features that would be left out.
 
     Example:
         >>> import rbjax as rb

@@ -1,4 +1,4 @@
-"""Models: what a robot is (`Topology`) and its numbers (`Model`)."""
+"""Models of robots: `Model` and its static part, `Topology`."""
 
 from rbjax.model.links import (
     LinkConstants,

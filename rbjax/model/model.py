@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import FLOATS
 from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import known_entries, with_fixed_entries
 from rbjax.model.geoms import Geoms
@@ -25,7 +26,6 @@ from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
-from rbjax.rotations.arguments import FLOATS
 
 #: the number of axes of each leaf of one model, in the order of the leaves
 AXES = {
@@ -297,7 +297,7 @@ class Model(Record):
         return _index("geom", name, () if self.geoms is None else self.geoms.names)
 
     def fix_zeros(self) -> Model:
-        """Return the model with the zeros of its leaves as constants of programs.
+        """Make the zeros of the leaves constants of compiled programs.
 
         Zeros of masses, centres, inertias, placements, armatures, references and gravity, and
         zeros and ones of axes and attitudes, then cost no arithmetic although the leaves stay
@@ -362,7 +362,7 @@ class Model(Record):
         """Replace a joint by one of another kind (`rbjax.joints.kinds()`).
 
         The new joint keeps the anchor and the axis, in its body's frame. If it has as many
-        coordinates as the old one, it keeps what belongs to them (armature, damping, reference); if
+        coordinates as the old one, it keeps their armature, damping and reference; if
         both have one, it keeps the spring and the ranges too. Actuators drive its coordinates one
         for one.
 
@@ -385,7 +385,7 @@ class Model(Record):
         return with_joint(self, name, kind, **given)
 
     def keyframe(self, name: str) -> State:
-        """A state that the file names."""
+        """The state of a keyframe of the file."""
         i = _index("keyframe", name, self.keyframe_names)
         q, own, x = self.keyframes.q[i], self.keyframes.x, self.start(self.keyframes.q.dtype)
         if x is not None and own is not None and own.shape[1] <= x.size:

@@ -4,9 +4,9 @@
     variational midpoint  of momenta: `variational`
     Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
 
-A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: its order is
-that of its tableau, attitudes included (Munthe-Kaas 1998; Hairer, Lubich & Wanner, *Geometric
-Numerical Integration*, IV.8). Controls are held over a step.
+A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: it has the order
+of its tableau, attitudes included (Munthe-Kaas 1998; Hairer, Lubich & Wanner, *Geometric Numerical
+Integration*, IV.8). Controls are held over a step.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ def simulate(
         diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         max_steps, throw and not by_kernel, progress, by_kernel,
     )  # fmt: skip
-    # Inside a caller's jit what the caller holds constant stays constant. Outside, the model is an
+    # Inside a caller's jit the caller's constants stay constants. Outside, the model is an
     # argument: a number that changes compiles nothing again.
     run = _solved if inside_jit() else _compiled
 

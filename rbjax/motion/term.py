@@ -55,10 +55,10 @@ def unit_quaternions(top: Topology, q: jax.Array) -> jax.Array:
 class VectorField(eqx.Module):
     """The vector field of a robot under its own forces and inputs, for diffrax.
 
-    model: of diffrax' args, which hold what is traced of it; what is known stays known. start: the
-    time at which diffrax' own begins. tangent: the configuration's rate is v itself, for solvers
-    that move along the manifold. begun: time and state at which the step began, for laws that take
-    the rates of a stage elsewhere; None: at the state itself.
+    model: from diffrax' args, which contain its traced leaves; the other leaves stay constants.
+        start: the time at which diffrax' own begins. tangent: the configuration's rate is v itself,
+        for solvers that move along the manifold. begun: time and state at which the step began, for
+        laws that take the rates of a stage elsewhere; None: at the state itself.
     """
 
     inputs: Inputs
@@ -68,7 +68,7 @@ class VectorField(eqx.Module):
     tangent: bool = eqx.field(static=True, default=False)
     begun: tuple[Any, State] | None = None
 
-    @eqx.filter_jit  # diffrax asks for it in many places: traced once
+    @eqx.filter_jit  # diffrax calls it in many places: traced once
     def __call__(self, t: Any, y: State, args: Any) -> State:
         model = self.model(args)
         t = t if self.start is None else self.start + t
@@ -153,9 +153,8 @@ class ProjectedSolver(Wrapped):
     """A solver with the projections of a formulation: `stage_state` at the stages and at the end of
     each step, `project` after it.
 
-    The estimate of the error is that of the step before it. A solver that keeps the slope at the
-    end of a step for the next one keeps that of the state before it was projected, which differs by
-    less than the error of the step.
+    The error is estimated before the projection. A solver that reuses the slope at the end of a
+    step uses the slope of the state before the projection, which differs by less than the error.
     """
 
     formulation: Formulation = eqx.field(static=True)

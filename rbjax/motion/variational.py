@@ -56,11 +56,12 @@ class VariationalMidpoint:
     manifold.
 
     Each evaluation costs a pass over the tree and a solve with factors computed already, half as
-    much as forward dynamics; a step has two eliminations beside. The derivative is that of the
-    evaluations, with the factors held: it is as far from that of the equations as the step is from
-    their solution. A step whose equations do not converge is nan, and `Trajectory.ok` is False. One
-    that has converged in part is as accurate as any, but symplectic only to that part: more
-    evaluations, or shorter steps, help.
+    much as forward dynamics; a step has two further eliminations. The derivative is that of the
+    evaluations with constant
+    factors: it differs from that of the equations as the step differs from their solution. A step
+        whose equations do not converge is nan, and `Trajectory.ok` is False. One that has converged
+        in part is as accurate as any, but symplectic only to that part: more evaluations, or
+        shorter steps, help.
 
     Fields: evaluations of the equations in a step, at least 2.
     """

@@ -2,7 +2,8 @@
 
     minus(x, y) = x - y,  of attitudes log(y* x);      plus(x, d) = x + d,  of attitudes x exp(d)
 An attitude has four columns, a quaternion (w, x, y, z). Its difference has three numbers in rad, in
-the axes of the body. Its noise is that of the rotation; of its four columns the largest counts.
+the axes of the body. Its noise is the noise of the rotation; of its four columns the largest
+counts.
 
 Source: Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 25, 26.
 """

@@ -135,8 +135,8 @@ class Muscle(Record):
     """Numbers of a muscle's curves.
 
     Fields: parameters (9,), [range of L (2); F0; scale; lmin; lmax; vmax; fpmax; fvmax];
-    lengthrange (2,), lengths of the transmission at the range of L; acceleration (), what a unit
-    force accelerates at rest. `scaled`: F0 is scale / acceleration, and the third number unused.
+    lengthrange (2,), lengths of the transmission at the range of L; acceleration (), of a unit
+    force at rest. `scaled`: F0 is scale / acceleration, and the third number unused.
     """
 
     parameters: jax.Array

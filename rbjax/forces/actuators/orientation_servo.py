@@ -1,6 +1,6 @@
 """A servo on an orientation: three torques along the shortest way to an attitude.
 
-    tau = kp log(Q^-1 Q_target) + c - kv w,      in the axes of what turns
+    tau = kp log(Q^-1 Q_target) + c - kv w,      in the axes of the turning frame
 (MuJoCo, *XML reference*, actuator/orientation.) The target is a rotation vector or a quaternion. It
 may be a state whose rate is the control.
 """

@@ -2,8 +2,8 @@
 
     l = l(q),      l' = sum of r_n v_n,      tau_n = r_n f
 with the length l and the moment arms r, one for each velocity coordinate (MuJoCo, *Computation*,
-transmission). r is the gradient of l wherever l is a length in space. Where a site is measured in
-the axes of another, r is what the force does, as in MuJoCo: action and reaction on the two sites,
+transmission). r is the gradient of l if l is a length in space. If a site is measured in the
+axes of another, r is the effect of the force, as in MuJoCo: action and reaction on the two sites,
 and nothing on the joints that carry both.
 """
 

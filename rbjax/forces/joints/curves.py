@@ -6,8 +6,8 @@ x runs from -1 to 1 over a joint's range, and both curves are Chebyshev series i
 
     c(x) = c_0 + c_1 T_1(x) + ... + c_n T_n(x),     T_k(cos a) = cos(k a).
 
-c is what a motor's magnets, a cable or an offset of the torque do: it stores energy. F is what a
-linkage or a gear rubs at each angle, in both directions. Beyond the range both keep the values of
+c is the torque of a motor's magnets, of a cable, or an offset; it stores energy. F is the friction
+of a linkage or a gear at each angle, in both directions. Beyond the range both keep the values of
 its ends. A series with more terms contains all with fewer, so that models of growing length can be
 compared. As in `joint_friction`, the step of F at rest is as wide as v_0, and s is how much more
 breaking away costs than sliding (Stribeck).

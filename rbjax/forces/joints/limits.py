@@ -15,7 +15,7 @@ differentiable. What the damper adds to k s(p) has the sign of p', so energy is 
 
     dE/dt = -(f - k s) p' <= 0,      E = ... + k S(p),  S' = s
 
-At rest under a load F the joint stands p = F / k + w / 2 beyond the limit (F > k w / 2).
+At rest under a load F the depth is p = F / k + w / 2 (F > k w / 2).
 A ball's coordinate is its angle of rotation, with one limit; its stop pushes about the axis of the
 rotation.
 """
@@ -44,7 +44,7 @@ from rbjax.rotations.coefficients import length, where
 class JointLimits(Element):
     """Stops that hold hinges, slides and balls within `model.joints.range`, softly.
 
-    f = k s(p) + d r(p) p' at a depth p, where it goes in; never less than 0 where it comes out.
+    f = k s(p) + d r(p) p' at a growing depth p; while it shrinks the force is never below 0.
 
     Fields, one entry a joint: stiffness k (n,) N m/rad or N/m; damping d (n,) N m s/rad or N s/m;
     margin (n,) rad or m, how far before the limit the stop begins; width w (n,) rad or m, above 0,

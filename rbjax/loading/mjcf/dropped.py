@@ -16,7 +16,7 @@ _SHOWN = 4  # names listed before "and N more"
 INVERTED = "joint limits whose lower end is above the upper one"
 #: the beginning of an entry about the root of a URDF
 FIXED = "fixed root link"
-#: the beginnings of entries about what may touch
+#: the beginnings of entries about contacts
 CONTACTS, COLLISION = "contacts (", "collision shapes"
 #: the beginning of an entry -> how to keep the feature
 _CURES = {

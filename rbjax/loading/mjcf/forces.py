@@ -231,7 +231,7 @@ def _rows(rows: list[Array]) -> Any:
 
 
 def _semi_axes(m: mujoco.MjModel, g: int) -> Array:
-    """Of the ellipsoid in a geom's place."""
+    """The semi-axes of the ellipsoid in place of a geom."""
     kinds, (x, y, _) = mujoco.mjtGeom, m.geom_size[g]
     axes = {
         int(kinds.mjGEOM_SPHERE): [x, x, x],

@@ -27,7 +27,7 @@ _TURNED = (0.7, 0.1, 0.5, 0.5)
 
 @dataclass(frozen=True)
 class Inertial:
-    """Of a link, in its axes: mass kg, com (3,) m, inertia (3, 3) kg m^2 about the com."""
+    """The inertial of a link in its axes: mass kg, com (3,) m, inertia (3, 3) kg m^2 about com."""
 
     mass: float
     com: np.ndarray
@@ -36,7 +36,7 @@ class Inertial:
     def oddity(self, *, jointed: bool) -> str:
         """The reason for which no rigid body has this inertial, in words; empty if one has.
 
-        A point mass is odd on a joint of its own, but not where it is welded to other mass.
+        A point mass is odd on a joint of its own, but not if it is welded to other mass.
         """
         moments = np.linalg.eigvalsh(self.inertia)
         excess = max(-moments[0], moments[2] - moments[0] - moments[1])

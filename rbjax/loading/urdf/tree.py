@@ -161,7 +161,7 @@ def _joint(element: ET.Element, links: dict[str, ET.Element], name: str) -> Join
 
 
 def _root(joints: list[Joint], links: set[str], name: str) -> str:
-    """The one link that is nobody's child."""
+    """The only link without a parent."""
     children: dict[str, list[str]] = {}
     below: set[str] = set()
     for joint in joints:

@@ -32,7 +32,7 @@ def write_forces(draft: Draft) -> list[Element]:
     """Write the elements; return them as `load` will read them, in that order."""
     kinds = (JointPolynomials, JointLimits, JointFriction, GravityCompensation, PointSpring,
              InertiaBoxFluid, EllipsoidFluid)  # fmt: skip
-    # a subclass may do anything, so it is not taken for what it is made of
+    # a subclass may have other forces, so only the class itself is written
     sorted_out: dict[type, list] = {kind: [] for kind in kinds}
     for element in draft.model.forces:
         if type(element) in sorted_out:

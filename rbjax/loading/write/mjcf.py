@@ -28,7 +28,7 @@ from rbjax.model import WORLD, Model
 
 _KINDS = {"free", "ball", "slide", "hinge"}
 _DEEPEST = 490  # of nested bodies: MuJoCo's reader takes no more than about 500 nested elements
-_LEAST = 2e-15  # kg or kg m^2: MuJoCo takes nothing below 1e-15 as the mass of what moves
+_LEAST = 2e-15  # kg or kg m^2: MuJoCo rejects a moving mass below 1e-15
 _ROUNDING = 1e-6  # part of a moment by which it may exceed the sum of the other two, and is lowered
 _DIAGONAL = 1e-15  # part of the moments below which a product of inertia is rounding
 _SHOWN = 8  # names listed before "and N more"
@@ -44,16 +44,16 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     Args:
         model: the robot; one, with known numbers (not a batch, not traced).
         path: a file to write as well.
-        strict: raise instead of warn about what the file cannot say.
+        strict: raise instead of warn about parts that the file cannot express.
 
     Returns:
         The text. It has no shapes: nothing to see, and nothing to touch. A comment at its head
-        names what the file says differently from the model, or does not say.
+            names the parts that differ from the model or are left out.
 
     Raises:
-        ModelError: numbers that MuJoCo refuses in a file, such as those of no rigid body.
+        ModelError: numbers that MuJoCo rejects in a file, such as impossible inertials.
         InputError: a batch of models, or a traced model.
-        UnsupportedFeature: with `strict=True`, the list of what the file cannot say.
+        UnsupportedFeature: with `strict=True`, the list of parts that the file cannot express.
 
     Example:
         >>> import rbjax as rb

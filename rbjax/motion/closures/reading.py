@@ -35,10 +35,10 @@ import numpy as np
 
 from rbjax.motion.closures.code_names import DEEP, HIDDEN, INSTALLED, Names, names_of, of_library
 
-#: what becomes operands: arrays and floats; arrays; nothing but tracers
+#: the values that become operands: arrays and floats; arrays; only tracers
 FLOATS, ARRAYS, TRACERS = range(3)
 ATOMS = frozenset({type(None), bool, int, str, bytes, range, type(...)})
-FIXED = (BuiltinFunctionType, np.ufunc, type(jax.jit(lambda: None)))  # known by identity
+FIXED = (BuiltinFunctionType, np.ufunc, type(jax.jit(lambda: None)))  # compared by identity
 LARGEST = 1 << 16  # bytes of a numpy array in a key
 MOST = 2_000  # objects that are read
 
@@ -339,7 +339,8 @@ def _named_by_library(x: Any) -> bool:
 
 
 def _is_plain(x: Any) -> bool:
-    """Whether a pytree is its leaves and what compares by value: of these a model has many."""
+    """Whether a pytree consists of its leaves and of values that compare by value: of these a model
+    has many."""
     return type(x) in (list, tuple) or type(x).__module__.startswith("rbjax.")
 
 
