@@ -115,10 +115,9 @@ def _check_length(name: str, x: jax.Array | None) -> None:
 
 
 class GoalErrors:
-    """The errors of all goals at a configuration, and the Jacobian, row by row on lanes.
+    """The errors of all goals at a configuration, and the rows of the Jacobian, as lanes.
 
-    errors: the lanes of e; rows: of each the lanes of J, nv in number, zero where a coordinate does
-    not move the frame; weights: of each row; turning: whether a row is one of rotation.
+    errors: e. rows: of J, nv lanes each. weights: of each row. turning: if a row is a rotation.
     """
 
     def __init__(

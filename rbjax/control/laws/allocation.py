@@ -95,11 +95,8 @@ def controls(model: Model, state: State, tau: jax.Array) -> jax.Array:
 
 
 def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
-    """u of least length among those with the least |B u - r|, for the columns of B.
-
-    One u by the normal equations, in which an actuator that adds nothing to the others drops out;
-    then the shortest that does the same, u = B^T y with B B^T y = B u.
-    """
+    """u of least length among the minimisers of |B u - r|, for the columns of B: one by the normal
+    equations, then the shortest with the same B u, u = B^T y with B B^T y = B u."""
     least = rank_tolerance("actuators", dtype)
     columns = B
 

@@ -36,20 +36,10 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
 
 
 class Network(Record):
-    """A feed-forward network (n,) -> (m,).
+    """A feed-forward network (n,) -> (m,)."""
 
-    Fields: weights, each (out, in); biases, each (out,); activation, "tanh", "elu" or "silu".
-
-    Example:
-        >>> import jax, jax.numpy as jnp
-        >>> import rbjax as rb
-        >>> policy = rb.control.network(jax.random.key(0), (4, 16, 1))
-        >>> policy(jnp.zeros(4)).shape
-        (1,)
-    """
-
-    weights: tuple[jax.Array, ...]
-    biases: tuple[jax.Array, ...]
+    weights: tuple[jax.Array, ...]  # each (out, in)
+    biases: tuple[jax.Array, ...]  # each (out,)
     activation: str = eqx.field(static=True)
 
     def __call__(self, x: jax.Array) -> jax.Array:

@@ -168,9 +168,8 @@ def cayley(A: jax.Array, g: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def cayley_shift(A: jax.Array) -> jax.Array:
-    """The geometric mean of the fastest and the slowest rate, by norms of A and of its inverse.
-
-    Any shift above zero is right; this one takes the fewest steps if both are known."""
+    """The geometric mean of the fastest and the slowest rate, by norms of A and of its inverse. Any
+    shift above zero is right."""
     fast = jnp.sqrt(jnp.abs(A).sum(0).max() * jnp.abs(A).sum(1).max())
     slow = jnp.linalg.inv(A)
     slow = jnp.sqrt(jnp.abs(slow).sum(0).max() * jnp.abs(slow).sum(1).max())

@@ -73,9 +73,7 @@ def check_start(where: str, problem: Any, gains: Any, start: Any) -> jax.Array:
 
 @jax.custom_jvp
 def definite_factor(H: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """L of H = L L' and whether H is positive definite; if not, L is the unit matrix.
-
-    Values and derivatives are finite in both cases."""
+    """L of H = L L' and whether H is positive definite; if not, L is the unit matrix."""
     L = jax.lax.linalg.cholesky(H, symmetrize_input=False)
     ok = jnp.isfinite(L).all()
     return jnp.where(ok, L, jnp.eye(H.shape[-1], dtype=H.dtype)), ok

@@ -59,23 +59,18 @@ class PlannedControl(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """The memory of a controller.
+    """The memory of a controller: the last plan and its gains du = +K dx."""
 
-    knots (N + 1, ...), ctrls (N, nu), K (N, nu, n): the last plan and its gains du = +K dx.
-    cost, violation: (), of the plan.
-    gap: (), the largest between a step of the plan and its next state; 0 without constraints.
-    """
-
-    knots: Knot
-    ctrls: jax.Array
-    K: jax.Array
+    knots: Knot  # (N + 1, ...)
+    ctrls: jax.Array  # (N, nu)
+    K: jax.Array  # (N, nu, n)
     multipliers: Multipliers | None  # of the last plan; None for a method without multipliers
     pending: PlannedControl | None  # the controls of the ticks of delay; None without delay
     failures: jax.Array  # (), the plans that failed in a row
     search_status: jax.Array  # (), of the last search
-    cost: jax.Array
-    violation: jax.Array
-    gap: jax.Array
+    cost: jax.Array  # (), of the plan
+    violation: jax.Array  # (), of the plan
+    gap: jax.Array  # (), the largest between a step and the next state; 0 without constraints
 
 
 class Run(NamedTuple):

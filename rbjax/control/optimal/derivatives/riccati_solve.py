@@ -57,16 +57,14 @@ class Saddle(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """K (N, m, n) and the inverses (N, m, m) of control Hessians; V (N + 1, n, n); the inverse of
-    V_0 in what is not fixed; rho (); ok (), whether all inverted matrices were positive
-    definite."""
+    """The factors of the Riccati recursion."""
 
-    K: jax.Array
-    inverse: jax.Array
-    V: jax.Array
-    first: jax.Array
-    rho: jax.Array
-    ok: jax.Array
+    K: jax.Array  # (N, m, n)
+    inverse: jax.Array  # (N, m, m), of the control Hessians
+    V: jax.Array  # (N + 1, n, n)
+    first: jax.Array  # the inverse of V_0 in the free coordinates
+    rho: jax.Array  # ()
+    ok: jax.Array  # (), whether all inverted matrices were positive definite
 
 
 def apply_masks(e: Saddle) -> Saddle:

@@ -68,34 +68,28 @@ class SearchState(NamedTuple):
 
 
 class IterationValues(NamedTuple):
-    """The values of an iteration on which its decision depends.
+    """The values of an iteration on which its decision depends."""
 
-    cost, gap, violation: (), of the present motion.
-    slope, curvature: (), of the cost along the step.
-    costs, violations: (T,), of the trials.
-    """
-
-    cost: jax.Array
-    gap: jax.Array
-    violation: jax.Array
-    slope: jax.Array
-    curvature: jax.Array
+    cost: jax.Array  # (), of the present motion
+    gap: jax.Array  # ()
+    violation: jax.Array  # ()
+    slope: jax.Array  # (), of the cost along the step
+    curvature: jax.Array  # ()
     square: jax.Array  # (), the squared norm of the gradient without regularisation
     ok: jax.Array  # (), whether the gains exist
-    costs: jax.Array
-    violations: jax.Array
+    costs: jax.Array  # (T,), of the trials
+    violations: jax.Array  # (T,)
     more: Any  # further values of the method
 
 
 class Decision(NamedTuple):
-    """search: the state after the iteration; best: the index of a trial, its length, and whether it
-    is accepted; new_multipliers: whether the multipliers change. Each ()."""
+    """The decision of an iteration. Each field is ()."""
 
-    search: SearchState
-    best: jax.Array
+    search: SearchState  # the state after the iteration
+    best: jax.Array  # the index of a trial
     length: jax.Array
     accepted: jax.Array
-    new_multipliers: jax.Array
+    new_multipliers: jax.Array  # whether the multipliers change
 
 
 #: (values, lengths) -> which trials (T,) may be taken, and the expected decrease () of the cost
@@ -251,12 +245,10 @@ def compute_gains(
     problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any,
     boxed: bool = False,
 ) -> Feedback:  # fmt: skip
-    """The backward pass at knots. boxed: whether k obeys all bounds, or only the bounds at which
-    the controls already are.
+    """The backward pass at knots. boxed: whether k obeys all bounds, or only the active ones.
 
-    k is the step if the state stays at its knot. If gaps or a long step move the state, a bound
-    that binds k need not bind k + K dx. A bound that binds removes its row of K, so the closed loop
-    may be unstable, and the bound then binds in all later iterations.
+    A bound that binds k need not bind k + K dx, and it removes its row of K, so the closed loop may
+    become unstable.
     """
     bounds = None
     if problem.bounded:
