@@ -68,7 +68,7 @@ SPATIAL: Calls = {
     "motion_cross": {"V": X, "m": Y},
     "motion_cross_matrix": {"V": X},
     "motion_transform": {"T": T},
-    "moved": {"T": T, "mass": 2.0, "com": S, "inertia": INERTIA},
+    "transform_properties": {"T": T, "mass": 2.0, "com": S, "inertia": INERTIA},
     "parallel_axes": {"inertia": INERTIA, "mass": 2.0, "offset": S},
     "power": {"F": X, "V": Y},
     "principal_axes": {"inertia": INERTIA},

@@ -137,7 +137,7 @@ def _check_columns(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
 
 
 def hampel(x: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """The distance of each sample from the median of its neighbours, and their scatter."""
+    """Compute the distance of each sample from the median of its neighbours, and their scatter."""
     away = np.abs(x - ndimage.median_filter(x, WINDOW, mode="nearest"))
     # the larger of the scatter of the neighbours, for fast motion, and that of the whole channel
     window = np.lib.stride_tricks.sliding_window_view(np.pad(x, WINDOW // 2, "edge"), WINDOW)

@@ -284,7 +284,8 @@ def read_fit(fit: str | Path | Mapping[str, float], names: Sequence[str]) -> np.
     """
     fix = "the file of a fit, or a dict name -> value"
     instance("identify", "resume", fit, (str, Path, Mapping), fix)
-    where, values, corrections = "resume", fit, []
+    values: Any = fit
+    where, corrections = "resume", []
     if not isinstance(fit, Mapping):
         where = str(fit)
         try:

@@ -239,7 +239,7 @@ def _has_squares(R: np.ndarray) -> bool:
 def metric_factor(
     D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray
 ) -> np.ndarray | None:
-    """The Cholesky factor of the metric at x; None if it is not positive definite by rounding, as
+    """Factorise the metric at x by Cholesky; None if it is not positive definite by rounding, as
     for a thin body."""
     curvature = D(x, x).curvature
     if not np.isfinite(curvature).all():
@@ -289,7 +289,8 @@ def regularised_step(
 
 
 def identifiable_step(R: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """The shortest Gauss-Newton step in the identifiable directions; L L^T is the metric."""
+    """Compute the shortest Gauss-Newton step in the identifiable directions; L L^T is the
+    metric."""
     tolerance = rank_tolerance("unknowns", R.dtype)
     A = np.linalg.solve(L, R[:, :-1].T).T
     moves = A.any(0)  # rounding must not change entries on which no residual depends

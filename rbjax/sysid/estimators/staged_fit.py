@@ -286,7 +286,7 @@ class StagedFit:
 def estimate_weights(
     data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
 ) -> Run | None:
-    """The data with weights 1 / sigma from the residuals, for channels without stated noise. None
+    """Estimate weights 1 / sigma from the residuals, for channels without stated noise. None
     if all channels state it, or if the residuals are rounding. robust: without outliers."""
     weights, changed = dict(data.weights), False
     for sensor in data.values:
@@ -321,7 +321,7 @@ def check_sensitivity(unknowns: Unknowns, J: np.ndarray) -> None:
 def start_grid(
     setup: Setup, unknowns: Unknowns, runs: Sequence[Recording], grid: Grid | None
 ) -> tuple[Grid, bool]:
-    """The first grid, and whether its steps are checked: if it is None, or has 0 substeps."""
+    """Choose the first grid, and check the length of its steps if it is None or has 0 substeps."""
     if grid is None:
         ends = [
             u.bounds[1] for u in unknowns.members.values()
@@ -340,8 +340,8 @@ def halve_steps(grid: Grid, times: int = 1) -> Grid:
 
 
 def error_over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recording]) -> float:
-    """An error e (runs, rows) of the residual, over the largest acceptable one for the noise of the
-    recordings; 0 if it is rounding."""
+    """Divide an error e (runs, rows) of the residual by the largest acceptable one for the noise of
+    the recordings; 0 if it is rounding."""
     squares = 0.0
     for sensor, part in of.rows_of(e).items():
         y, w = np.asarray(of.runs.values[sensor]), np.asarray(of.runs.weights[sensor])
@@ -361,9 +361,9 @@ def error_over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Re
 
 
 def step_error(fit: Fit, other: SimulationError) -> tuple[float, bool]:
-    """The error of the steps over the largest acceptable one, and whether it matters. An error e of
-    the residuals changes a fitted unknown by at most |e| / s of its standard deviation, where s^2
-    is the variance of the residuals."""
+    """Compute the error of the steps over the largest acceptable one, and whether it matters. An
+    error e of the residuals changes a fitted unknown by at most |e| / s of its standard deviation,
+    where s^2 is the variance of the residuals."""
     of, x = fit.error, fit.minimum.x
     e = other.residuals(x) - of.residuals(x)
     s = np.sqrt(max(fit.minimum.cost, 1e-300) / max(of.samples - of.size, 1))

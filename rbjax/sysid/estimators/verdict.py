@@ -133,7 +133,7 @@ def _traces_of(seen: Traces, sensor: str) -> list[Trace]:
 
 
 def constant_columns(seen: Traces) -> dict[str, tuple[str, ...]]:
-    """The names of the columns that are constant in all recordings, by sensor."""
+    """Find the names of the columns that are constant in all recordings, by sensor."""
     found = {}
     for sensor in next(iter(seen.values())):
         every = _traces_of(seen, sensor)
@@ -188,7 +188,8 @@ def without_outliers(seen: Traces) -> tuple[Traces, dict[str, float]]:
 
 
 def explained_by(seen: Traces) -> dict[str, float]:
-    """R2 = 1 - sum r^2 / sum (y - mean)^2 by sensor with enough samples; nan if it is constant."""
+    """Compute R2 = 1 - sum r^2 / sum (y - mean)^2 by sensor with enough samples; nan if it is
+    constant."""
     found = {}
     for sensor in next(iter(seen.values())):
         every = _traces_of(seen, sensor)
@@ -198,7 +199,7 @@ def explained_by(seen: Traces) -> dict[str, float]:
 
 
 def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, float]:
-    """The error of the worst column over its noise, by sensor whose noise is stated."""
+    """Compute the error of the worst column over its noise, by sensor whose noise is stated."""
     found = {}
     for sensor in explained_by(seen):
         stated = [run[sensor].noise for run in recordings]
@@ -214,8 +215,8 @@ def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, flo
 def is_poor(
     seen: Traces, recordings: Sequence[Recording], setup: Setup, *, robust: bool = False
 ) -> str:
-    """The reason why a fit may be at a wrong minimum, or "": R2 below 0.99, or below 0.999 with
-    errors above the noise, which is stated or, for joints, estimated from third differences.
+    """Give the reason why a fit may be at a wrong minimum, or "": R2 below 0.99, or below 0.999
+    with errors above the noise, which is stated or, for joints, estimated from third differences.
     robust: without outliers."""
     if robust:
         seen, outliers = without_outliers(seen)

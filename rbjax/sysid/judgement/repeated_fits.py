@@ -142,8 +142,10 @@ def monte_carlo(
             values.append([*one.values.values()])
             sigma.append([x.sigma for x in spans])
             inside.append([x.low <= y <= x.high for x, y in zip(spans, truth, strict=True)])
-    arrays = (np.array(x) for x in (values, sigma, inside))
-    return MonteCarlo(names, truth, *arrays, level, known, failed, good)
+    return MonteCarlo(
+        names, truth, np.array(values), np.array(sigma), np.array(inside), level, known, failed,
+        good,
+    )  # fmt: skip
 
 
 def _repeat_recording(found: Identified, j: int, rng: np.random.Generator) -> Recording:

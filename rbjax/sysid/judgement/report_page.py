@@ -158,7 +158,7 @@ def _tests(trace: Trace) -> dict[str, Whiteness]:
 
 
 def column_of(trace: Trace, name: str) -> np.ndarray:
-    """The residual of a column without the samples that are nan."""
+    """Select the residual of a column without the samples that are nan."""
     r = trace.residual[:, trace.names.index(name)] if name in trace.names else np.zeros(0)
     return r[~np.isnan(r)]
 

@@ -168,7 +168,7 @@ def _to_log_cholesky(P: jax.Array) -> jax.Array:
 
 @takes(theta="inertial")
 def upper_factor(theta: jax.Array) -> jax.Array:
-    """The upper triangular U (..., 4, 4) with a positive diagonal and P = U U^T."""
+    """Compute the upper triangular U (..., 4, 4) with a positive diagonal and P = U U^T."""
     a, d1, d2, d3, s12, s23, s13, t1, t2, t3 = entries(theta)
     o, one = jnp.zeros_like(a), jnp.ones_like(a)
     e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
@@ -323,8 +323,8 @@ def prior_residual(theta: jax.Array, prior: jax.Array) -> jax.Array:
 
 
 def scalar_residual(x: jax.Array) -> jax.Array:
-    """r with r^2 = e^(2x) - 1 - 2x, the divergence of two positive numbers with the quotient
-    e^(2x). Near 0, r ~ sqrt(2) x."""
+    """Compute r with r^2 = e^(2x) - 1 - 2x, the divergence of two positive numbers with the
+    quotient e^(2x). Near 0, r ~ sqrt(2) x."""
     y = 2 * x
     small = jnp.abs(y) < 0.05
     far = jnp.where(small, 1.0, y)

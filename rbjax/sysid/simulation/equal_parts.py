@@ -41,7 +41,8 @@ class Part(NamedTuple):
 
 
 def equal_parts(setup: Setup) -> tuple[Part, ...] | None:
-    """The independent parts of a set-up; None unless there are several, all of one structure."""
+    """Find the independent parts of a set-up; None unless there are several, all of one
+    structure."""
     of_joint = independent_parts(setup)
     if of_joint is None or setup.model.joints.params.size:
         return None
@@ -83,9 +84,13 @@ def extract_part(setup: Setup, part: Part) -> Setup:
     """Extract the set-up of one part. Its names are numbers, so equal parts are equal programs."""
     model, top, at = setup.model, setup.model.topology, part.joints
     parents, kinds, bodies, driven, acting = _structure(model, part)
-    names = (tuple(map(str, range(len(x)))) for x in (parents, kinds, driven))
+    body_names, joint_names, actuator_names = (
+        tuple(map(str, range(len(x)))) for x in (parents, kinds, driven)
+    )
     joints = tuple(top.joints[j] for j in at)
-    topology = Topology(parents, kinds, bodies, *names, joints=joints)
+    topology = Topology(
+        parents, kinds, bodies, body_names, joint_names, actuator_names, joints=joints
+    )
 
     def rows(record: Any, kind: Any, which: np.ndarray, **more: Any) -> Any:
         arrays = {k: x for k, x in vars(record).items() if x is None or hasattr(x, "dtype")}

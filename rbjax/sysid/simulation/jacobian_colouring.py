@@ -115,13 +115,13 @@ def colour_jacobian(
 
 
 def compile_time_constants() -> Any:
-    """A context in which arrays are constants even while a program is traced. Outside of a trace it
-    does nothing, since within it each operation would be compiled by itself."""
+    """Make a context in which arrays are constants even while a program is traced. Outside of a
+    trace it does nothing, since within it each operation would be compiled by itself."""
     return jax.ensure_compile_time_eval() if inside_jit() else contextlib.nullcontext()
 
 
 def independent_parts(setup: Setup) -> np.ndarray | None:
-    """The part of each joint; None unless several parts are known to move independently."""
+    """Find the part of each joint; None unless several parts are known to move independently."""
     model, top = setup.model, setup.model.topology
     single = model.nq == model.nv == len(top.joint_kinds)
     servo = setup.controller is None or (
@@ -186,8 +186,8 @@ def _parts_of_rows(setup: Setup, path: str, leaf: Any, parts: np.ndarray) -> np.
 
 
 def base_unknowns(setup: Setup, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
-    """The unknowns (r,) along which derivatives are needed, and B (r, n) with J = J[:, kept] B;
-    None if some unknown may act on more than the dynamics."""
+    """Find the unknowns (r,) along which derivatives are needed, and B (r, n) with J = J[:, kept]
+    B; None if some unknown may act on more than the dynamics."""
     bodies = [u for u in unknowns.members.values() if isinstance(u, Inertia)]
     leaves = [_leaf(one) for u in unknowns.members.values() for one in getattr(u, "members", (u,))]
     known = all(leaf in DYNAMIC or leaf.partition(".")[0] in FIELDS for leaf in leaves)

@@ -134,7 +134,8 @@ def squares(
 
 
 def faster(numbers: int, runs: int, itemsize: int) -> str:
-    """The faster mode for so many unknowns of each run, by the number of samples in parallel.
+    """Choose the faster mode for so many unknowns of each run, by the number of samples in
+    parallel.
 
     >>> faster(2, 64, 8), faster(55, 64, 8), faster(2, 1, 8)
     ('forward', 'reverse', 'reverse')

@@ -37,7 +37,7 @@ Window = Callable[[Any, Any, Any], tuple[Any, Any]]
 
 
 def count_windows(periods: int, samples: int) -> int:
-    """The number of windows of a motion of which so many samples are simulated. 1 on a CPU, whose
+    """Choose the number of windows of a motion with so many samples in parallel. 1 on a CPU, whose
     cores are busy with few samples."""
     if not has_gpu():
         return 1

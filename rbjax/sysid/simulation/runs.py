@@ -103,9 +103,9 @@ def make_run(setup: Setup, run: Recording, grid: Grid) -> Run:
     x = None if model.nx == 0 else model.default_state().x
     if given is not None and model.nx and given.x is not None:
         x = given.x
-    first: Any = State(q, v, x)
+    first: Any = (q, v, x)
     found = Run(
-        first, commands, times, values, weights,
+        State(*first), commands, times, values, weights,
         np.array(float(run.start_is_known)), np.array(float(given is not None)),
     )  # fmt: skip
     # by numpy: JAX compiles each operation for every shape
@@ -113,8 +113,8 @@ def make_run(setup: Setup, run: Recording, grid: Grid) -> Run:
 
 
 def start_time(setup: Setup, run: Recording) -> float:
-    """The time in s at which the simulation of a recording starts: the first sample of q after the
-    beginning of all channels."""
+    """Find the time in s at which the simulation of a recording starts: the first sample of q after
+    the beginning of all channels."""
     used = [c for s, c in run.channels.items() if s in setup.sensors or s == HELD]
     start = max(float(c.t[0]) for c in used)
     later = run["q"].t[run["q"].t >= start - 1e-9]
@@ -242,8 +242,8 @@ def default_grid(
     runs: Sequence[Recording], setup: Setup | None = None, *, longest: float | None = None,
     period: float | None = None,
 ) -> Grid:  # fmt: skip
-    """The grid with the period of the finest clock, since commands may be logged only when they
-    change. A delay may last up to `longest` s; None: three times that of the set-up, or three
+    """Make the grid with the period of the finest clock, since commands may be logged only when
+    they change. A delay may last up to `longest` s; None: three times that of the set-up, or three
     periods."""
     step = min(channel.step for run in runs for channel in run.channels.values())
     # rounded, so that clocks which differ by rounding share a program

@@ -214,8 +214,8 @@ def prepare_setup(setup: Setup) -> Setup:
 
 
 def first_carry(setup: Setup, start: State, commands: jax.Array, grid: Grid) -> tuple[Any, ...]:
-    """The carry of the first period: its index, the state and, with a delay, the controls that do
-    not yet act."""
+    """Make the carry of the first period: its index, the state and, with a delay, the controls that
+    do not yet act."""
     zero = jnp.zeros((), int)
     if not _has_delay(setup, grid):
         return zero, start
@@ -236,8 +236,8 @@ def _controls(setup: Setup, grid: Grid, k: Any, state: State, command: jax.Array
 
 
 def period_step(setup: Setup, grid: Grid) -> Callable[[Any, jax.Array], Any]:
-    """A period as a step of `scan`: (carry, command) -> carry, and the state at its end with the
-    controls, None if they are the commands."""
+    """Make a period as a step of `scan`: (carry, command) -> carry, and the state at its end with
+    the controls, None if they are the commands."""
     model, T, n = setup.model, grid.period, grid.substeps
     controls = functools.partial(_controls, setup, grid)
 
@@ -314,7 +314,7 @@ def _context_at(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
     """The context of a sensor at time t. A command acts on samples up to a thousandth of a period
     before it."""
     T, last = grid.period, path.q.shape[0] - 2
-    late = 0.0
+    late: Any = 0.0
     if _has_delay(setup, grid):
         late = jnp.clip(setup.delay, 0.0, grid.longest_delay * T)
     ctrl = path.ctrls[jnp.clip(jnp.floor((t - late) / T + 1e-3).astype(int), 0, last)]

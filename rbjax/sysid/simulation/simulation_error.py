@@ -328,7 +328,8 @@ class SimulationError:
 
 
 def state_of_readings(setup: Setup, first: State, v_was_read: bool) -> State:
-    """The state from its readings; a v that was not read is the slope of the readings of q."""
+    """Compute the state from its readings; a v that was not read is the slope of the readings of
+    q."""
     q, v = setup.sensors["q"], setup.sensors["v"]
     speed = first.v
     if v_was_read:
@@ -347,7 +348,7 @@ def sum_of_squares(r: np.ndarray) -> float:
 
 
 def triangle_of(rows: np.ndarray) -> np.ndarray:
-    """R of the QR factorisation of rows [J r]; nan if one is not finite."""
+    """Compute R of the QR factorisation of rows [J r]; nan if one is not finite."""
     n = rows.shape[1]
     if not np.isfinite(rows).all():
         return np.full((n, n), np.nan, rows.dtype)

@@ -81,13 +81,13 @@ def make_traces(
 
 
 def rms_of(found: Traces) -> dict[str, np.ndarray]:
-    """The root mean square of the residual (n,) over all recordings, by sensor."""
+    """Compute the root mean square of the residual (n,) over all recordings, by sensor."""
     sensors: Iterable[str] = next(iter(found.values()))
     return {sensor: root_mean_square(residuals_of(found, sensor)) for sensor in sensors}
 
 
 def residuals_of(found: Traces, sensor: str) -> np.ndarray:
-    """The residuals (samples, n) of a sensor in all recordings."""
+    """Join the residuals (samples, n) of a sensor in all recordings."""
     return np.concatenate([sensors[sensor].residual for sensors in found.values()])
 
 

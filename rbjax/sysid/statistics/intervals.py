@@ -235,12 +235,12 @@ def estimates(
 
 
 def tolerance_for(jacobian: Any) -> float:
-    """The rank tolerance of a Jacobian's dtype."""
+    """Choose the rank tolerance of a Jacobian's dtype."""
     return tolerance_of("unknowns", jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
 
 
 def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
-    """The lengths of the columns, and singular values, right vectors and null space of J /
+    """Compute the lengths of the columns, and singular values, right vectors and null space of J /
     lengths."""
     lengths = linalg.norm(J, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)

@@ -216,8 +216,8 @@ def combinations(
 
 
 def project_out_others(R: np.ndarray, n: int) -> np.ndarray:
-    """The derivatives by the first n entries of x, of a triangular R (m, size + 1) of [J r],
-    without their part in the span of those by the other entries, such as initial states."""
+    """Compute the derivatives by the first n entries of x, of a triangular R (m, size + 1) of [J
+    r], without their part in the span of those by the other entries, such as initial states."""
     first, others = R[:, :n], R[:, n:-1]
     if not others.shape[1]:
         return first

@@ -103,7 +103,8 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
 
 
 def long_run_covariance(scores: Sequence[np.ndarray], lag: int | None = None) -> np.ndarray:
-    """The covariance (n, n) of the sum of correlated scores, (samples, n) for each recording."""
+    """Estimate the covariance (n, n) of the sum of correlated scores, (samples, n) for each
+    recording."""
     lag = _optimal_lag(scores) if lag is None else lag
     meat = np.zeros((scores[0].shape[1],) * 2)
     for s in scores:
@@ -145,8 +146,8 @@ def varies(recorded: np.ndarray) -> np.ndarray:
 
 
 def explained(recorded: Iterable[np.ndarray], residuals: Iterable[np.ndarray]) -> float:
-    """R2 = 1 - sum r^2 / sum (y - mean)^2 of recordings (T, n) with the mean of each column in each
-    recording; nan if every column is constant, so that there is no variance to explain."""
+    """Compute R2 = 1 - sum r^2 / sum (y - mean)^2 of recordings (T, n) with the mean of each column
+    in each recording; nan if every column is constant, so that there is no variance to explain."""
     left = there = 0.0
     for y, r in zip(recorded, residuals, strict=True):
         left += float(np.nansum(r**2))

@@ -291,7 +291,7 @@ def negligible(eq: Equations, residual: Array) -> bool:
 
 
 def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStatistics:
-    """The statistics of the residuals psi (N, k), in standard deviations."""
+    """Compute the statistics of the residuals psi (N, k), in standard deviations."""
     X = eq.X / sd[..., None]
     ends = np.cumsum([0, *eq.lengths])
     columns = [

@@ -216,7 +216,8 @@ def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array
 
 
 def joint_coordinates(model: Model) -> np.ndarray:
-    """The indices of v of all joints except free joints, which have no motor and no friction."""
+    """Find the indices of v of all joints except free joints, which have no motor and no
+    friction."""
     top = model.topology
     return np.array([i for i, k in enumerate(top.dofs) if top.joint_kinds[k.joint] != "free"], int)
 
