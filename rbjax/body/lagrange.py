@@ -44,7 +44,7 @@ class System(NamedTuple):
 
 
 def mass_matrix(system: System, q: jax.Array, v: jax.Array | None = None) -> jax.Array:
-    """M (n, n) = d^2 T / dq'^2, by default at q' = 0.
+    """The mass matrix (n, n) d^2 T / dq'^2, by default at q' = 0.
 
     >>> mass_matrix(System(lambda q, v: (1 + q[0] ** 2) * v @ v), jnp.array([2.0])).tolist()
     [[10.0]]
@@ -62,7 +62,7 @@ def christoffel_symbols(system: System, q: jax.Array) -> jax.Array:
 
 
 def coriolis_matrix(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """C (n, n) = Gamma . q', with M' - 2C skew-symmetric.
+    """The Coriolis matrix C (n, n) = Gamma . q', with M' - 2C skew-symmetric.
 
     >>> M = System(lambda q, v: (1 + q[0] ** 2) * v @ v)
     >>> coriolis_matrix(M, jnp.array([2.0]), jnp.array([3.0])).tolist()
@@ -73,13 +73,13 @@ def coriolis_matrix(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def gravity_forces(system: System, q: jax.Array) -> jax.Array:
-    """g (n,) = dV/dq."""
+    """The gravity forces dV/dq (n,)."""
     q = _position("gravity_forces", system, q)
     return jax.grad(_scalar(system.potential))(q)
 
 
 def damping_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """dD/dq' (n,)."""
+    """The damping forces dD/dq' (n,)."""
     q, v = _state("damping_forces", system, q, v)
     return jax.grad(_scalar(system.dissipation), 1)(q, v)
 
@@ -96,7 +96,7 @@ def bias_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 def acceleration(
     system: System, q: jax.Array, v: jax.Array, Q: jax.Array | float = 0.0
 ) -> jax.Array:
-    """q'' (n,) under generalized forces Q (n,)."""
+    """The acceleration q'' (n,) under generalized forces Q (n,)."""
     q, v = _state("acceleration", system, q, v)
     if not isinstance(Q, (int, float)):
         Q = checked("acceleration", "Q", Q, "scalar")
@@ -105,7 +105,7 @@ def acceleration(
 
 
 def generalized_forces(system: System, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """Q (n,) that gives the acceleration a (n,): inverse dynamics."""
+    """The generalized forces Q (n,) that give the acceleration a (n,): inverse dynamics."""
     q, v = _state("generalized_forces", system, q, v)
     a = _like("generalized_forces", "a", a, q)
     return (mass_matrix(system, q, v) * a).sum(-1) + bias_forces(system, q, v)

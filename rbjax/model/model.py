@@ -297,7 +297,7 @@ class Model(Record):
         return _index("geom", name, () if self.geoms is None else self.geoms.names)
 
     def fix_zeros(self) -> Model:
-        """Return the model with the zeros of its leaves as constants of programs.
+        """Make the zeros of the leaves constants of compiled programs.
 
         Zeros of masses, centres, inertias, placements, armatures, references and gravity, and
         zeros and ones of axes and attitudes, then cost no arithmetic although the leaves stay
@@ -385,7 +385,7 @@ class Model(Record):
         return with_joint(self, name, kind, **given)
 
     def keyframe(self, name: str) -> State:
-        """A state that the file names."""
+        """The state of a keyframe of the file."""
         i = _index("keyframe", name, self.keyframe_names)
         q, own, x = self.keyframes.q[i], self.keyframes.x, self.start(self.keyframes.q.dtype)
         if x is not None and own is not None and own.shape[1] <= x.size:

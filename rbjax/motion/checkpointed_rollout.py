@@ -53,7 +53,7 @@ class CheckpointedRollout:
 
         plain: the program without a derivative, if it has been traced.
         """
-        avals = list(self.step.inputs[1:])
+        avals: list[Any] = list(self.step.inputs[1:])
         if self.driven:
             u = avals[self.size]
             avals[self.size] = jax.ShapeDtypeStruct((self.steps, *u.shape), u.dtype)
@@ -233,7 +233,7 @@ class StepVjp:
         return step.memoize(key, lambda: cls(*next(x for x in vjps if x is not None)))
 
     @property
-    def residuals(self) -> jax.ShapeDtypeStruct:
+    def residuals(self) -> Any:
         """The vector of residuals."""
         return self.forward.outputs[-1]
 

@@ -144,7 +144,7 @@ def _inputs(model: Model, given: Inputs, t: Any, state: State, du: jax.Array) ->
 
 
 def linearise_rates(
-    model: Model, state: State, given: Inputs, t: Any = 0.0, dynamics: Dynamics = free_motion
+    model: Model, state: State, given: Inputs, t: Any = 0.0, dynamics: Any = free_motion
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The rates (nv + nx,) of v and of the elements' states, A and B of the continuous form."""
     n, dtype = model.nv, state.q.dtype

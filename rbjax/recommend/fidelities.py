@@ -227,8 +227,9 @@ def _contacts(run: Manoeuvre, names: Sequence[str], paths: list[State]) -> tuple
     if not isinstance(slipping, Slipping):
         return unknown, math.nan
     run.say("contacts")
-    rolls = others and isinstance(others[0], Rolling)
-    needed = demand(run, others[0], slipping, paths[1]) if rolls else unknown
+    needed = unknown
+    if others and isinstance(others[0], Rolling):
+        needed = demand(run, others[0], slipping, paths[1])
     return needed, first_lift(run, slipping, paths[0])
 
 

@@ -290,7 +290,7 @@ class ConstrainedRuns(HalvedSteps):
 
     def motion(self, name: str) -> Callable[..., State]:
         """(state, t, dt, steps between looks) -> states at `times`."""
-        how = {"integrator": self._integrator, "constraints": formulations()[name]}
+        how: dict[str, Any] = {"integrator": self._integrator, "constraints": formulations()[name]}
 
         def run(state: State, t: Any, dt: Any, each: Any) -> State:
             def one(_: Any, x: tuple[Any, State]) -> tuple[Any, State]:

@@ -50,7 +50,7 @@ def conjugate(a: jax.Array) -> jax.Array:
 
 @takes(a="quaternion")
 def normalize(a: jax.Array) -> jax.Array:
-    """a / |a|."""
+    """Scale a quaternion to unit length: a / |a|."""
     return a / jnp.sqrt((a * a).sum(-1, keepdims=True))
 
 

@@ -50,13 +50,13 @@ def close(
     read = {a for eqn in eqns for a in eqn.invars if isinstance(a, Var)}
     read.update(a for a in outs if isinstance(a, Var))
     constvars = [v for v in consts if v in read]
-    info = _anonymous_debug_info()
+    info = _anonymous_info()
     jaxpr = Jaxpr(constvars, list(ins), list(outs), eqns, effects, info)
     return ClosedJaxpr(jaxpr, [consts[v] for v in constvars])
 
 
 @functools.cache
-def _anonymous_debug_info():
+def _anonymous_info():
     return without_names(jax.make_jaxpr(lambda: ())().jaxpr)
 
 

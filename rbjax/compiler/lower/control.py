@@ -1,33 +1,25 @@
-"""Rules for loops, branches and nested calls."""
+"""Rules for loops, branches, nested calls, and the control primitives of Equinox and lineax.
+
+A thread has no batch, so Equinox's selections by batch are constant, and its reductions over the
+batch are the value itself.
+"""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
+from rbjax._jax_compat import is_error
 from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.lower.arrays import (
-    FEW,
-    ThreadArray,
-    View,
-    as_flat_views,
-    copy_to_memory,
-    indices_of,
-    is_constant,
-    load_entry,
-    materialize,
-    materialize_in_memory,
-    store_entry,
-    to_memory,
-    unravel_index,
-    write_to,
-)
+from rbjax.compiler.ir.statements import Unsupported
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.delayed import Delayed
-from rbjax.compiler.lower.effects import only_reports
 from rbjax.compiler.lower.gather import COMBINE
 from rbjax.compiler.lower.lowering import (
     Atom,
@@ -112,7 +104,7 @@ class Carry:
                 self.values.append(self._array(x, aval))
             else:
                 entries, out = low.to_scalars(x), np.empty(aval.shape, object)
-                for i in indices_of(aval.shape):
+                for i in arrays.indices_of(aval.shape):
                     out[i] = low.b.declare(dtype_of(aval), entries[i])
                 self.values.append(out)
 
@@ -120,23 +112,23 @@ class Carry:
         taken = {y.array for y in self.values if isinstance(y, View)}
         if isinstance(x, View) and x.is_updatable and x.array not in taken:
             return x
-        return copy_to_memory(self.low.b, x, dtype_of(aval))
+        return arrays.copy_to_memory(self.low.b, x, dtype_of(aval))
 
     def advance(self, new: Sequence[ThreadArray]) -> None:
         """Update all values at once: old values are read before any of them changes."""
         b = self.low.b
         old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
-        arrays = {x.array for x in self.values if isinstance(x, View)}
+        operands = {x.array for x in self.values if isinstance(x, View)}
         moves: list[tuple[ir.Var, ir.Value]] = []
         copies: list[tuple[View, ThreadArray]] = []
         for to, x in zip(self.values, new, strict=True):
             if isinstance(to, View):
                 if isinstance(x, View) and x.is_same_view(to):
                     continue
-                if isinstance(x, View) and x.array in arrays:
-                    x = copy_to_memory(b, x, to.dtype)
-                elif isinstance(x, Delayed) and not arrays.isdisjoint(x.sources):
-                    x = materialize_in_memory(b, x)
+                if isinstance(x, View) and x.array in operands:
+                    x = arrays.copy_to_memory(b, x, to.dtype)
+                elif isinstance(x, Delayed) and not operands.isdisjoint(x.sources):
+                    x = arrays.materialize_in_memory(b, x)
                 copies.append((to, x))
                 continue
             for var, value in zip(to.flat, self.low.to_scalars(x).flat, strict=True):
@@ -146,14 +138,18 @@ class Carry:
                     value = b.declare(value.dtype, value)
                 moves.append((var, value))
         for to, x in copies:
-            write_to(b, to, x)
+            arrays.write_to(b, to, x)
         for var, value in moves:
             b.assign(var, value)
 
 
 def _most(x: ThreadArray) -> int:
     """Return the most entries that a team keeps in registers."""
-    return 4 * FEW if isinstance(x, np.ndarray) and not is_constant(x) else FEW // 2
+    return (
+        4 * arrays.FEW
+        if isinstance(x, np.ndarray) and not arrays.is_constant(x)
+        else arrays.FEW // 2
+    )
 
 
 @placing_rule("scan")
@@ -184,13 +180,13 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         ]
         out = low.closed(body, [*consts, *init, *first], [*[None] * nk, *spots])
         return [*out[:nk], *ys]
-    unknown = [not is_constant(x) for x in consts] + [True] * (len(avals) - nc)
+    unknown = [not arrays.is_constant(x) for x in consts] + [True] * (len(avals) - nc)
     wanted = indexed(body, unknown)
     consts = [
-        to_memory(b, x, dtype_of(a)) if k in wanted and not isinstance(x, View) else x
+        arrays.to_memory(b, x, dtype_of(a)) if k in wanted and not isinstance(x, View) else x
         for k, (x, a) in enumerate(zip(consts, avals[:nc], strict=True))
     ]
-    xs = [to_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
+    xs = [arrays.to_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
     with low.pinned([*consts, *xs, *ys]):  # one of these may also be the initial carry
         memory = {k - nc for k in wanted if nc <= k < nc + nk}
         carry = Carry(low, init, avals[nc : nc + nk], memory)
@@ -246,10 +242,10 @@ def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable
 
 
 def _copied_early(b: Builder, to: View, x: View) -> None:
-    to, x = as_flat_views(to, x)
+    to, x = arrays.as_flat_views(to, x)
     with b.team_loop(max(x.size, 1), prefetch=True) as counter:
-        index = unravel_index(b, counter, x.shape)
-        store_entry(b, to, index, load_entry(b, x, index))
+        index = arrays.unravel_index(b, counter, x.shape)
+        arrays.store_entry(b, to, index, arrays.load_entry(b, x, index))
 
 
 def over_time(outside: Sequence[Atom], inside: Sequence[Atom]) -> int:
@@ -267,7 +263,7 @@ def _while(low: Lowering, eqn: Equation, ins: list) -> list:
     memory = {
         k - len(consts)
         for closed, consts in ((test, test_consts), (body, body_consts))
-        for k in indexed(closed, [not is_constant(x) for x in consts] + [True] * n)
+        for k in indexed(closed, [not arrays.is_constant(x) for x in consts] + [True] * n)
         if k >= len(consts)
     }
     with low.pinned([*test_consts, *body_consts]):
@@ -287,7 +283,8 @@ def _while(low: Lowering, eqn: Equation, ins: list) -> list:
 def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     branches, args = eqn.params["branches"], ins[1:]
     which = low.to_scalar(ins[0])
-    going_on = [branch for branch in branches if not only_reports(branch)]
+    # an error of `equinox.error_if` ends the run
+    going_on = [x for x in branches if not any(map(is_error, x.jaxpr.eqns))]
     if len(going_on) == 1:
         return low.closed(going_on[0], args, places)
     if not isinstance(which, ir.Var):
@@ -305,7 +302,7 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
             outs.append(View.of(b.local(dtype_of(aval), aval.size), aval.shape))
         else:
             entries = np.empty(aval.shape, object)
-            for i in indices_of(aval.shape):
+            for i in arrays.indices_of(aval.shape):
                 entries[i] = b.declare(dtype_of(aval))
             outs.append(entries)
 
@@ -313,13 +310,13 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         spots = [
             x if isinstance(x, View) and k not in updated else None for k, x in enumerate(outs)
         ]
-        found = [materialize(b, x) for x in low.closed(branch, args, spots)]
+        found = [arrays.materialize(b, x) for x in low.closed(branch, args, spots)]
         for to, x in zip(outs, found, strict=True):
             if not isinstance(to, View):
                 for var, value in zip(to.flat, low.to_scalars(x).flat, strict=True):
                     b.assign(var, value)
         for k in updated:  # the other results have read the old array by now
-            write_to(b, outs[k], found[k])
+            arrays.write_to(b, outs[k], found[k])
 
     def choose(first: int) -> None:
         if first == len(branches) - 1:
@@ -384,3 +381,19 @@ def _platform(low: Lowering, eqn: Equation, ins: list) -> list:
     groups = eqn.params["platforms"]
     here = [k for k, group in enumerate(groups) if group is None or low.b.platform in group]
     return [np.asarray(here[0] if here else len(groups) - 1, np.int32)]
+
+
+@rule("select_if_vmap", unread=(0, 2))
+def _select_if_vmap(low: Lowering, eqn: Equation, ins: list) -> list:
+    return [ins[1]]  # without a batch, a loop's predicate is true while the loop runs
+
+
+@rule("maybe_set", "linear_solve")
+def _implemented(low: Lowering, eqn: Equation, ins: list) -> list:
+    f = functools.partial(eqn.primitive.impl, **eqn.params)  # which JAX traces
+    return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
+
+
+@rule("pure_callback", "io_callback", "debug_callback", "debug_print")
+def _callback(low: Lowering, eqn: Equation, ins: list) -> list:
+    raise Unsupported(f"{eqn.primitive.name}, a call back into Python")

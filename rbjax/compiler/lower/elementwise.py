@@ -15,20 +15,8 @@ from numpy.typing import DTypeLike
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.operations import OF_PRIMITIVE
 from rbjax.compiler.ir.statements import BOOL, Unsupported, Value, Var
-from rbjax.compiler.lower.arrays import (
-    FEW,
-    SHARED_ABOVE,
-    ThreadArray,
-    View,
-    broadcast_in_memory,
-    for_each_index,
-    full_of,
-    indices_of,
-    is_constant,
-    load_entry,
-    store_entry,
-    to_memory,
-)
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 from rbjax.lanes import polynomial_sincos
@@ -50,7 +38,7 @@ def map_entrywise(
     size = math.prod(shape)
     if low.b.in_team and _is_wide(xs, size):
         delayed = _delayed(low.b, dtype, shape, f, xs)
-        if size > FEW or delayed.work > SHARED_ABOVE:
+        if size > arrays.FEW or delayed.work > arrays.SHARED_ABOVE:
             return delayed
         xs = tuple(low.to_scalars(x) for x in xs)
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
@@ -68,20 +56,20 @@ def map_entries(
     """
     b, size = low.b, math.prod(shape)
     if size > loop_above:
-        sources = [broadcast_in_memory(b, x, _dtype(x), shape) for x in xs]
+        sources = [arrays.broadcast_in_memory(b, x, _dtype(x), shape) for x in xs]
         views = [View.of(b.local(dtype, size), shape) for dtype in dtypes]
 
         def one(*i: Value) -> None:
-            values = f(*(load_entry(b, x, i) for x in sources))
+            values = f(*(arrays.load_entry(b, x, i) for x in sources))
             for view, value in zip(views, values, strict=True):
-                store_entry(b, view, i, value)
+                arrays.store_entry(b, view, i, value)
 
-        for_each_index(b, shape, one)
+        arrays.for_each_index(b, shape, one)
         return list(views)
-    arrays = np.broadcast_arrays(*(low.to_scalars(x) for x in xs), np.empty(shape, bool))[:-1]
+    operands = np.broadcast_arrays(*(low.to_scalars(x) for x in xs), np.empty(shape, bool))[:-1]
     outs = [np.empty(shape, object) for _ in dtypes]
-    for i in indices_of(shape):
-        for out, value in zip(outs, f(*(x[i] for x in arrays)), strict=True):
+    for i in arrays.indices_of(shape):
+        for out, value in zip(outs, f(*(x[i] for x in operands)), strict=True):
             out[i] = value
     return list(outs)
 
@@ -91,9 +79,9 @@ def _is_wide(xs: tuple, size: int) -> bool:
     registers.
     """
     if all(isinstance(x, np.ndarray) for x in xs):
-        entries = sum(own_entries(x).size for x in xs if not is_constant(x))
-        return size > FEW and 0 < entries < size
-    return size > FEW or any(isinstance(x, Delayed) for x in xs)
+        entries = sum(own_entries(x).size for x in xs if not arrays.is_constant(x))
+        return size > arrays.FEW and 0 < entries < size
+    return size > arrays.FEW or any(isinstance(x, Delayed) for x in xs)
 
 
 def own_entries(x: np.ndarray) -> np.ndarray:
@@ -105,13 +93,13 @@ def own_entries(x: np.ndarray) -> np.ndarray:
 def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple) -> Delayed:
     """Return the result for a team, with entries that are computed when they are read."""
     sources = [source(b, x, shape) for x in xs]
-    arrays = frozenset().union(*(s.sources for s in sources))
+    operands = frozenset().union(*(s.sources for s in sources))
     cost = 1 + sum(s.cost for s in sources)
 
     def entry(*i: Value) -> Value:
         return f(*(s.entry(*i) for s in sources))
 
-    return Delayed(shape, np.dtype(dtype), entry, arrays, cost)
+    return Delayed(shape, np.dtype(dtype), entry, operands, cost)
 
 
 def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
@@ -125,7 +113,7 @@ def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
             return wide
         view = wide
         return Delayed(
-            shape, view.dtype, lambda *i: load_entry(b, view, i), frozenset({view.array}), 1
+            shape, view.dtype, lambda *i: arrays.load_entry(b, view, i), frozenset({view.array}), 1
         )
     x = np.broadcast_to(x, shape)
     own = own_entries(x)
@@ -133,11 +121,11 @@ def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
     if own.size == 1:
         value = own.reshape(-1)[0]
         return Delayed(shape, dtype, lambda *i: value, frozenset(), 0)
-    memory = to_memory(b, x, dtype)
+    memory = arrays.to_memory(b, x, dtype)
 
     def entry(*i: Value) -> Value:
         known = [k.item() for k in i if not isinstance(k, Var)]
-        return x[tuple(known)] if len(known) == len(i) else load_entry(b, memory, i)
+        return x[tuple(known)] if len(known) == len(i) else arrays.load_entry(b, memory, i)
 
     return Delayed(shape, dtype, entry, frozenset(), 1)
 
@@ -152,7 +140,7 @@ def _shape(eqn: Equation) -> tuple[int, ...]:
 
 def _one(low: Lowering, eqn: Equation, ins: list) -> list:
     operation, dtype = OF_PRIMITIVE[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
-    if operation.fold and all(map(is_constant, ins)):
+    if operation.fold and all(map(arrays.is_constant, ins)):
         with np.errstate(all="ignore"):
             return [np.asarray(operation.fold(*ins), dtype)]
     f = functools.partial(low.b.op, operation.name, dtype)
@@ -169,7 +157,7 @@ accepts_delayed(
 @rule("div")
 def _div(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
-    if dtype.kind == "f" and all(map(is_constant, ins)):
+    if dtype.kind == "f" and all(map(arrays.is_constant, ins)):
         with np.errstate(all="ignore"):
             return [np.asarray(np.divide(*ins), dtype)]
     f = functools.partial(low.b.op, "div" if dtype.kind == "f" else "idiv", dtype)
@@ -293,7 +281,7 @@ def _convert(low: Lowering, eqn: Equation, ins: list) -> list:
     x = ins[0]
     if isinstance(x, View) and x.dtype == dtype:
         return [x]
-    if is_constant(x) and dtype.kind == "f":
+    if arrays.is_constant(x) and dtype.kind == "f":
         return [x.astype(dtype)]
 
     def f(x: Value) -> Value:
@@ -320,7 +308,7 @@ def _sincos(low: Lowering, eqn: Equation, ins: list) -> list:
     closed = _traced(polynomial_sincos, dtype)
 
     def pair(angle: Value) -> list[Value]:
-        return [low.to_scalar(x) for x in low.closed(closed, [full_of((), angle)])]
+        return [low.to_scalar(x) for x in low.closed(closed, [arrays.full_of((), angle)])]
 
     return map_entries(low, [dtype] * 2, _shape(eqn), pair, *ins, loop_above=LOOP_ABOVE_IN_MEMORY)
 

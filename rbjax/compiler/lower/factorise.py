@@ -18,15 +18,8 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from rbjax.compiler.ir.statements import I32, Block, Value, Var
-from rbjax.compiler.lower.arrays import (
-    ThreadArray,
-    View,
-    for_each_index,
-    load_entry,
-    materialize,
-    store_entry,
-    to_memory,
-)
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.elementwise import source
 from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
@@ -249,7 +242,7 @@ def _triangular_solve(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "left_side", "lower", "transpose_a", "unit_diagonal"
     if low.b.in_team and ins[0].ndim == 2 and ins[0].shape[0] <= ROWS_UP_TO:
         return [_solved_by_team(low, eqn, *ins)]
-    ins = [materialize(low.b, x) for x in ins]
+    ins = [arrays.materialize(low.b, x) for x in ins]
     f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
     return lower_mapped(low, eqn, ins, f, (2,))
 
@@ -295,12 +288,14 @@ def _solved_by_team(
     b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]
     left, turned = P["left_side"], P["transpose_a"] == P["left_side"]
     forwards = P["lower"] != turned
-    a = materialize(b, a)
-    a = low.to_scalars(a) if n <= UNROLL_UP_TO else to_memory(b, a, dtype)
+    a = arrays.materialize(b, a)
+    a = low.to_scalars(a) if n <= UNROLL_UP_TO else arrays.to_memory(b, a, dtype)
 
     def entry(j: int, k: int) -> Value:
         j, k = (k, j) if turned else (j, k)
-        return load_entry(b, a, (I32.type(j), I32.type(k))) if isinstance(a, View) else a[j, k]
+        return (
+            arrays.load_entry(b, a, (I32.type(j), I32.type(k))) if isinstance(a, View) else a[j, k]
+        )
 
     def inverted(x: Value) -> Value:
         return b.inverses[x] if x in b.inverses else b.op("div", dtype, dtype.type(1), x)
@@ -325,7 +320,7 @@ def _solved_by_team(
 
     def write(c: Value, x: list[Value]) -> None:
         for k in range(n):
-            store_entry(b, view, (I32.type(k), c) if left else (c, I32.type(k)), x[k])
+            arrays.store_entry(b, view, (I32.type(k), c) if left else (c, I32.type(k)), x[k])
         b.solved[view.array] = Solved(view, view.array.version, b.block, left, c, x)
 
     before = b.solved.get(right.array) if isinstance(right, View) else None
@@ -340,7 +335,7 @@ def _solved_by_team(
         write(c, solve([s.entry(*((I32.type(k), c) if left else (c, I32.type(k))))
                         for k in range(n)]))  # fmt: skip
 
-    for_each_index(b, (right.shape[1 if left else 0],), column)
+    arrays.for_each_index(b, (right.shape[1 if left else 0],), column)
     return view
 
 

@@ -11,17 +11,8 @@ import numpy as np
 from jax.lax import GatherScatterMode
 
 from rbjax.compiler.ir.statements import BOOL, I32, Unsupported, Value, Var
-from rbjax.compiler.lower.arrays import (
-    View,
-    as_objects,
-    fold_if_constant,
-    for_each_index,
-    full_of,
-    indices_of,
-    load_entry,
-    store_entry,
-    to_memory,
-)
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import View
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
 from rbjax.compiler.lower.indexing import SELECT_UP_TO, clamp, is_in_bounds, make_updatable
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
@@ -70,16 +61,16 @@ def _gather(low: Lowering, eqn: Equation, ins: list) -> list:
     most = [n - size for n, size in zip(x.shape, sizes, strict=True)]
     dynamic = any(isinstance(v, Var) for v in indices.flat)
     if dynamic or isinstance(x, View):
-        x = to_memory(b, x, dtype_of(aval))
+        x = arrays.to_memory(b, x, dtype_of(aval))
     fill = _fill(P.get("fill_value"), dtype_of(aval))
     out = np.empty(aval.shape, object)
-    for at in indices_of([*(aval.shape[k] for k in batch_dims)]):
+    for at in arrays.indices_of([*(aval.shape[k] for k in batch_dims)]):
         starts = _starts(low, indices, at, dims.start_index_map, len(x.shape))
         _batch_starts(starts, at, dims.operand_batching_dims, dims.start_indices_batching_dims)
         inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
         starts = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
         corner = x.shift(b, *zip(starts, x.strides, strict=True)) if isinstance(x, View) else x
-        for offset in indices_of([*(sizes[axis] for axis in window_axes)]):
+        for offset in arrays.indices_of([*(sizes[axis] for axis in window_axes)]):
             window = [0] * len(x.shape)
             for axis, k in zip(window_axes, offset, strict=True):
                 window[axis] = k
@@ -108,7 +99,7 @@ def _place(
     """
     starts: list[Value] = [I32.type(0)] * len(most)
     for k, axis in enumerate(axes):
-        starts[axis] = load_entry(low.b, indices, (*at, I32.type(k)))
+        starts[axis] = arrays.load_entry(low.b, indices, (*at, I32.type(k)))
     _batch_starts(starts, at, *batching)
     inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
     place = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
@@ -120,7 +111,9 @@ def _place(
 def _gather_looped(low: Lowering, eqn: Equation, ins: list) -> View:
     P, aval, b = eqn.params, eqn.outvars[0].aval, low.b
     dims, mode, dtype = P["dimension_numbers"], P["mode"], dtype_of(aval)
-    x, indices = (to_memory(b, x, dtype_of(v.aval)) for x, v in zip(ins, eqn.invars, strict=True))
+    x, indices = (
+        arrays.to_memory(b, x, dtype_of(v.aval)) for x, v in zip(ins, eqn.invars, strict=True)
+    )
     gone = {*dims.collapsed_slice_dims, *dims.operand_batching_dims}
     window_axes = [axis for axis in range(x.ndim) if axis not in gone]
     batch_dims = [k for k in range(len(aval.shape)) if k not in dims.offset_dims]
@@ -134,10 +127,10 @@ def _gather_looped(low: Lowering, eqn: Equation, ins: list) -> View:
         place, inside = _place(
             low, indices, at, dims.start_index_map, batching, offsets, most, mode
         )
-        value = load_entry(b, x, place)
-        store_entry(b, out, to, b.select(inside, value, _fill(P.get("fill_value"), dtype)))
+        value = arrays.load_entry(b, x, place)
+        arrays.store_entry(b, out, to, b.select(inside, value, _fill(P.get("fill_value"), dtype)))
 
-    for_each_index(b, aval.shape, one)
+    arrays.for_each_index(b, aval.shape, one)
     return out
 
 
@@ -174,8 +167,8 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
     most = [n - size for n, size in zip(x.shape, sizes, strict=True)]
     dynamic = any(isinstance(v, Var) for v in indices.flat)
     in_registers = not isinstance(x, View) and (x.size <= SELECT_UP_TO or not dynamic)
-    out = as_objects(x).copy() if in_registers else make_updatable(low, x, dtype)
-    for at in indices_of([*(updates.shape[k] for k in batch_dims)]):
+    out = arrays.as_objects(x).copy() if in_registers else make_updatable(low, x, dtype)
+    for at in arrays.indices_of([*(updates.shape[k] for k in batch_dims)]):
         starts = _starts(low, indices, at, dims.scatter_dims_to_operand_dims, len(x.shape))
         _batch_starts(starts, at, dims.operand_batching_dims, dims.scatter_indices_batching_dims)
         inside: Value = np.bool_(True)
@@ -186,7 +179,7 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
         if not isinstance(inside, Var) and not inside:
             continue
         window = np.empty(sizes, object)
-        for offset in indices_of([*(updates.shape[k] for k in dims.update_window_dims)]):
+        for offset in arrays.indices_of([*(updates.shape[k] for k in dims.update_window_dims)]):
             to, place = [0] * len(x.shape), [0] * updates.ndim
             for axis, k in zip(window_axes, offset, strict=True):
                 to[axis] = k
@@ -199,7 +192,7 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
             _stored(low, out, window, starts, inside, combine, most)
         else:
             out = _merged(low, out, window, starts, inside, combine)
-    return [fold_if_constant(out, dtype) if isinstance(out, np.ndarray) else out]
+    return [arrays.fold_if_constant(out, dtype) if isinstance(out, np.ndarray) else out]
 
 
 def _combination(low: Lowering, eqn: Equation) -> Callable[[Value, Value], Value]:
@@ -211,7 +204,7 @@ def _combination(low: Lowering, eqn: Equation) -> Callable[[Value, Value], Value
         return lambda old, new: new
 
     def applied(old: Value, new: Value) -> Value:
-        pair = [full_of((), old), full_of((), new)]
+        pair = [arrays.full_of((), old), arrays.full_of((), new)]
         return low.to_scalar(low.run(update, eqn.params["update_consts"], pair)[0])
 
     return applied
@@ -221,7 +214,8 @@ def _scatter_looped(low: Lowering, eqn: Equation, ins: list, combine: Callable) 
     P, b = eqn.params, low.b
     dims, mode = P["dimension_numbers"], P["mode"]
     indices, updates = (
-        to_memory(b, x, dtype_of(v.aval)) for x, v in zip(ins[1:], eqn.invars[1:], strict=True)
+        arrays.to_memory(b, x, dtype_of(v.aval))
+        for x, v in zip(ins[1:], eqn.invars[1:], strict=True)
     )
     with low.pinned([indices, updates]):
         out = make_updatable(low, ins[0], dtype_of(eqn.outvars[0].aval))
@@ -241,12 +235,12 @@ def _scatter_looped(low: Lowering, eqn: Equation, ins: list, combine: Callable) 
         place, inside = _place(
             low, indices, at, dims.scatter_dims_to_operand_dims, batching, offsets, most, mode
         )
-        new = load_entry(b, updates, source)
+        new = arrays.load_entry(b, updates, source)
         with b.when(inside):
-            store_entry(b, out, place, combine(load_entry(b, out, place), new))
+            arrays.store_entry(b, out, place, combine(arrays.load_entry(b, out, place), new))
 
     with b.per_thread():  # several updates may meet in one place
-        for_each_index(b, updates.shape, one)
+        arrays.for_each_index(b, updates.shape, one)
     return out
 
 
@@ -259,7 +253,7 @@ def _stored(
     def store() -> None:
         safe = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
         corner = out.shift(b, *zip(safe, out.strides, strict=True))
-        for k in indices_of(window.shape):
+        for k in arrays.indices_of(window.shape):
             offset = corner.offset + sum(i * s for i, s in zip(k, corner.strides, strict=True))
             old = b.load(corner.array, corner.base, offset)
             b.store(corner.array, corner.base, offset, combine(old, window[k]))
@@ -284,7 +278,7 @@ def _merged(
         for start, k in zip(starts, at, strict=True):
             if isinstance(start, Var):
                 here = b.op("and", BOOL, here, b.op("eq", BOOL, start, start.dtype.type(k)))
-        for i in indices_of(window.shape):
+        for i in arrays.indices_of(window.shape):
             to = tuple(np.add(at, i))
             out[to] = b.select(here, combine(x[to], window[i]), out[to])
     return out

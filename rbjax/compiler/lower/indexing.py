@@ -13,16 +13,8 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.statements import BOOL, I32, Value, Var
-from rbjax.compiler.lower.arrays import (
-    ThreadArray,
-    View,
-    as_objects,
-    copy_to_memory,
-    indices_of,
-    is_constant,
-    to_memory,
-    write_to,
-)
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
 #: arrays in registers with at most this many entries are indexed by selections
@@ -58,7 +50,7 @@ def make_updatable(low: Lowering, x: ThreadArray, dtype: DTypeLike) -> View:
     """Return x as memory that may be updated: itself if nothing reads it later, else a copy."""
     if isinstance(x, View) and x.is_updatable:
         return x
-    return copy_to_memory(low.b, x, dtype)
+    return arrays.copy_to_memory(low.b, x, dtype)
 
 
 def _moved(low: Lowering, view: View, starts: Sequence[Value], sizes: Sequence[int]) -> View:
@@ -77,9 +69,9 @@ def _dynamic_slice(low: Lowering, eqn: Equation, ins: list) -> list:
     if len(known) == len(starts):
         box = tuple(slice(s, s + n, 1) for s, n in zip(known, sizes, strict=True))
         return [x.slice_box(box) if isinstance(x, View) else x[box]]
-    if not isinstance(x, View) and not is_constant(x) and x.size <= SELECT_UP_TO:
+    if not isinstance(x, View) and not arrays.is_constant(x) and x.size <= SELECT_UP_TO:
         return [_selected(low, x, starts, sizes)]
-    view = _moved(low, to_memory(low.b, x, dtype_of(eqn.outvars[0].aval)), starts, sizes)
+    view = _moved(low, arrays.to_memory(low.b, x, dtype_of(eqn.outvars[0].aval)), starts, sizes)
     if view.array.mutable and view.size <= SELECT_UP_TO:
         return [low.to_scalars(view)]  # read now, so that the array may be updated in place
     return [view]
@@ -92,8 +84,8 @@ def _selected(low: Lowering, x: np.ndarray, starts: list, sizes: Sequence[int]) 
         out = pieces[-1]
         for k in reversed(range(len(pieces) - 1)):
             here = b.op("eq", BOOL, start, I32.type(k))
-            out = as_objects(out).copy()
-            for i in indices_of(out.shape):
+            out = arrays.as_objects(out).copy()
+            for i in arrays.indices_of(out.shape):
                 out[i] = b.select(here, pieces[k][i], out[i])
         x = out
     return x
@@ -109,15 +101,15 @@ def _dynamic_update_slice(low: Lowering, eqn: Equation, ins: list) -> list:
     ]
     known = [s.item() for s in starts if not isinstance(s, Var)]
     if not isinstance(x, View) and len(known) == len(starts):
-        out = as_objects(x).copy()
+        out = arrays.as_objects(x).copy()
         box = tuple(slice(s, s + n) for s, n in zip(known, update.shape, strict=True))
         out[box] = low.to_scalars(update)
         return [out]
     if not isinstance(x, View) and x.size <= SELECT_UP_TO:
-        return [_updated(low, as_objects(x), low.to_scalars(update), starts)]
+        return [_updated(low, arrays.as_objects(x), low.to_scalars(update), starts)]
     with low.pinned([update]):
         whole = make_updatable(low, x, dtype)
-    write_to(low.b, _moved(low, whole, starts, update.shape), update)
+    arrays.write_to(low.b, _moved(low, whole, starts, update.shape), update)
     return [whole]
 
 
@@ -128,7 +120,7 @@ def _updated(low: Lowering, x: np.ndarray, update: np.ndarray, starts: list) -> 
         here: Value = np.bool_(True)
         for start, k in zip(starts, at, strict=True):
             here = b.op("and", BOOL, here, b.op("eq", BOOL, start, I32.type(k)))
-        for i in indices_of(update.shape):
+        for i in arrays.indices_of(update.shape):
             to = tuple(np.add(at, i))
             out[to] = b.select(here, update[i], out[to])
     return out

@@ -14,18 +14,8 @@ from numpy.typing import DTypeLike
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.elementary import Number
 from rbjax.compiler.ir.statements import BOOL, I32, Unsupported, Value
-from rbjax.compiler.lower.arrays import (
-    SHARED_ABOVE,
-    ThreadArray,
-    View,
-    for_each_index,
-    indices_of,
-    load_entry,
-    store_entry,
-    to_memory,
-    transposed,
-    write_to,
-)
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import source
 from rbjax.compiler.lower.indexing import make_updatable
@@ -48,22 +38,22 @@ def _dot(low: Lowering, eqn: Equation, ins: list) -> list:
     ((ca, cb), (ba, bb)), dtype = eqn.params["dimension_numbers"], dtype_of(eqn.outvars[0].aval)
     fa = [k for k in range(len(ins[0].shape)) if k not in (*ca, *ba)]
     fb = [k for k in range(len(ins[1].shape)) if k not in (*cb, *bb)]
-    x = transposed(ins[0], (*ba, *fa, *ca))
-    y = transposed(ins[1], (*bb, *fb, *cb))
+    x = arrays.transposed(ins[0], (*ba, *fa, *ca))
+    y = arrays.transposed(ins[1], (*bb, *fb, *cb))
     nb, na, ny = len(ba), len(fa), len(fb)
     shape = (*x.shape[:nb], *x.shape[nb : nb + na], *y.shape[nb : nb + ny])
     contracted = x.shape[nb + na :]
     terms = math.prod(contracted)
-    if low.b.in_team and 2 * math.prod(shape) * terms > SHARED_ABOVE:
+    if low.b.in_team and 2 * math.prod(shape) * terms > arrays.SHARED_ABOVE:
         return [_delayed(low, x, y, shape, contracted, (nb, na, ny), dtype)]
     if math.prod(shape) * math.prod(contracted) > _unrolled(low.b, bool(fa and fb)):
         return [_looped(low, x, y, shape, contracted, (nb, na, ny), dtype)]
     a, c = low.to_scalars(x), low.to_scalars(y)
     b, out = low.b, np.empty(shape, object)
-    for i in indices_of(shape):
+    for i in arrays.indices_of(shape):
         left, right = (*i[: nb + na],), (*i[:nb], *i[nb + na :])
         total: Value = dtype.type(0)
-        for t in indices_of(contracted):
+        for t in arrays.indices_of(contracted):
             term = b.op("mul", dtype, b.cast(a[left + t], dtype), b.cast(c[right + t], dtype))
             total = b.op("add", dtype, total, term)
         out[i] = total
@@ -98,7 +88,7 @@ def _delayed(
         return np.zeros(shape, dtype)
     ways = math.prod(y.shape[nb : nb + ny]), math.prod(x.shape[nb : nb + na])
     x, y = (
-        to_memory(b, z, dtype) if n > 1 and isinstance(z, Delayed) and z.cost > 2 else z
+        arrays.to_memory(b, z, dtype) if n > 1 and isinstance(z, Delayed) and z.cost > 2 else z
         for z, n in zip((x, y), ways, strict=True)
     )
     s, t = source(b, x, x.shape), source(b, y, y.shape)
@@ -119,7 +109,7 @@ def _delayed(
 def sum_terms(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DTypeLike) -> Value:
     """Reduce term(*index) over each index of a shape, which is not empty, by `add`."""
     if math.prod(shape) <= TERMS_UP_TO:
-        every = [term(*map(I32.type, k)) for k in indices_of(shape)]
+        every = [term(*map(I32.type, k)) for k in arrays.indices_of(shape)]
         return functools.reduce(add, every)
     first = term(*(I32.type(0) for _ in shape))
     total = b.declare(dtype, first)
@@ -131,7 +121,7 @@ def sum_terms(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DT
         b.assign(started, np.bool_(True))
 
     with b.per_thread():
-        for_each_index(b, shape, more)
+        arrays.for_each_index(b, shape, more)
     return total
 
 
@@ -146,7 +136,7 @@ def _looped(
 ) -> View:
     """Write a product as loops. On a CPU, several sums run side by side and share loads."""
     b, (nb, na, ny) = low.b, sizes
-    x, y = to_memory(b, x, dtype), to_memory(b, y, dtype)
+    x, y = arrays.to_memory(b, x, dtype), arrays.to_memory(b, y, dtype)
     if b.matrices and na and ny and y.strides[nb + ny - 1] != 1:
         y = _side_by_side(b, y, nb, ny)
     out = View.of(b.local(dtype, math.prod(shape)), shape)
@@ -168,11 +158,11 @@ def _looped(
 def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
     """Copy y, so that entries that a row of sums reads are contiguous."""
     order = (*range(nb), *range(nb + ny, y.ndim), *range(nb, nb + ny))
-    rows = transposed(y, order)
+    rows = arrays.transposed(y, order)
     assert isinstance(rows, View)
     copy = View.of(b.local(y.dtype, y.size), rows.shape)
-    write_to(b, copy, rows)
-    back = transposed(copy, tuple(np.argsort(order)))
+    arrays.write_to(b, copy, rows)
+    back = arrays.transposed(copy, tuple(np.argsort(order)))
     assert isinstance(back, View)
     return back
 
@@ -189,15 +179,18 @@ def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> No
         def more(*t: Value) -> None:
             for k, total in zip(tile, totals, strict=True):
                 term = b.op(
-                    "mul", dtype, load_entry(b, x, (*left, *t)), load_entry(b, y, (*right, k, *t))
+                    "mul",
+                    dtype,
+                    arrays.load_entry(b, x, (*left, *t)),
+                    arrays.load_entry(b, y, (*right, k, *t)),
                 )
                 b.assign(total, b.op("add", dtype, total, term))
 
-        for_each_index(b, x.shape[nb + na :], more)
+        arrays.for_each_index(b, x.shape[nb + na :], more)
         for k, total in zip(tile, totals, strict=True):
-            store_entry(b, out, (*i, k), total)
+            arrays.store_entry(b, out, (*i, k), total)
 
-    for_each_index(b, out.shape[:-1], one)
+    arrays.for_each_index(b, out.shape[:-1], one)
 
 
 def _in_tiles(x: View, axis: int, start: int, stop: int, size: int) -> View:
@@ -253,7 +246,7 @@ class _Elimination:
         b, n = self._b, self._n
         with b.loop(n) as k:
             p = self._pivot(k)
-            store_entry(b, self._rows, (k,), p)
+            arrays.store_entry(b, self._rows, (k,), p)
             with b.loop(n) as j:
                 self._exchange(k, j, p, j)
             scale = _reciprocal(self._get(k, k))
@@ -267,7 +260,7 @@ class _Elimination:
                     taken = _product(factor, self._get(k, j))
                     self._put(i, j, _difference(self._get(i, j), taken))
         with b.loop(n, reverse=True) as k:
-            p = load_entry(b, self._rows, (k,))
+            p = arrays.load_entry(b, self._rows, (k,))
             with b.loop(n) as i:
                 self._exchange(i, k, i, p)
 
@@ -292,11 +285,11 @@ class _Elimination:
         return Number(self._b, self._dtype.type(x))
 
     def _get(self, i: Value, j: Value) -> Entry:
-        return tuple(Number(self._b, load_entry(self._b, x, (i, j))) for x in self._parts)
+        return tuple(Number(self._b, arrays.load_entry(self._b, x, (i, j))) for x in self._parts)
 
     def _put(self, i: Value, j: Value, entry: Entry) -> None:
         for x, number in zip(self._parts, entry, strict=True):
-            store_entry(self._b, x, (i, j), number.value)
+            arrays.store_entry(self._b, x, (i, j), number.value)
 
 
 def _difference(x: Entry, y: Entry) -> Entry:

@@ -76,24 +76,18 @@ WRITERS: dict[str, Callable[[Lowering, Equation, list, list], list]] = {}
 
 #: a key of threefry: its first number is the low half
 KEY = np.dtype(np.uint64)
-
-
 #: the dtypes that a thread supports
 DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
-
-
 #: primitives whose rules take delayed arrays as they are
 TAKES_DELAYED: set[str] = set()
-#: operations up to which the entries of a delayed array are computed at each of its uses
+#: the most operations of a delayed entry that is computed at each of its uses
 CHEAP = 4
+#: arguments that the rule of a primitive does not read; they are passed as None
+UNREAD: dict[str, tuple[int, ...]] = {}
 
 
 def accepts_delayed(*names: str) -> None:
     TAKES_DELAYED.update(names)
-
-
-#: arguments that the rule of a primitive does not read; they are passed as None
-UNREAD: dict[str, tuple[int, ...]] = {}
 
 
 def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
@@ -360,7 +354,8 @@ def _places(
     moved = {v for eqn in jaxpr.eqns if eqn.primitive.name in MOVES for v in eqn.outvars}
     uses = Counter(v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal))
     uses.update(v for v in jaxpr.outvars if not isinstance(v, Literal))
-    for eqn in reversed(jaxpr.eqns):
+    eqns: Sequence[Any] = jaxpr.eqns
+    for eqn in reversed(eqns):
         if eqn.primitive.name == "fusion_barrier":
             for var, made in zip(eqn.invars, eqn.outvars, strict=True):
                 shape = getattr(made.aval, "shape", ())
@@ -377,7 +372,7 @@ def _places(
         match eqn.primitive.name:
             case "reshape" | "squeeze" | "expand_dims":
                 same_entries(eqn.invars[0], place)
-            case "broadcast_in_dim" if _size(eqn.invars[0]) == _size(eqn.outvars[0]):
+            case "broadcast_in_dim" if eqn.invars[0].aval.size == eqn.outvars[0].aval.size:
                 same_entries(eqn.invars[0], place)
             case "stack" if uses[eqn.outvars[0]] > 1:  # stays in registers to be read again
                 del wanted[eqn.outvars[0]]
@@ -397,7 +392,3 @@ def _places(
                     want(var, place.slice_box(box))
                     start = stop
     return wanted
-
-
-def _size(atom: Any) -> int:
-    return atom.aval.size

@@ -6,17 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rbjax.compiler.lower.arrays import (
-    FEW,
-    ThreadArray,
-    View,
-    copy_to_memory,
-    fold_if_constant,
-    full_of,
-    materialize_in_memory,
-    transposed,
-    write_to,
-)
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
 from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, placing_rule, rule
@@ -67,16 +58,18 @@ def reshaped(low: Lowering, x: ThreadArray, shape: tuple[int, ...]) -> ThreadArr
         delayed = x.reshape_view(shape)
         if delayed is not None:
             return delayed
-        x = materialize_in_memory(low.b, x)
+        x = arrays.materialize_in_memory(low.b, x)
     if isinstance(x, View):
         out = x.reshape_view(shape)
-        return View.of(copy_to_memory(low.b, x, x.dtype).array, shape) if out is None else out
+        return (
+            View.of(arrays.copy_to_memory(low.b, x, x.dtype).array, shape) if out is None else out
+        )
     return x.reshape(shape)
 
 
 @rule("transpose")
 def _transpose(low: Lowering, eqn: Equation, ins: list) -> list:
-    return [transposed(ins[0], eqn.params["permutation"])]
+    return [arrays.transposed(ins[0], eqn.params["permutation"])]
 
 
 @rule("rev")
@@ -105,16 +98,20 @@ def _concatenate(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     whole = _pieces_of_one(ins, axis) if low.b.in_team else None
     if place is None and whole is not None:
         return [whole]
-    if place is None and out.size > (FEW if low.b.in_team else LOOP_ABOVE):
+    if place is None and out.size > (arrays.FEW if low.b.in_team else LOOP_ABOVE):
         place = View.of(low.b.local(out.dtype, out.size), out.shape)
     if place is None:
-        return [fold_if_constant(np.concatenate([low.to_scalars(x) for x in ins], axis), out.dtype)]
+        return [
+            arrays.fold_if_constant(
+                np.concatenate([low.to_scalars(x) for x in ins], axis), out.dtype
+            )
+        ]
     start = 0
     with low.b.disjoint_writes():
         for x in ins:
             box = [slice(0, n, 1) for n in place.shape]
             box[axis] = slice(start, start + x.shape[axis], 1)
-            write_to(low.b, place.slice_box(box), x)
+            arrays.write_to(low.b, place.slice_box(box), x)
             start += x.shape[axis]
     return [place]
 
@@ -144,20 +141,20 @@ def _tile(low: Lowering, eqn: Equation, ins: list) -> list:
 def _stack(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     axis, place = eqn.params.get("axis", eqn.params.get("dimension", 0)), places[0]
     out = eqn.outvars[0].aval
-    if place is None and low.b.in_team and out.size > FEW:
+    if place is None and low.b.in_team and out.size > arrays.FEW:
         whole = _rows_of_one(ins, axis)
         if whole is not None:
             return [whole]
         place = View.of(low.b.local(out.dtype, out.size), out.shape)
     if place is None:
         return [
-            fold_if_constant(
+            arrays.fold_if_constant(
                 np.stack([low.to_scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype
             )
         ]
     with low.b.disjoint_writes():
         for k, x in enumerate(ins):
-            write_to(low.b, place.at(low.b, axis, np.int32(k)), x)
+            arrays.write_to(low.b, place.at(low.b, axis, np.int32(k)), x)
     return [place]
 
 
@@ -209,14 +206,14 @@ def _pad(low: Lowering, eqn: Equation, ins: list) -> list:
     config = eqn.params["padding_config"]
     # put gaps between entries, then pad the sides; a negative side is cut
     spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
-    wide = full_of(spread, fill)
+    wide = arrays.full_of(spread, fill)
     wide[tuple(slice(None, None, gap + 1) for _, _, gap in config)] = x
     for axis, (before, after, _) in enumerate(config):
         for side, amount in ((0, before), (1, after)):
             if amount > 0:
                 shape = list(wide.shape)
                 shape[axis] = amount
-                more = full_of(shape, fill)
+                more = arrays.full_of(shape, fill)
                 wide = np.concatenate([wide, more] if side else [more, wide], axis)
             elif amount < 0:
                 cut = slice(None, amount) if side else slice(-amount, None)

@@ -14,7 +14,6 @@ from rbjax.compiler.ir.program import Layout, Written
 from rbjax.compiler.ir.statements import I32, I64, Array, Unsupported
 from rbjax.compiler.lower import (  # noqa: F401 (rules)
     control,
-    effects,
     elementwise,
     factorise,
     gather,
@@ -22,7 +21,6 @@ from rbjax.compiler.lower import (  # noqa: F401 (rules)
     linear,
     random,
     reductions,
-    sorting,
     special,
     spectral,
     structure,

@@ -225,7 +225,7 @@ def _factors(rows: jax.Array) -> list[Factor]:
 
 
 def _solved(model: Model, inward: list, outward: list, x: jax.Array) -> jax.Array:
-    """M^-1 x of columns (nv, ...). The factors are passed twice, so that the outward sweep reads
-    them again instead of keeping them in registers."""
+    """Compute M^-1 x for columns x (nv, ...). A second copy of the factors for the outward sweep
+    saves registers."""
     d = Unrolled(model, None)
     return d.pack(solve(d, inward, d.lanes(x), outward), x)

@@ -39,7 +39,7 @@ def link_axes(d: Driver, poses: Any, joints: Any) -> Any:
 
 
 def axis_rates(d: Driver, V: Any, S: Any, poses: Any, joints: Any) -> Any:
-    """S' of each link in world axes."""
+    """The rate S' of each axis, in world axes."""
     rates = d.each(Motion.cross, axis_twists(d, V), S)
     if d.topology.constant_axes:
         return rates

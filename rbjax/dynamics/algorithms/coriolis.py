@@ -39,7 +39,7 @@ from rbjax.spatial import RigidInertia
 
 @algorithm("q", "v")
 def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """C(q, v) (nv, nv), with C v + gravity_forces = bias_forces and M' - 2 C skew.
+    """The Coriolis matrix (nv, nv), with C v + gravity_forces = bias_forces and M' - 2 C skew.
 
     Args:
         model: the robot.

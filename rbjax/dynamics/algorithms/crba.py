@@ -72,7 +72,7 @@ def crba(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
 
 @algorithm("q", long=True)
 def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
-    """M(q) (nv, nv), symmetric positive definite: kinetic energy = v^T M v / 2, armature included.
+    """The mass matrix M(q) (nv, nv): kinetic energy = v^T M v / 2, armature included.
 
     Args:
         model: the robot.

@@ -38,7 +38,7 @@ from rbjax.spatial import Force, Motion
 
 @algorithm("q", "v")
 def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """T = v^T M(q) v / 2 in joules, armature included, in O(n).
+    """The kinetic energy v^T M(q) v / 2 in joules, armature included, in O(n).
 
     Args:
         model: the robot.
@@ -66,7 +66,7 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 @algorithm("q")
 def potential_energy(model: Model, q: jax.Array) -> jax.Array:
-    """U = -sum of m g.c in joules, of gravity only (springs: `rbjax.forces.elastic_energy`).
+    """The potential energy of gravity in joules (of springs: `rbjax.forces.elastic_energy`).
 
     Args:
         model: the robot.
@@ -145,7 +145,7 @@ def momentum_and_rate(
     tau: jax.Array,
     f_ext: LinkForces | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """p = M(q) v and p' (nv, ...) of checked arrays."""
+    """The generalized momentum p = M(q) v and its rate (nv, ...), of checked arrays."""
 
     def outward(x, parent):
         link, joint, _, _ = x
@@ -172,7 +172,7 @@ def momentum_and_rate(
 
 
 def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
-    """v = M(q)^-1 p (nv, ...) of checked arrays, with the derivative
+    """The velocity M(q)^-1 p (nv, ...) of a momentum, of checked arrays, with the derivative
 
     dv = M^-1 (dp - d(M(q) v)),   v held constant.
     """

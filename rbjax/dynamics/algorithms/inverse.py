@@ -114,7 +114,7 @@ def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
 
 @algorithm("q", pairs=True, multi_kernel=inverse_mass_by_columns)
 def inverse_mass_matrix(model: Model, q: jax.Array) -> jax.Array:
-    """M(q)^-1 (nv, nv), by the articulated-body algorithm in O(n) a column.
+    """The inverse mass matrix M(q)^-1 (nv, nv), by the articulated-body algorithm in O(n) a column.
 
     Args:
         model: the robot.

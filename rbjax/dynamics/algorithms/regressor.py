@@ -64,7 +64,7 @@ def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array)
 
 @algorithm("q", "v", "a", multi_kernel=regressor_by_columns)
 def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """Y(q, v, a) (nv, 10 nb), with ID(q, v, a) = Y pi + armature * a.
+    """The inertial regressor Y (nv, 10 nb): ID(q, v, a) = Y pi + armature * a.
 
     pi stacks (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz) of each body, in its own
     frame, with the inertia about the frame's origin: `inertial_parameters(model)`.
@@ -120,7 +120,7 @@ def _inertia_columns(x: Vec3) -> list[Vec3]:
 
 
 def inertial_parameters(model: Model) -> jax.Array:
-    """pi (10 nb,) of a model, in the order of `inertial_regressor`.
+    """The inertial parameters pi (10 nb,) of a model, in the order of `inertial_regressor`.
 
     Example:
         >>> import rbjax as rb

@@ -191,7 +191,7 @@ def inverse_dynamics(
 
 @algorithm("q", "v")
 def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """b(q, v): Coriolis, centrifugal, gyroscopic and gravity forces (nv,); M a + b = tau.
+    """The Coriolis, centrifugal, gyroscopic and gravity forces b(q, v) (nv,); M a + b = tau.
 
     Args:
         model: the robot.
@@ -212,7 +212,7 @@ def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 @algorithm("q")
 def gravity_forces(model: Model, q: jax.Array) -> jax.Array:
-    """g(q) = dV/dq on the tangent space (nv,): the forces that hold the robot against gravity.
+    """The forces g(q) = dV/dq (nv,) that hold the robot against gravity.
 
     Args:
         model: the robot.

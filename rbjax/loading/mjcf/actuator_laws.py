@@ -128,9 +128,9 @@ def _read_dc_motor(m: mujoco.MjModel, i: int) -> DCMotor:
     own, spec = parameters(m, i, _DC_MOTOR), int(m.actuator_ctrlspec[i])
     commanded = any((own.kp, own.ki, own.kv)) or np.isfinite(own.slew) or spec & 7
     names = ("resistance", "constant", "drive", "time_constant", "current_rate")
-    windings = (leaf(getattr(own, name)) for name in names)
+    windings: dict[str, Any] = {name: leaf(getattr(own, name)) for name in names}
     return DCMotor(
-        Windings(*windings, inductive=bool(own.time_constant > 0)),
+        Windings(**windings, inductive=bool(own.time_constant > 0)),
         leaf([own.amplitude, own.poles, own.phase]),
         _controller(m, i, own) if commanded else None,
         Heat(leaf([getattr(own, name) for name in _HEAT])) if own.RT > 0 else None,

@@ -109,15 +109,15 @@ class RobotModel(Record):
         """Convert the parameters, a state and controls, zeros if None, to lanes."""
         dtype = state.q.dtype
         given = jnp.zeros(self.nu, dtype) if u is None else u
-        sizes = ((state.q, self.nq), (state.v, self.nv), (state.x, self.nx), (given, self.nu))
+        sizes: Any = ((state.q, self.nq), (state.v, self.nv), (state.x, self.nx), (given, self.nu))
         lanes = ([x[i] for i in range(size)] for x, size in sizes)
         return RobotContext(parameters_of(self.robot, dtype), *lanes)
 
 
 def as_state(q: Sequence[Lane], v: Sequence[Lane], x: Sequence[Lane], dtype: Any) -> State:
     """Stack lanes to a state."""
-    q, v = stack_lanes(q, dtype), stack_lanes(v, dtype)
-    return State(q, v, stack_lanes(x, dtype) if len(x) else None)
+    tyres = stack_lanes(x, dtype) if len(x) else None
+    return State(stack_lanes(q, dtype), stack_lanes(v, dtype), tyres)
 
 
 def check_robot_model(where: str, model: Any) -> None:

@@ -32,7 +32,7 @@ class _Steps(NamedTuple):
     """The static options of a rollout."""
 
     integrator: str
-    count: int
+    steps: int
     save_every: int
 
 
@@ -64,9 +64,9 @@ def _linearly_implicit_euler(
 
 def _rk4(model: RobotModel, p: Parameters, y: Lists, u: list[Lane], h: Lane) -> Lists:
     def rates(k: Lists | None, c: float) -> Lists:
-        parts = y if k is None else (_plus(a, b, c * h) for a, b in zip(y, k, strict=True))
+        q, v, x = y if k is None else (_plus(a, b, c * h) for a, b in zip(y, k, strict=True))
         # without a barrier XLA's CPU compiler computes a stage again for each use
-        return fusion_barrier(model.rates(RobotContext(p, *parts, u)))
+        return fusion_barrier(model.rates(RobotContext(p, q, v, x, u)))
 
     k1 = rates(None, 0.0)
     k2 = rates(k1, 0.5)
@@ -220,7 +220,7 @@ def _states(model: RobotModel, state: State, ctrl: Any, dt: Any, how: _Steps) ->
         return y, y
 
     begin = (now.q, now.v, now.x)
-    starts = jnp.arange(0, how.count, how.save_every)
+    starts = jnp.arange(0, how.steps, how.save_every)
     _, path = jax.lax.scan(jax.checkpoint(segment), begin, starts)
 
     def table(first: list[Lane], later: list[Lane]) -> jax.Array:
@@ -314,4 +314,5 @@ class _Field(eqx.Module):
         model, ctrl = args
         u = ctrl(self.start + t, state) if callable(ctrl) else ctrl
         now = model.context(state, jnp.asarray(u, state.q.dtype))
-        return as_state(*model.rates(now), state.q.dtype)
+        q, v, x = model.rates(now)
+        return as_state(q, v, x, state.q.dtype)

@@ -18,6 +18,10 @@ from rbjax.errors import UnknownName
 from rbjax.wheeled.robot.motors import Motor, TorqueSource
 from rbjax.wheeled.robot.robot import Body, Drive, Robot, Steering, Wheel
 
+#: the fields of these classes convert numbers to arrays
+_body: Any = Body
+_wheel: Any = Wheel
+
 
 def _check(kind: str, **lengths: Any) -> None:
     """Raise `InputError` if a length is not a finite number above zero."""
@@ -44,12 +48,12 @@ def differential_drive(
     """Make a robot with two driven wheels on one axle, the right one first. `caster` is the
     distance of a caster ahead of the axle; None for no caster."""
     _check("differential_drive", track=track, radius=radius)
-    wheels = [Wheel([0.0, y], **_disc(radius, wheel_mass)) for y in (-track / 2, track / 2)]
+    wheels = [_wheel([0.0, y], **_disc(radius, wheel_mass)) for y in (-track / 2, track / 2)]
     if caster is not None:
         small = _disc(radius / 2, wheel_mass / 5)
-        wheels.append(Wheel([caster, 0.0], trail=radius / 4, kind="caster", **small))
+        wheels.append(_wheel([caster, 0.0], trail=radius / 4, kind="caster", **small))
     drives = _drives(motor, (0,), (1,))
-    return Robot.of(Body(mass, inertia, com, height), wheels, drives)
+    return Robot.of(_body(mass, inertia, com, height), wheels, drives)
 
 
 def unicycle(
@@ -60,11 +64,11 @@ def unicycle(
     sideways."""
     _check("unicycle", radius=radius)
     wheels = [
-        Wheel([0.0, 0.0], **_disc(radius, wheel_mass)),
-        Wheel([-radius, 0.0], math.pi / 2, kind="rollers", **_disc(radius / 4, wheel_mass / 10)),
+        _wheel([0.0, 0.0], **_disc(radius, wheel_mass)),
+        _wheel([-radius, 0.0], math.pi / 2, kind="rollers", **_disc(radius / 4, wheel_mass / 10)),
     ]
     drives = [*_drives(motor, (0,)), *_drives(yaw or motor, (1,))]
-    return Robot.of(Body(mass, inertia, height=radius), wheels, drives)
+    return Robot.of(_body(mass, inertia, height=radius), wheels, drives)
 
 
 def omnidirectional(
@@ -80,12 +84,12 @@ def omnidirectional(
         [2 * math.pi * i / wheels for i in range(wheels)] if isinstance(wheels, int) else wheels
     )
     made = [
-        Wheel([arm * math.cos(a), arm * math.sin(a)], a + math.pi / 2, kind="rollers",
+        _wheel([arm * math.cos(a), arm * math.sin(a)], a + math.pi / 2, kind="rollers",
               **_disc(radius, wheel_mass))
         for a in angles
     ]  # fmt: skip
     drives = _drives(motor, *((i,) for i in range(len(made))))
-    return Robot.of(Body(mass, inertia, height=height), made, drives)
+    return Robot.of(_body(mass, inertia, height=height), made, drives)
 
 
 def mecanum(
@@ -99,12 +103,12 @@ def mecanum(
     _check("mecanum", length=length, track=track, radius=radius)
     places = [(1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1)]
     made = [
-        Wheel([x * length / 2, y * track / 2], roller=side * math.pi / 4, kind="rollers",
+        _wheel([x * length / 2, y * track / 2], roller=side * math.pi / 4, kind="rollers",
               **_disc(radius, wheel_mass))
         for x, y, side in places
     ]  # fmt: skip
     drives = _drives(motor, *((i,) for i in range(4)))
-    return Robot.of(Body(mass, inertia, height=height), made, drives)
+    return Robot.of(_body(mass, inertia, height=height), made, drives)
 
 
 def car(
@@ -116,11 +120,11 @@ def car(
     Ackermann's geometry, the rear or front ones driven through a differential, or all by two."""
     _check("car", wheelbase=wheelbase, track=track, radius=radius)
     disc = _disc(radius, wheel_mass)
-    wheels = [Wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
-    wheels += [Wheel([wheelbase, y], kind="steered", **disc) for y in (track / 2, -track / 2)]
+    wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
+    wheels += [_wheel([wheelbase, y], kind="steered", **disc) for y in (track / 2, -track / 2)]
     axles = {"rear": [(0, 1)], "front": [(2, 3)], "all": [(0, 1), (2, 3)]}
     drives = _drives(motor, *axles[choice("drive", drive, axles)])
-    return Robot.of(Body(mass, inertia, com, height), wheels, drives, [Steering((2, 3), lag)])
+    return Robot.of(_body(mass, inertia, com, height), wheels, drives, [Steering((2, 3), lag)])
 
 
 def bicycle(
@@ -131,10 +135,10 @@ def bicycle(
     """Make a car with one wheel on each axle."""
     _check("bicycle", wheelbase=wheelbase, radius=radius)
     disc = _disc(radius, wheel_mass)
-    wheels = [Wheel([0.0, 0.0], **disc), Wheel([wheelbase, 0.0], kind="steered", **disc)]
+    wheels = [_wheel([0.0, 0.0], **disc), _wheel([wheelbase, 0.0], kind="steered", **disc)]
     axles = {"rear": [(0,)], "front": [(1,)], "all": [(0,), (1,)]}
     drives = _drives(motor, *axles[choice("drive", drive, axles)])
-    return Robot.of(Body(mass, inertia, com, height), wheels, drives, [Steering((1,), lag)])
+    return Robot.of(_body(mass, inertia, com, height), wheels, drives, [Steering((1,), lag)])
 
 
 def tricycle(
@@ -146,10 +150,10 @@ def tricycle(
     wheel."""
     _check("tricycle", wheelbase=wheelbase, track=track, radius=radius)
     disc = _disc(radius, wheel_mass)
-    wheels = [Wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
-    wheels.append(Wheel([wheelbase, 0.0], kind="steered", **disc))
+    wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
+    wheels.append(_wheel([wheelbase, 0.0], kind="steered", **disc))
     drives, steerings = _drives(motor, (2,)), [Steering((2,), lag)]
-    return Robot.of(Body(mass, inertia, com, height), wheels, drives, steerings)
+    return Robot.of(_body(mass, inertia, com, height), wheels, drives, steerings)
 
 
 def skid_steer(
@@ -162,12 +166,12 @@ def skid_steer(
     _check("skid_steer", length=length, track=track, radius=radius)
     disc = _disc(radius, wheel_mass)
     wheels = [
-        Wheel([x, y * track / 2], shaft=side, skids=True, **disc)
+        _wheel([x, y * track / 2], shaft=side, skids=True, **disc)
         for y, side in ((-1, "right"), (1, "left"))
         for x in (length / 2, -length / 2)
     ]
     drives = _drives(motor, (0,), (2,))
-    return Robot.of(Body(mass, inertia, com, height), wheels, drives)
+    return Robot.of(_body(mass, inertia, com, height), wheels, drives)
 
 
 def with_trailers(
@@ -189,9 +193,9 @@ def with_trailers(
     for _ in range(number):
         behind = {"hitch": [-hitch, 0.0], "drawbar": drawbar, "ahead": ahead}
         ahead = len(bodies)
-        bodies.append(Body(mass, inertia, com, height, **behind))
+        bodies.append(_body(mass, inertia, com, height, **behind))
         disc = _disc(radius, wheel_mass)
-        wheels += [Wheel([0.0, y], body=ahead, **disc) for y in (track / 2, -track / 2)]
+        wheels += [_wheel([0.0, y], body=ahead, **disc) for y in (track / 2, -track / 2)]
     return robot.replace(bodies=tuple(bodies), wheels=tuple(wheels), arrangement=None)
 
 
