@@ -278,7 +278,7 @@ def test_inside_of_a_thread():
 # ------------------------------------------------------------------- what needs a GPU
 
 
-def test_in_parts_on_a_gpu_is_one_function(monkeypatch):
+def test_several_kernels_on_a_gpu_are_one_function(monkeypatch):
     monkeypatch.setattr(function, "has_gpu", lambda: True)
     monkeypatch.setattr(launch, "kernels_work", lambda: True)
     monkeypatch.setattr(launch, "capability", lambda: "9.0")

@@ -253,6 +253,7 @@ CONSTRAINTS: Calls = {
     "residual of JointPolynomial": {"coefficients": S},
     "Projection": {"iterations": 2},
     "TangentSpace": {"iterations": 2},
+    "IndependentCoordinates": {"iterations": 2},
     "Spherical.between": ELBOW,
     "Revolute.between": {**ELBOW, "axis": np.array([0.0, 1.0, 0.0])},
     "Distance.between": {**ELBOW, "other": np.array([1.0, 0.0, 0.0]), "length": 1.0},

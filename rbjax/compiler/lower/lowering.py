@@ -354,7 +354,8 @@ def _places(
     moved = {v for eqn in jaxpr.eqns if eqn.primitive.name in MOVES for v in eqn.outvars}
     uses = Counter(v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal))
     uses.update(v for v in jaxpr.outvars if not isinstance(v, Literal))
-    for eqn in reversed(jaxpr.eqns):
+    eqns: Sequence[Any] = jaxpr.eqns
+    for eqn in reversed(eqns):
         if eqn.primitive.name == "fusion_barrier":
             for var, made in zip(eqn.invars, eqn.outvars, strict=True):
                 shape = getattr(made.aval, "shape", ())

@@ -106,13 +106,9 @@ def long_run_covariance(scores: Sequence[np.ndarray], lag: int | None = None) ->
     """Estimate the covariance (n, n) of the sum of correlated scores, (samples, n) for each
     recording."""
     lag = _optimal_lag(scores) if lag is None else lag
-    meat = np.zeros((scores[0].shape[1],) * 2)
-    for s in scores:
-        meat += s.T @ s
-        for k in range(1, min(lag, len(s) - 1) + 1):
-            cross = s[k:].T @ s[:-k]
-            meat += (1 - k / (lag + 1)) * (cross + cross.T)
-    return meat
+    window = 1 - np.abs(np.arange(-lag, lag + 1)) / (lag + 1)  # Bartlett's
+    found = sum(s.T @ signal.convolve(s, window[:, None], mode="same") for s in scores)
+    return np.asarray(found + np.transpose(found)) / 2
 
 
 def _optimal_lag(scores: Sequence[np.ndarray]) -> int:
