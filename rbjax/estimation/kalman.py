@@ -75,8 +75,7 @@ def kalman_filter(
     *,
     arrived: Any = None,
 ) -> KalmanFiltered:
-    """Estimate the states of N + 1 samples with the extended Kalman filter; exact for a linear
-    model.
+    """Estimate the states of N + 1 samples with the extended Kalman filter.
 
     Args:
         space: the model.
@@ -151,8 +150,7 @@ def kalman_filter(
 
 
 def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
-    """Estimate each state from all samples, before and after it, with the Rauch-Tung-Striebel
-    smoother.
+    """Estimate each state from all samples with the Rauch-Tung-Striebel smoother.
 
         l = A^T l',   x (+) -P l,   P - P L P;     l' = -H^T S^-1 z + C^T l,   C = 1 - K H
 
@@ -267,8 +265,7 @@ class Estimate(NamedTuple):
 def kalman_update(
     space: StateSpace, estimate: Estimate, reading: Any, noise: Any, *, arrived: Any = None
 ) -> Estimate:
-    """Update an estimate by one sample: the first half of a step of `kalman_filter`, for use in a
-    loop.
+    """Update an estimate by one sample: the first half of a step of `kalman_filter`.
 
         K = P H^T (H P H^T + R)^-1,   x (+) K (y (-) h(x)),   (1 - K H) P (1 - K H)^T + K R K^T
 
@@ -317,7 +314,7 @@ def kalman_update(
 
 
 def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: Any) -> Estimate:
-    """Predict the next state: the second half of a step of `kalman_filter`, for use in a loop.
+    """Predict the next state: the second half of a step of `kalman_filter`.
 
         x+ = f(x, u, 0),   P+ = A P A^T + G W G^T
 

@@ -55,9 +55,7 @@ def real(where: str, name: str, x: Any, expected: str, *, finite: bool = True) -
 
 def check_fits(where: str, space: Any, state: Any, P: jax.Array, given: Any, W: Any) -> None:
     """Raise InputError if the shapes of state, covariance P and process noise W do not match.
-
-    Only a `StateSpace` of arrays is checked. given: the inputs of a step. W: None for an update.
-    """
+    Only a `StateSpace` of arrays is checked. given: the inputs of a step. W: None for an update."""
     if space.box_plus is not operator.add:
         return
     shape = jnp.shape(state)
@@ -78,7 +76,7 @@ def check_fits(where: str, space: Any, state: Any, P: jax.Array, given: Any, W: 
 
 
 def check_inputs(where: str, inputs: Any, samples: bool) -> None:
-    """Raise InputError unless inputs are numeric arrays, with one row a step if `samples` is true."""
+    """Raise InputError unless inputs are numeric arrays, with one row a step if `samples`."""
     expected = "arrays (N, ...), one row a step" if samples else "arrays of numbers"
     for x in jax.tree.leaves(inputs):
         numeric = isinstance(x, jax.Array) or np.asarray(x).dtype.kind in "biuf"

@@ -79,11 +79,8 @@ class Ranges:
         return out
 
     def free(self, q: Sequence[Lane], g: Sequence[Lane]) -> dict[int, Lane]:
-        """Return a mask for each bounded coordinate, keyed by its index in v.
-
-        The mask is 0 if the coordinate is at a bound and the direction g (nv lanes) points out of
-        the range. Otherwise it is 1.
-        """
+        """Return a mask for each bounded coordinate, keyed by its index in v. It is 0 if the coordinate
+        is at a bound and the direction g (nv lanes) points out of the range, else 1."""
         out: dict[int, Lane] = {}
         for at in self.bounded:
             x, out_of = q[at.q], g[at.v]
@@ -92,11 +89,8 @@ class Ranges:
         return out
 
     def outward(self, q: Sequence[Lane], g: Sequence[Lane]) -> dict[int, list[Lane]]:
-        """Return the outward unit axis of each ball joint, keyed by the start of its slice of v.
-
-        The rotation angle grows along the axis. It is zero unless the joint is at its bound and the
-        direction g (nv lanes) points out of the range.
-        """
+        """Return the axis along which the angle of each ball joint grows, keyed by the start of its
+        slice of v. It is zero unless the joint is at its bound and g points out of the range."""
         out: dict[int, list[Lane]] = {}
         for ball in self.balls:
             turn = quaternion.log_lanes(list(q[ball.q]))
@@ -112,11 +106,8 @@ class Ranges:
 def random_configurations(
     model: Model, key: jax.Array, count: int, near: jax.Array, limits: bool = True
 ) -> jax.Array:
-    """Draw configurations (count, nq), uniform within the joint ranges.
-
-    For joints without a range, angles are within pi of `near`, lengths are within `SPREAD` of
-    `near`, and attitudes are uniform on SO(3).
-    """
+    """Draw configurations (count, nq), uniform within the joint ranges. For joints without a range,
+    angles are within pi and lengths within `SPREAD` of `near`; attitudes are uniform on SO(3)."""
     dtype = near.dtype
     unit = jax.random.uniform(key, (count, model.nq), dtype)
     q: list[jax.Array] = []
@@ -144,7 +135,7 @@ def random_configurations(
 
 
 def _attitudes(unit: list[jax.Array], joint: Any, most: Any) -> list[jax.Array]:
-    """Return uniform quaternions (Shoemake 1992). For a ball joint, scale the angle to its range."""
+    """Return uniform quaternions (Shoemake 1992), with ball joints scaled to their range."""
     a, b, c, _ = unit
     one, two = jnp.sqrt(1 - a), jnp.sqrt(a)
     b, c = 2 * math.pi * b, 2 * math.pi * c

@@ -127,8 +127,7 @@ def inverse_kinematics(
             for one target, or for a small batch on a GPU.
         key: key of the random starts; `jax.random.key(0)` if None.
         limits: if true, joints stay exactly within `model.joints.range`.
-        weights: weights of rotation errors (1/rad) and position errors (1/m) if not all can be
-            zero.
+        weights: weights of rotation errors (1/rad) and position errors (1/m).
         tolerance: largest accepted error, rad and m; one number or a pair.
         iterations: maximum number of iterations of each start.
 
@@ -371,10 +370,8 @@ def _configuration_rate_with_posture(
 
 
 def _free(model: Model, ranges: Ranges, q: jax.Array, step: jax.Array | None) -> jax.Array:
-    """Return a mask (nv,): 0 for coordinates that stay at a bound, 1 for the free ones.
-
-    With a posture, a coordinate stays at its bound only if the posture is beyond the bound.
-    """
+    """Return a mask (nv,): 0 for coordinates that stay at a bound, 1 for the free ones. With a
+    posture, a coordinate stays at its bound only if the posture is beyond the bound."""
     out = [jnp.ones((), q.dtype)] * model.nv
     for at in ranges.bounded:
         x = q[at.q]

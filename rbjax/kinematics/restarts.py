@@ -124,8 +124,7 @@ def half_square(e: Sequence[Lane]) -> jax.Array:
 #: The damping is SHARE * E + LEAST * tolerance. The second term makes a singular J J^T invertible.
 #: With a posture, it leaves an error of its size times the multipliers.
 SHARE, LEAST = 3e-2, 1e-4
-#: a start ends if the error does not fall to `FALL` of its lowest value within `PATIENCE`
-#: iterations
+#: a start ends if the error does not fall to `FALL` of its minimum within `PATIENCE` iterations
 FALL, PATIENCE = 0.5, 4
 #: iterations from the best configuration if no start succeeds
 POLISH = 100
@@ -136,11 +135,7 @@ LONGEST = 1.0
 
 
 class Settings(NamedTuple):
-    """Compile-time settings.
-
-    iterations: maximum number of iterations of each start.
-    limits: true if joints stay within their ranges.
-    """
+    """Compile-time settings: iterations of each start, true if joints stay within their ranges."""
 
     iterations: int
     limits: bool
@@ -189,8 +184,7 @@ def search(
     tolerance: tuple[Any, Any],
     how: Settings,
 ) -> Found:
-    """Search for the goals from each start in turn, and return the first success or the nearest
-    pose.
+    """Search for the goals from each start in turn, and return the first solution or nearest pose.
 
     start: first start, (nq,).
     others: starts that follow, (n, nq).

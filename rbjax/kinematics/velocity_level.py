@@ -152,7 +152,7 @@ def _solved(
 
 
 class _Set(NamedTuple):
-    """State of the active set method: the point, the mask of fixed entries, optimality, step count."""
+    """State of the active set: point, mask of fixed entries, true if optimal, step count."""
 
     x: jax.Array
     held: jax.Array
