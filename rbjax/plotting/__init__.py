@@ -6,13 +6,11 @@ page. Each draws a model from its numbers (rods and ellipsoids of inertia) or fr
 """
 
 from rbjax.plotting.animation import animate
-from rbjax.plotting.camera import Camera
 from rbjax.plotting.charts import time_plot
-from rbjax.plotting.drawing import bare, draw, draw_solids
-from rbjax.plotting.film import poses
+from rbjax.plotting.drawing import bare, draw, draw_solids, strobe
+from rbjax.plotting.film import Camera, poses
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
-from rbjax.plotting.stroboscope import strobe
 from rbjax.plotting.top_views import animate_top_view, top_view
 from rbjax.style import (
     BLUE,

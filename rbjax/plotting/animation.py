@@ -1,8 +1,12 @@
-"""A trajectory as a moving picture: GIF, MP4, or a page that turns under the mouse."""
+"""A trajectory as a moving picture: GIF, MP4, or a page whose view the mouse turns."""
 
 from __future__ import annotations
 
+import base64
+import html
+import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +15,11 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
-from rbjax.plotting import movie_files, offscreen, page
-from rbjax.plotting.camera import Camera
-from rbjax.plotting.drawing import Stage, shapes_of
-from rbjax.plotting.film import Film, film, frames
-from rbjax.plotting.moving import canvas_of, check_positive, clock, picture
+from rbjax.plotting import movie_files, offscreen
+from rbjax.plotting.drawing import FADED, Stage, shapes_of
+from rbjax.plotting.film import Camera, Film, film, frames
+from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture
+from rbjax.rotations import quaternion
 from rbjax.style import INK
 
 SUFFIXES = (".gif", ".mp4", ".html")
@@ -42,20 +46,20 @@ def animate(
 ) -> Path:
     """Write an animation of a trajectory.
 
-    Without `source` the robot is drawn only from the model's numbers, as rods from joint to joint
-    and ellipsoids of inertia. The file's name decides the format: .gif; .mp4, for which ffmpeg must
+    Without `source` the robot is drawn from its parameters, as rods from joint to joint and
+    ellipsoids of inertia. The file's name decides the format: .gif; .mp4, for which ffmpeg must
     be installed; .html, one file that needs nothing else, where the mouse turns the view.
 
     Args:
-        model: one robot, the one that moved.
-        trajectory: what `rollout` or `simulate` gives; q (T, nq) or (B, T, nq), times in s. Frames
+        model: the robot that moved.
+        trajectory: of `rollout` or `simulate`; q (T, nq) or (B, T, nq), times in s. Frames
             between its states are interpolated.
         path: the file to write, .gif, .mp4 or .html.
-        source: what `rbjax.load` took, to draw the file's geoms.
+        source: the argument of `rbjax.load`, to draw the file's geoms.
         floating_base: as in `rbjax.load`, for a source that is a URDF.
         fps: frames a second of the animation.
         speed: seconds of motion in a second of the animation; 0.1 is slow motion.
-        samples: how many of a batch are drawn, the first strongly, the others faded.
+        samples: the number of samples of a batch to draw, the first strongly, the others faded.
         camera: line of sight; None looks across a flat motion, at any other from a corner.
         follow: whether the picture moves with the robot; None: only if it goes far.
         trace: one body or several, whose origins leave a line.
@@ -87,7 +91,7 @@ def animate(
     shapes = shapes_of(model, source, floating_base)
     shown = film(model, ts, q, shapes, camera=camera, follow=follow, trace=trace)
     if path.suffix == ".html":
-        page.write(path, shown, title, fps=fps, speed=speed)
+        _write_page(path, shown, title, fps=fps, speed=speed)
         return path
     pictures: Iterable[np.ndarray] = _drawn(shown, title, speed, size)
     if renderer == "mujoco":
@@ -99,7 +103,7 @@ def animate(
 
 
 def writable(path: Path) -> None:
-    """Raise InputError where `animate` cannot write such a file, before anything is computed."""
+    """Raise InputError if `animate` cannot write such a file, before anything is computed."""
     movie_files.check("animate", path, SUFFIXES)
 
 
@@ -147,3 +151,42 @@ def _labelled(
         shown.set_data(image)
         label.set_text(clock(film.ts[frame], speed))
         yield picture(canvas)
+
+
+def _write_page(path: Path, film: Film, title: str, *, fps: float, speed: float) -> None:
+    """Write a film as one HTML page that needs no network, with a script that draws it.
+
+    Poses are 32-bit floats, position and quaternion, in base64."""
+    data: dict[str, Any] = {
+        "fps": fps,
+        "speed": speed,
+        "faded": FADED,
+        "start": float(film.ts[0]),
+        "frames": len(film.ts),
+        "samples": len(film.R),
+        "bodies": film.p.shape[2],
+        "azimuth": film.camera.azimuth,
+        "elevation": film.camera.elevation,
+        "floor": film.floor,
+        "size": film.size.tolist(),
+        "solids": [
+            {
+                "body": s.body,
+                "color": [round(255 * c) for c in s.color],
+                "alpha": s.alpha,
+                "points": _packed(s.points),
+            }
+            for s in film.shapes
+        ],
+        "poses": _packed(np.concatenate([film.p, quaternion.from_matrix(film.R)], -1)),
+        "centre": _packed(film.centre),
+        "paths": [_packed(p) for p in film.paths],
+        "strong": film.strong,
+    }
+    text = resources.files("rbjax.plotting").joinpath("page.html").read_text()
+    text = text.replace("__TITLE__", html.escape(title or "rbjax"))
+    path.write_text(text.replace("__DATA__", json.dumps(data)))
+
+
+def _packed(x: np.ndarray) -> str:
+    return base64.b64encode(np.asarray(x, "<f4").tobytes()).decode()

@@ -1,8 +1,8 @@
-"""Argument checks of the pictures."""
+"""Checks of the arguments of pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -56,29 +56,3 @@ def check_solids(where: str, shapes: Any, R: Any, p: Any, alpha: Any) -> tuple[A
     if real_number(where, "alpha", alpha, least=0.0) > 1:
         raise InputError(f"{where}: alpha is {alpha}, expected an opacity from 0 to 1")
     return R, p
-
-
-def series(where: str, name: str, x: Any, length: int) -> np.ndarray:
-    """Columns over time (T, n), which may have gaps (NaN).
-
-    Raises:
-        InputError: not numbers, or another shape.
-    """
-    found = real_array(where, name, x, finite=False)
-    if found.ndim != 2 or len(found) != length:
-        raise InputError(
-            f"{where}: {name} has shape {found.shape}, expected ({length}, n), a row for each of ts"
-        )
-    return found
-
-
-def check_two_axes(where: str, axes: Any) -> None:
-    """Two axes of matplotlib.
-
-    Raises:
-        InputError: anything else.
-    """
-    if not isinstance(axes, (Sequence, np.ndarray)) or isinstance(axes, str) or len(axes) < 2:
-        raise InputError(f"{where}: axes is {type(axes).__name__}, expected two axes")
-    for ax in axes[:2]:
-        check_axis(where, ax, "axes")

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 
 from rbjax.arguments import real_array
 from rbjax.errors import InputError
-from rbjax.plotting.arguments import check_two_axes, series
+from rbjax.plotting.arguments import check_axis
 
 
 def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str] = ()) -> None:
-    """Configuration and velocity coordinates over time, on two axes.
+    """Draw configuration and velocity coordinates over time, on two axes.
 
     Args:
         axes: two axes, for q and for v.
@@ -31,12 +31,22 @@ def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str
         >>> len(axes[0].lines)
         2
     """
-    check_two_axes("time_plot", axes)
+    if not isinstance(axes, (Sequence, np.ndarray)) or isinstance(axes, str) or len(axes) < 2:
+        raise InputError(f"time_plot: axes is {type(axes).__name__}, expected two axes")
+    for ax in axes[:2]:
+        check_axis("time_plot", ax, "axes")
     ts = real_array("time_plot", "ts", ts, ndim=1)
     if isinstance(names, str) or not isinstance(names, Sequence):
         raise InputError(f"time_plot: names is {names!r}, expected a sequence of names")
-    q, v = series("time_plot", "q", q, len(ts)), series("time_plot", "v", v, len(ts))
-    for ax, x, label in ((axes[0], q, "q  [m, rad, -]"), (axes[1], v, "v  [m/s, rad/s]")):
+    for ax, name, given, label in (
+        (axes[0], "q", q, "q  [m, rad, -]"), (axes[1], "v", v, "v  [m/s, rad/s]")
+    ):  # fmt: skip
+        x = real_array("time_plot", name, given, finite=False)  # gaps are nan
+        if x.ndim != 2 or len(x) != len(ts):
+            raise InputError(
+                f"time_plot: {name} has shape {x.shape}, expected ({len(ts)}, n), a row for each "
+                "of ts"
+            )
         for i in range(np.shape(x)[-1]):
             ax.plot(ts, x[:, i], lw=1.4, label=names[i] if i < len(names) else None)
         ax.set(xlabel="time [s]", ylabel=label)

@@ -1,7 +1,7 @@
-"""One posture on a matplotlib axis: convex hulls of projected points, far ones first, a shadow.
+"""Postures on a matplotlib axis, without GL or a window.
 
-No GL and no window: points of each solid, moved by our own forward kinematics, are projected
-along the line of sight, and their convex hull is filled.
+The points of each solid are projected along the line of sight, and their convex hull is filled,
+far solids first. The shadow is the projection on the floor.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ from rbjax.arguments import real_array
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.plotting.arguments import check_axis, check_solids
-from rbjax.plotting.camera import Camera
-from rbjax.plotting.film import Film, film
+from rbjax.plotting.arguments import check_axis, check_solids, configurations
+from rbjax.plotting.film import Camera, Film, film, poses
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
-from rbjax.style import BLUE, GRID
+from rbjax.style import BLUE, GRID, ORANGE
 
 Array = np.ndarray
 _GROUND = "#f4f6f8"
-#: how strongly the samples after the first are drawn
+#: the opacity of the samples after the first
 FADED = 0.22
 
 
@@ -46,7 +45,7 @@ def outlines(
     shapes: Sequence[Solid], R: Array, p: Array, camera: Camera, *, alpha: float = 1.0,
     world: bool = True,
 ) -> list[Outline]:  # fmt: skip
-    """The solids as seen, from far to near: R (nb, 3, 3), p (nb, 3)."""
+    """Outlines of solids in the view, from far to near. R (nb, 3, 3), p (nb, 3)."""
     axes, found = camera.axes, []
     for s in shapes:
         if s.body < 0 and not world:
@@ -92,18 +91,18 @@ def draw_solids(
     world: bool = True,
     zorder: float = 2.0,
 ) -> None:
-    """Solids at one pose, added to an axis as patches.
+    """Draw solids at one pose, as patches of an axis.
 
     Args:
         ax: the axis.
-        shapes: what `solids` or `skeleton` gives.
+        shapes: of `solids` or `skeleton`.
         R: (nb, 3, 3), body to world axes.
         p: (nb, 3) m, the bodies' origins in the world's frame.
         camera: line of sight.
         alpha: opacity.
         shadow: whether they cast a shadow on z = 0.
-        world: whether what is fixed to the world is drawn too.
-        zorder: matplotlib's, of the farthest solid.
+        world: whether the solids that are fixed to the world are drawn.
+        zorder: of the farthest solid, in matplotlib.
 
     Example:
         >>> import matplotlib.figure, numpy as np
@@ -133,7 +132,7 @@ class Stage:
         self.ax, self.film = ax, film
         self.disc = PolyCollection([], facecolors=_GROUND, linewidths=0, zorder=0)
         self.grid = LineCollection([], colors=GRID, linewidths=0.8, zorder=0.5)
-        # blended once, so that overlapping shadows do not add up to black
+        # blended once, so that overlapping shadows do not become black
         self.shadow = PolyCollection([], facecolors="#e3e7eb", linewidths=0, zorder=1)
         first = [(*to_rgb(BLUE), 1.0 if strong else FADED) for strong in film.strong]
         self.paths = LineCollection([], colors=first, linewidths=1.6, zorder=1.5)
@@ -147,7 +146,7 @@ class Stage:
         """Draw a frame in place of the last."""
         f, axes = self.film, self.film.camera.axes[:2]
         centre, half = f.centre[frame] @ axes.T, f.size / 2 * [1.0, 1.15]  # title and time
-        width, height = self.ax.get_window_extent().size  # what the axis has more to one side
+        width, height = self.ax.get_window_extent().size  # the larger side of the axis
         half = np.maximum(half, half[::-1] * [width / height, height / width])
         self.ax.set(
             xlim=(centre[0] - half[0], centre[0] + half[0]),
@@ -216,14 +215,14 @@ def draw(
     source: Any = None,
     camera: Camera | None = None,
 ) -> Axes:
-    """One posture of a robot, on the ground that it may stand on.
+    """Draw one posture of a robot, with the ground.
 
     Args:
         model: one robot.
         q: (nq,) configuration.
         ax: the axis to draw on; None makes a figure.
-        source: what `rbjax.load` took, to draw the file's geoms; None draws rods from joint to
-            joint and ellipsoids of inertia.
+        source: the argument of `rbjax.load`, to draw the file's geoms; None draws rods from joint
+            to joint and ellipsoids of inertia.
         camera: line of sight; None chooses one.
 
     Returns:
@@ -256,11 +255,11 @@ def draw(
 
 
 def bare(ax: Axes, margin: float = 0.05) -> None:
-    """Fit an axis to its polygons and lines, with equal scales, without frame or ticks.
+    """Fit an axis to its polygons and lines, with equal scales, and hide frame and ticks.
 
     Args:
         ax: the axis.
-        margin: left free on each side, as a share of the larger extent.
+        margin: on each side, as a share of the larger extent.
 
     Example:
         >>> import matplotlib.figure
@@ -277,3 +276,52 @@ def bare(ax: Axes, margin: float = 0.05) -> None:
     pad = margin * (high - low).max()
     ax.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad), aspect="equal")
     ax.axis("off")
+
+
+def strobe(
+    ax: Axes,
+    source: Any,
+    model: Model,
+    q: np.ndarray,
+    *,
+    camera: Camera | None = None,
+    trace: str | None = None,
+    color: str = ORANGE,
+    shadow: bool = True,
+    floating_base: bool = False,
+) -> None:
+    """Draw poses along a motion over one another, later ones stronger.
+
+    Args:
+        ax: the axis.
+        source: an argument of `rbjax.load`, for the shapes; None draws rods and ellipsoids.
+        model: the robot.
+        q: (T, nq) configurations, one drawn pose each.
+        camera: line of sight.
+        trace: a body whose origin leaves a line.
+        color: the colour of that line.
+        shadow: whether the last pose casts a shadow on the floor.
+        floating_base: as in `rbjax.load`, for a source that is a URDF.
+
+    Example:
+        >>> import matplotlib.figure, numpy as np
+        >>> import rbjax as rb
+        >>> ax = matplotlib.figure.Figure().add_subplot()
+        >>> path = np.linspace(0.0, 1.0, 5)[:, None]
+        >>> rb.plotting.strobe(ax, "pendulum", rb.load("pendulum"), path, shadow=False)
+        >>> len(ax.patches)
+        11
+    """
+    check_axis("strobe", ax)
+    q = configurations("strobe", model, q)
+    shapes = shapes_of(model, source, floating_base)
+    R, p = poses(model, q)
+    for i in range(len(q)):
+        last = i == len(q) - 1
+        alpha = 1.0 if last else 0.12 + 0.4 * (i / len(q)) ** 2
+        draw_solids(ax, shapes, R[i], p[i], camera=camera, alpha=alpha, shadow=shadow and last,
+                    world=last, zorder=2 + i)  # fmt: skip
+    if trace is not None:
+        path = p[:, model.body(trace)] @ (camera or Camera()).axes[:2].T
+        ax.plot(*path.T, color=color, lw=1.2, zorder=2 + len(q))
+    bare(ax)

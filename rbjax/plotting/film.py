@@ -1,4 +1,4 @@
-"""What an animation shows, before anything is drawn: poses at even times, a view that fits them."""
+"""The content of a picture before it is drawn: poses at equal times, and a view that fits them."""
 
 from __future__ import annotations
 
@@ -15,25 +15,69 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.arguments import configurations
-from rbjax.plotting.camera import Camera, facing
-from rbjax.plotting.moving import schedule
+from rbjax.plotting.movie_files import schedule
 from rbjax.plotting.solid_shapes import Solid
 
 Array = np.ndarray
-#: frames whose every point is looked at to find the view
+#: the number of frames from which the view is computed
 _PROBED = 60
-#: a motion that goes this many sizes of the robot across the picture is followed
+#: the picture follows a motion across it of more than this many sizes of the robot
 _FAR = 4.0
 
 
 @dataclass(frozen=True)
-class Film:
-    """Poses of samples at frames, and the view of them; all in the world's frame, in m.
+class Camera:
+    """A line of sight by azimuth and elevation in degrees, orthographic.
 
-    Fields: ts (F,) s; R (S, F, nb, 3, 3) and p (S, F, nb, 3), bodies of each sample; shapes;
-    camera; floor, the height of the ground that is drawn; centre (F, 3), the middle of the picture;
-    size (2,), its least width and height; paths (n, F, 3), of bodies that leave a line, and strong
-    (n,), whether each is of the first sample.
+    Example:
+        >>> from rbjax.plotting import Camera
+        >>> Camera(azimuth=-90.0, elevation=0.0).axes.round(3) + 0.0  # x to the right, z up
+        array([[ 1.,  0.,  0.],
+               [ 0.,  0.,  1.],
+               [ 0., -1.,  0.]])
+    """
+
+    azimuth: float = -60.0
+    elevation: float = 12.0
+
+    @property
+    def axes(self) -> Array:
+        """Rows: right, up, towards the eye."""
+        a, e = np.radians(self.azimuth), np.radians(self.elevation)
+        eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        right = np.array([-np.sin(a), np.cos(a), 0.0])
+        return np.stack([right, np.cross(eye, right), eye])
+
+
+def facing(points: Array) -> Camera:
+    """The camera for a cloud of points (n, 3): across a flat one, else from a corner.
+
+    A mechanism that moves in a vertical plane is seen at right angles to it.
+    """
+    spread = np.cov(points[:, :2].T)
+    values, vectors = np.linalg.eigh(spread)
+    if values[1] > 0 and values[0] < 0.1**2 * values[1]:
+        thin = vectors[:, 0]
+        # from the front (-y) or the right (+x), so that x or y grows to the right
+        thin = thin if thin @ (1e-6, -1.0) > 0 or abs(thin[1]) < 1e-6 < thin[0] else -thin
+        return Camera(float(np.degrees(np.arctan2(thin[1], thin[0]))), 10.0)
+    return Camera(-60.0, 16.0)
+
+
+@dataclass(frozen=True)
+class Film:
+    """Poses of samples at frames, and their view, in the world's frame, in m.
+
+    Fields:
+        ts: (F,) s.
+        R, p: (S, F, nb, 3, 3) and (S, F, nb, 3), of the bodies of each sample.
+        shapes: solids.
+        camera: line of sight.
+        floor: the height of the ground.
+        centre: (F, 3), the middle of the picture.
+        size: (2,), its least width and height.
+        paths: (n, F, 3), of bodies that leave a line.
+        strong: (n,), whether each path is of the first sample.
     """
 
     ts: Array
@@ -49,7 +93,7 @@ class Film:
 
 
 def poses(model: Model, q: Array) -> tuple[Array, Array]:
-    """Rotations (T, nb, 3, 3) and positions (T, nb, 3) of the bodies along a motion q (T, nq)."""
+    """Compute rotations (T, nb, 3, 3) and positions (T, nb, 3) of the bodies along q (T, nq)."""
     q = configurations("poses", model, q)
     R, p = jax.jit(jax.vmap(forward_kinematics, (None, 0)))(model, jnp.asarray(q))
     return np.asarray(R, float), np.asarray(p, float)
@@ -58,10 +102,10 @@ def poses(model: Model, q: Array) -> tuple[Array, Array]:
 def frames(
     model: Model, trajectory: Trajectory, fps: float, speed: float, samples: int
 ) -> tuple[Array, Array]:
-    """Times (F,) s, one each 1/fps s of playing, and configurations (S, F, nq) at them.
+    """Times (F,) s, one every 1/fps s of playing, and configurations (S, F, nq) at them.
 
-    Between saved states a body moves along the shortest way, attitudes included. What comes after
-    a state that is not finite is left out, with a warning.
+    Between saved states a body moves along the shortest way, attitudes included. States after one
+    that is not finite are left out, with a warning.
     """
     ts, q = np.asarray(trajectory.ts, float), np.asarray(trajectory.q)
     q = q[None] if q.ndim == 2 else q[:samples]
@@ -96,16 +140,10 @@ def film(
     follow: bool | None = None,
     trace: Sequence[str] = (),
 ) -> Film:
-    """Poses of configurations q (S, F, nq), and the view that fits them.
+    """Make a film of configurations q (S, F, nq), with a view that fits them.
 
-    Args:
-        model: the robot.
-        ts: (F,) s.
-        q: (S, F, nq), all finite.
-        shapes: what is drawn.
-        camera: line of sight; None chooses one by how flat the motion is.
-        follow: whether the picture moves with the robot; None: only if it goes far.
-        trace: bodies whose origins leave a line.
+    camera: None chooses one by how flat the motion is. follow: whether the picture moves with the
+    robot; None: only if it goes far. trace: bodies whose origins leave a line.
     """
     samples, count = q.shape[:2]
     R, p = poses(model, q.reshape(-1, model.nq))
@@ -148,7 +186,7 @@ def film(
 
 
 def _with_floor(size: Array, centre: Array, camera: Camera, floor: float) -> tuple[Array, Array]:
-    """The view made higher until the ground under its middle is in it."""
+    """Extend the view down to the ground under its middle."""
     up = camera.axes[1]
     ground = np.array([*centre[0, :2], floor])
     below = (centre[0] - ground) @ up - size[1] / 2 + 0.06 * size.max()

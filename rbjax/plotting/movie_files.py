@@ -1,14 +1,18 @@
-"""Frames into files: GIF by Pillow, MP4 by ffmpeg."""
+"""Moving pictures: times of frames, a canvas, and files (GIF by Pillow, MP4 by ffmpeg)."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
 import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -17,10 +21,11 @@ from rbjax.errors import InputError, RbjaxError
 
 #: colours of a GIF; drawn robots have few
 _COLORS = 128
+_DPI = 100
 
 
 def check(where: str, path: Path, suffixes: Sequence[str]) -> None:
-    """Raise InputError where no such file can be written."""
+    """Raise InputError if such a file cannot be written."""
     if path.suffix not in suffixes:
         raise InputError(
             f"{where}: got the file name {path.name!r}, expected one that ends in "
@@ -43,7 +48,7 @@ def write(
     fps: float,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Write so many pictures as a GIF or an MP4. Progress: a bar in a terminal, or a function."""
+    """Write `total` pictures as a GIF or an MP4. progress: a function; None for a bar."""
     into = gif if path.suffix == ".gif" else mp4
     if progress is not None:
         into(path, _counted(pictures, total, progress), fps)
@@ -71,9 +76,9 @@ def gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
         Image.fromarray(picture).quantize(_COLORS, dither=Image.Dither.NONE) for picture in pictures
     ]
     edges = np.round(100.0 / fps * np.arange(len(images) + 1))
-    # browsers slow down what is faster than 50 frames a second
+    # browsers slow down animations of more than 50 frames a second
     durations = [max(20, 10 * int(d)) for d in np.diff(edges)]
-    durations[-1] = max(durations[-1], 700)  # a rest before it starts again
+    durations[-1] = max(durations[-1], 700)  # a pause before it repeats
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=durations, loop=0, optimize=True
     )
@@ -116,3 +121,49 @@ def _command(program: str, path: Path, shape: tuple[int, ...], fps: float) -> li
     # H.264 in yuv420p, as browsers want it, has even numbers of pixels
     wanted = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", "-pix_fmt", "yuv420p", "-crf", "18"]
     return [program, "-y", "-loglevel", "error", *given, "-i", "-", *wanted, str(path)]
+
+
+def check_positive(where: str, **given: float) -> None:
+    """`InputError` for rates and counts that are not above zero."""
+    for name, value in given.items():
+        if not value > 0:
+            raise InputError(f"{where}: {name} is {value}, expected more than 0")
+
+
+def schedule(
+    where: str, ts: np.ndarray, q: np.ndarray, fps: float, speed: float
+) -> tuple[int, np.ndarray]:
+    """The number of states that are drawn, and times (F,) s of frames, one every 1/fps s.
+
+    ts (T,), q (..., T, nq). States after one that is not finite are left out, with a warning.
+    """
+    others = tuple(k for k in range(q.ndim) if k != q.ndim - 2)
+    whole = np.isfinite(q).all(others) & np.isfinite(ts)
+    kept = len(ts) if whole.all() else int(whole.argmin())
+    if not kept:
+        raise InputError(f"{where}: the first state is not finite, expected numbers to draw")
+    if kept < len(ts):
+        warnings.warn(
+            f"the motion is not finite after t = {ts[kept - 1]:.4g} s; the rest is left out",
+            stacklevel=4,
+        )
+    count = 1 + int(np.floor((ts[kept - 1] - ts[0]) * fps / speed + 1e-6))
+    return kept, ts[0] + np.arange(count) * speed / fps
+
+
+def canvas_of(size: tuple[int, int]) -> tuple[FigureCanvasAgg, Figure]:
+    """A canvas of a size in pixels, and its figure."""
+    figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
+    return FigureCanvasAgg(figure), figure
+
+
+def picture(canvas: Any) -> np.ndarray:
+    """The pixels (height, width, 3) of a canvas."""
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+def clock(t: float, speed: float) -> str:
+    """The text of the time."""
+    rate = "" if speed == 1 else f"   {speed:g} x real time"
+    return f"t = {t:.2f} s{rate}"

@@ -56,8 +56,7 @@ class _Skeleton:
                 self.children[parent].append(body)
         bodies, joints = model.bodies, model.joints
         self.mass, self.com, self.inertia, self.position = (
-            np.asarray(x, float)
-            for x in (bodies.mass, bodies.com, bodies.inertia, bodies.position)
+            np.asarray(x, float) for x in (bodies.mass, bodies.com, bodies.inertia, bodies.position)
         )
         self.anchor, self.axis, self.range = (
             np.asarray(x, float) for x in (joints.placement, joints.axis, joints.range)

@@ -28,7 +28,7 @@ from rbjax.plotting.from_above import (
     quiver,
     reach,
 )
-from rbjax.plotting.moving import canvas_of, check_positive, clock, picture, schedule
+from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture, schedule
 from rbjax.style import GRID, INK, ORANGE
 from rbjax.wheeled.models.robot_model import RobotModel
 
