@@ -1,9 +1,9 @@
 """Contacts of two boxes: separating axes, then the clipped face or the two nearest edges.
 
-The axis of least overlap is a face normal of either box or a product of two edges. (Gottschalk, Lin
-& Manocha 1996; Ericson, *Real-Time Collision Detection*, 4.4.) A face axis gives the polygon in which
-the most opposed face of the other box, the incident face, meets the prism over the reference face
-(Sutherland & Hodgman 1974). An edge axis gives one contact.
+The axis of least overlap is a face normal of either box or a product of two edges.
+A face axis gives the polygon in which the incident face, which is the most opposed face of the
+other box, meets the prism over the reference face. An edge axis gives one contact. (Gottschalk, Lin
+& Manocha 1996; Sutherland & Hodgman 1974; Ericson, *Real-Time Collision Detection*, 4.4.)
 """
 
 from __future__ import annotations

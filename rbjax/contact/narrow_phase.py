@@ -50,8 +50,8 @@ def plane_ellipsoid(plane: Shape, ellipsoid: Shape, reach: Lane) -> list[Contact
 def plane_cylinder(plane: Shape, cylinder: Shape, reach: Lane) -> list[Contact]:
     """Return up to four contacts of a plane with the rims of a cylinder.
 
-    They are the lowest point of the lower rim, the lowest point of the upper rim, and the two points
-    of the lower rim that form an equilateral triangle with the first.
+    They are the lowest points of the lower and of the upper rim, and the two points of the lower
+    rim that form an equilateral triangle with the first.
     """
     n = plane.axis
     radius, half = cylinder.size[0], cylinder.size[1]
@@ -188,6 +188,12 @@ PAIRS: dict[tuple[str, str], Pair] = {
     ("capsule", "capsule"): capsule_capsule,
     ("box", "box"): box_box,
 }
+
+#: candidates of each pair
+COUNTS = dict.fromkeys(PAIRS, 1) | {
+    ("plane", "capsule"): 2, ("plane", "cylinder"): 4, ("plane", "box"): 8,
+    ("capsule", "capsule"): 2, ("box", "box"): 8,
+}  # fmt: skip
 
 
 def _above_plane(plane: Shape, point: Vec3, reach: Lane) -> Contact:

@@ -21,6 +21,7 @@ from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuator_kinds import reflected
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of
+from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.fields import Off, is_on, names_of
 from rbjax.loading.mjcf.fluid import inertial_frame
 from rbjax.loading.mjcf.forces import force_elements
@@ -244,4 +245,5 @@ def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
         priority=static(m.geom_priority),
         group=static(m.geom_group),
         rgba=tuple(tuple(x.tolist()) for x in colors),
+        pairs=contact_pairs(m),
     )
