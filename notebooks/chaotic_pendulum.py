@@ -74,8 +74,10 @@ unknowns = {
     "viscous": Unknown("joints.damping", positive=True),
 }
 grid = Grid(T, 2)
-found = identify(guess, swing, unknowns, shooting=0.2, starts=True, grid=grid)
-print(found.message, "in", found.evaluations, "evaluations; rms [mrad]", 1e3 * found.rms["q"])
+found = identify(
+    guess, swing, unknowns, multiple_shooting=0.2, estimate_initial_state=True, grid=grid
+)
+print(found.status.text, "in", found.evaluations, "evaluations; rms [mrad]", 1e3 * found.rms["q"])
 for name, value in found.values.items():
     print(f"{name:11s} {value:9.5f} +- {found.estimates.interval(name).sigma:.1e}")
 
@@ -192,7 +194,7 @@ def design(name, terms):
 
 def fit(name, *terms):
     setup, unknowns = design(name, terms)
-    return identify(setup, data[name][0], unknowns, grid=GRID, starts=True)
+    return identify(setup, data[name][0], unknowns, grid=GRID, estimate_initial_state=True)
 
 
 def residuals(found):
@@ -210,12 +212,12 @@ if DATA:
             label, sum(float((r**2).sum()) for r in off), f.estimates.values.size
         )
         print(f"{label:32s} rms {1e3 * f.rms['q'][0]:.2f} mrad, on unseen pieces "
-              f"{1e3 * f.on(data['single'][1], starts=True).rms:.2f}")  # fmt: skip
+              f"{1e3 * f.validate(data['single'][1]).rms:.2f}")  # fmt: skip
     effective = sum(whiteness(r[:, 0]).effective_samples for r in off)
     print(f"the residuals are smooth: {effective:.0f} samples' worth")
     names = list(scores)
     for a, b in ((0, 1), (1, 4), (2, 3)):
-        print(compare(scores[names[a]], scores[names[b]], effective).sentence)
+        print(compare(scores[names[a]], scores[names[b]], effective).summary())
     print(f"viscosity beside both: {fits[names[4]].values['viscous[0]']:.1e} N m s/rad")
 
 # %% [markdown]
@@ -233,7 +235,7 @@ if DATA:
 
 def errors(model, runs):
     """By piece, the RMS over samples and arms of the angles from the vertical, mrad."""
-    found = free_run(model, runs, grid=GRID, starts=True).values()
+    found = free_run(model, runs, grid=GRID, estimate_initial_state=True).values()
     return np.array([1e3 * np.sqrt((np.cumsum(s["q"].residual, -1) ** 2).mean()) for s in found])
 
 

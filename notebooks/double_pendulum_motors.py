@@ -73,7 +73,7 @@ runs = {design: recordings(design) for design in DESIGNS}
 for design in DESIGNS:
     run = runs[design][4 if design == "A.0" else 0]
     figure, axes = plt.subplots(1, 3, figsize=(12, 2.6), layout="constrained")
-    cut = run.piece(3.0, 4.5)
+    cut = run.segment(3.0, 4.5)
     speed = sysid.data.differentiate(run["q"].t, run["q"].values, 100.0).values
     near = (run["q"].t > 3.0) & (run["q"].t < 4.5)
     for k, (joint, color) in enumerate(zip(JOINTS, (BLUE, ORANGE), strict=True)):
@@ -189,13 +189,13 @@ for design in DESIGNS:
     steps = [scored(name, *how) for name, how in LADDER.items()]
     print(f"design {design}, {samples:.0f} effective samples")
     for small, large in itertools.pairwise(steps):
-        print("  ", sysid.statistics.compare(small, large, samples).sentence)
+        print("  ", sysid.statistics.compare(small, large, samples).summary())
     for name, names in FURTHER.items():
         large = scored(name, names, ZEROS)
         gain = 100 * (1 - large.squares / steps[-1].squares)
         if gain > 0:
             compared = sysid.statistics.compare(steps[-1], large, samples)
-            print("  ", compared.sentence, f"({gain:.1f} %)")
+            print("  ", compared.summary(), f"({gain:.1f} %)")
         else:
             print("  ", f"{name} does not earn its place: the squares do not fall")
 
@@ -237,7 +237,7 @@ def fit(design, train):
 
 def predicted(r, values, noise, zeros=True):
     """Equations after the first seconds, and the torque that the parameters say."""
-    first, rest = r.piece(end=r.t[0] + FIRST), r.piece(start=r.t[0] + FIRST)
+    first, rest = r.segment(end=r.t[0] + FIRST), r.segment(start=r.t[0] + FIRST)
     z = sysid.torque.zeros_of(first, values, noise=noise, spread=ZEROS) if zeros else np.zeros(2)
     return rest, rest.tau - rest.residual(values, z), z
 

@@ -105,12 +105,12 @@ if DATA is not None:
             "delay": Unknown("delay", bounds=(0.0, 0.02)),
         },
         grid=Grid(1 / RATE, 2, "rk4", 4),
-        starts=False,
-        steps=12,
+        estimate_initial_state=False,
+        max_evaluations=12,
         restarts=0,
     )
     print(f"error of the fit {mrad(usual.traces['slow']['q'].residual):.1f} mrad")
-    print(usual.on([second_half]).sentence)
+    print(usual.validate([second_half]).summary())
     for kind in ("armature", "viscous", "bias", "delay"):
         print(kind, np.round([x for n, x in usual.values.items() if n.startswith(kind)], 3))
 
@@ -177,13 +177,14 @@ if DATA is not None:
             "coulomb": Unknown("forces.0.coulomb"),
         },
         grid=Grid(1 / RATE, 2),
-        starts=False,
-        steps=14,
+        estimate_initial_state=False,
+        max_evaluations=14,
         restarts=0,
     )
-    print(f"error of the fit {mrad(found.traces['slow']['q'].residual):.2f} mrad, {found.message}")
-    verdict = found.on([second_half])
-    print(f"held out {1e3 * verdict.rms:.1f} mrad; {verdict.sentence}")
+    print(f"error of the fit {mrad(found.traces['slow']['q'].residual):.2f} mrad")
+    print(found.status.text)
+    verdict = found.validate([second_half])
+    print(f"held out {1e3 * verdict.rms:.1f} mrad; {verdict.summary()}")
     for kind in ("armature", "viscous"):
         print(kind, "of hip, thigh, calf", [
             round(x, 4) for n, x in found.values.items() if n.startswith(kind)

@@ -149,7 +149,7 @@ figure, axes = plt.subplots(1, 2, figsize=(12, 4), sharex=True, sharey=True)
 for ax, (name, strength) in zip(axes, {"open loop": 0.0, "regulated": 1.0}.items(), strict=True):
     found = wheeled.rollout(
         slipping, start, regulated(strength), DT, steps=STEPS, save_every=10,
-        method="linearly_implicit_euler",
+        integrator="linearly_implicit_euler",
     )  # fmt: skip
     ax.plot(*reference.q[:, :2].T, "--", color="gray", lw=1)
     top_view(ax, slipping, found, robots=7, grid=grid)

@@ -103,7 +103,7 @@ def grip(t, state, ctrl):
 
 def planner(vehicle, wanted, *more):
     problem = control.Problem(
-        wheeled.controlled(vehicle, method="linearly_implicit_euler", parts=4), HORIZON, TICK,
+        wheeled.controlled(vehicle, integrator="linearly_implicit_euler", parts=4), HORIZON, TICK,
         running=[
             control.Cost(fast(wanted)), control.Cost(on_track, 300.0), control.Cost(gentle, 5.0),
             *more,
@@ -122,7 +122,7 @@ def planner(vehicle, wanted, *more):
 # %%
 SECONDS = 20.0
 TICKS = round(SECONDS / TICK)
-world = wheeled.controlled(car, method="linearly_implicit_euler", parts=16)
+world = wheeled.controlled(car, integrator="linearly_implicit_euler", parts=16)
 start = wheeled.start(car, pose=[36.0, 0.0, np.pi / 2], twist=[8.0, 0.0, 0.0])
 
 

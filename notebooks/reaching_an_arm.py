@@ -104,7 +104,7 @@ runs = {
 @jax.vmap
 def distance(q):
     """From the tool to the goal, m."""
-    return jnp.linalg.norm(rb.site_pose(arm, q, "tool")[1] - goal.position)
+    return jnp.linalg.norm(rb.frame_pose(arm, q, site="tool")[1] - goal.position)
 
 
 figure, axis = plt.subplots(figsize=(7, 3.2))
@@ -164,10 +164,11 @@ print("lengths", found["designed"].parameters, "m")
 # The 2 kg of the elbow come as near to the shoulder as the bounds allow, and the arm is just long
 # enough: it arrives stretched.
 
+
 # %%
 def corners(model, q):
     """Shoulder, elbow and tip (3, 3)."""
-    return jnp.stack([*rb.forward_kinematics(model, q).p, rb.site_pose(model, q, "tip")[1]])
+    return jnp.stack([*rb.forward_kinematics(model, q).p, rb.frame_pose(model, q, site="tip")[1]])
 
 
 figure, axes = plt.subplots(1, 3, figsize=(12, 3.6))

@@ -216,7 +216,7 @@ first = swing.replace(
 simulated, predicted = [], []
 for seed in range(6):
     path, run = windy(seed)
-    simulated.append(sysid.identify(first, run, unknowns, grid=wind_grid, starts=True))
+    simulated.append(sysid.identify(first, run, unknowns, grid=wind_grid))
     predicted.append(sysid.prediction_error(first, run, unknowns, grid=wind_grid))
 
 # %%

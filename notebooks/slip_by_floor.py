@@ -157,7 +157,7 @@ for floor, some in runs.items():
     found, slips[floor] = identified([r for r in some if r[0] % 10 == 0])
     print(f"{floor}: {found.name}")
     for comparison in found.comparisons:
-        print("   ", comparison.sentence)
+        print("   ", comparison.summary())
 
 # %% [markdown]
 # ## The verdict, on headings that were not fitted

@@ -85,7 +85,7 @@ figure.tight_layout()
 
 # %%
 truth = jax.random.uniform(jax.random.key(2), (500, 7), minval=low, maxval=high)
-poses = jax.vmap(lambda q: rb.site_pose(arm, q, "tool"))(truth)
+poses = jax.vmap(lambda q: rb.frame_pose(arm, q, site="tool"))(truth)
 batch = solved(*poses, starts)
 for count in (1, 2, 4, 8, 64):
     share = float((batch.success & (batch.start < count)).mean())
@@ -110,7 +110,9 @@ def circle(t):
 
 def push(t, state):
     """20 N at the tool, as wrenches [moment; force] at the bodies' origins."""
-    lever = rb.site_pose(arm, state.q, "tool")[1] - rb.forward_kinematics(arm, state.q).p[hand]
+    lever = (
+        rb.frame_pose(arm, state.q, site="tool")[1] - rb.forward_kinematics(arm, state.q).p[hand]
+    )
     force = jnp.where((t > 1.0) & (t < 2.5), 20.0, 0.0) * jnp.array([0.0, 1.0, 0.0])
     wrench = jnp.concatenate([jnp.cross(lever, force), force])
     return jnp.zeros((len(arm.bodies.mass), 6)).at[hand].set(wrench)
@@ -123,7 +125,7 @@ spring = cartesian_impedance(
 follow = operational_space(arm, circle, site="tool", task="position", stiffness=200.0)
 pushed = rb.rollout(arm, start, spring, 0.002, wrenches=push, steps=2000, save_every=10)
 turned = rb.rollout(arm, start, follow, 0.002, steps=2000, save_every=10)
-tool = jax.jit(jax.vmap(lambda q: rb.site_pose(arm, q, "tool")[1]))
+tool = jax.jit(jax.vmap(lambda q: rb.frame_pose(arm, q, site="tool")[1]))
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.4))

@@ -138,7 +138,7 @@ def turn(weights, memory, key):
     key, one, two = jax.random.split(key, 3)
     e = jax.random.normal(one, (PAIRS, weights.size))
     e = jnp.concatenate([e, -e])
-    _, states = jax.vmap(env.begun)(jax.random.split(two, EPISODES))
+    _, states = jax.vmap(env.reset)(jax.random.split(two, EPISODES))
     costs = jax.vmap(episode_cost, (0, None))(weights + SIGMA * e, states)
     ranks = jnp.argsort(jnp.argsort(costs)) / (2 * PAIRS - 1) - 0.5
     update, memory = optimiser.update((ranks[:, None] * e).mean(0) / SIGMA, memory)

@@ -39,11 +39,10 @@ from rbjax.dynamics import (
     lagrange_coefficients,
     mass_matrix,
     potential_energy,
-    site_pose,
 )
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
-from rbjax.model import Model, State
+from rbjax.model import Frame, Model, State
 
 if TYPE_CHECKING:
     from rbjax import (
@@ -124,6 +123,7 @@ def __dir__() -> list[str]:
 
 __all__ = [
     "InputError",
+    "Frame",
     "Model",
     "ModelBuilder",
     "ModelError",
@@ -183,7 +183,6 @@ __all__ = [
     "scenes",
     "sensors",
     "simulate",
-    "site_pose",
     "solvers",
     "spatial",
     "stability",

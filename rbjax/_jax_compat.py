@@ -6,7 +6,7 @@ this file changes. The upper bounds in `pyproject.toml` are the newest versions 
 Not private, but without JAX's promise of stability, and used elsewhere: `jax.extend.core`
 (jaxprs, their equations and primitives) and `jax.interpreters` (rules of primitives). The layout of
 XLA's foreign function interface is in `compiler.llvm.xla_handler`, the layout of numpy's arrays in
-`compiler.llvm.numpy_abi`; both are checked before use.
+`compiler.llvm.numpy_call`; both are checked before use.
 """
 
 from __future__ import annotations
@@ -114,9 +114,7 @@ def equation(eqn: JaxprEqn, ins: list, outs: list, at: JaxprEqn) -> JaxprEqn:
     return JaxprEqn(ins, outs, eqn.primitive, eqn.params, eqn.effects, at.source_info, at.ctx)
 
 
-def custom_rule(
-    eqn: JaxprEqn, moving: tuple[bool, ...]
-) -> tuple[ClosedJaxpr, list[bool]] | None:
+def custom_rule(eqn: JaxprEqn, moving: tuple[bool, ...]) -> tuple[ClosedJaxpr, list[bool]] | None:
     """The rule of a `custom_jvp` for the arguments that have tangents (`moving`), and which of its
     output tangents are not zero. None if JAX stores the rule in another form."""
     rule = eqn.params.get("jvp_jaxpr_fun")

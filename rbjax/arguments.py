@@ -3,13 +3,48 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError, UnknownName
+
+#: the dtypes of all computations; half precision has too few digits for dynamics
+FLOATS = (jnp.float32, jnp.float64)
+
+
+def floating_array(
+    where: str, name: str, value: Any, fits: Callable[[tuple[int, ...]], bool], expected: str
+) -> jax.Array:
+    """Convert a value to a JAX array in f32 or f64. Integers become floats.
+
+    Args:
+        where: the function, for the message.
+        name: the argument, for the message.
+        value: what the user gave.
+        fits: whether a shape is accepted.
+        expected: the accepted shapes, for the message.
+
+    Raises:
+        InputError: not an array, another shape or dtype.
+    """
+    try:
+        x = jnp.asarray(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        got = type(value).__name__
+        raise InputError(
+            f"{where}: {name} is {got}, expected an array of shape {expected}"
+        ) from error
+    if not fits(x.shape):
+        raise InputError(f"{where}: {name} has shape {x.shape}, expected {expected}")
+    if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
+        x = x.astype(jnp.result_type(float))
+    if x.dtype not in FLOATS:
+        raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
+    return x
 
 
 def real_array(
@@ -158,8 +193,9 @@ def choice(kind: str, name: Any, known: Collection[str]) -> str:
     return name
 
 
-def instance(where: str, name: str, value: Any, kind: type, public: str) -> None:
-    """`InputError` unless the value is an instance of a class, whose public name is given."""
+def instance(where: str, name: str, value: Any, kind: Any, public: str) -> None:
+    """`InputError` unless the value is an instance of a class, or of one of several; public: their
+    name for the message."""
     if not isinstance(value, kind):
         raise InputError(f"{where}: {name} is {shown(value)}, expected {public}")
 

@@ -280,14 +280,15 @@ def identify(
             return
         made = Job.read(configuration, folder=folder).run(resume=resume, progress=True)
         intervals = {name: made.found.estimates.interval(name) for name in made.found.values}
-    table = Table("parameter", title=escape(made.found.message), title_justify="left")
+    ended = f"{made.found.status.text} in {made.found.evaluations} evaluations"
+    table = Table("parameter", title=ended, title_justify="left")
     for head in ("first guess", "found", "95 % from", "to"):
         table.add_column(head, justify="right")
     for name, x in intervals.items():
         numbers = (made.found.guess[name], x.value, x.low, x.high)
         table.add_row(escape(name), *(f"{number:.5g}" for number in numbers))
     out.print(table)
-    verdict = made.verdict.sentence if made.verdict else "no recording was held out"
+    verdict = made.verdict.summary() if made.verdict else "no recording was held out"
     for sentence in (verdict, *map(str, made.diagnosis.causes), *made.notes):
         out.print(sentence, soft_wrap=True, highlight=False, markup=False)
     for what, path in made.files.items():

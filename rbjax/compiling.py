@@ -1,4 +1,4 @@
-"""Options of XLA's compiler with which programs on lanes run fastest on the CPU.
+"""Options of the XLA compiler with which programs on lanes run fastest on the CPU.
 
 By default LLVM uses vectors of 256 bits, even if a core has 512. The fusion emitters of jaxlib
 0.10, on by default, compile a loop with many results (`fusion_barrier`) slower and to slower code
@@ -71,7 +71,8 @@ def alone() -> bool:
 
 @functools.cache
 def _imported_alone() -> bool:
-    """Whether the import was outside of any trace; called where the state is still that one."""
+    """Whether the import was outside of any trace; valid if the trace state has not changed
+    since."""
     return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 

@@ -1,4 +1,4 @@
-"""One HTML file that holds all it shows: headings, paragraphs, tables and pictures."""
+"""Pages of HTML in one file: headings, paragraphs, tables and pictures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ footer { margin-top: 3rem; border-top: 1px solid #d9dee3; padding-top: 1rem; }
 
 
 def page(title: str, lead: str, body: Sequence[str], footer: str) -> str:
-    """The text of a page; the parts of its body are HTML, all else is words.
+    """The HTML of a page; the parts of its body are HTML, the others are plain text.
 
     Example:
         >>> from rbjax.html_page import page, table
@@ -44,28 +44,28 @@ def page(title: str, lead: str, body: Sequence[str], footer: str) -> str:
 
 
 def element(tag: str, words: str, kind: str = "") -> str:
-    """Words within a tag."""
+    """Text within a tag."""
     attribute = f' class="{kind}"' if kind else ""
     return f"<{tag}{attribute}>{html.escape(words)}</{tag}>"
 
 
 def link(to: str, words: str) -> str:
-    """A paragraph that leads to a file beside the page."""
+    """A paragraph with a link to a file in the same folder."""
     return f'<p><a href="{html.escape(to)}">{html.escape(words)}</a></p>'
 
 
 def code(text: str) -> str:
-    """Text as it stands."""
+    """Preformatted code."""
     return f"<pre><code>{html.escape(text)}</code></pre>"
 
 
 def listed(items: Sequence[str]) -> str:
-    """One item a line, each with a bullet."""
+    """A list with bullets."""
     return f"<ul>{''.join(element('li', item) for item in items)}</ul>"
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table that scrolls by itself where the page is narrow."""
+    """A table that scrolls on narrow pages."""
     lines = ["".join(element("td", cell) for cell in row) for row in rows]
     head = "".join(element("th", name) for name in columns)
     body = "".join(f"<tr>{line}</tr>" for line in lines)

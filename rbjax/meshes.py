@@ -23,7 +23,7 @@ NOWHERE = NamedSharding(AbstractMesh((), ()), PartitionSpec())
 
 
 def automatic(f: F) -> F:
-    """f, whose arguments may be on explicit axes. If they are, the results are too."""
+    """Wrap f so that its arguments may be on explicit axes. If they are, the results are too."""
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:

@@ -1,4 +1,4 @@
-"""A line on a terminal that says what runs now, and for how long."""
+"""A line on a terminal with the current task and its time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Say = Callable[[str], None]
 
 @contextlib.contextmanager
 def progress_line(label: str, show: bool = True) -> Iterator[Say]:
-    """A transient line on stderr, if that is a terminal.
+    """Show a transient line on stderr, if that is a terminal.
 
     Args:
         label: who works, which begins the line.

@@ -195,7 +195,7 @@ def doors() -> Iterator[tuple[str, Callable, dict[str, Any]]]:
             continue
         given = {"model": MODEL} | {n: GOOD[n] for n in taken if n in GOOD}
         if "site" in taken:
-            given |= {"site": "tip"} if name == "site_pose" else {"body": "pole"}
+            given |= {"body": "pole"}
         yield name, function, given
     row = np.zeros((5, 1))
     yield "rollout", rb.rollout, {

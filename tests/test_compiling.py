@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.compiler import wanted
+from rbjax.compiler import kernels_available
 from rbjax.compiling import xla_accepts
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from tests.tolerances import F64_ROUNDING
@@ -122,7 +122,7 @@ def test_rollout_traces_a_policy_once() -> None:
     model = rb.load(ARM.format("rolled"))
     start = rb.State(jnp.array([0.3, -0.2]), jnp.array([1.0, 0.4]))
     # a thread looks first how large the policy is
-    policy = chex.assert_max_traces(lambda t, s: -s.v[:1], n=2 if wanted() else 1)
+    policy = chex.assert_max_traces(lambda t, s: -s.v[:1], n=2 if kernels_available() else 1)
     for m in (model, *others(model), *of_another_structure(model)):
         rb.rollout(m, start, policy, 0.01, steps=2)
 

@@ -53,7 +53,7 @@ def test_identification_finds_the_truth(tmp_path: Path) -> None:
         assert low < value < high < low + 1, name
         assert abs(value - float(truth)) < high - low + 1e-3, name
     assert section.links[0][0] == "identification.html"
-    assert "Found by themselves" in (tmp_path / "identification.html").read_text()
+    assert "Identifiable by themselves" in (tmp_path / "identification.html").read_text()
 
 
 def test_integrators_converge(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from jax.sharding import PartitionSpec as P
 from jax.tree_util import Partial
 
 import rbjax as rb
-from rbjax.compiler.jax.function import threaded
+from rbjax.compiler.jax.function import compile_threads
 from tests.eight_devices import check, on_eight_devices
 from tests.test_registry import MODEL, REGISTRY, samples
 from tests.tolerances import F64_TRANSFORM, relative_error
@@ -78,7 +78,7 @@ def child_algorithms():
         check(str(spec), both, (q, v), sharding=NamedSharding(two, spec), sums=0)
 
     (w,) = placed(mesh, [np.ones((1, 2))], P())
-    f = threaded(lambda w, x: act(w, 0.0, rb.State(x, x)))
+    f = compile_threads(lambda w, x: act(w, 0.0, rb.State(x, x)))
     out = jax.vmap(f, (None, 0))(w, cart_pole(mesh)[1])
     assert out.sharding.is_equivalent_to(where, 2)
     assert np.isfinite(out).all()

@@ -104,7 +104,6 @@ REGISTRY = {
     "lagrange_coefficients": Entry(rb.lagrange_coefficients, ("q",), robot="cart_pole"),
     "mass_matrix": Entry(rb.mass_matrix, ("q",)),
     "potential_energy": Entry(rb.potential_energy, ("q",)),
-    "site_pose": Entry(rb.site_pose, ("q",), {"site": "tip"}),
     "step": Entry(_step, ("q", "v", "ctrl")),
 }
 
@@ -271,7 +270,7 @@ def test_unknown_names_list_the_names() -> None:
     with pytest.raises(rb.UnknownName, match=r"unknown body 'nose'.*'slider', 'swinger', 'hand'"):
         rb.jacobian(MODEL, q, "nose")
     with pytest.raises(rb.UnknownName, match=r"unknown site 'nose'.*'tip'"):
-        rb.site_pose(MODEL, q, "nose")
+        rb.frame_pose(MODEL, q, site="nose")
 
 
 def test_dtypes() -> None:

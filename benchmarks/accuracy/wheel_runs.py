@@ -23,7 +23,7 @@ from mujoco import mjx
 import rbjax as rb
 from rbjax import wheeled
 from rbjax.compiling import WITHOUT_EMITTERS, xla_accepts
-from rbjax.wheeled.models.states import with_twist
+from rbjax.wheeled.models.robot_model import with_twist
 
 SECONDS, SAVED = 4.0, 40
 STEERED = 0.12  # rad, to each side, of steerings that turn from one to the other
@@ -130,7 +130,7 @@ class Rolling:
         @jax.jit
         def run(u: jax.Array) -> jax.Array:
             return wheeled.rollout(
-                self.vehicle, self.start, u, dt, method=method, save_every=every
+                self.vehicle, self.start, u, dt, integrator=method, save_every=every
             ).q
 
         q = np.asarray(run(u))

@@ -135,7 +135,7 @@ def score(
     """Torque explained after the first seconds of each run; these give the encoders' zeros."""
     left, there, by_run = np.zeros(2), np.zeros(2), {}
     for run, r in zip(runs, rows, strict=True):
-        first, rest = r.piece(end=r.t[0] + FIRST), r.piece(start=r.t[0] + FIRST)
+        first, rest = r.segment(end=r.t[0] + FIRST), r.segment(start=r.t[0] + FIRST)
         z = sysid.torque.zeros_of(first, parameters, noise=noise) if zeros else np.zeros(2)
         off = (rest.residual(parameters, z) ** 2).sum(0)
         all_of_it = ((rest.tau - rest.tau.mean(0)) ** 2).sum(0)

@@ -18,8 +18,8 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Recording, Setup, Shared, Unknown
-from rbjax.sysid.simulation.runs import run_of
-from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.simulation.runs import make_run
+from rbjax.sysid.simulation.setup import simulate_motion
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "go2_in_air"
 LEGS = ("FL", "FR", "RL", "RR")
@@ -64,8 +64,10 @@ def recording(model: rb.Model, first: int = 0, last: int = HALF) -> Recording:
 
 def free_run(setup: Setup, run: Recording) -> np.ndarray:
     """Simulated less recorded angles (T, n), from the first sample and under the commands."""
-    given = run_of(setup, run, GRID)
-    path = jax.jit(lambda r: motion(lambda p: setup, jnp.zeros(1), r.start, r.commands, GRID))
+    given = make_run(setup, run, GRID)
+    path = jax.jit(
+        lambda r: simulate_motion(lambda p: setup, jnp.zeros(1), r.start, r.commands, GRID)
+    )
     return np.asarray(path(given).q - given.values["q"])[: len(run["q"].t)]
 
 
@@ -92,9 +94,7 @@ def joint_dynamics(model: rb.Model) -> tuple[Setup, dict[str, Any]]:
     }
 
 
-def by_position(
-    model: rb.Model, terms: tuple[int, int] = TERMS
-) -> tuple[Setup, dict[str, Any]]:
+def by_position(model: rb.Model, terms: tuple[int, int] = TERMS) -> tuple[Setup, dict[str, Any]]:
     """Torque and dry friction that depend on the angle, series with so many terms; of all legs the
     same armature and viscous friction; no delay."""
     q, n = recording(model)["q"].values, model.nv

@@ -153,7 +153,7 @@ GRID = Grid(0.005, 2)
 
 def fit(name: str, fitted: Sequence[Recording], terms: Sequence[str] = TERMS) -> Identified:
     setup, unknowns = design(name, terms)
-    return identify(setup, fitted, unknowns, grid=GRID, starts=True)
+    return identify(setup, fitted, unknowns, grid=GRID, estimate_initial_state=True)
 
 
 def errors(
@@ -162,11 +162,13 @@ def errors(
     """By piece, the RMS over samples and arms of the angles from the vertical, rad. The start is
     the one that suits the first `known` seconds best; 0: that of the files."""
     if 0 < known < SECONDS:
-        early = free_run(model, [run.piece(0, known) for run in runs], grid=GRID, starts=True)
+        early = free_run(
+            model, [run.segment(0, known) for run in runs], grid=GRID, estimate_initial_state=True
+        )
         runs = [
             _from(run, *found.values()) for run, found in zip(runs, early.values(), strict=True)
         ]
-    found = free_run(model, runs, grid=GRID, starts=known == SECONDS)
+    found = free_run(model, runs, grid=GRID, estimate_initial_state=known == SECONDS)
     off = [
         np.cumsum(sensors["q"].recorded - sensors["q"].simulated, -1) for sensors in found.values()
     ]

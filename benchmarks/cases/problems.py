@@ -18,8 +18,8 @@ from rbjax.sysid.parameters import (
     pseudo_inertia_of,
     to_log_cholesky,
 )
-from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.setup import simulate_motion
 
 ORACLES = Path(__file__).parents[2] / "tests" / "oracles"
 GO2 = Path(__file__).parents[3] / "shared" / "data" / "go2_in_air"
@@ -47,7 +47,9 @@ def arm(seed: int = 0) -> Problem:
         2 * np.pi * np.array([0.5, 0.7, 0.4, 0.9, 0.6]) * t[:-1, None] + np.arange(5) / 2 + seed
     )
     grid, setup = Grid(T, 1, "dop853"), Setup.of(model)
-    path = motion(lambda p: setup, jnp.zeros(1), model.default_state(), jnp.asarray(ctrl), grid)
+    path = simulate_motion(
+        lambda p: setup, jnp.zeros(1), model.default_state(), jnp.asarray(ctrl), grid
+    )
     for k, state in given["exact_for_held_controls"].items() if seed == 0 else ():
         np.testing.assert_allclose([*path.q[int(k)], *path.v[int(k)]], state, atol=1e-11)
     unknowns: dict[str, Any] = {"armature": Unknown("joints.armature", positive=True)}
@@ -63,7 +65,7 @@ def arm(seed: int = 0) -> Problem:
         "q": Channel(t, path.q), "v": Channel(t, path.v), "ctrl": Channel(t[:-1], ctrl),
     })  # fmt: skip
     # RK4 is within 1e-11 of the recorded motion, and the first readings are the state
-    how = {"grid": Grid(T), "starts": False}
+    how = {"grid": Grid(T), "estimate_initial_state": False}
     return Problem(of.write(setup, jnp.asarray(guess)), run, unknowns, truth, how)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import PD, Channel, Grid, Recording, Setup, Unknown
-from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.simulation.setup import simulate_motion
 
 T = 0.005
 NOISE = 5e-4
@@ -57,7 +57,7 @@ def leg(seconds: float = 3.0, seed: int = 0) -> tuple[Setup, Recording]:
     )
     true = setup(*np.split(TRUTH, 3))
     start = rb.State(jnp.asarray(asked[0] - TRUTH[6:]), jnp.zeros(3))
-    path = motion(lambda p: true, jnp.zeros(1), start, jnp.asarray(asked[:-1]), Grid(T))
+    path = simulate_motion(lambda p: true, jnp.zeros(1), start, jnp.asarray(asked[:-1]), Grid(T))
     noise = NOISE * np.random.default_rng(seed).normal(size=(N + 1, 3))
     noise[0] = 0.0
     v = np.full((N + 1, 3), np.nan)

@@ -23,7 +23,7 @@ import numpy as np
 import rbjax as rb
 from benchmarks.shared.robots import ALL, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
-from rbjax.compiler.jax import host_call, primitive
+from rbjax.compiler.jax import launch, primitive
 from rbjax.compiler.llvm import jit as llvm_jit
 
 COLUMNS = ("what", "robot", "seconds", "asked_s", "trace_s", "program_s", "llvm_s", "lower_rest_s",
@@ -89,8 +89,8 @@ CASES = [
 def stages() -> Iterator[dict[str, float]]:
     """Seconds within the parts of the lowering."""
     found = {"program_s": 0.0, "llvm_s": 0.0, "statements": 0.0}
-    parts = ((primitive, "write_program", "program_s"), (host_call, "handler", "program_s"),
-             (llvm_jit, "object_of", "llvm_s"))  # fmt: skip
+    parts = ((primitive, "write_program", "program_s"), (launch, "write_handler", "program_s"),
+             (llvm_jit, "compile_object", "llvm_s"))  # fmt: skip
     before = [getattr(module, name) for module, name, _ in parts]
 
     def timed(f: Callable, stage: str) -> Callable:
@@ -114,7 +114,7 @@ def stages() -> Iterator[dict[str, float]]:
 
 def row(what: str, robot: str) -> dict[str, Any]:
     f, args = case(what, robot)
-    host_call.works()  # the self-test, once a process
+    launch.host_kernels_work()  # the self-test, once a process
     with stages() as found:
         start = time.process_time()
         traced = jax.jit(f).trace(*args)

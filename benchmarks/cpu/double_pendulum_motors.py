@@ -58,7 +58,7 @@ def table(design: str, cutoff: float) -> list[dict[str, Any]]:
         for run, r, (model, values, zeros) in zip(runs, rows, each, strict=True):
             scores.append(dfki.score(values, [run], [r], noise=noise, zeros=zeros))
             if cutoff == dfki.CUTOFF and model is not None:
-                first = r.piece(end=r.t[0] + dfki.FIRST)
+                first = r.segment(end=r.t[0] + dfki.FIRST)
                 z = sysid.torque.zeros_of(first, values, noise=noise) if zeros else np.zeros(2)
                 up = dfki.swings_up(run)
                 off = dfki.free_run(model, run, z, seconds=0.3 if up else 1.0)

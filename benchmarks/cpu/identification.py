@@ -45,8 +45,8 @@ from benchmarks.cases.problems import ORACLES, Problem, arm, quadruped  # noqa: 
 from benchmarks.shared.cma_es import cma_es  # noqa: E402
 from benchmarks.shared.timing import markdown_table, others, save  # noqa: E402
 from rbjax.sysid import identify  # noqa: E402
-from rbjax.sysid.parameters.unknowns import Unknowns  # noqa: E402
-from rbjax.sysid.simulation.runs import batch_of  # noqa: E402
+from rbjax.sysid.parameters.unknown_vector import Unknowns  # noqa: E402
+from rbjax.sysid.simulation.runs import make_batch  # noqa: E402
 from rbjax.sysid.simulation.simulation_error import SimulationError  # noqa: E402
 
 COLUMNS = (
@@ -137,9 +137,7 @@ def peer(problem: Problem, numbers: int) -> dict[str, Any]:
         rng = np.random.default_rng(0)
         for body in spec.bodies[1:]:
             write = functools.partial(with_inertia, body.name)
-            p = sysid.body_inertia_param(
-                spec, model, body.name, InertiaType.Pseudo, modifier=write
-            )
+            p = sysid.body_inertia_param(spec, model, body.name, InertiaType.Pseudo, modifier=write)
             sought.add(p)
             moved = p.value + 0.1 * rng.normal(size=10)
             p.value[:] = np.clip(moved, p.min_value + 1e-3, p.max_value - 1e-3)
@@ -181,7 +179,7 @@ def searched(name: str, problem: Problem, budget: int) -> dict[str, Any]:
     """CMA-ES; positive numbers in the logarithm, bounded ones in the logit."""
     setup, run, unknowns, truth, how = problem
     of = Unknowns.of("search", unknowns, setup)
-    error = SimulationError(setup, of, batch_of(setup, [run], how["grid"]), how["grid"])
+    error = SimulationError(setup, of, make_batch(setup, [run], how["grid"]), how["grid"])
     guess, limits = np.asarray(of.read(setup)), of.limits(setup)
     low, high = (np.array([limits.get(n, (-np.inf, np.inf))[k] for n in of.names]) for k in (0, 1))
     positive = np.isfinite(low) & np.isinf(high)
@@ -191,9 +189,7 @@ def searched(name: str, problem: Problem, budget: int) -> dict[str, Any]:
 
     def numbers(y: jax.Array) -> jax.Array:
         within = least + span * jax.nn.sigmoid(y + np.log(share / (1 - share)))
-        return jnp.where(
-            positive, guess * jnp.exp(y), jnp.where(bounded, within, guess + 0.1 * y)
-        )
+        return jnp.where(positive, guess * jnp.exp(y), jnp.where(bounded, within, guess + 0.1 * y))
 
     @jax.jit
     def squares(y: jax.Array) -> jax.Array:

@@ -33,13 +33,14 @@ def row(seed: int) -> dict[str, Any]:
     spans = [found.estimates.interval(name) for name in found.values]
     inside = [x.low <= y <= x.high for x, y in zip(spans, TRUTH, strict=True)]
     off = [(x.value - y) / x.sigma for x, y in zip(spans, TRUTH, strict=True)]
-    unseen = found.on([recorded(seed, held_out=True)])
+    unseen = found.validate([recorded(seed, held_out=True)])
     return {
         "draw": seed, "seconds": seconds, "evaluations": found.evaluations,
         "inside": int(sum(inside)), "worst": float(np.abs(off).max()),
-        "r2": found.verdict.r_squared["q"], "good": found.verdict.good, "held out": unseen.holds,
+        "r2": found.verdict.r_squared["q"], "good": found.verdict.success,
+        "held out": unseen.success,
         "tries": sum("starts were tried" in n or "start was tried" in n for n in found.notes),
-        "steps": found.grid.period / found.grid.substeps, "verdict": found.verdict.sentence,
+        "steps": found.grid.period / found.grid.substeps, "verdict": found.verdict.summary(),
         "notes": list(found.notes), "sigmas": off,
     }  # fmt: skip
 

@@ -33,7 +33,7 @@ from rbjax.sysid import (  # noqa: E402
     identify,
     monte_carlo,
 )
-from rbjax.sysid.simulation.setup import motion  # noqa: E402
+from rbjax.sysid.simulation.setup import simulate_motion  # noqa: E402
 
 COLUMNS = (
     "robot", "unknowns", "starts", "experiments", "coverage", "lowest", "highest", "ratio",
@@ -90,7 +90,7 @@ def row(make: Any, experiments: int) -> dict[str, Any]:
     setup, start, ctrl, sought, grid = make()
     begin = time.perf_counter()
     t = np.arange(len(ctrl) + 1) * grid.period
-    path = motion(lambda p: setup, jnp.zeros(1), start, jnp.asarray(ctrl), grid)
+    path = simulate_motion(lambda p: setup, jnp.zeros(1), start, jnp.asarray(ctrl), grid)
     noise = NOISE * np.random.default_rng(1).normal(size=path.q.shape)
     at_rest = make is arm7  # its start is known
     if at_rest:

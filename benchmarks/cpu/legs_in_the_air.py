@@ -26,9 +26,9 @@ from benchmarks.cases import go2  # noqa: E402
 from benchmarks.shared.cma_es import cma_es  # noqa: E402
 from benchmarks.shared.timing import markdown_table, others, save  # noqa: E402
 from rbjax.sysid import Setup, identify  # noqa: E402
-from rbjax.sysid.parameters.unknowns import Unknowns  # noqa: E402
-from rbjax.sysid.simulation.runs import run_of  # noqa: E402
-from rbjax.sysid.simulation.setup import motion  # noqa: E402
+from rbjax.sysid.parameters.unknown_vector import Unknowns  # noqa: E402
+from rbjax.sysid.simulation.runs import make_run  # noqa: E402
+from rbjax.sysid.simulation.setup import simulate_motion  # noqa: E402
 
 COLUMNS = (
     "part", "model", "unknowns", "rollouts", "evaluations", "seconds", "fitted", "unseen", "ok"
@@ -46,14 +46,22 @@ def fitted(part: str, name: str, problem: Any, last: int, end: int) -> dict[str,
     start = time.perf_counter()
     run = go2.recording(model, 0, last)
     # as in the source, a motion begins at its first sample, and there is one search
-    found = identify(setup, run, unknowns, grid=go2.GRID, steps=STEPS, starts=False, restarts=0)
+    found = identify(
+        setup,
+        run,
+        unknowns,
+        grid=go2.GRID,
+        max_evaluations=STEPS,
+        estimate_initial_state=False,
+        restarts=0,
+    )
     seconds = time.perf_counter() - start
     n = len(found.values)
     return {
         "part": part, "model": name, "unknowns": n,
         "rollouts": found.evaluations * (1 + n),  # at most: some steps are refused
         "evaluations": found.evaluations, "seconds": seconds, "fitted": mrad(found.rms["q"]),
-        "unseen": 1e3 * found.on([go2.recording(model, last, end)]).rms, "ok": found.success,
+        "unseen": 1e3 * found.validate([go2.recording(model, last, end)]).rms, "ok": found.success,
     }  # fmt: skip
 
 
@@ -64,7 +72,7 @@ def searched(budget: int) -> dict[str, Any]:
     of = Unknowns.of("search", unknowns, setup)
     guess = jnp.asarray(of.read(setup))
     positive = np.arange(guess.size) < 6  # armature and viscous friction come first
-    run = run_of(setup, go2.recording(model), go2.GRID)
+    run = make_run(setup, go2.recording(model), go2.GRID)
 
     def made(p: jax.Array) -> Setup:
         return of.write(setup, p)
@@ -75,7 +83,7 @@ def searched(budget: int) -> dict[str, Any]:
     @jax.jit
     @jax.vmap
     def squares(y: jax.Array) -> jax.Array:
-        path = motion(made, numbers(y), run.start, run.commands, go2.GRID)
+        path = simulate_motion(made, numbers(y), run.start, run.commands, go2.GRID)
         return ((path.q[: run.values["q"].shape[0]] - run.values["q"]) ** 2).sum()
 
     start = time.perf_counter()

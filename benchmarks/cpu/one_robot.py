@@ -23,7 +23,7 @@ import numpy as np
 import rbjax as rb
 from benchmarks.shared.robots import NAMES, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
-from rbjax.compiler.jax import backend
+from rbjax.compiler.jax import launch
 
 STEPS, BATCH = 200, 1024
 COLUMNS = ("what", "robot", "llvm_us", "xla_us", "speedup", "mujoco_us", "over_mujoco",
@@ -93,10 +93,10 @@ def main() -> None:
         print(json.dumps(rows()))
         return
     found = {}
-    for name in backend.CHOICES:
+    for name in launch.CHOICES:
         done = subprocess.run(
             [sys.executable, "-m", "benchmarks.cpu.one_robot", "--rows"], check=True, text=True,
-            env=os.environ | {backend.VARIABLE: name}, stdout=subprocess.PIPE,
+            env=os.environ | {launch.VARIABLE: name}, stdout=subprocess.PIPE,
         )  # fmt: skip
         found[name] = json.loads(done.stdout.splitlines()[-1])
     table = []

@@ -36,7 +36,7 @@ def rows(name: str) -> list[dict[str, Any]]:
     start = time.perf_counter()
     found = fit(name, fitted)
     seconds, theirs = time.perf_counter() - start, chain(published(name))
-    print(f"{name}: {len(fitted)} pieces fitted in {seconds:.1f} s, {found.message}")
+    print(f"{name}: {len(fitted)} segments fitted in {seconds:.1f} s, {found.status.text}")
     columns: dict[str, np.ndarray] = {}
     for known in (SECONDS, SECONDS / 3):
         columns[f"found {known:g}"] = 1e3 * errors(found.setup, unseen, known=known)

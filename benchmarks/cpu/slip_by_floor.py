@@ -57,7 +57,7 @@ def rows(floor: str) -> list[dict[str, Any]]:
             "mean": e.mean(), "each": np.abs(e).mean(), "rms": np.sqrt((e**2).mean()),
             "worst": np.abs(e).max(), "repeats": repeats, "fit_s": fit_s,
         })  # fmt: skip
-    out[-1]["comparisons"] = [c.sentence for c in found.comparisons]
+    out[-1]["comparisons"] = [c.summary() for c in found.comparisons]
     return out
 
 

@@ -17,7 +17,7 @@ from benchmarks.shared.timing import fastest_ns, markdown_table, save
 from benchmarks.shared.under_xla import under_xla
 from rbjax.compiler.ir.program import batch_first, batch_last
 from rbjax.compiler.lower.write import write_program
-from rbjax.compiler.llvm.batch import parts
+from rbjax.compiler.llvm.batch import write_parts
 from benchmarks.shared.part_function import part_function
 
 BATCH = 1024
@@ -52,7 +52,7 @@ def robot(name: str, dtype: type) -> list[dict[str, Any]]:
         given = [np.ascontiguousarray(x if place == "batch first" else x.T) for x in args]
         for by, lanes in (("vectors", None), ("a sample at a time", 1)):
             start = time.process_time()
-            run, _ = part_function(parts(program, lanes))
+            run, _ = part_function(write_parts(program, lanes))
             result = np.empty(out.shape, dtype)
             run([*given, result])
             compile_s = time.process_time() - start

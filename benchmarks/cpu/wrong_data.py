@@ -35,7 +35,7 @@ def of_leg() -> tuple[Problem, dict[str, Wrong]]:
 
 def of_quadruped() -> tuple[Problem, dict[str, Wrong]]:
     problem = quadruped()
-    run = problem.run.piece(0.0, PIECE)
+    run = problem.run.segment(0.0, PIECE)
     return problem._replace(run=run), ways(tuple(problem.setup.model.joint_names), 1, 11)
 
 
@@ -50,7 +50,7 @@ def table(problem: Problem, wrongs: dict[str, Wrong], some: list[str]) -> list[d
     for name, make, loss in (case for case in cases if not some or case[0] in some):
         start = time.perf_counter()
         wrong = make(problem.run)
-        how = {"loss": loss, "steps": 40, "restarts": 0} | problem.how
+        how = {"loss": loss, "max_evaluations": 40, "restarts": 0} | problem.how
         found = identify(problem.setup, wrong, problem.unknowns, **how)
         said = diagnose(found)
         seconds = time.perf_counter() - start

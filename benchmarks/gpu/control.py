@@ -27,7 +27,7 @@ from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.compiler import threads
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.optimal.shooting import ddp, expansion, sqp
-from rbjax.control.optimal.shooting.search import gains_of, initial_iterate, iterate
+from rbjax.control.optimal.shooting.search import compute_gains, initial_iterate, iterate
 from rbjax.control.optimal.solution import Options, StoppingRule
 
 COLUMNS = (
@@ -104,7 +104,7 @@ def parts(arm: Arm, N: int) -> dict[str, Any]:
 
     def backward(state: rb.State, target: jax.Array, found: Any) -> Any:
         problem, now = begun(state, target)
-        return gains_of(problem, now.knots, now.ctrls, found, found.gaps, now.search.reg)
+        return compute_gains(problem, now.knots, now.ctrls, found, found.gaps, now.search.reg)
 
     def forward(state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
         problem, now = begun(state, target)

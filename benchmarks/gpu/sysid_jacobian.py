@@ -40,7 +40,7 @@ from benchmarks.shared.timing import markdown_table, others, save
 from benchmarks.work.scenes import bare
 from rbjax.model import State
 from rbjax.sysid import Derived, Grid, Setup
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.simulation_error import SimulationError
 
@@ -137,7 +137,7 @@ def by_rbjax(m: mujoco.MjModel, steps: int, part: str = "") -> Callable:
 
             def states(x: jax.Array, run: Run) -> Any:
                 def along(e: jax.Array) -> Any:
-                    return jax.jvp(lambda x: programs.path(x, run)[1][:2], (x,), (e,))[1]
+                    return jax.jvp(lambda x: programs.simulate(x, run)[1][:2], (x,), (e,))[1]
 
                 return jax.vmap(along)(jnp.eye(p.size, dtype=p.dtype))
 

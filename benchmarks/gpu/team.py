@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.shared.gpu_timing import timed
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.compiler import threads
-from rbjax.compiler.cuda import device, team
+from rbjax.compiler.cuda import driver, team
 from rbjax.compiler.cuda.nvrtc import ptx
 from rbjax.compiler.jax import primitive
 from rbjax.compiler.jax.launch import capability, ordinal
@@ -103,7 +103,7 @@ def used(args: tuple) -> str:
     try:
         jax.jit(jax.vmap(threads(backward_pass, team=True))).lower(*args)
         code = codes[-1]
-        found = device.resources(ptx(code.source, capability()), code.name, ordinal())
+        found = driver.resources(ptx(code.source, capability()), code.name, ordinal())
         return (
             f"{code.block} threads, {found.registers} registers, {found.local_bytes} local bytes, "
             f"{found.shared_bytes} shared"
@@ -139,13 +139,13 @@ def main() -> None:
         rows.append(row_of("team", size, N, batch, True, given, want))
         if args.teams:
             for team_size, resident in ((32, 12), (32, 20), (32, 27), (64, 8), (64, 13), (128, 4)):
-                before = team.size_of, team.RESIDENT, team.RESIDENT_LARGE
-                team.size_of = lambda samples, n=team_size: n
+                before = team.team_size, team.RESIDENT, team.RESIDENT_LARGE
+                team.team_size = lambda samples, n=team_size: n
                 team.RESIDENT = team.RESIDENT_LARGE = resident
                 primitive._kernel.cache_clear()
                 what = f"team of {team_size}, {resident} blocks"
                 rows.append(row_of(what, size, N, batch, True, given, want))
-                team.size_of, team.RESIDENT, team.RESIDENT_LARGE = before
+                team.team_size, team.RESIDENT, team.RESIDENT_LARGE = before
                 primitive._kernel.cache_clear()
         rows.append(row_of("a thread", size, N, batch, False, given, want))
         print(f"{time.perf_counter() - start:.0f} s", flush=True)

@@ -11,7 +11,7 @@ import argparse
 from benchmarks.shared.gpu_timing import timed
 from benchmarks.shared.timing import markdown_table, others, save
 from benchmarks.shared.wheeled_rollouts import SCENES, STEPS, cases
-from rbjax.compiler.cuda import device
+from rbjax.compiler.cuda import driver
 from rbjax.compiler.jax.launch import capability
 
 BATCHES = (65_536, 1_048_576)
@@ -24,7 +24,7 @@ def rows(scene: str, batch: int) -> list[dict]:
         row = case.row | {"operations": case.operations}
         row = timed(row, case.run, *case.args, work=batch * STEPS)
         if "M/s" in row:
-            peak = device.limits(capability()).instructions
+            peak = driver.limits(capability()).instructions
             row["of limit"] = row["M/s"] * 1e6 * case.operations / peak
         out.append(row)
     return out

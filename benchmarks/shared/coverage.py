@@ -12,7 +12,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Identified, Recording, Setup, Unknown, identify
-from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.simulation.setup import simulate_motion
 from rbjax.sysid.statistics.precision import cast
 
 STEP, COUNT, NOISE = 0.01, 200, 2e-3  # s, samples, rad and m
@@ -64,7 +64,7 @@ def experiments(setting: Setting, count: int, seed: int = 0) -> Iterator[tuple[I
         t = np.arange(COUNT + 1) * STEP
         push = 4 * np.sin(2 * np.pi * (1 + 0.5 * t[:-1]) * t[:-1])[:, None]
         start = rb.State(jnp.array([0.0, 2.6]), jnp.array([0.1, -0.2]))
-        path = motion(lambda p: setup, jnp.zeros(1), start, jnp.asarray(push), grid)
+        path = simulate_motion(lambda p: setup, jnp.zeros(1), start, jnp.asarray(push), grid)
         clean = np.asarray(path.q)
         guess = model.replace(
             bodies=model.bodies.replace(mass=model.bodies.mass * jnp.array([1.4, 0.7])),
@@ -97,7 +97,7 @@ def coverage(setting: Setting, count: int, seed: int = 0) -> dict[str, Any]:
         inside.append([x.low <= y <= x.high for x, y in zip(spans, truth, strict=True)])
         ratio.append([(x.value - y) / x.sigma for x, y in zip(spans, truth, strict=True)])
         failed += not found.success
-        good += found.verdict.good
+        good += found.verdict.success
     each, z = np.mean(inside, 0), np.array(ratio)
     return {
         "setting": setting.name, "unknowns": len(each), "experiments": count,

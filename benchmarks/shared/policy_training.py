@@ -108,7 +108,7 @@ def by_evolution(
         key, one, two = jax.random.split(key, 3)
         e = jax.random.normal(one, (pairs, theta.size), theta.dtype)
         e = jnp.concatenate([e, -e])
-        _, states = jax.vmap(env.begun)(jax.random.split(two, episodes))
+        _, states = jax.vmap(env.reset)(jax.random.split(two, episodes))
         F = jax.vmap(value, (0, None))(theta + SIGMA * e, states)
         ranks = jnp.argsort(jnp.argsort(F)) / (2 * pairs - 1) - 0.5
         slope = (ranks[:, None] * e).mean(0) / SIGMA

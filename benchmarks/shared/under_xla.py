@@ -6,15 +6,15 @@ import os
 from collections.abc import Iterator
 from unittest import mock
 
-from rbjax.compiler.jax import backend
+from rbjax.compiler.jax import launch
 
 
 @contextlib.contextmanager
 def under_xla() -> Iterator[None]:
     """Functions of rbjax that are traced and compiled here run under XLA."""
-    with mock.patch.dict(os.environ, {backend.VARIABLE: "xla"}):
-        backend.on_cpu.cache_clear()
+    with mock.patch.dict(os.environ, {launch.VARIABLE: "xla"}):
+        launch.uses_llvm.cache_clear()
         try:
             yield
         finally:
-            backend.on_cpu.cache_clear()
+            launch.uses_llvm.cache_clear()

@@ -50,7 +50,7 @@ def cases(scene: str, batch: int) -> Iterator[Case]:
     for method in METHODS:
 
         def last(v: Any, state: Any, u: Any, method: str = method) -> Any:
-            out = wheeled.rollout(v, state, u, DT, method=method, save_every=STEPS)
+            out = wheeled.rollout(v, state, u, DT, integrator=method, save_every=STEPS)
             return out.q[..., -1, :], out.v[..., -1, :]
 
         def known(state: Any, u: Any, last: Callable = last) -> Any:

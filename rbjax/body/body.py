@@ -97,7 +97,7 @@ def rigid_body(
 
 
 def inertia_matrix(body: Body) -> jax.Array:
-    """M (6, 6) at the origin of the body's frame, added mass included: T = V . M V / 2."""
+    """The inertia matrix M (6, 6) at the frame's origin, with added mass: T = V . M V / 2."""
     if not isinstance(body, Body):
         raise InputError(
             f"inertia_matrix: body is {type(body).__name__}, expected Body; rigid_body(...).body "
@@ -142,7 +142,7 @@ def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
 
 
 def kinetic_energy(body: Body, V: jax.Array) -> jax.Array:
-    """V . M V / 2, added mass included.
+    """The kinetic energy V . M V / 2, added mass included.
 
     >>> body = rigid_body(spatial.shapes.sphere(1.0, mass=5.0)).body
     >>> float(kinetic_energy(body, jnp.array([0.0, 0.0, 2.0, 1.0, 0.0, 0.0])))
@@ -158,7 +158,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 @takes(positive=["semi_axes", "density"], semi_axes="vector", density="scalar")
 def ellipsoid_added_mass(semi_axes: jax.Array, density: jax.Array) -> jax.Array:
-    """A (..., 6, 6) of an ellipsoid with these semi-axes about its centre (Lamb, 114-115, 121a).
+    """The added mass A (..., 6, 6) of an ellipsoid about its centre (Lamb, 114-115, 121a).
 
         alpha_i = abc int_0^inf dl / ((a_i^2 + l) D),    D^2 = prod (a_j^2 + l)
 

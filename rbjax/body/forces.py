@@ -108,7 +108,8 @@ class Buoyancy(Force):
 
 
 class LinearDrag(Force):
-    """-D (V - V_fluid), D (6, 6) in body axes at the frame's origin; `stream` (3,) in the world."""
+    """Linear drag -D (V - V_fluid), D (6, 6) in body axes at the frame's origin; `stream` (3,) in
+    the world."""
 
     coefficients: jax.Array = field("matrix6")
     stream: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
@@ -118,7 +119,7 @@ class LinearDrag(Force):
 
 
 class QuadraticDrag(Force):
-    """-d_i |V_i| V_i for each of the six, d (6,); rho C_D A / 2 is d of a face, in kg/m."""
+    """Quadratic drag -d_i |V_i| V_i for each of the six, d (6,); d = rho C_D A / 2 of a face."""
 
     coefficients: jax.Array = field("twist")
     stream: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))

@@ -1,4 +1,4 @@
-"""Lagrange's equations from your own energies in any coordinates (Olguin Diaz, 7; Cai, 4).
+"""Lagrange's equations from energies in any coordinates (Olguin Diaz, 7; Cai, 4).
 
     d/dt dT/dq' - dT/dq + dV/dq + dD/dq' = Q
 
@@ -44,7 +44,7 @@ class System(NamedTuple):
 
 
 def mass_matrix(system: System, q: jax.Array, v: jax.Array | None = None) -> jax.Array:
-    """M (n, n) = d^2 T / dq'^2, by default at q' = 0.
+    """The mass matrix (n, n) d^2 T / dq'^2, by default at q' = 0.
 
     >>> mass_matrix(System(lambda q, v: (1 + q[0] ** 2) * v @ v), jnp.array([2.0])).tolist()
     [[10.0]]
@@ -62,7 +62,7 @@ def christoffel_symbols(system: System, q: jax.Array) -> jax.Array:
 
 
 def coriolis_matrix(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """C (n, n) = Gamma . q', with M' - 2C skew-symmetric.
+    """The Coriolis matrix C (n, n) = Gamma . q', with M' - 2C skew-symmetric.
 
     >>> M = System(lambda q, v: (1 + q[0] ** 2) * v @ v)
     >>> coriolis_matrix(M, jnp.array([2.0]), jnp.array([3.0])).tolist()
@@ -73,19 +73,19 @@ def coriolis_matrix(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def gravity_forces(system: System, q: jax.Array) -> jax.Array:
-    """g (n,) = dV/dq."""
+    """The gravity forces dV/dq (n,)."""
     q = _position("gravity_forces", system, q)
     return jax.grad(_scalar(system.potential))(q)
 
 
 def damping_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """dD/dq' (n,)."""
+    """The damping forces dD/dq' (n,)."""
     q, v = _state("damping_forces", system, q, v)
     return jax.grad(_scalar(system.dissipation), 1)(q, v)
 
 
 def bias_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """The left-hand side without M q'': (d p/dq) q' - dT/dq + dV/dq + dD/dq', p = dT/dq'."""
+    """The forces at q'' = 0: (d p/dq) q' - dT/dq + dV/dq + dD/dq', with p = dT/dq'."""
     q, v = _state("bias_forces", system, q, v)
     T = _scalar(system.kinetic)
     _, swept = jax.jvp(lambda q: jax.grad(T, 1)(q, v), (q,), (v,))
@@ -96,7 +96,7 @@ def bias_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 def acceleration(
     system: System, q: jax.Array, v: jax.Array, Q: jax.Array | float = 0.0
 ) -> jax.Array:
-    """q'' (n,) under generalized forces Q (n,)."""
+    """The acceleration q'' (n,) under generalized forces Q (n,)."""
     q, v = _state("acceleration", system, q, v)
     if not isinstance(Q, (int, float)):
         Q = checked("acceleration", "Q", Q, "scalar")
@@ -105,7 +105,7 @@ def acceleration(
 
 
 def generalized_forces(system: System, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """Q (n,) that gives the acceleration a (n,): inverse dynamics."""
+    """The generalized forces Q (n,) that give the acceleration a (n,): inverse dynamics."""
     q, v = _state("generalized_forces", system, q, v)
     a = _like("generalized_forces", "a", a, q)
     return (mass_matrix(system, q, v) * a).sum(-1) + bias_forces(system, q, v)
@@ -119,7 +119,7 @@ def energy(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def term(system: System) -> diffrax.ODETerm:
-    """For diffrax: y = (q, v); args are generalized forces (n,), (t, q, v) -> (n,), or None."""
+    """The term for diffrax, y = (q, v); args: forces (n,), a function (t, q, v), or None."""
 
     def rate(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple[jax.Array, jax.Array]:
         q, v = y
@@ -156,7 +156,7 @@ def _state(where: str, system: Any, q: Any, v: Any) -> tuple[jax.Array, jax.Arra
 
 
 def _like(where: str, name: str, value: Any, q: jax.Array) -> jax.Array:
-    """An array of the shape of q."""
+    """Check an array of the shape of q."""
     x = coordinate_vector(where, name, value)
     if x.shape != q.shape:
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {q.shape}, that of q")

@@ -113,7 +113,7 @@ def term(
     forces: Callable[[Any, jax.Array, jax.Array], jax.Array],
     constraint: Constraint,
 ) -> diffrax.ODETerm:
-    """For diffrax, y = (x, v). The index is 1: errors in the constraints are not corrected."""
+    """The term for diffrax, y = (x, v). The index is 1: constraint errors are not corrected."""
 
     def rate(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple[jax.Array, jax.Array]:
         x, v = y

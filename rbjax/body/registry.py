@@ -38,6 +38,6 @@ def formulations() -> MappingProxyType[str, Formulation]:
 
 
 def formulation(name: str) -> Formulation:
-    """The formulation of that name."""
+    """Return a formulation by its name."""
     known = formulations()
     return known[choice("formulation", name, known)]

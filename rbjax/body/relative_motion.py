@@ -133,7 +133,7 @@ def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> Apparent
 def relative_acceleration(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, a: jax.Array
 ) -> jax.Array:
-    """r'' (3,) in B's axes of a point whose acceleration in A is a (3,): f/m if A is inertial."""
+    """The acceleration r'' (3,) in B's axes of a point with the acceleration a (3,) in A."""
     (a,) = _vectors("relative_acceleration", frame, a=a)
     a = matvec(frame.R.T, a)
     return sum(apparent_forces(frame, r, rd), start=a)
@@ -173,6 +173,6 @@ def _known(where: str, frame: Any, name: str = "frame") -> MovingFrame:
 
 
 def _vectors(where: str, frame: Any, **vectors: Any) -> list[jax.Array]:
-    """The vectors of a function of a frame, checked with it."""
+    """Check a frame and vectors."""
     _known(where, frame)
     return [unbatched(where, name, x, "vector") for name, x in vectors.items()]

@@ -11,15 +11,15 @@ sample; `explain` shows the program that a function becomes.
     jax     the JAX primitive: batching, derivatives, sharding, calls from XLA
 """
 
-from rbjax.compiler.cuda.nvrtc import quickly as quickly
-from rbjax.compiler.ir.values import Unsupported as Unsupported
-from rbjax.compiler.jax.backend import wanted as wanted
+from rbjax.compiler.cuda.nvrtc import fast_compile as fast_compile
+from rbjax.compiler.ir.statements import Unsupported as Unsupported
 from rbjax.compiler.jax.explain import Explanation as Explanation
 from rbjax.compiler.jax.explain import explain as explain
-from rbjax.compiler.jax.function import in_parts as in_parts
-from rbjax.compiler.jax.function import side_by_side as side_by_side
-from rbjax.compiler.jax.function import threaded as threaded
+from rbjax.compiler.jax.function import compile_threads as compile_threads
+from rbjax.compiler.jax.function import map_threads as map_threads
 from rbjax.compiler.jax.function import threads as threads
+from rbjax.compiler.jax.function import with_multi_kernel as with_multi_kernel
+from rbjax.compiler.jax.launch import kernels_available as kernels_available
 from rbjax.compiler.jax.native import compile as compile
 
 __all__ = ["Explanation", "Unsupported", "compile", "explain", "threads"]

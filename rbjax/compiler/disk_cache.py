@@ -1,7 +1,6 @@
-"""Compiled code on disk, next to JAX's own compilation cache if the caller has enabled that.
+"""A disk cache of compiled code, next to JAX's compilation cache if the caller has enabled that.
 
-A cache saves time only: if the folder cannot be read or written, code is compiled again and a
-warning names the folder.
+If the folder cannot be read or written, code is compiled again and a warning names the folder.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ import jax
 DIGEST = hashlib.sha256().digest_size
 
 
-def cached(name: str, make: Callable[[], bytes]) -> bytes:
-    """The bytes of the file of this name, made at the first time."""
+def read_or_make(name: str, make: Callable[[], bytes]) -> bytes:
+    """Return the content of the file of this name, or make and write it."""
     folder = _folder()
     if folder is None:
         return make()
@@ -35,12 +34,12 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
     try:
         _write(folder, name, made)
     except OSError as error:
-        _say(str(folder), str(error))
+        _warn(str(folder), str(error))
     return made
 
 
 def _read(file: Path) -> bytes | None:
-    """The content of a file; None if it is missing, cannot be read or is damaged."""
+    """Read a file; None if it is missing, cannot be read or is damaged."""
     try:
         found = file.read_bytes()
     except OSError:
@@ -63,7 +62,7 @@ def _write(folder: Path, name: str, content: bytes) -> None:
 
 
 @functools.cache
-def _say(folder: str, reason: str) -> None:
+def _warn(folder: str, reason: str) -> None:
     warnings.warn(
         f"rbjax.compiler: compiled code is not kept on disk ({reason}), so each process compiles "
         f"it again; make {folder} writable, or set JAX_COMPILATION_CACHE_DIR to another folder",

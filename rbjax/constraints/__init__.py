@@ -5,6 +5,7 @@ from rbjax.constraints.equations.model_rows import jacobian, residual
 from rbjax.constraints.formulation import (
     Baumgarte,
     Formulation,
+    IndependentCoordinates,
     Projection,
     TangentSpace,
     formulations,
@@ -84,6 +85,7 @@ __all__ = [
     "GGL",
     "Gear",
     "Holonomic",
+    "IndependentCoordinates",
     "Index2",
     "Index3",
     "Inline",

@@ -1,9 +1,14 @@
-"""Mobility of a mechanism: how many freedoms its constraints leave, and which rows say nothing new.
+"""Mobility of a mechanism, and consistent states from a guess.
 
     freedoms = nv - rank(G),     G scaled, so that metres compare with radians: D^-1/2 G M^-1/2
-with D = diag(G M^-1 G^T). The rank belongs to a configuration: a mechanism that is over-constrained
-by design has redundant rows everywhere, one that passes a singular position has them there only.
-(Masarati, *Multibody System Dynamics*, ch. 6; Wojtyra 2005)
+with D = diag(G M^-1 G^T), in one configuration. `assemble` solves
+
+    min |dq|_M:  g(t, q + dq) = 0,  pinned coordinates constant;     then the same for velocities
+by Gauss-Newton steps of least norm, which are shortened until the residual decreases. Welds and
+prismatic joints have the rows of `HalfAngle`.
+
+Source: Masarati, *Multibody System Dynamics*, ch. 6 and 8.5; Haug, *Computer-Aided Kinematics and
+Dynamics*, 4.6; Wojtyra 2005.
 """
 
 from __future__ import annotations
@@ -28,8 +33,14 @@ from rbjax.rank_tolerances import rank_tolerance
 
 
 class Mobility(NamedTuple):
-    """Fields: freedoms, nv - rank; rank; singular_values (m,) of the scaled G, which are between 0
-    and the root of m; redundant, the rows that follow from those before them, by name."""
+    """The freedoms of a mechanism.
+
+    Fields:
+        freedoms: nv - rank.
+        rank: of G.
+        singular_values: (m,) of the scaled G, from 0 to sqrt(m).
+        redundant: names of rows that depend on those before them.
+    """
 
     freedoms: int
     rank: int
@@ -38,7 +49,7 @@ class Mobility(NamedTuple):
 
 
 def row_names(model: Model) -> tuple[str, ...]:
-    """What messages call the rows: the constraint, its place among them, and the row in it."""
+    """Name each row by its constraint, the index of it, and its own index."""
     return tuple(
         f"{type(constraint).__name__} {n}, row {k}"
         for n, constraint in enumerate(model.constraints)
@@ -49,7 +60,7 @@ def row_names(model: Model) -> tuple[str, ...]:
 def mobility(
     model: Model, q: jax.Array, t: Any = 0.0, *, tolerance: float | None = None
 ) -> Mobility:
-    """The freedoms that a model's constraints leave at a configuration.
+    """Count the freedoms of a model with constraints in a configuration.
 
     Args:
         model: the robot, with constraints.
@@ -59,7 +70,7 @@ def mobility(
             rows before it is shorter than this; 1e-7 in f64 and 1e-4 in f32 if None.
 
     Returns:
-        `Mobility`, of numbers and not of arrays: it is a report, and cannot be traced.
+        `Mobility`. It cannot be traced.
 
     Example: a door on two hinges
         >>> import rbjax as rb
@@ -82,13 +93,13 @@ def mobility(
     root = np.linalg.cholesky(np.asarray(mass_matrix(model, q), float))
     B = np.linalg.solve(root, G.T).T
     lengths = np.linalg.norm(B, axis=1)
-    said = lengths > tolerance * max(lengths.max(initial=0.0), np.finfo(float).tiny)
-    B = np.where(said[:, None], B / np.where(said, lengths, 1.0)[:, None], 0.0)
+    nonzero = lengths > tolerance * max(lengths.max(initial=0.0), np.finfo(float).tiny)
+    B = np.where(nonzero[:, None], B / np.where(nonzero, lengths, 1.0)[:, None], 0.0)
     s = np.linalg.svd(B, compute_uv=False) if B.size else np.zeros(0)
     basis: list[np.ndarray] = []
     redundant = []
     for name, row in zip(row_names(model), B, strict=True):
-        for e in (*basis, *basis):  # twice: once leaves rounding
+        for e in (*basis, *basis):  # twice, against rounding
             row = row - (row @ e) * e
         size = np.linalg.norm(row)
         if size > tolerance:
@@ -99,13 +110,19 @@ def mobility(
 
 
 STEPS, HALVINGS = 60, 12
-#: how far a guess is moved, rad or m, if its residual or Jacobian is NaN, as at half a turn
+#: largest change of a guess, rad or m, if its residual or Jacobian is NaN, as at half a turn
 MOVED = 0.03
 
 
 class Assembly(NamedTuple):
-    """Fields: state; ok, whether it is on the constraints; off, the largest residual of values and
-    rates; conflicting, the rows that are not met, by name."""
+    """A consistent state.
+
+    Fields:
+        state: the state.
+        ok: whether it satisfies the constraints.
+        off: the largest residual of values and rates.
+        conflicting: names of the rows that are not satisfied.
+    """
 
     state: State
     ok: bool
@@ -122,20 +139,19 @@ def assemble(
     tolerance: float | None = None,
     throw: bool = True,
 ) -> Assembly:
-    """The state on the constraints that is nearest to a guess, in the norm of the mass matrix.
+    """Find the consistent state nearest to a guess, in the norm of the mass matrix.
 
     Args:
         model: the robot, with constraints.
         state: the guess, `State(q (nq,), v (nv,))`.
-        t: time in seconds, for rows that look at it.
-        pinned: names of joints whose coordinates and velocities stay.
+        t: time in seconds, for rows that depend on it.
+        pinned: names of joints with constant coordinates and velocities.
         tolerance: largest residual; 1e-12 in f64, 1e-5 in f32 if None.
-        throw: raise where no state is found; otherwise `ok` and `conflicting` say so.
+        throw: raise if no state is found; otherwise `ok` is False.
 
     Returns:
-        `Assembly`. It is made outside of traced code and is not differentiated; for the derivative
-        of a state that depends on numbers of the model put the result through
-        `rb.constraints.Projection(iterations=8).project`.
+        `Assembly`. It cannot be traced. For the derivative of a consistent state apply
+        `rb.constraints.Projection(iterations=8).project` to it.
 
     Raises:
         InputError: no such state, with the rows that conflict. UnknownName: no such joint.
@@ -167,7 +183,7 @@ def assemble(
     root = np.linalg.cholesky(np.asarray(mass_matrix(model, state.q), float)[np.ix_(free, free)])
 
     def least(off: np.ndarray, q: Any) -> np.ndarray:
-        """The change of least norm that takes away what the free coordinates can."""
+        """Compute the change of least norm of the free coordinates that minimises the residual."""
         G = np.asarray(jacobian(model, q, t), float)[:, free]
         change = np.zeros(model.nv)
         scaled = np.linalg.pinv(np.linalg.solve(root, G.T).T, rcond=rounding) @ -off
@@ -217,8 +233,7 @@ def assemble(
 
 
 def _half_angles(model: Model) -> Model:
-    """The model with `HalfAngle` rows for its loop joints: they are zero only if a joint is
-    closed."""
+    """Replace the rows of welds and prismatic joints by those of `HalfAngle`."""
 
     def of(constraint: Any) -> Any:
         joint = constraint.of if isinstance(constraint, Soft) else constraint

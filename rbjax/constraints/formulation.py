@@ -3,8 +3,9 @@
 A formulation is the product of three factors, which combine freely:
 
     method        solves the equations of constrained motion for the accelerations
-    feedback      none, or Baumgarte's: the rows ask for g'' = -2 alpha g' - beta^2 g
-    projection    none; after each step (`Projection`); or at each stage too (`TangentSpace`)
+    feedback      none, or Baumgarte's: g'' = -2 alpha g' - beta^2 g
+    projection    none; after each step (`Projection`); or at each stage (`TangentSpace`,
+                  `IndependentCoordinates`)
 """
 
 from __future__ import annotations
@@ -15,7 +16,11 @@ from typing import Any, ClassVar
 
 import jax
 
-from rbjax.constraints.equations.projection import across, projected
+from rbjax.constraints.equations.projection import (
+    project_state,
+    project_to_tangent_space,
+    solve_dependent,
+)
 from rbjax.constraints.methods.dense import (
     KKT,
     AugmentedLagrangian,
@@ -37,7 +42,7 @@ from rbjax.constraints.methods.soft import Compliant, Soft, is_soft
 from rbjax.constraints.rows import couplings, curve, functions, pairs, rolling
 from rbjax.constraints.rows.pairs import QuaternionWeld
 from rbjax.constraints.rows.row import Constraint
-from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
 
@@ -46,10 +51,11 @@ MULTIPLIERS = Multipliers()
 
 @dataclass(frozen=True)
 class Baumgarte(Factor):
-    """Feedback of the residual: g'' + 2 alpha g' + beta^2 g = 0, exactly.
+    """Feedback of the residual: g'' + 2 alpha g' + beta^2 g = 0.
 
-    Fields: alpha, beta in 1/s. alpha = beta is critically damped. Large ones make the equations
-    stiff: an explicit step dt needs alpha dt well below 1.
+    Fields:
+        alpha, beta: 1/s. alpha = beta is critically damped. An explicit step dt needs alpha dt well
+            below 1.
 
     Source: Baumgarte 1972; Masarati 8.4.
     """
@@ -60,10 +66,9 @@ class Baumgarte(Factor):
 
     @classmethod
     def for_step(cls, dt: float) -> Baumgarte:
-        """The best feedback for steps dt of semi-implicit Euler without projection:
-        alpha = 1 / (2 dt), beta = 0.3 / dt, by which G v+ = -0.09 g / dt. Three steps of ten take
-        away two thirds of a residual; each adds about |G' v| dt^2 / 2. Other integrators, with
-        stages, want alpha and beta well below 1 / dt.
+        """Make the best feedback for steps dt of semi-implicit Euler without projection:
+        alpha = 1 / (2 dt), beta = 0.3 / dt, so that G v+ = -0.09 g / dt. Integrators with stages
+        need alpha and beta well below 1 / dt.
 
         Source: Anitescu & Potra 1997 (constraints on the velocity after a step).
         """
@@ -74,10 +79,11 @@ class Baumgarte(Factor):
 
 @dataclass(frozen=True)
 class Projection(Factor):
-    """Projection after each step: positions and velocities return to the constraints by the least
-    change in the norm of the mass matrix.
+    """Projection after each step: the least change of positions and velocities, in the norm of the
+    mass matrix, that satisfies the constraints.
 
-    Fields: iterations, of positions and of velocities each; 2 in f64 and 1 in f32 if None.
+    Fields:
+        iterations: of positions and of velocities each; 2 in f64 and 1 in f32 if None.
 
     Source: Masarati 9.3.3 (drift eliminated at position level).
     """
@@ -86,39 +92,69 @@ class Projection(Factor):
     name: ClassVar[str] = "projected"
 
     def project(self, model: Model, t: Any, state: State) -> State:
-        """The state on the constraints. It is differentiable."""
-        return projected(model, t, state, self.iterations)
+        """Return the state on the constraints. It is differentiable."""
+        return project_state(model, t, state, self.iterations)
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """The state at which the rates of a stage are taken, of a step that began at t0 in
-        `start`."""
+        """Return the state for the rates of a stage, of a step that began at t0 in `start`."""
         return state
 
 
 @dataclass(frozen=True)
-class TangentSpace(Factor):
-    """Projection at each stage of a step, in positions and velocities, across the tangent space at
-    the start of the step. The forces and accelerations of a stage are those of a consistent state.
+class StageProjection(Factor):
+    """A projection at each stage of a step, in `simulate` and in the Runge-Kutta methods of
+    `rollout`; after each step with other integrators. Make a frozen dataclass of it.
 
-    `Projection` acts only at the end of steps; stages are then off the constraints by the square of
-    the step. The two agree to the order of the method. This one is for forces, rows or functions
-    that are undefined off the constraints, and for steps equal to those of a method in minimal
-    coordinates. It takes a Newton iteration per stage, on arrays of the rows. It acts in `simulate`
-    and in the Runge-Kutta methods of `rollout`; with other integrators it acts as `Projection`.
+    Fields:
+        iterations: of Newton's method; 5 in f64 and 3 in f32 if None.
+    """
 
-    Fields: iterations, of Newton's method; 5 in f64 and 3 in f32 if None.
+    iterations: int | None = None
+
+    def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
+        """Return the state for the rates of a stage, of a step that began at t0 in `start`."""
+        raise NotImplementedError(f"{type(self).__name__} has no method stage_state")
+
+    def project(self, model: Model, t: Any, state: State) -> State:
+        """Return the state after a step. It is differentiable."""
+        return self.stage_state(model, t, state, t, state)
+
+
+@dataclass(frozen=True)
+class TangentSpace(StageProjection):
+    """Projection at each stage of a step, across the tangent space at the start of the step. The
+    accelerations of a stage are those of a consistent state.
+
+    Use it if forces or rows are undefined off the constraints, or if steps shall be equal to those
+    in minimal coordinates; else `Projection` costs less. The two agree to the order of the method.
 
     Source: Mani, Haug & Atkinson 1985; Hairer, Lubich & Wanner, IV.5.3; Masarati 7.1.3.
     """
 
-    iterations: int | None = None
     name: ClassVar[str] = "tangent_space"
 
     def project(self, model: Model, t: Any, state: State) -> State:
-        return projected(model, t, state)
+        return project_state(model, t, state)
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        return across(model, t, state, t0, start, self.iterations)
+        return project_to_tangent_space(model, t, state, t0, start, self.iterations)
+
+
+@dataclass(frozen=True)
+class IndependentCoordinates(StageProjection):
+    """Integration of the independent coordinates only: at each stage of a step the dependent ones
+    and their velocities are solved from the constraints.
+
+    The partition is the one of the start of the step, by elimination with full pivoting.
+    "partitioning" of `rb.constraints.formulations()` is `Partitioning` with this projection.
+
+    Source: Wehage & Haug 1982; Masarati 7.1.1.
+    """
+
+    name: ClassVar[str] = "independent_coordinates"
+
+    def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
+        return solve_dependent(model, t, state, t0, start, self.iterations)
 
 
 @dataclass(frozen=True)
@@ -138,13 +174,13 @@ class Formulation:
 
     method: Method = MULTIPLIERS
     feedback: Baumgarte | None = None
-    projection: Projection | TangentSpace | None = None
+    projection: Projection | StageProjection | None = None
 
     def __post_init__(self) -> None:
         for name, kinds in (
             ("method", (Method,)),
             ("feedback", (Baumgarte, type(None))),
-            ("projection", (Projection, TangentSpace, type(None))),
+            ("projection", (Projection, StageProjection, type(None))),
         ):
             value = getattr(self, name)
             if not isinstance(value, kinds):
@@ -158,20 +194,20 @@ class Formulation:
 
     @property
     def name(self) -> str:
-        """The factors that are not the default, joined by "+"."""
+        """The names of the factors that are not the default, joined by "+"."""
         factors: tuple[Any, ...] = () if self.method == MULTIPLIERS else (self.method,)
         factors += tuple(x for x in (self.feedback, self.projection) if x is not None)
         return "+".join(x.name for x in factors or (self.method,))
 
     @property
     def family(self) -> str:
-        """That of the method; "minimal" (Masarati 7) with `TangentSpace`."""
-        return "minimal" if isinstance(self.projection, TangentSpace) else self.method.family
+        """The family of the method; "minimal" (Masarati 7) with a projection at each stage."""
+        return "minimal" if isinstance(self.projection, StageProjection) else self.method.family
 
     @property
     def index(self) -> int:
-        """That of the method; 0 with `TangentSpace`."""
-        return 0 if isinstance(self.projection, TangentSpace) else self.method.index
+        """The index of the method; 0 with a projection at each stage."""
+        return 0 if isinstance(self.projection, StageProjection) else self.method.index
 
     def __call__(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
@@ -182,14 +218,14 @@ class Formulation:
         return self.method(model, t, state, tau, f_ext, *gains)
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """The state at which the rates of a stage are taken, of a step that began at t0 in `start`;
-        and the state at the end of the step, before it is projected."""
+        """Return the state for the rates of a stage, of a step that began at t0 in `start`, or at
+        the end of the step before `project`."""
         if self.projection is None:
             return state
         return self.projection.stage_state(model, t, state, t0, start)
 
     def project(self, model: Model, t: Any, state: State) -> State:
-        """The state after a step, from which the next one starts."""
+        """Return the state after a step, from which the next one starts."""
         if self.projection is None:
             return state
         model = self.method.projected_rows(model)
@@ -197,17 +233,17 @@ class Formulation:
 
 
 def as_formulation(x: Any) -> Formulation | None:
-    """A formulation from itself or from one of its factors; None if it is neither."""
+    """Make a formulation from itself or from one of its factors; None if it is neither."""
     if isinstance(x, Formulation):
         return x
     if isinstance(x, Method):
         return Formulation(x)
     if isinstance(x, Baumgarte):
         return Formulation(feedback=x)
-    return Formulation(projection=x) if isinstance(x, Projection | TangentSpace) else None
+    return Formulation(projection=x) if isinstance(x, Projection | StageProjection) else None
 
 
-def stepped(dynamics: Any) -> DifferentialAlgebraic | None:
+def differential_algebraic_method(dynamics: Any) -> DifferentialAlgebraic | None:
     """The method whose equations an implicit integrator steps, if the dynamics has such a
     method."""
     method = dynamics.method if isinstance(dynamics, Formulation) else dynamics
@@ -215,7 +251,7 @@ def stepped(dynamics: Any) -> DifferentialAlgebraic | None:
 
 
 DEFAULT = Formulation(projection=Projection())
-#: methods that stand in the registry with neither feedback nor projection
+#: methods in the registry without feedback
 METHODS: tuple[Method, ...] = (
     KKT(), NullSpaceQR(), NullSpaceSVD(), Partitioning(), Recursive(), UdwadiaKalaba(),
     ForceProjection(), AugmentedLagrangian(), Penalty(), Index2(), Index3(), GGL(),
@@ -226,6 +262,7 @@ _FORMULATIONS: dict[str, Formulation] = {
     "baumgarte": Formulation(feedback=Baumgarte()),
     "tangent_space": Formulation(projection=TangentSpace()),
     **{method.name: Formulation(method) for method in METHODS},
+    "partitioning": Formulation(Partitioning(), projection=IndependentCoordinates()),
     "compliant": Formulation(Compliant(), projection=Projection()),
 }
 
@@ -242,7 +279,7 @@ def formulations() -> dict[str, Formulation]:
     | kkt | kkt | redundant | 1 | a and l at once |
     | null_space_qr | the same | minimal | 0 | a = L c + Z z, Z of a pivoted QR |
     | null_space_svd | the same | minimal | 0 | Z of singular values |
-    | partitioning | the same | minimal | 0 | z some of the velocities |
+    | partitioning | the same | minimal | 0 | z of independent coordinates, which are integrated |
     | recursive | the same | minimal | 0 | multipliers, loop by loop along the tree |
     | udwadia_kalaba | the same | unconstrained | 0 | the least change of a_f |
     | force_projection | the same | unconstrained | 0 | forces without their part along the rows |
@@ -283,8 +320,8 @@ def kinds() -> dict[str, type[Constraint]]:
 
 
 def formulation_of(where: str, model: Model, given: Any) -> Formulation | None:
-    """The formulation that enforces the model's constraints; None where it has none. `given`: a
-    name, a `Formulation` or one of its factors, or None for the default."""
+    """Return the formulation of a model with constraints; None without. `given`: a name, a
+    `Formulation` or one of its factors, or None for the default."""
     if not model.constraints:
         if given is not None:
             raise InputError(

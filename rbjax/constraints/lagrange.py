@@ -1,13 +1,13 @@
-"""Lagrange's equations of the first kind, of a user's own system in any coordinates.
+"""Lagrange's equations of the first kind, in any coordinates.
 
     d/dt dL/dv - dL/dq = Q + G^T l,        v = q'
     f(t, q) = 0,     A(t, q) v = b(t, q),      G = [df/dq; A]
-by differentiation of L = T - V, f, A and b; or M a = F + G^T l in the place of the first line.
-The rows hold as G a = c: f'' and (A v - b)' at a, with feedback of the residual (Baumgarte) where
-it is asked for. Both lines are solved at once by a formulation on arrays. Their derivative is that
-of the implicit function; of redundant rows l is the least. (Goldstein, *Classical Mechanics*, 2.4;
-Arnold, *Mathematical Methods of Classical Mechanics*, 21; Masarati, *Multibody System Dynamics*,
-ch. 7; Neimark & Fufaev, *Dynamics of Nonholonomic Systems*, ch. 3)
+by differentiation of L = T - V, f, A and b; or M a = F + G^T l instead of the first line. A `Dense`
+method solves for a and l; the derivative is the one of the implicit function.
+
+Source: Goldstein, *Classical Mechanics*, 2.4; Arnold, *Mathematical Methods of Classical
+Mechanics*, 21; Masarati, *Multibody System Dynamics*, 4.3; Neimark & Fufaev, *Dynamics of
+Nonholonomic Systems*, ch. 3.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from rbjax.constraints.equations.model_rows import Residual
 from rbjax.constraints.methods.dense import KKT, Dense
 from rbjax.constraints.reactions import ConstrainedMotion
 from rbjax.constraints.rows.functions import check_function, evaluate
+from rbjax.constraints.rows.row import derivatives
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import matvec
 
@@ -34,15 +35,20 @@ FULL = KKT()
 class LagrangeSystem:
     """M(t, q) a = F(t, q, v) + G^T l under f(t, q) = 0 and A(t, q) v = b(t, q).
 
-    `energies` and `lagrangian` make one from T and V, or from L. All functions may take `args` as a
-    last argument, a pytree of numbers, which is then given to the methods too: gradients by it are
-    those of the equations.
+    `energies` and `lagrangian` make one from T and V, or from L. All functions may take `args` as
+    the last argument, a pytree of numbers, which is then an argument of the methods too.
 
-    Fields: mass, to (n, n), symmetric, with a positive diagonal, and definite along what the rows
-    leave free; force, to (n,); holonomic f, to (m,), or None; pfaffian A, to (k, n), or None; rate
-    b, to (k,), or None for zero; formulation, a `Dense` one, "kkt" if not given.
+    Fields:
+        mass: to (n, n), symmetric with a positive diagonal, and positive definite in the null space
+            of G.
+        force: to (n,).
+        holonomic: f, to (m,), or None.
+        pfaffian: A, to (k, n), or None.
+        rate: b, to (k,), or None for zero.
+        formulation: a `Dense` method.
 
-    Raises: `InputError` where a function returns another shape.
+    Raises:
+        InputError: a function returns another shape.
 
     Example: a pendulum in x and z
         >>> import jax.numpy as jnp
@@ -84,8 +90,8 @@ class LagrangeSystem:
 
     @classmethod
     def lagrangian(cls, L: Callable, forces: Callable | None = None, **rows: Any) -> LagrangeSystem:
-        """Of L(t, q, v), a scalar and at most quadratic in v, and generalized forces
-        Q(t, q, v) -> (n,) beside it; rows as the fields of those names."""
+        """Make the system of L(t, q, v), at most quadratic in v, and generalized forces
+        Q(t, q, v) -> (n,); `rows` are the other fields."""
         check_function("LagrangeSystem.lagrangian: L", L)
         if forces is not None:
             check_function("LagrangeSystem.lagrangian: forces", forces)
@@ -97,13 +103,13 @@ class LagrangeSystem:
             return jax.hessian(scalar, 2)(t, q, jnp.zeros_like(q), *args)
 
         def force(t: Any, q: jax.Array, v: jax.Array, *args: Any) -> jax.Array:
-            """Q + dL/dq - (d/dt dL/dv without its part of v')."""
+            """Return Q + dL/dq - (d/dt dL/dv without v')."""
 
             def momentum(t: Any, q: jax.Array) -> jax.Array:
                 return jax.grad(scalar, 2)(t, q, v, *args)
 
-            _, swept = jax.jvp(momentum, (t, q), (jnp.ones_like(t), v))
-            out = jax.grad(scalar, 1)(t, q, v, *args) - swept
+            _, momentum_rate = jax.jvp(momentum, (t, q), (jnp.ones_like(t), v))
+            out = jax.grad(scalar, 1)(t, q, v, *args) - momentum_rate
             if forces is None:
                 return out
             at = t, q, v, *args
@@ -119,7 +125,7 @@ class LagrangeSystem:
         forces: Callable | None = None,
         **rows: Any,
     ) -> LagrangeSystem:
-        """Of T(q, v), quadratic in v, and V(q), scalars, and forces beside them (`lagrangian`)."""
+        """Make the system of T(q, v), quadratic in v, V(q), and forces (`lagrangian`)."""
         check_function("LagrangeSystem.energies: kinetic", kinetic)
         if potential is not None:
             check_function("LagrangeSystem.energies: potential", potential)
@@ -134,22 +140,22 @@ class LagrangeSystem:
         self, t: Any, q: jax.Array, v: jax.Array, args: Any = None, *, alpha: Any = 0.0,
         beta: Any = 0.0,
     ) -> ConstrainedMotion:  # fmt: skip
-        """Accelerations and multipliers.
+        """Compute accelerations and multipliers.
 
         Args:
             t: time.
             q, v: (n,) coordinates and their rates.
-            args: what the functions take as their last argument; None if they take none.
+            args: the last argument of the functions; None if they have none.
             alpha, beta: feedback of the residual, f'' + 2 alpha f' + beta^2 f = 0.
         """
         t, q, v = _arrays("LagrangeSystem.solve", t, q, v)
         M, F = self._mass(t, q, args), self._of("force", (t, q, v), args, q.shape)
-        (value, rate, bent), G = self._rows(t, q, v, args)
-        c = -bent - 2 * alpha * rate - beta**2 * value
-        return ConstrainedMotion(*self.formulation.solved(M, G, F, c))
+        (value, rate, acceleration), G = self._rows(t, q, v, args)
+        c = -acceleration - 2 * alpha * rate - beta**2 * value
+        return ConstrainedMotion(*self.formulation.scaled_solution(M, G, F, c))
 
     def residual(self, t: Any, q: jax.Array, v: jax.Array, args: Any = None) -> Residual:
-        """How far a state is from the constraints, as `solve`."""
+        """Compute the residuals of the constraints, with the arguments of `solve`."""
         t, q, v = _arrays("LagrangeSystem.residual", t, q, v)
         value, rate, _ = self._rows(t, q, v, args)[0]
         return Residual(value, rate)
@@ -157,21 +163,20 @@ class LagrangeSystem:
     def project(
         self, t: Any, q: jax.Array, v: jax.Array, args: Any = None, iterations: int = 3
     ) -> tuple[jax.Array, jax.Array]:
-        """q and v put on the constraints by the least change in the norm of M, as `solve`; each
-        iteration squares what the one before it left."""
+        """Project q and v on the constraints by the least change in the norm of M."""
         t, q, v = _arrays("LagrangeSystem.project", t, q, v)
         for _ in range(iterations):
             (value, _, _), G = self._rows(t, q, v, args)
             M = self._mass(t, q, args)
-            q = q + self.formulation.solved(M, G, jnp.zeros_like(q), -value)[0]
+            q = q + self.formulation.scaled_solution(M, G, jnp.zeros_like(q), -value)[0]
         M = self._mass(t, q, args)
         for _ in range(2):
             (_, rate, _), G = self._rows(t, q, v, args)
-            v = v + self.formulation.solved(M, G, jnp.zeros_like(v), -rate)[0]
+            v = v + self.formulation.scaled_solution(M, G, jnp.zeros_like(v), -rate)[0]
         return q, v
 
     def term(self, alpha: Any = 0.0, beta: Any = 0.0) -> diffrax.ODETerm:
-        """For diffrax: y = (q, v); its args are those of the functions."""
+        """Make the term of diffrax for y = (q, v)."""
 
         def rates(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple:
             return y[1], self.solve(t, *y, args, alpha=alpha, beta=beta).acceleration
@@ -179,7 +184,7 @@ class LagrangeSystem:
         return diffrax.ODETerm(rates)
 
     def _of(self, name: str, at: tuple, args: Any, shape: tuple[int, ...]) -> jax.Array:
-        """What one of the functions returns."""
+        """Evaluate one of the functions."""
         given = at if args is None else (*at, args)
         f, dtype = getattr(self, name), at[1].dtype
         return evaluate(f"LagrangeSystem: {name}", f, None, given, shape, dtype)
@@ -188,7 +193,7 @@ class LagrangeSystem:
         return self._of("mass", (t, q), args, (len(q), len(q)))
 
     def _size(self, name: str, t: Any, q: jax.Array, args: Any) -> int:
-        """How many rows a function has."""
+        """Return the number of rows of a function."""
         given = (t, q) if args is None else (t, q, args)
         out = jnp.shape(jax.eval_shape(lambda *x: jnp.asarray(getattr(self, name)(*x)), *given))
         due = (len(q),) if name == "pfaffian" else ()
@@ -198,32 +203,28 @@ class LagrangeSystem:
         return out[0]
 
     def _rows(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
-        """Value, rate and the second derivative at a = 0 of the rows, and G (rows, n)."""
+        """Compute the rows, their rates and accelerations at a = 0, and G (rows, n)."""
         parts = []
         if self.holonomic is not None:
-            parts.append(self._held(t, q, v, args))
+            parts.append(self._holonomic_rows(t, q, v, args))
         if self.pfaffian is not None:
-            parts.append(self._led(t, q, v, args))
+            parts.append(self._pfaffian_rows(t, q, v, args))
         columns, G = zip(*parts, strict=True)
         stacked = tuple(jnp.concatenate(x) for x in zip(*columns, strict=True))
         return stacked, jnp.concatenate(G)
 
-    def _held(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
-        """Those of f, along q + s v."""
+    def _holonomic_rows(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
+        """Differentiate f along q + s v."""
         shape = (self._size("holonomic", t, q, args),)
 
         def f(t: Any, q: jax.Array) -> jax.Array:
             return self._of("holonomic", (t, q), args, shape)
 
-        def slope(s: jax.Array) -> tuple:
-            return jax.jvp(lambda s: f(t + s, q + s * v), (s,), (jnp.ones_like(s),))
+        path = derivatives(lambda s: f(t + s, q + s * v), jnp.zeros_like(t))
+        return path, jax.jacrev(lambda q: f(t, q))(q)
 
-        zero = jnp.zeros_like(t)
-        (value, rate), (_, bent) = jax.jvp(slope, (zero,), (jnp.ones_like(t),))
-        return (value, rate, bent), jax.jacrev(lambda q: f(t, q))(q)
-
-    def _led(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
-        """Those of A v - b, along q + s v with v as it is."""
+    def _pfaffian_rows(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
+        """Differentiate A v - b along q + s v, with constant v."""
         shape = self._size("pfaffian", t, q, args), len(q)
 
         def y(s: jax.Array) -> tuple:
@@ -234,8 +235,8 @@ class LagrangeSystem:
                 out = out - self._of("rate", at, args, shape[:1])
             return out, A
 
-        rate, bent, A = jax.jvp(y, (jnp.zeros_like(t),), (jnp.ones_like(t),), has_aux=True)
-        return (jnp.zeros_like(rate), rate, bent), A
+        rate, acceleration, A = jax.jvp(y, (jnp.zeros_like(t),), (jnp.ones_like(t),), has_aux=True)
+        return (jnp.zeros_like(rate), rate, acceleration), A
 
 
 def _arrays(where: str, t: Any, q: Any, v: Any) -> tuple[jax.Array, jax.Array, jax.Array]:

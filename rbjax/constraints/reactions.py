@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.equations.constrained_motion import constrained_motion
-from rbjax.constraints.equations.model_rows import by_link
+from rbjax.constraints.equations.model_rows import wrenches_by_link
 from rbjax.constraints.methods.soft import Soft, compliant_motion, is_soft
 from rbjax.constraints.rows.pairs import Pair
-from rbjax.dynamics.algorithms.link_forces import on_links
+from rbjax.dynamics.algorithms.rnea import wrenches_to_links
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
@@ -43,12 +43,12 @@ def constrained_dynamics(
     wrenches: jax.Array | None = None,
     t: Any = 0.0,
 ) -> ConstrainedMotion:
-    """Accelerations of a robot with its constraints, and their multipliers:
+    """Compute the accelerations of a robot with its constraints, and their multipliers:
 
         M a + b = tau + sum_b J_b^T w_b + G^T l,      G a = -(G' v + ...)
 
-    Rows of `Soft` constraints obey MuJoCo's law, as in a rollout by default (`Compliant`); l are
-    then the forces on these rows. `rbjax.forward_dynamics` is the same without constraints.
+    For rows of `Soft` constraints l are the forces by MuJoCo's model (`Compliant`).
+    `rbjax.forward_dynamics` is the same without constraints.
 
     Args:
         model: the robot; its constraints are enforced, redundant ones too.
@@ -65,7 +65,7 @@ def constrained_dynamics(
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
 
-    Source: Masarati, *Multibody System Dynamics*, ch. 7; Carpentier, Budhiraja & Mansard 2021.
+    Source: Masarati, *Multibody System Dynamics*, 8.3; Carpentier, Budhiraja & Mansard 2021.
 
     Example:
         >>> import rbjax as rb
@@ -82,7 +82,7 @@ def constrained_dynamics(
     f_ext: Any = None
     if wrenches is not None:
         d = driver(model, q.dtype)
-        f_ext = on_links(d, d.joints(q, None), wrenches)
+        f_ext = wrenches_to_links(d, d.joints(q, None), wrenches)
     return ConstrainedMotion(*_motion(model, t, State(q, v), tau, f_ext))
 
 
@@ -90,12 +90,11 @@ def constrained_dynamics(
 def multipliers(
     model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
 ) -> jax.Array:
-    """l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...): the constraint forces. Rows of `Soft`
-    constraints have the forces by MuJoCo's law, as in a rollout by default.
+    """Compute the constraint forces, l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...). For rows
+    of `Soft` constraints they are the forces by MuJoCo's model.
 
     If rows are redundant, l are the multipliers of least norm, each weighted by the square root of
-    its diag(G M^-1 G^T). A multiplier is in newtons if its row is in metres, and in newton metres
-    if its row is an angle or a cosine.
+    its diag(G M^-1 G^T). They are in N for rows in m, and in N m for angles and cosines.
 
     Args:
         model: the robot, with constraints.
@@ -103,18 +102,18 @@ def multipliers(
         ctrl: (nu,) controls; None for no actuation.
         t: time in seconds.
 
-    Source: Masarati, *Multibody System Dynamics*, ch. 7.
+    Source: Masarati, *Multibody System Dynamics*, 8.3.
     """
-    return _solved(model, state, ctrl, t)
+    return _multipliers(model, state, ctrl, t)
 
 
-def _solved(model: Model, state: State, ctrl: Any, t: Any) -> jax.Array:
+def _multipliers(model: Model, state: State, ctrl: Any, t: Any) -> jax.Array:
     tau, f_ext, _ = applied(model, t, state, Inputs(ctrl))
     return _motion(model, t, state, tau, f_ext)[1]
 
 
 def _motion(model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
-    """a and l by the default formulation of a rollout; all rigid formulations give the same a."""
+    """Compute a and l by the default formulation of a rollout."""
     solve = compliant_motion if is_soft(model) else constrained_motion
     return solve(model, t, state, tau, f_ext)
 
@@ -123,12 +122,12 @@ def _motion(model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
 def joint_wrenches(
     model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
 ) -> jax.Array:
-    """The wrench of each loop joint (`Pair`) of the model on its body b, or on the world: (joints,
-    6) [torque N m; force N], in world axes at the origin of its frame on b.
+    """Compute the wrench of each loop joint (`Pair`) on its body b, or on the world: (joints, 6)
+    [torque N m; force N], in world axes at the origin of its frame on b.
 
     Args: as `multipliers`.
     """
-    l = _solved(model, state, ctrl, t)
+    l = _multipliers(model, state, ctrl, t)
     now = Context.of(model, t, state, None)
     out, at = [], 0
     for constraint in model.constraints:
@@ -141,7 +140,7 @@ def joint_wrenches(
         B = _End(now, joint.b.frame(now))
         wrench = Force.zero()
         for row in joint.between_frames(joint.a.frame(now), B, now):
-            wrench = wrench + by_link(row.gradient).get(END, Force.zero()) * l[at]
+            wrench = wrench + wrenches_by_link(row.gradient).get(END, Force.zero()) * l[at]
             at += 1
         out.append(pack([*(B.rotation @ wrench.ang), *(B.rotation @ wrench.lin)], state.v))
     return jnp.stack(out) if out else jnp.zeros((0, 6), state.q.dtype)
@@ -151,8 +150,8 @@ END = -2  # index of a recording frame, in place of a link's; WORLD is -1
 
 
 class _End(Frame):
-    """A frame that records wrenches in its own axes, at its origin, instead of on its link. So the
-    frame may be on the world, or on the same link as the other end of the joint."""
+    """A frame that records wrenches in its own axes, at its origin, instead of on its link, which
+    may be the world, or the link of the other end of the joint."""
 
     def __init__(self, now: Context, frame: Frame, *moved: Transform):
         super().__init__(now.links, frame.link, *frame._placed, *moved)

@@ -15,10 +15,8 @@ ENTRIES = 400
 
 
 def in_registers(A: jax.Array) -> jax.Array:
-    """A matrix, on a GPU its rows one by one: in a program of one sample (`rb.threads`) what
-    follows works on values, and not on memory in loops. A CPU has fewer registers, and it reads
-    vectors from memory: there an iteration of a quadrotor's problem takes twice as long on values.
-    """
+    """Read a matrix row by row on a GPU, so that a program of one sample (`rb.threads`) works on
+    registers. A CPU has too few of them."""
     if A.ndim < 2 or A.size > ENTRIES:
         return A
     rows = lambda A: jnp.stack([A[i] for i in range(A.shape[0])])  # noqa: E731

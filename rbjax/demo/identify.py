@@ -39,12 +39,13 @@ unknowns = {
     "payload centre of mass x": Unknown("bodies.com", (7, 0)),
     "damping of joint 4": Unknown("joints.damping", 3, positive=True), ...
 }
-found = rb.sysid.identify(model, run, unknowns, starts=True)   # with the state at the start
+found = rb.sysid.identify(model, run, unknowns)   # with the state at the start
 rb.sysid.report(found, "identification.html")"""
 
 
 def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
-    """Controls (steps, nu), and MuJoCo's angles (1 + steps / EVERY, nq) with noise and without."""
+    """Make controls (steps, nu) and MuJoCo's angles (1 + steps / EVERY, nq), with noise and
+    without."""
     reference, _ = smooth("arm7")
     body = reference.body("link7").id
     reference.body_mass[body] += TRUTH["payload mass"][2]
@@ -62,7 +63,7 @@ def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
 
 
 def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> Section:
-    """Measure, fit, draw."""
+    """Measure, fit and draw."""
     say("identification: MuJoCo measures, Gauss-Newton compiles")
     model = load("arm7").replace(driver="rolled")
     assert model.body("link7") == 7
@@ -73,7 +74,7 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
     )
     grid = Grid(model.timestep, integrator="semi_implicit_euler")  # MuJoCo's own step
     unknowns = {name: u for name, (u, _, _) in TRUTH.items()}
-    found = identified(model, run, unknowns, starts=True, grid=grid)
+    found = identified(model, run, unknowns, grid=grid)
     report(found, folder / "identification.html", title="Identification of an arm's payload")
     truth = {name: found.guess[name] + added for name, (_, _, added) in TRUTH.items()}
     rows = []

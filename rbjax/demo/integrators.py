@@ -49,7 +49,7 @@ Run = Callable[[int], tuple[Any, Any]]  # steps -> final (q, v) of the batch
 
 
 def start(model: Model, scene: str, batch: int) -> State:
-    """A batch around a keyframe."""
+    """Initial states around a keyframe."""
     keyframe, spread, _, _ = SCENES[scene]
     state = model.keyframe(keyframe)
     rng = np.random.default_rng(0)
@@ -166,7 +166,7 @@ def integrators(
     refined: tuple[int, ...] = REFINED,
     mjx: bool = True,
 ) -> Section:
-    """Measure, draw."""
+    """Measure and draw."""
     found = {scene: measure(scene, batch, refined, say, mjx) for scene in scenes}
     _picture(folder / "integrators.png", found)
     rows = []

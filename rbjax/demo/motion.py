@@ -1,4 +1,4 @@
-"""A batch in motion: hundreds of copies of every bundled scene, drawn without GL."""
+"""A batch of motions of every bundled scene, drawn without GL."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Flight:
 
     @classmethod
     def of(cls, scene: str, batch: int) -> Flight:
-        """In f32."""
+        """Compile the rollout of a scene, in f32."""
         with jax.enable_x64(False):  # which is a thread's own
             show, model = SHOWS[scene], load(scene)
             if model.nv > 4:
@@ -111,7 +111,7 @@ class Flight:
             return cls(model, state, steps, run.lower(state).compile())
 
     def timed(self) -> tuple[Trajectory, float]:
-        """The motion, and the number of steps a second."""
+        """Run it: the motion, and the number of steps a second."""
         path = jax.block_until_ready(self.program(self.state))
         begin = time.perf_counter()
         jax.block_until_ready(self.program(self.state))

@@ -1,4 +1,4 @@
-"""The demo's report: sections of words, a table and pictures, as Markdown and as one HTML file."""
+"""The demo's report: sections of text, tables and pictures, as Markdown and as one HTML file."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def _say(say: Callable[[str], None], scene: str, stage: str) -> None:
 def validate(
     folder: Path, say: Callable[[str], None], *, scenes: dict[str, bool] | None = None
 ) -> Section:
-    """Compare, tabulate."""
+    """Compare, and make a table."""
     chosen = SCENES if scenes is None else scenes
 
     def compared(scene: str) -> Report:

@@ -1,5 +1,6 @@
 """Kinematics and dynamics of trees: one file for each algorithm, and the drivers."""
 
+from rbjax.dynamics.algorithms.aba import forward_dynamics
 from rbjax.dynamics.algorithms.coriolis import (
     LagrangeCoefficients,
     coriolis_matrix,
@@ -18,14 +19,15 @@ from rbjax.dynamics.algorithms.energy import (
     kinetic_energy,
     potential_energy,
 )
-from rbjax.dynamics.algorithms.forward import forward_dynamics, inverse_mass_matrix
 from rbjax.dynamics.algorithms.frames import (
     frame_bias_acceleration,
     frame_pose,
     frame_velocity,
-    site_pose,
+    generalized_forces,
+    jacobian,
+    jacobian_rate,
 )
-from rbjax.dynamics.algorithms.jacobians import generalized_forces, jacobian, jacobian_rate
+from rbjax.dynamics.algorithms.inverse import inverse_mass_matrix
 from rbjax.dynamics.algorithms.kinematics import Poses, body_velocities, forward_kinematics
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.dynamics.algorithms.regressor import inertial_parameters, inertial_regressor
@@ -62,5 +64,4 @@ __all__ = [
     "lagrange_coefficients",
     "mass_matrix",
     "potential_energy",
-    "site_pose",
 ]

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import floating_array
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.model.record import FEW
-from rbjax.rotations.arguments import FLOATS
 
 #: argument name -> its shape in terms of the model
 SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
@@ -81,7 +81,7 @@ def check_arrays(
 
 
 def check_model(where: str, model: Any, fix: str = "for a batch of models, use jax.vmap") -> None:
-    """Refuse what is no model, or is several in one; `fix` says what to do with those."""
+    """Raise `InputError` unless this is one model; `fix` is the advice for a batch of models."""
     if not isinstance(model, Model):
         raise InputError(f"{where}: model is {type(model).__name__}, expected a Model (rbjax.load)")
     several = model.several()
@@ -123,25 +123,15 @@ def check_moves(where: str, model: Model) -> None:
 def check_array(
     where: str, name: str, value: Any, *shapes: tuple[int, ...], fix: str = ""
 ) -> jax.Array:
-    """A value as a floating array of one of the shapes. Known values must be finite."""
+    """Convert a value to a floating array of one of the shapes. Known values must be finite."""
     expected = " or ".join(map(str, shapes)) + fix
-    try:
-        x = jnp.asarray(value)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{where}: {name} is {type(value).__name__}, expected an array of shape {expected}"
-        ) from error
-    if x.shape not in shapes:
-        one_more = shapes[0] in (x.shape[1:], x.shape[:-1]) and not fix
-        hint = "; for a batch use jax.vmap" if one_more else ""
-        raise InputError(f"{where}: {name} has shape {x.shape}, expected {expected}{hint}")
-    if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
-        x = x.astype(jnp.result_type(float))
-    if x.dtype not in FLOATS:
-        raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
+    given = getattr(value, "shape", ())
+    if shapes[0] in (given[1:], given[:-1]) and not fix:
+        expected += "; for a batch use jax.vmap"
+    x = floating_array(where, name, value, shapes.__contains__, expected)
     if not isinstance(x, jax.core.Tracer):
         on_host = isinstance(value, np.ndarray) and value.dtype == x.dtype
-        xp, values = looked_at(value if on_host else x)
+        xp, values = module_for_check(value if on_host else x)
         with jax.ensure_compile_time_eval():  # within a program known values stay known
             finite = np.asarray(xp.isfinite(values))
         if not finite.all():
@@ -152,16 +142,16 @@ def check_array(
     return x
 
 
-def looked_at(x: Any) -> tuple[Any, Any]:
-    """numpy, or jax.numpy, and the array for it: few numbers come to the host, many are looked at
-    where they are."""
+def module_for_check(x: Any) -> tuple[Any, Any]:
+    """numpy or jax.numpy, and the array for it: small arrays are checked on the host, large ones
+    on their device."""
     if isinstance(x, jax.Array) and x.size > FEW:
         return jnp, x
     return np, np.asarray(x)
 
 
 def shape_of(where: str, name: str, value: Any) -> tuple[int, ...]:
-    """The shape of a value, which must be an array."""
+    """The shape of an array."""
     try:
         return tuple(map(int, np.shape(value)))
     except (TypeError, ValueError) as error:
@@ -172,7 +162,7 @@ def shape_of(where: str, name: str, value: Any) -> tuple[int, ...]:
 
 
 def check_step(where: str, name: str, value: Any, dtype: Any) -> jax.Array:
-    """A positive step as a number of the dtype."""
+    """Check a positive step, and cast it to the dtype."""
     step = check_array(where, name, value, (), fix=": a positive step in seconds")
     if not isinstance(step, jax.core.Tracer) and not np.asarray(step) > 0:  # also while tracing
         raise InputError(f"{where}: {name} is {value}, expected a positive step in seconds")
@@ -199,7 +189,7 @@ def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None
     """`InputError` if a quaternion has no direction. Traced values are not checked."""
     if isinstance(q, jax.core.Tracer):
         return
-    xp, values = looked_at(q)
+    xp, values = module_for_check(q)
     least = np.finfo(q.dtype).tiny
     for start in model.topology.quaternion_starts:
         with np.errstate(over="ignore", under="ignore"):

@@ -6,14 +6,8 @@
     x <- f(x, u, 0), P <- A P A^T + G W G^T                                 prediction
     -log p(y) = sum of (z^T S^-1 z + log det 2 pi S) / 2                    likelihood
 
-A, G and H are exact slopes at the estimate, in tangent coordinates. P belongs to the tangent space
-at its own state: where an update turns the state, P is carried to the new tangent space.
-
-Joseph's form is a sum of squares, so P stays symmetric and without negative variances. It needs no
-factor of P, which may be singular: a known start, noise that drives only velocities. There the QR
-factors of a square-root filter have no derivative; here all is differentiable, for R > 0. The
-smoother is that of Rauch, Tung and Striebel in the form of Bryson and Frazier, which inverts S and
-never P. Both are one `lax.scan`: time and memory grow as the number of samples.
+P belongs to the tangent space at its own state. It may be singular, and all is differentiable for
+R > 0. The smoother of Rauch, Tung and Striebel has the form of Bryson and Frazier, without P^-1.
 Source: Bryson & Ho, *Applied Optimal Control*, 13; Bierman, *Factorization Methods*, X; Sola, *A
 micro Lie theory*, 2018 (tangent spaces); Schweppe, IEEE T-IT 11(1), 1965 (likelihood).
 """
@@ -33,13 +27,13 @@ from rbjax.estimation.state_space import SPACE, StateSpace, check_fits, check_in
 
 
 class KalmanFiltered(NamedTuple):
-    """What a filter says at each of N + 1 samples.
+    """The estimates of a filter at each of N + 1 samples.
 
     Fields: predicted states, and predicted_covariance (N + 1, n, n), before a sample is used; state
     and covariance, after; innovation z (N + 1, m), 0 where nothing arrived, and
     innovation_covariance S (N + 1, m, m), there 1; log_likelihood of all samples.
-    The smoother's: slopes A (N + 1, n, n) to the next sample; reads H (N + 1, m, n); kept
-    (N + 1, n, n), what an update leaves of an error, in the new tangent space.
+    For the smoother: slopes A (N + 1, n, n) to the next sample; reads H (N + 1, m, n); kept
+    (N + 1, n, n), the factor of an error in an update, in the new tangent space.
     """
 
     predicted: Any
@@ -55,7 +49,7 @@ class KalmanFiltered(NamedTuple):
 
 
 class Smoothed(NamedTuple):
-    """What all samples say of each state.
+    """The estimate of each state from all samples.
 
     Fields: state (N + 1, ...); covariance (N + 1, n, n), in the tangent spaces of the states.
     """
@@ -120,6 +114,9 @@ def kalman_filter(
     if arrived is None:
         expected = "an array (N + 1, m), nan where nothing arrived; for others give arrived"
         readings = real("kalman_filter", "readings", readings, expected, finite=False)
+        if readings.ndim != 2:
+            shape = readings.shape
+            raise InputError(f"kalman_filter: readings have shape {shape}, expected {expected}")
         arrived = ~jnp.isnan(readings)
         readings = jnp.where(arrived, readings, 0.0)
     arrived = jnp.asarray(arrived, bool)
@@ -130,14 +127,14 @@ def kalman_filter(
             f"kalman_filter: readings of {sorted(N)} samples (one more than inputs) and arrived of "
             f"shape {arrived.shape}, expected as many samples in all and {m} rows, as noise has"
         )
-    # the last input twice: what it predicts after the last sample is not used
+    # the last input twice: the prediction after the last sample is not used
     inputs = jax.tree.map(lambda a: jnp.concatenate([jnp.asarray(a), a[-1:]]), inputs)
 
     def sample(carry: Any, given: Any) -> Any:
         x, P = carry
         u, y, there = given
-        found = _updated(space, x, P, y, there, R)
-        new, after, A = _predicted(space, found.state, found.covariance, u, W)
+        found = _update(space, x, P, y, there, R)
+        new, after, A = _predict(space, found.state, found.covariance, u, W)
         said = found._replace(slopes=A)
         return (new, after), said
 
@@ -184,7 +181,7 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
 
     def sample(carry: Any, f: KalmanFiltered) -> Any:
         l, L = carry
-        state, turn = _moved(space, f.state, -f.covariance @ l)
+        state, turn = _retract(space, f.state, -f.covariance @ l)
         P = f.covariance - f.covariance @ L @ f.covariance
         if turn is not None:
             P = turn @ P @ turn.T
@@ -207,10 +204,10 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
     return jax.lax.scan(back, begin, (each, led), reverse=True)[1]
 
 
-def _updated(
+def _update(
     space: StateSpace, x: Any, P: jax.Array, y: Any, there: jax.Array, R: jax.Array
 ) -> KalmanFiltered:
-    """What one sample says; the slopes are blank."""
+    """The update by one sample, without the slopes."""
     n, m = P.shape[0], R.shape[0]
 
     def innovation(dx: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -225,7 +222,7 @@ def _updated(
     K = cho_solve((L, True), H @ P).T
     left = jnp.eye(n, dtype=P.dtype) - K @ H
     updated = left @ P @ left.T + K @ seen @ K.T
-    state, turn = _moved(space, x, K @ z)
+    state, turn = _retract(space, x, K @ z)
     if turn is not None:
         left, updated = turn @ left, turn @ updated @ turn.T
     r = jax.scipy.linalg.solve_triangular(L, z, lower=True)
@@ -233,7 +230,7 @@ def _updated(
     return KalmanFiltered(x, P, state, updated, z, S, log, jnp.zeros_like(P), H, left)
 
 
-def _predicted(
+def _predict(
     space: StateSpace, state: Any, P: jax.Array, u: Any, W: jax.Array
 ) -> tuple[Any, jax.Array, jax.Array]:
     """The next state, its covariance, and the slope A."""
@@ -260,12 +257,7 @@ class Estimate(NamedTuple):
 
 
 def kalman_update(
-    space: StateSpace,
-    estimate: Estimate,
-    reading: Any,
-    noise: Any,
-    *,
-    arrived: Any = None,
+    space: StateSpace, estimate: Estimate, reading: Any, noise: Any, *, arrived: Any = None
 ) -> Estimate:
     """One sample used: half a step of `kalman_filter`, for an estimate within a loop.
 
@@ -311,7 +303,7 @@ def kalman_update(
         arrived = ~jnp.isnan(reading)
         reading = jnp.where(arrived, reading, 0.0)
     there = jnp.broadcast_to(jnp.asarray(arrived, bool), R.shape[:1])
-    found = _updated(space, estimate.state, P, reading, there, R)
+    found = _update(space, estimate.state, P, reading, there, R)
     return Estimate(found.state, found.covariance)
 
 
@@ -348,12 +340,12 @@ def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: A
     instance(where, "space", space, StateSpace, SPACE)
     check_inputs(where, given, samples=False)
     check_fits(where, space, estimate.state, P, given, W)
-    state, after, _ = _predicted(space, estimate.state, P, given, W)
+    state, after, _ = _predict(space, estimate.state, P, given, W)
     return Estimate(state, after)
 
 
-def _moved(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | None]:
-    """x (+) dx, and what takes tangent vectors there, from x (+) the vector; None for arrays."""
+def _retract(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | None]:
+    """x (+) dx, and the map of tangent vectors from x to there; None for arrays."""
     if space.box_plus is operator.add:
         return x + dx, None
     new = space.box_plus(x, dx)

@@ -46,6 +46,8 @@ def real(where: str, name: str, x: Any, expected: str, *, finite: bool = True) -
     if not isinstance(x, jax.core.Tracer):
         dtype = getattr(x, "dtype", None)
         x = real_array(where, name, x, expected, finite=finite)
+        if np.isinf(x).any():
+            raise InputError(f"{where}: {name} has infinite numbers, expected {expected}")
         dtype = dtype if dtype is not None and jnp.issubdtype(dtype, jnp.floating) else None
         return jnp.asarray(x, float if dtype is None else dtype)
     return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(float)

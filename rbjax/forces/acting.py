@@ -1,8 +1,8 @@
-"""What acts on a robot: the sum over its force elements.
+"""The sum of the forces of all elements on a robot.
 
     M(q) a + b(q, v) = sum of tau_k + sum of J_k^T w_k,      x' = the rates of the elements' states
-A model's elements are the springs and dampers of its joints, its actuators, and `model.forces`.
-Everything that moves a robot asks here, and nothing else knows an element by name.
+The elements of a model are the springs and dampers of its joints, its actuators, and
+`model.forces`. All motion functions use these sums; no other file depends on a kind of element.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.link_forces import LinkForces, added, on_links
+from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces, wrenches_to_links
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
-from rbjax.forces.actuators.affine import from_columns
-from rbjax.forces.actuators.limits import clip
+from rbjax.forces.actuators.activation import clip
+from rbjax.forces.actuators.actuator import from_columns
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
@@ -30,12 +30,12 @@ from rbjax.model.leaves import table
 
 
 def elements(model: Model) -> tuple[Element, ...]:
-    """All force elements of a model, in the order in which their states stand in x."""
+    """List all force elements of a model, in the order of their states in x."""
     return (linear_springs(model), *from_columns(model), *model.forces)
 
 
-def sighted(model: Model, now: Context) -> list[tuple[Element, Context]]:
-    """Each element with the instant as it sees it: with its own part of x."""
+def element_contexts(model: Model, now: Context) -> list[tuple[Element, Context]]:
+    """Pair each element with a context that has its own part of x."""
     out, at = [], 0
     for element in elements(model):
         check_shapes(element, model)
@@ -46,9 +46,9 @@ def sighted(model: Model, now: Context) -> list[tuple[Element, Context]]:
 
 
 def loads(model: Model, now: Context) -> tuple[list[Lane], LinkForces]:
-    """Generalized forces, one lane a velocity coordinate, and forces on links."""
+    """Sum the generalized forces, one lane a velocity coordinate, and the forces on links."""
     passive, driven, later = Loads(), Loads(), []
-    for element, seen in sighted(model, now):
+    for element, seen in element_contexts(model, now):
         if element.after_actuators:
             later.append((element, seen))
         elif not element.actuates:
@@ -76,7 +76,7 @@ def _limited(model: Model, driven: Loads, now: Context) -> Loads:
     """Actuators' forces within the force ranges of the joints."""
     top, limits = model.topology, table(model.joints.forcerange, now.v.dtype)
     endless = isinstance(limits, np.ndarray) and bool(np.isinf(limits).all())
-    if driven.wrenches and not endless:  # what a joint carries of them counts too
+    if driven.wrenches and not endless:  # the share that a joint carries counts too
         summed = now.generalized_of(driven.wrenches)
         driven = Loads(driven.tau) + Loads({i: summed[i] for i in range(model.nv)})
     tau = dict(driven.tau)
@@ -87,11 +87,11 @@ def _limited(model: Model, driven: Loads, now: Context) -> Loads:
 
 
 def states(model: Model, now: Context, dt: Any = None) -> jax.Array | None:
-    """x' (nx,), or x after a step dt where that is given; None where no element has a state."""
+    """Compute x' (nx,), or x after a step dt if one is given; None if no element has a state."""
     if not model.nx:
         return None
     found: list[Lane] = []
-    for element, seen in sighted(model, now):
+    for element, seen in element_contexts(model, now):
         if element.size:
             own = element.rate(seen) if dt is None else element.advance(seen, dt)
             if len(own) != element.size:
@@ -102,10 +102,9 @@ def states(model: Model, now: Context, dt: Any = None) -> jax.Array | None:
 
 
 def implicit_stiffness(model: Model, t: Any, state: State, ctrl: Any, dt: Any) -> dict[int, Lane]:
-    """What the forces of a step dt add to the diagonal of the mass matrix, as
-    `Element.implicit_stiffness`, by velocity coordinate where it is not known to be zero."""
+    """Sum `Element.implicit_stiffness` by velocity coordinate, without structural zeros."""
     out: dict[int, Lane] = {}
-    for element, seen in sighted(model, Context.of(model, t, state, ctrl, dt)):
+    for element, seen in element_contexts(model, Context.of(model, t, state, ctrl, dt)):
         if ctrl is not None or not element.actuates:
             for i, x in element.implicit_stiffness(seen, dt).items():
                 out[i] = add(out.get(i, 0.0), x)
@@ -113,7 +112,7 @@ def implicit_stiffness(model: Model, t: Any, state: State, ctrl: Any, dt: Any) -
 
 
 def within(model: Model, x: jax.Array | None) -> jax.Array | None:
-    """The states (nx,) of the elements, within the ranges that they have."""
+    """Clip the states (nx,) of the elements to their ranges."""
     if x is None or all(type(e).within is Element.within for e in model.forces):
         return x
     found: list[Lane] = []
@@ -132,15 +131,15 @@ def applied(
     dt: Any = None,
     advance: bool = False,
 ) -> tuple[jax.Array, LinkForces, jax.Array | None]:
-    """Generalized forces (nv,), forces on links, and x' (`advance`: x after the step), on checked
-    arrays. dt: the step that elements see, or None."""
+    """Compute generalized forces (nv,), forces on links, and x' (with `advance`: x after the step),
+    of checked arrays. dt: the step that elements read, or None."""
     now = Context.of(model, t, state, inputs.ctrl, dt)
     tau, f_ext = loads(model, now)
     if inputs.tau is not None:
         tau = [add(x, inputs.tau[i]) for i, x in enumerate(tau)]
     if inputs.wrenches is not None:
-        given = on_links(now.links.driver, now.links.joints, inputs.wrenches)
-        f_ext = added(f_ext, given)
+        given = wrenches_to_links(now.links.driver, now.links.joints, inputs.wrenches)
+        f_ext = add_forces(f_ext, given)
     return pack(tau, state.v), f_ext, states(model, now, dt if advance else None)
 
 
@@ -200,5 +199,5 @@ def elastic_energy(model: Model, q: jax.Array) -> jax.Array:
     """
     state = State(q, jnp.zeros(model.nv, q.dtype), model.start(q.dtype))
     now = Context.of(model, 0.0, state, None)
-    energy = total(element.energy(seen) for element, seen in sighted(model, now))
+    energy = total(element.energy(seen) for element, seen in element_contexts(model, now))
     return jnp.asarray(energy, q.dtype)

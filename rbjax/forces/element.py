@@ -1,12 +1,13 @@
-"""The protocol of force elements, and what an element gives.
+"""The protocol of force elements, and the loads that an element returns.
 
-An element is a record of numbers with a method `loads`: from what it sees of the motion at an
-instant to generalized forces, wrenches on bodies, or both. An element with a state of its own says
-how many numbers that has (`size`), where they begin (`start`), and their rate:
+An element is a record of parameters with a method `loads`, from a `Context` to generalized forces,
+wrenches on bodies, or both. An element with a state of its own has a `size`, a `start` and a
+`rate`:
 
-    tau, w = loads(t, q, v, x, u),      x' = rate(t, q, v, x, u)
+    tau, w = loads(t, q, v, x, ctrl),      x' = rate(t, q, v, x, ctrl)
 
-The numbers are leaves: they can be differentiated, vmapped over and changed with no recompilation.
+The parameters are leaves: they can be differentiated, vmapped over and changed without
+recompilation.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.link_forces import LinkForces, added
+from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
+from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul
 from rbjax.model import Model
@@ -29,18 +31,18 @@ from rbjax.spatial import Force
 if TYPE_CHECKING:
     from rbjax.forces.context import Context
 
-#: the shapes of an element's numbers by the names of its fields; None for any length
+#: the shapes of an element's parameters by the names of its fields; None for any length
 Shapes = Mapping[str, tuple[int | None, ...]]
 
 
 @dataclass(frozen=True)
 class Loads:
-    """Forces on a robot; they add.
+    """Forces on a robot, which can be added. `Frame.push` and `Joint.push` make them.
 
-    Fields: tau, generalized forces by velocity coordinate; wrenches, forces by link, in the link's
-    axes at its origin, or columns over all links; internal, whether the wrenches are actions and
-    reactions between links, which no joint feels that carries them all. `Frame.push` and
-    `Joint.push` make them.
+    tau: generalized forces by velocity coordinate.
+    wrenches: forces by link, in the link's axes at its origin, or columns over all links.
+    internal: whether the wrenches are actions and reactions between links; a joint that carries
+        both has no force of them.
     """
 
     tau: Mapping[int, Lane] = field(default_factory=dict)
@@ -49,7 +51,7 @@ class Loads:
 
     def __add__(self, other: Loads) -> Loads:
         internal = all(x.internal or not x.wrenches for x in (self, other))
-        wrenches = added(self.wrenches, other.wrenches)
+        wrenches = add_forces(self.wrenches, other.wrenches)
         return Loads(_summed(self.tau, other.tau), wrenches, internal)
 
     def __radd__(self, other: Any) -> Loads:
@@ -76,10 +78,10 @@ def _summed(a: Mapping[int, Lane], b: Mapping[int, Lane]) -> dict[int, Lane]:
 
 
 class Element(Record):
-    """A force on a robot. Make a subclass: its fields are the element's numbers.
+    """A force on a robot. A subclass has the element's parameters as fields.
 
-    Only `loads` must be written; the rest is for elements with a state of their own, and for those
-    that store energy.
+    Only `loads` must be written. The other methods are for elements with a state of their own, and
+    for elements that store energy.
 
     Example:
         >>> import rbjax as rb, jax, jax.numpy as jnp
@@ -96,29 +98,31 @@ class Element(Record):
 
     #: fields whose values must be above zero
     positive: ClassVar[tuple[str, ...]] = ()
+    #: fields whose values may be infinite; None for all
+    unlimited: ClassVar[tuple[str, ...] | None] = None
 
     def __check_init__(self) -> None:
         check_fields(self)
         for name in self.positive:
             check_above_zero(f"{type(self).__name__}({name}=...)", getattr(self, name))
 
-    def may_be_endless(self, name: str) -> bool:
-        return True
+    def may_be_infinite(self, name: str) -> bool:
+        return self.unlimited is None or name in self.unlimited
 
     def shapes(self, model: Model) -> Shapes:
-        """The shapes that its numbers have on a model, by name of the field; None for any length.
-        Others are refused where the element acts."""
+        """The shapes of its parameters on a model, by field, checked when the element acts; None
+        for any length."""
         return {}
 
     @property
     def size(self) -> int:
-        """How many numbers its own state has."""
+        """The size of its own state."""
         return 0
 
     @property
     def actuates(self) -> bool:
-        """Whether its generalized forces count as an actuator's: absent where there are no
-        controls, and held within the force ranges of the joints."""
+        """Whether its generalized forces are an actuator's: absent without controls, and clipped to
+        the force ranges of the joints."""
         return False
 
     @property
@@ -131,7 +135,7 @@ class Element(Record):
         raise NotImplementedError(f"{type(self).__name__} has no method loads(self, now) -> Loads")
 
     def start(self) -> jax.Array:
-        """The state (size,) from which a motion begins, unless its `State` gives one."""
+        """The initial state (size,), unless a `State` gives one."""
         return jnp.zeros(self.size)
 
     def rate(self, now: Context) -> Sequence[Lane]:
@@ -148,8 +152,8 @@ class Element(Record):
 
     def implicit_stiffness(self, now: Context, h: Any) -> Mapping[int, Lane]:
         """h D / 2 + h^2 K / 4 by velocity coordinate, where -D and -K are the slopes of its
-        generalized forces: what these, taken at the middle of a step h, add to the diagonal of the
-        mass matrix. Only how fast an implicit step converges depends on it."""
+        generalized forces: the diagonal terms that forces at the middle of a step h add to the mass
+        matrix. They affect only the convergence of an implicit step."""
         return {}
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
@@ -163,7 +167,7 @@ class Element(Record):
 
 
 def check_shapes(element: Element, model: Model) -> None:
-    """Refuse numbers whose shapes are not those of the element on the model."""
+    """Raise if the shape of a parameter is not that of the element on the model."""
     for name, due in element.shapes(model).items():
         shape = np.shape(getattr(element, name))
         alike = [n in (m, None) for m, n in zip(shape, due, strict=False)]
@@ -175,6 +179,20 @@ def check_shapes(element: Element, model: Model) -> None:
             )
 
 
+def columns_of(
+    where: str, model: Model, joints: Sequence[str | int], given: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Parameters (n,) of the velocity coordinates of joints, each from one number for all or (n,);
+    None stays None."""
+    check_model(where, model)
+    n, dtype = coordinates(model, joints), model.gravity.dtype
+
+    def column(name: str, x: Any) -> jax.Array:
+        return jnp.broadcast_to(check_array(where, name, x, (), (n,)).astype(dtype), (n,))
+
+    return {name: None if x is None else column(name, x) for name, x in given.items()}
+
+
 def coordinates(model: Model, joints: Iterable[str | int]) -> int:
-    """How many velocity coordinates these joints have."""
+    """The number of velocity coordinates of joints."""
     return sum(model.topology.joints[model.joint(j)].nv for j in joints)

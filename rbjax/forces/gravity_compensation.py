@@ -4,9 +4,9 @@
 
 c = 1 makes a body weightless, c = 2 lets it rise as fast as it would fall. On all joints this is a
 field of constant forces, of energy V = sum of c_b m_b g . p_b, p_b the centre of mass. A robot may
-leave the share of some joints to their actuators; that share then stays within their force ranges,
-and that of the other joints is passive (MuJoCo: `actuatorgravcomp` of a joint). Two elements make
-up such a robot, one for the passive joints and one for the actuated ones.
+leave the share of some joints to their actuators; their share then stays within their force ranges,
+and the share of the other joints is passive (MuJoCo: `actuatorgravcomp` of a joint). Two elements
+make up such a robot, one for the passive joints and one for the actuated ones.
 """
 
 from __future__ import annotations
@@ -48,13 +48,11 @@ class GravityCompensation(Element):
     bodies: tuple[str | int, ...] = eqx.field(static=True)
     joints: tuple[str | int, ...] | None = eqx.field(static=True, default=None)
     actuated: bool = eqx.field(static=True, default=False)
+    unlimited = ()
 
     @property
     def actuates(self) -> bool:
         return self.actuated
-
-    def may_be_endless(self, name: str) -> bool:
-        return False
 
     def shapes(self, model: Model) -> Shapes:
         return {"fraction": (len(self.bodies),)}

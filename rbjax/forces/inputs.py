@@ -1,4 +1,4 @@
-"""What acts on a robot from outside its model: controls, generalized forces, wrenches on bodies."""
+"""Inputs of a robot from outside its model: controls, generalized forces, wrenches on bodies."""
 
 from __future__ import annotations
 
@@ -16,8 +16,12 @@ Source = Callable[[Any, State], jax.Array]
 
 
 class Inputs(NamedTuple):
-    """Controls (nu,), generalized forces (nv,), and wrenches (nb, 6) [moment; force] on bodies, in
-    world axes at the bodies' origins; None where there are none."""
+    """The inputs of a robot; None for those that are absent.
+
+    ctrl: controls (nu,).
+    tau: generalized forces (nv,).
+    wrenches: (nb, 6) [moment; force] on bodies, in world axes at the bodies' origins.
+    """
 
     ctrl: Any = None
     tau: Any = None
@@ -26,7 +30,7 @@ class Inputs(NamedTuple):
 
 NO_INPUTS = Inputs()
 
-#: what of an input the message of a wrong one says
+#: the subject of a message about an input
 NAMES = Inputs("the control returned", "what tau returned", "what wrenches returned")
 
 
@@ -36,14 +40,14 @@ def shapes(model: Model) -> Inputs:
 
 
 def check_returned(where: str, model: Model, k: int, value: Any, dtype: Any) -> jax.Array:
-    """What a function returned for input k."""
+    """Check the value that a function returned for input k."""
     names = ("model.actuator_names", "the velocity coordinates", "model.body_names")
     fix = f": one {'row' if k == 2 else 'number'} for each of {names[k]}"
     return check_array(where, NAMES[k], value, shapes(model)[k], fix=fix).astype(dtype)
 
 
 def evaluated(where: str, model: Model, sources: Inputs, t: Any, state: State) -> Inputs:
-    """The inputs at a time: values of functions, arrays as they are."""
+    """Evaluate the inputs at a time: functions by their values, arrays unchanged."""
 
     def value(k: int, source: Any) -> Any:
         if not callable(source):
@@ -54,6 +58,6 @@ def evaluated(where: str, model: Model, sources: Inputs, t: Any, state: State) -
 
 
 def joined(arrays: list[jax.Array]) -> jax.Array:
-    """Inputs (..., n_k) side by side, as (..., sum of n_k)."""
+    """Concatenate inputs (..., n_k) to (..., sum of n_k)."""
     lead = jnp.broadcast_shapes(*(x.shape[:-1] for x in arrays))
     return jnp.concatenate([jnp.broadcast_to(x, (*lead, x.shape[-1])) for x in arrays], -1)

@@ -4,9 +4,9 @@
     rotation     e = log(R_d R^T)                       J = J_w
     position     e = p_d - p                            J = J_v
     direction    e = log of the turn of a to n          J = (1 - n n^T) J_w
+
 in world axes, of a frame at (R, p) whose axis a shall point along n. J is the rate of -e to first
-order in e, so Newton's method with it converges quadratically to e = 0 (Sola, Deray & Atchuthan,
-*A micro Lie theory*, 2018, eq. 83: J_l^-1(e) = 1 + O(e)).
+order in e (Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 83).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.algorithms.frames import carried_point
-from rbjax.dynamics.algorithms.link_motion import LinkMotion
+from rbjax.dynamics.algorithms.frames import locate_on_link
+from rbjax.dynamics.algorithms.kinematics import LinkMotion
 from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least, check_rotation
 from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul
-from rbjax.model import WORLD, Model, prepare
+from rbjax.model import WORLD, Frame, Model, prepare
 from rbjax.model.leaves import site_transform
 from rbjax.model.record import Record
 from rbjax.rotations import quaternion
@@ -115,10 +115,9 @@ def _check_length(name: str, x: jax.Array | None) -> None:
 
 
 class GoalErrors:
-    """The errors of all goals at a configuration, and the Jacobian, row by row on lanes.
+    """The errors of all goals at a configuration, and the rows of the Jacobian, as lanes.
 
-    errors: the lanes of e; rows: of each the lanes of J, nv in number, zero where a coordinate does
-    not move the frame; weights: of each row; turning: whether a row is one of rotation.
+    errors: e. rows: of J, nv lanes each. weights: of each row. turning: if a row is a rotation.
     """
 
     def __init__(
@@ -164,7 +163,7 @@ class GoalErrors:
         """The link that carries the frame, its point and attitude in that link's axes."""
         model, d = self.model, self._d
         like = jnp.zeros(0, self.dtype)
-        link, r = carried_point("Goal", model, d, like, goal.body, goal.site, goal.point)
+        link, r = locate_on_link("Goal", model, d, like, Frame(goal.body, goal.point, goal.site))
         R = Mat3.identity()
         b = body_of(model, goal)
         if goal.site is not None:
@@ -220,9 +219,8 @@ def errors(model: Model, goals: Sequence[Goal], q: jax.Array) -> tuple[jax.Array
 
 
 def _shortest_turn(a: Vec3, n: Vec3, dtype: Any) -> list[Lane]:
-    """The shortest rotation vector from the unit vector a to the unit vector n: that of the
-    quaternion (1 + a.n, a x n), of any length. Opposite vectors have no such quaternion: half a
-    turn about any axis across n."""
+    """The shortest rotation vector from the unit vector a to the unit vector n, by the quaternion
+    (1 + a.n, a x n); for opposite vectors half a turn about an axis across n."""
     w, u = 1 + a.dot(n), a.cross(n)
     opposite = w < OPPOSITE
     x, y, z = (jnp.abs(jnp.asarray(c, dtype)) for c in n)

@@ -21,7 +21,7 @@ from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations import quaternion
 
-#: random coordinates of joints without a range: within a half turn, and so many metres
+#: random lengths of joints without a range lie within so many metres
 SPREAD = 0.5
 
 
@@ -56,11 +56,13 @@ class Ranges:
             if is_literal(lower) and is_literal(upper) and np.isinf([lower, upper]).all():
                 continue
             if joint.nv == 1 and not span.attitude:
-                at = Bounded(span.q.start, span.v.start, _of(lower, dtype), _of(upper, dtype))
+                at = Bounded(
+                    span.q.start, span.v.start, jnp.asarray(lower, dtype), jnp.asarray(upper, dtype)
+                )
                 self.bounded.append(at)
             elif joint.name == "ball":
                 turn, by = span.attitude
-                self.balls.append(Ball(turn, by, _of(upper, dtype)))
+                self.balls.append(Ball(turn, by, jnp.asarray(upper, dtype)))
 
     def within(self, q: Sequence[Lane]) -> list[Lane]:
         """The configuration, with each joint at the nearest point of its range."""
@@ -77,8 +79,8 @@ class Ranges:
         return out
 
     def free(self, q: Sequence[Lane], g: Sequence[Lane]) -> dict[int, Lane]:
-        """Of the bounded coordinates, by their place in v: 0 where one is at the end of its range
-        and the direction g (nv lanes) points out of it, else 1."""
+        """For each bounded coordinate, by its place in v: 0 if it is at the end of its range and
+        the direction g (nv lanes) points out of it, else 1."""
         out: dict[int, Lane] = {}
         for at in self.bounded:
             x, out_of = q[at.q], g[at.v]
@@ -87,8 +89,8 @@ class Ranges:
         return out
 
     def outward(self, q: Sequence[Lane], g: Sequence[Lane]) -> dict[int, list[Lane]]:
-        """Of each ball joint, by the start of its place in v: the unit axis along which its angle
-        grows where it is at its end and g points out of it, else zeros."""
+        """For each ball joint, by the start of its place in v: the unit axis along which its angle
+        grows, if it is at its end and g points out of it, else zeros."""
         out: dict[int, list[Lane]] = {}
         for ball in self.balls:
             turn = quaternion.log_lanes(list(q[ball.q]))
@@ -124,7 +126,11 @@ def random_configurations(
             q.append(lower + (upper - lower) * unit[:, i])
         if span.attitude:
             most = jnp.where(jnp.isfinite(high), high, math.pi) if limits else math.pi
-            q += _attitudes([unit[:, i] for i in _range(span.attitude[0])], joint, most)
+            q += _attitudes(
+                [unit[:, i] for i in range(span.attitude[0].start, span.attitude[0].stop)],
+                joint,
+                most,
+            )
     return jnp.stack([jnp.broadcast_to(x, (count,)) for x in q], -1)
 
 
@@ -148,11 +154,3 @@ def _slides(joint: Any, n: int) -> bool:
 
 def _joints(model: Model) -> Iterator[tuple[Any, Any]]:
     return zip(model.topology.joints, spans(model.topology), strict=True)
-
-
-def _range(at: slice) -> range:
-    return range(at.start, at.stop)
-
-
-def _of(x: Lane, dtype: Any) -> Lane:
-    return jnp.asarray(x, dtype)

@@ -1,16 +1,15 @@
 """Inverse kinematics: the configuration in which frames reach their goals.
 
     find q:  e(q) = 0,  lower <= q <= upper          (else the q with the least |W e|^2 / 2)
-by damped Gauss-Newton steps on the manifold, with an active set of joint ranges
-(`damped_least_squares.py`), from many starts (`restarts.py`). With a posture p, of all solutions
-the one with the least |p - q|^2 / 2 near where the search ends.
 
-Derivatives come from the implicit function theorem, not from the iterations: for goals and a model
-that change by dtheta,
+by damped Gauss-Newton steps from many starts (`restarts`). With a posture p, the search ends at the
+solution with the least |p - q|^2 / 2 nearby. Derivatives follow from the implicit function theorem,
+
     J dq = (de/dtheta) dtheta ,      dq of least length,
     or, with a posture,  H dq + J^T dy = dF,  F = (p - q) - J^T y = 0,  H = -dF/dq,
-where coordinates at the end of their range stay. (Sugihara 2011; Beeson & Ames, *TRAC-IK*, 2015;
-Nocedal & Wright, ch. 18.)
+
+and coordinates at the end of their range stay.
+Source: Sugihara 2011; Beeson & Ames, *TRAC-IK*, 2015; Nocedal & Wright, ch. 18.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag, integer
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.arguments import (
@@ -109,7 +108,7 @@ def inverse_kinematics(
 
     It is a function of one target. For a batch use `jax.vmap`, inside of `jax.jit` and with the
     model closed over: each target then is a GPU thread or a lane of machine code. Derivatives by
-    target, posture and model are those of the solution; where it did not converge they are zero.
+    target, posture and model are exact for a solution, and zero if the search did not converge.
 
     Args:
         model: the robot. Free, ball and other joints move on their manifold.
@@ -237,7 +236,7 @@ def _inlined(
         model, goals, _, _, posture, weights, tolerance = closed(moving)
         return search(model, goals, start, others, posture, weights, tolerance, how)
 
-    run = threaded(one) if wanted() else one
+    run = compile_threads(one) if kernels_available() else one
 
     def found(moving: list) -> Found:
         _, _, start, others, _, weights, _ = closed(moving)
@@ -321,7 +320,7 @@ def _retract(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
 def _configuration_rate(
     model: Model, goals: Any, posture: Any, limits: bool, found: Found, rate: Any
 ) -> jax.Array:
-    """The rate of q (nq,) at a solution, from those of its conditions at constant q."""
+    """The rate of q (nq,) at a solution, from the rates of its conditions at constant q."""
     q = found.q
     _, J = errors(model, goals, q)
     ranges = Ranges(model, q.dtype, limits)

@@ -1,13 +1,13 @@
-"""Goals reached by damped steps from many starts, one after another, in one loop.
+"""Goals reached by damped Gauss-Newton steps from many starts, one after another, in one loop.
 
-Each turn of the loop looks at one configuration. If it meets the goals, the search is over. If the
-error has stopped falling, or this start has had its turns, the next start follows; else the next
-step. So a search costs what its own starts cost, and many searches run side by side, one a thread
-of a GPU or a lane of machine code, with no difference between a lane that steps and one that
-starts again.
+    dq = N s + J^T (J J^T + c E 1)^-1 e ,      E = |e|^2 / 2
 
-If no start succeeds, the best configuration is improved for `POLISH` more iterations, so that a
-target out of reach ends at the nearest pose.
+The damping is proportional to the error (Sugihara 2011); s is a step towards a posture in the null
+space of the goals. Coordinates at the end of their range that would be driven out of it are held
+(an active set of two rounds). Each iteration evaluates one configuration: if it meets the goals,
+the search is over; if the error has stopped falling, or this start has had its iterations, the next
+start follows. If no start succeeds, the best configuration is improved for `POLISH` more
+iterations, so that a target out of reach ends at the nearest pose.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rbjax.model import Model
 ROUNDS = 2
 
 
-def weighted(goal_errors: GoalErrors) -> tuple[list[Lane], list[list[Lane]]]:
+def weighted_errors(goal_errors: GoalErrors) -> tuple[list[Lane], list[list[Lane]]]:
     """e and the rows of J, each times the weight of its row."""
     e = [mul(w, x) for w, x in zip(goal_errors.weights, goal_errors.errors, strict=True)]
     rows = zip(goal_errors.weights, goal_errors.rows, strict=True)
@@ -45,7 +45,7 @@ def step(
     damping: Lane,
 ) -> list[Lane]:
     """The step dq (nv lanes) from q, for weighted e and J."""
-    g = transposed(J, e)
+    g = transpose_product(J, e)
     direction = g if null_step is None else [add(a, b) for a, b in zip(g, null_step, strict=True)]
     dq = g
     for _ in range(ROUNDS):
@@ -96,7 +96,7 @@ def unbounded_step(
         for i, value in zip(moving, x, strict=True):
             found[i] = value
     else:
-        found = transposed(J, solve(J, damping, e))
+        found = transpose_product(J, solve(J, damping, e))
     if null_step is None:
         return found
     return [add(a, b) for a, b in zip(found, null_step, strict=True)]
@@ -111,7 +111,7 @@ def solve(A: Sequence[Sequence[Lane]], damping: Lane, b: Sequence[Lane]) -> list
     return ldlt(square).solve(b)
 
 
-def transposed(J: Sequence[Sequence[Lane]], y: Sequence[Lane]) -> list[Lane]:
+def transpose_product(J: Sequence[Sequence[Lane]], y: Sequence[Lane]) -> list[Lane]:
     """J^T y."""
     return [total(mul(row[i], x) for row, x in zip(J, y, strict=True)) for i in range(len(J[0]))]
 
@@ -124,13 +124,13 @@ def half_square(e: Sequence[Lane]) -> jax.Array:
 #: the damping: this share of the error E, and this share of the tolerance, so that a singular J J^T
 #: has a solution. With a posture, the latter leaves an error of its size times the multipliers.
 SHARE, LEAST = 3e-2, 1e-4
-#: a start is given up when the error has not fallen to `FALL` of its lowest for `PATIENCE` turns
+#: a start ends if the error does not fall to `FALL` of its lowest within `PATIENCE` iterations
 FALL, PATIENCE = 0.5, 4
-#: turns from the best configuration where no start succeeds
+#: iterations from the best configuration if no start succeeds
 POLISH = 100
 #: a step of this length, m and rad, is at rest there
 REST = 1e-10
-#: no coordinate moves further in a turn
+#: no coordinate moves further in an iteration
 LONGEST = 1.0
 
 
@@ -142,8 +142,8 @@ class Settings(NamedTuple):
 
 
 class Found(NamedTuple):
-    """q (nq,); the largest errors of rotation and position; whether the goals are met; all turns;
-    which start it was."""
+    """q (nq,); the largest errors of rotation and position; whether the goals are met; all
+    iterations; the index of the start."""
 
     q: jax.Array
     rotation: jax.Array
@@ -191,7 +191,7 @@ def search(
     def iterate(now: _SearchState) -> _SearchState:
         q = list(now.q)
         goal_errors = GoalErrors(model, d, goals, now.q, weights)
-        e, J = weighted(goal_errors)
+        e, J = weighted_errors(goal_errors)
         E = half_square(e)
         errors = [_array(goal_errors.size(turns), dtype) for turns in (True, False)]
         met = (errors[0] <= squares[0]) & (errors[1] <= squares[1])
@@ -214,7 +214,7 @@ def search(
             (now.turn + 1 >= how.iterations) | (stuck > PATIENCE),
         ) | ~jnp.isfinite(E)
         best = jnp.where(better, now.q, now.best)
-        # goals that are met while the posture still drifts are good enough when the turns are over
+        # goals that are met while the posture still drifts are good enough at the last iteration
         done = finished | (over & (polishing | now.met | met))
         following = now.start + 1
         fresh = best

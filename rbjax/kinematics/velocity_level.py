@@ -2,12 +2,9 @@
 
     min  sum over goals of |J_w v - V|^2 + d |v - v_0|^2 ,     l <= v <= u
     l = max(-speed, (lower - q) / dt),  u = min(speed, (upper - q) / dt)
-so no joint passes the end of its range within the step. It is a strictly convex quadratic program
-with bounds, solved exactly by an active set: the free coordinates go to their minimum, or to the
-first bound on the way, which then holds one of them; at a minimum, the one that its bound presses
-the wrong way is set free. The objective falls until no set is left that is better.
 
-(Nakamura & Hanafusa 1986; Nocedal & Wright, 16.5, of the active set.)
+A strictly convex quadratic program with bounds, solved exactly by an active set.
+Source: Nakamura & Hanafusa 1986; Nocedal & Wright, 16.5 (active set).
 """
 
 from __future__ import annotations
@@ -19,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import (
     check_array,
@@ -76,7 +73,7 @@ def differential_inverse_kinematics(
     Args:
         model: the robot.
         q: (nq,) configuration, within the ranges.
-        goals: a `Goal` or several; their weights W say which matter where not all can be met.
+        goals: a `Goal` or several, with weights W in case not all can be met.
         rate: 1/s, how fast errors are to fall; 1 / dt takes a Newton step.
         speed: the largest speed of each coordinate, rad/s or m/s, a number or (nv,).
         dt: s, the step within which no joint passes the end of its range; None looks at no range.
@@ -128,7 +125,7 @@ def _inlined(*args: Any) -> DifferentialInverseKinematics:
     def run(moving: list) -> DifferentialInverseKinematics:
         return _solved(*closed(moving))
 
-    return (threaded(run) if wanted() else run)(moving)
+    return (compile_threads(run) if kernels_available() else run)(moving)
 
 
 _program = compiled(_inlined)
@@ -170,52 +167,49 @@ def bounded_quadratic(
     damping 1e-6 a third of random problems of 20 joints and 6 rows ended away from the optimum.
     """
     n, dtype = g.shape[0], g.dtype
+    program = jax.lax.stop_gradient((H, g, low, high))
+    size = jnp.abs(program[1]).max() + jnp.abs(program[0]).max()
+    rounding = 64 * float(jnp.finfo(dtype).eps) * size
 
-    def solved(H: jax.Array, free: jax.Array, down: jax.Array) -> jax.Array:
+    def newton(H: jax.Array, free: jax.Array, slope: jax.Array) -> jax.Array:
         rows = H * (free[:, None] * free[None, :]) + jnp.diag(1 - free)
-        found = ldlt([list(row) for row in rows]).solve(list(-down * free))
+        found = ldlt([list(row) for row in rows]).solve(list(-slope * free))
         return jnp.stack([jnp.asarray(a, dtype) for a in found])
 
-    def minimum(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> _Set:
-        rounding = 64 * float(jnp.finfo(dtype).eps) * (jnp.abs(g).max() + jnp.abs(H).max())
+    def step(now: _Set) -> _Set:
+        H, g, low, high = program
+        x = now.x
+        d = newton(H, jnp.where(now.held, 0.0, 1.0).astype(dtype), matvec(H, x) - g)
+        end = jnp.where(d > 0, high, low)
+        room = jnp.where(d == 0, jnp.inf, (end - x) / jnp.where(d == 0, 1.0, d))
+        first = jnp.argmin(room)
+        blocked = room[first] < 1
+        there = jnp.clip(x + jnp.minimum(room[first], 1.0) * d, low, high)
+        hit = (jnp.arange(n) == first) & blocked
+        there = jnp.where(hit, end, there)
+        slope = matvec(H, there) - g
+        presses = jnp.where(there <= low, slope, -slope)
+        wrong = jnp.where(now.held & ~blocked, -presses, -jnp.inf)
+        worst = jnp.argmax(wrong)
+        frees = wrong[worst] > rounding
+        released = (jnp.arange(n) == worst) & frees
+        held = (now.held | hit) & ~released
+        return _Set(there, held, ~blocked & ~frees, now.step + 1)
 
-        def step(now: _Set) -> _Set:
-            x = now.x
-            d = solved(H, jnp.where(now.held, 0.0, 1.0).astype(dtype), matvec(H, x) - g)
-            end = jnp.where(d > 0, high, low)
-            room = jnp.where(d == 0, jnp.inf, (end - x) / jnp.where(d == 0, 1.0, d))
-            first = jnp.argmin(room)
-            blocked = room[first] < 1
-            there = jnp.clip(x + jnp.minimum(room[first], 1.0) * d, low, high)
-            hit = (jnp.arange(n) == first) & blocked
-            there = jnp.where(hit, end, there)
-            down = matvec(H, there) - g
-            presses = jnp.where(there <= low, down, -down)
-            wrong = jnp.where(now.held & ~blocked, -presses, -jnp.inf)
-            worst = jnp.argmax(wrong)
-            frees = wrong[worst] > rounding
-            released = (jnp.arange(n) == worst) & frees
-            held = (now.held | hit) & ~released
-            return _Set(there, held, ~blocked & ~frees, now.step + 1)
-
-        none = jnp.zeros(n, bool)
-        start = _Set(jnp.clip(jnp.zeros_like(g), low, high), none, jnp.asarray(False),
-                     jnp.asarray(0, jnp.int32))  # fmt: skip
-        going = lambda now: ~now.done & (now.step < STEPS * n)  # noqa: E731
-        return jax.lax.while_loop(going, step, start)
-
-    found = minimum(*jax.lax.stop_gradient((H, g, low, high)))
+    x = jnp.clip(jnp.zeros_like(g), *program[2:])
+    start = _Set(x, jnp.zeros(n, bool), jnp.asarray(False), jnp.asarray(0, jnp.int32))
+    found = jax.lax.while_loop(lambda now: ~now.done & (now.step < STEPS * n), step, start)
     # one Newton step of length zero, which has the derivative of the solution
     at_low = found.held & (found.x <= low)
     x = jnp.where(found.held, jnp.where(at_low, low, high), found.x)
     free = jnp.where(found.held, 0.0, 1.0).astype(dtype)
-    d = solved(H, free, matvec(H, x) - g)
+    d = newton(H, free, matvec(H, x) - g)
     x = x + (d - jax.lax.stop_gradient(d))
-    down = matvec(H, x) - g
+    slope = matvec(H, x) - g
     # at a bound only a slope that leads into the range counts
-    down = jnp.where(x <= low, jnp.minimum(down, 0.0), down)
-    down = jnp.where(x >= high, jnp.where(x <= low, 0.0, jnp.maximum(down, 0.0)), down)
-    return x, jnp.abs(down).max()
+    slope = jnp.where(x <= low, jnp.minimum(slope, 0.0), slope)
+    slope = jnp.where(x >= high, jnp.where(x <= low, 0.0, jnp.maximum(slope, 0.0)), slope)
+    return x, jnp.abs(slope).max()
 
 
 def _speeds(speed: Any, n: int, dtype: Any) -> jax.Array:

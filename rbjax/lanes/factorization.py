@@ -55,7 +55,7 @@ class LDLT(NamedTuple):
 
 
 def ldlt(A: Rows, *, least: float = 0.0, order: Sequence[int] | None = None) -> LDLT:
-    """The factors of a symmetric positive semi-definite matrix; its lower triangle is read.
+    """Factorize a symmetric positive semi-definite matrix, given by its lower triangle.
 
     Args:
         A: (n, n) lanes.

@@ -153,7 +153,7 @@ def inverse(*parts: jax.Array) -> list[jax.Array]:
     """Invert a matrix (n, n), real or given by its real and imaginary parts; dX = -X dA X.
 
     Use it for many solves with one matrix: a product is faster than two triangular solves, and GPU
-    threads have no complex numbers (`rbjax.compiler.lower.inversion`).
+    threads have no complex numbers (`rbjax.compiler.lower.linear`).
     """
     return _inverse.bind(*parts)
 

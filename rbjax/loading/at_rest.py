@@ -1,24 +1,28 @@
-"""A robot file at one configuration: where its joints and bodies are, and what they weigh.
+"""A robot file at one configuration: positions of its joints and bodies, masses, extents of shapes.
 
-MuJoCo computes this at load time, in f64; nothing of it is traced. Vectors are in world axes. A
-joint carries the bodies behind it; the chain of a body is the joints between the world and it.
+MuJoCo computes them at load time, in f64; nothing is traced. Vectors are in world axes. A joint
+carries the bodies behind it; the chain of a body is the joints between the world and it.
+
+The extent of a convex shape across an axle is its support h(d) = max over its points of d . x:
+
+    sphere, capsule     h = r |d|  (+ l |d_z|)         cylinder    h = r |(d_x, d_y)| + l |d_z|
+    ellipsoid           h = |s d|                      box         h = s . |d|
+(Ericson, *Real-Time Collision Detection*, 9.5)
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.loading.checks import data_of
-from rbjax.loading.mjcf.actuator_kinds import Bias, Dyn, Gain, Trn, Wrap, is_off, reflected
-from rbjax.loading.mjcf.actuator_kinds import what_is_left_out as left_out_of
-from rbjax.loading.mjcf.fields import names_of
-from rbjax.loading.round_shapes import Round, round_shape
+from rbjax.loading.mjcf.fields import Bias, Dyn, Gain, Trn, Wrap, is_off, names_of, reflected
+from rbjax.loading.mjcf.fields import reason_left_out as left_out_of
 from rbjax.loading.sources import compile_model
 
 _OBJ = mujoco.mjtObj
@@ -44,7 +48,8 @@ class Composite:
 class FileActuator:
     """An actuator on hinges: tau_j = arm_j f,  f = gain u + b0 + b1 l + b2 l',  l' = sum arm_j v_j.
 
-    arms: joint -> arm; odd: why it has no such law, in words, or empty.
+    arms: joint -> arm.
+    odd: the reason for which it has no such law; empty if it has.
     """
 
     name: str
@@ -110,7 +115,7 @@ class AtRest:
         return self.m.body(body).name
 
     def composite(self, bodies: Iterable[int]) -> Composite:
-        """Bodies as one that is rigid."""
+        """Several bodies as one rigid body."""
         rows = list(bodies)
         mass = self.m.body_mass[rows]
         whole = float(mass.sum())
@@ -123,7 +128,7 @@ class AtRest:
         return Composite(whole, com, inertia)
 
     def frame(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """The origin and the rotation (3, 3) of a body or, where none has the name, of a site."""
+        """The origin and the rotation (3, 3) of a body, or of a site if no body has the name."""
         bodies = names_of(self.m, _OBJ.mjOBJ_BODY, self.m.nbody)[1:]
         sites = names_of(self.m, _OBJ.mjOBJ_SITE, self.m.nsite)
         if name in bodies:
@@ -140,18 +145,18 @@ class AtRest:
         return np.zeros(3) if off else self.m.opt.gravity.copy()
 
     def armature(self, j: int) -> float:
-        """What the file adds to the inertia of a hinge, with that of its actuators."""
+        """The armature of a hinge, with that of its actuators."""
         at = self.m.jnt_dofadr[j]
         return float(self.m.dof_armature[at] + reflected(self.m)[0][at])
 
     def damping(self, j: int) -> float:
-        """N m s/rad, with that of its actuators."""
+        """The damping of a hinge in N m s/rad, with that of its actuators."""
         at = self.m.jnt_dofadr[j]
         off = self.m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
         return 0.0 if off else float(self.m.dof_damping[at] + reflected(self.m)[1][at])
 
     def resisting(self, j: int) -> tuple[str, ...]:
-        """What else resists the motion of a hinge, in words."""
+        """The names of further forces that resist the motion of a hinge."""
         at = self.m.jnt_dofadr[j]
         found = {
             "friction loss": self.m.dof_frictionloss[at],
@@ -161,7 +166,7 @@ class AtRest:
         return tuple(name for name, x in found.items() if x > 0)
 
     def round_shapes(self, joints: Sequence[int]) -> list[Round | None]:
-        """Of each joint, the extents about its axis of the shapes that it carries, or None.
+        """The extents about each joint's axis of the shapes that the joint carries, or None.
 
         The links of a URDF are compiled with their shapes for this.
         """
@@ -180,7 +185,7 @@ class AtRest:
         return out
 
     def actuators(self) -> tuple[FileActuator, ...]:
-        """Those that act on joints of one coordinate."""
+        """The actuators of joints of one coordinate."""
         found = (_actuator(self.m, i) for i in range(self.m.nactuator) if not is_off(self.m, i))
         return tuple(x for x in found if x.arms)
 
@@ -189,7 +194,7 @@ def at_rest(source: Any, q: Any = None) -> AtRest:
     """A file, at its reference configuration or at q.
 
     Args:
-        source: what `rbjax.load` takes; a URDF gets a floating base.
+        source: as for `rbjax.load`; a URDF gets a floating base.
         q: None, the name of a keyframe, values by names of hinges and slides, or (nq,).
 
     Raises:
@@ -253,3 +258,103 @@ def _actuator(m: mujoco.MjModel, i: int) -> FileActuator:
     bias = tuple(float(x) for x in m.actuator_biasprm[i, :3]) if affine else (0.0, 0.0, 0.0)
     gain, (low, high) = float(m.actuator_gainprm[i, 0]), force
     return FileActuator(name, arms, gain, bias, (float(low), float(high)), odd)
+
+
+#: directions across the axle in which a shape is measured that is not round about it
+DIRECTIONS = 360
+#: shapes that reach this much of the farthest make the rim
+RIM = 1.0 - 1e-6
+
+#: vertices of a mesh that reach this much of the farthest are its rim, without hub and spokes
+TREAD = 0.99
+#: the sine of an angle up to which a cylinder lies along the axle: that of a file with pi/2 = 1.57
+ALIGNED = 1e-3
+
+_GEOM = mujoco.mjtGeom
+_LONG = (int(_GEOM.mjGEOM_CYLINDER), int(_GEOM.mjGEOM_CAPSULE))
+Frame = tuple[np.ndarray, np.ndarray]
+
+
+class Round(NamedTuple):
+    """The extent of shapes about an axle.
+
+    radius: m, the distance of the farthest point from the axle.
+    centre: (3,), on the axle, the middle of the shapes that reach that far.
+    """
+
+    radius: float
+    centre: np.ndarray
+
+
+def round_shape(
+    m: mujoco.MjModel, frames: Mapping[int, Frame], anchor: np.ndarray, axis: np.ndarray
+) -> Round | None:
+    """The extents about an axis of the shapes of bodies whose frames are given.
+
+    Shapes that touch others count; if there are none, the visual ones count.
+    """
+    own = [g for g in range(m.ngeom) if int(m.geom_bodyid[g]) in frames]
+    touching = [g for g in own if m.geom_contype[g] or m.geom_conaffinity[g]]
+    extents = [_extents(m, g, frames[int(m.geom_bodyid[g])], anchor, axis) for g in touching or own]
+    found = [x for x in extents if x is not None]
+    if not found:
+        return None
+    radius = max(x[0] for x in found)
+    rim = [x for x in found if x[0] >= RIM * radius]
+    middle = (min(x[1] for x in rim) + max(x[2] for x in rim)) / 2
+    return Round(float(radius), anchor + middle * axis)
+
+
+def _extents(
+    m: mujoco.MjModel, g: int, frame: Frame, anchor: np.ndarray, axis: np.ndarray
+) -> tuple[float, float, float] | None:
+    """The distance of the farthest point from the axis, and both ends along it; of a mesh, those of
+    its rim."""
+    origin, turn = frame
+    place = origin + turn @ m.geom_pos[g]
+    own = np.empty(9)
+    mujoco.mju_quat2Mat(own, m.geom_quat[g])
+    turn = turn @ own.reshape(3, 3)
+    away = place - anchor
+    if m.geom_type[g] == int(_GEOM.mjGEOM_MESH):
+        mesh = int(m.geom_dataid[g])
+        at, count = int(m.mesh_vertadr[mesh]), int(m.mesh_vertnum[mesh])
+        points = away + m.mesh_vert[at : at + count] @ turn.T
+        along = points @ axis
+        reach = np.linalg.norm(points - np.outer(along, axis), axis=1)
+        rim = along[reach >= TREAD * reach.max()]
+        return float(reach.max()), float(rim.min()), float(rim.max())
+    if m.geom_type[g] in _LONG and np.linalg.norm(np.cross(axis, turn[:, 2])) < ALIGNED:
+        turn = np.stack([*np.linalg.svd(axis[None])[2][1:], axis], 1)
+    across = _directions(axis, away)
+    reach = _support(int(m.geom_type[g]), m.geom_size[g], np.vstack([across, axis, -axis]) @ turn)
+    if reach is None:
+        return None
+    radius = (reach[:-2] + across @ away).max()
+    middle = away @ axis
+    return float(radius), float(middle - reach[-1]), float(middle + reach[-2])
+
+
+def _directions(axis: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """Unit vectors across an axis, the first towards a shape that is off it."""
+    first = away - (away @ axis) * axis
+    if np.linalg.norm(first) < 1e-12:
+        first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    first = first / np.linalg.norm(first)
+    angles = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
+    return np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(axis, first))
+
+
+def _support(kind: int, size: np.ndarray, d: np.ndarray) -> np.ndarray | None:
+    """h in unit directions (n, 3) of the shape's own axes; None of planes and height fields."""
+    if kind == int(_GEOM.mjGEOM_SPHERE):
+        return np.full(len(d), size[0])
+    if kind == int(_GEOM.mjGEOM_CAPSULE):
+        return size[0] + size[1] * np.abs(d[:, 2])
+    if kind == int(_GEOM.mjGEOM_CYLINDER):
+        return size[0] * np.hypot(d[:, 0], d[:, 1]) + size[1] * np.abs(d[:, 2])
+    if kind == int(_GEOM.mjGEOM_ELLIPSOID):
+        return np.linalg.norm(size * d, axis=1)
+    if kind == int(_GEOM.mjGEOM_BOX):
+        return np.abs(d) @ size
+    return None

@@ -1,6 +1,6 @@
 """Robots built by calls: bodies, joints, shapes, sites, motors, and other robots attached to them.
 
-The robot is a `mujoco.MjSpec`, which `build` loads as any file.
+The robot is a `mujoco.MjSpec`, which `build` loads.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _GEOMS = {
 
 
 class ModelBuilder:
-    """A robot that is built step by step. Positions and orientations (quaternions) are in the frame
-    of the body that is named, or of the world if that is None.
+    """Build a robot step by step. Positions and orientations (quaternions) are in the frame of the
+    given body, or of the world if it is None.
 
     Args:
         source: a robot to begin with, of any kind that `attach` takes; None for an empty world.
@@ -161,7 +161,7 @@ class ModelBuilder:
         """Attach another robot to a body, with its joints, actuators, sites and shapes.
 
         Args:
-            source: what `load` takes, a `Model`, or another builder. A model and a URDF come
+            source: a source of `load`, a `Model`, or another builder. A model and a URDF come
                 without shapes, every robot without its floor.
             parent: a body; None for the world.
             prefix: for all names of the robot. Names must differ from those that are here.
@@ -196,7 +196,7 @@ class ModelBuilder:
         self._forget_keyframes()
 
     def build(self, **options: Any) -> Model:
-        """The model. options: those of `load`."""
+        """Load the model. options: those of `load`."""
         return load(self.spec.copy(), **options)
 
     def _forget_keyframes(self) -> None:
@@ -219,7 +219,7 @@ class ModelBuilder:
 
 
 def _spec(source: Any) -> mujoco.MjSpec:
-    """A spec of its own for what `ModelBuilder.attach` takes."""
+    """A new spec of a source of `ModelBuilder.attach`."""
     if isinstance(source, ModelBuilder):
         return source.spec.copy()
     if isinstance(source, Model):

@@ -14,14 +14,14 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError
-from rbjax.loading.mjcf.actuator_kinds import reflected
+from rbjax.loading.mjcf.fields import reflected
 from rbjax.model.record import Record
 
 #: leaves in which an infinite number means no limit
 _LIMITS = ("range", "limits", "windup", "slew", "drive", "current_rate", "strongest")
 
 
-def refuse_nan(record: Record) -> None:
+def check_finite(record: Record) -> None:
     """Raise if a number of a force element is not finite."""
     for at, leaf in jax.tree_util.tree_leaves_with_path(record):
         name, values = jax.tree_util.keystr(at).lstrip("."), np.asarray(leaf)
@@ -33,7 +33,7 @@ def refuse_nan(record: Record) -> None:
             )
 
 
-def within_range(x: np.ndarray) -> jax.Array:
+def cast_leaf(x: np.ndarray) -> jax.Array:
     """Cast numbers of a file to JAX's default dtype. Raise if a finite number overflows."""
     with np.errstate(over="ignore"):
         out = x.astype(jax.dtypes.canonicalize_dtype(x.dtype))
@@ -46,7 +46,7 @@ def within_range(x: np.ndarray) -> jax.Array:
     return jnp.asarray(out)
 
 
-def refuse_nan_in(m: mujoco.MjModel) -> None:
+def check_finite_fields(m: mujoco.MjModel) -> None:
     """Raise if a number of a compiled model is not finite; MuJoCo only warns."""
     fields = "qpos0 qpos_spring body_mass body_ipos body_iquat body_inertia body_pos body_quat"
     fields += " jnt_pos jnt_axis jnt_stiffness dof_armature dof_damping site_pos site_quat"

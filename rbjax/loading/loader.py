@@ -1,31 +1,41 @@
-"""From a robot file to a `Model`, through MuJoCo's compiler.
+"""From a robot file to a `Model`, through MuJoCo's compiler; motors for files without actuators.
 
 `model.dropped` lists the features of the compiled model that rbjax does not support.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from rbjax.arguments import flag
+from rbjax.constraints import JointPolynomial
 from rbjax.errors import UnsupportedFeature, listed
-from rbjax.forces.actuators.affine import is_affine, to_columns
-from rbjax.loading.checks import joints_that_cancel, refuse_nan_in, within_range
+from rbjax.forces.acting import elements
+from rbjax.forces.actuators.actuator import (
+    Actuator,
+    Affine,
+    GainBias,
+    from_columns,
+    is_affine,
+    to_columns,
+)
+from rbjax.forces.actuators.transmissions import JointAxis, SiteWrench
+from rbjax.forces.context import Context
+from rbjax.loading.checks import cast_leaf, check_finite_fields, joints_that_cancel
 from rbjax.loading.mjcf import dropped as features
-from rbjax.loading.mjcf.actuator_kinds import reflected
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of
 from rbjax.loading.mjcf.contact_pairs import contact_pairs
-from rbjax.loading.mjcf.fields import Off, is_on, names_of
-from rbjax.loading.mjcf.fluid import inertial_frame
-from rbjax.loading.mjcf.forces import force_elements
-from rbjax.loading.motors import with_motors
+from rbjax.loading.mjcf.fields import Off, is_on, names_of, reflected
+from rbjax.loading.mjcf.forces import force_elements, inertial_frame
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -69,13 +79,13 @@ def load(
             (`rbjax.constraints.Soft`); mimics stay rigid.
 
     Returns:
-        The model; `model.dropped` says what was left out. A URDF's inertials are the file's own; a
-        warning names links whose inertial no rigid body can have, and joints whose motions cancel.
-        A URDF's link 'world' that is not the ground becomes 'world_link'.
+        The model; `model.dropped` lists the features that were left out. A URDF's inertials are the
+        file's own; a warning names links whose inertial no rigid body can have, and joints whose
+        motions cancel. A URDF's link 'world' that is not the ground becomes 'world_link'.
 
     Raises:
         ModelError: the source cannot be read; the message names the file, the cause and the fix.
-        UnsupportedFeature: with `strict=True`, the list of what would be left out.
+        UnsupportedFeature: with `strict=True`, the list of features that would be left out.
 
     Example:
         >>> import rbjax as rb
@@ -106,7 +116,7 @@ def load(
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
     texts = [
-        f"{describe(source)}: {what}: {'; '.join(map(features.cured, entries))}"
+        f"{describe(source)}: {what}: {'; '.join(map(features.with_cure, entries))}"
         for what, entries in (("left out of the model", dropped), (_ACTIVE, active))
         if entries
     ]
@@ -139,10 +149,10 @@ def from_compiled(
     compliant: bool = False,
 ) -> Model:
     """The `Model` of a compiled MuJoCo model."""
-    refuse_nan_in(m)
+    check_finite_fields(m)
 
     def array(x):
-        return within_range(np.asarray(x, np.float64))
+        return cast_leaf(np.asarray(x, np.float64))
 
     def enabled(flag, x):
         return x if is_on(m, flag) else np.zeros_like(x)
@@ -247,3 +257,59 @@ def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
         rgba=tuple(tuple(x.tolist()) for x in colors),
         pairs=contact_pairs(m),
     )
+
+
+_UNLIMITED = np.array([-np.inf, np.inf])
+
+
+def with_motors(model: Model) -> Model:
+    """The model with a motor of gear 1 on each hinge and slide that no actuator drives and that
+    follows no other joint.
+
+    A motor has its joint's name, followed by "_motor" if an actuator has that name. Its control is
+    a torque in N m or a force in N. The joint's force range (a URDF's effort) limits it.
+    """
+    top, keys = model.topology, model.keyframes
+    taken = _driven(model) | _followers(model)
+    kinds = enumerate(top.joint_kinds)
+    free = [j for j, kind in kinds if kind in ("hinge", "slide") and j not in taken]
+    names = top.actuator_names
+    for j in free:
+        name = top.joint_names[j]
+        while name in names:
+            name += "_motor"
+        names = (*names, name)
+    motors = [_motor(j, control) for control, j in enumerate(free, model.nu)]
+    columns = to_columns((*from_columns(model), *motors), len(names))
+    ctrl = jnp.pad(keys.ctrl, ((0, 0), (0, len(free))))
+    return dataclasses.replace(
+        model,
+        actuators=jax.tree.map(lambda x: jnp.asarray(x, model.gravity.dtype), columns),
+        topology=dataclasses.replace(top, actuator_names=names),
+        keyframes=dataclasses.replace(keys, ctrl=ctrl),
+    )
+
+
+def _motor(joint: int, control: int) -> Actuator:
+    one: Any = np.ones(1)
+    unit: Any = np.eye(6)[0]
+    limits: Any = _UNLIMITED
+    law = GainBias(Affine(one), None, None)
+    return Actuator(JointAxis(unit, joint), law, limits[None], limits, (control,))
+
+
+def _driven(model: Model) -> set[int]:
+    """The joints that an actuator drives by a joint or tendon transmission. A wrench at a site does
+    not count as a motor of the joints that carry the site."""
+    transmissions = [x.transmission for x in elements(model) if isinstance(x, Actuator)]
+    now = Context.of(model, 0.0, model.default_state(), None)
+    dofs = {
+        i for x in transmissions if not isinstance(x, SiteWrench) for i in x.reach(now).arms
+    }  # fmt: skip
+    return {model.topology.dofs[i].joint for i in dofs}
+
+
+def _followers(model: Model) -> set[int]:
+    """The joints that a mimic or a joint equality couples to another joint, or holds."""
+    couplings = [c for c in model.constraints if isinstance(c, JointPolynomial)]
+    return {model.joint(c.joint) for c in couplings}

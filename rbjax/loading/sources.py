@@ -88,7 +88,7 @@ def spec_of(source: Any) -> mujoco.MjSpec | None:
 
 
 def read_text(source: str | Path) -> tuple[str, Path | None]:
-    """The text of a source, and its path where it has one."""
+    """Read the text of a source, and its path if it has one."""
     if isinstance(source, str):
         if source.lstrip().startswith("<"):
             return source, None

@@ -1,6 +1,5 @@
-"""Models: what a robot is (`Topology`) and its numbers (`Model`)."""
+"""Models of robots: `Model` and its static part, `Topology`."""
 
-from rbjax.model.limbs import Group, Partition, partition
 from rbjax.model.links import (
     LinkConstants,
     Prepared,
@@ -12,13 +11,14 @@ from rbjax.model.model import (
     DRIVER_NAMES,
     Actuators,
     Bodies,
+    Frame,
     Joints,
     Keyframes,
     Model,
     Sites,
     State,
 )
-from rbjax.model.topology import WORLD, Dof, Topology, spans
+from rbjax.model.topology import WORLD, Dof, Group, Partition, Topology, partition, spans
 
 __all__ = [
     "DRIVER_NAMES",
@@ -29,6 +29,7 @@ __all__ = [
     "Joints",
     "Keyframes",
     "Dof",
+    "Frame",
     "LinkConstants",
     "Model",
     "Partition",

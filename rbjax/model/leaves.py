@@ -1,4 +1,4 @@
-"""Leaves of a model as lanes: numbers where they are known while tracing, so zeros cost nothing."""
+"""Leaves of a model as lanes: literals if they are known while tracing, so zeros cost nothing."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from rbjax.spatial import Transform
 
 
 def table(x: Any, dtype: Any) -> Any:
-    """An array as numpy where it is known while tracing; otherwise in the dtype."""
+    """Convert an array to numpy if it is known while tracing, else to the dtype."""
     if isinstance(x, jax.core.Tracer):
         return x.astype(dtype)
     return np.asarray(x, np.float64) if isinstance(x, (jax.Array, np.ndarray)) else x
 
 
 def tables(dtype: Any, *numbers: Any) -> tuple[Any, list]:
-    """numpy and the numbers as `table` has them, where all are known while tracing; otherwise
-    jax.numpy and arrays of the dtype. For what is computed from numbers that belong together."""
+    """Return numpy and arrays of it if all numbers are known while tracing, else jax.numpy and
+    arrays of the dtype. Use it for a computation with several leaves."""
     found = [table(x, dtype) for x in numbers]
     if any(isinstance(x, jax.core.Tracer) for x in found):
         return jnp, [jnp.asarray(x, dtype) for x in found]

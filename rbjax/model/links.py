@@ -1,8 +1,8 @@
-"""From a model's leaves to the numbers that the recursions use: one column per number, over links.
+"""Link constants: poses, inertias and armatures of the links, from the leaves of a model.
 
-Done with whole arrays, once, outside every recursion. Where the leaves are concrete (the model is
-closed over, not an argument of the traced function) the columns are numpy, so their zeros and ones
-are structural and vanish from the program; where they are traced the columns are traced.
+They are computed with whole arrays, once, outside every recursion: one column per number, over the
+links. If the leaves are concrete (the model is closed over), the columns are numpy, so their zeros
+and ones vanish from the program. If the leaves are traced, the columns are traced.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from rbjax.model.cells import (
     all_literal,
     cast_cells,
     cells,
+    constant_leaves,
     lane_of,
     stacked,
 )
-from rbjax.model.constant_leaves import constant_leaves
 from rbjax.model.model import Model
 from rbjax.model.topology import WORLD, Topology
 from rbjax.spatial import RigidInertia, Transform
@@ -47,24 +47,22 @@ SNAP = 1e-15
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LinkConstants:
-    """A link's numbers: pose (R, p) in its parent at zero motion, inertia, armature, q's zero.
-
-    Each lane is one link's scalar, or a column over all links.
-    """
+    """The constants of a link: its pose (R, p) in its parent at zero motion, inertia, armature and
+    the reference of its coordinate. Each lane is a scalar, or a column over all links."""
 
     R: Mat3
     p: Vec3
     inertia: RigidInertia
     armature: Lane
     reference: Lane
-    #: the joint's own numbers; none where no joint of the model has any
+    #: the parameters of the joint
     params: tuple[Lane, ...] = ()
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Prepared:
-    """`LinkConstants` of (nv,) columns; poses of bodies in their links; gravity lanes."""
+    """The `LinkConstants` as columns, the poses of bodies in their links, and gravity."""
 
     columns: LinkConstants
     body_R: Any  # (nb, 3, 3)
@@ -83,12 +81,12 @@ class Prepared:
         return Transform(axes, Vec3(*(p[:, i] for i in range(3))))
 
     def weld(self, body: int) -> Transform:
-        """The same of one body, as lanes."""
+        """The pose of one body in the link that carries it, as lanes."""
         return jax.tree.map(lambda column: lane(column, body), self.welds)
 
 
 def prepare(model: Model, dtype: Any) -> Prepared:
-    """The columns of a model, in the given dtype where they are traced.
+    """Compute the link constants of a model, in the given dtype if they are traced.
 
     Frames: each link's z is its joint axis; a joint at anchor a with axis s has the pose (A, a) in
     its body's frame, A z = s. With B the body's frame in its carrier's and F a link's frame in its
@@ -131,13 +129,12 @@ def with_constants(model: Model, dtype: Any) -> Model:
 
 
 def without_constants(model: Model) -> Model:
-    """The model without precomputed link constants. For user code, which may change the leaves from
-    which they were computed."""
+    """Drop precomputed link constants, for user code that may change leaves."""
     return model if model.execution.constants is None else model.replace(constants=None)
 
 
 def _columns(made: Any) -> Prepared:
-    """The constants that `with_constants` has stored, as `prepare` returns them."""
+    """Rebuild the constants that `with_constants` has stored."""
     columns, body_R, body_p, gravity = jax.tree.map(
         lambda x: x.column() if isinstance(x, Sparse) else x, made,
         is_leaf=lambda x: isinstance(x, Sparse),
@@ -154,7 +151,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     links, n = top.dofs, top.nv
     weld_R, weld_p, body_R = _welds(top, given, xp)
 
-    # each link's frame in its body, before (own) and after (moved) a motion that turns the body
+    # each link's frame in its body, before (own) and after (moved) a motion that rotates the body
     joint = np.array([link.joint for link in links], int)
     params = _joint_params(top, given.params, xp)
     moved_R = _link_axes(top, given.axis, given.params, xp)
@@ -245,10 +242,10 @@ def _welds(top: Topology, bodies, xp):
 
 
 def _joint_params(top: Topology, given, xp):
-    """The own numbers of each link's joint (nv, most), with zeros behind them."""
+    """The parameters of each link's joint (nv, most), padded with zeros."""
     counts = [len(joint.defaults) for joint in top.joints]
     most, starts = max(counts, default=0), np.cumsum([0, *counts])
-    out = xp.concatenate([given, np.zeros(1)])  # the last for those that have fewer
+    out = xp.concatenate([given, np.zeros(1)])  # the last entry is the padding
     rows = [
         [starts[link.joint] + k if k < counts[link.joint] else -1 for k in range(most)]
         for link in top.dofs
@@ -257,7 +254,7 @@ def _joint_params(top: Topology, given, xp):
 
 
 def _link_axes(top: Topology, axis, given, xp):
-    """The axes (nv, 3, 3) of each link in its body, z along its own."""
+    """The axes (nv, 3, 3) of each link in its body, with z along the axis of the dof."""
     links, starts = top.dofs, np.cumsum([0, *(len(joint.defaults) for joint in top.joints)])
     shortest = np.array([joint.shortest_turn for joint in top.joints], bool)
     align = _alignments(axis, xp, shortest)[np.array([link.joint for link in links], int)]
@@ -309,7 +306,7 @@ def _alignments(axis, xp, shortest=False):
 
 
 def _alignment_of_cells(row: np.ndarray, shortest: bool = False) -> np.ndarray:
-    """`_alignments` of one axis: numbers if it is literal, cells if it is traced."""
+    """`_alignments` of one axis, as numbers or cells."""
     if all_literal(row):
         known = np.array([[float(lane_of(x)) for x in row]])
         return _alignments(known, np, shortest)[0].astype(object)
@@ -322,7 +319,7 @@ def _quaternion_to_matrix(q, xp):
 
 
 def _gather(x, index: np.ndarray, n: int, xp):
-    """Sums over bodies of one link; what is welded to the world (index -1) falls out."""
+    """Sum over the bodies of each link, without those welded to the world (index -1)."""
     slot = np.where(index == WORLD, n, index)
     if xp is np:
         out = np.zeros((n + 1, *x.shape[1:]), x.dtype)
@@ -332,7 +329,7 @@ def _gather(x, index: np.ndarray, n: int, xp):
 
 
 def _snap(x: np.ndarray) -> np.ndarray:
-    """0, 1 and -1 where a known entry is one of them but for rounding."""
+    """Round known entries that differ from 0, 1 or -1 by rounding."""
     if x.dtype == object:
         known = np.array([is_literal(lane_of(v)) for v in x.ravel()], bool).reshape(x.shape)
         x = x.copy()
@@ -343,13 +340,13 @@ def _snap(x: np.ndarray) -> np.ndarray:
 
 
 def _snap_relative(x: np.ndarray) -> np.ndarray:
-    """Zero where an entry is rounding of the largest of its row."""
+    """Set entries to zero that are rounding of the largest of their row."""
     rows = np.abs(x).max(axis=tuple(range(1, x.ndim)), initial=0.0)
     return np.where(np.abs(x) < SNAP * rows.reshape(-1, *(1,) * (x.ndim - 1)), 0.0, x)
 
 
 def lane(column, i: int) -> Lane:
-    """One entry of a column: a Python float where it is concrete."""
+    """One entry of a column, a Python float if it is concrete."""
     if isinstance(column, np.ndarray):
         return lane_of(column[i])
     return column[i]

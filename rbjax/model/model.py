@@ -1,6 +1,6 @@
-"""Model and State: a robot as a pytree whose leaves are its numbers.
+"""Model and State: a robot as a pytree.
 
-Static fields determine the program (`Topology`, the actuators' kinds). Leaves are its operands:
+Static fields determine the program (`Topology`, the kinds of actuators). Leaves are its operands:
 masses, gains and gravity can be differentiated, and changed without recompilation.
 """
 
@@ -8,26 +8,26 @@ from __future__ import annotations
 
 import math
 import numbers
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import FLOATS
 from rbjax.errors import InputError, ModelError, UnknownName
-from rbjax.model.constant_leaves import known_entries, with_fixed_entries
-from rbjax.model.execution import DRIVER_NAMES as DRIVER_NAMES
-from rbjax.model.execution import EXECUTION, Execution
+from rbjax.model.cells import known_entries, with_fixed_entries
 from rbjax.model.geoms import Geoms
 from rbjax.model.random_state import random_coordinates
+from rbjax.model.record import DRIVER_NAMES as DRIVER_NAMES
+from rbjax.model.record import EXECUTION, Execution
 from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
-from rbjax.rotations.arguments import FLOATS
 
-#: the axes that each number has in one model, in the order of the leaves
+#: the number of axes of each leaf of one model, in the order of the leaves
 AXES = {
     "bodies.mass": 1, "bodies.com": 2, "bodies.inertia": 3, "bodies.position": 2,
     "bodies.orientation": 2, "joints.placement": 2, "joints.axis": 2, "joints.reference": 1,
@@ -37,6 +37,28 @@ AXES = {
     "actuators.forcerange": 2, "gravity": 1,
 }  # fmt: skip
 _AXES = list(AXES.values())
+
+
+class Frame(NamedTuple):
+    """A frame of a robot, as one value: the frame of a body or a site, or a point with its axes.
+
+    Functions of a frame, such as `rb.frame_pose` and `rb.jacobian`, take it in place of `body`.
+
+    Args:
+        body: the name of a body; "world" is the frame that does not move.
+        point: (3,) m in the frame of the body or site; its origin if None.
+        site: the name of a site, instead of a body.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model, tool = rb.load("arm7"), rb.Frame(site="tool")
+        >>> rb.jacobian(model, model.default_state().q, tool).shape
+        (6, 7)
+    """
+
+    body: str | None = None
+    point: Any = None
+    site: str | None = None
 
 
 class State(Record):
@@ -55,7 +77,7 @@ class State(Record):
 
 
 class Bodies(Record):
-    """Numbers of the moving bodies, in the file's order; each in its own frame unless stated.
+    """The moving bodies, in the order of the file; each in its own frame unless stated.
 
     Fields: mass (nb,) kg; com (nb, 3) m; inertia (nb, 3, 3) kg m^2 about the com; position (nb, 3)
     m and orientation (nb, 4) quaternion of the body's frame in its parent's at zero joint motion.
@@ -69,16 +91,16 @@ class Bodies(Record):
 
 
 class Joints(Record):
-    """Numbers of the joints.
+    """The joints.
 
     Fields: placement (nj, 3) m, the joint's anchor in its body's frame; axis (nj, 3) in its body's
     frame (of a ball and a free joint not used); reference (nq,), the configuration in which the
     file draws the robot; armature (nv,) kg m^2 or kg, damping (nv,), both with what actuators at
     the joint add; stiffness (nj,); springref (nq,), the springs' rest; forcerange (nj, 2), limits
     of the actuators' sum on a joint; range (nj, 2) rad or m, the least and the largest coordinate
-    (of a ball 0 and the largest angle of rotation); numbers (n,), which kinds of joints have of
-    their own, such as the pitch of a screw, one joint after the other. Limits are infinite where
-    the file sets none. A range stops nothing: `rbjax.forces.JointLimits` does.
+    (of a ball 0 and the largest angle of rotation); params (n,), parameters of kinds of joints,
+    such as the pitch of a screw, one joint after the other. Limits are infinite where the file sets
+    none. A range stops nothing: `rbjax.forces.JointLimits` does.
     """
 
     placement: jax.Array
@@ -129,7 +151,7 @@ class Keyframes(Record):
 
 
 class Model(Record):
-    """A robot. Leaves are its numbers, `topology` its program.
+    """A robot, as a pytree.
 
     Example:
         >>> import rbjax as rb
@@ -184,9 +206,9 @@ class Model(Record):
         return self.execution.driver
 
     def several(self) -> tuple[str, tuple[int, ...], int] | None:
-        """Name, shape and due number of axes of a leaf that has others, as in a batch of models."""
+        """The (name, shape, expected axes) of a leaf with other axes, as in a batch; else None."""
         leaves = jax.tree.leaves((self.bodies, self.joints, self.actuators, self.gravity))
-        if [getattr(x, "ndim", 0) for x in leaves] == _AXES:  # all that the usual call pays for
+        if [getattr(x, "ndim", 0) for x in leaves] == _AXES:
             return None
         found = zip(AXES.items(), leaves, strict=False)
         wrong = ((name, np.shape(x), n) for (name, n), x in found if np.ndim(x) != n)
@@ -209,7 +231,7 @@ class Model(Record):
 
     @property
     def nx(self) -> int:
-        """Numbers of the force elements' own states."""
+        """The states of the force elements, in number."""
         return sum(element.size for element in self.forces)
 
     @property
@@ -275,7 +297,7 @@ class Model(Record):
         return _index("geom", name, () if self.geoms is None else self.geoms.names)
 
     def fix_zeros(self) -> Model:
-        """The same model with the zeros of its numbers declared part of the program.
+        """Make the zeros of the leaves constants of compiled programs.
 
         Zeros of masses, centres, inertias, placements, armatures, references and gravity, and
         zeros and ones of axes and attitudes, then cost no arithmetic although the leaves stay
@@ -285,7 +307,7 @@ class Model(Record):
         return self.replace(zeros=known_entries(self))
 
     def astype(self, dtype: Any) -> Model:
-        """The same model with its numbers in a floating dtype.
+        """Convert the floating-point leaves of the model.
 
         Algorithms compute in the dtype of q and v; states and keyframes come in the model's.
 
@@ -308,7 +330,6 @@ class Model(Record):
             floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
             return jnp.asarray(x, dtype) if floating else x
 
-        # numbers of links that were made ahead are of the old dtype
         return jax.tree.map(cast, self.replace(constants=None))
 
     def default_state(self) -> State:
@@ -317,17 +338,17 @@ class Model(Record):
         return State(q, jnp.zeros(self.nv, q.dtype), self.start(q.dtype))
 
     def start(self, dtype: Any) -> jax.Array | None:
-        """Where the force elements' states x (nx,) begin; None where none has one."""
+        """The initial states x (nx,) of the force elements; None if none has a state."""
         if not self.nx:
             return None
         return jnp.concatenate([e.start().astype(dtype) for e in self.forces if e.size])
 
     def with_forces(self, *elements: Any) -> Model:
-        """The model with additional force elements (`rbjax.forces`). Its actuators still act."""
+        """Add force elements (`rbjax.forces`). The actuators of the model still act."""
         return self._with("forces", "Element", "loads", with_warning(self, elements))
 
     def with_constraints(self, *constraints: Any) -> Model:
-        """The model with constraints (`rbjax.constraints`) beside those that it has."""
+        """Add constraints (`rbjax.constraints`)."""
         return self._with("constraints", "Constraint", "rows", constraints)
 
     def _with(self, room: str, kind: str, method: str, given: tuple) -> Model:
@@ -338,10 +359,10 @@ class Model(Record):
         return self.replace(**{room: (*getattr(self, room), *given)})
 
     def with_joint(self, name: str, kind: str, **given: Any) -> Model:
-        """The model with another kind of joint in the place of one: `rbjax.joints.kinds()`.
+        """Replace a joint by one of another kind (`rbjax.joints.kinds()`).
 
         The new joint keeps the anchor and the axis, in its body's frame. If it has as many
-        coordinates as the old one, it keeps what belongs to them (armature, damping, reference); if
+        coordinates as the old one, it keeps their armature, damping and reference; if
         both have one, it keeps the spring and the ranges too. Actuators drive its coordinates one
         for one.
 
@@ -364,7 +385,7 @@ class Model(Record):
         return with_joint(self, name, kind, **given)
 
     def keyframe(self, name: str) -> State:
-        """A state that the file names."""
+        """The state of a keyframe of the file."""
         i = _index("keyframe", name, self.keyframe_names)
         q, own, x = self.keyframes.q[i], self.keyframes.x, self.start(self.keyframes.q.dtype)
         if x is not None and own is not None and own.shape[1] <= x.size:

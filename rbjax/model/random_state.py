@@ -12,7 +12,7 @@ from rbjax.rotations import quaternion
 
 
 def random_coordinates(model: Any, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The q (nq,) and v (nv,) of `Model.random_state`."""
+    """Draw the q (nq,) and v (nv,) of `Model.random_state`."""
     kq, kr, kv = jax.random.split(key, 3)
     q, top, ranges = model.joints.reference, model.topology, model.joints.range
     dtype = q.dtype

@@ -1,4 +1,4 @@
-"""Records: immutable pytrees with named fields, of which a model is made."""
+"""Records: immutable pytrees with named fields, and checks of their fields."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 
-#: up to so many numbers are looked at on the host; more stay where they are
+#: arrays of up to this size are checked on the host, larger ones on their device
 FEW = 10_000
 _RESIZE = "; build a new model to change its size, or jax.vmap over models to have many"
 
@@ -21,7 +21,7 @@ class Record(eqx.Module):
     """An immutable pytree with named fields."""
 
     def replace(self, **changes: Any):
-        """A copy with the given fields changed; shapes of arrays must stay, values be numbers."""
+        """Return a copy with the given fields changed. Arrays must keep their shapes."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         for name, value in changes.items():
             if name not in fields:
@@ -29,20 +29,22 @@ class Record(eqx.Module):
             old = fields[name]
             if eqx.is_array(old):
                 where = f"{type(self).__name__}.replace({name}=...)"
-                endless = self.may_be_endless(name)
-                value = array_like(where, value, old.shape, old.dtype, endless=endless, fix=_RESIZE)
+                infinite = self.may_be_infinite(name)
+                value = array_like(
+                    where, value, old.shape, old.dtype, infinite=infinite, fix=_RESIZE
+                )
             fields[name] = value
         return type(self)(**fields)
 
-    def may_be_endless(self, name: str) -> bool:
-        """Whether infinity stands for something in a field: no limit, in a range."""
+    def may_be_infinite(self, name: str) -> bool:
+        """Whether a field may be infinite, as a range without limits."""
         return name.endswith("range")
 
 
 def array_like(
-    where: str, value: Any, shape: tuple[int, ...], dtype: Any, *, endless: bool, fix: str = ""
+    where: str, value: Any, shape: tuple[int, ...], dtype: Any, *, infinite: bool, fix: str = ""
 ) -> jax.Array:
-    """A value as an array of the shape and dtype, of real numbers that `check_numbers` takes."""
+    """Convert a value to an array of the shape and dtype, and check its numbers."""
     try:
         new = jnp.asarray(value)
         new = new.astype(dtype) if _is_real(new.dtype) else new
@@ -52,12 +54,12 @@ def array_like(
         ) from error
     if new.shape != shape:
         raise InputError(f"{where}: got shape {new.shape}, expected {shape}{fix}")
-    check_numbers(where, new, endless=endless)
+    check_numbers(where, new, infinite=infinite)
     return new
 
 
-def check_numbers(where: str, x: Any, *, endless: bool) -> None:
-    """Refuse known values that are no real numbers: NaN, and infinity unless it is allowed."""
+def check_numbers(where: str, x: Any, *, infinite: bool) -> None:
+    """Raise `InputError` if known values are NaN, infinite (unless allowed) or not real."""
     if not hasattr(x, "dtype"):
         x = np.asarray(x)
     if not _is_real(x.dtype):
@@ -65,7 +67,7 @@ def check_numbers(where: str, x: Any, *, endless: bool) -> None:
     if isinstance(x, jax.core.Tracer) or not jnp.issubdtype(x.dtype, jnp.floating):
         return
     xp = np if x.size <= FEW else jnp
-    wrong = xp.isnan(x) if endless else ~xp.isfinite(x)
+    wrong = xp.isnan(x) if infinite else ~xp.isfinite(x)
     if wrong.any():
         at = tuple(map(int, np.argwhere(np.asarray(wrong))[0]))
         raise InputError(f"{where}: got {np.asarray(x)[at]} at {list(at)}, expected finite numbers")
@@ -76,7 +78,7 @@ def _is_real(dtype: Any) -> bool:
 
 
 def floats(x: Any) -> Any:
-    """A field's converter: numbers as an array. What is none stays for `check_fields` to refuse."""
+    """Convert a field to an array, if it can be; `check_fields` rejects anything else."""
     if isinstance(x, (str, bytes)):  # NumPy reads "1" as a number
         return x
     try:
@@ -86,7 +88,7 @@ def floats(x: Any) -> Any:
 
 
 def check_number(record: Record, name: str, *, positive: bool = False) -> None:
-    """Refuse a field that is no number, or not above zero where that is due."""
+    """Raise `InputError` if a field is not a number, or, with `positive`, not above zero."""
     check_fields(record)
     value, where = getattr(record, name), f"{type(record).__name__}({name}=...)"
     if jnp.shape(value) != ():
@@ -108,8 +110,7 @@ def check_above_zero(where: str, value: Any) -> None:
 
 
 def check_fields(record: Record) -> None:
-    """Refuse fields of a record of a user that are no arrays of numbers, or no tuples, where these
-    are due."""
+    """Raise `InputError` if a field annotated as an array or a tuple is something else."""
     for f in dataclasses.fields(record):
         value, where = getattr(record, f.name), f"{type(record).__name__}({f.name}=...)"
         optional = f.type == "jax.Array | None" and value is not None
@@ -119,7 +120,7 @@ def check_fields(record: Record) -> None:
                     f"{where}: got {type(value).__name__}, expected an array of numbers, as "
                     "jax.numpy.asarray makes it"
                 )
-            check_numbers(where, value, endless=record.may_be_endless(f.name))
+            check_numbers(where, value, infinite=record.may_be_infinite(f.name))
         named = str(f.type).startswith("tuple[") and not isinstance(value, tuple)
         if named and (value is not None or "None" not in str(f.type)):
             raise InputError(f"{where}: got {type(value).__name__}, expected a tuple")
@@ -133,3 +134,29 @@ def cast_floats(tree: Any, dtype: Any) -> Any:
         return jnp.asarray(x, dtype) if floating else x
 
     return jax.tree.map(cast, tree)
+
+
+#: the drivers of the recursions; `rbjax.dynamics.drivers.choice` chooses for "auto"
+DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
+
+
+class Execution(Record):
+    """How algorithms run on a model; nothing here changes their results.
+
+    Fields:
+        driver: one of `DRIVER_NAMES`.
+        zeros: the entries of leaves that are part of the program (`Model.fix_zeros`), or None.
+        constants: the link constants, if they were computed before a loop (`with_constants`).
+    """
+
+    driver: str = eqx.field(static=True, default="auto")
+    zeros: tuple | None = eqx.field(static=True, default=None)
+    constants: Any = None
+
+    def __check_init__(self) -> None:
+        if self.driver not in DRIVER_NAMES:
+            raise UnknownName("driver", self.driver, DRIVER_NAMES)
+
+
+#: the names of its fields
+EXECUTION = tuple(f.name for f in dataclasses.fields(Execution))

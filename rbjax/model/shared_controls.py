@@ -1,4 +1,4 @@
-"""A warning of force elements that read the controls of actuators which still act."""
+"""A warning for force elements that read controls of actuators which also exert forces."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 
 def with_warning(model: Any, elements: tuple) -> tuple:
-    """Return the elements. Warn of each that reads a control of a row of `model.actuators` which
-    exerts a force."""
+    """Return the elements. Warn for each that reads a control of an actuator in `model.actuators`
+    which exerts a force."""
     acting = _acting(model.actuators)
     for one in elements:
         taken = getattr(one, "controls", ()) if getattr(one, "actuates", False) else ()

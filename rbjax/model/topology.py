@@ -1,8 +1,14 @@
-"""The part of a robot that belongs to the program: tree, joint kinds, names. Hashable, no numbers.
+"""The static part of a robot: its tree, joint kinds and names, and its isomorphic limbs.
 
-The arithmetic runs over *links*, one for each velocity coordinate: a hinge is one, a ball three
-(`rbjax.joints`). Each link's frame is turned so that its axis is z. Bodies without joints are
-merged into the last link of the body that carries them.
+A *dof* is one velocity coordinate: a hinge has one, a ball three (`rbjax.joints`). Each dof moves a
+*link*, which may have no mass, whose frame is rotated so that the axis of the dof is z. Recursions
+run over the links. Bodies without joints are merged into the last link of the body that carries
+them.
+
+A *limb* is a link that begins a joint, with its subtree. Limbs with the same tree of joints of the
+same kinds form a *group*, which one program serves. The links of no group are the *trunk*. A limb
+begins where the tree branches, so that a leg is not cut in the middle to match an arm. Groups are
+chosen greedily, the one that saves most links first.
 """
 
 from __future__ import annotations
@@ -10,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -20,7 +26,7 @@ WORLD = -1
 
 
 class Span(NamedTuple):
-    """Where a joint's coordinates are in q and v: those that simply add, then an attitude's."""
+    """The coordinates of a joint in q and v: first those that add, then those of an attitude."""
 
     q: slice
     v: slice
@@ -31,15 +37,15 @@ class Span(NamedTuple):
 def spans(top: Any) -> Iterator[Span]:
     """The span of each joint of a topology."""
     for joint, at, dat in zip(top.joints, top.joint_q, top.joint_v, strict=True):
-        straight = joint.nv - 3 if joint.quaternion else joint.nv
-        q, v = slice(at, at + straight), slice(dat, dat + straight)
-        turning = slice(q.stop, at + joint.nq), slice(v.stop, dat + joint.nv)
-        yield Span(q, v, turning if joint.quaternion else None)
+        added = joint.nv - 3 if joint.quaternion else joint.nv
+        q, v = slice(at, at + added), slice(dat, dat + added)
+        attitude = slice(q.stop, at + joint.nq), slice(v.stop, dat + joint.nv)
+        yield Span(q, v, attitude if joint.quaternion else None)
 
 
 @dataclass(frozen=True)
 class Dof:
-    """One velocity coordinate: where it sits and how it moves."""
+    """A velocity coordinate: its place in the tree and its kind."""
 
     body: int
     joint: int
@@ -49,18 +55,18 @@ class Dof:
     #: the coordinates in q and in v that its motion reads
     q: range
     v: range
-    #: the links that share its frame
+    #: the dofs that share its frame
     node: range
 
     @property
     def kind(self) -> DofKind:
-        """How it moves."""
+        """How the dof moves."""
         return self.spec.kind
 
 
 @dataclass(frozen=True)
 class Topology:
-    """The static side of a model: tuples only."""
+    """The static part of a model: tuples only."""
 
     body_parents: tuple[int, ...]
     joint_kinds: tuple[str, ...]
@@ -71,7 +77,7 @@ class Topology:
     site_names: tuple[str, ...] = ()
     site_bodies: tuple[int, ...] = ()
     keyframe_names: tuple[str, ...] = ()
-    #: what the kinds are, by identity: a name that is registered again is another program
+    #: the kinds, by identity: a name that is registered again gives another program
     joints: tuple[Joint, ...] = ()
 
     def __post_init__(self) -> None:
@@ -79,7 +85,7 @@ class Topology:
             object.__setattr__(self, "joints", tuple(kind(name) for name in self.joint_kinds))
 
     def __reduce__(self) -> tuple:
-        """Kinds are found again by their names where a topology is unpickled."""
+        """Pickle the names of the kinds, not the kinds."""
         given = [getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "joints"]
         return Topology, tuple(given)
 
@@ -97,22 +103,22 @@ class Topology:
 
     @cached_property
     def joint_q(self) -> tuple[int, ...]:
-        """Where each joint's coordinates start in q."""
+        """The index of each joint's first coordinate in q."""
         return _starts([joint.nq for joint in self.joints])
 
     @cached_property
     def joint_v(self) -> tuple[int, ...]:
-        """Where each joint's coordinates start in v."""
+        """The index of each joint's first coordinate in v."""
         return _starts([joint.nv for joint in self.joints])
 
     @cached_property
     def quaternion_starts(self) -> tuple[int, ...]:
-        """Where each unit quaternion starts in q."""
+        """The index of each unit quaternion in q."""
         return tuple(span.attitude[0].start for span in spans(self) if span.attitude)
 
     @cached_property
     def turn_starts(self) -> tuple[int, ...]:
-        """Where each attitude's angular velocity starts in v, beside `quaternion_starts`."""
+        """The index of each attitude's angular velocity in v."""
         return tuple(span.attitude[1].start for span in spans(self) if span.attitude)
 
     @cached_property
@@ -149,17 +155,17 @@ class Topology:
 
     @cached_property
     def carriers(self) -> tuple[int, ...]:
-        """For each body the body that it is welded to (itself, if it has joints), or WORLD."""
+        """The body that each body is welded to (itself, if it has joints), or WORLD."""
         return tuple(self._carrier(b) for b in range(self.nb))
 
     @cached_property
     def body_links(self) -> tuple[int, ...]:
-        """For each body the link that it moves with, or WORLD."""
+        """The link that carries each body, or WORLD."""
         return tuple(WORLD if c == WORLD else self.last_links[c] for c in self.carriers)
 
     @cached_property
     def weld_depth(self) -> tuple[int, ...]:
-        """For each body the number of welds between it and its carrier (or the world)."""
+        """The number of welds between each body and its carrier or the world."""
         out: list[int] = []
         for b, parent in enumerate(self.body_parents):
             welded = b not in self.last_links
@@ -173,7 +179,7 @@ class Topology:
 
     @cached_property
     def ancestors(self) -> tuple[tuple[int, ...], ...]:
-        """For each link the links from the root to itself."""
+        """The path of links from the root to each link."""
         out: list[tuple[int, ...]] = []
         for i, parent in enumerate(self.parents):
             out.append((*(out[parent] if parent != WORLD else ()), i))
@@ -191,3 +197,80 @@ def _moved(some: range, start: int) -> range:
 
 def _starts(sizes: list[int]) -> tuple[int, ...]:
     return tuple(accumulate([0, *sizes]))[:-1]
+
+
+#: the number of links that a group must save
+LEAST_SAVED = 2
+
+
+class Group(NamedTuple):
+    """Limbs of one shape; position k of each is the same place in the shape."""
+
+    #: the links of each limb, parents before children
+    links: tuple[tuple[int, ...], ...]
+    #: the position of the parent of each position, WORLD for the limb's first link
+    parents: tuple[int, ...]
+    #: the link of the trunk that carries each limb, or WORLD
+    carriers: tuple[int, ...]
+
+
+class Partition(NamedTuple):
+    """The trunk and the groups: each link is in the trunk or in one limb."""
+
+    trunk: tuple[int, ...]
+    groups: tuple[Group, ...]
+
+    @property
+    def written(self) -> int:
+        """The number of links whose steps are written out."""
+        return len(self.trunk) + sum(len(group.parents) for group in self.groups)
+
+
+@lru_cache(maxsize=256)
+def partition(top: Topology) -> Partition:
+    """The trunk of a robot and its groups of limbs."""
+    children: dict[int, list[int]] = {}
+    for i, parent in enumerate(top.parents):
+        children.setdefault(parent, []).append(i)
+    numbers: dict[tuple, int] = {}  # of the shapes, in the order in which they are met
+    shapes = [0] * top.nv
+    members: list[tuple[int, ...]] = [()] * top.nv
+    for i in reversed(range(top.nv)):
+        link = top.dofs[i]
+        below = sorted(children.get(i, ()), key=lambda k: (shapes[k], k))
+        shape = (link.spec, *(shapes[k] for k in below))
+        shapes[i] = numbers.setdefault(shape, len(numbers))
+        members[i] = (i, *(k for child in below for k in members[child]))
+
+    begins = [
+        i for i, link in enumerate(top.dofs)
+        if top.joint_v[link.joint] == i
+        and (link.parent == WORLD or len(children[link.parent]) > 1)
+    ]  # fmt: skip
+    alike: dict[int, list[int]] = {}
+    for i in begins:
+        alike.setdefault(shapes[i], []).append(i)
+
+    groups: list[Group] = []
+    taken: set[int] = set()
+    while True:
+        free = [[i for i in roots if not taken & set(members[i])] for roots in alike.values()]
+        best = max(free, key=lambda roots: _saved(roots, members), default=[])
+        if _saved(best, members) < LEAST_SAVED:
+            break
+        groups.append(_group(top, [members[i] for i in best]))
+        for i in best:
+            taken.update(members[i])
+    trunk = tuple(i for i in range(top.nv) if i not in taken)
+    return Partition(trunk, tuple(sorted(groups, key=lambda group: group.links[0][0])))
+
+
+def _saved(roots: list[int], members: list[tuple[int, ...]]) -> int:
+    """The number of links that a group of these limbs saves."""
+    return (len(roots) - 1) * len(members[roots[0]]) if roots else 0
+
+
+def _group(top: Topology, links: list[tuple[int, ...]]) -> Group:
+    first = links[0]
+    parents = tuple(WORLD if k == 0 else first.index(top.parents[i]) for k, i in enumerate(first))
+    return Group(tuple(links), parents, tuple(top.parents[limb[0]] for limb in links))

@@ -1,4 +1,4 @@
-"""Another kind of joint in the place of one."""
+"""Replacement of a joint of a model by one of another kind."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
 
 
 def start_of(joint: Joint) -> np.ndarray:
-    """The coordinates (nq,) of a joint that has not moved."""
+    """The coordinates (nq,) of a joint without displacement."""
     out = np.zeros(joint.nq)
     if joint.quaternion:
         out[-4] = 1.0
@@ -83,13 +83,13 @@ def start_of(joint: Joint) -> np.ndarray:
 
 
 def _spliced(x: Any, at: slice, put: Any) -> jax.Array:
-    """x (..., n) with others (m,) in the place of some, whatever the leading axes."""
+    """Replace a slice of the last axis of x (..., n) by the numbers `put` (m,)."""
     put = jnp.broadcast_to(jnp.asarray(put, x.dtype), (*x.shape[:-1], *np.shape(put)))
     return jnp.concatenate([x[..., : at.start], put, x[..., at.stop :]], -1)
 
 
 def _numbers(given: dict[str, Any], joint: Joint, kind: str, dtype: Any) -> dict[str, jax.Array]:
-    """What is given, checked, beside the kind's own numbers where they are not."""
+    """Check the given numbers, and add the default parameters of the kind."""
     shapes = {"axis": (3,), "reference": (joint.nq,)}
     shapes |= {key: np.shape(x) for key, x in joint.params.items()}
     for key in given:
@@ -101,7 +101,7 @@ def _numbers(given: dict[str, Any], joint: Joint, kind: str, dtype: Any) -> dict
     out = {}
     for key, x in (dict(joint.params) | given).items():
         where = f"with_joint({key}=...)"
-        out[key] = array_like(where, x, shapes[key], dtype, endless=False)
+        out[key] = array_like(where, x, shapes[key], dtype, infinite=False)
         if key in axes:
             _check_length(where, out[key], "an axis")
         elif key == "reference" and joint.quaternion:
@@ -110,7 +110,7 @@ def _numbers(given: dict[str, Any], joint: Joint, kind: str, dtype: Any) -> dict
 
 
 def _check_length(where: str, x: jax.Array, what: str) -> None:
-    """Refuse what gives no direction, where it is known."""
+    """Raise `InputError` if a known vector has no direction."""
     if isinstance(x, jax.core.Tracer):
         return
     with np.errstate(over="ignore", under="ignore"):

@@ -1,37 +1,42 @@
-"""Fixed steps of one sample as one program of a thread, with a reverse gradient of known memory.
+"""Fixed steps of one sample as one program of a thread, with a reverse gradient of bounded memory.
 
-The forward program keeps the state before every k-th step. The reverse one walks back over these:
-it takes the k steps again, holds their states in the thread's own memory, and transposes them from
-the last to the first. So a sample keeps steps / k states, and holds k more at a time. If memory
-allows, the residuals that the transposed derivative of each step needs (`Pullback`) are saved too.
+The forward program keeps the state before every k-th step. The reverse program takes the k steps
+from each kept state again, holds their states in the thread's own memory, and transposes them from
+the last to the first. A sample keeps steps / k states, and holds k more at a time. If memory
+allows, each step is kept with its residuals for the vjp: the acceleration and the factors of the
+mass matrix, which `forward_dynamics` names; the vjp computes everything else again.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.extend.core import Literal, Var, jaxpr_as_fun
 
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program, traced
-from rbjax.motion.pullback import Pullback
+from rbjax.dynamics.algorithms.aba import LEFT
 
 Arrays = tuple[jax.Array, ...]
 
-#: bytes of its own memory in which a thread holds what the steps that it takes again leave
+#: bytes of its own memory in which a thread holds the residuals of repeated steps
 HELD_UP_TO = 16 * 1024
 
 
 @dataclass(frozen=True)
 class CheckpointedRollout:
-    """Steps of `step(i, *state, control, *others) -> state`, which has no control if not `driven`.
+    """A program of steps `step(i, *state, control, *others) -> state`.
 
-    size: arrays of the state; k: steps from one kept state to the next, a divisor of save_every;
+    size: the number of arrays of the state.
+    driven: whether the step has a control.
+    k: the number of steps from one kept state to the next, a divisor of save_every.
     keep_residuals: whether the residuals of the steps are saved too; then k is 1.
     """
 
@@ -46,9 +51,9 @@ class CheckpointedRollout:
     def program(self, plain: Program | None = None) -> Program:
         """(*state, controls (steps, nu), *others) -> states (1 + steps / save_every, ...).
 
-        plain: the same without what a derivative needs, where it has been traced.
+        plain: the program without a derivative, if it has been traced.
         """
-        avals = list(self.step.inputs[1:])
+        avals: list[Any] = list(self.step.inputs[1:])
         if self.driven:
             u = avals[self.size]
             avals[self.size] = jax.ShapeDtypeStruct((self.steps, *u.shape), u.dtype)
@@ -62,21 +67,24 @@ class CheckpointedRollout:
 
             def f(*args: Any) -> list:
                 states, before, left = self._forward(
-                    args, self.pullback(moving) if self.keep_residuals else None
+                    args, self.step_vjp(moving) if self.keep_residuals else None
                 )
                 return [*states, *([] if every else before), *left]
 
             return traced(f, *avals)
 
         return Program(
-            plain.closed, vjp=self._vjp, keeping=keeping, reads=0 if every else self.size
+            plain.closed,
+            vjp=self._vjp,
+            forward_with_residuals=keeping,
+            first_residual=0 if every else self.size,
         )
 
-    def pullback(self, moving: Sequence[bool]) -> Pullback:
+    def step_vjp(self, moving: Sequence[bool]) -> StepVjp:
         """The vjp of the step with respect to the moving arguments of the rollout."""
         first = self.size + self.driven
         own = (False, *[True] * self.size, *moving[self.size : first], *moving[first:])
-        return Pullback.of(self.step, own)
+        return StepVjp.of(self.step, own)
 
     def _parts(self, args: Sequence[Any]) -> tuple[Arrays, Any, Sequence[Any]]:
         state, rest = tuple(args[: self.size]), args[self.size :]
@@ -86,11 +94,12 @@ class CheckpointedRollout:
 
     @property
     def _turns(self) -> tuple[int, int, int]:
-        """Saved states, kept states to each of them, steps to each of these."""
+        """The number of saved states, of kept states for each of them, of steps for each of
+        these."""
         return self.steps // self.save_every, self.save_every // self.k, self.k
 
     def _forward(
-        self, args: Sequence[Any], step_vjp: Pullback | None = None
+        self, args: Sequence[Any], step_vjp: StepVjp | None = None
     ) -> tuple[list, list, list]:
         """Saved states, checkpoints, and the residuals of the steps for `step_vjp`."""
         state, controls, others = self._parts(args)
@@ -116,7 +125,7 @@ class CheckpointedRollout:
             [x.reshape(self.steps, -1) for x in left],
         )
 
-    def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: Pullback | None) -> Any:
+    def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: StepVjp | None) -> Any:
         """The index and state of the next step, and the residuals of the step for `step_vjp`."""
         i, state = carry
         step = step_vjp.forward if step_vjp else self.step
@@ -139,7 +148,7 @@ class CheckpointedRollout:
         first = self.size + self.driven  # of the others
         which = [n for n in range(len(others)) if moving[first + n]]
         steered = self.driven and moving[self.size]
-        step_vjp = self.pullback(moving)
+        step_vjp = self.step_vjp(moving)
         held = step_vjp if 0 < k * step_vjp.bytes <= HELD_UP_TO else None
 
         def once(carry: Any, x: Any) -> tuple[Any, Any]:
@@ -193,14 +202,123 @@ def _given(u: Any) -> tuple:
     return () if u is None else (u,)
 
 
-def keep_every(save_every: int, steps: int, bytes_each: int, budget: float) -> int:
-    """The smallest divisor k of save_every for which steps / k states fit into the budget, or
-    save_every where none does.
+def checkpoint_interval(save_every: int, steps: int, bytes_each: int, budget: float) -> int:
+    """The smallest divisor k of save_every for which steps / k states fit into the budget;
+    save_every if none does.
 
-    >>> keep_every(100, 1000, 4, 4000), keep_every(100, 1000, 4, 500), keep_every(7, 7, 4, 1)
-    (1, 10, 7)
+    >>> checkpoint_interval(100, 1000, 4, 4000), checkpoint_interval(100, 1000, 4, 500),
+    checkpoint_interval(7, 7, 4, 1) (1, 10, 7)
     """
     for k in range(1, save_every + 1):
         if save_every % k == 0 and math.ceil(steps / k) * bytes_each <= budget:
             return k
     return save_every
+
+
+class StepVjp:
+    """The vjp of a step with respect to some of its arguments, from saved residuals.
+
+    forward: the arguments -> the results, and the residuals as a vector.
+    """
+
+    def __init__(self, forward: Program, back: Callable):
+        """back(args, residuals, bars) -> the cotangents of the arguments."""
+        self.forward, self._back = forward, back
+
+    @classmethod
+    def of(cls, step: Program, moving: tuple[bool, ...]) -> StepVjp:
+        """The vjp of a step, built once."""
+        key = "step_vjp", moving
+        vjps = (f(step, moving) for f in (_vjp_of_equations, _vjp_of_checkpoint))
+        return step.memoize(key, lambda: cls(*next(x for x in vjps if x is not None)))
+
+    @property
+    def residuals(self) -> Any:
+        """The vector of residuals."""
+        return self.forward.outputs[-1]
+
+    @property
+    def bytes(self) -> int:
+        return self.residuals.size * self.residuals.dtype.itemsize
+
+    def __call__(self, args: Sequence[Any], left: jax.Array, bars: Sequence[Any]) -> list[Any]:
+        """The cotangents of the arguments, from those of the results."""
+        return self._back(args, left, bars)
+
+
+def _vjp_of_equations(step: Program, moving: tuple[bool, ...]) -> tuple[Program, Callable] | None:
+    """The vjp of a step without loops: the named values are inputs of the transposed step."""
+    back = step.transposed_equations(moving, (True,) * len(step.outputs))
+    if back is None:
+        return None
+    named = [
+        eqn.outvars[0] for eqn in back.forward
+        if eqn.primitive.name == "name" and eqn.params["name"] in LEFT
+    ]  # fmt: skip
+    whole = back.closed(given=named)
+    read = {a for eqn in whole.jaxpr.eqns for a in eqn.invars if isinstance(a, Var)}
+    left = [v for v in named if v in read]
+    shapes: list[Any] = [v.aval for v in left]
+    rest, n = Program(back.closed(given=left)), len(step.outputs)
+    values = Program(back.values(left))
+
+    def forward(*args: Any) -> list[Any]:
+        found = run(values, args)
+        return [*found[:n], _vector(found[n:], step.outputs[0].dtype)]
+
+    def backward(args: Sequence[Any], vector: jax.Array, bars: Sequence[Any]) -> list[Any]:
+        parts, start = [], 0
+        for a in shapes:
+            parts.append(vector[start : start + a.size].reshape(a.shape))
+            start += a.size
+        return run(rest, [*args, *parts, *bars])
+
+    return traced(forward, *step.inputs), backward
+
+
+def _vector(parts: Sequence[jax.Array], dtype: Any) -> jax.Array:
+    return jnp.concatenate([jnp.zeros(0, dtype), *(x.ravel() for x in parts)])
+
+
+def _vjp_of_checkpoint(step: Program, moving: Sequence[bool]) -> tuple[Program, Callable]:
+    """The vjp of any step: JAX keeps the named values of a checkpoint."""
+    trees: list[Any] = []
+
+    def linearised(*args: Any) -> list[Any]:
+        def along(*changed: Any) -> list[Any]:
+            rest = iter(changed)
+            return step(*(next(rest) if m else x for m, x in zip(moving, args, strict=True)))
+
+        keep = jax.checkpoint_policies.save_only_these_names(*LEFT)
+        along = jax.checkpoint(along, prevent_cse=False, policy=keep)
+        new, pullback = jax.vjp(along, *itertools.compress(args, moving))
+        leaves, tree = jax.tree.flatten(pullback)
+        trees.append(tree)
+        return [*new, *leaves]
+
+    closed = jax.make_jaxpr(linearised)(*step.inputs)
+    n, jaxpr = len(step.outputs), closed.jaxpr
+    places: dict[Any, tuple[str, Any]] = {v: ("argument", k) for k, v in enumerate(jaxpr.invars)}
+    places |= {v: ("constant", x) for v, x in zip(jaxpr.constvars, closed.consts, strict=True)}
+    sources: list[tuple[str, Any]] = [
+        ("constant", v.val) if isinstance(v, Literal) else places.get(v, ("left", v.aval))
+        for v in jaxpr.outvars[n:]
+    ]
+    held = [kind == "left" for kind, _ in sources]
+
+    def forward(*args: Any) -> list[Any]:
+        found = jaxpr_as_fun(closed)(*args)
+        left = list(itertools.compress(found[n:], held))
+        return [*found[:n], _vector(left, step.outputs[0].dtype)]
+
+    def backward(args: Sequence[Any], left: jax.Array, bars: Sequence[Any]) -> list[Any]:
+        leaves, start = [], 0
+        for kind, source in sources:
+            if kind == "left":
+                leaves.append(left[start : start + source.size].reshape(source.shape))
+                start += source.size
+            else:
+                leaves.append(args[source] if kind == "argument" else source)
+        return list(jax.tree.unflatten(trees[0], leaves)(list(bars)))
+
+    return traced(forward, *step.inputs), backward

@@ -13,11 +13,10 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import jax
 
-from rbjax.constraints.formulation import Formulation, TangentSpace, formulation_of
-from rbjax.dynamics.algorithms import forward
-from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
+from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
-from rbjax.dynamics.algorithms.rnea import forces_of
+from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied, implicit_stiffness, within
@@ -58,7 +57,7 @@ class VelocityDynamics(Protocol):
 
 def free_motion(model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
     """v' = M^-1 (tau - b + sum of J_i^T f_i)."""
-    return forward.acceleration(model, state.q, state.v, tau, f_ext)
+    return aba.acceleration(model, state.q, state.v, tau, f_ext)
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ class Field:
         tau, f_ext, x = self.applied(t, state, u)
         if self.dynamics is not free_motion:
             a = self._acceleration(t, state, tau, f_ext)
-            tau = forces_of(self.precomputed, state.q, state.v, a, f_ext)
+            tau = forces_at(self.precomputed, state.q, state.v, a, f_ext)
         return tau, f_ext, x
 
     def retract(self, q: jax.Array, dq: jax.Array) -> jax.Array:
@@ -128,8 +127,8 @@ class Field:
         return retract(self.precomputed, q, dq)
 
     def implicit_stiffness(self, t: Any, state: State, u: Inputs, dt: Any) -> dict:
-        """The implicit stiffness of forces at the middle of a step: what they add to the diagonal
-        of the mass matrix, by velocity coordinate."""
+        """The implicit stiffness of forces at the middle of a step: their diagonal terms in the
+        mass matrix, by velocity coordinate."""
         return implicit_stiffness(self.precomputed, t, state, u.ctrl, dt)
 
     def stage_state(self, t: Any, state: State, t0: Any, start: State) -> State:
@@ -156,7 +155,7 @@ class Field:
 
 def moves_stages(dynamics: Any) -> TypeGuard[Formulation]:
     """Whether a dynamics evaluates the rates of a stage at another state."""
-    return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, TangentSpace)
+    return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, StageProjection)
 
 
 def dynamics_of(

@@ -1,9 +1,16 @@
 """Steps of constrained motion as differential-algebraic equations, by implicit methods.
 
-The unknowns of a step are those of its stages: u', v', x' and multipliers, with increments u of the
-configuration, q = q0 (+) u, so that attitudes turn. `rollout` takes `ByStages`, which keeps nothing
-from step to step; `simulate` takes the diffrax solver `StagesSolver`.
-(`rbjax.constraints.methods.differential_algebraic` has the equations, `rbjax.solvers` the methods.)
+The unknowns of a step are u', v', x' and the multipliers of its stages, with increments u of the
+configuration, q = q0 (+) u. `rollout` takes `ByStages`, which carries nothing from step to step;
+`simulate` takes the diffrax solvers `StagesSolver` (Runge-Kutta) and `BDFSolver`:
+
+    f(t1, u1, Q'(t1), w) = 0,      Q through u1 and the past increments u_k, q_k = q0 (+) u_k
+The increments are relative to the state at the start of the step. Radau IIA of three stages (for
+BDF 1 of one) starts BDF, and restarts it after a jump. Variational steps (`variational`) have other
+unknowns, momenta, and a fixed number of iterations.
+(`rbjax.constraints.methods.differential_algebraic` has the equations, `rbjax.solvers` the methods.
+Hairer & Wanner, *Solving Ordinary Differential Equations II*, VII.3: BDF of orders 1 to 6 keeps its
+order for index 2; Lotstedt & Petzold, *Mathematics of Computation* 46, 1986, for index 3.)
 """
 
 from __future__ import annotations
@@ -26,8 +33,9 @@ from rbjax.motion.field import Field
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
 from rbjax.solvers.constrained.differential_algebraic import Equations, Point, damp_error, solve
-from rbjax.solvers.constrained.simplified import weights
+from rbjax.solvers.constrained.simplified import weight, weights
 from rbjax.solvers.groups import unwrap
+from rbjax.solvers.multistep import basis, slopes_at_one
 from rbjax.solvers.root_finding import mark_failed, step_result
 from rbjax.solvers.runge_kutta import ImplicitRungeKutta
 from rbjax.solvers.steps import AbstractGroupSolver, weighted_sums
@@ -41,8 +49,13 @@ FITTING = (
 
 
 class Stages(NamedTuple):
-    """What a step finds: its stages' rates (s, 2 nv + nx) times h, their multipliers (s, rows),
-    whether they were found, and the start."""
+    """The result of a step.
+
+    k: rates of the stages (s, 2 nv + nx) times h.
+    w: their multipliers (s, rows).
+    ok: whether the iteration converged.
+    start: the initial point.
+    """
 
     k: jax.Array
     w: jax.Array
@@ -68,7 +81,7 @@ def stages(
 ) -> Stages:
     """The stages of a Runge-Kutta step."""
     dtype = state.q.dtype
-    equations, start = begun(dynamics, model, forces, t, state)
+    equations, start = initial_equations(dynamics, model, forces, t, state)
     c = jnp.asarray(tableau.c, jnp.result_type(h))
     base = jnp.broadcast_to(start.y, (tableau.stages, start.y.size))
     found = solve(equations, h, t + c * h, base, weights(np.array(tableau.a), dtype), start)
@@ -94,14 +107,14 @@ def error_of(
 
 
 def _padded(w: jax.Array, size: int) -> jax.Array:
-    """Multipliers, and as many that are zero as are missing."""
+    """Pad multipliers with zeros."""
     return jnp.concatenate([w, jnp.zeros(size - len(w), w.dtype)])
 
 
-def begun(
+def initial_equations(
     dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
 ) -> tuple[Equations, Point]:
-    """The equations from a state on, and its rates and multipliers as those of index 1."""
+    """The equations from a state on, and its rates and multipliers by the equations of index 1."""
     tau, f_ext, dx = forces(t, state)
     a, l = constrained_motion(model, t, state, tau, f_ext)
     equations = equations_of(dynamics, model, forces, t, state)
@@ -162,7 +175,7 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         term, h = unwrap(terms), t1 - t0
         h = jnp.where(h == 0, 1.0, h)
-        (model, forces, start), dynamics = seen(term.vector_field, args), self.formulation
+        (model, forces, start), dynamics = parts_of_field(term.vector_field, args), self.formulation
         found = stages(dynamics, self.tableau, model, forces, start + t0, y0, h)
         y1 = term.group.retract(y0, increment(model, weighted_sums(self.tableau.b, found.k)))
         error = None
@@ -175,7 +188,7 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return y1, error, dense, solver_state, step_result(found.ok)
 
 
-def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
+def parts_of_field(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
     """The model, the forces and the first time of the vector field of `simulate`."""
     model = vector_field.model(args)
 
@@ -186,9 +199,9 @@ def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
     return model, forces, vector_field.start
 
 
-def stepped_by(where: str, dynamics: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
-    """The tableau of the implicit method that steps a formulation. given: a name, a solver, or None
-    for the default; also: what else `where` takes."""
+def tableau_of(where: str, dynamics: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
+    """The tableau of the implicit method for a formulation. given: a name, a solver, or None for
+    the default; also: further methods that the caller supports."""
     if given is None:
         return radau_iia(3).tableau
     solver = solvers()[given].make() if isinstance(given, str) and given in FITTING else given
@@ -201,3 +214,100 @@ def stepped_by(where: str, dynamics: DifferentialAlgebraic, given: Any, also: st
         "rb.solvers.radau_iia(1) (backward Euler); or None for radau_iia3. Other methods are for "
         "other formulations, as 'projected'"
     )
+
+
+class History(NamedTuple):
+    """The states before the current one, latest first, and the number of them that are filled."""
+
+    ts: jax.Array  # (n,)
+    states: State  # a leading axis n
+    filled: jax.Array
+
+
+class Step(NamedTuple):
+    u: jax.Array  # (2 nv + nx,)
+    error: jax.Array
+    coefficients: jax.Array  # (degree, 2 nv + nx) of the dense output
+    ok: jax.Array
+
+
+class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
+    """BDF of an order from 1 to 6 for formulations of index 2 and 3."""
+
+    formulation: DifferentialAlgebraic = eqx.field(static=True)
+    formula_order: int = eqx.field(static=True)
+
+    def order(self, terms):
+        return self.formula_order
+
+    def error_order(self, terms):
+        return self.formula_order + 1
+
+    def init(self, terms, t0, t1, y0, args):
+        n = self.formula_order  # one more than the formula needs, for the extrapolation
+        # distinct times, so that the formula stays finite where it is not used yet
+        ts = t0 - (t1 - t0) * jnp.arange(1, n + 1, dtype=t0.dtype)
+        same = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), y0)
+        return History(ts, same, jnp.array(0))
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        term, h = unwrap(terms), t1 - t0
+        h = jnp.where(h == 0, 1.0, h)
+        ts, states, filled = solver_state
+        filled = jnp.where(made_jump, 0, filled)
+        starting = filled < self.formula_order
+        given = term, args, t0, h, y0
+        out = jax.lax.cond(
+            starting, lambda: self._begin(*given), lambda: self._formula(*given, ts, states)
+        )
+        model = term.vector_field.model(args)
+        y1 = term.group.retract(y0, increment(model, out.u))
+        beside = term.group.retract(y1, increment(model, out.error))
+        error = mark_failed(out.ok, jax.tree.map(jnp.subtract, beside, y1))
+        ts = jnp.concatenate([t0[None], ts[:-1]])
+        states = jax.tree.map(lambda x, past: jnp.concatenate([x[None], past[:-1]]), y0, states)
+        after = History(ts, states, jnp.minimum(filled + 1, self.formula_order))
+        coefficients = increment(model, out.coefficients)
+        dense = {"y0": y0, "coefficients": coefficients, "group": term.group}
+        return y1, error, dense, after, step_result(out.ok)
+
+    @property
+    def _degree(self) -> int:
+        return max(self.formula_order, 3)
+
+    def _padded(self, coefficients: jax.Array) -> jax.Array:
+        return jnp.pad(coefficients, ((0, self._degree - len(coefficients)), (0, 0)))
+
+    def _begin(self, term: Any, args: Any, t0: Any, h: Any, y0: State) -> Step:
+        (model, forces, start), dynamics = parts_of_field(term.vector_field, args), self.formulation
+        tableau = radau_iia(1 if self.formula_order == 1 else 3).tableau
+        found = stages(dynamics, tableau, model, forces, start + t0, y0, h)
+        return Step(
+            weighted_sums(tableau.b, found.k),
+            error_of(found, dynamics, tableau, model, forces, y0, h),
+            self._padded(found.polynomial(tableau, h)),
+            found.ok,
+        )
+
+    def _formula(
+        self, term: Any, args: Any, t0: Any, h: Any, y0: State, ts: Any, states: State
+    ) -> Step:
+        (model, forces, first), dynamics = parts_of_field(term.vector_field, args), self.formulation
+        equations, start = initial_equations(dynamics, model, forces, first + t0, y0)
+        past = jax.vmap(lambda y: term.group.difference(y0, y))(states)
+        past = jnp.concatenate([past.q, past.v, *([] if past.x is None else [past.x])], -1)
+        nodes = jnp.concatenate([jnp.array([1.0, 0.0], ts.dtype), (ts - t0) / h])
+        weights = basis(nodes[1:])  # of y0, whose increment is zero, and the past
+        predicted = weighted_sums(weights[1:].sum(1), past)  # the polynomials at 1
+        nodes, past = nodes[:-1], past[:-1]
+        slopes = slopes_at_one(nodes).astype(past.dtype)
+        known = weighted_sums(slopes[2:], past)
+        # h Q'(t1) = slopes_0 u1 + known
+        one = weight(1 / slopes[0])
+        base = start.y - known / slopes[0]
+        found = solve(equations, h, (first + t0 + h)[None], base[None], one, start)
+        u = (h * found.rates[0] - known) / slopes[0]
+        rows = jnp.delete(basis(nodes), 1, axis=0)[:, 1:]
+        share = (1 / (1 - (ts[-1] - t0) / h)).astype(u.dtype)
+        coefficients = weighted_sums(rows.T, jnp.concatenate([u[None], past]))
+        return Step(u, share * (u - predicted), self._padded(coefficients), found.ok)

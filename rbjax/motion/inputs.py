@@ -30,7 +30,7 @@ def check_functions(where: str, given: Inputs) -> None:
 
 
 def inputs_at(where: str, model: Model, given: Inputs, t: Any, state: State) -> Inputs:
-    """The inputs at a time, with the values of those that are functions."""
+    """Evaluate the inputs at a time."""
     if not any(map(callable, given)):
         return given
     check_functions(where, given)

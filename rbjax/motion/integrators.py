@@ -4,9 +4,9 @@
     variational midpoint  of momenta: `variational`
     Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
 
-A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: its order is
-that of its tableau, attitudes included (Munthe-Kaas 1998; Hairer, Lubich & Wanner, *Geometric
-Numerical Integration*, IV.8). Controls are held over a step.
+A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: it has the order
+of its tableau, attitudes included (Munthe-Kaas 1998; Hairer, Lubich & Wanner, *Geometric Numerical
+Integration*, IV.8). Controls are held over a step.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.formulation import stepped
+from rbjax.constraints.formulation import differential_algebraic_method
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field, VelocityDynamics, free_motion
-from rbjax.motion.implicit import ByStages, stepped_by
+from rbjax.motion.implicit import ByStages, tableau_of
 from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.steps import combine, explicit_stages, scale
 from rbjax.solvers.tableau import DOP853, KUTTA4, Tableau, of_diffrax
@@ -89,7 +89,7 @@ INTEGRATORS: dict[str, Integrator] = {
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
 
 
-def looped(name: str) -> Integrator:
+def loop_stages(name: str) -> Integrator:
     """The integrator with its stages in a loop, for a short program."""
     if name not in TABLEAUS:
         return INTEGRATORS[name]
@@ -100,9 +100,9 @@ def integrator_of(
     where: str, integrator: str | Integrator | None, dynamics: Any = free_motion
 ) -> Integrator:
     """The integrator of a dynamics: the caller's, by its name, or the default."""
-    formulation = stepped(dynamics)
+    formulation = differential_algebraic_method(dynamics)
     if formulation is not None:
-        return ByStages(formulation, stepped_by(where, formulation, integrator))
+        return ByStages(formulation, tableau_of(where, formulation, integrator))
     if integrator is None:
         return semi_implicit_euler
     velocities = isinstance(dynamics, VelocityDynamics) and not callable(dynamics)
@@ -126,7 +126,7 @@ def integrator_of(
     return INTEGRATORS[integrator]
 
 
-def advanced(
+def advance_state(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
     """Advance a state by a step of any integrator; clip the states of force elements to their

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
-from rbjax.compiler import wanted
+from rbjax.compiler import kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
@@ -35,10 +35,10 @@ from rbjax.model import Model, State
 from rbjax.motion.closures.captured import Captured, with_captured
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
 from rbjax.motion.inputs import Sources, check_sources
-from rbjax.motion.integrators import Integrator, advanced, integrator_of
+from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 from rbjax.motion.linearise import linearise
 from rbjax.motion.step import with_memory
-from rbjax.motion.threaded import Steps, on_threads
+from rbjax.motion.threaded import Steps, rollout_on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
 
 
@@ -143,7 +143,7 @@ def rollout(
         >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
         (11, 2)
     """
-    path, step, dynamics = integrated(
+    path, step, dynamics = run_rollout(
         model, state, ctrl, dt, tau, wrenches, integrator, dynamics, constraints, save_every,
         steps, kernel, memory,
     )  # fmt: skip
@@ -152,7 +152,7 @@ def rollout(
     return path
 
 
-def integrated(
+def run_rollout(
     model: Model, state: State, ctrl: Any, dt: Any, tau: Any = None, wrenches: Any = None,
     integrator: Any = None, dynamics: Dynamics = free_motion, constraints: Any = None,
     save_every: int = 1,
@@ -170,7 +170,7 @@ def integrated(
         )
     state = with_memory(model, state, dynamics, state.q.shape[:-1])
     step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
-    threads = wanted() if kernel is None else kernel
+    threads = kernels_available() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
     how = (int(save_every), steps, batched)
 
@@ -195,7 +195,7 @@ def integrated(
 
 def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
     rest = jax.tree.unflatten(key[0], key[1:])
-    run_steps = functools.partial(on_threads, memory=memory) if threads else _under_xla
+    run_steps = functools.partial(rollout_on_threads, memory=memory) if threads else _under_xla
 
     def moved(model: Model, state: State, numbers: Any, dt: jax.Array) -> State:
         given, dynamics, advance = eqx.combine(numbers, rest)
@@ -246,7 +246,7 @@ def _states(
         if sources.has_functions:
             given.append(sources.evaluate(model, i * dt, state))
         inputs = sources.inputs(model, *given)
-        return advanced(how.integrator, field, i * dt, state, inputs, dt), None
+        return advance_state(how.integrator, field, i * dt, state, inputs, dt), None
 
     def segment(state: State, start: jax.Array) -> tuple[State, State]:
         steps = start + jnp.arange(how.save_every)

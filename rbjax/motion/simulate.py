@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import (
@@ -31,8 +31,13 @@ from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
 from rbjax.motion.inputs import inputs_between
-from rbjax.motion.projected_solver import project_after_steps, solver_of
-from rbjax.motion.term import check_takes_robots, motion, unit
+from rbjax.motion.term import (
+    check_for_robots,
+    make_term,
+    project_after_steps,
+    solver_of,
+    unit_quaternions,
+)
 from rbjax.motion.trajectory import Trajectory, all_finite
 
 
@@ -124,12 +129,12 @@ def simulate(
         integer("simulate", "max_steps", max_steps, least=1)
     dynamics = dynamics_of("simulate", model, dynamics, constraints)
     solver = solver_of(solver, dynamics)
-    check_takes_robots(solver)
+    check_for_robots(solver)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt is not None:
         _advances(check_step("simulate", "dt", dt, state.q.dtype), elapsed)
-    if wanted():
+    if kernels_available():
         model = on_threads(model, state.q.dtype)
     if not inside_jit() or is_traced(model):
         model = with_constants(model, state.q.dtype)
@@ -142,13 +147,13 @@ def simulate(
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt is None else diffrax.ConstantStepSize()
-    by_kernel = wanted() and not progress
+    by_kernel = kernels_available() and not progress
     how = _How(
         solver, dt, stepsize_controller,
         diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         max_steps, throw and not by_kernel, progress, by_kernel,
     )  # fmt: skip
-    # Inside a caller's jit what the caller holds constant stays constant. Outside, the model is an
+    # Inside a caller's jit the caller's constants stay constants. Outside, the model is an
     # argument: a number that changes compiles nothing again.
     run = _solved if inside_jit() else _compiled
 
@@ -195,7 +200,7 @@ def _solved(
     args, of_args = split_tracers(model)
 
     def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-        term, state = motion(
+        term, state = make_term(
             of_args(args), state, how.solver, Inputs(*given), of_args, dynamics, start
         )
         out = diffrax.diffeqsolve(
@@ -217,14 +222,15 @@ def _solved(
         )
         return out.ys, out.result, out.stats
 
-    return (threaded(solved_from) if how.by_kernel else solved_from)(state, start, elapsed, args)
+    run = compile_threads(solved_from) if how.by_kernel else solved_from
+    return run(state, start, elapsed, args)
 
 
 _compiled = compiled(_solved, jit=eqx.filter_jit)
 
 
 class _Saved(eqx.Module):
-    """What is kept of a state: the same with unit quaternions, projected by the dynamics."""
+    """The saved form of a state: with unit quaternions, and projected onto the constraints."""
 
     model: Callable[[Any], Model]
     dynamics: Dynamics
@@ -232,7 +238,7 @@ class _Saved(eqx.Module):
 
     def __call__(self, t, y: State, args) -> State:
         model = self.model(args)
-        y = State(unit(model.topology, y.q), y.v, y.x)
+        y = State(unit_quaternions(model.topology, y.q), y.v, y.x)
         return Field(model, self.dynamics).project(self.start + t, y)
 
 

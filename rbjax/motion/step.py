@@ -15,7 +15,7 @@ from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State
 from rbjax.motion.field import Dynamics, Field, VelocityDynamics, dynamics_of, free_motion
 from rbjax.motion.inputs import inputs_at
-from rbjax.motion.integrators import Integrator, advanced, integrator_of
+from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 
 
 def acceleration(
@@ -140,11 +140,11 @@ def _step(
     dynamics = dynamics_of("step", model, dynamics, constraints, steps=True)
     integrator = integrator_of("step", integrator, dynamics)
     state, inputs = with_memory(model, state, dynamics), Inputs(ctrl, tau, wrenches)
-    return advanced(integrator, Field(model, dynamics, dt), t, state, inputs, dt)
+    return advance_state(integrator, Field(model, dynamics, dt), t, state, inputs, dt)
 
 
 def with_memory(model: Model, state: State, dynamics: Any, batch: tuple[int, ...] = ()) -> State:
-    """The state with the memory of the dynamics: that of the state, or the initial one."""
+    """The state with the memory of the dynamics: its own, or the initial one."""
     if not isinstance(dynamics, VelocityDynamics):
         return state.replace(memory=None)
     if state.memory is not None:

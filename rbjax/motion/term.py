@@ -1,14 +1,15 @@
-"""The term of a robot's motion: what a diffrax solver sees of it.
+"""The motion of a robot as a term of diffrax, and solvers that project its states.
 
     q' = the motion of the configuration at velocity v (for attitudes q quaternion (0, w / 2)),
     v' = dynamics(q, v, forces),   x' = the rates of force elements
-The attitude enters only as the direction of its quaternion, and its rate is linear in it, so the
-length that a solver loses or gains to its error has no effect until it is no number any more
-(Euler, 0.4 rad a step, 40,000 steps), which `ok` shows; what is returned has unit length.
+The attitude enters only as the direction of its quaternion, and its rate is linear in the
+quaternion. So the length that a solver's error adds or removes has no effect until it overflows
+(Euler, 0.4 rad a step, 40,000 steps), which `ok` shows; returned quaternions have unit length.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -17,15 +18,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.constraints.formulation import Formulation, differential_algebraic_method
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.algorithms.rnea import momentum
 from rbjax.errors import InputError
 from rbjax.forces.inputs import NO_INPUTS, Inputs, evaluated
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State, Topology, spans
-from rbjax.motion.field import Dynamics, Field, free_motion
+from rbjax.motion.field import Dynamics, Field, free_motion, moves_stages
+from rbjax.motion.implicit import BDFSolver, StagesSolver, tableau_of
 from rbjax.rotations import quaternion
-from rbjax.solvers import AbstractGroup, AbstractGroupSolver, OnGroup
+from rbjax.solvers import BDF, AbstractGroup, AbstractGroupSolver, OnGroup
+from rbjax.solvers.compensated import Wrapped
 
 
 def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
@@ -40,7 +44,7 @@ def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
     return jnp.concatenate(out)
 
 
-def unit(top: Topology, q: jax.Array) -> jax.Array:
+def unit_quaternions(top: Topology, q: jax.Array) -> jax.Array:
     """q with quaternions of unit length."""
     for start in top.quaternion_starts:
         rows = slice(start, start + 4)
@@ -51,10 +55,10 @@ def unit(top: Topology, q: jax.Array) -> jax.Array:
 class VectorField(eqx.Module):
     """The vector field of a robot under its own forces and inputs, for diffrax.
 
-    model: of diffrax' args, which hold what is traced of it; what is known stays known. start: the
-    time at which diffrax' own begins. tangent: the configuration's rate is v itself, for solvers
-    that move along the manifold. begun: time and state at which the step began, for laws that take
-    the rates of a stage elsewhere; None: at the state itself.
+    model: from diffrax' args, which contain its traced leaves; the other leaves stay constants.
+        start: the time at which diffrax' own begins. tangent: the configuration's rate is v itself,
+        for solvers that move along the manifold. begun: time and state at which the step began, for
+        laws that take the rates of a stage elsewhere; None: at the state itself.
     """
 
     inputs: Inputs
@@ -64,11 +68,11 @@ class VectorField(eqx.Module):
     tangent: bool = eqx.field(static=True, default=False)
     begun: tuple[Any, State] | None = None
 
-    @eqx.filter_jit  # diffrax asks for it in many places: traced once
+    @eqx.filter_jit  # diffrax calls it in many places: traced once
     def __call__(self, t: Any, y: State, args: Any) -> State:
         model = self.model(args)
         t = t if self.start is None else self.start + t
-        at = State(unit(model.topology, y.q), y.v, y.x)
+        at = State(unit_quaternions(model.topology, y.q), y.v, y.x)
         field = Field(model, self.dynamics)
         at = field.stage_state(t, at, *((t, at) if self.begun is None else self.begun))
         inputs = evaluated("simulate", model, self.inputs, t, at)
@@ -106,35 +110,35 @@ class Momentum(eqx.Module):
     @eqx.filter_jit
     def __call__(self, t: Any, y: State, args: Any) -> jax.Array:
         model = self.model(args)
-        return momentum(model, unit(model.topology, y.q), y.v)
+        return momentum(model, unit_quaternions(model.topology, y.q), y.v)
 
 
-def itself(x: Any) -> Any:
+def identity(x: Any) -> Any:
     return x
 
 
-def motion(
+def make_term(
     model: Model,
     state: State,
     solver: diffrax.AbstractSolver,
     inputs: Inputs = NO_INPUTS,
-    of_args: Callable[[Any], Model] = itself,
+    of_args: Callable[[Any], Model] = identity,
     dynamics: Dynamics = free_motion,
     start: Any = None,
 ) -> tuple[diffrax.AbstractTerm, State]:
-    """The term of a robot's motion that a solver takes, and where it starts: solvers on groups move
-    along the manifold, from quaternions of unit length. The term's args hold the model."""
+    """The term of a robot's motion for a solver, and the initial state: solvers on groups move
+    along the manifold, from quaternions of unit length. The args of the term contain the model."""
     if not isinstance(solver, AbstractGroupSolver):
         return diffrax.ODETerm(VectorField(inputs, of_args, dynamics, start)), state
     top = model.topology
-    check_takes_robots(solver)
+    check_for_robots(solver)
     field = VectorField(inputs, of_args, dynamics, start, tangent=True)
     term = OnGroup(field, Manifold(top), Momentum(of_args))
-    return term, State(unit(top, state.q), state.v, state.x)
+    return term, State(unit_quaternions(top, state.q), state.v, state.x)
 
 
-def check_takes_robots(solver: diffrax.AbstractSolver) -> None:
-    """Refuse solvers of other equations."""
+def check_for_robots(solver: diffrax.AbstractSolver) -> None:
+    """Raise if a solver is for other equations."""
     if not isinstance(solver, AbstractGroupSolver):
         return
     name = type(solver).__name__
@@ -143,3 +147,78 @@ def check_takes_robots(solver: diffrax.AbstractSolver) -> None:
             f"simulate: {name} solves {solver.term_structure.__name__} alone, "
             "with diffrax.diffeqsolve; robots take the other solvers"
         )
+
+
+class ProjectedSolver(Wrapped):
+    """A solver with the projections of a formulation: `stage_state` at the stages and at the end of
+    each step, `project` after it.
+
+    The error is estimated before the projection. A solver that reuses the slope at the end of a
+    step uses the slope of the state before the projection, which differs by less than the error.
+    """
+
+    formulation: Formulation = eqx.field(static=True)
+    model: Callable[[Any], Model]
+    start: Any
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        model, begun = self.model(args), (self.start + t0, y0)
+        stages = moves_stages(self.formulation)
+        y1, error, dense, solver_state, result = self.solver.step(
+            _of_step(terms, begun) if stages else terms, t0, t1, y0, args, solver_state, made_jump
+        )
+        t = self.start + t1
+        if stages:
+            y1 = self.formulation.stage_state(model, t, y1, *begun)
+        y1 = self.formulation.project(model, t, y1)
+        return y1, error, dense | ({"y1": y1} if "y1" in dense else {}), solver_state, result
+
+
+def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffrax.AbstractSolver:
+    """The solver of a dynamics: the caller's, the implicit solver of the equations of a formulation
+    of index 2 or 3, or the default."""
+    if given is not None:
+        _check_solver("simulate", given)
+    formulation = differential_algebraic_method(dynamics)
+    if formulation is not None:
+        if isinstance(given, BDF):
+            return BDFSolver(formulation, given.formula_order)
+        tableau = tableau_of("simulate", formulation, given, ", bdf1 to bdf6")
+        return StagesSolver(formulation, tableau)
+    return diffrax.Tsit5() if given is None else given
+
+
+def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
+    """The terms, with the time and state at which their step began."""
+
+    def of(x: Any) -> Any:
+        return dataclasses.replace(x, begun=begun) if is_field(x) else x
+
+    def is_field(x: Any) -> bool:
+        return isinstance(x, VectorField)
+
+    return jax.tree.map(of, terms, is_leaf=is_field)
+
+
+def project_after_steps(
+    solver: diffrax.AbstractSolver, dynamics: Dynamics, model: Callable[[Any], Model], start: Any
+) -> diffrax.AbstractSolver:
+    """The solver, with the projection of the dynamics after each step if it has one."""
+    if not isinstance(dynamics, Formulation) or dynamics.projection is None:
+        return solver
+    return ProjectedSolver(solver, dynamics, model, start)
+
+
+def _check_solver(function: str, solver: Any) -> None:
+    """`InputError` unless solver is an instance of a diffrax solver."""
+    if isinstance(solver, diffrax.AbstractSolver):
+        return
+    got, fix = repr(solver), ""
+    if isinstance(solver, str):
+        fix = f": rb.solvers.all()[{solver!r}].make()"
+    elif hasattr(solver, "make"):
+        fix = ": the entry's make()"
+    elif hasattr(solver, "__name__"):
+        got = f"the {'class' if isinstance(solver, type) else 'function'} {solver.__name__}"
+        fix = f": {solver.__name__}()"
+    raise InputError(f"{function}: solver is {got}, expected a solver of diffrax{fix}")

@@ -1,4 +1,4 @@
-"""A rollout whose sample is one program: what the program does, and what is done around it."""
+"""A rollout whose sample is one program: the program of a step, and the calls around it."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ import jax.numpy as jnp
 from rbjax.compiler.jax.function import trace
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program
-from rbjax.compiler.jax.uniform import divided
+from rbjax.compiler.jax.uniform import hoist_uniform
 from rbjax.dynamics.drivers import choice
-from rbjax.dynamics.tracing.constants import with_compiled_constants
+from rbjax.dynamics.tracing.algorithm import with_compiled_constants
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.dynamics.tracing.devices import on_each_device
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import joined, shapes
 from rbjax.model import Model, State
-from rbjax.motion.checkpointed_rollout import CheckpointedRollout, keep_every
+from rbjax.motion.checkpointed_rollout import CheckpointedRollout, checkpoint_interval
 from rbjax.motion.field import Dynamics, Field
 from rbjax.motion.inputs import Sources
-from rbjax.motion.integrators import Integrator, advanced
+from rbjax.motion.integrators import Integrator, advance_state
 
-#: operations of a step from which on it is faster to keep what it leaves than to compute it again
-LEAVING_ABOVE = 4_000
+#: operations of a step above which it is faster to keep its residuals than to compute it again
+SAVE_RESIDUALS_ABOVE = 4_000
 #: a policy of more operations runs between the steps
 POLICY_UP_TO = 4_000
 
 
 @dataclass(frozen=True)
 class Steps:
-    """How a rollout goes: its dynamics, its integrator, which states it keeps, how many steps there
-    are, and whether there is a batch."""
+    """Options of a rollout: `count` steps, of which every `save_every`-th state is saved."""
 
     dynamics: Dynamics
     integrator: Integrator
@@ -44,7 +43,7 @@ class Steps:
     batched: bool
 
 
-def on_threads(
+def rollout_on_threads(
     model: Model, state: State, sources: Sources, dt: jax.Array, how: Steps, memory: float
 ) -> State:
     """The states (..., T, nq), (..., T, nv) and (..., T, nx) of a rollout, one sample a thread.
@@ -76,13 +75,13 @@ def on_threads(
             numbers.append(sources.evaluate(model, i * dt, state))
         inputs = sources.inputs(model, *numbers)
         field = Field(model, how.dynamics, dt)
-        return jax.tree.leaves(advanced(how.integrator, field, i * dt, state, inputs, dt))
+        return jax.tree.leaves(advance_state(how.integrator, field, i * dt, state, inputs, dt))
 
     control = [jnp.zeros(_width(sources, model, rows, between), dtype)] if driven else []
     step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])
     own = 1 + size + driven
     known = [True] * len(shared) + [False] * own + [True] * len(moving)
-    step, shared = divided(step, known, [*shared, *[None] * own, *moving], run)
+    step, shared = hoist_uniform(step, known, [*shared, *[None] * own, *moving], run)
     if between:
         return _between(model, step, shared, state, sources, dt, how, memory)
     run_steps = functools.partial(CheckpointedRollout, step, size, steps, save_every, driven)
@@ -90,15 +89,17 @@ def on_threads(
 
     @functools.cache
     def sized(batch: int, moving: Moving) -> Program:
-        left = run_steps(1).pullback(moving).bytes
+        left = run_steps(1).step_vjp(moving).bytes
         fits = left and steps * batch * (each + left) <= memory
         whole = functools.partial(_run, step)  # one equation: nothing is traced again
-        if fits and operation_count(whole, *step.inputs).total > LEAVING_ABOVE:
+        if fits and operation_count(whole, *step.inputs).total > SAVE_RESIDUALS_ABOVE:
             return run_steps(1, keep_residuals=True).program(plain)
-        return run_steps(keep_every(save_every, steps, batch * each, memory)).program(plain)
+        return run_steps(checkpoint_interval(save_every, steps, batch * each, memory)).program(
+            plain
+        )
 
     plain = run_steps(save_every).program()
-    program = Program(plain.closed, sized=sized)
+    program = Program(plain.closed, for_batch_size=sized)
     operands = given if rows is None else [*given, rows]
     f = functools.partial(_run, program)
     if batched:
@@ -118,7 +119,7 @@ def _is_large(sources: Sources, model: Model, dt: jax.Array, one: State) -> bool
 
 
 def _width(sources: Sources, model: Model, rows: jax.Array | None, between: bool) -> int:
-    """Numbers of a step's row, and of what is asked for between steps."""
+    """The size of a step's row, and of the inputs that are evaluated between steps."""
     asked = sum(
         math.prod(shape)
         for f, shape in zip(sources.functions, shapes(model), strict=True)

@@ -30,12 +30,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.algorithms.momenta import (
+from rbjax.dynamics.algorithms.energy import (
     linearly_implicit_velocity,
     momentum_and_rate,
-    momentum_of,
     velocity_of,
 )
+from rbjax.dynamics.algorithms.rnea import momentum
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import Lane, Vec3, fusion_barrier
@@ -56,11 +56,12 @@ class VariationalMidpoint:
     manifold.
 
     Each evaluation costs a pass over the tree and a solve with factors computed already, half as
-    much as forward dynamics; a step has two eliminations beside. The derivative is that of the
-    evaluations, with the factors held: it is as far from that of the equations as the step is from
-    their solution. A step whose equations do not converge is nan, and `Trajectory.ok` is False. One
-    that has converged in part is as accurate as any, but symplectic only to that part: more
-    evaluations, or shorter steps, help.
+    much as forward dynamics; a step has two further eliminations. The derivative is that of the
+    evaluations with constant
+    factors: it differs from that of the equations as the step differs from their solution. A step
+        whose equations do not converge is nan, and `Trajectory.ok` is False. One that has converged
+        in part is as accurate as any, but symplectic only to that part: more evaluations, or
+        shorter steps, help.
 
     Fields: evaluations of the equations in a step, at least 2.
     """
@@ -76,7 +77,7 @@ class VariationalMidpoint:
 
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
         model, q0, v0, x0 = field.precomputed, state.q, state.v, state.x
-        p0, half = momentum_of(model, q0, v0), dt / 2
+        p0, half = momentum(model, q0, v0), dt / 2
         middle = field.retract(q0, half * v0)
         extra = field.implicit_stiffness(t + half, State(middle, v0, x0), u, dt)
         correction = linearly_implicit_velocity(model, middle, jax.lax.stop_gradient(extra))

@@ -116,7 +116,7 @@ def _check(fps: float, speed: float, samples: int, renderer: str, source: Any) -
 
 
 def _figure(film: Film, title: str, speed: float, size: tuple[int, int]) -> tuple[Any, Any, Any]:
-    """A canvas, its one axis, and the text of the time."""
+    """Make a canvas with one axis, and the text of the time."""
     canvas, figure = canvas_of(size)
     ax = figure.add_axes((0, 0, 1, 1))
     height = 12 * min(1.0, size[0] / 600)
@@ -138,7 +138,7 @@ def _drawn(film: Film, title: str, speed: float, size: tuple[int, int]) -> Itera
 def _labelled(
     rendered: Iterable[np.ndarray], film: Film, title: str, speed: float, size: tuple[int, int]
 ) -> Iterator[np.ndarray]:
-    """MuJoCo's pictures with title and time on them."""
+    """Add title and time to MuJoCo's pictures."""
     canvas, ax, label = _figure(film, title, speed, size)
     ax.axis("off")
     shown = None

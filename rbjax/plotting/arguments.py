@@ -14,7 +14,7 @@ from rbjax.model import Model
 
 
 def check_axis(where: str, ax: Any, name: str = "ax") -> None:
-    """Reject what is not an axis of matplotlib."""
+    """`InputError` unless the argument is an axis of matplotlib."""
     if not hasattr(ax, "add_collection"):
         raise InputError(
             f"{where}: {name} is {type(ax).__name__}, expected an axis of matplotlib, such as "
@@ -23,7 +23,7 @@ def check_axis(where: str, ax: Any, name: str = "ax") -> None:
 
 
 def configurations(where: str, model: Model, q: Any) -> np.ndarray:
-    """q (T, nq) of one robot.
+    """Configurations (T, nq) of one robot, as an array.
 
     Raises:
         InputError: not a model, or q of another shape or not finite.
@@ -36,7 +36,7 @@ def configurations(where: str, model: Model, q: Any) -> np.ndarray:
 
 
 def check_solids(where: str, shapes: Any, R: Any, p: Any, alpha: Any) -> tuple[Any, Any]:
-    """R (nb, 3, 3) and p (nb, 3) as arrays.
+    """Rotations (nb, 3, 3) and positions (nb, 3) of bodies, as arrays.
 
     Raises:
         InputError: other shapes, values that are not finite, an opacity outside of 0 to 1.

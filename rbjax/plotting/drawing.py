@@ -169,7 +169,7 @@ class Stage:
 
 
 def ground(film: Film, frame: int, reach: float) -> tuple[Array, list[Array]]:
-    """A disc (n, 3) of the ground under the middle of a frame, and the lines of its grid."""
+    """A disc (n, 3) of the ground below the middle of a frame, and the lines of its grid."""
     x, y, _ = film.centre[frame]
     radius, spacing = 1.1 * reach, _even(reach / 2.5)
     turn = np.linspace(0, 2 * np.pi, 97)
@@ -189,7 +189,7 @@ def ground(film: Film, frame: int, reach: float) -> tuple[Array, list[Array]]:
 
 
 def _even(length: float) -> float:
-    """The nearest of 1, 2, 5 times a power of ten below a length."""
+    """The largest of 1, 2, 5 times a power of ten below a length."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(power * max(k for k in (1, 2, 5) if k * power <= length * 1.0000001))
 

@@ -50,7 +50,7 @@ class Camera:
 
 
 def facing(points: Array) -> Camera:
-    """The camera for a cloud of points (n, 3): across a flat one, else from a corner.
+    """Choose the camera for a cloud of points (n, 3): across a flat one, else from a corner.
 
     A mechanism that moves in a vertical plane is seen at right angles to it.
     """

@@ -1,4 +1,4 @@
-"""Where the parts of a wheeled robot are, seen from above, and what acts on its wheels."""
+"""Wheeled robots from above: poses of their parts, and forces on their wheels."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from rbjax.model import State
 from rbjax.style import BLUE, GRID, INK, RED
 from rbjax.wheeled.kinematics.parameters import stack_lanes
 from rbjax.wheeled.kinematics.planar import rotate
-from rbjax.wheeled.models.contact_forces import contacts
-from rbjax.wheeled.models.robot_model import RobotModel
+from rbjax.wheeled.models.robot_model import RobotModel, contacts
 
 SQUARE = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
 THICK = 0.3  # of a wheel, over its radius
@@ -25,15 +24,15 @@ FORCES, SLIDING = BLUE, RED
 
 
 class Places(NamedTuple):
-    """Of all bodies: origins (..., n, 2) m and directions (..., n, 2); of all wheels: directions
-    (..., m, 2). All on the ground."""
+    """Origins (..., n, 2) m and directions (..., n, 2) of bodies, and directions (..., m, 2) of
+    wheels, on the ground."""
 
     origins: np.ndarray
     bodies: np.ndarray
     wheels: np.ndarray
 
     def at(self, k: int) -> Places:
-        """Those of one of the times."""
+        """The places at one time."""
         return Places(*(x[k] for x in self))
 
     def points(self, body: int, p: Any) -> np.ndarray:
@@ -48,7 +47,7 @@ def vectors(p: Any, e: np.ndarray) -> np.ndarray:
 
 
 def places(vehicle: RobotModel, q: Any) -> Places:
-    """Where bodies and wheels are, at coordinates q (..., nq)."""
+    """Compute the poses of bodies and wheels at coordinates q (..., nq)."""
     found = _places(vehicle, jnp.asarray(q).reshape(-1, vehicle.nq))
     lead = np.shape(q)[:-1]
     return Places(*(np.asarray(x, float).reshape(*lead, *x.shape[1:]) for x in found))
@@ -70,7 +69,7 @@ def _places(vehicle: RobotModel, q: jax.Array) -> tuple[jax.Array, ...]:
 
 
 def centers(robot: Any, at: Places) -> np.ndarray:
-    """The centres (m, 2) of wheels."""
+    """Centres (m, 2) of the wheels."""
     out = []
     for wheel, e in zip(robot.wheels, at.wheels, strict=True):
         trail = float(wheel.trail) if wheel.kind == "caster" else 0.0
@@ -78,11 +77,10 @@ def centers(robot: Any, at: Places) -> np.ndarray:
     return np.array(out)
 
 
-def acting(
+def wheel_forces(
     vehicle: RobotModel, state: State, controls: Any, at: Places
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The forces (m, 2) N on wheels, and the velocities (m, 2) m/s at which they slide, both on the
-    ground."""
+    """Forces (m, 2) N on wheels, and the sliding velocities (m, 2) m/s, both on the ground."""
     found = contacts(vehicle, state, controls)
     forces, sliding = np.asarray(found.forces), np.asarray(found.sliding)
     turn = [at.bodies[wheel.body] for wheel in vehicle.robot.wheels]
@@ -93,12 +91,12 @@ def acting(
 
 
 def reach(robot: Any) -> float:
-    """The longest arrow that suits a robot, m."""
+    """The length of the longest arrow of a robot, m."""
     return 2 * max(float(np.hypot(*np.asarray(w.position))) for w in robot.wheels)
 
 
 class Drawing:
-    """A robot on an axis. It can be drawn again elsewhere."""
+    """A robot on an axis, which can be drawn again at another place."""
 
     def __init__(self, ax: Axes, robot: Any, zorder: float = 2):
         self.robot = robot
@@ -111,7 +109,7 @@ class Drawing:
             ax.add_collection(collection)
 
     def show(self, at: Places) -> np.ndarray:
-        """Draw it here. Returns the corners of its bodies (n, 2)."""
+        """Draw the robot at these places. Returns the corners of its bodies (n, 2)."""
         outlines, lines = [], []
         for k, body in enumerate(self.robot.bodies):
             box, nose = _outline(self.robot, k)
@@ -139,7 +137,7 @@ class Drawing:
 
 
 def _outline(robot: Any, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """A box around the wheels of a body, and a mark where it is ahead."""
+    """A box around the wheels of a body, and a mark of its front."""
     wheels = [w for w in robot.wheels if w.body == k]
     at = np.array([np.asarray(w.position) for w in wheels]).reshape(-1, 2)
     at = at if len(at) else np.zeros((1, 2))
@@ -151,7 +149,7 @@ def _outline(robot: Any, k: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def quiver(ax: Axes, at: Any, arrows: Any, color: str, zorder: float = 5) -> Quiver:
-    """Arrows (n, 2) in the axis' unit at places (n, 2)."""
+    """Draw arrows (n, 2) in the unit of the axis at points (n, 2)."""
     at, arrows = np.reshape(at, (-1, 2)), np.reshape(arrows, (-1, 2))
     return ax.quiver(
         *at.T, *arrows.T, angles="xy", scale_units="xy", scale=1, color=color, width=0.006,

@@ -1,4 +1,4 @@
-"""Convex solids fixed to bodies, from which every picture is made: the geoms of a MuJoCo file."""
+"""Convex solids fixed to bodies, from the geoms of a MuJoCo file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Solid:
     alpha: float
 
     def placed(self, R: Array, p: Array) -> Array:
-        """Its points (..., n, 3) in the world, of the bodies' R (..., nb, 3, 3), p (..., nb, 3)."""
+        """Points (..., n, 3) in the world, at the bodies' R (..., nb, 3, 3) and p (..., nb, 3)."""
         if self.body < 0:
             return np.broadcast_to(self.points, (*R.shape[:-3], *self.points.shape))
         turn, origin = R[..., self.body, :, :], p[..., None, self.body, :]
@@ -38,7 +38,7 @@ class Solid:
 
 
 def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
-    """The visible geoms of a robot, floors left out.
+    """Make solids of the visible geoms of a robot, without floors.
 
     Args:
         source: what `rbjax.load` takes, or a model, which has no meshes.
@@ -67,7 +67,8 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
 
 
 def _of_geoms(geoms: Geoms, hulls: Mapping[int, Array] | None = None) -> list[Solid]:
-    """The solids of geoms. hulls: points of the geoms that are meshes, which are left out else."""
+    """The solids of geoms. hulls: points of the geoms that are meshes; other meshes are left
+    out."""
     out = []
     for i, (kind, body) in enumerate(zip(geoms.types, geoms.bodies, strict=True)):
         points = (hulls or {}).get(i) if kind == "mesh" else _surface(kind, *geoms.size[i])
@@ -120,7 +121,7 @@ def _surface(kind: str, a: float, b: float, c: float) -> Array | None:
 
 
 def _outermost(points: Array) -> Array:
-    """The points that lie farthest in one of many directions: all that a hull shows."""
+    """The points that are farthest in one of many directions, which determine the hull."""
     if len(points) <= _MOST_POINTS:
         return points
     return points[np.unique((points @ _SPHERE.T).argmax(0))]

@@ -22,7 +22,7 @@ Array = np.ndarray
 
 
 def skeleton(model: Model) -> list[Solid]:
-    """What a model looks like, from only its numbers: no file, no geoms.
+    """Make solids of a model from its parameters, without a file or geoms.
 
     Args:
         model: one robot; lengths in m.
@@ -42,7 +42,7 @@ def skeleton(model: Model) -> list[Solid]:
 
 
 class _Skeleton:
-    """A model's numbers as arrays, and what is read from them."""
+    """The parameters of a model as arrays, and the solids made of them."""
 
     def __init__(self, model: Model):
         top = model.topology
@@ -67,7 +67,8 @@ class _Skeleton:
         self.radius = 0.016 * self.size
 
     def hub(self, body: int) -> Array:
-        """Where a body hangs on its parent, in its own frame: its joint, or its origin."""
+        """The point by which a body is attached to its parent, in its own frame: its joint, or its
+        origin."""
         held = [j for j in self.joints[body] if self.kinds[j] != "free"]
         if held:
             return self.anchor[held[-1]]
@@ -78,7 +79,7 @@ class _Skeleton:
         return self.position[body] + self.turn[body] @ self.hub(body)
 
     def _size(self) -> float:
-        """The robot's extent in m, drawn with its joints at zero."""
+        """The extent of the robot in m, with its joints at zero."""
         R: list[Array] = []
         p: list[Array] = []
         points: list[Array] = []
@@ -130,7 +131,7 @@ class _Skeleton:
         return out
 
     def _tip(self, body: int, hub: Array) -> Array:
-        """Where a last body ends: beyond its centre of mass, on its ellipsoid."""
+        """The end of a last body: beyond its centre of mass, on its ellipsoid."""
         com, (axes, directions) = self.com[body], self._semi_axes(body)
         way = com - hub
         if not np.linalg.norm(way) > 0 or not axes.min() > 0:

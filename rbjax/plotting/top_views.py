@@ -1,4 +1,4 @@
-"""Wheeled robots from above: a motion in one picture, or as a moving one."""
+"""Wheeled robots from above: a motion in one picture, or as a moving picture."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from rbjax.plotting.from_above import (
     SLIDING,
     Drawing,
     Places,
-    acting,
     centers,
     places,
     quiver,
     reach,
+    wheel_forces,
 )
 from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture, schedule
 from rbjax.style import GRID, INK, ORANGE
@@ -42,7 +42,8 @@ def top_view(
     controls: Any = None,
     grid: Any = None,
 ) -> None:
-    """A motion from above: the way of the chassis' origin, and the robot at some of its times.
+    """Draw a motion from above: the path of the chassis' origin, and the robot at some of its
+    times.
 
     Args:
         ax: an axis.
@@ -77,7 +78,7 @@ def top_view(
         ax.update_datalim(Drawing(ax, vehicle.robot).show(here))
         if controls is not None:
             given = _given(controls, path.ts[k], path.state(int(k)), k)
-            force, _ = acting(vehicle, path.state(int(k)), given, here)
+            force, _ = wheel_forces(vehicle, path.state(int(k)), given, here)
             at.append(centers(vehicle.robot, here))
             forces.append(force)
     if forces:
@@ -165,7 +166,7 @@ class _Film:
             for k in range(count):
                 state = State(self.q[k], v[k], None if x is None else x[k])
                 given = _given(controls, self.ts[k], state, last[k])
-                found.append(acting(vehicle, state, given, self.places.at(k)))
+                found.append(wheel_forces(vehicle, state, given, self.places.at(k)))
             forces, sliding = (np.array(rows) for rows in zip(*found, strict=True))
             self.forces = forces * _scale(vehicle, forces)
             self.sliding = sliding * _scale(vehicle, sliding)
@@ -206,7 +207,7 @@ class _Film:
 
 
 class _Discs:
-    """A footprint."""
+    """The discs of a footprint on an axis."""
 
     def __init__(self, ax: Axes, footprint: Any):
         self.centers = np.asarray(footprint.centers, float)
@@ -222,7 +223,7 @@ class _Discs:
 
 
 def _ground(ax: Axes, grid: Any) -> None:
-    """The cells of a map that are occupied."""
+    """Draw the occupied cells of a map."""
     if grid is None:
         return
     (nx, ny), h = grid.occupied.shape, float(grid.resolution)
@@ -233,13 +234,13 @@ def _ground(ax: Axes, grid: Any) -> None:
 
 
 def _scale(vehicle: RobotModel, arrows: np.ndarray) -> float:
-    """Of arrows, so that the longest is as long as the robot."""
+    """The factor of arrows with which the longest is as long as the robot."""
     longest = float(np.hypot(arrows[..., 0], arrows[..., 1]).max())
     return reach(vehicle.robot) / longest if longest > 1e-9 else 0.0
 
 
 def _between(t: np.ndarray, ts: np.ndarray, table: Any) -> Any:
-    """A table (T, n) at other times."""
+    """Interpolate a table (T, n) at other times."""
     if table is None:
         return None
     columns = [np.interp(t, ts, column) for column in np.asarray(table, float)[: len(ts)].T]
@@ -247,7 +248,7 @@ def _between(t: np.ndarray, ts: np.ndarray, table: Any) -> Any:
 
 
 def _given(controls: Any, t: Any, state: State, k: int) -> Any:
-    """The controls at a time."""
+    """Controls at a time."""
     if callable(controls):
         return controls(t, jax.tree.map(jax.numpy.asarray, state))
     return controls if np.ndim(controls) == 1 else controls[k]

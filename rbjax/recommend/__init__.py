@@ -5,7 +5,7 @@
     fidelity          a fidelity and its step, for a wheeled robot on a manoeuvre
     control_method    a method of `rb.control.solve`, for a problem
 Each measures its candidates on the motion itself and returns a `Recommendation`: the choice, its
-cost, the candidates with what was measured, and the reason in a sentence.
+cost, the measured candidates, and the reason in a sentence.
 """
 
 from rbjax.recommend.control_methods import MethodRecommendation, control_method

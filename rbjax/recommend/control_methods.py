@@ -1,4 +1,4 @@
-"""Which method of optimal control fits a problem: trials of each, from several first guesses."""
+"""`control_method`: choose a method of optimal control for a problem, by trial solutions."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ SAME = 1e-6  # relative: costs that count as equal
 
 
 class Trial(NamedTuple):
-    """A method. Fields: name; status, how it ended from the plain first guess; objective, the cost
-    of the motion; iterations; cost, milliseconds of a solution once compiled; solved, the share of
-    all first guesses from which it converged; failed, the indices of the others, 0 being the plain
-    one."""
+    """A method. Fields: name; status of the solution from the first guess 0, the plain one;
+    objective, the cost of the motion; iterations; cost, milliseconds of a compiled solution;
+    solved, the share of first guesses from which it converged; failed, the indices of the
+    others."""
 
     name: str
     status: str
@@ -44,7 +44,7 @@ class Trial(NamedTuple):
 class MethodRecommendation(Recommendation):
     """A method of `rb.control.solve`.
 
-    Fields, besides those of `Recommendation`, whose cost is in milliseconds of a solution:
+    Fields, in addition to those of `Recommendation` (cost: milliseconds of a solution):
         objective: the cost of the motion.
         guesses: (G, N, nu), the first guesses of the controls.
     """
@@ -64,21 +64,20 @@ def control_method(
     seed: int = 0,
     progress: bool = True,
 ) -> MethodRecommendation:
-    """Recommend a method for a problem: each is run from the plain first guess and random ones.
+    """Recommend a method for a problem, by solutions from the plain first guess and random ones.
 
-    Of those that converge to the least cost the fastest is taken.
+    It is the fastest of the methods that converge to the least cost.
 
     Args:
         problem: `rb.control.Problem`.
         start: the start.
-        candidates: names of `rb.control.methods()`; all if None, without those that cannot hold
-            the problem's constraints.
-        guesses: how many first guesses of the controls, the first of them zero.
-        scale: of the others: they are uniform within the bounds, and within -scale .. scale where
-            there are none.
-        iterations: at most, of each search.
+        candidates: names of `rb.control.methods()`; if None all that support the problem's
+            constraints.
+        guesses: the number of first guesses of the controls, the first of them zero.
+        scale: the others are uniform within the bounds, or within -scale .. scale without bounds.
+        iterations: the largest number of iterations of each search.
         seed: of the random numbers.
-        progress: show a line on a terminal.
+        progress: show the progress on the terminal.
 
     Returns:
         `MethodRecommendation`.
@@ -145,7 +144,7 @@ def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iteratio
 
 
 def _best(trials: Sequence[Trial]) -> Trial:
-    """The fastest of those that converge to the least cost; where none does, that of least cost."""
+    """Choose the fastest method with the least cost; if none converges, that of least cost."""
     done = [t for t in trials if t.ok]
     if not done:
         return min(trials, key=lambda t: t.objective)

@@ -28,9 +28,9 @@ from rbjax.recommend.halved_steps import Trial, cost_decides
 from rbjax.recommend.manoeuvre import Demand, Manoeuvre, demand, first_lift
 from rbjax.recommend.recommendation import Recommendation, check_request, double
 from rbjax.wheeled import Robot, RobotModel, at, fidelities
+from rbjax.wheeled.models.robot_model import with_twist
 from rbjax.wheeled.models.rolling import Rolling
 from rbjax.wheeled.models.slipping import Slipping
-from rbjax.wheeled.models.states import with_twist
 
 #: tried only if it is named: it compiles for a minute, and its equals cost a tenth
 ON_REQUEST = ("constrained",)
@@ -38,10 +38,10 @@ ON_REQUEST = ("constrained",)
 
 @dataclass(frozen=True)
 class FidelityRecommendation(Recommendation):
-    """A fidelity and a step: `rb.wheeled.rollout(r.vehicle, r.state, controls, r.dt)`.
+    """A fidelity and a step: `rb.wheeled.rollout(r.model, r.state, ctrl, r.dt)`.
 
     Fields, in addition to those of `Recommendation` (cost: microseconds per second of motion):
-        vehicle: the robot at the fidelity.
+        model: the robot at the fidelity.
         state: its start.
         dt: seconds.
         error: the largest deviation of the chassis' place, m, or heading, rad, from the motion at
@@ -52,7 +52,7 @@ class FidelityRecommendation(Recommendation):
             never, nan without "slipping".
     """
 
-    vehicle: RobotModel
+    model: RobotModel
     state: State
     dt: float
     error: float
@@ -62,7 +62,7 @@ class FidelityRecommendation(Recommendation):
 
 def fidelity(
     robot: Robot,
-    controls: Any,
+    ctrl: Any,
     accuracy: float,
     *,
     q: Any = None,
@@ -81,13 +81,13 @@ def fidelity(
 
     Args:
         robot: `Robot`.
-        controls: (steps, nu), each for a time dt; or (nu,), constant; or a function (t, state) ->
+        ctrl: (steps, nu), each for a time dt; or (nu,), constant; or a function (t, state) ->
             (nu,), which may read `state.q`: other sizes depend on the fidelity. In the units of the
             robot's motors.
         accuracy: the largest deviation of the chassis' place, m, and heading, rad, at least 1e-10.
         q: (nq,), the coordinates at the start; zeros if None.
         twist: (3,), that of the chassis at the start, m/s and rad/s in its axes.
-        horizon: seconds of motion, 1 if None; steps dt where controls are (steps, nu).
+        horizon: seconds of motion, 1 if None; steps dt if ctrl is (steps, nu).
         dt: the largest step, s.
         tyre: the law of "slipping", or a tuple of one a wheel; its default if None.
         among: the names of fidelities to choose from; all but "constrained" if None, because that
@@ -123,39 +123,37 @@ def fidelity(
         if name not in fidelities():
             raise UnknownName("fidelity", name, fidelities())
     names, why_not = _possible(robot, names)
-    given = [at(robot, x, **({"tyre": tyre} if x == "slipping" else {})) for x in names]
+    made = [at(robot, x, **({"tyre": tyre} if x == "slipping" else {})) for x in names]
     with jax.enable_x64(True):
         start = jnp.zeros(robot.layout.nq) if q is None else q
         start = check_array("recommend", "q", start, (robot.layout.nq,)).astype(jnp.float64)
         twist = check_array("recommend", "twist", twist, (3,)).astype(jnp.float64)
-        controls = _controls(robot, controls, horizon, float(dt))
-        vehicles = [jax.tree.map(double, x) for x in given]
+        given = _controls(robot, ctrl, horizon, float(dt))
+        models = [jax.tree.map(double, x) for x in made]
         with progress_line("recommend", progress) as say:
-            run = Manoeuvre(vehicles, start, twist, *controls, float(accuracy), say)
-            found = _choose(run, vehicles, why_not)
+            run = Manoeuvre(models, start, twist, *given, float(accuracy), say)
+            found = _choose(run, models, why_not)
     # as given, and in the caller's dtype
-    vehicle, dtype = given[names.index(found.name)], jnp.result_type(float)
-    state = with_twist(vehicle, *(jnp.asarray(np.asarray(x), dtype) for x in (start, twist)))
-    return replace(found, vehicle=vehicle, state=state)
+    model, dtype = made[names.index(found.name)], jnp.result_type(float)
+    state = with_twist(model, *(jnp.asarray(np.asarray(x), dtype) for x in (start, twist)))
+    return replace(found, model=model, state=state)
 
 
-def _controls(
-    robot: Robot, controls: Any, horizon: float | None, dt: float
-) -> tuple[Any, float, int]:
+def _controls(robot: Robot, ctrl: Any, horizon: float | None, dt: float) -> tuple[Any, float, int]:
     """Return the controls as a table or a function, a step, and the number of steps."""
     seconds = 1.0 if horizon is None else float(horizon)
     steps = max(1, math.ceil(seconds / dt * (1 - 1e-9)))
-    if callable(controls):
-        check_takes("recommend", "controls", controls, "t", "state")
-        return controls, seconds / steps, steps
-    shape = shape_of("recommend", "controls", controls)
+    if callable(ctrl):
+        check_takes("recommend", "ctrl", ctrl, "t", "state")
+        return ctrl, seconds / steps, steps
+    shape = shape_of("recommend", "ctrl", ctrl)
     if len(shape) == 2 and horizon is not None:
         raise InputError(
-            f"recommend: horizon is {horizon} and controls are a table of {shape[0]} steps of dt; "
+            f"recommend: horizon is {horizon} and ctrl is a table of {shape[0]} steps of dt; "
             "leave out the horizon, or give a function (t, state) -> (nu,)"
         )
     lead = (max(1, shape[0]),) if len(shape) == 2 else ()  # at least one step
-    table = check_array("recommend", "controls", controls, (*lead, robot.nu)).astype(jnp.float64)
+    table = check_array("recommend", "ctrl", ctrl, (*lead, robot.nu)).astype(jnp.float64)
     if len(shape) == 2:
         return table, dt, shape[0]
     return table[None], seconds / steps, steps
@@ -190,10 +188,10 @@ def _no_speeds(robot: Robot) -> str:
     return ""
 
 
-def _choose(run: Manoeuvre, vehicles: Sequence[RobotModel], why_not: str) -> FidelityRecommendation:
+def _choose(run: Manoeuvre, models: Sequence[RobotModel], why_not: str) -> FidelityRecommendation:
     """Measure the fidelities, given from the coarsest to the finest, and choose one."""
-    equals = [x.name for x in vehicles if not isinstance(x, Slipping) and x.nv][1:]
-    names = [x.name for x in reversed(vehicles) if x.name not in equals]
+    equals = [x.name for x in models if not isinstance(x, Slipping) and x.nv][1:]
+    names = [x.name for x in reversed(models) if x.name not in equals]
     ends = {name: run.converge_stably(name) for name in names}
     paths = [run.path(name, k) for name, k in ends.items()]
 
@@ -209,15 +207,15 @@ def _choose(run: Manoeuvre, vehicles: Sequence[RobotModel], why_not: str) -> Fid
         gap = run.deviation(paths[i], paths[i - 1]) if i else 0.0
         trials.append(trial(name, run.least[name], most, gap))
     best = min((x for x in trials if x.ok), key=lambda x: x.cost)
-    if isinstance(run.vehicles[best.name], Rolling) or best.name in ON_REQUEST:
+    if isinstance(run.models[best.name], Rolling) or best.name in ON_REQUEST:
         least, most = run.least[best.name], ends[best.name]
         trials += [trial(name, least, most, best.gap) for name in equals]
         best = min((best, *(x for x in trials[-len(equals) :] if x.ok)), key=lambda x: x.cost)
-    vehicle = run.vehicles[best.name]
+    model = run.models[best.name]
     needed, lifts = _contacts(run, names, paths)
     why = _reason(run, best, trials, names[0], why_not, needed, lifts)
     return FidelityRecommendation(
-        best.name, best.cost, tuple(trials), why, vehicle, run.start(vehicle), best.dt, best.error,
+        best.name, best.cost, tuple(trials), why, model, run.start(model), best.dt, best.error,
         needed.share, lifts,
     )  # fmt: skip
 
@@ -225,12 +223,13 @@ def _choose(run: Manoeuvre, vehicles: Sequence[RobotModel], why_not: str) -> Fid
 def _contacts(run: Manoeuvre, names: Sequence[str], paths: list[State]) -> tuple[Demand, float]:
     """Compute the traction that rolling needs, and the time at which a wheel lifts."""
     unknown = Demand(math.nan, math.nan)
-    slipping, *others = (run.vehicles[name] for name in names)
+    slipping, *others = (run.models[name] for name in names)
     if not isinstance(slipping, Slipping):
         return unknown, math.nan
     run.say("contacts")
-    rolls = others and isinstance(others[0], Rolling)
-    needed = demand(run, others[0], slipping, paths[1]) if rolls else unknown
+    needed = unknown
+    if others and isinstance(others[0], Rolling):
+        needed = demand(run, others[0], slipping, paths[1])
     return needed, first_lift(run, slipping, paths[0])
 
 

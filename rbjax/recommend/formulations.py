@@ -16,23 +16,39 @@ value near zero, they must also correct the residual
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from rbjax.constraints import Formulation, formulations, residual
+from rbjax.constraints import Formulation, formulations, jacobian, residual
 from rbjax.constraints.formulation import formulation_of
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_arrays, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
 from rbjax.model import Model, State
-from rbjax.progress import progress_line
-from rbjax.recommend.constrained_runs import RESTORING, ConstrainedRuns, Rank
-from rbjax.recommend.halved_steps import Trial, cost_decides
+from rbjax.motion.step import step
+from rbjax.progress import Say, progress_line
+from rbjax.recommend.halved_steps import HalvedSteps, Trial, cost_decides
 from rbjax.recommend.recommendation import Recommendation, check_request, double
 
+#: the longest trial run, s
+MOST_SECONDS = 2.0
+#: the number of times at which motions are compared
+MOST_LOOKS = 64
+#: singular values of scaled rows above this count
+INDEPENDENT = 1e-7
+#: a position is singular where the least singular value is below this part of its median
+SINGULAR = 0.05
+#: the formulations that correct the residual of the rows, so that it does not grow
+RESTORING = ("baumgarte", "projected")
 HALVINGS = 8  # of the step
 CLOSED = 1e-6  # m, rad, and per second: the largest residual of a start
 PROXIMAL = ("multipliers", *RESTORING)
@@ -77,7 +93,7 @@ def formulation(
     horizon: float = 1.0,
     dt: float | None = None,
     integrator: str = "rk4",
-    control: Source | None = None,
+    ctrl: Source | None = None,
     progress: bool = True,
 ) -> FormulationRecommendation:
     """Recommend a formulation of the model's constraints for its motion from a state.
@@ -94,7 +110,7 @@ def formulation(
         horizon: seconds of motion; only the first 2 are run, and what grows is extrapolated.
         dt: the largest step in seconds; the model's timestep if None.
         integrator: a name, as in `rb.rollout`.
-        control: (t, state) -> (nu,), as `rb.rollout` takes it; None for no actuation.
+        ctrl: (t, state) -> (nu,), as `rb.rollout` takes it; None for no actuation.
         progress: show the progress on the terminal.
 
     Returns:
@@ -127,8 +143,8 @@ def formulation(
     check_request(accuracy, horizon=horizon, **({} if dt is None else {"dt": dt}))
     with jax.enable_x64(True):
         state = check_arrays("recommend", model, {"state": state})["state"]
-        if control is not None:
-            check_takes("recommend", "control", control, "t", "state")
+        if ctrl is not None:
+            check_takes("recommend", "ctrl", ctrl, "t", "state")
         model, state = jax.tree.map(double, (model, state))
         largest = float(model.timestep if dt is None else dt)
         if not model.constraints:
@@ -143,7 +159,7 @@ def formulation(
             )
         with progress_line("recommend", progress) as say:
             runs = ConstrainedRuns(
-                model, state, float(horizon), largest, integrator, control, float(accuracy), say
+                model, state, float(horizon), largest, integrator, ctrl, float(accuracy), say
             )
             return _recommended(runs, float(horizon))
 
@@ -221,3 +237,133 @@ def _decided(best: Trial, trials: list[Trial]) -> str:
     other = min((x for x in trials if x is not best), key=lambda x: x.cost)
     short = f"accuracy decides: {other.name} is off by {max(other.gap, other.error):.1e}"
     return cost_decides(best, trials) or short
+
+
+class Rank(NamedTuple):
+    """The rank of the rows along a motion.
+
+    Fields:
+        rows: the number of rows.
+        redundant: the number of redundant rows.
+        closest: the least singular value of the scaled independent rows.
+        at: the time of `closest`, s.
+        median: the median of the least singular values along the motion.
+    """
+
+    rows: int
+    redundant: int
+    closest: float
+    at: float
+    median: float
+
+    @property
+    def singular(self) -> bool:
+        """Whether the motion meets a singular position."""
+        return self.closest < SINGULAR * self.median
+
+
+class ConstrainedRuns(HalvedSteps):
+    """Trial runs of a model from a state by the formulations of its constraints."""
+
+    most_steps = 200_000
+    cure = "give a larger accuracy, a shorter horizon or a smaller dt"
+
+    def __init__(
+        self, model: Model, state: State, horizon: float, dt: float, integrator: str, ctrl: Any,
+        accuracy: float, say: Say,
+    ):  # fmt: skip
+        super().__init__(dt, accuracy, say)
+        self.model, self.state = model, state
+        self._integrator, self._ctrl = integrator, ctrl
+        seconds = min(horizon, MOST_SECONDS)
+        self.looks = min(MOST_LOOKS, math.ceil(seconds / dt))
+        self._each = max(1, int(seconds / self.looks / dt * (1 + 1e-9)))  # steps between two looks
+        self.seconds = self.looks * self._each * dt
+        self.longer = max(1.0, horizon / self.seconds)
+        self.times = self.seconds / self.looks * (1.0 + np.arange(self.looks))
+
+    def steps(self, k: int) -> int:
+        return self.looks * (self._each << k)
+
+    def arguments(self, k: int) -> tuple:
+        return self.state, jnp.asarray(0.0), jnp.asarray(self.dt(k)), self._each << k
+
+    def motion(self, name: str) -> Callable[..., State]:
+        """(state, t, dt, steps between looks) -> states at `times`."""
+        how: dict[str, Any] = {"integrator": self._integrator, "constraints": formulations()[name]}
+
+        def run(state: State, t: Any, dt: Any, each: Any) -> State:
+            def one(_: Any, x: tuple[Any, State]) -> tuple[Any, State]:
+                t, now = x
+                u = None if self._ctrl is None else self._ctrl(t, now)
+                return t + dt, step(self.model, now, u, dt, t=t, **how)
+
+            def look(x: tuple[Any, State], _: None) -> tuple[tuple[Any, State], State]:
+                x = jax.lax.fori_loop(0, each, one, x)
+                return x, x[1]
+
+            return jax.lax.scan(look, (t, state), None, self.looks)[1]
+
+        return run
+
+    @functools.cached_property
+    def _residual(self) -> Callable:
+        return jax.jit(jax.vmap(functools.partial(residual, self.model)))
+
+    def gap(self, name: str, path: State) -> float:
+        """Return the largest residual of a row or of its rate over the horizon."""
+        if not _is_finite(path):
+            return math.inf
+        value, rate = (float(np.abs(x).max()) for x in self._residual(path, self.times))
+        if name not in RESTORING:
+            value, rate = value * self.longer**2, rate * self.longer
+        return max(value, rate)
+
+    @functools.cached_property
+    def _difference(self) -> Callable:
+        return jax.jit(jax.vmap(functools.partial(difference, self.model)))
+
+    def deviation(self, a: State, b: State) -> float:
+        """Return the largest deviation of a configuration coordinate over the horizon."""
+        if not (_is_finite(a) and _is_finite(b)):
+            return math.inf
+        return float(np.abs(self._difference(a.q, b.q)).max()) * self.longer**2
+
+    @functools.cached_property
+    def _matrices(self) -> Callable:
+        return jax.jit(
+            jax.vmap(lambda q, t: (jacobian(self.model, q, t), mass_matrix(self.model, q)))
+        )
+
+    def _rows(self, q: jax.Array, t: np.ndarray) -> np.ndarray:
+        """G M^-1/2 (looks, rows, nv)."""
+        G, M = (np.asarray(x) for x in self._matrices(q, t))
+        return np.linalg.solve(np.linalg.cholesky(M), G.swapaxes(1, 2)).swapaxes(1, 2)
+
+    def rank(self, path: State) -> Rank:
+        """Find the rank of the rows along a motion by "projected", with more looks near the least
+        singular value.
+
+        A row is scaled by its median length on the motion, so a row that vanishes loses rank.
+        """
+        B = self._rows(path.q, self.times)
+        length = np.median(np.linalg.norm(B, axis=2), axis=0)
+        nonzero = length > INDEPENDENT * length.max()
+        scale = np.where(nonzero, 1.0 / np.where(nonzero, length, 1.0), 0.0)[:, None]
+        s = np.linalg.svd(scale * B, compute_uv=False)
+        full = int((s > INDEPENDENT).sum(1).max())
+        least, k = s[:, full - 1], int(s[:, full - 1].argmin())
+        before, start = self.state, 0.0
+        if k:
+            before, start = jax.tree.map(lambda x: x[k - 1], path), float(self.times[k - 1])
+        apart = 2 * self.seconds / self.looks**2  # looks on the two intervals around the k-th
+        nearer = self.compiled("projected")(before, jnp.asarray(start), jnp.asarray(apart / 2), 2)
+        times = start + apart * (1.0 + np.arange(self.looks))
+        s = np.linalg.svd(scale * self._rows(nearer.q, times), compute_uv=False)
+        every, at = np.append(least, s[:, full - 1]), np.append(self.times, times)
+        rows, j = B.shape[1], int(every.argmin())
+        return Rank(rows, rows - full, float(every[j]), float(at[j]), float(np.median(least)))
+
+
+def _is_finite(path: State) -> bool:
+    return bool(jnp.isfinite(path.q).all() and jnp.isfinite(path.v).all())

@@ -17,11 +17,10 @@ from rbjax.progress import Say
 from rbjax.recommend.halved_steps import HalvedSteps
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.wheeled.kinematics.parameters import Parameters, stack_lanes
-from rbjax.wheeled.models.loads import wheel_loads
-from rbjax.wheeled.models.robot_model import RobotModel, as_state
+from rbjax.wheeled.models.forces import wheel_loads
+from rbjax.wheeled.models.robot_model import RobotModel, as_state, with_twist
 from rbjax.wheeled.models.rolling import Rolling
 from rbjax.wheeled.models.slipping import Slipping
-from rbjax.wheeled.models.states import with_twist
 from rbjax.wheeled.motion.rollout import Lists, advance
 
 #: the number of times at which poses are compared and contacts computed
@@ -39,11 +38,11 @@ class Manoeuvre(HalvedSteps):
     cure = "give a larger accuracy, a shorter manoeuvre, or tyres with a larger smooth_speed"
 
     def __init__(
-        self, vehicles: Sequence[RobotModel], q: jax.Array, twist: jax.Array, controls: Any,
+        self, models: Sequence[RobotModel], q: jax.Array, twist: jax.Array, controls: Any,
         dt: float, steps: int, accuracy: float, say: Say,
     ):  # fmt: skip
         super().__init__(dt, accuracy, say)
-        self.vehicles = {x.name: x for x in vehicles}
+        self.models = {x.name: x for x in models}
         self.q, self.twist, self.controls, self._steps = q, twist, controls, steps
         self._ends = np.round(np.linspace(0, steps, min(MOST_LOOKS, steps) + 1)).astype(int)
         self.times = dt * self._ends
@@ -54,9 +53,9 @@ class Manoeuvre(HalvedSteps):
     def steps(self, k: int) -> int:
         return self._steps << k
 
-    def start(self, vehicle: RobotModel) -> State:
+    def start(self, model: RobotModel) -> State:
         """Return the start at a fidelity, in which no wheel slides."""
-        return with_twist(vehicle, self.q, self.twist)
+        return with_twist(model, self.q, self.twist)
 
     def control(self, t: Any, step: Any, state: State) -> jax.Array:
         """Return the controls (nu,) at a time, in a step of dt."""
@@ -69,17 +68,16 @@ class Manoeuvre(HalvedSteps):
 
     def motion(self, name: str) -> Callable[..., State]:
         """(parts of a step of dt, step of a part) -> states at `times`, the first at the start."""
-        vehicle, counts = self.vehicles[name], np.diff(self._ends)
+        model, counts = self.models[name], np.diff(self._ends)
 
         def run(parts: Any, h: Any) -> State:
-            now = vehicle.context(self.start(vehicle))
-            n = now.n
+            now = model.context(self.start(model))
 
             def once(_: Any, x: tuple[Any, Lists]) -> tuple[Any, Lists]:
                 i, y = x
                 u = self.control(i * h, i // parts, as_state(*y, jnp.float64))
-                given = [u[k] for k in range(vehicle.nu)]
-                return i + 1, advance(vehicle, n, y, given, h, "rk4")
+                given = [u[k] for k in range(model.nu)]
+                return i + 1, advance(model, now.n, y, given, h, "rk4")
 
             def look(x: tuple[Any, Lists], count: Any) -> tuple[tuple[Any, Lists], State]:
                 x = jax.lax.fori_loop(0, count * parts, once, x)
@@ -101,11 +99,11 @@ class Manoeuvre(HalvedSteps):
 
     def converge_stably(self, name: str) -> int:
         """Halve the step until the motion has converged and is stable. Return the halvings."""
-        vehicle = self.vehicles[name]
-        least = self._stable_halvings(vehicle, jax.tree.map(lambda x: x[None], self.start(vehicle)))
+        model = self.models[name]
+        least = self._stable_halvings(model, jax.tree.map(lambda x: x[None], self.start(model)))
         while True:
             k = self.converge(name, least)
-            least = self.least[name] = self._stable_halvings(vehicle, self.path(name, k))
+            least = self.least[name] = self._stable_halvings(model, self.path(name, k))
             if least < k:
                 return k
 
@@ -119,20 +117,20 @@ class Manoeuvre(HalvedSteps):
         every = jax.jit(jax.vmap(one), compiler_options=compiler_options())
         return np.asarray(every(path, self.times[:count], self._ends[:count]))
 
-    def _stable_halvings(self, vehicle: RobotModel, path: State) -> int:
+    def _stable_halvings(self, model: RobotModel, path: State) -> int:
         """Return the halvings at which steps are stable along a path.
 
         An unstable step may not show in the pose: tyres that saturate bound the speeds of wheels
         that chatter.
         """
-        if not vehicle.nv:
+        if not model.nv:
             return 0
 
         def look(state: State, u: jax.Array) -> jax.Array:
             def rates(y: jax.Array) -> jax.Array:
-                x = y[vehicle.nv :] if vehicle.nx else None
-                now = vehicle.context(State(state.q, y[: vehicle.nv], x), u)
-                out = [*vehicle.accelerations(now), *vehicle.tyre_rates(now)]
+                x = y[model.nv :] if model.nx else None
+                now = model.context(State(state.q, y[: model.nv], x), u)
+                out = [*model.accelerations(now), *model.tyre_rates(now)]
                 return stack_lanes(out, jnp.float64)
 
             y = state.v if state.x is None else jnp.concatenate([state.v, state.x])
@@ -195,7 +193,7 @@ def first_lift(run: Manoeuvre, slipping: Slipping, path: State) -> float:
 
     def look(state: State, u: jax.Array) -> jax.Array:
         now = slipping.context(state, u)
-        return stack_lanes(slipping.forces(now)[0], jnp.float64).min()
+        return stack_lanes(slipping.wheel_forces(now)[0], jnp.float64).min()
 
     lifted = run.along(path, look) < 0
     return float(run.times[lifted.argmax()]) if lifted.any() else math.inf

@@ -1,16 +1,15 @@
-"""The solver and the step for this robot from this state, measured and explained in a sentence.
+"""`solver`: choose a solver and a step for a motion of a robot, by trial runs.
 
-    1. the motion itself, by an adaptive method far more accurate than requested
+    1. the motion itself, by an adaptive method with a much smaller error than requested
     2. its linearisation along the path: the fastest eigenvalue, and the largest step at which the
        explicit candidate is stable
-    3. each candidate at several steps, compared with 1: error(h) ~ C h^p predicts the step with the
-       requested error, and a run at this step confirms it
-    4. the candidate with the fewest evaluations of forward dynamics a second of motion
-Implicit candidates are tried if stability, not accuracy, limits the explicit one. A symplectic
-candidate is tried if nothing dissipates and the horizon is longer than the trial run. Then errors
-grow with t for symplectic methods and with t^2 for others (Hairer, Lubich & Wanner, *Geometric
-Numerical Integration*, X.3). Otherwise they are taken to grow with t. Beyond the trial run nothing
-is guaranteed for chaotic motion.
+    3. each candidate with several steps, compared with 1: error(h) ~ C h^p predicts the step with
+       the requested error, and a run with this step confirms it
+    4. the candidate with the fewest evaluations of forward dynamics per second of motion
+Implicit candidates are tried if stability limits the step of the explicit one. A symplectic one is
+tried for a conservative motion whose horizon is longer than the trial run. Then errors grow with t
+for symplectic methods and with t^2 for others (Hairer, Lubich & Wanner, *Geometric Numerical
+Integration*, X.3). Otherwise they are assumed to grow with t.
 """
 
 from __future__ import annotations
@@ -38,21 +37,20 @@ from rbjax.recommend.recommendation import Recommendation, check_request, double
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.stability.runs.linearisation import motion_matrices
 
-TRIAL = 10.0  # the most seconds of motion in a trial run
-RADIANS = 5e4  # of the fastest mode in that time: about a hundred thousand steps
+TRIAL = 10.0  # the longest trial run, s
+RADIANS = 5e4  # of the fastest mode in a trial run: about a hundred thousand steps
 POINTS = 17  # times at which motions are compared
-LOOKS = 9  # the number of these at which the motion is linearised
+LOOKS = 9  # the number of them at which the motion is linearised
 MOST_STEPS = 2_000_000
-LOOSE = 1e-3  # accuracy for which order three is enough for stiff motion
+LOOSE = 1e-3  # the accuracy above which order three is enough for stiff motion
 TRIES = 14  # runs of a candidate
-ROLLED_ABOVE = 6  # velocity coordinates above which a rolled program compiles in half the time
-BRIEF = 1e4  # radians of the fastest mode up to which this saves more than it costs
+ROLLED_ABOVE = 6  # dofs above which the rolled driver compiles in half the time
+BRIEF = 1e4  # radians of the fastest mode up to which this saves time
 
 
 class Trial(NamedTuple):
-    """A candidate. Fields: name; dt in seconds, the largest step that was accurate enough; error at
-    this step; cost, evaluations of forward dynamics per second of motion; ok, whether there is such
-    a step."""
+    """A candidate. Fields: name; dt, the largest accurate step, s; error at this step; cost,
+    evaluations of forward dynamics per second of motion; ok, whether there is such a step."""
 
     name: str
     dt: float
@@ -65,9 +63,9 @@ class Trial(NamedTuple):
 class SolverRecommendation(Recommendation):
     """A solver and a step for `rb.simulate(model, state, ts, solver=r.solver, dt=r.dt)`.
 
-    Fields, besides those of `Recommendation`, whose cost is in evaluations of forward dynamics per
-    second of motion:
-        solver: its name is in `rb.solvers.all()`.
+    Fields, in addition to those of `Recommendation` (cost: evaluations of forward dynamics per
+    second of motion):
+        solver: a solver of `rb.solvers.all()`.
         dt: seconds.
         predicted_error: the largest deviation of a configuration coordinate over the horizon, m or
             rad.
@@ -91,10 +89,10 @@ class Candidate:
 
 @eqx.filter_jit
 def _reference(
-    model: Model, state: State, ts: jax.Array, control: Any, solver: Any, tolerance: Any
+    model: Model, state: State, ts: jax.Array, ctrl: Any, solver: Any, tolerance: Any
 ) -> Any:
     return simulate(
-        model, state, ts, control, solver=solver, throw=False, max_steps=MOST_STEPS,
+        model, state, ts, ctrl, solver=solver, throw=False, max_steps=MOST_STEPS,
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         adjoint=diffrax.ForwardMode(),
     )  # fmt: skip
@@ -102,29 +100,27 @@ def _reference(
 
 @eqx.filter_jit
 def _error(
-    model: Model, state: State, ts: jax.Array, control: Any, solver: Any, dt: Any, truth: jax.Array
+    model: Model, state: State, ts: jax.Array, ctrl: Any, solver: Any, dt: Any, truth: jax.Array
 ) -> jax.Array:
-    """The largest deviation of a configuration coordinate from the truth (T, nq)."""
+    """Compute the largest deviation of a configuration coordinate from the motion (T, nq)."""
     path = simulate(
-        model, state, ts, control, solver=solver, dt=dt, throw=False, max_steps=MOST_STEPS,
+        model, state, ts, ctrl, solver=solver, dt=dt, throw=False, max_steps=MOST_STEPS,
         adjoint=diffrax.ForwardMode(),
     )  # fmt: skip
     gap = jax.vmap(lambda a, b: difference(model, a, b))(truth, path.q)
     return jnp.where(path.ok, jnp.abs(gap).max(), jnp.inf)
 
 
-def _controls(control: Source | None, ts: np.ndarray, states: State) -> jax.Array | None:
-    if control is None:
+def _controls(ctrl: Source | None, ts: np.ndarray, states: State) -> jax.Array | None:
+    if ctrl is None:
         return None
-    return jnp.stack(
-        [control(t, State(q, v)) for t, q, v in zip(ts, states.q, states.v, strict=True)]
-    )
+    return jnp.stack([ctrl(t, State(q, v)) for t, q, v in zip(ts, states.q, states.v, strict=True)])
 
 
 def _largest_step(
     error: Callable[[float], float], start: float, most: float, order: int, target: float
 ) -> tuple[float, float] | None:
-    """The largest step found with an error of at most the target, and this error; or None."""
+    """Find the largest step with an error of at most the target. Return it with its error."""
     good: tuple[float, float] | None = None
     bad, h = math.inf, min(start, most)
     for _ in range(TRIES):
@@ -156,7 +152,8 @@ def _explicit(model: Model) -> Candidate:
 
 
 def _implicit(nv: int, accuracy: float) -> Candidate:
-    """Evaluations: the stages, 2 nv for a Jacobian, and about five iterations for Radau."""
+    """Choose an implicit candidate. Its evaluations are the stages, 2 nv for a Jacobian, and about
+    five iterations for Radau."""
     if accuracy >= LOOSE:
         return Candidate("ros34pw2", solvers.ros34pw2(), 3, 6.0 + 2 * nv, 2.0)
     return Candidate("radau_iia3", solvers.radau_iia(3), 5, 17.0 + 2 * nv, 2.0)
@@ -174,7 +171,7 @@ def solver(
     accuracy: float,
     *,
     horizon: float = 1.0,
-    control: Source | None = None,
+    ctrl: Source | None = None,
     progress: bool = True,
 ) -> SolverRecommendation:
     """Recommend a solver and a constant step for this robot from this state.
@@ -188,7 +185,7 @@ def solver(
         accuracy: the largest deviation of a configuration coordinate over the horizon, in m and
             rad, at least 1e-10.
         horizon: seconds of motion; only the first 10 are run, and the error is extrapolated.
-        control: (t, state) -> (nu,), as `rb.simulate` takes it; None for no actuation.
+        ctrl: (t, state) -> (nu,), as `rb.simulate` takes it; None for no actuation.
         progress: show the progress on the terminal.
 
     Returns:
@@ -219,22 +216,22 @@ def solver(
         model = with_constants(jax.tree.map(double, model), jnp.float64)
         state = State(*(jnp.asarray(x, jnp.float64) for x in (state.q, state.v)))
         with progress_line("recommend", progress) as say:
-            return _recommended(model, state, float(accuracy), float(horizon), control, say)
+            return _recommended(model, state, float(accuracy), float(horizon), ctrl, say)
 
 
 def _light(model: Model) -> Model:
-    """The robot in the form that compiles fastest."""
+    """Choose the driver that compiles fastest."""
     rolls = model.driver == "auto" and model.nv > ROLLED_ABOVE
     return model.replace(driver="rolled") if rolls else model
 
 
 def _recommended(
-    model: Model, state: State, accuracy: float, horizon: float, control: Source | None, say: Say
+    model: Model, state: State, accuracy: float, horizon: float, ctrl: Source | None, say: Say
 ) -> SolverRecommendation:
     light = _light(model)
     say("linearising the motion")
     start = State(*(jnp.tile(x, (LOOKS, 1)) for x in (state.q, state.v)))
-    A = motion_matrices(light, start, _controls(control, np.zeros(LOOKS), start))
+    A = motion_matrices(light, start, _controls(ctrl, np.zeros(LOOKS), start))
     fastest = _fastest(A)
     trial = min(horizon, TRIAL)
     # vibrations must be followed; for mere decay an implicit reference is enough
@@ -247,7 +244,7 @@ def _recommended(
     ts = jnp.linspace(0.0, trial, POINTS)
     longer = horizon / trial
     tolerance = jnp.asarray(max(1e-13, 1e-4 * accuracy / longer**2))
-    truth = _reference(model, state, ts, control, method, tolerance)
+    truth = _reference(model, state, ts, ctrl, method, tolerance)
     if not bool(truth.ok):
         raise InputError(
             f"recommend: the motion over {trial:.3g} s could not be followed by "
@@ -256,20 +253,18 @@ def _recommended(
         )
     looks = np.linspace(0, POINTS - 1, LOOKS).astype(int)
     along = State(truth.q[looks], truth.v[looks])
-    A = motion_matrices(light, along, _controls(control, np.asarray(ts[looks]), along))
+    A = motion_matrices(light, along, _controls(ctrl, np.asarray(ts[looks]), along))
     fastest = _fastest(A)
 
     nv = model.nv
-    conservative = control is None and not np.asarray(model.joints.damping).any()
+    conservative = ctrl is None and not np.asarray(model.joints.damping).any()
 
     def measured(c: Candidate, most: float) -> tuple[float, float, Candidate] | None:
         scale = longer ** (c.growth if conservative else 1.0)
 
         def error(h: float) -> float:
             say(f"{c.name} with steps of {h:.2g} s")
-            return scale * float(
-                _error(model, state, ts, control, c.solver, jnp.asarray(h), truth.q)
-            )
+            return scale * float(_error(model, state, ts, ctrl, c.solver, jnp.asarray(h), truth.q))
 
         found = _largest_step(error, min(most / 2, trial / 32), most, c.order, accuracy)
         return None if found is None else (*found, c)
@@ -317,7 +312,7 @@ def _reason(
     best: Candidate, h: float, e: float, accuracy: float, horizon: float, explicit: Candidate,
     held: tuple[float, float, Candidate] | None, limit: float, fastest: float, by_stability: bool,
 ) -> str:  # fmt: skip
-    """The deciding criterion, with its number."""
+    """Explain the choice by the deciding criterion, with its number."""
     met = (
         f"{best.name} with steps of {h:.2g} s has an error of {e:.1e} (requested: {accuracy:.1e}) "
         f"over {horizon:g} s, with {best.evaluations / h:.2g} evaluations a second"

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_array
+from rbjax.arguments import floating_array, real_array
 from rbjax.compiling import compiled, wide_vectors
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3
@@ -37,8 +37,6 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "planar_pose": (3,),
     "inertial": (10,),
 }
-#: the dtypes of all computations; half precision has too few digits for dynamics
-FLOATS = (jnp.float32, jnp.float64)
 # How far from orthonormal a matrix may be. Matrices that were measured, or rounded to half
 # precision and cast back, pass.
 ORTHONORMAL = 1e-2
@@ -109,18 +107,10 @@ def check_positive(where: str, **values: Any) -> None:
 
 
 def _array(where: str, name: str, value: Any, shape: tuple[int, ...]) -> jax.Array:
-    try:
-        x = jnp.asarray(value)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{where}: {name} is {type(value).__name__}, expected an array") from error
-    if x.ndim < len(shape) or x.shape[x.ndim - len(shape) :] != shape:
-        want = ", ".join(["...", *map(str, shape)])
-        raise InputError(f"{where}: {name} has shape {x.shape}, expected ({want})")
-    if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
-        x = x.astype(jnp.result_type(float))
-    if x.dtype not in FLOATS:
-        raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
-    return x
+    def fits(given: tuple[int, ...]) -> bool:
+        return len(given) >= len(shape) and given[len(given) - len(shape) :] == shape
+
+    return floating_array(where, name, value, fits, f"({', '.join(['...', *map(str, shape)])})")
 
 
 def _check_values(where: str, name: str, x: np.ndarray, kind: str) -> None:

@@ -39,7 +39,7 @@ def where(condition: jax.Array, a: Any, b: Any) -> jax.Array:
 
 
 def stumpff(x: jax.Array, *orders: int) -> list[jax.Array]:
-    """c_k(x), x >= 0, for each order k <= 5."""
+    """Stumpff's functions c_k(x), x >= 0, for each order k <= 5."""
     x = jnp.asarray(x)
     return [where(x < _switch(k), _series(x, k), _closed(x, k)) for k in orders]
 
@@ -144,7 +144,7 @@ def inverse_left_lanes(phi: list) -> list:
 
 @takes(phi="vector")
 def left_jacobian(phi: jax.Array) -> jax.Array:
-    """J_l (..., 3, 3): omega_space = J_l phi'.
+    """The left Jacobian J_l (..., 3, 3): omega_space = J_l phi'.
 
     >>> left_jacobian([0.0, 0.0, 0.0]).tolist()
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -154,7 +154,7 @@ def left_jacobian(phi: jax.Array) -> jax.Array:
 
 @takes(phi="vector")
 def right_jacobian(phi: jax.Array) -> jax.Array:
-    """J_r (..., 3, 3): omega_body = J_r phi'."""
+    """The right Jacobian J_r (..., 3, 3): omega_body = J_r phi'."""
     return stacked(left_lanes([-p for p in entries(phi)]), 3, 3)
 
 

@@ -50,7 +50,7 @@ def conjugate(a: jax.Array) -> jax.Array:
 
 @takes(a="quaternion")
 def normalize(a: jax.Array) -> jax.Array:
-    """a / |a|."""
+    """Scale a quaternion to unit length: a / |a|."""
     return a / jnp.sqrt((a * a).sum(-1, keepdims=True))
 
 
@@ -220,9 +220,8 @@ def angle_lanes(w: jax.Array, u: list) -> jax.Array:
 def turned(q: list, phi: list) -> list:
     """Lanes of q exp(phi / 2) / |q|: the unit quaternion q followed by phi in body axes.
 
-    Computed as q + ((1 / |q| - 1) q + q (exp(phi / 2) - 1) / |q|), which rounds once, after the
-    addition. A product divided by its length rounds again: a length wrong by a unit in the last
-    place takes whole units off the components. Each turn repeats this error.
+    Computed as q + ((1 / |q| - 1) q + q (exp(phi / 2) - 1) / |q|), which rounds once. Dividing by a
+    length that is one ulp off biases all components, and the bias accumulates over steps.
     """
     px, py, pz = phi
     square = (px * px + py * py + pz * pz) / 4

@@ -178,6 +178,6 @@ def convert(x: jax.Array, source: str, target: str) -> jax.Array:
 
 
 def find(name: str) -> Representation:
-    """The representation of that name."""
+    """Return a representation by its name."""
     known = representations()
     return known[choice("representation", name, known)]

@@ -1,4 +1,4 @@
-"""Screws: a twist as a rotation about a line and a slide along it (Ball; Lynch & Park, 3.3.2).
+"""Screws: a twist as a rotation about a line and a translation along it (Lynch & Park, 3.3.2).
 
 A twist V = (omega, v) of magnitude theta and pitch h about the line through r along the unit
 vector s is omega = theta s, v = theta (r x s + h s). A pure translation has infinite pitch. Its

@@ -41,7 +41,7 @@ def identity(dtype=None) -> jax.Array:
 
 @takes(R="rotation", p="vector")
 def pose(R: jax.Array, p: jax.Array) -> jax.Array:
-    """[R p; 0 1].
+    """The pose [R p; 0 1] (..., 4, 4).
 
     >>> pose(jnp.eye(3), [1.0, 2.0, 3.0])[:3, 3].tolist()
     [1.0, 2.0, 3.0]
@@ -51,7 +51,7 @@ def pose(R: jax.Array, p: jax.Array) -> jax.Array:
 
 @takes(xi="twist")
 def hat(xi: jax.Array) -> jax.Array:
-    """[xi] (..., 4, 4) of a twist (..., 6).
+    """The matrix [xi] (..., 4, 4) of a twist (..., 6).
 
     >>> hat([0.0, 0.0, 1.0, 4.0, 5.0, 6.0])[0].tolist()
     [0.0, -1.0, 0.0, 4.0]
@@ -99,14 +99,14 @@ def log(T: jax.Array) -> jax.Array:
 
 @takes(A="pose", B="pose")
 def compose(A: jax.Array, B: jax.Array) -> jax.Array:
-    """A B."""
+    """Multiply poses: A B."""
     (R, p), (S, r) = pose_parts(A), pose_parts(B)
     return _pose(R @ S, p + R @ r)
 
 
 @takes(T="pose")
 def inverse(T: jax.Array) -> jax.Array:
-    """[R^T, -R^T p]."""
+    """The inverse pose [R^T, -R^T p]."""
     R, p = pose_parts(T)
     return _pose(R.T, -(R.T @ p))
 
@@ -132,7 +132,7 @@ def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 @takes(T="pose")
 def adjoint(T: jax.Array) -> jax.Array:
-    """Ad(T) (..., 6, 6) = [[R, 0], [[p] R, R]]: a twist of T's frame seen from the parent.
+    """The adjoint matrix (..., 6, 6) [[R, 0], [[p] R, R]]: a twist of T's frame in parent axes.
 
     >>> (adjoint(exp([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])) @ jnp.array([0.0, 0, 1, 0, 0, 0])).tolist()
     [0.0, 0.0, 1.0, 0.0, -1.0, 0.0]
@@ -238,5 +238,5 @@ def _blocks(A: list, B: list) -> jax.Array:
 
 
 def _dual(J: Callable[[list], list], xi: list) -> jax.Array:
-    """J over the dual numbers: its value at phi, and its derivative along rho."""
+    """Evaluate J over the dual numbers: its value at phi, and its derivative along rho."""
     return _blocks(*jax.jvp(J, (xi[:3],), (xi[3:],)))

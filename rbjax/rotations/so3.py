@@ -37,7 +37,7 @@ def identity(dtype=None) -> jax.Array:
 
 @takes(phi="vector")
 def hat(phi: jax.Array) -> jax.Array:
-    """[phi] (..., 3, 3), with [phi] a = phi x a.
+    """The skew-symmetric matrix [phi] (..., 3, 3), with [phi] a = phi x a.
 
     >>> hat([1.0, 2.0, 3.0]).tolist()
     [[0.0, -3.0, 2.0], [3.0, 0.0, -1.0], [-2.0, 1.0, 0.0]]
@@ -70,7 +70,7 @@ def exp(phi: jax.Array) -> jax.Array:
 
 @takes(R="rotation")
 def log(R: jax.Array) -> jax.Array:
-    """phi (..., 3), of length at most pi, with exp(phi) = R.
+    """The rotation vector phi (..., 3), of length at most pi, with exp(phi) = R.
 
     The angle pi is a genuine singularity: one of the two vectors is returned, and the derivative
     is that of its branch.
@@ -83,13 +83,13 @@ def log(R: jax.Array) -> jax.Array:
 
 @takes(A="rotation", B="rotation")
 def compose(A: jax.Array, B: jax.Array) -> jax.Array:
-    """A B, the rotation B followed by A (in the axes that A maps into)."""
+    """Multiply rotations: A B is B followed by A (in the axes that A maps into)."""
     return stacked(Mat3(*entries(A, 2)) @ Mat3(*entries(B, 2)), 3, 3)
 
 
 @takes(R="rotation")
 def inverse(R: jax.Array) -> jax.Array:
-    """R^T."""
+    """The inverse rotation R^T."""
     return jnp.swapaxes(R, -1, -2)
 
 

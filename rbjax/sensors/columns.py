@@ -2,7 +2,8 @@
 
     minus(x, y) = x - y,  of attitudes log(y* x);      plus(x, d) = x + d,  of attitudes x exp(d)
 An attitude has four columns, a quaternion (w, x, y, z). Its difference has three numbers in rad, in
-the axes of the body. Its noise is that of the rotation; of its four columns the largest counts.
+the axes of the body. Its noise is the noise of the rotation; of its four columns the largest
+counts.
 
 Source: Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 25, 26.
 """
@@ -83,8 +84,8 @@ class Columns:
         return off
 
     def noise(self, rms: np.ndarray) -> np.ndarray:
-        """The standard deviation (n,) for residuals of size rms (n,); for an attitude, that of the
-        rotation about each axis."""
+        """The standard deviation (n,) for residuals of size rms (n,); an attitude has the deviation
+        of its rotation about each axis."""
         found = rms.copy()
         for k in self.turns:
             found[k : k + 4] = np.sqrt((rms[k : k + 4] ** 2).sum() / 3)

@@ -1,4 +1,4 @@
-"""Every solver by name, with the facts that a test, a chart or a user needs to choose one."""
+"""The solvers by name, with their properties."""
 
 from __future__ import annotations
 
@@ -16,12 +16,17 @@ KINDS = ("ode", "second-order", "split", "lie")
 
 @dataclass(frozen=True)
 class Entry:
-    """A solver.
+    """A solver and its properties.
 
-    Fields: make, () -> the diffrax solver; order; kind, the equations that it takes: "ode" any
-    vector field, "second-order" a pair (q, v) with q' = v and v' = a(t, q, v), "split" the same,
-    best where a does not depend on v, "lie" a term on a group; implicit; adaptive, whether it
-    estimates its error (others take constant steps, or `diffrax.HalfSolver` around them).
+    Fields:
+        make: () -> the diffrax solver.
+        order: of convergence.
+        kind: of equations: "ode" any vector field; "second-order" a pair (q, v) with q' = v and
+            v' = a(t, q, v); "split" the same, best if a does not depend on v; "lie" a term on a
+            group.
+        implicit: whether a step solves equations.
+        adaptive: whether it estimates its error. Others take constant steps, or are wrapped in
+            `diffrax.HalfSolver`.
     """
 
     make: Callable[[], diffrax.AbstractSolver]
@@ -32,7 +37,7 @@ class Entry:
 
 
 def all() -> dict[str, Entry]:
-    """name -> `Entry`, in a fixed order.
+    """List the solvers by name, in a fixed order.
 
     Example:
         >>> import rbjax as rb

@@ -16,13 +16,13 @@ from rbjax.spatial.mass import (
     kinetic_energy,
     mass_properties,
     momentum,
-    moved,
     parallel_axes,
     principal_axes,
     pseudo_inertia,
     rotate_inertia,
     spatial_inertia,
     transform_inertia,
+    transform_properties,
 )
 from rbjax.spatial.plucker import (
     central_axis,
@@ -73,7 +73,7 @@ __all__ = [
     "motion_cross",
     "motion_cross_matrix",
     "motion_transform",
-    "moved",
+    "transform_properties",
     "operators",
     "parallel_axes",
     "power",

@@ -50,7 +50,7 @@ class PrincipalAxes(NamedTuple):
 
 @takes(mass="scalar", com="vector", inertia="matrix")
 def spatial_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.Array:
-    """I (..., 6, 6) from mass, centre of mass and the inertia about it.
+    """The spatial inertia I (..., 6, 6) from mass, centre of mass and the inertia about it.
 
     >>> spatial_inertia(2.0, [0.0, 0.0, 1.0], jnp.eye(3))[0].tolist()
     [3.0, 0.0, 0.0, 0.0, -2.0, 0.0]
@@ -87,14 +87,16 @@ def parallel_axes(inertia: jax.Array, mass: jax.Array, offset: jax.Array) -> jax
 
 @takes(R="rotation", inertia="matrix")
 def rotate_inertia(R: jax.Array, inertia: jax.Array) -> jax.Array:
-    """R I R^T (..., 3, 3): I_A from I_B and R = R_AB."""
+    """Rotate an inertia: R I R^T (..., 3, 3), I_A from I_B and R = R_AB."""
     return stacked(Sym3.upper(Mat3(*entries(inertia, 2))).rotated(Mat3(*entries(R, 2))).dense, 3, 3)
 
 
 @takes(T="pose", mass="scalar", com="vector", inertia="matrix")
-def moved(T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array) -> MassProperties:
+def transform_properties(
+    T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array
+) -> MassProperties:
     """The mass properties in A from those in B, with T the pose of B in A:
-    `moved(T, *properties)`.
+    `transform_properties(T, *properties)`.
     """
     R, p = pose_parts(T)
     turned = rotate_inertia(T[..., :3, :3], inertia)
@@ -103,7 +105,7 @@ def moved(T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array) -> 
 
 @takes(T="pose", matrix="matrix6")
 def transform_inertia(T: jax.Array, matrix: jax.Array) -> jax.Array:
-    """X* I X^-1 (..., 6, 6): the spatial inertia in A from that in B, with T the pose of B in A.
+    """Transform a spatial inertia from B to A: X* I X^-1 (..., 6, 6), with T the pose of B in A.
 
     I may be any symmetric (6, 6), such as added mass.
     """
@@ -114,13 +116,13 @@ def transform_inertia(T: jax.Array, matrix: jax.Array) -> jax.Array:
 
 @takes(matrix="matrix6", V="twist")
 def momentum(matrix: jax.Array, V: jax.Array) -> jax.Array:
-    """I V (..., 6): [angular momentum about the origin; linear momentum]."""
+    """The momentum I V (..., 6): [angular momentum about the origin; linear momentum]."""
     return matvec(matrix, V)
 
 
 @takes(matrix="matrix6", V="twist")
 def kinetic_energy(matrix: jax.Array, V: jax.Array) -> jax.Array:
-    """V . I V / 2 (...).
+    """The kinetic energy V . I V / 2 (...).
 
     >>> float(kinetic_energy(spatial_inertia(2.0, [0.0, 0.0, 0.0], jnp.eye(3)), jnp.ones(6)))
     4.5
@@ -187,7 +189,7 @@ class Consistency(NamedTuple):
 
 @takes(mass="scalar", com="vector", inertia="matrix")
 def pseudo_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.Array:
-    """P (..., 4, 4) of mass, centre of mass and the inertia about it.
+    """The pseudo-inertia P (..., 4, 4) of mass, centre of mass and the inertia about it.
 
     >>> jnp.diag(pseudo_inertia(2.0, [0.0, 0.0, 1.0], jnp.eye(3))).tolist()
     [0.5, 0.5, 2.5, 2.0]

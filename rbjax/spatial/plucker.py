@@ -26,7 +26,7 @@ from rbjax.spatial.vectors import Force, Motion, Transform
 
 @takes(T="pose")
 def motion_transform(T: jax.Array) -> jax.Array:
-    """X_AB (..., 6, 6), which is Ad(T).
+    """The motion transform X_AB (..., 6, 6), which is Ad(T).
 
     >>> motion_transform(se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))[:, 2].tolist()
     [0.0, 0.0, 1.0, 0.0, -2.0, 0.0]
@@ -47,13 +47,13 @@ def force_transform(T: jax.Array) -> jax.Array:
 
 @takes(T="pose", V="twist")
 def transform_motion(T: jax.Array, V: jax.Array) -> jax.Array:
-    """X_AB V (..., 6) without the matrix: (R omega, R v + p x R omega)."""
+    """Transform a motion: X_AB V (..., 6) = (R omega, R v + p x R omega)."""
     return stacked(Transform(*pose_parts(T)).motion_to_parent(_motion(V)))
 
 
 @takes(T="pose", F="twist")
 def transform_force(T: jax.Array, F: jax.Array) -> jax.Array:
-    """X*_AB F (..., 6) without the matrix: (R n + p x R f, R f)."""
+    """Transform a force: X*_AB F (..., 6) = (R n + p x R f, R f)."""
     return stacked(Transform(*pose_parts(T)).T(_force(F)))
 
 
@@ -98,7 +98,7 @@ def force_cross_matrix(V: jax.Array) -> jax.Array:
 
 @takes(V="twist", m="twist")
 def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
-    """V x m (..., 6).
+    """The cross product V x m (..., 6) of motions.
 
     >>> motion_cross([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 5.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, -5.0, 0.0]
@@ -108,7 +108,7 @@ def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
 
 @takes(V="twist", f="twist")
 def force_cross(V: jax.Array, f: jax.Array) -> jax.Array:
-    """V x* f (..., 6).
+    """The cross product V x* f (..., 6) of a motion and a force.
 
     >>> force_cross([0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
@@ -177,7 +177,7 @@ def merge_wrenches(wrenches: jax.Array, points: jax.Array, about: jax.Array) -> 
 
 @takes(F="twist", V="twist")
 def power(F: jax.Array, V: jax.Array) -> jax.Array:
-    """n . omega + f . v (...) of a wrench and a twist at the same point in the same axes.
+    """The power n . omega + f . v (...) of a wrench and a twist at the same point in the same axes.
 
     >>> float(power([1.0, 0.0, 0.0, 0.0, 2.0, 0.0], [3.0, 0.0, 0.0, 0.0, 4.0, 0.0]))
     11.0

@@ -1,6 +1,6 @@
 """Mass, centre of mass and inertia of solids, from their dimensions and density or mass.
 
-Lengths are in m. A shape is at the origin with its axis along z, and `moved` puts it elsewhere.
+Lengths are in m. A shape is at the origin with its axis along z; `transform_properties` moves it.
 Density is in kg/m^3 (kg/m^2 for a plate, kg/m for a rod). Dimensions may be batches, and everything
 is differentiable in them. `combine` joins bodies, and `hole` makes one of them empty space:
 
@@ -169,7 +169,7 @@ def plate(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> Mass
 
 
 def combine(parts: Sequence[MassProperties]) -> MassProperties:
-    """One body from several in the same frame (`moved` transforms them), which may be holes.
+    """Join bodies in the same frame (`transform_properties` moves them), which may be holes.
 
     >>> two = [MassProperties(jnp.array(1.0), jnp.array([x, 0.0, 0.0]), jnp.zeros((3, 3)))
     ...        for x in (-1.0, 3.0)]

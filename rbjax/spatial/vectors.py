@@ -108,6 +108,10 @@ class RigidInertia:
         """I v: momentum from velocity, or force from acceleration."""
         return Force(self.J @ v.ang + self.h.cross(v.lin), v.lin * self.m - self.h.cross(v.ang))
 
+    def bias_force(self, w: Vec3) -> Force:
+        """[w x J w; w x (w x h)], the force of rotation at constant w."""
+        return Force(w.cross(self.J @ w), w.cross(w.cross(self.h)))
+
     def rotated(self, R: Mat3) -> RigidInertia:
         """The same inertia in axes rotated by R."""
         return RigidInertia(self.m, R @ self.h, self.J.rotated(R))

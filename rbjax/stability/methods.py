@@ -1,4 +1,4 @@
-"""The solver from the arguments that this package accepts: a name, a solver or a tableau."""
+"""Solvers from the arguments of this package: a name, a solver or a tableau."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from rbjax.solvers.root_finding import very_chord
 Solver = diffrax.AbstractSolver | str | Tableau
 
 
-def made(solver: Any) -> Any:
-    """The solver: itself, that of a name in `rb.solvers.all()`, or that of a tableau.
+def solver_of(solver: Any) -> Any:
+    """Resolve a solver: itself, the solver of a name in `rb.solvers.all()`, or that of a tableau.
 
     Raises:
         UnknownName: an unknown name.
         InputError: a class instead of its instance, or no method that steps.
 
-    >>> made("rk4")
+    >>> solver_of("rk4")
     RK4()
     """
     if isinstance(solver, str):
@@ -44,12 +44,13 @@ def made(solver: Any) -> Any:
     raise InputError(f"solver: got {got}, which does not step; expected {expected}")
 
 
-def stepping(solver: Any) -> Any:
-    """`made`, for equal steps, with a root finder that needs no tolerances of a controller.
+def fixed_step_solver(solver: Any) -> Any:
+    """Resolve a solver for equal steps, with a root finder that needs no tolerances of a
+    controller.
 
     Diagonally implicit methods of diffrax have one that does.
     """
-    solver = made(solver)
+    solver = solver_of(solver)
     if not isinstance(solver, diffrax.AbstractImplicitSolver):
         return solver
     own = isinstance(getattr(solver.root_finder, "rtol", 0.0), (int, float))

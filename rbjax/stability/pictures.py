@@ -27,7 +27,7 @@ def plot_regions(
     window: Window = (-5.0, 1.0, -4.0, 4.0),
     points: int = 401,
 ) -> None:
-    """Regions of absolute stability over z = h lambda, each an outline on a light ground.
+    """Draw regions of absolute stability over z = h lambda, as outlines on a light ground.
 
     Args:
         ax: axes of matplotlib; its colour cycle is used.
@@ -63,7 +63,7 @@ def plot_regions(
 
 
 def plot_spectral_radius(ax: Axes, methods: Mapping[str, Method], h_omega: np.ndarray) -> None:
-    """Spectral radii over h omega, measured on one step of each solver's code.
+    """Draw spectral radii over h omega, measured on one step of each solver's code.
 
     Args:
         ax: axes of matplotlib.

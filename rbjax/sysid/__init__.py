@@ -19,10 +19,8 @@ from rbjax.sysid.data.readers import Column, read_csv, read_npz
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.data.recording_checks import Finding, findings
 from rbjax.sysid.data.splits import Split, split
-from rbjax.sysid.estimators.free_running import free_run
-from rbjax.sysid.estimators.identifiable import identifiability
-from rbjax.sysid.estimators.identification import identify
-from rbjax.sysid.estimators.identified import Identified
+from rbjax.sysid.estimators.identification import identifiability, identify
+from rbjax.sysid.estimators.identified import Identified, free_run
 from rbjax.sysid.estimators.multi_start import Basin, ManyStarts, many_starts
 from rbjax.sysid.estimators.prediction import Predicted, prediction_error
 from rbjax.sysid.judgement.diagnosis import Cause, Diagnosis, diagnose
@@ -32,54 +30,13 @@ from rbjax.sysid.parameters.unknowns import Derived, FixedTotal, Inertia, Shared
 from rbjax.sysid.simulation.objective import Squares, squares
 from rbjax.sysid.simulation.setup import PD, Calibration, Grid, Setup
 from rbjax.sysid.simulation.traces import Trace
+from rbjax.sysid.status import FitStatus
 
 __all__ = [
-    # estimators
-    "identify",
-    "identifiability",
-    "Identified",
-    "many_starts",
-    "ManyStarts",
-    "Basin",
-    "prediction_error",
-    "Predicted",
-    "squares",
-    "Squares",
-    "free_run",
-    # unknowns
-    "Unknown",
-    "Inertia",
-    "Shared",
-    "FixedTotal",
-    "Tilt",
-    "Derived",
-    # what is simulated
-    "Setup",
-    "Calibration",
-    "PD",
-    "Grid",
-    # recordings
-    "Channel",
-    "Recording",
-    "Column",
-    "read_csv",
-    "read_npz",
-    "Split",
-    "split",
-    "Finding",
-    "findings",
-    # judgement
-    "Trace",
-    "diagnose",
-    "Diagnosis",
-    "Cause",
-    "report",
-    "monte_carlo",
-    "MonteCarlo",
-    # rooms
-    "data",
-    "design",
-    "parameters",
-    "statistics",
-    "torque",
-]
+    "Basin", "Calibration", "Cause", "Channel", "Column", "Derived", "Diagnosis", "Finding",
+    "FitStatus", "FixedTotal", "Grid", "Identified", "Inertia", "ManyStarts", "MonteCarlo", "PD",
+    "Predicted", "Recording", "Setup", "Shared", "Split", "Squares", "Tilt", "Trace", "Unknown",
+    "data", "design", "diagnose", "findings", "free_run", "identifiability", "identify",
+    "many_starts", "monte_carlo", "parameters", "prediction_error", "read_csv", "read_npz",
+    "report", "split", "squares", "statistics", "torque",
+]  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import instance, real_array, real_number, shown
+from rbjax.arguments import real_array, real_number, shown
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, listed
 from rbjax.sysid.data.recording import Recording
@@ -15,7 +15,7 @@ from rbjax.sysid.simulation.setup import Setup
 
 
 def setup_of(where: str, model: Any) -> Setup:
-    """The set-up, or that of a model with ideal sensors."""
+    """Return a set-up as it is, and a model as a set-up with ideal sensors."""
     if isinstance(model, Setup):
         check_model(where, model.model)
         return model
@@ -24,7 +24,7 @@ def setup_of(where: str, model: Any) -> Setup:
 
 
 def recordings_of(where: str, recordings: Any, *, empty: bool = False) -> list[Recording]:
-    """One recording, or a sequence of them, as a list."""
+    """Return one recording, or a sequence of recordings, as a list."""
     runs = [recordings] if isinstance(recordings, Recording) else recordings
     if not isinstance(runs, Sequence) or not all(isinstance(run, Recording) for run in runs):
         raise InputError(
@@ -43,37 +43,32 @@ def recordings_of(where: str, recordings: Any, *, empty: bool = False) -> list[R
     return list(runs)
 
 
-def check_kind(where: str, name: str, value: Any, kind: type, fix: str) -> None:
-    """`InputError` unless a value is of a kind; fix, where such a value comes from."""
-    instance(where, name, value, kind, f"{kind.__name__}: {fix}")
+def floats(
+    where: str, name: str, x: Any, fix: str = "an array of numbers", *, finite: bool = False
+) -> np.ndarray:
+    """Return x as an array of float64, in which nan may be a missing sample."""
+    return real_array(where, name, x, fix, finite=finite)
 
 
-def floats(where: str, name: str, x: Any, fix: str = "an array of numbers") -> np.ndarray:
-    """x as an array of float64."""
-    return real_array(where, name, x, fix, finite=False)
-
-
-def check_how(
-    where: str, loss: Any = "squares", starts: Any = None, *, pieces: Any = None,
-    shooting: Any = None,
-) -> None:  # fmt: skip
-    """`InputError` for a loss, starts or lengths in s that a fit cannot have."""
+def check_options(
+    where: str, loss: Any = "squares", estimate_initial_state: Any = None, **lengths: Any
+) -> None:
+    """`InputError` for an unknown loss, an invalid flag, or a length that is not seconds above
+    0."""
     if not (isinstance(loss, str) and loss in ("squares", "huber")):
         raise InputError(f'{where}: loss is {loss!r}, expected "squares" or "huber"')
-    if not (starts is None or isinstance(starts, bool)):
-        raise InputError(f"{where}: starts is {starts!r}, expected True, False or None")
-    for name, seconds in (("pieces", pieces), ("shooting", shooting)):
+    if not (estimate_initial_state is None or isinstance(estimate_initial_state, bool)):
+        raise InputError(
+            f"{where}: estimate_initial_state is {estimate_initial_state!r}, expected True, False "
+            "or None"
+        )
+    for name, seconds in lengths.items():
         if seconds is not None:
-            check_seconds(where, name, seconds)
-
-
-def check_seconds(where: str, name: str, seconds: Any) -> None:
-    """`InputError` unless a length in s is a finite number above 0."""
-    real_number(where, name, seconds, "seconds above 0", above=0.0)
+            real_number(where, name, seconds, "seconds above 0", above=0.0)
 
 
 def names_of(where: str, name: str, given: Any) -> tuple[str, ...]:
-    """Names as a tuple; a str is its letters."""
+    """Return names as a tuple; a str is its letters."""
     if not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
         raise InputError(f"{where}: {name} is {shown(given)}, expected a list of names")
     return tuple(given)

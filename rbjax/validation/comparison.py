@@ -1,4 +1,4 @@
-"""`compare`: a robot's motion against MuJoCo C (f64) and MJX (f32 and f64)."""
+"""Comparison of a robot's motion with MuJoCo C (f64) and MJX (f32 and f64)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def compare(
     floating_base: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
-    """Run a robot in rbjax, MuJoCo C and MJX side by side.
+    """Compare a robot in rbjax, MuJoCo C and MJX side by side.
 
     The comparison covers body poses and velocities, mass matrix, bias forces, forward dynamics with
     the model's own springs, dampers and actuators, one semi-implicit Euler step, a trajectory's
@@ -131,7 +131,7 @@ def compare(
 
 
 def describe(source: Any) -> str:
-    """A robot's name for titles: that of its file, or "model"."""
+    """The name of a robot for titles: that of its file, or "model"."""
     text = str(source) if isinstance(source, (str, Path)) else "<"
     return "model" if text.lstrip().startswith("<") else Path(text).name
 

@@ -1,4 +1,4 @@
-"""MJX's side of the comparison: one compiled step and one compiled vjp of it.
+"""The side of MJX in the comparison: one compiled step and one compiled vjp of it.
 
 The data of a step has the quantities at its start (poses, M, bias, acceleration) and the state at
 its end, so one program gives every quantity. The gradient of a trajectory runs the vjp of the step
@@ -28,7 +28,8 @@ UNFUSED = (WITHOUT_EMITTERS, ("xla_disable_hlo_passes", "fusion"))
 
 
 def fast() -> dict[str, Any] | None:
-    """The first of `UNFUSED` that this jaxlib knows (0.11 lost the first); None off the CPU."""
+    """The first option of `UNFUSED` that this jaxlib knows (0.11 lost the first); None off the
+    CPU."""
     if jax.default_backend() != "cpu":
         return None
     return dict([next(option for option in UNFUSED if xla_accepts(*option))])
@@ -63,7 +64,8 @@ class Mjx:
         }
 
     def _velocities(self, d: Any) -> jax.Array:
-        """`cvel` is [angular; linear] at the subtree's centre of mass; moved to body origins."""
+        """Twists at body origins. `cvel` is [angular; linear] at the centre of mass of the
+        subtree."""
         m = self.reference
         arm = d.xpos[1:] - d.subtree_com[m.body_rootid[1:]]
         angular, linear = d.cvel[1:, :3], d.cvel[1:, 3:]

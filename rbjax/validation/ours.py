@@ -1,4 +1,4 @@
-"""rbjax's side of the comparison: the quantities of `reference`, the motion, its gradient."""
+"""The side of rbjax in the comparison: the quantities of `reference`, the motion, its gradient."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from rbjax.validation.reference import Array, Samples
 
 
 def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
-    """Poses, velocities, M, bias forces and accelerations in the given dtype, one row a state.
+    """Compute poses, velocities, M, bias forces and accelerations in a dtype, one row a state.
 
     The model is closed over, so its zeros are structural, as in a simulation of one robot.
     """
@@ -74,12 +74,12 @@ def motion(
 
 
 def quick() -> dict[str, Any]:
-    """Compiler options for programs that run once: only results matter here, not times."""
+    """Compiler options for programs that run once: fast to compile, slow to run."""
     return {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else {}
 
 
 def cast(tree: Any, dtype: Any) -> Any:
-    """The pytree with its floating arrays in the given dtype."""
+    """Convert the floating arrays of a pytree to a dtype."""
 
     def one(x: Any) -> Any:
         floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)

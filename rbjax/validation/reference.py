@@ -18,8 +18,8 @@ import mujoco
 import numpy as np
 
 from rbjax.loading import compile_model
-from rbjax.loading.mjcf.actuator_kinds import is_at_joint, what_is_left_out
 from rbjax.loading.mjcf.dropped import dropped_features, tendon_is_supported
+from rbjax.loading.mjcf.fields import is_at_joint, reason_left_out
 
 Array = np.ndarray
 
@@ -60,7 +60,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     m.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     m.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     for i in range(m.nactuator):
-        if what_is_left_out(m, i):
+        if reason_left_out(m, i):
             loosen(m, i)
         if not is_at_joint(m, i):
             m.actuator_damping[i] = m.actuator_dampingpoly[i] = m.actuator_armature[i] = 0.0
@@ -74,7 +74,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
 
 
 def loosen(m: mujoco.MjModel, i: int) -> None:
-    """Take the forces of actuator i from the joints."""
+    """Disconnect actuator i from the joints."""
     first = m.actuator_outadr[i]
     m.actuator_gear[first : first + m.actuator_outnum[i]] = 0.0
     if m.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_SO3:  # no gear acts on its torques
@@ -94,7 +94,8 @@ class Samples:
 
 
 def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
-    """States near that of the file, uniform attitudes, velocities of spread 1, inner controls."""
+    """Draw states near that of the file: uniform attitudes, velocities of spread 1, inner
+    controls."""
     rng = np.random.default_rng(seed)
     q = m.qpos0 + rng.uniform(-1.0, 1.0, (count, m.nq))
     for kind, at in zip(m.jnt_type, m.jnt_qposadr, strict=True):
@@ -113,8 +114,8 @@ def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
 
 
 def quantities(m: mujoco.MjModel, samples: Samples) -> dict[str, Array]:
-    """The quantities of MuJoCo at each state: poses, velocities, M, bias, acceleration, one step.
-    """
+    """The quantities of MuJoCo at each state: poses, velocities, M, bias, acceleration, one
+    step."""
     data, rows = mujoco.MjData(m), []
     for q, v, ctrl in zip(samples.q, samples.v, samples.ctrl, strict=True):
         mujoco.mj_resetData(m, data)

@@ -1,14 +1,14 @@
-"""Wheeled robots: rolling without slipping, and slipping when they must.
+"""Wheeled robots: rolling without slipping, and slipping.
 
 parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
 robots         kinds, with_trailers; from_file, of MJCF and URDF
-fidelities     at(robot, name) -> a vehicle; fidelities
-as a Model     full_model, with rolling rows; full_model_state
+fidelities     at(robot, name) -> RobotModel; fidelities
+as a Model     full_model, with rolling constraints; full_model_state
 as a file      write_mjcf, with wheels that touch a plane
 motion         start, rates, rollout, simulate, contacts
 following      commands, pure_pursuit, stanley, tracking_gains
 control        controlled, the system of an rb.control.Problem
-odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
+odometry       poses by the angles of wheels; HeadingSlip, a model of slip
 equations      reduced, undetermined: the terms S, M, C, B, f, and A with its multipliers
 motors         TorqueSource, SpeedServo, DCMotor
 tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
@@ -19,10 +19,8 @@ from rbjax.wheeled.files.reading import from_file
 from rbjax.wheeled.files.writing import write_mjcf
 from rbjax.wheeled.kinematics.odometry import HeadingSlip, mean_twists, odometry, rolled_twists
 from rbjax.wheeled.models.constrained import full_model_state
-from rbjax.wheeled.models.contact_forces import Contacts, contacts
 from rbjax.wheeled.models.reduction import Reduced, Undetermined, reduced, undetermined
-from rbjax.wheeled.models.robot_model import RobotModel
-from rbjax.wheeled.models.states import rates, start
+from rbjax.wheeled.models.robot_model import Contacts, RobotModel, contacts, rates, start
 from rbjax.wheeled.motion.control_system import RobotSystem, controlled
 from rbjax.wheeled.motion.following import (
     Commands,
@@ -33,9 +31,9 @@ from rbjax.wheeled.motion.following import (
 )
 from rbjax.wheeled.motion.rollout import rollout, simulate
 from rbjax.wheeled.multibody.full_model import full_model
-from rbjax.wheeled.registry import at, fidelities, kinds
+from rbjax.wheeled.registry import at, fidelities
 from rbjax.wheeled.robot.arrangement import Arrangement
-from rbjax.wheeled.robot.catalogue import with_trailers
+from rbjax.wheeled.robot.catalogue import kinds, with_trailers
 from rbjax.wheeled.robot.motors import DCMotor, Motor, SpeedServo, TorqueSource
 from rbjax.wheeled.robot.robot import Body, Drive, Robot, Steering, Wheel
 from rbjax.wheeled.tyres.element import Contact, TyreOnGround

@@ -28,6 +28,7 @@ def check_ranges(
     record: Record,
     *,
     pairs: Sequence[str] = (),
+    tables: Sequence[str] = (),
     per_axis: bool = False,
     above: Mapping[str, Any] = _NO_RANGE,
     least: Mapping[str, Any] = _NO_RANGE,
@@ -38,6 +39,7 @@ def check_ranges(
     Args:
         record: its fields are numbers, other records, or static.
         pairs: fields of two numbers, x and y.
+        tables: fields of any shape.
         per_axis: whether a field may have one number along the wheel and one across.
         above, least, most: limits by field. Traced values are not checked.
     """
@@ -46,12 +48,16 @@ def check_ranges(
         value, where = getattr(record, field.name), f"{type(record).__name__}({field.name}=...)"
         if not str(field.type).startswith(("jax.Array", "<class 'jax.Array")) or value is None:
             continue
-        check_numbers(where, value, endless=record.may_be_endless(field.name))
+        check_numbers(where, value, infinite=record.may_be_infinite(field.name))
         shape = jnp.shape(value)
         if field.name in pairs:
             if shape != (2,):
                 raise InputError(f"{where}: got shape {shape}, expected (2,), x and y in m")
-        elif shape != () and not (per_axis and shape == (2,) and field.name not in _SHARED):
+        elif (
+            shape != ()
+            and field.name not in tables
+            and not (per_axis and shape == (2,) and field.name not in _SHARED)
+        ):
             fix = ", or (2,): one along the wheel and one across" if per_axis else ""
             raise InputError(
                 f"{where}: got the shape {shape}, expected a number{fix}; for many use jax.vmap"

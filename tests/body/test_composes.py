@@ -82,7 +82,9 @@ SPATIAL = {
     ),
     "parallel_axes": lambda x, y, s, d: spatial.parallel_axes(inertia(s), d[0], d),
     "rotate_inertia": lambda x, y, s, d: spatial.rotate_inertia(so3.exp(d), inertia(s)),
-    "moved": lambda x, y, s, d: spatial.moved(turn(x), d[0], s, inertia(s)),
+    "transform_properties": lambda x, y, s, d: spatial.transform_properties(
+        turn(x), d[0], s, inertia(s)
+    ),
     "transform_inertia": lambda x, y, s, d: spatial.transform_inertia(
         turn(x), spatial.spatial_inertia(d[0], s, inertia(s))
     ),

@@ -14,7 +14,9 @@ from tests.tolerances import F64_ROUNDING, relative_error
 
 RNG = np.random.default_rng(4)
 BODY = body.Body(
-    *spatial.moved(se3.exp(RNG.normal(size=6)), *spatial.shapes.box([1, 2, 3.0], mass=4.0))
+    *spatial.transform_properties(
+        se3.exp(RNG.normal(size=6)), *spatial.shapes.box([1, 2, 3.0], mass=4.0)
+    )
 )
 T, V = np.asarray(se3.exp(RNG.normal(size=6))), RNG.normal(size=6)
 R = T[:3, :3]

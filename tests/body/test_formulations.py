@@ -27,7 +27,7 @@ from tests.tolerances import F64_IDENTITY, relative_error
 
 RNG = np.random.default_rng(11)
 _off = se3.exp(0.4 * RNG.normal(size=6))  # the centre of mass is not the origin, no axis principal
-PROPERTIES = spatial.moved(_off, *spatial.shapes.box([0.3, 0.5, 0.8], mass=2.0))
+PROPERTIES = spatial.transform_properties(_off, *spatial.shapes.box([0.3, 0.5, 0.8], mass=2.0))
 _half = RNG.normal(size=(6, 6))
 ADDED = 0.1 * _half @ _half.T
 EVERYTHING = (
@@ -125,9 +125,7 @@ SLOWLY = pytest.mark.slow
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(n, marks=SLOWLY) for n in (*MINIMAL, *SLOW, *ATTITUDE_FREE)
-    ],
+    [pytest.param(n, marks=SLOWLY) for n in (*MINIMAL, *SLOW, *ATTITUDE_FREE)],
 )
 def test_trajectories_are_the_same(name: str) -> None:
     """Ten seconds of swinging, as Kirchhoff has them."""

@@ -24,9 +24,9 @@ from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written, batch_first, batch_last
 from rbjax.compiler.ir.statements import Loop, walk
 from rbjax.compiler.ir.verify import verify
-from rbjax.compiler.jax.function import threaded
+from rbjax.compiler.jax.function import compile_threads
 from rbjax.compiler.jax.native import compile
-from rbjax.compiler.llvm.batch import parts
+from rbjax.compiler.llvm.batch import write_parts
 from rbjax.compiler.lower.write import write_program
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
@@ -72,8 +72,8 @@ def host_source(program: Written, name: str = "run") -> str:
     ]  # fmt: skip
     head = f'extern "C" void {name}({parameters(program, "")}){{'
     loop = f"for(long long b=0;b<{math.prod(program.batch)}ll;b++){{"
-    parts = [HOST_HEAD, PREAMBLE, *tables, head, *clear, loop, *body, *lines, *after, "}}"]
-    return "\n".join(parts)
+    write_parts = [HOST_HEAD, PREAMBLE, *tables, head, *clear, loop, *body, *lines, *after, "}}"]
+    return "\n".join(write_parts)
 
 
 def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
@@ -93,7 +93,10 @@ def compiled(source: str, flags: Sequence[str] = FLAGS) -> Any:
 
 
 def written(
-    f: Callable, *args: Any, layout: Callable = batch_first, platform: str = "cuda",
+    f: Callable,
+    *args: Any,
+    layout: Callable = batch_first,
+    platform: str = "cuda",
     team: bool = False,
 ) -> tuple[Written, Any, list]:
     """The program of f, the tree of its results, and their shapes and types."""
@@ -149,7 +152,7 @@ def many_on_host(
 def as_kernel(f: Callable, *args: Any, team: bool = False) -> Any:
     """f of each sample of a batch, batch first, by a kernel of the GPU."""
     placed = jax.device_put(args, jax.devices("cuda")[0])
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(threaded(f, team=team)))(*placed))
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(compile_threads(f, team=team)))(*placed))
 
 
 def by_xla(cases: Sequence[Case]) -> list:
@@ -188,6 +191,7 @@ def on_host(f: Callable, *args: Any) -> Any:
 
 # ------------------------------------------------------------------- vectors
 
+
 def by_vectors(cases: Sequence[Case], lanes: int = 4, samples: int = 5) -> list:
     """The same by vectors of samples. Few samples are repeated; the batch is first or last."""
     return [_by_vectors(f, args, lanes, samples, bool(k % 2)) for k, (f, args) in enumerate(cases)]
@@ -204,7 +208,7 @@ def _by_vectors(f: Callable, args: tuple, lanes: int, samples: int, last: bool) 
     shapes = [layout.shape for layout in program.layouts[1]]
     # poisoned, so that an entry that is not written shows
     results = [np.full(s, 77, a.dtype) for s, a in zip(shapes, avals, strict=True)]
-    run, _ = part_function(parts(program, lanes))
+    run, _ = part_function(write_parts(program, lanes))
     run([*map(np.ascontiguousarray, leaves), *results])
     if last:
         results = [np.moveaxis(x, -1, 0) for x in results]

@@ -135,7 +135,7 @@ def switch(monkeypatch):
 
     def turn(on: bool) -> None:
         jax.clear_caches()
-        for name in ("dynamics.tracing.algorithm", "dynamics.algorithms.forward", "motion.rollout"):
+        for name in ("dynamics.tracing.algorithm", "motion.rollout"):
             monkeypatch.setattr(importlib.import_module(f"rbjax.{name}"), "wanted", lambda: on)
 
     yield turn

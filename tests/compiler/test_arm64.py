@@ -19,8 +19,8 @@ from jax import lax
 
 import rbjax as rb
 from rbjax.compiler.llvm import jit as llvm_jit
-from rbjax.compiler.llvm.batch import Parts, parts
-from rbjax.compiler.llvm.xla_handler import handler
+from rbjax.compiler.llvm.batch import Parts, write_parts
+from rbjax.compiler.llvm.xla_handler import write_handler
 from tests.compiler import random_programs
 from tests.compiler.host import Case, by_xla, size, written
 
@@ -62,7 +62,7 @@ def machine(triple: str = "aarch64-unknown-linux-gnu", cpu: str = "generic") -> 
 
 def code_of(text: str, machine: Any) -> bytes:
     """The object file of IR, by the passes of `llvm_jit`."""
-    return llvm_jit.object_of(text, llvm_jit.LEVELS.passes, machine)
+    return llvm_jit.compile_object(text, llvm_jit.LEVELS.passes, machine)
 
 
 def emulated(made: Parts, arrays: list[np.ndarray], results: list[np.ndarray], at: Path) -> None:
@@ -88,7 +88,7 @@ def compare(cases: list[Case], lanes: int, at: Path, tolerance: float) -> None:
         program, tree, avals = written(f, *args, platform="cpu")
         results = [np.full((size(args), *a.shape), 77, a.dtype) for a in avals]
         arrays = [np.ascontiguousarray(x) for x in jax.tree.leaves(args)]
-        emulated(parts(program, lanes), arrays, results, at)
+        emulated(write_parts(program, lanes), arrays, results, at)
         for a, b in zip(results, jax.tree.leaves(want), strict=True):
             np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance, equal_nan=True)
         assert jax.tree.structure(want) == tree
@@ -146,6 +146,6 @@ def test_random_programs(tmp_path):
 def test_what_xla_calls_has_an_object_file(triple, cpu):
     """The handler with its atomic operations; it is not run."""
     program, _, _ = written(lambda x: jnp.sin(x) + 1, drawn(4096, 3), platform="cpu")
-    module, _ = handler(program)
+    module, _ = write_handler(program)
     code = code_of(module.text, machine(triple, cpu))
     assert b"run" in code and len(code) > 1000

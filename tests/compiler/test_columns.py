@@ -17,7 +17,7 @@ from rbjax.compiler.jax.primitive import on_gpu
 from rbjax.compiler.lower.write import write_program
 from rbjax.dynamics.algorithms import columns
 from rbjax.dynamics.algorithms.regressor import regressor_by_columns
-from rbjax.dynamics.drivers.choice import THREADS_APART_ABOVE
+from rbjax.dynamics.drivers.choice import KERNELS_ABOVE
 from tests.compiler.block import emulated
 from tests.compiler.host import COMPILER
 from tests.compiler.test_algorithms import switch  # noqa: F401 (a fixture)
@@ -40,7 +40,7 @@ def given() -> tuple[rb.Model, list[jax.Array]]:
     sample = walker(text=CART)
     q, v = sample.states(BATCH)
     a = np.random.default_rng(0).normal(size=v.shape)
-    assert sample.model.nv > THREADS_APART_ABOVE
+    assert sample.model.nv > KERNELS_ABOVE
     return sample.model.replace(driver="auto"), [jnp.asarray(x) for x in (q, v, a)]
 
 
@@ -88,10 +88,7 @@ def by_kernels(f: Any, *args: Any) -> tuple[list[np.ndarray], list[str]]:
 @pytest.mark.parametrize("driver", ["limbs", pytest.param("rolled", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name == "forward" else ())
-        for name in PUBLIC
-    ],
+    [pytest.param(name, marks=pytest.mark.slow if name == "forward" else ()) for name in PUBLIC],
 )
 def test_by_columns(name, driver):
     model, args = given()

@@ -13,14 +13,14 @@ import pytest
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import rbjax as rb
-from rbjax.compiler.cuda import driver_cache, nvrtc, stores
+from rbjax.compiler.cuda import driver, nvrtc, stores
 from rbjax.compiler.cuda import kernels as cuda
 from rbjax.compiler.cuda.c_source import Printer
 from rbjax.compiler.cuda.kernels import Kernel, kernel
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.program import Layout, Written, batch_first
 from rbjax.compiler.jax import launch, primitive
-from rbjax.compiler.jax.function import threaded
+from rbjax.compiler.jax.function import compile_threads
 from rbjax.compiler.lower.write import write_program
 from tests.compiler.block import emulated
 from tests.compiler.host import COMPILER, many_on_host, written
@@ -43,8 +43,8 @@ def gpu(monkeypatch):
     monkeypatch.setattr(launch, "ptx", lambda source, capability: "PTX")
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
     monkeypatch.setattr(launch, "ordinal", lambda: 0)
-    monkeypatch.setattr(launch, "works", lambda: True)
-    primitive._say.cache_clear()
+    monkeypatch.setattr(launch, "kernels_work", lambda: True)
+    primitive._warn.cache_clear()
 
 
 def lowered(g, *args) -> str:
@@ -52,23 +52,23 @@ def lowered(g, *args) -> str:
 
 
 def calls(g, *args) -> int:
-    return lowered(g, *args).count(launch.TARGET)
+    return lowered(g, *args).count(launch.GPU_KERNEL)
 
 
 def total(x, w):
-    return (jax.vmap(threaded(f), (0, None))(x, w) ** 2).sum()
+    return (jax.vmap(compile_threads(f), (0, None))(x, w) ** 2).sum()
 
 
 @pytest.mark.parametrize(
     ("g", "args", "count"),
     [
-        (jax.vmap(threaded(f)), (X,), 1),
-        (jax.vmap(jax.grad(lambda x: threaded(f)(x).sum())), (X,), 1),
-        (jax.vmap(jax.jacfwd(threaded(f))), (X,), 1),
+        (jax.vmap(compile_threads(f)), (X,), 1),
+        (jax.vmap(jax.grad(lambda x: compile_threads(f)(x).sum())), (X,), 1),
+        (jax.vmap(jax.jacfwd(compile_threads(f))), (X,), 1),
         (jax.grad(total, (0, 1)), (X, W), 2),
-        (jax.vmap(threaded(jax.grad(lambda x: f(x).sum()))), (X,), 1),
-        (jax.vmap(threaded(lambda x: threaded(f)(x).sum())), (X,), 1),
-        (jax.vmap(threaded(f)), (X[:0],), 0),
+        (jax.vmap(compile_threads(jax.grad(lambda x: f(x).sum()))), (X,), 1),
+        (jax.vmap(compile_threads(lambda x: compile_threads(f)(x).sum())), (X,), 1),
+        (jax.vmap(compile_threads(f)), (X[:0],), 0),
     ],
     ids=["values", "grad", "jacfwd", "grad of a sum", "grad inside", "threads inside", "empty"],
 )  # fmt: skip
@@ -87,7 +87,7 @@ def test_what_is_closed_over_may_lie_on_a_mesh(gpu):
         return rb.rollout(heavier, rb.State(x, x), steps=2, kernel=True).q.sum()
 
     def scaled(s, x):
-        return jax.vmap(threaded(lambda x: jax.lax.scan(
+        return jax.vmap(compile_threads(lambda x: jax.lax.scan(
             lambda c, _: (s * c + c.sum(), None), x, None, 3)[0]))(x).sum()  # fmt: skip
 
     assert calls(jax.grad(rolled, (0, 1)), mass, x) == 2
@@ -99,13 +99,14 @@ def test_integers_and_their_derivatives(gpu):
         return x[n] * n, n + 1, x.sum()
 
     def back(x, n):
-        found = jax.vmap(threaded(g))(x, n)
+        found = jax.vmap(compile_threads(g))(x, n)
         return (found[0] ** 2).sum()
 
     n = np.arange(200, dtype=np.int32) % 3
-    assert calls(jax.vmap(threaded(g)), X, n) == 1
+    assert calls(jax.vmap(compile_threads(g)), X, n) == 1
     assert calls(jax.grad(back), X, n) == 2
-    assert calls(lambda x: jax.jvp(lambda x: jax.vmap(threaded(g))(x, n)[0], (x,), (x,))[1], X) > 0
+    h = jax.vmap(compile_threads(g))
+    assert calls(lambda x: jax.jvp(lambda x: h(x, n)[0], (x,), (x,))[1], X) > 0
 
 
 @pytest.mark.parametrize("name", ["igamma", "tridiagonal_solve", "complex64"])
@@ -119,16 +120,16 @@ def test_what_no_thread_knows_is_said_once(gpu, name):
 
     x = X.astype(np.float32)
     with pytest.warns(UserWarning, match=f"no kernel for .*{name}"):
-        text = lowered(jax.vmap(threaded(g)), x)
-    assert launch.TARGET not in text
+        text = lowered(jax.vmap(compile_threads(g)), x)
+    assert launch.GPU_KERNEL not in text
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        lowered(jax.vmap(threaded(lambda x: g(-x))), x)
+        lowered(jax.vmap(compile_threads(lambda x: g(-x))), x)
 
 
 def test_without_kernels_xla(monkeypatch):
-    monkeypatch.setattr(launch, "works", lambda: False)
-    assert calls(jax.vmap(threaded(f)), X) == 0
+    monkeypatch.setattr(launch, "kernels_work", lambda: False)
+    assert calls(jax.vmap(compile_threads(f)), X) == 0
 
 
 def test_where_kernels_fail_it_is_said(monkeypatch):
@@ -137,18 +138,18 @@ def test_where_kernels_fail_it_is_said(monkeypatch):
 
     monkeypatch.setattr(nvrtc, "library", missing)
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
-    monkeypatch.setattr(launch, "gpu", lambda: jax.local_devices()[0])
-    monkeypatch.setattr(launch, "launch", lambda *_: launch.ptx(launch.SELF_TEST, "9.0"))
+    monkeypatch.setattr(launch, "oldest_gpu", lambda: jax.local_devices()[0])
+    monkeypatch.setattr(launch, "launch_kernel", lambda *_: launch.ptx(launch.SELF_TEST, "9.0"))
     nvrtc.version.cache_clear()
-    launch.works.cache_clear()
+    launch.kernels_work.cache_clear()
     try:
         with pytest.warns(UserWarning, match=r"found no libnvrtc.*rbjax\[cuda\]"):
-            assert not launch.works()
+            assert not launch.kernels_work()
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            assert not launch.works()
+            assert not launch.kernels_work()
     finally:
-        launch.works.cache_clear()
+        launch.kernels_work.cache_clear()
 
 
 def test_a_rollout_is_one_kernel(gpu):
@@ -191,9 +192,9 @@ def test_ptx_is_kept_beside_jax_s_cache(monkeypatch, tmp_path):
 def test_kernels_compiled_quickly(version, monkeypatch):
     monkeypatch.setattr(nvrtc, "version", lambda: version)
     new = version == "13.0"
-    with nvrtc.quickly():
+    with nvrtc.fast_compile():
         assert (nvrtc.options() != nvrtc.OPTIONS) == new
-        with nvrtc.quickly(False):
+        with nvrtc.fast_compile(False):
             assert nvrtc.options() == nvrtc.OPTIONS
     assert nvrtc.options() == nvrtc.OPTIONS
 
@@ -210,19 +211,19 @@ class Driver:
 
 @pytest.mark.parametrize("fails", ["", "cuCtxSetCurrent", "cuModuleLoadData"])
 def test_the_driver_compiles_long_ptx_once_beside_other_work(fails, monkeypatch):
-    driver = Driver(fails)
-    monkeypatch.setattr(driver_cache, "_library", lambda: driver)
-    monkeypatch.setattr(driver_cache, "_given", set())
+    libcuda = Driver(fails)
+    monkeypatch.setattr(driver, "_driver", lambda: libcuda)
+    monkeypatch.setattr(driver, "_compiled", set())
     monkeypatch.delenv("CUDA_CACHE_DISABLE", raising=False)
-    long = "x" * driver_cache.LONG
-    assert driver_cache.compile_ahead("short", lambda: 0) is None
-    driver_cache.compile_ahead(long, lambda: 0).join()
-    assert driver_cache.compile_ahead(long, lambda: 0) is None
-    assert ("cuModuleLoadData" in driver.calls) == (fails != "cuCtxSetCurrent")
-    assert ("cuModuleUnload" in driver.calls) == (not fails)
-    assert driver.calls[-1] == "cuDevicePrimaryCtxRelease"
+    long = "x" * driver.LONG
+    assert driver.compile_ahead("short", lambda: 0) is None
+    driver.compile_ahead(long, lambda: 0).join()
+    assert driver.compile_ahead(long, lambda: 0) is None
+    assert ("cuModuleLoadData" in libcuda.calls) == (fails != "cuCtxSetCurrent")
+    assert ("cuModuleUnload" in libcuda.calls) == (not fails)
+    assert libcuda.calls[-1] == "cuDevicePrimaryCtxRelease"
     monkeypatch.setenv("CUDA_CACHE_DISABLE", "1")  # what it compiles would be lost
-    assert driver_cache.compile_ahead(2 * long, lambda: 0) is None
+    assert driver.compile_ahead(2 * long, lambda: 0) is None
 
 
 # ------------------------------------------------------------------- sources
@@ -250,9 +251,9 @@ def test_rows_are_staged_where_they_are_neither_short_nor_long():
 
     layouts = [Layout((200, n), (0,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
     source = emitted(g, layouts, (200,))[0].source
-    assert re.findall(r"fetch<double,(\d+),(\d+)>", source) == [("20", "21")]
+    assert re.findall(r"load_rows<double,(\d+),(\d+)>", source) == [("20", "21")]
     assert source.count("__shared__ double s1[") == 1
-    assert re.findall(r"leave<double,(\d+),(\d+)>\(r0", source) == [("20", "21")]
+    assert re.findall(r"store_rows<double,(\d+),(\d+)>\(r0", source) == [("20", "21")]
     batch_last = [Layout((n, 200), (1,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
     source = emitted(g, batch_last, (200,), last=True)[0].source
     assert not re.search(r"(fetch|leave|flush)<double", source)
@@ -262,7 +263,7 @@ def test_rows_are_staged_where_they_are_neither_short_nor_long():
 def test_only_what_is_written_at_once_leaves_through_the_tile(in_turn, read):
     """Two results share a warp's tile: entries in turn, or one that is read again, would meet."""
     b = Builder()
-    both = [b.outside(np.float32, 3, "result") for _ in range(2)]
+    both = [b.external_array(np.float32, 3, "result") for _ in range(2)]
     places = [(array, k) for array in both for k in range(3)]
     for array, k in sorted(places, key=lambda x: x[1]) if in_turn else places:
         b.store(array, None, k, np.float32(k))
@@ -372,7 +373,7 @@ def test_staged_rows_are_memory():
     """Entries are written under a condition, read again and written again, in loops; each thread
     has a row of its own, those beyond the batch too."""
     b, size, n = Builder(), 40, 12
-    x, y = b.outside(np.float64, 1, "operand"), b.outside(np.float64, n, "result")
+    x, y = b.external_array(np.float64, 1, "operand"), b.external_array(np.float64, n, "result")
     number = b.load(x, None, 0)
     for k in reversed(range(n)):
         b.store(y, None, k, np.float64(k))
@@ -383,7 +384,7 @@ def test_staged_rows_are_memory():
         b.store(y, k, 0, b.op("add", np.float64, b.load(y, k, 0), value))
     ins, outs = batch_first((), (size,)), batch_first((n,), (size,))
     code = kernel(Written(b, (x,), (y,), ((ins,), (outs,)), (size,), (False,)))
-    assert "leave<double,12,13>(r0" in code.source
+    assert "store_rows<double,12,13>(r0" in code.source
     numbers = np.arange(size, dtype=np.float64)
     want = np.tile(np.arange(float(n)), (size, 1))
     want[:7, 3] = 100
@@ -396,7 +397,7 @@ def test_staged_rows_are_memory():
 @pytest.mark.parametrize("size", [*range(9, 41), 128])
 def test_rows_meet_few_conflicts(size):
     """At most two threads of a warp meet a bank of shared memory."""
-    pitch = stores.whole(np.dtype(np.float32), size).pitch
+    pitch = stores.whole_rows(np.dtype(np.float32), size).pitch
     assert max(np.bincount(np.arange(32) * pitch % 32)) <= 2
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rbjax.compiler.ir.program import batch_first
-from rbjax.compiler.jax import host_call
-from rbjax.compiler.llvm.xla_handler import handler
+from rbjax.compiler.jax import launch
+from rbjax.compiler.llvm.xla_handler import write_handler
 from rbjax.compiler.lower.write import write_program
 from rbjax.compiler.passes import cutting
 
@@ -41,9 +41,9 @@ def test_pieces_give_the_same(monkeypatch, f, count):
 
     def kernel():
         program = write_program(closed, (count,), ins, outs, platform="cpu")
-        functions = handler(program)[0].text.count("define internal")
-        made = host_call.host_kernel(program)
-        return functions, jax.jit(lambda x: host_call.launch(made, [x], shapes))(x)
+        functions = write_handler(program)[0].text.count("define internal")
+        made = launch.register_host_kernel(program)
+        return functions, jax.jit(lambda x: launch.call_host_kernel(made, [x], shapes))(x)
 
     shapes = [jax.core.ShapedArray((count, *a.shape), a.dtype) for a in closed.out_avals]
     few, whole = kernel()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.statements import Unsupported
 from tests.compiler.host import GPU_ASKED
 
 X = np.ones(3, np.float32)

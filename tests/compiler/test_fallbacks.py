@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from rbjax.compiler import disk_cache
-from rbjax.compiler.cuda import device, driver_cache, nvrtc
+from rbjax.compiler.cuda import driver, nvrtc
 from rbjax.compiler.ir.program import batch_first
-from rbjax.compiler.ir.values import Unsupported
-from rbjax.compiler.jax import backend, host_call, launch, primitive
-from rbjax.compiler.jax.function import threaded
-from rbjax.compiler.jax.uncollected import SEARCH_FROM, uncollected
+from rbjax.compiler.ir.statements import Unsupported
+from rbjax.compiler.jax import launch, primitive
+from rbjax.compiler.jax.function import compile_threads
+from rbjax.compiler.jax.garbage import PAUSED, gc_paused
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.llvm import xla_handler as llvm_xla
 from rbjax.compiler.lower.write import write_program
@@ -39,7 +39,7 @@ def folder(tmp_path):
     """JAX's cache in a folder of the test."""
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
-    disk_cache._say.cache_clear()
+    disk_cache._warn.cache_clear()
     yield tmp_path / "cache"
     jax.config.update("jax_compilation_cache_dir", before)
 
@@ -47,7 +47,8 @@ def folder(tmp_path):
 def test_a_folder_that_cannot_be_written_is_said_once(folder):
     folder.write_text("a file, where a folder should be")
     with pytest.warns(UserWarning, match=r"not kept on disk.*make .*cache.* writable") as found:
-        assert [disk_cache.cached("one.o", lambda: b"code") for _ in range(3)] == [b"code"] * 3
+        made = [disk_cache.read_or_make("one.o", lambda: b"code") for _ in range(3)]
+        assert made == [b"code"] * 3
     assert len(found) == 1
 
 
@@ -59,7 +60,7 @@ def test_whatever_step_fails_the_code_is_made(folder, monkeypatch, step):
     monkeypatch.setattr(disk_cache.os if step == "replace" else Path, step, fails)
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        assert disk_cache.cached("one.o", lambda: b"code") == b"code"
+        assert disk_cache.read_or_make("one.o", lambda: b"code") == b"code"
     assert len(found) == (step != "read_bytes")
     monkeypatch.undo()
     assert [file.name for file in folder.rglob("*.o")] == ["one.o"] * (step == "read_bytes")
@@ -71,21 +72,21 @@ def test_damaged_code_is_compiled_again(folder):
     for damage in (None, b"", b"short", bytes(100)):
         if damage is not None:
             (folder / "rbjax-threads" / "one.o").write_bytes(damage)
-        assert disk_cache.cached("one.o", lambda: made.append(1) or b"code") == b"code"
-        assert disk_cache.cached("one.o", lambda: made.append(1) or b"code") == b"code"
+        assert disk_cache.read_or_make("one.o", lambda: made.append(1) or b"code") == b"code"
+        assert disk_cache.read_or_make("one.o", lambda: made.append(1) or b"code") == b"code"
     assert len(made) == 4
 
 
 def test_machine_code_runs_without_a_folder(folder, monkeypatch):
     folder.write_text("")
-    host_call.works.cache_clear()
+    launch.host_kernels_work.cache_clear()
     llvm_jit._codes.clear()
     try:
         with pytest.warns(UserWarning, match="not kept on disk") as found:
-            assert host_call.works()
+            assert launch.host_kernels_work()
         assert sum("not kept on disk" in str(w.message) for w in found) == 1
     finally:
-        host_call.works.cache_clear()
+        launch.host_kernels_work.cache_clear()
 
 
 # ------------------------------------------------------------------- compilers and versions
@@ -96,8 +97,8 @@ def gpu(monkeypatch):
     """A process that assumes that kernels work."""
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
     monkeypatch.setattr(launch, "ordinal", lambda: 0)
-    monkeypatch.setattr(launch, "works", lambda: True)
-    primitive._say.cache_clear()
+    monkeypatch.setattr(launch, "kernels_work", lambda: True)
+    primitive._warn.cache_clear()
 
 
 def lowered(g, *args) -> str:
@@ -110,11 +111,11 @@ def test_a_kernel_that_the_gpu_s_compiler_rejects_runs_under_xla(gpu, monkeypatc
         raise nvrtc.CompileError("NVRTC does not compile a kernel: error C2143")
 
     monkeypatch.setattr(launch, "ptx", rejects)
-    values = jax.vmap(threaded(lambda x: jnp.sin(x) * 2))
+    values = jax.vmap(compile_threads(lambda x: jnp.sin(x) * 2))
     g = jax.grad(lambda x: values(x).sum()) if order else values
     with pytest.warns(UserWarning, match=r"rejects .*error C2143.*runs under XLA"):
         text = lowered(g, X)
-    assert launch.TARGET not in text and ("cosine" if order else "sine") in text
+    assert launch.GPU_KERNEL not in text and ("cosine" if order else "sine") in text
 
 
 def test_sums_over_the_batch_count_as_memory_of_a_thread(gpu, monkeypatch):
@@ -124,12 +125,13 @@ def test_sums_over_the_batch_count_as_memory_of_a_thread(gpu, monkeypatch):
 
     def loss(n):
         def of(w, x):
-            return (jax.vmap(threaded(lambda x, w: jnp.tanh(w @ x)), (0, None))(x, w) ** 2).sum()
+            layer = compile_threads(lambda x, w: jnp.tanh(w @ x))
+            return (jax.vmap(layer, (0, None))(x, w) ** 2).sum()
 
         return jax.grad(of), (jnp.ones((n, n), np.float32), jnp.ones((8, n), np.float32))
 
     g, args = loss(8)
-    assert lowered(g, *args).count(launch.TARGET) == 2
+    assert lowered(g, *args).count(launch.GPU_KERNEL) == 2
     g, args = loss(129)  # 66,564 bytes
     with pytest.warns(UserWarning, match=r"\d{5,} bytes of arrays in a thread, more than 65536"):
         lowered(g, *args)
@@ -146,7 +148,7 @@ def test_the_version_of_the_interface_is_that_of_the_offsets():
     header = Path(jax.ffi.include_dir(), "xla/ffi/api/c_api.h").read_text()
     number = {name: int(n) for name, n in re.findall(r"#define XLA_FFI_API_(M\w+) (\d+)", header)}
     assert number["MAJOR"] == llvm_xla.MAJOR and number["MINOR"] >= llvm_xla.MINOR
-    text = llvm_xla.handler(program())[0].text
+    text = llvm_xla.write_handler(program())[0].text
     assert f"store i64 {llvm_xla.MINOR << 32 | llvm_xla.MAJOR}, ptr %v" in text
 
 
@@ -158,47 +160,48 @@ def test_a_handler_of_an_unknown_version_runs_under_xla(monkeypatch, minor):
         f"store i64 {minor << 32 | llvm_xla.MAJOR}",
     )
     monkeypatch.setattr(llvm_xla, "METADATA_ANSWER", answer)
-    monkeypatch.setattr(host_call, "_registered", dict(host_call._registered))
+    monkeypatch.setattr(launch, "_registered", dict(launch._registered))
     if minor == llvm_xla.MINOR:
-        assert host_call.host_kernel(program()).grid == 1
+        assert launch.register_host_kernel(program()).grid == 1
         return
     with pytest.raises(Unsupported, match="a handler that XLA rejects"):
-        host_call.host_kernel(program())
-    monkeypatch.setattr(backend, "on_cpu", lambda: True)
-    primitive._say.cache_clear()
+        launch.register_host_kernel(program())
+    monkeypatch.setattr(launch, "uses_llvm", lambda: True)
+    primitive._warn.cache_clear()
     primitive._kernel.cache_clear()
     with pytest.warns(UserWarning, match="a handler that XLA rejects.*runs under XLA"):
-        assert jax.jit(threaded(lambda x: jnp.tan(x) * 7))(0.5) == pytest.approx(7 * np.tan(0.5))
+        found = jax.jit(compile_threads(lambda x: jnp.tan(x) * 7))(0.5)
+    assert found == pytest.approx(7 * np.tan(0.5))
 
 
 def test_the_self_test_covers_two_parts(monkeypatch):
     """The threads of XLA's pool are reached by a batch of parts only."""
     made = []
-    real = host_call.handler
-    monkeypatch.setattr(host_call, "handler", lambda *a: made.append(real(*a)) or made[-1])
-    host_call.works.cache_clear()
+    real = launch.write_handler
+    monkeypatch.setattr(launch, "write_handler", lambda *a: made.append(real(*a)) or made[-1])
+    launch.host_kernels_work.cache_clear()
     try:
-        assert host_call.works()
+        assert launch.host_kernels_work()
         (module, parts), *_ = made
         assert parts == 2 and "@invite" in module.text
 
         wrong = llvm_xla.SHARING.replace("icmp slt i64 %index, COUNT", "icmp slt i64 %index, 1")
         wrong = wrong.replace("icmp eq i64 %done, COUNT", "icmp eq i64 %done, 1")
         monkeypatch.setattr(llvm_xla, "SHARING", wrong)
-        host_call.works.cache_clear()
+        launch.host_kernels_work.cache_clear()
         with pytest.warns(UserWarning, match="the self-test's result is wrong"):
-            assert not host_call.works()
+            assert not launch.host_kernels_work()
     finally:
         monkeypatch.undo()
-        host_call.works.cache_clear()
+        launch.host_kernels_work.cache_clear()
 
 
 def test_threads_that_compile_equal_functions_at_once(monkeypatch):
     """XLA rejects a second handler of one name at another address."""
-    monkeypatch.setattr(host_call, "_registered", {})
+    monkeypatch.setattr(launch, "_registered", {})
     llvm_jit._codes.clear()
-    made, make = [], llvm_jit.object_of
-    monkeypatch.setattr(llvm_jit, "object_of", lambda *a: made.append(1) or make(*a))
+    made, make = [], llvm_jit.compile_object
+    monkeypatch.setattr(llvm_jit, "compile_object", lambda *a: made.append(1) or make(*a))
     together = threading.Barrier(8)
 
     def one(_):
@@ -206,7 +209,7 @@ def test_threads_that_compile_equal_functions_at_once(monkeypatch):
         places = [batch_first((), ())]
         written = write_program(closed, (), places, places, platform="cpu")
         together.wait(20)
-        return host_call.host_kernel(written)
+        return launch.register_host_kernel(written)
 
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
@@ -221,12 +224,12 @@ def test_threads_that_compile_equal_functions_at_once(monkeypatch):
 def test_compiled_code_is_let_go(monkeypatch):
     monkeypatch.setattr(llvm_jit, "KEPT", 3)
     monkeypatch.setattr(llvm_jit, "_codes", {})
-    from rbjax.compiler.llvm import module as llvm_ir
+    from rbjax.compiler.llvm import numpy_call
 
     for k in range(5):
         closed = jax.make_jaxpr(lambda x, k=k: [x + k])(1.0)
         places = [batch_first((), ())]
-        llvm_jit.compiled(llvm_ir.module(write_program(closed, (), places, places)))
+        llvm_jit.compile_module(numpy_call.write_module(write_program(closed, (), places, places)))
     assert len(llvm_jit._codes) == 3
     assert all(len(key) == 64 for key in llvm_jit._codes)  # a digest, not the text
 
@@ -271,23 +274,22 @@ class Driver:
 
 
 def test_the_driver_opens_no_device_of_another_process(monkeypatch):
-    driver = Driver()
-    monkeypatch.setattr(driver_cache, "_library", lambda: driver)
-    monkeypatch.setattr(driver_cache, "_given", set())
-    monkeypatch.setattr(device, "_driver", lambda: driver)
+    libcuda = Driver()
+    monkeypatch.setattr(driver, "_driver", lambda: libcuda)
+    monkeypatch.setattr(driver, "_compiled", set())
     monkeypatch.delenv("CUDA_CACHE_DISABLE", raising=False)
-    driver_cache.compile_ahead("x" * driver_cache.LONG, lambda: 5).join()
-    device.resources("PTX", "name", 5)
-    device.limits("9.0", 5)
-    assert driver.devices == [5, 5, 5]
+    driver.compile_ahead("x" * driver.LONG, lambda: 5).join()
+    driver.resources("PTX", "name", 5)
+    driver.limits("9.0", 5)
+    assert libcuda.devices == [5, 5, 5]
 
 
 @pytest.mark.parametrize(
     ("capability", "lanes"), [("7.0", 64), ("8.0", 64), ("8.6", 128), ("9.0", 128), ("10.0", 128)]
 )
 def test_lanes_of_a_multiprocessor(monkeypatch, capability, lanes):
-    monkeypatch.setattr(device, "_driver", Driver)
-    assert device.limits(capability).instructions == 100 * lanes * 1e5
+    monkeypatch.setattr(driver, "_driver", Driver)
+    assert driver.limits(capability).instructions == 100 * lanes * 1e5
 
 
 def test_the_newest_nvrtc_comes_first():
@@ -323,7 +325,7 @@ def test_what_the_caller_asks_of_the_collector_stays(collector, wish):
         seen.append(gc.get_threshold()[0])
         assert go.wait(20)
 
-    thread = threading.Thread(target=uncollected(uncollected(work)))
+    thread = threading.Thread(target=gc_paused()(gc_paused()(work)))
     thread.start()
     assert started.wait(20)
     if wish in ("disable", "enable"):
@@ -332,7 +334,7 @@ def test_what_the_caller_asks_of_the_collector_stays(collector, wish):
         gc.set_threshold(123, 4, 5)
     go.set()
     thread.join()
-    assert seen == [0 if wish == "never" else SEARCH_FROM]
+    assert seen == [0 if wish == "never" else PAUSED]
     assert gc.isenabled() == (wish != "disable")
     assert gc.get_threshold() == ((123, 4, 5) if wish == "set_threshold" else usual)
 
@@ -342,14 +344,14 @@ def test_calls_that_overlap_and_calls_that_fail_leave_the_collector_as_it_was(co
         raise KeyError
 
     with pytest.raises(KeyError):
-        uncollected(fails)()
+        gc_paused()(fails)()
     assert gc.get_threshold() == collector
     first, second = threading.Event(), threading.Event()
-    thread = threading.Thread(target=uncollected(lambda: first.set() or second.wait(20)))
+    thread = threading.Thread(target=gc_paused()(lambda: first.set() or second.wait(20)))
     thread.start()
     assert first.wait(20)
-    uncollected(lambda: None)()
-    assert gc.get_threshold()[0] == SEARCH_FROM  # the first is still at work
+    gc_paused()(lambda: None)()
+    assert gc.get_threshold()[0] == PAUSED  # the first is still at work
     second.set()
     thread.join()
     assert gc.get_threshold() == collector
@@ -361,12 +363,12 @@ def test_calls_that_overlap_and_calls_that_fail_leave_the_collector_as_it_was(co
 def test_a_process_compiles_on_its_own_devices(monkeypatch):
     """The first device of all is of another process under `jax.distributed`."""
     monkeypatch.setattr(jax, "devices", None)
-    host_call.works.cache_clear()
+    launch.host_kernels_work.cache_clear()
     try:
-        assert host_call.works()
+        assert launch.host_kernels_work()
     finally:
         monkeypatch.undo()
-        host_call.works.cache_clear()
-    monkeypatch.setattr(backend, "on_cpu", lambda: True)
-    got = jax.jit(jax.vmap(threaded(jnp.sin)))(X)
+        launch.host_kernels_work.cache_clear()
+    monkeypatch.setattr(launch, "uses_llvm", lambda: True)
+    got = jax.jit(jax.vmap(compile_threads(jnp.sin)))(X)
     assert relative_error(got, np.sin(X)) <= F64_TRANSFORM

@@ -13,8 +13,8 @@ import pytest
 from jax.sharding import NamedSharding, PartitionSpec
 
 import rbjax as rb
-from rbjax.compiler.jax import backend, host_call, primitive
-from rbjax.compiler.jax.function import threaded
+from rbjax.compiler.jax import launch, primitive
+from rbjax.compiler.jax.function import compile_threads
 from rbjax.compiler.llvm import batch as llvm_batch
 from rbjax.compiler.llvm import jit as llvm_jit
 from tests.tolerances import F64_TRANSFORM, relative_error
@@ -27,7 +27,7 @@ W, X = RNG.normal(size=(5, 3)), RNG.normal(size=(6, 3))
 @pytest.fixture
 def by_llvm(monkeypatch):
     """A process whose functions of one sample run as machine code."""
-    monkeypatch.setattr(backend, "on_cpu", lambda: True)
+    monkeypatch.setattr(launch, "uses_llvm", lambda: True)
 
 
 def f(x, w):
@@ -48,7 +48,7 @@ def same(g, h, *args) -> None:
 
 
 def test_one_sample_and_batches():
-    g, flip = threaded(f), functools.partial(jax.vmap, in_axes=(1, None), out_axes=(1, 0))
+    g, flip = compile_threads(f), functools.partial(jax.vmap, in_axes=(1, None), out_axes=(1, 0))
     same(g, f, X[0], W)
     same(jax.vmap(g, (0, None)), jax.vmap(f, (0, None)), X, W)
     same(flip(g), flip(f), X.T, W)
@@ -69,7 +69,7 @@ def test_parts_on_several_threads(monkeypatch, samples):
         return (jax.vmap(g, (0, None))(x, w)[0] ** 2).sum()
 
     for _ in range(3):
-        same(*(jax.value_and_grad(functools.partial(total, g)) for g in (threaded(f), f)), W)
+        same(*(jax.value_and_grad(functools.partial(total, g)) for g in (compile_threads(f), f)), W)
     primitive._kernel.cache_clear()
 
 
@@ -117,15 +117,15 @@ HIGH = {
 @pytest.mark.parametrize("name", HIGH)
 def test_functions_of_many_primitives(name):
     g, x = HIGH[name], RNG.normal(size=(5, 6)) * 3
-    same(jax.vmap(threaded(g)), jax.vmap(g), x)
+    same(jax.vmap(compile_threads(g)), jax.vmap(g), x)
     if name not in ("searchsorted", "searchsorted in rows"):
         total = lambda h: jax.grad(lambda x: (jax.vmap(h)(x) ** 2).sum())  # noqa: E731
-        same(total(threaded(g)), total(g), x)
+        same(total(compile_threads(g)), total(g), x)
 
 
 def test_derivatives_and_loops():
     """Inside of XLA's own loop; a gradient in f32; a hessian."""
-    step = threaded(lambda x, w: jnp.sin(w @ x)[:3])
+    step = compile_threads(lambda x, w: jnp.sin(w @ x)[:3])
 
     def march(step, w):
         return jax.lax.scan(lambda x, _: (step(x, w), x), jnp.asarray(X[0]), None, 4)[1]
@@ -142,7 +142,7 @@ def test_rows_without_entries():
     def g(x):
         return jax.lax.scan(lambda c, row: (c + row.sum() + x[0], None), x[1], np.zeros((3, 0)))[0]
 
-    same(jax.vmap(threaded(g)), jax.vmap(g), X)
+    same(jax.vmap(compile_threads(g)), jax.vmap(g), X)
 
 
 def test_rollouts_and_gradients_are_those_of_xla(monkeypatch):
@@ -159,9 +159,9 @@ def test_rollouts_and_gradients_are_those_of_xla(monkeypatch):
         jax.value_and_grad(functools.partial(end, kernel), (0, 2), has_aux=True)
         for kernel in (True, False)
     )
-    monkeypatch.setattr(backend, "on_cpu", lambda: True)
+    monkeypatch.setattr(launch, "uses_llvm", lambda: True)
     found = jax.jit(one)(model.bodies.mass, state, u)
-    monkeypatch.setattr(backend, "on_cpu", lambda: False)
+    monkeypatch.setattr(launch, "uses_llvm", lambda: False)
     wanted = jax.jit(other)(model.bodies.mass, state, u)
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
         assert relative_error(a, b) <= F64_TRANSFORM
@@ -171,7 +171,7 @@ def test_it_is_the_function_for_a_cpu():
     def g(x):
         return jax.lax.platform_dependent(x, cuda=lambda x: -x, default=lambda x: 2 * x)
 
-    assert jax.jit(threaded(g))(3.0) == 6.0 == rb.compile(g, 0.0)(3.0)
+    assert jax.jit(compile_threads(g))(3.0) == 6.0 == rb.compile(g, 0.0)(3.0)
 
 
 @pytest.mark.slow
@@ -195,13 +195,13 @@ np.testing.assert_allclose(g(jnp.arange(4.0)), 3 * np.cos(np.arange(4.0)), rtol=
 def test_a_sharded_batch_stays_where_it_is():
     mesh = jax.make_mesh((jax.device_count(),), ("data",))
     x = jax.device_put(X, NamedSharding(mesh, PartitionSpec()))
-    found = jax.jit(jax.vmap(threaded(lambda x: x.sum())))(x)
+    found = jax.jit(jax.vmap(compile_threads(lambda x: x.sum())))(x)
     np.testing.assert_allclose(found, X.sum(1), rtol=F64_TRANSFORM)
 
 
 def test_export_refuses_it():
     """An exported program would call code that another process does not have."""
-    g = jax.jit(threaded(lambda x: jnp.sin(x)))
+    g = jax.jit(compile_threads(lambda x: jnp.sin(x)))
     with pytest.raises(ValueError, match=r"custom call target|stable"):
         jax.export.export(g)(1.0)
 
@@ -213,9 +213,9 @@ def test_what_llvm_lacks_runs_under_xla():
     def norm(x):
         return jax.pure_callback(np.linalg.norm, jax.ShapeDtypeStruct((), x.dtype), x)
 
-    primitive._say.cache_clear()
+    primitive._warn.cache_clear()
     with pytest.warns(UserWarning, match="no kernel for pure_callback"):
-        assert jax.jit(threaded(norm))(jnp.array([3.0, 4.0])) == 5
+        assert jax.jit(compile_threads(norm))(jnp.array([3.0, 4.0])) == 5
 
 
 def test_without_llvmlite_it_is_said_once(monkeypatch):
@@ -223,18 +223,18 @@ def test_without_llvmlite_it_is_said_once(monkeypatch):
         raise llvm_jit.NoCompiler("llvmlite is missing")
 
     monkeypatch.undo()
-    monkeypatch.setenv(backend.VARIABLE, "llvm")
+    monkeypatch.setenv(launch.VARIABLE, "llvm")
     monkeypatch.setattr(llvm_jit, "_llvm", missing)
-    caches = (backend.on_cpu, host_call.works)
+    caches = (launch.uses_llvm, launch.host_kernels_work)
     for cache in caches:
         cache.cache_clear()
     try:
         with pytest.warns(UserWarning, match="llvmlite is missing.*run under XLA"):
-            assert not backend.on_cpu()
+            assert not launch.uses_llvm()
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            assert not backend.on_cpu()
-            assert jax.jit(threaded(lambda x: x + 1))(1.0) == 2
+            assert not launch.uses_llvm()
+            assert jax.jit(compile_threads(lambda x: x + 1))(1.0) == 2
     finally:
         monkeypatch.undo()
         for cache in caches:
@@ -243,24 +243,25 @@ def test_without_llvmlite_it_is_said_once(monkeypatch):
 
 def test_a_back_end_that_is_none(monkeypatch):
     monkeypatch.undo()
-    monkeypatch.setenv(backend.VARIABLE, "fortran")
-    backend.on_cpu.cache_clear()
+    monkeypatch.setenv(launch.VARIABLE, "fortran")
+    launch.uses_llvm.cache_clear()
     try:
         with pytest.raises(rb.InputError, match="RBJAX_CPU: got 'fortran', expected one of"):
-            backend.on_cpu()
+            launch.uses_llvm()
     finally:
-        backend.on_cpu.cache_clear()
+        launch.uses_llvm.cache_clear()
 
 
 @pytest.mark.parametrize("size", [5, 9])
 def test_long_samples_beyond_whole_vectors_are_a_part_of_their_own(size):
     x, turns = jnp.arange(1.0, size + 1), 80_000
-    run = jax.jit(jax.vmap(threaded(lambda x: jax.lax.fori_loop(0, turns, lambda i, y: y + x, x))))
+    total = lambda x: jax.lax.fori_loop(0, turns, lambda i, y: y + x, x)  # noqa: E731
+    run = jax.jit(jax.vmap(compile_threads(total)))
     np.testing.assert_allclose(run(x), (turns + 1) * x, rtol=1e-13)
 
 
 def test_the_call_says_that_its_handler_is_typed():
     """XLA of jax 0.11 loses JAX's own note of it in some programs (`custom_call`)."""
-    lowered = jax.jit(jax.vmap(threaded(lambda x: x * jnp.sin(x)))).lower(jnp.ones((4, 3)))
+    lowered = jax.jit(jax.vmap(compile_threads(lambda x: x * jnp.sin(x)))).lower(jnp.ones((4, 3)))
     (call,) = [line for line in lowered.as_text().splitlines() if "rbjax_" in line]
     assert "api_version = 4" in call and "mhlo" not in call

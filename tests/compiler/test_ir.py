@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 from jax import lax
 
+from rbjax.compiler.cuda.c_source import Printer
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.operations import OF_PRIMITIVE, OPERATIONS
+from rbjax.compiler.ir.operations import OF_PRIMITIVE, OPERATIONS, Operation
 from rbjax.compiler.ir.statements import (
+    BOOL,
+    F64,
+    I32,
+    I64,
     Array,
     Assign,
     Barrier,
@@ -21,12 +26,13 @@ from rbjax.compiler.ir.statements import (
     Reserve,
     Statement,
     Store,
+    Var,
     While,
     walk,
 )
 from rbjax.compiler.ir.text import block_text, program_text
-from rbjax.compiler.ir.values import BOOL, F64, I32, I64, Var
 from rbjax.compiler.ir.verify import InvalidProgram, verify, verify_block
+from rbjax.compiler.llvm.operations import Operations
 from rbjax.compiler.lower.elementwise import OF_PRIMITIVE as LOWERED
 from rbjax.compiler.lower.lowering import RULES
 from tests.compiler.host import written
@@ -65,9 +71,9 @@ def test_the_text_shows_every_statement():
     assert len(text.splitlines()) >= sum(1 for _ in walk(program.builder.block))
     for part in ("for t", "while:", "do if t", "if t", "else:", "var t", ":= t", "select("):
         assert part in text, part
-    team = Loop(I, 4, False, Block([Store(LOCAL, I, 1, TWO)]), team=True, part=3)
+    team = Loop(I, 4, False, Block([Store(LOCAL, I, 1, TWO)]), team=True, group=3)
     assert block_text(Block([Reserve(LOCAL), team, Barrier()])).splitlines() == [
-        "local a11: float64[3]", "for t2 in 0..4 team part 3:", "  a11[t2 +1] = 2.0", "barrier",
+        "local a11: float64[3]", "for t2 in 0..4 team group 3:", "  a11[t2 +1] = 2.0", "barrier",
     ]  # fmt: skip
 
 
@@ -139,3 +145,22 @@ def test_the_table_of_operations():
             x, y = b.var(kind), b.var(kind)
             same = b.op(name, kind, x, y) is b.op(name, kind, y, x)
             assert same == operation.commutes, name
+
+
+def test_an_operation_is_one_row_of_the_table(monkeypatch):
+    """The builder, the verifier and both back ends need nothing else."""
+    row = Operation(
+        "twice", 1, c=lambda kind, of, x: f"{x[0]}+{x[0]}",
+        llvm=lambda w, kind, of, x: f"fadd {w.type(kind)} {x[0]}, {x[0]}", fold=lambda x: x + x,
+    )  # fmt: skip
+    monkeypatch.setitem(OPERATIONS, "twice", row)
+    b = Builder()
+    x = b.load(OPERAND, None, 0)
+    y = b.op("twice", F64, x)
+    assert b.op("twice", F64, np.float64(2)) == 4 and b.op("twice", F64, x) is y
+    verify_block(b.block, [OPERAND])
+    assert list(Printer({}).lines(b.block))[1:] == [f"const double t{y.id}=t{x.id}+t{x.id};"]
+    for lanes, t in ((1, "double"), (4, "<4 x double>")):
+        lines: list[str] = []
+        Operations(lines.append, lanes).write(b.block.statements[-1], "%y", ["%x"])
+        assert lines == [f"%y = fadd {t} %x, %x"]

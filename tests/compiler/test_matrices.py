@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.compiler.jax import backend
-from rbjax.compiler.jax.function import threaded
+from rbjax.compiler.jax import launch
+from rbjax.compiler.jax.function import compile_threads
 from rbjax.control.products import in_registers
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -32,13 +32,14 @@ PRODUCTS = {
 
 @pytest.fixture(autouse=True)
 def _by_machine_code(monkeypatch):
-    monkeypatch.setattr(backend, "on_cpu", lambda: True)
+    monkeypatch.setattr(launch, "uses_llvm", lambda: True)
 
 
 @functools.cache
 def found():
     """All of them by one program."""
-    every = threaded(lambda *x: {name: f(*x) for name, (f, _) in PRODUCTS.items()}, team=True)
+    products = lambda *x: {name: f(*x) for name, (f, _) in PRODUCTS.items()}  # noqa: E731
+    every = compile_threads(products, team=True)
     return jax.jit(every)(A, B, C)
 
 
@@ -50,12 +51,12 @@ def test_products(name):
 def test_a_batch_within_a_sample():
     """Both matrices have an axis in common; the second one's columns lie apart."""
     x, y = MANY
-    f = threaded(lambda x, y: jnp.einsum("nij,nkj->nik", x, y), team=True)
+    f = compile_threads(lambda x, y: jnp.einsum("nij,nkj->nik", x, y), team=True)
     far = np.ascontiguousarray(y.swapaxes(1, 2))
     assert relative_error(jax.jit(f)(x, far), x @ y) < F64_TRANSFORM
 
 
 def test_samples_of_a_batch():
-    f = jax.jit(jax.vmap(threaded(lambda a, b: a @ b.T, team=True)))
+    f = jax.jit(jax.vmap(compile_threads(lambda a, b: a @ b.T, team=True)))
     x, y = RNG.normal(size=(19, 8, 6)), RNG.normal(size=(19, 9, 6))
     assert relative_error(f(x, y), x @ y.swapaxes(1, 2)) < F64_TRANSFORM

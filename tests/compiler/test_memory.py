@@ -9,7 +9,7 @@ import rbjax as rb
 from rbjax.compiler.cuda.kernels import ARRAY_BYTES_UP_TO, STATEMENTS_UP_TO
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.statements import Block, If, Load, Loop, Reserve, Store, While, walk
-from rbjax.compiler.passes.reuse import share_memory
+from rbjax.compiler.passes.liveness import share_memory
 from rbjax.dynamics.drivers import choice
 from rbjax.lanes import inverse
 from tests.compiler.host import COMPILER, on_host, written

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.compiler import wanted
+from rbjax.compiler import kernels_available
 from rbjax.compiler.jax import tangents
-from rbjax.compiler.jax.function import threaded, threads
+from rbjax.compiler.jax.function import compile_threads, threads
 from tests.compilations import compilations
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -28,16 +28,15 @@ def first(h):
 
 def loss(h):
     """A sum over a batch, of an operand that all samples share and of two of their own."""
-    return lambda x, y, w: sum(
-        jnp.sin(out).sum() for out in jax.vmap(h, (0, 0, None))(x, y, w)
-    )
+    return lambda x, y, w: sum(jnp.sin(out).sum() for out in jax.vmap(h, (0, 0, None))(x, y, w))
 
 
 def closing(h):
     """The same where the shared operand is closed over, a tracer."""
     if h is f:
         return loss(f)
-    return lambda x, y, w: loss(lambda x, y, _: threaded(lambda x, y: f(x, y, w))(x, y))(x, y, 0.0)
+    closed = lambda w: lambda x, y, _: compile_threads(lambda x, y: f(x, y, w))(x, y)  # noqa: E731
+    return lambda x, y, w: loss(closed(w))(x, y, 0.0)
 
 
 def nested(h):
@@ -107,7 +106,7 @@ def jitted():
     @jax.jit
     def every(args):
         return {
-            name: [transform(h)(*args[name]) for h in (threaded(f), f)]
+            name: [transform(h)(*args[name]) for h in (compile_threads(f), f)]
             for name, (transform, _) in TRANSFORMED.items()
         }
 
@@ -133,7 +132,7 @@ def test_directions_that_lie_last(monkeypatch):
     def every(g):
         return {name: make(g)(*args) for name, (make, args) in cases.items()}
 
-    agree(jax.jit(lambda: every(threaded(f)))(), jax.jit(lambda: every(f))())
+    agree(jax.jit(lambda: every(compile_threads(f)))(), jax.jit(lambda: every(f))())
 
 
 EAGER = ("one sample", "batch first", "empty", "jvp", "grad, own and shared", "grad, closed over")
@@ -144,7 +143,7 @@ EAGER = ("one sample", "batch first", "empty", "jvp", "grad, own and shared", "g
 )
 def test_eager(name):
     transform, args = TRANSFORMED[name]
-    agree(transform(threaded(f))(*args), transform(f)(*args))
+    agree(transform(compile_threads(f))(*args), transform(f)(*args))
 
 
 def test_a_custom_rule_is_kept():
@@ -152,7 +151,7 @@ def test_a_custom_rule_is_kept():
         return (softened(x) ** 2).sum()
 
     for transform in (jax.grad, jax.jacfwd, jax.hessian):
-        agree(jax.vmap(transform(threaded(h)))(X), jax.vmap(transform(h))(X))
+        agree(jax.vmap(transform(compile_threads(h)))(X), jax.vmap(transform(h))(X))
 
 
 def test_integers_have_no_tangent():
@@ -160,14 +159,14 @@ def test_integers_have_no_tangent():
         return x[n] * n, n + 1, x.sum()
 
     n = jnp.arange(7, dtype=jnp.int32) % 3
-    both = [jax.vjp(jax.vmap(g), X, n) for g in (threaded(h), h)]
+    both = [jax.vjp(jax.vmap(g), X, n) for g in (compile_threads(h), h)]
     agree(both[0][0], both[1][0])
     bars = (X[:, 0], np.zeros(7, jax.dtypes.float0), X[:, 1])
     got, want = (pull(bars) for _, pull in both)
     assert got[1].dtype == jax.dtypes.float0
     agree(got, want)
     still = np.zeros(7, jax.dtypes.float0)
-    got, want = (jax.jvp(jax.vmap(g), (X, n), (X, still)) for g in (threaded(h), h))
+    got, want = (jax.jvp(jax.vmap(g), (X, n), (X, still)) for g in (compile_threads(h), h))
     assert got[1][1].dtype == jax.dtypes.float0
     agree(got, want)
 
@@ -178,11 +177,11 @@ def test_pytrees_and_names():
 
     args = {"a": X, "b": Y}
     want = jax.vmap(lambda t, m: h(t, more=[m]))(args, X)
-    agree(jax.vmap(lambda t, m: threaded(h)(t, more=[m]))(args, X), want)
+    agree(jax.vmap(lambda t, m: compile_threads(h)(t, more=[m]))(args, X), want)
 
 
 def test_f32_stays_f32():
-    got = jax.vmap(threaded(f), (0, 0, None))(*(x.astype(jnp.float32) for x in (X, Y, W)))
+    got = jax.vmap(compile_threads(f), (0, 0, None))(*(x.astype(jnp.float32) for x in (X, Y, W)))
     assert all(x.dtype == jnp.float32 for x in got)
 
 
@@ -195,7 +194,7 @@ def test_a_sample_s_sum_is_a_derivative_of_what_is_shared():
             (None, 0),
         )
 
-    agree(gradient(threaded(f))(W, Y[0]), gradient(f)(W, Y[0]))
+    agree(gradient(compile_threads(f))(W, Y[0]), gradient(f)(W, Y[0]))
 
 
 def test_nothing_is_traced_twice():
@@ -205,7 +204,7 @@ def test_nothing_is_traced_twice():
         calls.append(x)
         return jnp.sin(x).sum()
 
-    g = threaded(h)
+    g = compile_threads(h)
     g(X[0])
     count = len(calls)
     with compilations() as names:
@@ -219,9 +218,9 @@ def test_nothing_is_traced_twice():
 
 
 def test_without_a_gpu_threads_is_the_function():
-    if not wanted():
+    if not kernels_available():
         text = str(jax.make_jaxpr(threads(f))(X[0], Y[0]))
         assert "threads[" not in text and text == str(jax.make_jaxpr(f)(X[0], Y[0]))
-    assert "threads[" in str(jax.make_jaxpr(jax.vmap(threaded(f)))(X, Y))
+    assert "threads[" in str(jax.make_jaxpr(jax.vmap(compile_threads(f)))(X, Y))
     with pytest.raises(TypeError, match="got int"):
         threads(3)

@@ -16,7 +16,7 @@ from jax.lax import GatherDimensionNumbers as Gather
 from jax.lax import GatherScatterMode as Mode
 from jax.lax import ScatterDimensionNumbers as Scatter
 
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.statements import Unsupported
 from rbjax.lanes import sincos
 from tests.compiler.host import (
     COMPILER,

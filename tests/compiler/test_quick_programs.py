@@ -22,9 +22,9 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 import rbjax as rb
-from rbjax.compiler.cuda import device, nvrtc
-from rbjax.compiler.jax import backend, explain, function, launch, primitive, sharding
-from rbjax.compiler.jax.function import in_parts, threaded
+from rbjax.compiler.cuda import driver, nvrtc
+from rbjax.compiler.jax import explain, function, launch, primitive, sharding
+from rbjax.compiler.jax.function import compile_threads, with_multi_kernel
 from tests.robots import QUICK
 from tests.tolerances import F64_TRANSFORM
 
@@ -37,15 +37,15 @@ X[1:3] = abs(X[1:3])
 def by_llvm(monkeypatch):
     """A process whose functions of one sample run as machine code, and fall back only with an
     error."""
-    monkeypatch.setattr(backend, "on_cpu", lambda: True)
-    primitive._say.cache_clear()
+    monkeypatch.setattr(launch, "uses_llvm", lambda: True)
+    primitive._warn.cache_clear()
 
 
 def same(f, *args, tolerance: float = 100 * F64_TRANSFORM, alone: bool = True) -> None:
     """f by machine code is f by XLA, for a batch and, if `alone`, for one sample."""
     one = [x[0] for x in args]
     for g, xs in ((f, one), (jax.vmap(f), args))[not alone :]:
-        h = jax.vmap(threaded(f)) if g is not f else threaded(f)
+        h = jax.vmap(compile_threads(f)) if g is not f else compile_threads(f)
         text = jax.jit(h).lower(*xs)
         assert "@rbjax_" in text.as_text()
         got, want = text.compile(QUICK)(*xs), jax.jit(g, compiler_options=QUICK)(*xs)
@@ -246,15 +246,15 @@ def test_derivatives():
 
     A = RNG.normal(size=(9, 5, 5))
     g = lambda h: jax.value_and_grad(h, (0, 1))  # noqa: E731
-    got = jax.jit(jax.vmap(g(threaded(f))), compiler_options=QUICK)(X, A)
+    got = jax.jit(jax.vmap(g(compile_threads(f))), compiler_options=QUICK)(X, A)
     want = jax.jit(jax.vmap(g(f)), compiler_options=QUICK)(X, A)
     for a, b in zip(*map(jax.tree.leaves, (got, want)), strict=True):
         np.testing.assert_allclose(a, b, 1e-11, 1e-11)
     shared = lambda h: jax.grad(lambda A: jax.vmap(h, (0, None))(X, A).sum())  # noqa: E731
-    got, want = (jax.jit(shared(h), compiler_options=QUICK)(A[0]) for h in (threaded(f), f))
+    got, want = (jax.jit(shared(h), compiler_options=QUICK)(A[0]) for h in (compile_threads(f), f))
     np.testing.assert_allclose(got, want, 1e-11, 1e-11)
     curve = lambda h: jax.hessian(lambda x: h(x, A[0]))  # noqa: E731
-    got, want = (jax.jit(curve(h), compiler_options=QUICK)(X[0]) for h in (threaded(f), f))
+    got, want = (jax.jit(curve(h), compiler_options=QUICK)(X[0]) for h in (compile_threads(f), f))
     np.testing.assert_allclose(got, want, 1e-10, 1e-10)
 
 
@@ -267,7 +267,7 @@ def test_inside_of_a_thread():
         checked = eqx.error_if(solved, solved[0] > 1e9, "too large")
         body = lambda c: (c[0] + 1, c[1] * 0.5)  # noqa: E731
         loop = eqx.internal.while_loop(lambda c: c[0] < 4, body, (0, checked), kind="lax")
-        return loop, eqx.internal.unvmap_any(x > 1), jax.vmap(threaded(jnp.sin))(x)
+        return loop, eqx.internal.unvmap_any(x > 1), jax.vmap(compile_threads(jnp.sin))(x)
 
     one = X[0]
     got, want = rb.compile(f, one)(one), f(one)
@@ -278,18 +278,18 @@ def test_inside_of_a_thread():
 # ------------------------------------------------------------------- what needs a GPU
 
 
-def test_in_parts_on_a_gpu_is_one_function(monkeypatch):
-    monkeypatch.setattr(function, "gpu", lambda: True)
-    monkeypatch.setattr(launch, "works", lambda: True)
+def test_several_kernels_on_a_gpu_are_one_function(monkeypatch):
+    monkeypatch.setattr(function, "has_gpu", lambda: True)
+    monkeypatch.setattr(launch, "kernels_work", lambda: True)
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
     monkeypatch.setattr(launch, "ordinal", lambda: 0)
     monkeypatch.setattr(launch, "ptx", lambda source, capability: "PTX")
     a = jnp.asarray(2.0)
-    g = in_parts(lambda x: a * jnp.sin(x), lambda x: a * (jnp.sin(x) + 0), 10)
+    g = with_multi_kernel(lambda x: a * jnp.sin(x), lambda x: a * (jnp.sin(x) + 0), 10)
     np.testing.assert_allclose(jax.jit(jax.vmap(g))(X), 2 * np.sin(X), 1e-14)
     lower = lambda x: jax.jit(jax.vmap(g)).trace(x).lower(lowering_platforms=("cuda",))  # noqa: E731
-    assert launch.TARGET not in lower(X).as_text()  # few samples: several kernels of XLA
-    assert launch.TARGET in lower(np.tile(X, (3, 1))).as_text()
+    assert launch.GPU_KERNEL not in lower(X).as_text()  # few samples: several kernels of XLA
+    assert launch.GPU_KERNEL in lower(np.tile(X, (3, 1))).as_text()
 
 
 class Nvrtc:
@@ -337,7 +337,7 @@ def test_ptx_by_nvrtc(monkeypatch):
         assert nvrtc.version() == "13.1"
         assert nvrtc._compile("fine", "compute_90") == "PTX"
         assert library.options[0] == "--gpu-architecture=compute_90"
-        with nvrtc.quickly():
+        with nvrtc.fast_compile():
             nvrtc._compile("fine", "compute_90")
         assert library.options[-1] == "--Ofast-compile=max"
         with pytest.raises(nvrtc.CompileError, match="does not compile a kernel: line 1"):
@@ -359,21 +359,19 @@ def test_a_library_that_is_not_there(monkeypatch):
         with pytest.raises(nvrtc.CompileError, match=r"found no libnvrtc.*rbjax\[cuda\]"):
             nvrtc.library()
         with pytest.raises(nvrtc.CompileError, match="found no CUDA driver"):
-            device.limits("9.0")
+            driver.limits("9.0")
     finally:
         nvrtc.library.cache_clear()
 
 
 def test_explain_with_a_gpu(monkeypatch):
     """Shares of the limits, from resources and a time that stand for a GPU's."""
-    monkeypatch.setattr(backend, "gpu", lambda: True)
-    for name, value in {
-        "works": lambda: True, "capability": lambda: "9.0", "ordinal": lambda: 0,
-        "ptx": lambda *_: "PTX",
-    }.items():  # fmt: skip
-        monkeypatch.setattr(explain, name, value)
-    monkeypatch.setattr(explain.device, "resources", lambda *_: device.Resources(40, 16, 0))
-    monkeypatch.setattr(explain.device, "limits", lambda *_: device.Limits(1e12, 1e12))
+    monkeypatch.setattr(launch, "has_gpu", lambda: True)
+    for name, value in (("kernels_work", True), ("capability", "9.0"), ("ordinal", 0)):
+        monkeypatch.setattr(launch, name, lambda value=value: value)
+    monkeypatch.setattr(explain, "ptx", lambda *_: "PTX")
+    monkeypatch.setattr(explain.driver, "resources", lambda *_: driver.Resources(40, 16, 0))
+    monkeypatch.setattr(explain.driver, "limits", lambda *_: driver.Limits(1e12, 1e12))
     found = explain.explain(lambda x: jnp.tanh(x).sum(), jnp.ones(3), batch=64)
     assert found.registers == 40 and found.of_instructions > 0 and found.of_bandwidth > 0
     assert "40 registers, 16 bytes of local memory" in str(found)
@@ -395,7 +393,7 @@ def test_the_part_of_a_device():
 
         return run
 
-    whole = sharding.spread(part, batch, ins, outs, ([2, 1], [2, 0, 1]))
+    whole = sharding.shard_batch(part, batch, ins, outs, ([2, 1], [2, 0, 1]))
     x, y = RNG.normal(size=(4, 6)), RNG.normal(size=4)
 
     def of(*specs):
@@ -413,7 +411,7 @@ def test_the_part_of_a_device():
                               out_specs=tuple(s.spec for s in results))  # fmt: skip
         for a, b in zip(local(x, y), part(batch)(x, y), strict=True):
             np.testing.assert_allclose(a, b, 1e-14)
-    rule = sharding._rule(batch, ins, outs, ([2, 1], [2, 0, 1]))
+    rule = sharding._rule(len(batch), ins, outs, ([2, 1], [2, 0, 1]))
     assert rule == "B0 B1, B0 -> B0 B1, , B1"
 
 
@@ -421,4 +419,4 @@ def test_nothing_warns():
     """No family above falls back to XLA: a warning is an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        jax.jit(jax.vmap(functools.partial(threaded(jnp.sin))))(X)
+        jax.jit(jax.vmap(functools.partial(compile_threads(jnp.sin))))(X)

@@ -12,7 +12,7 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
 import rbjax as rb
-from rbjax.compiler.jax.function import threaded
+from rbjax.compiler.jax.function import compile_threads
 from tests.eight_devices import check, mesh, on_eight_devices
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -38,7 +38,7 @@ def child_functions():
     devices, both = mesh(), P(("a", "b"))
     rng = np.random.default_rng(0)
     W, X = jnp.asarray(rng.normal(size=(5, 3))), jnp.asarray(rng.normal(size=(16, 3)))
-    g = threaded(f)
+    g = compile_threads(f)
     for spec in (P("a"), both):
         where = NamedSharding(devices, spec)
         x = jax.device_put(X, where)
@@ -47,7 +47,7 @@ def child_functions():
               jax.grad(loss(f), (0, 1)), where, 1, spread=1)  # fmt: skip
         check("jacfwd", mapped(jax.jacfwd(g)), (x, W), mapped(jax.jacfwd(f)), where, 0)
 
-    closed = threaded(lambda x: f(x, W))
+    closed = compile_threads(lambda x: f(x, W))
     check("of what is closed over", jax.vmap(closed), (x,), lambda x: mapped(f)(x, W), where, 0)
 
     last = NamedSharding(devices, P(None, ("a", "b")))

@@ -15,7 +15,7 @@ from rbjax.compiler.cuda import team
 from rbjax.compiler.ir.program import batch_first, batch_last
 from rbjax.compiler.ir.statements import Barrier, Loop, walk
 from rbjax.compiler.jax import launch, primitive
-from rbjax.compiler.jax.function import threaded
+from rbjax.compiler.jax.function import compile_threads
 from rbjax.compiler.lower.write import write_program
 from rbjax.control.optimal.shooting.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.optimal.shooting.expansion import Quadratic
@@ -44,6 +44,7 @@ def positive(*shape):
 
 def kalman(P, F, H, Q, R, zs):
     """A Kalman filter of more states than a thread has room for."""
+
     def step(carry, z):
         x, P = carry
         x, P = F @ x, F @ P @ F.T + Q
@@ -56,6 +57,7 @@ def kalman(P, F, H, Q, R, zs):
 
 def counted(A, x):
     """A `while` over a matrix, with a branch inside."""
+
     def turn(now):
         k, A, x = now
         A = lax.cond(k % 2 == 0, lambda A: A / jnp.abs(A).sum(), lambda A: A.T + x, A)
@@ -122,6 +124,7 @@ def elementwise(A, x):
 
 def sums_in_turn(A, xs):
     """A loop inside a loop; the carry changes places."""
+
     def outer(carry, x):
         A, B = carry
         B = lax.fori_loop(0, 3, lambda k, B: B + 0.1 * k * A @ B, B)
@@ -294,6 +297,7 @@ def test_what_a_knot_takes():
 @host_only
 def test_a_second_solve_takes_the_solution_as_it_is_now():
     """One loop solves two systems in a row only if the first solution is passed on as it was."""
+
     def solve(L, B, **how):
         return solve_triangular(L, B, lower=True, **how)
 
@@ -323,7 +327,7 @@ def kernels(f, monkeypatch, *args):
     made = []
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
     monkeypatch.setattr(launch, "ordinal", lambda: 0)
-    monkeypatch.setattr(launch, "works", lambda: True)
+    monkeypatch.setattr(launch, "kernels_work", lambda: True)
     monkeypatch.setattr(launch, "ptx", lambda source, capability: made.append(source) or "PTX")
     primitive._kernel.cache_clear()
     jax.jit(f).trace(*args).lower(lowering_platforms=("cuda",))
@@ -339,7 +343,7 @@ def by_team(A, x):
 
 @host_only
 def test_values_by_a_team_derivatives_by_a_thread(monkeypatch):
-    f = threaded(by_team, team=True)
+    f = compile_threads(by_team, team=True)
     is_team = [
         "lane=threadIdx.x" in source
         for g in (jax.vmap(f), jax.vmap(jax.grad(lambda A, x: f(A, x).sum())))
@@ -356,7 +360,7 @@ def test_arrays_that_do_not_fit(monkeypatch):
         A = jnp.outer(x, x) + 1
         return (A @ A).sum(0)
 
-    f = jax.vmap(threaded(large, team=True))
+    f = jax.vmap(compile_threads(large, team=True))
     (source,) = kernels(f, monkeypatch, numbers(2, 60))
     assert "lane=threadIdx.x" not in source
     assert not team.fits(written(large, numbers(2, 60), team=True)[0])
@@ -383,4 +387,4 @@ def test_other_layouts_and_sums():
 
 @pytest.mark.parametrize(("samples", "threads"), [(1, 128), (1000, 64), (4096, 32)])
 def test_size_of_a_team(samples, threads):
-    assert team.size_of(samples) == threads
+    assert team.team_size(samples) == threads

@@ -15,9 +15,9 @@ from jax import lax
 
 from rbjax.compiler.ir.program import Layout
 from rbjax.compiler.ir.statements import Loop, Reserve, walk
-from rbjax.compiler.llvm.batch import parts
+from rbjax.compiler.llvm.batch import write_parts
 from rbjax.compiler.lower.write import write_program
-from rbjax.compiler.passes.divergence import divergence
+from rbjax.compiler.passes.analysis import find_divergence
 from tests.compiler import random_programs
 from tests.compiler.host import by_vectors, by_xla, part_function, written
 from tests.compiler.test_algorithms import PARTS, agree, of_a_sample
@@ -91,7 +91,7 @@ def of_samples(f, batch, operands, axes, outs, lanes, summed=()):
                 shape.insert(axis, size)
         results.append(Layout(tuple(shape), () if summed and summed[k] else outs[k]))
     program = write_program(closed, batch, [lay for _, lay in given], results, summed)
-    made = parts(program, lanes)
+    made = write_parts(program, lanes)
     found = [
         np.full((made.count, *lay.shape) if summed and summed[k] else lay.shape, 77, a.dtype)
         for k, (lay, a) in enumerate(zip(results, closed.out_avals, strict=True))
@@ -159,7 +159,7 @@ def test_sums_over_the_batch(size):
 
     axes = [(0,), (None,), (0,)]
     program = of_samples(f, (size,), [x, w, i], axes, [(0,)] * 3, 4, (True, False, True))
-    assert size < 300 or parts(program, 4).count > 1
+    assert size < 300 or write_parts(program, 4).count > 1
 
 
 # ------------------------------------------------------------------- what differs
@@ -178,7 +178,7 @@ def test_what_all_lanes_share_is_scalar():
 
     x, n = np.arange(5.0), np.array([0, 3, 6, 2, 5])
     program, _, _ = written(f, x, n)
-    found = divergence(program.builder.block, [*program.operands, *program.results])
+    found = find_divergence(program.builder.block, [*program.operands, *program.results])
     local = [s.array for s in walk(program.builder.block) if isinstance(s, Reserve)]
     assert [found.of(a) for a in local] == [False, True, True]
     for loop in walk(program.builder.block):
@@ -211,9 +211,9 @@ def test_lanes_part_and_meet():
 
 def test_few_samples_are_scalar():
     program, _, _ = written(lambda x: x * 2, np.arange(3.0))
-    assert "<4 x double>" not in parts(program, 4).text
-    assert "<2 x double>" in parts(program, 2).text
-    assert "double>" in parts(written(lambda x: x * 2, np.arange(64.0))[0]).text
+    assert "<4 x double>" not in write_parts(program, 4).text
+    assert "<2 x double>" in write_parts(program, 2).text
+    assert "double>" in write_parts(written(lambda x: x * 2, np.arange(64.0))[0]).text
 
 
 # ------------------------------------------------------------------- mathematics

@@ -13,11 +13,10 @@ import scipy.special
 import rbjax as rb
 from benchmarks.cases.mechanisms import andrews, four_bars, tilted_four_bar
 from rbjax import constraints as rc
-from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.projection import project_state
 from rbjax.forces.acting import applied
-from rbjax.motion.implicit import increment, stages
-from rbjax.motion.implicit_multistep import BDFSolver
-from rbjax.motion.term import motion
+from rbjax.motion.implicit import BDFSolver, increment, stages
+from rbjax.motion.term import make_term
 from rbjax.solvers.steps import weighted_sums
 from tests.constraints.test_formulations import hung_twice, pendulum, skate
 from tests.oracles import load
@@ -89,7 +88,7 @@ def by_bdf(k: int, law: rc.Formulation) -> Callable:
     @jax.jit
     def run(n):
         h = SECONDS / n
-        term, y0 = motion(model, REST, solver, dynamics=law, start=jnp.zeros(()))
+        term, y0 = make_term(model, REST, solver, dynamics=law, start=jnp.zeros(()))
 
         def once(i, at):
             y, history, _ = at
@@ -208,7 +207,7 @@ def test_orders_with_attitudes_and_redundant_rows(name: str, mechanism: Callable
     model = mechanism()
     v = jnp.cos(jnp.arange(model.nv, dtype=float))
     q = model.default_state().q + (0.4 if mechanism is skate else 0.0)
-    start = projected(model, 0.0, rb.State(q, v), positions=False)
+    start = project_state(model, 0.0, rb.State(q, v), positions=False)
     want = rb.rollout(model, start, None, 5e-4, steps=800, integrator="rk4", save_every=800)
     ends = [
         rb.rollout(model, start, None, 0.4 / n, steps=n, constraints=name, save_every=n)
@@ -238,7 +237,7 @@ def test_gradients(name: str) -> None:
     those of "projected"; a second derivative against differences of the first."""
     model = tilted()
     q, n = model.default_state().q, 10
-    v = projected(model, 0.0, rb.State(q, jnp.array([1.0, -0.4, 0.3])), positions=False).v
+    v = project_state(model, 0.0, rb.State(q, jnp.array([1.0, -0.4, 0.3])), positions=False).v
 
     def end(faster, mass, **how):
         heavy = model.replace(bodies=model.bodies.replace(mass=mass))

@@ -84,7 +84,7 @@ def zeros(n):
     ("make", "said"),
     [
         (lambda: rc.Holonomic(3.0), "Holonomic(f=...): got float, expected a function"),
-        (lambda: rc.Holonomic(zeros(1), 0), "got 0, expected a whole number of rows"),
+        (lambda: rc.Holonomic(zeros(1), 0), "size is 0, expected an integer of at least 1"),
         (lambda: rc.Holonomic(lambda t, q, x: q[:1], 1, jnp.nan), "expected finite numbers"),
         (lambda: rc.Holonomic(zeros(1), 1, "k"), "got 'k', expected a pytree of numbers"),
         (lambda: rc.Holonomic(zeros(2), 1), "f returned the shape (2,), expected (1,)"),

@@ -163,3 +163,16 @@ def test_wrong_inputs(call, message: str) -> None:
     start = model.default_state()
     with pytest.raises((rb.InputError, rb.UnknownName), match=message):
         call(model, start)
+
+
+def test_accelerations_start_from_free_motion() -> None:
+    """At rest G a = 0, although the free motion of the tip is not along the line."""
+    model = rb.load("double_pendulum")
+    q, zero = jnp.array([0.7, -0.4]), jnp.zeros(2)
+    tip = rc.Inplane.between(model, None, "lower", point=[0.0, 0.0, 1.2], q=q)
+    model = model.with_constraints(tip)
+    G = rc.jacobian(model, q)
+    a, _ = accelerations(model, q, zero, zero)
+    free = rb.forward_dynamics(model, q, zero, zero)
+    assert abs(G @ free).max() > 0.1
+    assert abs(G @ a).max() < 1e-7 < abs(a).max()

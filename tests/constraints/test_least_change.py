@@ -9,7 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.equations.projection import across, projected
+from rbjax.constraints.equations.projection import project_state, project_to_tangent_space
 
 FREE = "<freejoint/>"
 PLANAR = """<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
@@ -35,7 +35,7 @@ def projection_of(joints: str, x):
     model = sledge(joints, LENGTH + x[12], 2.0 + x[13])
     start, n = model.default_state(), model.nv
     state = rb.State(rb.integrate(model, start.q, 1e-4 + x[:n]), 0.3 + x[6 : 6 + n])
-    end = projected(model, 0.0, state, iterations=3)
+    end = project_state(model, 0.0, state, iterations=3)
     return jnp.concatenate([end.q, end.v])
 
 
@@ -43,7 +43,7 @@ def across_of(joints: str, x):
     model = sledge(joints, LENGTH + x[12], 2.0 + x[13])
     start, n = model.default_state(), model.nv
     state = rb.State(rb.integrate(model, start.q, 3e-2 + x[:n]), 0.3 + x[6 : 6 + n])
-    end = across(model, 0.0, state, 0.0, start, iterations=8)
+    end = project_to_tangent_space(model, 0.0, state, 0.0, start, iterations=8)
     return jnp.concatenate([end.q, end.v])
 
 
@@ -89,7 +89,7 @@ def test_the_change_is_the_least() -> None:
 
     @jax.jit
     def found():
-        end = projected(model, 0.0, state, iterations=6)
+        end = project_state(model, 0.0, state, iterations=6)
         off = rc.residual(model, end)
         M, G = rb.mass_matrix(model, q), rc.jacobian(model, q)
         return M, G, rb.difference(model, q, end.q), end.v - state.v, off

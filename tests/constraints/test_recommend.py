@@ -112,7 +112,7 @@ def test_without_rows() -> None:
         ({"accuracy": 1e-12}, "accuracy is 1e-12, expected at least 1e-10"),
         ({"horizon": -1.0}, "horizon is -1.0, expected a positive time"),
         ({"dt": 0.0}, "dt is 0.0, expected a positive time"),
-        ({"control": lambda t: None}, "control"),
+        ({"ctrl": lambda t: None}, "ctrl"),
         ({"state": rb.State(jnp.array([-1.0, 0.1]), jnp.zeros(2))}, "off the constraints by 0.005"),
         ({"state": jnp.zeros(2)}, "expected rbjax.State"),
     ],

@@ -25,8 +25,8 @@ from benchmarks.cases.mechanisms import (
 from rbjax import constraints as rc
 from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.equations.model_rows import rows_of
-from rbjax.constraints.equations.projection import projected
-from rbjax.constraints.methods.recursive import Cluster, by_clusters, clusters
+from rbjax.constraints.equations.projection import project_state
+from rbjax.constraints.methods.recursive import Cluster, cluster_problem, find_clusters
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
@@ -106,7 +106,7 @@ def found_clusters(model: rb.Model) -> list[Cluster]:
 
     def traced(q, v):
         now = Context.of(model, 0.0, rb.State(q, v), None, d=driver(model, q.dtype))
-        found.extend(clusters(model.topology, rows_of(model, now)))
+        found.extend(find_clusters(model.topology, rows_of(model, now)))
 
     start = model.default_state()
     jax.eval_shape(traced, start.q, start.v)
@@ -141,7 +141,7 @@ def leg() -> tuple[rb.Model, jax.Array]:
 def both(model: rb.Model, q, v, tau, f_ext=None, t=0.0):
     """a and l of "multipliers", and of recursion."""
     given = model, t, rb.State(q, v), tau, f_ext or {}
-    return constrained_motion(*given), constrained_motion(*given, method=by_clusters)
+    return constrained_motion(*given), constrained_motion(*given, method=cluster_problem)
 
 
 def drawn(model: rb.Model, seed: int = 5) -> tuple[jax.Array, jax.Array]:
@@ -149,7 +149,7 @@ def drawn(model: rb.Model, seed: int = 5) -> tuple[jax.Array, jax.Array]:
 
 
 def consistent(model: rb.Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    return projected(model, 0.0, rb.State(q, v), positions=False).v
+    return project_state(model, 0.0, rb.State(q, v), positions=False).v
 
 
 def off(got, want) -> float:

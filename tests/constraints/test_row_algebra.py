@@ -83,7 +83,7 @@ def combined(what: str, one: Pair, two: Pair, c: float) -> Pair:
         "c-": lambda: (c - one.row, lambda *x: c - f(*x)),
         "*c": lambda: (c * one.row, lambda *x: f(*x) * c),
         "*": lambda: (one.row * two.row, lambda *x: f(*x) * g(*x)),
-        "f": lambda: (one.row.applied(jnp.tanh), lambda *x: jnp.tanh(f(*x))),
+        "f": lambda: (one.row.apply(jnp.tanh), lambda *x: jnp.tanh(f(*x))),
     }
     return Pair(*made[what]())
 
@@ -122,7 +122,7 @@ def test_functions_of_rates_are_refused() -> None:
     x, rate = atoms(now)[0].row, atoms(now)[4].row
     for f in (
         lambda: rate * rate,
-        lambda: rate.applied(jnp.sin),
+        lambda: rate.apply(jnp.sin),
         lambda: rate.time_derivative,
         lambda: angle(x, rate),
         lambda: function_of([x, rate], jnp.sin, jnp.float64),

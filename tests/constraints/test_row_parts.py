@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.constraints.formulation import formulation_of
-from rbjax.constraints.methods.recursive import reach
+from rbjax.constraints.methods.recursive import reached_links
 from rbjax.constraints.rows.functions import evaluate
 from rbjax.constraints.rows.geometry import coordinate, distance, turn_z_to
 from rbjax.constraints.rows.rolling import slip
@@ -92,8 +92,8 @@ def test_a_function_of_a_user_returns_its_numbers():
 def test_a_torque_on_a_joint_reaches_what_it_carries():
     """In a chain of two links: below the upper one; a force from the world reaches both."""
     topology = rb.load("double_pendulum").topology
-    assert reach(topology, Loads({1: 1.0})) == (0, frozenset({1}))
-    assert reach(topology, Loads({0: 1.0, 1: 0.0})) == (-1, frozenset({0}))
+    assert reached_links(topology, Loads({1: 1.0})) == (0, frozenset({1}))
+    assert reached_links(topology, Loads({0: 1.0, 1: 0.0})) == (-1, frozenset({0}))
 
 
 def turned(t, q):

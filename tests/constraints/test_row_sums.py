@@ -37,7 +37,7 @@ def test_products():
 
 
 def test_a_function_of_a_row():
-    value, rate, tau, acceleration = numbers(A.applied(lambda x: x**3))
+    value, rate, tau, acceleration = numbers(A.apply(lambda x: x**3))
     assert (value, rate, tau) == (8.0, 12 * 3.0, {0: 60.0})
     assert acceleration == 12 * 7.0 + 12 * 3.0**2  # f' g'' + f'' g'^2
 

@@ -10,7 +10,7 @@ import pytest
 import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.constraints.equations.constrained_motion import constrained_motion
-from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.projection import project_state
 
 #: name -> freedoms (the textbooks' number), motors, and redundant rows: those across the plane of a
 #: plane loop
@@ -31,7 +31,7 @@ def moving(name: str) -> tuple[rb.Model, rb.State, jax.Array]:
     start = model.default_state()
 
     def at(v):
-        state = projected(model, 0.0, rb.State(start.q, v), positions=False)
+        state = project_state(model, 0.0, rb.State(start.q, v), positions=False)
         q, v = state.q, state.v
         a = constrained_motion(model, 0.0, state, jnp.zeros(model.nv), {})[0]
 
@@ -86,7 +86,7 @@ def test_a_gripper_s_fingers_stay_parallel_and_meet() -> None:
         np.testing.assert_allclose(w[:3], 0.0, atol=1e-12)
     np.testing.assert_allclose(velocities[0][3], -velocities[1][3], rtol=1e-9)
     pads = [
-        rb.site_pose(model, model.keyframe("closed").q, f"{side}_pad")[1]
+        rb.frame_pose(model, model.keyframe("closed").q, site=f"{side}_pad")[1]
         for side in ("left", "right")
     ]
     np.testing.assert_allclose(pads[0], pads[1], atol=1e-12)

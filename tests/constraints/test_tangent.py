@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from benchmarks.cases.mechanisms import four_bars, pendulum, spatial_slider_crank
 from rbjax import constraints as rc
-from rbjax.constraints.equations.projection import across
+from rbjax.constraints.equations.projection import project_to_tangent_space
 
 DOWN = np.array([0.0, -9.81])
 START = np.array([0.6, -0.8, 1.04, 0.78])
@@ -59,7 +59,7 @@ def test_a_state_found_across_the_tangent() -> None:
 
     @jax.jit
     def found(q, v):
-        return across(pendulum(), 0.0, rb.State(q, v), 0.0, start)
+        return project_to_tangent_space(pendulum(), 0.0, rb.State(q, v), 0.0, start)
 
     end = found(p0 * 1.01 + z * t0, 0.3 * p0 + s * t0)
     p = z * t0 + np.sqrt(1 - z * z) * p0
@@ -125,7 +125,7 @@ def test_states_keep_their_tangent_coordinates(mechanism, far: float) -> None:
     @jax.jit
     def found(u, dv):
         there = rb.State(rb.integrate(model, start.q, u), start.v + dv)
-        end = across(model, 0.0, there, 0.0, start)
+        end = project_to_tangent_space(model, 0.0, there, 0.0, start)
         return end, rb.difference(model, start.q, end.q), rc.residual(model, end)
 
     end, moved, off = found(u, dv)

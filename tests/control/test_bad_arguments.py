@@ -181,7 +181,7 @@ TABLE = {
     }),
     "lqr_at": (C.lqr_at, POISED | {"Q": np.ones(4), "R": np.ones(1)}, {
         "model": model(), "state": state(), "ctrl": array(1), "Q": array(4), "R": array(1),
-        "dt": positive(), "integrator": name(), "law": [3, "x"], "constraints": name(),
+        "dt": positive(), "integrator": name(), "dynamics": [3, "x"], "constraints": name(),
     }),
     "time_varying_lqr": (C.time_varying_lqr, {
         "model": CART, "states": STATES, "ctrls": np.zeros((3, 1)), "dt": 0.1, "Q": np.ones(4),

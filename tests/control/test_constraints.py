@@ -171,3 +171,25 @@ def test_residuals_of_a_pose_have_their_angular_part_first():
     twist = rb.control.FrameVelocity(site="tool")(model, 0.0, state, u)
     due = jnp.concatenate([R.T @ twist[:3], R.T @ twist[3:]])
     np.testing.assert_allclose(rate, due, atol=1e-12)
+
+
+def test_terms_count_at_their_knots():
+    """A gate at x = 2 after three of six steps: u = 2/3 three times, then 0."""
+    line = Equations(lambda t, x, u: x + u, 1, 1, discrete=True)
+    gate = Constraint(lambda t, x, u: x, 2.0, 2.0, name="gate", knots=[3])
+    near = Cost(lambda t, x, u: x - 2.0, 1e8, knots=[3])
+    for terms in ({"constraints": [gate]}, {"running": [near]}):
+        running = [Control(), *terms.pop("running", [])]
+        found = solve(Problem(line, 6, 1.0, running=running, **terms), jnp.zeros(1))
+        due = [0, 2 / 3, 4 / 3, 2, 2, 2, 2]
+        np.testing.assert_allclose(found.states[:, 0], due, atol=1e-6)
+        np.testing.assert_allclose(found.cost, 2 / 3, rtol=1e-6)
+
+
+def test_knots_of_terms_are_checked():
+    line = Equations(lambda t, x, u: x + u, 1, 1, discrete=True)
+    for knots in (3, [-1], [0.5], "12"):
+        with pytest.raises(InputError, match="knots"):
+            Cost(Control(), knots=knots)
+    with pytest.raises(InputError, match="below the horizon 6"):
+        Problem(line, 6, 1.0, running=[Cost(Control(), knots=[6])])

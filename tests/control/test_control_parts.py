@@ -12,8 +12,8 @@ import rbjax as rb
 from rbjax import control
 from rbjax.control.laws.controller import check_poses, gains
 from rbjax.control.laws.frame_laws import _matrix
-from rbjax.control.linear.algebraic_riccati import Double, _doubled, remainder
-from rbjax.control.linear.parallel_riccati import Stretch, joined
+from rbjax.control.linear.algebraic_riccati import Double, _cost_to_go_by_doubling, remainder
+from rbjax.control.linear.parallel_riccati import Stretch, join
 from rbjax.control.linear.systems import _reach
 from rbjax.control.optimal.collocation.barrier import PUSH, push_inside
 from rbjax.control.optimal.derivatives.implicit import _may_close_over_tracers
@@ -40,7 +40,7 @@ def test_the_remainder_of_riccatis_equation(discrete):
 
 
 def test_doubling_begins_with_the_continuous_problem():
-    found = jax.jit(lambda *z: _doubled(False, z))(A, B, Q, R, S)
+    found = jax.jit(lambda *z: _cost_to_go_by_doubling(False, z))(A, B, Q, R, S)
     np.testing.assert_allclose(found, scipy.linalg.solve_continuous_are(A, B, Q, R), rtol=1e-8)
 
 
@@ -49,7 +49,7 @@ def test_joined_stretches_have_the_sum_of_their_costs():
     F1, C1, J1, J2 = RNG.normal(size=(4, 2, 2))
     C1, J1, J2 = C1 @ C1.T, J1 @ J1.T, J2 @ J2.T
     none, one = np.zeros(2), np.eye(2)
-    found = jax.jit(joined)(Stretch(F1, none, C1, none, J1), Stretch(one, none, one, none, J2))
+    found = jax.jit(join)(Stretch(F1, none, C1, none, J1), Stretch(one, none, one, none, J2))
     due = F1.T @ J2 @ np.linalg.inv(one + C1 @ J2) @ F1 + J1
     np.testing.assert_allclose(found.J, due, rtol=1e-12)
 

@@ -36,7 +36,7 @@ def test_frame_accelerates_as_asked(arm):
         a = rb.forward_dynamics(arm, q, v, rb.applied_forces(arm, state, law(t, state)))
         J = rb.jacobian(arm, q, site="tip")[3:]
         got = J @ a + rb.frame_bias_acceleration(arm, q, v, site="tip")[3:]
-        _, p = rb.site_pose(arm, q, "tip")
+        _, p = rb.frame_pose(arm, q, site="tip")
         p_rate = jax.jvp(circle, (t,), (1.0,))[1]
         p_rate2 = jax.jvp(lambda t: jax.jvp(circle, (t,), (1.0,))[1], (t,), (1.0,))[1]
         K = jnp.array([100.0, 80.0, 60.0])

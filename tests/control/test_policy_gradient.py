@@ -9,9 +9,15 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Environment, actor_critic, network, through_time
-from rbjax.control.learning.environment import Segment, squashed
-from rbjax.control.learning.policy_gradient import Samples, drawn, policy_loss, renewed, returns
-from rbjax.control.learning.training import updated
+from rbjax.control.learning.environment import Segment, squash_controls
+from rbjax.control.learning.policy_gradient import (
+    Samples,
+    draw_batch,
+    policy_loss,
+    renew_batch,
+    returns,
+)
+from rbjax.control.learning.training import apply_update
 from rbjax.errors import InputError, UnknownName
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -41,7 +47,7 @@ def test_the_gradient_of_the_loss_is_that_of_differences():
     env = environment()
     policy = network(KEY, (4, 3, 1), last=1.0)
     value = network(jax.random.key(1), (4, 3, 1), "elu", last=1.0)
-    _, states = jax.vmap(env.begun)(jax.random.split(KEY, 2))
+    _, states = jax.vmap(env.reset)(jax.random.split(KEY, 2))
     flat, shaped = jax.flatten_util.ravel_pytree(policy)
 
     def loss(theta):
@@ -59,7 +65,7 @@ def test_the_gradient_of_the_loss_is_that_of_differences():
 def test_a_batch_of_models_is_a_loop_over_them():
     env = environment(randomise=heavier)
     policy = network(KEY, (4, 3, 1), last=1.0)
-    models, states = jax.vmap(env.begun)(jax.random.split(KEY, 3))
+    models, states = jax.vmap(env.reset)(jax.random.split(KEY, 3))
     assert len(np.unique(models.bodies.mass[:, 0])) == 3
     segment = jax.jit(lambda m, s: env.unroll(policy, m, s, 2))(models, states)
     for k in range(3):
@@ -98,25 +104,25 @@ def test_targets_are_weighted_sums():
 def test_controls_stay_in_their_ranges():
     env = environment()
     y = jnp.array([1e3])
-    assert squashed(env, y)[0] == 20.0 and squashed(env, -y)[0] == -20.0
-    assert abs(squashed(env, jnp.array([0.1]))[0] - 20 * np.tanh(0.1)) < 1e-14
-    assert squashed(environment(squash=False), y)[0] == 1e3
+    assert squash_controls(env, y)[0] == 20.0 and squash_controls(env, -y)[0] == -20.0
+    assert abs(squash_controls(env, jnp.array([0.1]))[0] - 20 * np.tanh(0.1)) < 1e-14
+    assert squash_controls(environment(squash=False), y)[0] == 1e3
     free = MODEL.replace(
         actuators=MODEL.actuators.replace(ctrlrange=jnp.array([[-jnp.inf, jnp.inf]]))
     )
-    assert squashed(Environment(free, cost, start, dt=0.05), y)[0] == 1e3
+    assert squash_controls(Environment(free, cost, start, dt=0.05), y)[0] == 1e3
 
 
 def test_samples_begin_anew():
     """The old, the lost and those that are not finite; the others go on."""
     env = environment(lost=lambda state: state.q[0] > 9.0, episode=10)
-    samples = drawn(env, KEY, 4)
+    samples = draw_batch(env, KEY, 4)
     assert samples.models is None and (samples.ages < 10).all()
     q = jnp.zeros((4, 1, 2)).at[1, 0, 0].set(10.0).at[2, 0, 0].set(jnp.nan)
     states = rb.State(q, jnp.full((4, 1, 2), 0.25))
     segment = Segment(states, None, None)
     some = Samples(None, samples.states, jnp.array([8, 0, 0, 3]))
-    after = renewed(env, KEY, some, segment, 2)
+    after = renew_batch(env, KEY, some, segment, 2)
     assert after.ages.tolist() == [0, 0, 0, 5]
     assert np.isfinite(after.states.q).all()
     assert (after.states.v[3] == 0.25).all() and (after.states.v[:3] == 0).all()
@@ -126,10 +132,10 @@ def test_a_gradient_that_is_not_finite_changes_nothing():
     import optax
 
     optimiser = optax.sgd(0.1)
-    one, memory, fine = updated(optimiser, jnp.array([1.0, jnp.nan]), optimiser.init(jnp.ones(2)),
-                                jnp.ones(2))  # fmt: skip
+    memory, slope = optimiser.init(jnp.ones(2)), jnp.array([1.0, jnp.nan])
+    one, memory, fine = apply_update(optimiser, slope, memory, jnp.ones(2))
     assert (one == 1).all() and not fine
-    two, _, fine = updated(optimiser, jnp.array([1.0, 2.0]), memory, jnp.ones(2))
+    two, _, fine = apply_update(optimiser, jnp.array([1.0, 2.0]), memory, jnp.ones(2))
     assert np.abs(two - np.array([0.9, 0.8])).max() < 1e-15 and fine
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, SampledStart, Sampling
-from rbjax.control.optimal.shooting.sampling import Draw, control_at, motion, rolled
+from rbjax.control.optimal.shooting.sampling import Draw, control_at, sampled_cost, sampled_motion
 from rbjax.control.status import FINISHED, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
 
@@ -77,7 +77,7 @@ def test_the_cost_of_a_draw_is_that_of_its_motion():
     how = Sampling(**SMALL, penalty=7.0)
     u = np.linspace(-0.8, 0.9, N)
     draw = Draw(jnp.asarray(u)[:, None], jnp.zeros(0), jnp.zeros(2))
-    cost = jax.jit(lambda draw: rolled(how, problem, START, draw))(draw)
+    cost = jax.jit(lambda draw: sampled_cost(how, problem, START, draw))(draw)
     x, want = np.array([1.0, 0.0]), 0.0
     for k in range(N):
         off = max(abs(x[1]) - 0.1, 0.0)
@@ -85,7 +85,7 @@ def test_the_cost_of_a_draw_is_that_of_its_motion():
         x = np.array([x[0] + H * x[1] + 0.5 * H * H * u[k], x[1] + H * u[k]])
     want += 2 * (x @ x)
     assert abs(cost - want) < 1e-12 * want
-    knots, us = jax.jit(lambda draw: motion(how, problem, START, draw))(draw)
+    knots, us = jax.jit(lambda draw: sampled_motion(how, problem, START, draw))(draw)
     assert np.abs(knots.state[-1] - x).max() < 1e-14 and np.abs(us[:, 0] - u).max() == 0
 
 

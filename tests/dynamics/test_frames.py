@@ -180,7 +180,7 @@ def test_derivatives_of_the_definition(driver: str, frame: tuple[str, str]) -> N
 
     def pose(q):
         if kind == "site":
-            R, p = rb.site_pose(model, q, name)
+            R, p = rb.frame_pose(model, q, site=name)
         else:
             R, p = (x[model.body(name)] for x in rb.forward_kinematics(model, q))
         return R, p + R @ POINT
@@ -307,13 +307,15 @@ def test_the_pose_of_a_site_asks_for_its_path_alone(name: str, driver: str) -> N
     @jax.jit
     def both(model, q):
         poses = rb.forward_kinematics(model, q)
-        return rb.site_pose(model, q, model.site_names[site]), (poses.R[body], poses.p[body])
+        return rb.frame_pose(model, q, site=model.site_names[site]), (poses.R[body], poses.p[body])
 
     (R, p), (E, o) = both(model, q)
     own = rb.rotations.quaternion.to_matrix(model.sites.orientation[site])
     assert relative_error(R, E @ own) <= F64_IDENTITY
     assert relative_error(p, o + E @ model.sites.position[site]) <= F64_IDENTITY
-    asked = rb.operation_count(lambda m, q: rb.site_pose(m, q, model.site_names[site]), model, q)
+    asked = rb.operation_count(
+        lambda m, q: rb.frame_pose(m, q, site=model.site_names[site]), model, q
+    )
     every = rb.operation_count(rb.forward_kinematics, model, q)
     least = {"arm7": 1.1, CHAIN: 1.1}.get(name, 1 / 3)  # they have one path, and all bodies on it
     assert asked.total < least * every.total
@@ -341,3 +343,20 @@ def test_the_pose_of_a_point_of_a_body_or_site() -> None:
         assert relative_error(p_site, origin + R_site @ POINT) <= F64_IDENTITY
     np.testing.assert_array_equal(R, np.eye(3))
     np.testing.assert_array_equal(p, POINT)
+
+
+def test_frames_as_values() -> None:
+    """`rb.Frame` in place of a body gives the results of its parts, and excludes them."""
+    model = robot("small").model
+    q, v = model.keyframe("bent").q, model.keyframe("bent").v
+    point = np.array([0.1, -0.2, 0.3])
+    for parts in ({"body": "hand", "point": point}, {"site": "tip"}):
+        frame = rb.Frame(**parts)
+        for f, given in ((rb.frame_pose, (q,)), (rb.jacobian, (q,)), (rb.frame_velocity, (q, v))):
+            got, want = (
+                jax.tree.leaves(x) for x in (f(model, *given, frame), f(model, *given, **parts))
+            )
+            for a, b in zip(got, want, strict=True):
+                np.testing.assert_array_equal(a, b)
+    with pytest.raises(rb.InputError, match="jacobian: got a Frame and site"):
+        rb.jacobian(model, q, rb.Frame("hand"), site="tip")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.algorithms.momenta import momentum_and_rate
+from rbjax.dynamics.algorithms.energy import momentum_and_rate
 from rbjax.lanes import Mat3, Vec3, rotation_z, sincos
 from rbjax.spatial import Transform
 from tests.tolerances import F64_IDENTITY, F64_ROUNDING, relative_error

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.algorithms.momenta import (
+from rbjax.dynamics.algorithms.energy import (
     linearly_implicit_velocity,
     momentum_and_rate,
-    momentum_of,
     velocity_of,
 )
+from rbjax.dynamics.algorithms.rnea import momentum
 from tests.robots import at, mass_matrix, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
 
@@ -34,14 +34,14 @@ def test_momenta_and_their_rates(name, driver):
     (q,), (v,) = r.states(1)
     a, f = np.random.default_rng(3).normal(size=(2, model.nv))
 
-    def momentum(t):
+    def momentum_after(t):
         moved = np.array(q)
         mujoco.mj_integratePos(m, moved, v + a * t / 2, t)
         return mass_matrix(m, at(m, moved, v)) @ (v + a * t)
 
     data = at(m, q, v)
     tau = mass_matrix(m, data) @ a + data.qfrc_bias
-    want = (momentum(STEP) - momentum(-STEP)) / (2 * STEP)
+    want = (momentum_after(STEP) - momentum_after(-STEP)) / (2 * STEP)
 
     @jax.jit
     def found(q, v, tau, f):
@@ -50,14 +50,14 @@ def test_momenta_and_their_rates(name, driver):
         return (
             p,
             rate,
-            momentum_of(model, q, v),
+            momentum(model, q, v),
             velocity_of(model, q, f),
             linearly_implicit_velocity(model, q, extra)(f),
         )
 
     p, rate, alone, speed, nearby = found(q, v, tau, f)
-    assert relative_error(p, momentum(0.0)) < F64_PARITY
-    assert relative_error(alone, momentum(0.0)) < F64_PARITY
+    assert relative_error(p, momentum_after(0.0)) < F64_PARITY
+    assert relative_error(alone, momentum_after(0.0)) < F64_PARITY
     assert relative_error(rate, want) < GRADIENT
     M = mass_matrix(m, data)
     assert relative_error(speed, np.linalg.solve(M, f)) < F64_PARITY

@@ -46,7 +46,7 @@ def test_modern_robotics(name: str) -> None:
     tip, last = np.array(case.data["tip_wrench"]), model.nb - 1
 
     def answers(q, v, a, tau):
-        R, p = rb.site_pose(model, q, "tip")  # the wrench is in the tip's axes, by the robot
+        R, p = rb.frame_pose(model, q, site="tip")  # the wrench is in the tip's axes, by the robot
         at_tip = jnp.concatenate([R @ tip[:3], R @ tip[3:]])
         arm = p - rb.forward_kinematics(model, q).p[last]
         moment = at_tip[:3] + jnp.cross(arm, at_tip[3:])

@@ -37,7 +37,7 @@ def test_dampers_take_the_power_of_the_relative_motion() -> None:
     power = ((applied(model)(q, v, zero) - applied(still)(q, v, zero)) * v).sum(-1)
 
     def seen(q):
-        (R, p), (E, o) = rb.site_pose(model, q, site="tip"), _slider(model, q)
+        (R, p), (E, o) = rb.frame_pose(model, q, site="tip"), _slider(model, q)
         return E.T @ R, E.T @ (p - o)
 
     @jax.jit

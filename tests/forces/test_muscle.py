@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from rbjax.forces.actuators.activation import Recruitment
-from rbjax.forces.actuators.muscle import Muscle
+from rbjax.forces.actuators.activation import Muscle, Recruitment
 from tests.tolerances import F64_ROUNDING
 
 SHAPE = np.array([0.75, 1.05, -1.0, 200.0, 0.5, 1.6, 1.5, 1.3, 1.2])

@@ -44,9 +44,7 @@ def test_what_is_left_of_a_search_that_ends_early_is_said(monkeypatch):
     low, high = -rng.uniform(0, 0.5, (20, 6)), rng.uniform(0, 0.5, (20, 6))
     most = []
     for steps in (0, 3, 4, 5):
-        monkeypatch.setattr(
-            "rbjax.kinematics.velocity_level.STEPS", steps / 6
-        )
+        monkeypatch.setattr("rbjax.kinematics.velocity_level.STEPS", steps / 6)
         x, optimal = jax.vmap(lambda A, b, low, high: bounded_quadratic(
             A.T @ A + jnp.eye(6), A.T @ b, low, high))(A, b, low, high)  # fmt: skip
         x = np.asarray(x)
@@ -61,7 +59,7 @@ def test_what_is_left_of_a_search_that_ends_early_is_said(monkeypatch):
 
 def test_error_falls_at_the_rate(arm):
     """Without limits J v = rate e, and v is the pseudoinverse's."""
-    R, p = rb.site_pose(arm, jnp.asarray(Q), "tool")
+    R, p = rb.frame_pose(arm, jnp.asarray(Q), site="tool")
     goal = control.Goal(site="tool", position=p + 0.01, rotation=R)
     found = velocity(arm, Q, goal, rate=3.0, damping=1e-9)
     J = np.asarray(rb.jacobian(arm, jnp.asarray(Q), site="tool"))
@@ -74,7 +72,7 @@ def test_limits_hold(arm):
     """Speeds, and the end of a range that is 0.01 rad away, within a step of 0.1 s."""
     q = np.array(Q)
     q[3] = float(arm.joints.range[3, 1]) - 0.01
-    _, p = rb.site_pose(arm, jnp.asarray(q), "tool")
+    _, p = rb.frame_pose(arm, jnp.asarray(q), site="tool")
     goal = control.Goal(site="tool", position=p - 0.3)
     found = velocity(arm, q, goal, rate=5.0, speed=0.8, dt=0.1)
     assert np.abs(found.v).max() <= 0.8 and found.v[3] <= 0.1 + 1e-12
@@ -82,7 +80,7 @@ def test_limits_hold(arm):
 
 
 def test_derivative_with_limits(arm):
-    _, p = rb.site_pose(arm, jnp.asarray(Q), "tool")
+    _, p = rb.frame_pose(arm, jnp.asarray(Q), site="tool")
     f = jax.jit(lambda x: velocity(arm, Q, control.Goal(site="tool", position=x), rate=5.0,
                                      speed=0.4, damping=1e-2).v)  # fmt: skip
     at, h = p + jnp.array([0.2, -0.1, 0.1]), 1e-6

@@ -73,7 +73,7 @@ def test_pose_against_mujoco(arm):
     """The pose that MuJoCo computes from the answer is the one that was asked for."""
     m = mujoco.MjModel.from_xml_path(str(scene("arm7")))
     data = mujoco.MjData(m)
-    R, p = rb.site_pose(arm, jnp.asarray(CONFIGURATION), "tool")
+    R, p = rb.frame_pose(arm, jnp.asarray(CONFIGURATION), site="tool")
     found = ik(arm, (R, p), site="tool")
     assert found.success and within(arm, found.q)
     data.qpos[:] = found.q
@@ -90,7 +90,7 @@ def scene(name):
 
 def test_direction(arm):
     found = ik(arm, Goal(site="tool", position=[0.5, 0.1, 0.5], direction=[0.0, 0.0, -2.0]))
-    R, p = rb.site_pose(arm, found.q, "tool")
+    R, p = rb.frame_pose(arm, found.q, site="tool")
     assert found.success
     np.testing.assert_allclose(R[:, 2], [0.0, 0.0, -1.0], atol=2e-6)
     np.testing.assert_allclose(p, [0.5, 0.1, 0.5], atol=1e-6)
@@ -100,7 +100,7 @@ def test_several_frames_free_and_ball_joints():
     """A foot and a hand of a floating robot; the hip's swing and the slide stay in their ranges."""
     model = load_quietly(FLOATING)
     q = random_configurations(model, jax.random.key(3), 1, model.default_state().q)[0]
-    (Rf, pf), (Rh, ph) = (rb.site_pose(model, q, s) for s in ("foot", "hand"))
+    (Rf, pf), (Rh, ph) = (rb.frame_pose(model, q, site=s) for s in ("foot", "hand"))
     goals = [
         Goal(site="foot", position=pf, rotation=Rf),
         Goal(site="hand", position=ph, rotation=Rh),
@@ -108,7 +108,7 @@ def test_several_frames_free_and_ball_joints():
     found = ik(model, goals)
     assert found.success, found.summary()
     for site, (R, p) in (("foot", (Rf, pf)), ("hand", (Rh, ph))):
-        got = rb.site_pose(model, found.q, site)
+        got = rb.frame_pose(model, found.q, site=site)
         np.testing.assert_allclose(got[1], p, atol=2e-6)
         np.testing.assert_allclose(got[0], R, atol=4e-6)
     angle = rb.rotations.quaternion.angle(found.q[model.q_slice("hip")])
@@ -124,7 +124,7 @@ def test_ball_joint_at_the_end_of_its_swing():
         "</body></worldbody></mujoco>"
     )
     found = ik(model, [np.sin(1.2), 0.0, -np.cos(1.2)], site="tip", seeds=2)
-    _, p = rb.site_pose(model, found.q, "tip")
+    _, p = rb.frame_pose(model, found.q, site="tip")
     assert not found.success
     np.testing.assert_allclose(p, [np.sin(0.6), 0.0, -np.cos(0.6)], atol=1e-6)
 
@@ -132,7 +132,7 @@ def test_ball_joint_at_the_end_of_its_swing():
 def test_posture_is_the_nearest_solution(arm):
     """At the answer, the way to the posture has no part in the null space of J (first-order
     conditions of the least |p - q|^2); random solutions nearby are farther."""
-    R, p = rb.site_pose(arm, jnp.asarray(CONFIGURATION), "tool")
+    R, p = rb.frame_pose(arm, jnp.asarray(CONFIGURATION), site="tool")
     posture = jnp.asarray(CONFIGURATION + 0.3)
     found = ik(arm, (R, p), site="tool", posture=posture, start=CONFIGURATION, tolerance=1e-9)
     assert found.success
@@ -146,7 +146,7 @@ def test_posture_is_the_nearest_solution(arm):
 def test_derivatives_by_target_posture_and_model():
     """Reverse and forward derivatives of the solution against central differences of searches."""
     arm, q0 = load_quietly(ARM), jnp.array([0.2, -0.6, 1.2, 0.4])
-    _, p = rb.site_pose(arm, q0, "tip")
+    _, p = rb.frame_pose(arm, q0, site="tip")
 
     def f(p, posture, position):
         model = arm.replace(bodies=arm.bodies.replace(position=position))
@@ -173,7 +173,7 @@ def test_derivatives_by_target_posture_and_model():
 
 
 def test_derivative_without_posture_is_the_pseudoinverse(arm):
-    R, p = rb.site_pose(arm, jnp.asarray(CONFIGURATION), "tool")
+    R, p = rb.frame_pose(arm, jnp.asarray(CONFIGURATION), site="tool")
     J, q = jax.jit(lambda p: (jax.jacfwd(lambda p: ik(arm, (R, p), site="tool").q)(p),
                               ik(arm, (R, p), site="tool").q))(p)  # fmt: skip
     want = np.linalg.pinv(np.asarray(rb.jacobian(arm, q, site="tool")))[:, 3:]
@@ -228,9 +228,9 @@ def test_a_thousand_reachable_poses(arm):
     """1,000 poses of random configurations within the ranges: at least 99.9 % to 1e-6."""
     model = arm
     q = random_configurations(model, jax.random.key(5), 1000, model.default_state().q)
-    R, p = jax.jit(jax.vmap(lambda q: rb.site_pose(model, q, "tool")))(q)
+    R, p = jax.jit(jax.vmap(lambda q: rb.frame_pose(model, q, site="tool")))(q)
     found = jax.jit(jax.vmap(lambda R, p: ik(model, (R, p), site="tool")))(R, p)
-    Rf, pf = jax.jit(jax.vmap(lambda q: rb.site_pose(model, q, "tool")))(found.q)
+    Rf, pf = jax.jit(jax.vmap(lambda q: rb.frame_pose(model, q, site="tool")))(found.q)
     solved = (jnp.linalg.norm(pf - p, axis=1) <= 1.01e-6) & (jnp.abs(Rf - R).max((1, 2)) <= 1.5e-6)
     low, high = model.joints.range.T
     assert ((found.q >= low) & (found.q <= high)).all()

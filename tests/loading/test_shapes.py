@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.loading.at_rest import at_rest
-from rbjax.loading.round_shapes import round_shape
+from rbjax.loading.at_rest import at_rest, round_shape
 from rbjax.loading.sources import compile_model
 from rbjax.loading.urdf.shapes import find_mesh
 

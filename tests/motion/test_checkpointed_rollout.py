@@ -17,10 +17,9 @@ from rbjax.compiler.jax.programs import traced
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
-from rbjax.motion.checkpointed_rollout import CheckpointedRollout, keep_every
+from rbjax.motion.checkpointed_rollout import CheckpointedRollout, StepVjp, checkpoint_interval
 from rbjax.motion.field import Field
 from rbjax.motion.integrators import semi_implicit_euler
-from rbjax.motion.pullback import Pullback
 from tests.compiler.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
@@ -133,7 +132,7 @@ def test_emitted_states_and_cotangents(kept):
         program, plain = checkpointed(save_every, k, keep_residuals), scanned(save_every)
         states = jax.vmap(plain)(Q, V, US, w)
         bars = [RNG.normal(size=x.shape) for x in states]
-        keeping = program.keeping((True,) * 4)
+        keeping = program.forward_with_residuals((True,) * 4)
         found = jax.vmap(keeping)(Q, V, US, w)
         agree(found[:2], states)
         assert found[-1].shape == ((BATCH, STEPS, N) if keep_residuals else found[-1].shape)
@@ -159,9 +158,9 @@ def test_a_step_leaves_what_is_named():
         return jax.tree.leaves(semi_implicit_euler(field, 0.0, State(q, v), Inputs(), 0.01))
 
     step = traced(step_of, *one)
-    pull = Pullback.of(step, (True, True))
-    assert pull is Pullback.of(step, (True, True))
-    assert 14 < pull.left.size <= 7 + 7 * 7 and pull.bytes == 8 * pull.left.size
+    pull = StepVjp.of(step, (True, True))
+    assert pull is StepVjp.of(step, (True, True))
+    assert 14 < pull.residuals.size <= 7 + 7 * 7 and pull.bytes == 8 * pull.residuals.size
     q, v, bars = Q[0, [0] * 7], V[0, [1] * 7], [jnp.arange(7.0), jnp.ones(7)]
     *new, left = pull.forward(q, v)
     agree(new, step(q, v))
@@ -175,7 +174,7 @@ def test_a_step_leaves_what_is_named():
 def test_what_is_kept_fits_into_the_memory():
     for save_every in (1, 7, 24, 100):
         for budget in (0, 100, 399, 400, 1e9):
-            k = keep_every(save_every, 4 * save_every, 4, budget)
+            k = checkpoint_interval(save_every, 4 * save_every, 4, budget)
             assert save_every % k == 0
             divisors = [d for d in range(1, save_every + 1) if save_every % d == 0]
             fit = [d for d in divisors if 4 * save_every // d * 4 <= budget]

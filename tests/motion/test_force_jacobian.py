@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax.dynamics.drivers import choice
 from rbjax.forces.inputs import Inputs
-from rbjax.motion import force_jacobian
+from rbjax.motion import linearise as force_jacobian
 from rbjax.motion.linearise import box_plus, generalized_forces
 from tests.tolerances import F64_ROUNDING, relative_error
 

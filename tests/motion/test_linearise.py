@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.forces.inputs import Inputs
 from rbjax.motion.linearise import box_minus, box_plus
 from tests.forces.elements import Lag, Wind
 from tests.tolerances import F64_IDENTITY, relative_error
@@ -143,7 +144,8 @@ def test_the_closed_form_of_free_motion_is_the_derivative_of_its_rates(name: str
     model = model.with_forces(spring)
     state = model.random_state(jax.random.key(0))
     ctrl = 0.1 * jnp.ones(model.nu)
-    find = [of._free_rates, of._rates]
-    own, want = (f(model, state, ctrl, ctrl, 0.0, of.free_motion) for f in find)
+    given = Inputs(ctrl)
+    own = of._free_rates(model, state, given, 0.0)
+    want = of._rates(model, state, given, 0.0, of.free_motion)
     for x, y in zip(own, want, strict=True):
         np.testing.assert_allclose(x, y, rtol=0, atol=1e-10 * max(1.0, float(jnp.abs(y).max())))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.algorithms.forward import acceleration
+from rbjax.dynamics.algorithms.aba import acceleration
 from rbjax.motion.field import Field, free_motion
 from tests.tolerances import F64_IDENTITY, relative_error
 

@@ -205,7 +205,7 @@ ROUND = Footprint.disc(0.1)
         ),
         (
             lambda: grid_dijkstra(GRID, ROUND, [0.5] * 3, "there", car_like(72)),
-            ["goal is str", "(3,)"],
+            ["goal is 'there'", "(3,)"],
         ),
         (
             lambda: grid_dijkstra(GRID, ROUND, [0.5] * 3, [0.6] * 3, car_like(72), max_count=0),
@@ -217,7 +217,7 @@ ROUND = Footprint.disc(0.1)
         ),
         (
             lambda: grid_dijkstra(None, ROUND, [0.5] * 3, [0.6] * 3, car_like(72)),
-            ["grid is NoneType", "OccupancyGrid"],
+            ["grid is None", "OccupancyGrid"],
         ),
     ],
     ids=range(12),

@@ -173,11 +173,11 @@ EMPTY = np.zeros((3, 4), bool)
         (lambda: OccupancyGrid(EMPTY, 0.1, [0.0]), ["origin", "(1,)", "(2,)"]),
         (lambda: Footprint(np.zeros((2, 2)), np.ones(3)), ["(2, 2)", "(3,)", "(n, 2)"]),
         (lambda: Footprint.disc(-1), ["disc: radius is -1", "above zero"]),
-        (lambda: Footprint.rectangle(1, 0, 1, discs=0), ["discs is 0", "positive integer"]),
+        (lambda: Footprint.rectangle(1, 0, 1, discs=0), ["discs is 0", "an integer of at least 1"]),
         (lambda: Footprint.polygon([[0, 0], [1, 1]], 0.1), ["(2, 2)", "n >= 3"]),
         (
             lambda: clear(OccupancyGrid(EMPTY, 0.1), np.zeros(3), Footprint.disc(1)),
-            ["clear: field is OccupancyGrid", "distance_field()"],
+            ["clear: field is of type OccupancyGrid", "distance_field()"],
         ),
         (
             lambda: clearance(
@@ -187,7 +187,7 @@ EMPTY = np.zeros((3, 4), bool)
         ),
         (
             lambda: clearance(OccupancyGrid(EMPTY, 0.1).distance_field(), np.zeros(3), None),
-            ["clearance: footprint is NoneType", "Footprint.rectangle"],
+            ["clearance: footprint is None", "Footprint.rectangle"],
         ),
     ],
     ids=range(11),

@@ -97,7 +97,7 @@ def test_paths() -> None:
     [
         (lambda: Path([0.0, 0.0], np.zeros((2, 3))), ["(2,) and (2, 3)", "(..., n, 3)"]),
         (lambda: Path(np.zeros(3), np.zeros((2, 3))).split(0), ["spacing is 0"]),
-        (lambda: smooth(None, None, None, 1.0), ["path is NoneType", "Path"]),
+        (lambda: smooth(None, None, None, 1.0), ["path is None", "Path"]),
     ],
     ids=range(3),
 )

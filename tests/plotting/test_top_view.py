@@ -13,7 +13,7 @@ from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.planning import Footprint, OccupancyGrid
 from rbjax.plotting import animate_top_view, top_view
-from rbjax.plotting.from_above import acting, centers, places, vectors
+from rbjax.plotting.from_above import centers, places, vectors, wheel_forces
 
 KINDS = wheeled.kinds()
 
@@ -58,7 +58,7 @@ def test_wheels_that_roll_move_along_themselves(name):
 
 def test_forces_accelerate_the_car(car, motion):
     state, u = motion.state(-1), jnp.array([20.0, 0.3])
-    forces, _ = acting(car, state, u, places(car, state.q))
+    forces, _ = wheel_forces(car, state, u, places(car, state.q))
     n = car.context(state).n
     h = 1e-5
 

@@ -1,17 +1,19 @@
-"""A valid call of every public function, by room: arguments by name.
+"""Valid calls of public functions, by room: arguments by name.
 
 Bad arguments are made from them: `tests/public/test_bad_calls.py`.
 """
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from rbjax import body, constraints, planning, rotations, spatial, stability, wheeled
+from rbjax import body, constraints, estimation, planning, rotations, spatial, stability, wheeled
 from rbjax.planning import Controls, Footprint, Limits, OccupancyGrid, Path
 from rbjax.rotations import se3, so3
 from rbjax.spatial import shapes
@@ -66,7 +68,7 @@ SPATIAL: Calls = {
     "motion_cross": {"V": X, "m": Y},
     "motion_cross_matrix": {"V": X},
     "motion_transform": {"T": T},
-    "moved": {"T": T, "mass": 2.0, "com": S, "inertia": INERTIA},
+    "transform_properties": {"T": T, "mass": 2.0, "com": S, "inertia": INERTIA},
     "parallel_axes": {"inertia": INERTIA, "mass": 2.0, "offset": S},
     "power": {"F": X, "V": Y},
     "principal_axes": {"inertia": INERTIA},
@@ -131,33 +133,33 @@ WHEELED: Calls = {
     "at": {"robot": ROBOT, "fidelity": "kinematical"},
     "commands": {"robot": ROBOT, "twist": np.array([0.5, 0.0, 0.1])},
     "contacts": {
-        "vehicle": SLIPPING, "state": wheeled.start(SLIPPING), "controls": np.zeros(2),
+        "model": SLIPPING, "state": wheeled.start(SLIPPING), "ctrl": np.zeros(2),
     },
-    "controlled": {"vehicle": VEHICLE, "method": "rk4", "parts": 1},
+    "controlled": {"model": VEHICLE, "integrator": "rk4", "parts": 1},
     "full_model": {"robot": ROBOT, "base": "planar"},
-    "full_model_state": {"vehicle": VEHICLE, "state": STATE, "controls": np.zeros(2)},
+    "full_model_state": {"model": VEHICLE, "state": STATE, "ctrl": np.zeros(2)},
     "mean_twists": {"t": np.arange(3.0), "poses": PATH[:3]},
     "odometry": {"robot": ROBOT, "t": np.arange(3.0), "angles": np.zeros((3, 2)), "pose": ONE},
     "pure_pursuit": {"path": PATH, "pose": PATH[0], "speed": 0.5, "lookahead": 1.0},
-    "rates": {"vehicle": VEHICLE, "state": STATE, "controls": np.zeros(2)},
-    "reduced": {"vehicle": VEHICLE, "state": STATE, "controls": np.zeros(2)},
-    "undetermined": {"vehicle": VEHICLE, "state": STATE, "controls": np.zeros(2)},
+    "rates": {"model": VEHICLE, "state": STATE, "ctrl": np.zeros(2)},
+    "reduced": {"model": VEHICLE, "state": STATE, "ctrl": np.zeros(2)},
+    "undetermined": {"model": VEHICLE, "state": STATE, "ctrl": np.zeros(2)},
     "rolled_twists": {"robot": ROBOT, "rates": np.ones(2)},
     "rollout": {
-        "vehicle": VEHICLE, "state": STATE, "controls": np.zeros((3, 2)), "dt": 0.01,
-        "method": "rk4", "save_every": 1,
+        "model": VEHICLE, "state": STATE, "ctrl": np.zeros((3, 2)), "dt": 0.01,
+        "integrator": "rk4", "save_every": 1,
     },
     "simulate": {
-        "vehicle": VEHICLE, "state": STATE, "ts": np.array([0.0, 0.1]), "controls": np.zeros(2),
+        "model": VEHICLE, "state": STATE, "ts": np.array([0.0, 0.1]), "ctrl": np.zeros(2),
         "max_steps": 100,
     },
     "stanley": {
         "path": PATH, "pose": PATH[0], "speed": 0.5, "wheelbase": 0.4, "gain": 1.0, "soft": 0.5,
     },
-    "start": {"vehicle": VEHICLE, "pose": ONE, "twist": ONE},
+    "start": {"model": VEHICLE, "pose": ONE, "twist": ONE},
     "tracking_gains": {
-        "vehicle": VEHICLE, "states": rb.State(jnp.zeros((3, STATE.q.size)), jnp.zeros((3, 2))),
-        "controls": np.zeros((2, 2)), "dt": 0.1, "Q": np.ones(STATE.q.size + 2), "R": np.ones(2),
+        "model": VEHICLE, "states": rb.State(jnp.zeros((3, STATE.q.size)), jnp.zeros((3, 2))),
+        "ctrl": np.zeros((2, 2)), "dt": 0.1, "Q": np.ones(STATE.q.size + 2), "R": np.ones(2),
     },
     "traction_along": {
         "law": wheeled.Fiala(12.0, 0.8), "ux": 0.1, "uy": 0.1, "roll_speed": 2.0,
@@ -180,6 +182,9 @@ WHEELED: Calls = {
     "Wheel": {"position": np.zeros(2), "heading": 0.0, "radius": 0.1, "inertia": 0.01, "mass": 1.0},
     "Drive": {"wheels": (0,)},
     "Steering": {"wheels": (0,), "lag": 0.2},
+    "Body": {"mass": 1.0, "inertia": 0.1, "com": np.zeros(2), "height": 0.2},
+    "car": {"wheelbase": 1.0, "track": 0.6, "radius": 0.2},
+    "differential_drive": {"track": 0.4, "radius": 0.1, "mass": 5.0},
 }  # fmt: skip
 
 GRID = OccupancyGrid(np.zeros((20, 20), bool), 0.2)
@@ -202,7 +207,11 @@ PLANNING: Calls = {
     "Controls": {"speeds": np.ones(3), "turn_rates": S, "dt": 0.1, "reversal": 0, "steering": 0},
     "grid_a_star": {**SEARCH, "tolerance": (0.3, 0.5), "weight": 1.0},
     "grid_dijkstra": {**SEARCH, "tolerance": (0.3, 0.5)},
-    "hybrid_a_star": {**SEARCH, "weight": 1.0},
+    "hybrid_a_star": {**SEARCH, "weight": 1.0, "cell": 0.2, "max_count": 50},
+    "Path.split": {"spacing": 0.1},
+    "Footprint.disc": {"radius": 0.2},
+    "Footprint.rectangle": {"ahead": 0.3, "behind": 0.2, "width": 0.3, "discs": 2},
+    "Controls.car": {"radius": 0.5, "turn": 0.2, "speed": 1.0},
     "smooth": {"path": DRIVEN, "field": FIELD, "footprint": DISC, "radius": 0.5, "iterations": 2,
                "parts": 2},
     "Limits": {"torque": 1.0, "speed": 2.0, "turn_rate": 1.0, "steering_rate": 1.0},
@@ -225,7 +234,29 @@ LOOP = loop()
 HELD = {"model": LOOP, "state": rb.State(jnp.asarray(LOOP_Q), jnp.asarray(LOOP_V))}
 PLACES = {"a": constraints.Place(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])),
           "b": constraints.Place(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), body=0)}  # fmt: skip
+ARM = rb.load("double_pendulum")
+ELBOW = {"model": ARM, "a": None, "b": "lower", "point": np.zeros(3)}
+
+
+def residual_of(kind: Callable) -> Callable:
+    """A function: fields of a coupling of two joints -> the residual of the arm with it."""
+
+    def found(**fields: Any) -> Any:
+        coupling = kind(joint="elbow", driver="shoulder", **fields)
+        return constraints.residual(ARM.with_constraints(coupling), ARM.default_state())
+
+    return found
+
+
 CONSTRAINTS: Calls = {
+    "residual of Gear": {"ratio": 2.0},
+    "residual of JointPolynomial": {"coefficients": S},
+    "Projection": {"iterations": 2},
+    "TangentSpace": {"iterations": 2},
+    "IndependentCoordinates": {"iterations": 2},
+    "Spherical.between": ELBOW,
+    "Revolute.between": {**ELBOW, "axis": np.array([0.0, 1.0, 0.0])},
+    "Distance.between": {**ELBOW, "other": np.array([1.0, 0.0, 0.0]), "length": 1.0},
     "assemble": {**HELD, "t": 0.0, "tolerance": 1e-8},
     "constrained_dynamics": {"model": LOOP, "q": LOOP_Q, "v": LOOP_V, "tau": np.zeros(2), "t": 0.0},
     "jacobian": {"model": LOOP, "q": LOOP_Q, "t": 0.0},
@@ -296,7 +327,23 @@ SOLVERS: Calls = {
     "lobatto_iiic": {"stages": 2}, "adams_bashforth": {"order": 2}, "adams_moulton": {"order": 2},
     "pece": {"order": 2}, "bdf": {"order": 2}, "rkmk": {"order": 2},
     "newmark": {"beta": 0.25, "gamma": 0.5}, "hht_alpha": {"alpha": -0.1},
-    "generalized_alpha": {"rho_inf": 0.9},
+    "generalized_alpha": {"rho_inf": 0.9}, "Compensated": {"solver": rb.solvers.RK4()},
+    "Splitting": {"kicks": (0.5, 0.5), "drifts": (1.0, 0.0), "formula_order": 2},
+}  # fmt: skip
+
+WALK = estimation.StateSpace.of(lambda x, u, w: x + w, lambda x: x)
+ESTIMATE = estimation.Estimate(jnp.zeros(1), jnp.ones((1, 1)))
+ESTIMATION: Calls = {
+    "kalman_filter": {
+        "space": WALK, "start": np.zeros(1), "covariance": np.ones(1), "inputs": np.zeros(2),
+        "readings": np.arange(1.0, 4.0)[:, None], "process": np.ones(1), "noise": np.ones(1),
+    },
+    "kalman_update": {
+        "space": WALK, "estimate": ESTIMATE, "reading": np.ones(1), "noise": np.ones(1),
+    },
+    "kalman_predict": {
+        "space": WALK, "estimate": ESTIMATE, "process": np.ones(1), "given": 0.0,
+    },
 }  # fmt: skip
 
 LOADING: Calls = {
@@ -337,6 +384,23 @@ ROOMS: dict[str, tuple[Any, Calls]] = {
     "constraints": (constraints, CONSTRAINTS),
     "stability": (stability, STABILITY),
     "solvers": (rb.solvers, SOLVERS),
+    "estimation": (estimation, ESTIMATION),
     "loading": (rb.loading, LOADING),
     "plotting": (rb.plotting, PLOTTING),
 }
+
+#: functions that are not names of their room
+OTHERS: dict[str, Callable] = {
+    "planning.Path.split": DRIVEN.split,
+    "wheeled.car": wheeled.kinds()["car"].make,
+    "wheeled.differential_drive": wheeled.kinds()["differential_drive"].make,
+} | {
+    f"constraints.residual of {name}": residual_of(getattr(constraints, name))
+    for name in ("Gear", "JointPolynomial")
+}
+
+
+def function_of(room: str, name: str) -> Callable:
+    """The function of a call."""
+    found = OTHERS.get(f"{room}.{name}")
+    return found or functools.reduce(getattr, name.split("."), ROOMS[room][0])

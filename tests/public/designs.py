@@ -196,9 +196,7 @@ CONTROL |= {
     "observability": Case(
         same(lambda A, C: linear.observability(A, C).weakest), [STABLE, OUTPUT[:, :1]]
     ),
-    "poles": Case(
-        same(lambda A, B, K: jnp.real(linear.poles(A, B, K))), [STABLE, INPUT, FEEDBACK]
-    ),
+    "poles": Case(same(lambda A, B, K: jnp.real(linear.poles(A, B, K))), [STABLE, INPUT, FEEDBACK]),
     # kinks where the loop that is closest to instability changes
     "margins": Case(
         same(lambda *x: [jnp.arctan(y) for y in linear.margins(*x)[:4]]),  # some are infinite

@@ -18,8 +18,8 @@ import pytest
 import rbjax as rb
 
 SEED = 11
-ROOM_NAMES = ("body", "constraints", "loading", "planning", "plotting", "rotations", "solvers",
-              "spatial", "stability", "wheeled")  # fmt: skip
+ROOM_NAMES = ("body", "constraints", "estimation", "loading", "planning", "plotting", "rotations",
+              "solvers", "spatial", "stability", "wheeled")  # fmt: skip
 #: functions whose accepted calls compile for more than a second
 HEAVY = {"clear_along", "drift", "equilibrium", "gradient_growth", "grid_a_star", "grid_dijkstra",
          "hybrid_a_star", "lyapunov", "plan", "reduced_linearisation", "refine", "rollout",
@@ -92,7 +92,9 @@ def bad_values(good: Any) -> dict[str, Any]:
 OTHER_NAMES = {"state": (" q", " v"), "states": (" q", " v"), "y": (" q ", " p "),
                "method": ("solver",), "y0": (" q", " v", "state"),
                "source": ("regular file", "scene", "representation"),
-               "parts": ("part",), "target": ("representation",), "joint": ("joint",)}  # fmt: skip
+               "solver": ("Compensated",), "start": ("the state",), "given": ("inputs",),
+               "ahead": ("length",), "behind": ("length",), "parts": ("part",),
+               "target": ("representation",), "joint": ("joint",)}  # fmt: skip
 #: arguments whose other shapes are right too: several samples, another number of points or steps
 ANY_SHAPE = ("z", "h_omega", "ctrl", "lag", "friction", "x", "y", "max_steps", "transient",
              "wrenches", "points", "positions", "rates", "poses", "path",
@@ -104,17 +106,17 @@ ENDLESS = ("battery", "limit", "speed", "turn_rate", "steering_rate")
 Case = tuple[str, str, Callable[[], Any], Callable[[], Any]]
 
 
-def rooms() -> dict[str, Any]:
-    from tests.public.calls import ROOMS  # builds robots, grids and motions
+def calls_of(room: str) -> Iterator[tuple[str, Callable, dict[str, Any]]]:
+    """Name, function and good arguments of each call."""
+    from tests.public.calls import ROOMS, function_of  # builds robots, grids and motions
 
-    return ROOMS
+    for name, given in ROOMS[room][1].items():
+        yield name, function_of(room, name), given
 
 
 def cases(room: str) -> Iterator[Case]:
     """What it is, the argument, the good call, the bad call."""
-    package, calls = rooms()[room]
-    for name, given in calls.items():
-        function = functools.reduce(getattr, name.split("."), package)
+    for name, function, given in calls_of(room):
         good = functools.partial(function, **given)
         for argument, value in given.items():
             for kind, bad in bad_values(value).items():
@@ -178,6 +180,5 @@ def test_bad_arguments_are_named(room: str, count: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("room", ROOM_NAMES)
 def test_the_good_calls_work(room: str) -> None:
-    package, calls = rooms()[room]
-    for name, given in calls.items():
-        functools.reduce(getattr, name.split("."), package)(**given)
+    for _, function, given in calls_of(room):
+        function(**given)

@@ -16,8 +16,9 @@ from rbjax.sysid import (
     Unknown,
     identify,
 )
-from rbjax.sysid.estimators.fits import Fits
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.runs import make_batch
+from rbjax.sysid.simulation.simulation_error import SimulationError
 from tests.sysid.sensed import ARM, FLIGHT, T, by_mujoco, first, loaded, swung, thrown
 
 PLACED = ("accelerometer:imu", "gyro:imu", "position:imu", "pose:imu")
@@ -132,8 +133,12 @@ def test_a_function_of_a_user_and_a_reading_that_nothing_moves():
     found = identify(setup, run, sought, grid=Grid(0.01))
     damping = float(model.joints.damping[0])
     np.testing.assert_allclose([*found.values.values()], [1.4, damping, 0.2], atol=1e-8)
-    assert found.success and found.unmoved == ("other:clock",) and found.left_out == ()
-    assert found.judged == "other:height" and found.setup.unit(found.judged) == "m"
+    assert (
+        found.success
+        and found.insensitive_sensors == ("other:clock",)
+        and found.unused_channels == ()
+    )
+    assert found.judged_sensor == "other:height" and found.setup.unit(found.judged_sensor) == "m"
 
 
 @pytest.mark.slow
@@ -151,11 +156,15 @@ def test_sensors_of_one_recording_at_several_rates(more):
     setup = guessed(*sensors, {"other:clock": time})
     found = identify(setup, run, LINK | {"bias": Unknown("sensors.gyro:imu.bias")}, grid=GRID)
     np.testing.assert_allclose([*found.values.values()], [*TRUTH, 0.02, -0.01, 0.03], atol=1e-8)
-    assert found.success and found.unmoved == ("other:clock",) and found.left_out == ()
+    assert (
+        found.success
+        and found.insensitive_sensors == ("other:clock",)
+        and found.unused_channels == ()
+    )
     trace = found.traces["all"]
     lengths = [len(trace[s].t) for s in (*sensors, "other:clock")]
     assert lengths == [78, 39, *[16 for _ in more], 12]  # until the last tick of the slowest
-    assert found.judged == ("accelerometer:imu" if more else "gyro:imu")
+    assert found.judged_sensor == ("accelerometer:imu" if more else "gyro:imu")
 
 
 @pytest.mark.slow
@@ -208,7 +217,11 @@ def test_a_start_that_is_not_known_is_sought_on_the_manifold():
     q[3:] = [np.cos(0.1), 0.0, np.sin(0.1), 0.0]
     off = first(run["pose:base"].t, q, v + 0.3, noise=1e7)
     found = identify(
-        in_flight("pose:base"), Recording("x", run.channels | off), SHAPE, grid=GRID, starts=True
+        in_flight("pose:base"),
+        Recording("x", run.channels | off),
+        SHAPE,
+        grid=GRID,
+        estimate_initial_state=True,
     )
     x = np.array([*found.values.values()])
     np.testing.assert_allclose(x / x[0], [1.0, 2.5, 1.5], rtol=1e-8)
@@ -227,8 +240,12 @@ def test_noise_of_attitudes_is_that_of_the_rotation():
         runs.append(Recording(f"{k}", run.channels | {"pose:base": Channel(run["q"].t, seen)}))
     found = identify(in_flight("pose:base"), runs[:1], SHAPE, grid=GRID)
     np.testing.assert_allclose(1 / found.error.runs.weights["pose:base"][0, 0, 3:], 5e-3, rtol=0.1)
-    verdict = found.on(runs[1:])
-    assert found.judged == "pose:base" and "m or rad RMS" in verdict.sentence and verdict.holds
+    verdict = found.validate(runs[1:])
+    assert (
+        found.judged_sensor == "pose:base"
+        and "m or rad RMS" in verdict.summary()
+        and verdict.success
+    )
 
 
 @pytest.mark.slow
@@ -237,12 +254,10 @@ def test_slopes_of_all_sensors():
     sensors = (*PLACED, "pose:lower", "tau")
     setup, run = guessed(*sensors), swung(sensors, N=40)
     sought = Unknowns.of("test", LINK, setup)
-    fits = Fits(
-        setup, sought, [run], GRID, starts=True, loss="squares", steps=1, save=None,
-        say=lambda words: None,
-    )  # fmt: skip
-    of = fits._error([run])
-    x = np.concatenate([fits.first, 0.1 * np.arange(4)])
+    of = SimulationError(
+        setup, sought, make_batch(setup, [run], GRID), GRID, estimate_initial_state=True
+    )
+    x = np.concatenate([np.asarray(sought.read(setup)), 0.1 * np.arange(4)])
     J = of.slopes(x)[1][0]
     for k, e in enumerate(1e-4 * np.eye(len(x))):
         near, far = ((of.residuals(x + d) - of.residuals(x - d))[0] / 2e-4 for d in (e, 2 * e))

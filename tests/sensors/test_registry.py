@@ -19,7 +19,7 @@ def compass():
     @sensors.register("compass", placed=True)
     class Compass(SiteSensor):
         def __call__(self, context):
-            return rb.site_pose(context.model, context.state.q, self.site)[0].T[:, 0]
+            return rb.frame_pose(context.model, context.state.q, site=self.site)[0].T[:, 0]
 
         def unit(self, model):
             return "1"
@@ -33,7 +33,7 @@ def test_a_sensor_is_added_by_one_class(compass):
     setup = Setup.of(model).with_sensors("compass:tool")
     state = model.random_state(jax.random.key(0))
     context = sensors.Context.of(model, 0.0, state, jnp.zeros(model.nu))
-    R = rb.site_pose(model, state.q, "tool")[0]
+    R = rb.frame_pose(model, state.q, site="tool")[0]
     np.testing.assert_array_equal(setup.sensor("compass:tool")(context), R.T[:, 0])
     assert setup.sensors["compass:tool"].bias.shape == (3,)
     assert Recording("a", {"compass:tool": Channel([0.0, 1.0], np.zeros((2, 3)))}).channels

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rbjax.solvers import tableau as tables
-from rbjax.solvers.constrained.differential_algebraic import refined
+from rbjax.solvers.constrained.differential_algebraic import solve_by_corrections
 from rbjax.solvers.constrained.simplified import Simplified, Sizes, simplified, weights
 
 K, X, ROWS, H = 4, 1, 2, 0.02  # velocities, states x, rows, step
@@ -79,8 +79,8 @@ def solver(kind: str, method: str, redundant: bool = False) -> Callable:
         def back(d: jax.Array) -> jax.Array:
             return jax.linear_transpose(found.solved, d)(d)[0]
 
-        forward = refined(functools.partial(times, dense), found.solved, r, N)
-        transposed = refined(functools.partial(times, dense.T), back, r, N)
+        forward = solve_by_corrections(functools.partial(times, dense), found.solved, r, N)
+        transposed = solve_by_corrections(functools.partial(times, dense.T), back, r, N)
         return found.solved(r), forward, transposed
 
     return lambda given, r: solved(given.slopes, given.dense(METHODS[method]), given.usual, r)

@@ -112,7 +112,7 @@ def test_inertia_moves_with_its_frame() -> None:
     star = blocks(R, skew(p) @ R, O, R)
     want = star @ SPATIAL @ star.T
     assert close(spatial.transform_inertia(T, SPATIAL), want)
-    moved = spatial.moved(T, MASS, COM, INERTIA)
+    moved = spatial.transform_properties(T, MASS, COM, INERTIA)
     assert close(spatial.spatial_inertia(*moved), want)
     assert close(spatial.rotate_inertia(R, INERTIA), R @ INERTIA @ R.T)
     assert close(spatial.parallel_axes(INERTIA, MASS, d), INERTIA - MASS * skew(d) @ skew(d))

@@ -33,7 +33,7 @@ def pairs(x, y, V, W, F, m, com, moments):
     one = jnp.eye(6, dtype=V.dtype)
     I = spatial.spatial_inertia(m, com, jnp.diag(moments))
     there = spatial.transform_inertia(A, I)
-    moved = spatial.moved(A, m, com, jnp.diag(moments))
+    moved = spatial.transform_properties(A, m, com, jnp.diag(moments))
     seen = spatial.transform_motion(A, V)
     return {
         "composition of motions": (X(AB), matmat(X(A), X(B))),

@@ -158,14 +158,14 @@ def test_clouds_and_compositions_are_sums_over_particles() -> None:
     close(shapes.combine([shapes.points(x[:9], m[:9]), shapes.points(x[9:], m[9:])]), want)
     T = se3.exp(rng.normal(size=6))
     moved = x @ np.asarray(T[:3, :3]).T + np.asarray(T[:3, 3])
-    close(spatial.moved(T, *shapes.points(x, m)), shapes.points(moved, m))
+    close(spatial.transform_properties(T, *shapes.points(x, m)), shapes.points(moved, m))
 
 
 def drilled(x: jax.Array) -> spatial.MassProperties:
     """A box with an oblique hole, of seven dimensions."""
     T = se3.pose(so3.exp(x[4:7] / 5), x[4:7] / 20)
     bar = shapes.hole(shapes.cylinder(x[3], 0.2, density=RHO))
-    return shapes.combine([shapes.box(x[:3], density=RHO), spatial.moved(T, *bar)])
+    return shapes.combine([shapes.box(x[:3], density=RHO), spatial.transform_properties(T, *bar)])
 
 
 TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

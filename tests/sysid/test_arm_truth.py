@@ -38,9 +38,9 @@ def test_friction_of_another_law_is_never_called_good(seed):
     spans = [found.estimates.interval(name) for name in found.values]
     inside = sum(x.low <= y <= x.high for x, y in zip(spans, TRUTH, strict=True))
     assert inside < 6 and found.verdict.r_squared["q"] > 0.999
-    assert not found.verdict.good and "not white" in found.verdict.sentence
+    assert not found.verdict.success and "not white" in found.verdict.summary()
     assert "intervals may miss the truth" in found.summary()
-    assert not found.on(recorded(seed, held_out=True, soft=0.02)).holds
+    assert not found.validate(recorded(seed, held_out=True, soft=0.02)).success
 
 
 @pytest.mark.slow

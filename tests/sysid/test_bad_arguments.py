@@ -41,32 +41,34 @@ WRONG_UNKNOWNS = [5, "x", None, {}, {"mass": 5}, {"mass": y.Unknown("bodies.nope
 WRONG_GRID = [5, "x", y.Grid(0), y.Grid(NAN), y.Grid(0.01, -1), y.Grid(0.01, 1.5), y.Grid("x"),
               y.Grid(0.01, longest_delay=-1), y.Grid(100.0), y.Grid(0.01, integrator="x"),
               y.Grid(0.01, integrator=5)]  # fmt: skip
+START = "estimate_initial_state"
 FITTED = {"model": MODEL, "recordings": RUN, "unknowns": MASS}
 WRONG_FIT = {
     "model": WRONG_MODEL, "recordings": WRONG_RUNS, "unknowns": WRONG_UNKNOWNS, "grid": WRONG_GRID,
 }  # fmt: skip
 CASES = {
     "identify": (FITTED, WRONG_FIT | {
-        "pieces": [0, -1, NAN, "x", [1]], "shooting": [0, -1, NAN, "x", 100.0],
-        "starts": ["x", 5, NAN], "loss": ["x", 5, None, []], "steps": [0, 1.5, "x", None, True],
+        "segments": [0, -1, NAN, "x", [1]], "multiple_shooting": [0, -1, NAN, "x", 100.0],
+        START: ["x", 5, NAN], "loss": ["x", 5, None, []],
+        "max_evaluations": [0, 1.5, "x", None, True],
         "restarts": [-1, 1.5, "x", None, True], "save": [5, []],
         "resume": [5, {"nope": 1.0}, {"mass": "x"}, {"mass": NAN}, "nope.json"],
     }),
-    "identifiability": (FITTED, WRONG_FIT | {"starts": ["x", 5, NAN]}),
+    "identifiability": (FITTED, WRONG_FIT | {START: ["x", 5, NAN]}),
     "many_starts": (FITTED, WRONG_FIT | {
         "guesses": [0, "x", None, [[1.0, 2.0]], [[-1.0]], [[NAN]], 1.5],
         "spread": [0, -1, NAN, "x", None], "seed": [-1, "x", None, 1.5],
-        "first_steps": [0, "x"], "finalists": [0, "x"], "loss": ["x", 5], "starts": ["x", 5],
+        "first_steps": [0, "x"], "finalists": [0, "x"], "loss": ["x", 5], START: ["x", 5],
     }),
     "squares": (FITTED, WRONG_FIT | {
-        "mode": ["x", 5], "memory": [0, -1, "x", True], "loss": ["x", 5], "starts": ["x", 5],
+        "mode": ["x", 5], "memory": [0, -1, "x", True], "loss": ["x", 5], START: ["x", 5],
     }),
     "prediction_error": (FITTED, WRONG_FIT | {
         "drive": ["x", 5, None], "driven": ["x", 5, ["nope"], [5]],
-        "steps": [0, "x", None],
+        "max_evaluations": [0, "x", None],
     }),
     "free_run": ({"model": MODEL, "recordings": [RUN]}, {
-        "model": WRONG_MODEL, "recordings": WRONG_RUNS, "grid": WRONG_GRID, "starts": ["x", 5],
+        "model": WRONG_MODEL, "recordings": WRONG_RUNS, "grid": WRONG_GRID, START: ["x", 5],
         "noise": [5, "x", {}, {"q": "x"}, {"q": [0.0]}, {"q": [NAN]}, {"q": [1.0, 2.0]}],
     }),
     "Channel": ({"t": T, "values": T}, {
@@ -127,7 +129,7 @@ CASES = {
         "found": [5, "x", None, MODEL], "repetitions": [0, 1, "x", 2.5], "level": [0, 1, "x", NAN],
         "seed": [-1, "x"],
     }),
-    "diagnose": ({}, {"found": [5, "x", None, MODEL], "steps": [0, "x", 1.5]}),
+    "diagnose": ({}, {"found": [5, "x", None, MODEL], "max_evaluations": [0, "x", 1.5]}),
     "report": ({}, {
         "found": [5, "x", None, MODEL], "path": [5, None, "no/such/folder/a.html"],
         "held_out": [5, "x", [5], RUN], "diagnosis": [5, "x"],

@@ -40,6 +40,7 @@ BAD = {  # kind -> values that no key of this kind can have
     "index": st.sampled_from([1.5, True, {}, [], [[]], "nobody", 99, -99, ["nobody", 2], [0, 0]]),
     "bounds": st.sampled_from([5, [1], [2, 1], [1, 1], ["a", "b"], [1, 2, 3], "x", {}, [True, 2],
                                [float("nan"), 1.0], [1.0, float("nan")], [10.0, 20.0]]),
+    "prior": st.sampled_from([5, [1], [1, 0], [1, -1], ["a", "b"], [1, 2, 3], "x", {}, [True, 2]]),
     "loss": st.sampled_from([3, "l1", "", True, ["huber"]]),
     "decimal": st.sampled_from([3, ";", "", True, [","]]),
     "character": st.sampled_from([3, "", "ab", True, []]),
@@ -99,7 +100,7 @@ def bad_jobs(draw):
             inside.pop("index", None)
         if key in ("inertia", "tilt"):
             inside.clear()
-        inside[key] = draw(BAD[KEYS[table][key].kind])
+        inside[key] = draw(BAD[KEYS[table][key]])
         hypothesis.assume(inside[key] != [] or key not in ("held_out",))
         # any text of these may be right
         text = isinstance(inside[key], str) and inside[key].strip()

@@ -24,12 +24,14 @@ def test_verdicts(factor, holds, words):
     found = held_out(half(True), half(False, factor), measured=measured, noise=1.0, unit="mrad")
     rms = np.sqrt(np.mean(np.concatenate(list(half(False, factor).values())) ** 2))
     assert abs(found.rms / rms - 1) < 1e-14
-    assert found.holds is holds and found.sentence.startswith(f"the model {words}: on 3 recordings")
-    assert ("lacks something" in found.sentence) == (factor == 5.0)
+    assert found.success is holds and found.summary().startswith(
+        f"the model {words}: on 3 recordings"
+    )
+    assert ("lacks something" in found.summary()) == (factor == 5.0)
     left = sum(np.sum(r**2) for r in half(False, factor).values())
     there = sum(np.sum((y - y.mean(0)) ** 2) for y in measured.values())
     assert abs(found.r_squared - (1 - left / there)) < 1e-14
-    assert max(found.by_recording, key=found.by_recording.get) in found.sentence
+    assert max(found.by_recording, key=found.by_recording.get) in found.summary()
 
 
 @pytest.mark.parametrize(
@@ -48,8 +50,8 @@ def test_each_check_that_fails_is_named(change, said):
     if "slow" in change:
         unseen = {n: np.cumsum(r, 0) / 10 for n, r in unseen.items()}
     found = held_out(half(True), unseen, measured=measured, noise=change.get("noise", 1.0))
-    assert not found.holds and said in found.sentence and any(said in f for f in found.failed)
-    assert not found.sentence.startswith("the model holds")
+    assert not found.success and said in found.summary() and any(said in f for f in found.failed)
+    assert not found.summary().startswith("the model holds")
 
 
 def test_samples_that_did_not_arrive_do_not_count():
@@ -68,10 +70,10 @@ def experiment(rng, slope, noise=None, samples=200):
 def test_a_term_that_is_not_there_is_seldom_taken():
     """By chance in at most 1 % of cases; a term of 4 standard deviations in nearly all."""
     rng = np.random.default_rng(1)
-    taken = np.mean([compare(*experiment(rng, 0.0)[:2], 200).earned for _ in range(400)])
+    taken = np.mean([compare(*experiment(rng, 0.0)[:2], 200).significant for _ in range(400)])
     assert taken <= 0.0275  # 1 % and 3.5 standard deviations of 400 draws
     sigma = np.sqrt(3 / 200)
-    found = np.mean([compare(*experiment(rng, 5 * sigma)[:2], 200).earned for _ in range(200)])
+    found = np.mean([compare(*experiment(rng, 5 * sigma)[:2], 200).significant for _ in range(200)])
     assert found > 0.95
 
 
@@ -81,9 +83,9 @@ def test_numbers_by_hand():
     assert found.p_value == pytest.approx((1 + 2 * 15 / 30) ** -15, rel=1e-12)  # F with 2 and 30
     assert found.aic == pytest.approx(4 - 34 * np.log(2), rel=1e-14)
     assert found.bic == pytest.approx(2 * np.log(34) - 34 * np.log(2), rel=1e-14)
-    assert found.earned and "b earns its place beside a: F = 15, p = 3e-05" in found.sentence
+    assert found.significant and "b is needed in place of a: F = 15, p = 3e-05" in found.summary()
     same = compare(Scored("a", 10.0, 2), Scored("b", 10.0, 3), 34)
-    assert not same.earned and "does not earn" in same.sentence and same.F == 0
+    assert not same.significant and "is not needed" in same.summary() and same.F == 0
 
 
 def test_correlated_residuals_need_effective_samples():
@@ -93,8 +95,8 @@ def test_correlated_residuals_need_effective_samples():
     for _ in range(100):
         slow = np.convolve(rng.normal(size=230), np.ones(31) / 5, "valid")
         small, large, r = experiment(rng, 0.0, slow)
-        naive += compare(small, large, 200).earned
-        honest += compare(small, large, max(whiteness(r).effective_samples, 3)).earned
+        naive += compare(small, large, 200).significant
+        honest += compare(small, large, max(whiteness(r).effective_samples, 3)).significant
     assert naive > 40 and honest < 10
 
 

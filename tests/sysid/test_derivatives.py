@@ -21,11 +21,11 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown
-from rbjax.sysid.estimators.likelihood import Levels, Likelihood, series_of
+from rbjax.sysid.estimators.likelihood import Levels, Likelihood, make_series
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.runs import batch_of, run_of
-from rbjax.sysid.simulation.shooting import Shooting
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.multiple_shooting import MultipleShooting
+from rbjax.sysid.simulation.runs import make_batch, make_run
 from rbjax.sysid.simulation.simulation_error import SimulationError
 from rbjax.sysid.torque.consistency import _Problem
 from rbjax.sysid.torque.encoder_zeros import _augmented
@@ -278,8 +278,8 @@ def recording(*sensors: str) -> Recording:
 
 
 def simulation(loss: str, *sensors: str) -> Case:
-    data = batch_of(SETUP, [recording(*sensors)], GRID)
-    of = SimulationError(SETUP, SOUGHT, data, GRID, starts=True, loss=loss)
+    data = make_batch(SETUP, [recording(*sensors)], GRID)
+    of = SimulationError(SETUP, SOUGHT, data, GRID, estimate_initial_state=True, loss=loss)
     x = np.array([1.2, 0.1, 0.02, -0.1])
     if loss == "huber":
         r = of.residuals(x)
@@ -292,10 +292,10 @@ def simulation(loss: str, *sensors: str) -> Case:
 
 
 def shooting() -> Case:
-    single = [run_of(SETUP, recording("q", "v"), GRID)]
-    of = Shooting(SETUP, SOUGHT, single, GRID, 4 * T)
+    single = [make_run(SETUP, recording("q", "v"), GRID)]
+    of = MultipleShooting(SETUP, SOUGHT, single, GRID, 4 * T)
     x = np.append([1.2, 0.1], 0.05 * np.random.default_rng(4).normal(size=of.size - 2))
-    of.tie = 0.7
+    of.continuity_weight = 0.7
 
     def squares(x: Any) -> float:
         return float((of.residuals(x) ** 2).sum())
@@ -311,7 +311,7 @@ def predicted() -> Case:
 
 def levels() -> Case:
     """Numbers and all three noise levels; the loss is -2 log p, whose triangle is Fisher's."""
-    series = series_of(SETUP, [recording("q", "v")], GRID)
+    series = make_series(SETUP, [recording("q", "v")], GRID)
     said = Levels(np.array([0.5]), np.array([0.02, 0.1]))
     of = Likelihood(
         SETUP, SOUGHT, series, GRID, levels=said, drives=np.ones(1, bool), reads=np.ones(2, bool)
@@ -379,7 +379,7 @@ def test_losses_are_differentiated_compiled_and_batched(name):
 @pytest.mark.slow
 def test_likelihood_by_both_modes_compiled_and_batched():
     """Its gradient is JAX's in reverse mode, too, of many runs at once."""
-    series = series_of(SETUP, [recording("q")], GRID)
+    series = make_series(SETUP, [recording("q")], GRID)
     said = Levels(np.array([0.5]), np.array([0.02]))
     of = Likelihood(
         SETUP, SOUGHT, series, GRID, levels=said, drives=np.ones(1, bool), reads=np.zeros(1, bool)

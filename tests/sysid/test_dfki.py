@@ -47,7 +47,7 @@ def test_free_runs_of_test_runs(design):
     old, parts, rows, fit = fitted(design)
     new, was = [], []
     for run in (r for r in parts.test if not dfki.swings_up(r)):
-        first = rows[run.name].piece(end=rows[run.name].t[0] + dfki.FIRST)
+        first = rows[run.name].segment(end=rows[run.name].t[0] + dfki.FIRST)
         z = sysid.torque.zeros_of(first, fit.values, noise=fit.linear.noise)
         new.append(dfki.free_run(fit.model, run, z))
         was.append(dfki.free_run(old.model, run, np.zeros(2)))
@@ -71,4 +71,4 @@ def test_rotors_zeros_and_gear_losses_earn_their_places(design):
     full = sysid.torque.regress_with_zeros([r.only(dfki.COLUMNS) for r in rows.values()])
     scored, samples = dfki.ladder(rows.values(), ladder, full)
     for small, large in itertools.pairwise(scored):
-        assert sysid.statistics.compare(small, large, samples).earned
+        assert sysid.statistics.compare(small, large, samples).significant

@@ -9,9 +9,8 @@ import pytest
 import rbjax as rb
 from benchmarks.cases.wrong_data import NOISE, TRUTH, UNKNOWNS, WRONG, T, leg
 from rbjax.sysid import PD, Channel, Grid, Recording, Setup, Trace, Unknown, diagnose, identify
-from rbjax.sysid.data.corrections import flip, stretch, swap, without
-from rbjax.sysid.judgement.clocks import rate_of
-from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.judgement.corrections import drop_samples, estimate_clock_rate, flip, stretch, swap
+from rbjax.sysid.simulation.setup import simulate_motion
 
 
 def seen(q):
@@ -29,7 +28,7 @@ def test_a_mend_undoes_the_mistake():
     np.testing.assert_allclose(slow["q"].t, 1.02 * run["q"].t)
     np.testing.assert_array_equal(slow["ctrl"].t, run["ctrl"].t)
     rows = np.arange(20) == 7
-    left = without([run], {("a", "q", 1, "1"): rows})[0]["q"].arrived
+    left = drop_samples([run], {("a", "q", 1, "1"): rows})[0]["q"].arrived
     assert not left[7, 1] and left.sum() == left.size - 1
 
 
@@ -42,14 +41,14 @@ def test_the_rate_of_a_clock_is_read_off_positions(rate):
     q += 5e-4 * np.random.default_rng(0).normal(size=q.shape)
     q[100:150, 0] = np.nan
     trace = Trace(("a", "b"), t, q, turn(t))
-    assert abs(rate_of({"a": {"q": trace}}) - rate) < 6e-4
+    assert abs(estimate_clock_rate({"a": {"q": trace}}) - rate) < 6e-4
 
 
 def test_a_clock_is_not_read_off_steady_turning():
     t = np.arange(600) * T
     noise = 5e-4 * np.random.default_rng(0).normal(size=(600, 1))
     trace = Trace(("a",), t, 1.02 * t[:, None] + noise, t[:, None])
-    assert rate_of({"a": {"q": trace}}) == 0
+    assert estimate_clock_rate({"a": {"q": trace}}) == 0
 
 
 @pytest.mark.slow
@@ -66,7 +65,7 @@ def test_wrong_data_are_named(name):
     wrong, kind, channels, columns = WRONG[name]
     setup, run = leg()
     # no other start explains data that are wrong
-    found = identify(setup, wrong(run), UNKNOWNS, grid=Grid(T), steps=40, restarts=0)
+    found = identify(setup, wrong(run), UNKNOWNS, grid=Grid(T), max_evaluations=40, restarts=0)
     said = diagnose(found)
     assert {cause.kind for cause in said.causes} == {kind}
     assert {cause.channels for cause in said.causes} == {channels}
@@ -105,7 +104,9 @@ def test_a_clock_that_like_joints_and_friction_hide_is_named():
     t = np.arange(401) * T
     asked = 0.4 * np.sin(2 * np.pi * (0.1 * t + 0.25 * t**2))[:, None] * np.array([1, 1, 1])
     start = rb.State(jnp.asarray(asked[0]), jnp.zeros(3))
-    path = motion(lambda p: setup(0.2), jnp.zeros(1), start, jnp.asarray(asked[:-1]), Grid(T))
+    path = simulate_motion(
+        lambda p: setup(0.2), jnp.zeros(1), start, jnp.asarray(asked[:-1]), Grid(T)
+    )
     q = path.q + NOISE * np.random.default_rng(0).normal(size=path.q.shape)
     q = q.at[0].set(path.q[0])
     v = np.full(q.shape, np.nan)

@@ -30,7 +30,7 @@ def test_the_best_swing_of_a_spring_and_a_mass():
     assert best - 1e-4 < found.value < best + 5e-3
     assert abs(abs(found.motion.q0[0]) - 0.5) < 0.01
     assert found.worst["position"] <= 0
-    assert "all limits hold at 400 times" in found.sentence
+    assert "all limits hold at 400 times" in found.summary()
     np.testing.assert_allclose(-np.log(np.linalg.det(found.information)) / 2, found.value)
 
 
@@ -143,7 +143,7 @@ def test_limits_that_cannot_hold_are_said():
     limits = MotionLimits(own=lambda q, v, a: 0.1 + q**2)
     found = quiet(ONE, spring_and_mass, limits, samples=20, rounds=3, steps=20)
     assert not found.success and found.worst["own"] >= 0.1
-    assert "limits are broken: own by" in found.sentence
+    assert "limits are broken: own by" in found.summary()
 
 
 def test_bad_arguments_are_named():

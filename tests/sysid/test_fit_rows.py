@@ -8,10 +8,9 @@ import pytest
 import rbjax as rb
 from rbjax.rotations import quaternion
 from rbjax.sysid import Grid, Setup, Unknown
-from rbjax.sysid.estimators.fit_rows import columns_of, samples_of
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import Run
-from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.simulation.setup import simulate_motion
 from rbjax.sysid.simulation.simulation_error import SimulationError
 from rbjax.sysid.statistics.fit_statistics import fit_statistics
 
@@ -23,7 +22,7 @@ def tumbling(loss="squares", missing=False):
     """A free body whose q (7 columns) was read with noise of SIGMA m and rad about each axis."""
     setup, rng, grid = Setup.of(rb.load("free_body")), np.random.default_rng(0), Grid(0.02)
     start = rb.State(setup.model.default_state().q, jnp.array([0.1, 0, 0.2, 1.0, 2.0, 3.0]))
-    path = motion(lambda p: setup, jnp.zeros(1), start, jnp.zeros((N, 0)), grid)
+    path = simulate_motion(lambda p: setup, jnp.zeros(1), start, jnp.zeros((N, 0)), grid)
     at, turn = np.asarray(path.q[:, :3]), path.q[:, 3:]
     noise = SIGMA * rng.normal(size=(N + 1, 6))
     off = jax.vmap(quaternion.exp)(jnp.asarray(noise[:, 3:]))
@@ -46,13 +45,13 @@ def tumbling(loss="squares", missing=False):
 def test_an_attitude_has_three_degrees_of_freedom(loss, missing):
     """By its four numbers the noise would be 13 % too small: the root of 3/4."""
     of, x = tumbling(loss, missing)
-    columns = columns_of(of, x, {"q"})
+    columns = of.columns(x, {"q"})
     assert [c.name for c in columns] == [f"q[{k}]" for k in range(6)]
     turns = (N + 1) // 2 if missing else N + 1
     assert [len(c.runs[0].psi) for c in columns] == 3 * [N + 1] + 3 * [turns]
-    assert samples_of(of) == 3 * (N + 1) + 3 * turns
+    assert of.samples == 3 * (N + 1) + 3 * turns
     said = fit_statistics(["inertia"], x, columns)
-    assert said.rows == samples_of(of) and said.estimates.dof == pytest.approx(said.rows - 1)
+    assert said.rows == of.samples and said.estimates.dof == pytest.approx(said.rows - 1)
     # 4 standard deviations of a scale of 75 or 151 samples; by all three axes 7 %
     rate = 1.0 if loss == "squares" else 0.843  # the root of the mean of psi^2 of normal noise
     scale = [said.scale[f"q[{k}]"] for k in range(3, 6)]

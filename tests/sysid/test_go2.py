@@ -67,14 +67,30 @@ def test_a_real_quadrupeds_legs():
     # as in the source, motions begin at their first sample, and there is one search: these models
     # are compared by what they leave, which is above the noise
     setup, unknowns = go2.joint_dynamics(model)
-    usual = identify(setup, train, unknowns, grid=go2.GRID, steps=14, starts=False, restarts=0)
+    usual = identify(
+        setup,
+        train,
+        unknowns,
+        grid=go2.GRID,
+        max_evaluations=14,
+        estimate_initial_state=False,
+        restarts=0,
+    )
     assert len(usual.values) == 49
     bias = np.array([x for name, x in usual.values.items() if name.startswith("bias")])
     assert (np.abs(bias) > 0.099).sum() >= 5 and usual.values["delay"] < 1e-3
-    assert 1e3 * usual.on([test]).rms > 7
+    assert 1e3 * usual.validate([test]).rms > 7
     setup, unknowns = go2.by_position(model)
-    found = identify(setup, train, unknowns, grid=go2.GRID, steps=14, starts=False, restarts=0)
+    found = identify(
+        setup,
+        train,
+        unknowns,
+        grid=go2.GRID,
+        max_evaluations=14,
+        estimate_initial_state=False,
+        restarts=0,
+    )
     assert mrad(found.rms["q"]) < 1.5
-    assert 1e3 * found.on([test]).rms < 6
+    assert 1e3 * found.validate([test]).rms < 6
     friction = np.asarray(found.model.forces[0].coulomb)
     assert (np.abs(friction[8, 1:]).max() > 0.3) and (friction[:, 0] > 0).all()

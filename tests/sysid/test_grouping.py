@@ -10,10 +10,9 @@ import pytest
 import rbjax as rb
 from rbjax.sensors import CustomSensor
 from rbjax.sysid import Grid, Inertia, Setup, Tilt, Unknown
-from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation import grouping
-from rbjax.sysid.simulation.grouping import grouped
-from rbjax.sysid.simulation.islands import directions
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation import jacobian_colouring
+from rbjax.sysid.simulation.jacobian_colouring import base_unknowns, colour_jacobian
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.simulation_error import SimulationError
 from rbjax.sysid.torque import base_parameters
@@ -26,7 +25,7 @@ SOUGHT = {
 
 @pytest.fixture
 def setup(monkeypatch) -> Setup:
-    monkeypatch.setattr(grouping, "BODIES", 2)
+    monkeypatch.setattr(jacobian_colouring, "BODIES", 2)
     model = rb.load("double_pendulum")
     return Setup.of(model.replace(joints=model.joints.replace(armature=np.array([0.1, 0.2]))))
 
@@ -41,13 +40,13 @@ def test_slopes_along_some_numbers_show_all(setup):
     weights = {k: np.full_like(x, 1.5) for k, x in seen.items()}
     run = Run(start, rng.normal(size=(1, N, setup.model.nu)), times, seen, weights)
     run = jax.tree.map(jnp.asarray, run)
-    error = SimulationError(setup, of, run, Grid(0.03), starts=True)
+    error = SimulationError(setup, of, run, Grid(0.03), estimate_initial_state=True)
     base = base_parameters(setup.model, joint_terms=["armature"])
-    assert error.directions.seeds.shape == (base.rank + 2 + 4, 24 + 4)  # biases and the start too
+    assert error.colouring.seeds.shape == (base.rank + 2 + 4, 24 + 4)  # biases and the start too
     x = np.append(of.read(setup), 0.01 * rng.normal(size=4))
     one = jax.tree.map(lambda a: a[0], error.runs)
     whole = jax.jit(
-        jax.jacfwd(lambda x: error.programs.compared(*error.programs.path(x, one), one))
+        jax.jacfwd(lambda x: error.programs.compare(*error.programs.simulate(x, one), one))
     )
     want, (r, J) = np.asarray(whole(x)), error.slopes(x)
     np.testing.assert_allclose(J[0], want, atol=1e-10 * np.abs(want).max())
@@ -60,16 +59,16 @@ def test_where_numbers_are_not_known_to_group(setup):
     def of(**more):
         return Unknowns.of("test", SOUGHT | more, setup)
 
-    assert len(grouped(setup, of()).kept) == 9  # 7 base parameters, two biases
-    assert grouped(setup, of(gravity=Tilt())) is None
-    assert grouped(setup, of(place=Unknown("joints.placement"))) is None
+    assert len(base_unknowns(setup, of())[0]) == 9  # 7 base parameters, two biases
+    assert base_unknowns(setup, of(gravity=Tilt())) is None
+    assert base_unknowns(setup, of(place=Unknown("joints.placement"))) is None
     floating = setup.model.with_forces(
         rb.forces.GravityCompensation(jnp.ones(2), ("upper", "lower"))
     )
-    assert grouped(Setup.of(floating), of()) is None
+    assert base_unknowns(Setup.of(floating), of()) is None
     few = Unknowns.of("test", {"upper": Inertia("upper")}, setup)
-    assert grouped(setup, few) is None
+    assert base_unknowns(setup, few) is None
     mass = CustomSensor(lambda context: context.model.bodies.mass, 2)  # looks at the bodies itself
     reads = setup.with_sensors({"other:mass": mass})
-    assert directions(reads, of(), 0, {"q", "other:mass"}) is None
-    assert directions(reads, of(), 0, {"q"}) is not None
+    assert colour_jacobian(reads, of(), 0, {"q", "other:mass"}) is None
+    assert colour_jacobian(reads, of(), 0, {"q"}) is not None

@@ -33,5 +33,5 @@ def test_combinations_are_those_of_a_fit(swing):
 def test_an_unknown_without_effect_is_hidden(swing):
     model, run = swing
     sought = {"mass": Unknown("bodies.mass", 0), "bias": Unknown("sensors.q.bias", 0)}
-    there = identifiability(model, run, sought, grid=GRID, starts=False)
+    there = identifiability(model, run, sought, grid=GRID, estimate_initial_state=False)
     assert there.rank == 2 and "2 of 2" in there.summary()

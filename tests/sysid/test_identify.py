@@ -43,7 +43,7 @@ def test_noise_free_recordings_give_the_numbers():
     assert found.success and found.identifiable.single == ("mass", "damping")
     np.testing.assert_allclose([*found.values.values()], [1.4, 0.13], rtol=1e-9)
     np.testing.assert_allclose(found.model.bodies.mass, [1.4], rtol=1e-9)
-    verdict = found.on([seen(2)])
+    verdict = found.validate([seen(2)])
     assert verdict.rms < 1e-8
 
 
@@ -54,7 +54,7 @@ def test_noise_is_estimated_and_intervals_are_those_of_the_slopes():
     noise = 2e-3
     runs = [seen(k, noise) for k in range(3)]
     runs = [Recording(r.name, {s: r[s] for s in ("q", "ctrl")}) for r in runs]
-    found = identify(GUESS, runs, {"mass": MASS, "damping": DAMPING}, starts=True)
+    found = identify(GUESS, runs, {"mass": MASS, "damping": DAMPING}, estimate_initial_state=True)
     assert found.success
     np.testing.assert_allclose(found.rms["q"], [noise], rtol=0.15)
     for name, truth in (("mass", 1.4), ("damping", 0.13)):
@@ -68,7 +68,7 @@ def test_noise_is_estimated_and_intervals_are_those_of_the_slopes():
     assert least < found.estimates.interval("mass").sigma < 10 * least
     unseen = seen(7, noise)  # its first sample is noisy, so its start is sought, too
     unseen = Recording(unseen.name, {s: unseen[s] for s in ("q", "ctrl")})
-    assert 0.8 < found.on([unseen]).ratio < 1.25
+    assert 0.8 < found.validate([unseen]).ratio < 1.25
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,9 @@ def test_outliers_count_less_with_huber():
     bad = Recording("outliers", {"q": Channel(run["q"].t, q, noise=[1e-3]), "ctrl": run["ctrl"]})
     model = GUESS.replace(joints=GUESS.joints.replace(damping=jnp.array([0.1])))
     plain, robust = (
-        identify(model, bad, {"mass": MASS, "damping": DAMPING}, starts=True, loss=loss)
+        identify(
+            model, bad, {"mass": MASS, "damping": DAMPING}, estimate_initial_state=True, loss=loss
+        )
         for loss in ("squares", "huber")
     )
     off = [abs(f.values["mass"] - 1.4) for f in (plain, robust)]
@@ -101,7 +103,7 @@ def test_outliers_count_less_with_huber():
 @pytest.mark.slow
 def test_short_pieces_find_a_motion_that_a_long_one_loses():
     model = GUESS.replace(bodies=GUESS.bodies.replace(mass=jnp.array([40.0])))
-    found = identify(model, seen(0, count=400), {"mass": MASS}, pieces=0.2, steps=60)
+    found = identify(model, seen(0, count=400), {"mass": MASS}, segments=0.2, max_evaluations=60)
     assert found.success or found.values["mass"] > 0
     truth = identify(GUESS, seen(0, count=400), {"mass": MASS})
     np.testing.assert_allclose(found.values["mass"], truth.values["mass"], rtol=1e-3)
@@ -114,7 +116,7 @@ def test_short_pieces_find_a_motion_that_a_long_one_loses():
         ({"unknowns": {}}, "expected a dict"),
         ({"recordings": []}, "expected one Recording"),
         ({"loss": "cubes"}, 'expected "squares" or "huber"'),
-        ({"steps": 0}, "steps"),
+        ({"max_evaluations": 0}, "max_evaluations"),
         ({"recordings": Recording("v", {"v": Channel([0, 0.1, 0.2], [0.0, 1, 2])})}, "expected q"),
     ],
 )

@@ -12,12 +12,12 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import PD, Derived, Grid, Setup, Tilt, Unknown
-from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.islands import ALL, directions, islands_of
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.equal_parts import equal_parts
+from rbjax.sysid.simulation.jacobian_colouring import ALL, colour_jacobian, independent_parts
 from rbjax.sysid.simulation.runs import Run
-from rbjax.sysid.simulation.setup import motion, reading
-from rbjax.sysid.simulation.side_by_side import equal_parts
-from rbjax.sysid.simulation.simulation_error import SimulationError, began
+from rbjax.sysid.simulation.setup import read_sensor, simulate_motion
+from rbjax.sysid.simulation.simulation_error import SimulationError, state_of_readings
 
 GRID = Grid(0.01, 2, "rk4", 3)
 N = 12
@@ -78,17 +78,17 @@ def in_one_piece(setup: Setup, of: Unknowns, run: Run, x: jax.Array) -> jax.Arra
     """The residual of the whole robot."""
     n, nv = sum(of.sizes), setup.model.nv
     now = of.write(setup, x[:n])
-    first = began(now, jax.tree.map(lambda a: a[0], run.start), True)
+    first = state_of_readings(now, jax.tree.map(lambda a: a[0], run.start), True)
     first = rb.State(first.q + x[n : n + nv], first.v + x[n + nv :])
-    path = motion(lambda p: of.write(setup, p), x[:n], first, run.commands[0], GRID)
-    off = [reading(now, path, GRID, k, run.times[k][0]) - run.values[k][0] for k in "qv"]
+    path = simulate_motion(lambda p: of.write(setup, p), x[:n], first, run.commands[0], GRID)
+    off = [read_sensor(now, path, GRID, k, run.times[k][0]) - run.values[k][0] for k in "qv"]
     return 1.5 * jnp.concatenate([a.ravel() for a in off])
 
 
 def check(model: rb.Model) -> SimulationError:
     setup, sought, run = problem(model)
     of = Unknowns.of("test", sought, setup)
-    error = SimulationError(setup, of, run, GRID, starts=True)
+    error = SimulationError(setup, of, run, GRID, estimate_initial_state=True)
     x = np.append(of.read(setup), 0.01 * np.random.default_rng(1).normal(size=2 * model.nv))
     r, J = error.slopes(x)
     whole = jax.jit(lambda x: in_one_piece(setup, of, run, x))
@@ -107,14 +107,14 @@ def test_equal_legs():
     error = check(robot(leg("l", 0.1), leg("r", -0.1)))
     assert len(equal_parts(error.setup)) == 2
     # two armatures, frictions, biases, masses and four numbers of the start; base mass and delay
-    assert error.directions.seeds.shape == (2 * 4 + 4 + 2, 4 * 4 + 8 + 2)
+    assert error.colouring.seeds.shape == (2 * 4 + 4 + 2, 4 * 4 + 8 + 2)
 
 
 @pytest.mark.slow
 def test_legs_of_different_shapes():
     error = check(robot(leg("l", 0.1), leg("r", -0.1, calf=False)))
     assert equal_parts(error.setup) is None
-    assert error.directions.seeds.shape[0] == 14
+    assert error.colouring.seeds.shape[0] == 14
 
 
 def test_whose_numbers_are_whose():
@@ -131,21 +131,24 @@ def test_whose_numbers_are_whose():
         "one": Unknown("bodies.mass", model.body("rthigh"), positive=True),
         "two": Derived((0.0, 0.0), both), "tilt": Tilt(),
     }  # fmt: skip
-    found = directions(setup, Unknowns.of("test", sought, setup), 0, "q")
-    right = islands_of(setup)[model.joint("rhip")]
-    assert list(found.of_numbers) == [right, ALL, right, ALL, ALL]
+    found = colour_jacobian(setup, Unknowns.of("test", sought, setup), 0, "q")
+    right = independent_parts(setup)[model.joint("rhip")]
+    assert list(found.part_of_unknown) == [right, ALL, right, ALL, ALL]
+    bias = Unknowns.of("test", {"bias": Unknown("sensors.q.bias")}, setup)
+    found = colour_jacobian(setup, bias, 2 * model.nv, "q")  # corrections of q and v at the start
+    assert list(found.part_of_unknown) == [*independent_parts(setup)] * 3
 
 
 def test_what_is_one_part():
     two = robot(leg("l", 0.1), leg("r", -0.1))
-    assert islands_of(Setup.of(two)) is not None
-    assert islands_of(Setup.of(robot(leg("l", 0.1)))) is None
-    assert islands_of(Setup.of(two, lambda t, reading, command: command)) is None
+    assert independent_parts(Setup.of(two)) is not None
+    assert independent_parts(Setup.of(robot(leg("l", 0.1)))) is None
+    assert independent_parts(Setup.of(two, lambda t, reading, command: command)) is None
     held = rb.forces.GravityCompensation(jnp.ones(two.nb), two.body_names)  # by its bodies
-    assert islands_of(Setup.of(two.with_forces(held))) is None
+    assert independent_parts(Setup.of(two.with_forces(held))) is None
     names = two.joint_names[::2]
     geared = two.with_constraints(rb.constraints.Gear(*names, -1.0))
-    assert islands_of(Setup.of(geared)) is None
+    assert independent_parts(Setup.of(geared)) is None
     setup, sought, _ = problem(two)
     of = Unknowns.of("test", sought, setup)
-    assert directions(setup, of, 0, ("q", "gyro:tool")) is None
+    assert colour_jacobian(setup, of, 0, ("q", "gyro:tool")) is None

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import rbjax as rb
 from rbjax.cli import app
-from rbjax.sysid import Grid, Inertia, Tilt
+from rbjax.sysid import FitStatus, Grid, Inertia, Tilt
 from rbjax.sysid.jobs.example import CONFIGURATION, TRUTH, write_example
 from rbjax.sysid.jobs.job import Job, Results
 from rbjax.sysid.statistics import estimates
@@ -51,7 +51,7 @@ def test_the_example_finds_its_truth_and_writes_the_robot(tmp_path):
         ("[unknowns]", "[unknowns", "is not a TOML file"),
         ('model = "arm.xml"', "", "has no model"),
         ("[output]\nfolder", "[[output]]\nfolder", "expected a table"),
-        ("starts = true", "begin = true", "begin"),
+        ("estimate_initial_state = true", "begin = true", "begin"),
         ('fit = ["run1.csv", "run2.csv"]', "", "has no fit"),
         ('{ sensor = "q", joint = "elbow", unit = "deg", sign = -1 }', '"q"', "elbow angle"),
         ('{ leaf = "joints.damping", positive = true }', '"damping"', "one of leaf, inertia"),
@@ -125,8 +125,8 @@ def test_the_command_says_what_was_found(tmp_path, monkeypatch):
     J = np.random.default_rng(0).normal(size=(40, 1))
     said = estimates(["mass"], np.array([0.7]), J, 0.01, dof=39)
     found = types.SimpleNamespace(
-        values={"mass": 0.7}, guess={"mass": 0.5}, estimates=said, message="100 evaluations",
-        success=False,
+        values={"mass": 0.7}, guess={"mass": 0.5}, estimates=said, evaluations=100,
+        status=FitStatus.BUDGET, success=False,
     )  # fmt: skip
     diagnosis = types.SimpleNamespace(causes=["the sign of joint elbow"])
     files = {"report": tmp_path / "report.html"}
@@ -134,8 +134,11 @@ def test_the_command_says_what_was_found(tmp_path, monkeypatch):
     monkeypatch.setattr(Job, "run", lambda job, **how: results)
     text = run(path, code=1).stdout
     interval = said.interval("mass")
-    for part in ("100 evaluations", "mass", f"{interval.low:.5g}", "no recording was held out",
-                 "the sign of joint elbow", "report.html", "arm-found.xml is new"):  # fmt: skip
+    parts = (
+        "not converged in 100 evaluations", "mass", f"{interval.low:.5g}", "report.html",
+        "no recording was held out", "the sign of joint elbow", "arm-found.xml is new",
+    )  # fmt: skip
+    for part in parts:
         assert part in text
 
 

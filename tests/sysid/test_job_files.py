@@ -14,8 +14,7 @@ from rbjax.sysid import Setup
 from rbjax.sysid.jobs import job as jobs
 from rbjax.sysid.jobs.example import CONFIGURATION, write_example
 from rbjax.sysid.jobs.job import Job
-from rbjax.sysid.jobs.keys import KEYS, KINDS
-from rbjax.sysid.jobs.places import place_of
+from rbjax.sysid.jobs.keys import KEYS, KINDS, index_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "job_files.md"
 ANGLE = '"shoulder angle" = { sensor = "q", joint = "shoulder", unit = "deg" }'
@@ -44,13 +43,10 @@ def test_the_page_has_each_key_with_value_unit_default_and_meaning(table):
     start = lines.index(head)
     end = next((k for k in range(start + 1, len(lines)) if lines[k].startswith("## ")), None)
     rows = [x for x in lines[start:end] if x.startswith("| `")]
-    keys = {
-        f"| `{key}` | {KINDS[k.kind][1]} | {k.unit} | {k.default} | {k.means} |"
-        for key, k in KEYS[table].items()
-    }
-    assert keys <= set(rows)
-    first = {row.split("`")[1] for row in rows if len(row.split(" | ")) == 5}
-    assert first == set(KEYS[table])  # and no key that does not exist
+    cells = [row.split(" | ") for row in rows if len(row.split(" | ")) == 5]
+    due = {f"| `{key}`": KINDS[kind][1] for key, kind in KEYS[table].items()}
+    assert {key: value for key, value, *_ in cells} == due  # and no key that does not exist
+    assert all(meaning.removesuffix(" |").strip() for *_, meaning in cells)
 
 
 def test_the_page_shows_the_example():
@@ -141,7 +137,7 @@ def test_names_resolve_within_indices(tree, leaf, index, where):
     value = rb.sysid.parameters.unknowns.leaf_of(tree, leaf)
     numbers = np.arange(value.size).reshape(value.shape)
     where = tuple(np.array(x) if isinstance(x, list) else x for x in where)
-    np.testing.assert_array_equal(numbers[place_of(tree, leaf, index)], numbers[where])
+    np.testing.assert_array_equal(numbers[index_of(tree, leaf, index)], numbers[where])
 
 
 @pytest.mark.parametrize(
@@ -161,7 +157,7 @@ def test_names_resolve_within_indices(tree, leaf, index, where):
 )
 def test_indices_that_are_not_there_are_named(tree, leaf, index, error):
     with pytest.raises(rb.RbjaxError, match=error):
-        place_of(tree, leaf, index)
+        index_of(tree, leaf, index)
 
 
 # -- what a file can say --------------------------------------------------------------------------
@@ -190,7 +186,7 @@ mass = { leaf = "bodies.mass", index = "jaw", positive = true }
 bias = { leaf = "sensors.gyro:s.bias", index = "z" }
 motor = { leaf = "readings.current.constant", index = "bite", positive = true }
 [options]
-shooting = 0.05
+multiple_shooting = 0.05
 """
     path = tmp_path / "job.toml"
     path.write_text(text)
@@ -198,7 +194,7 @@ shooting = 0.05
     assert set(job.setup.sensors) == {"q", "v", "tau", "gyro:s", "pose:jaw", "current"}
     assert job.setup.readings["current"].constant.tolist() == [0.1, 0.2, 0.3]
     assert job.unknowns["bias"].index == 2 and job.unknowns["motor"].index == 2
-    assert job.options == {"shooting": 0.05}
+    assert job.options == {"multiple_shooting": 0.05}
     path.write_text(text.replace("current = [0.1, 0.2, 0.3]", ""))
     with pytest.raises(InputError, match=r"current needs the torque constants.*\[sensors\]"):
         Job.read(path)
@@ -219,11 +215,15 @@ def test_shooting_and_many_starts_reach_the_estimators(example, monkeypatch):
 
     monkeypatch.setattr(jobs, "identify", called)
     with pytest.raises(Called) as caught:
-        read(example, "starts = true", 'shooting = 0.5\nloss = "huber"\nsteps = 7').run()
+        read(
+            example,
+            "estimate_initial_state = true",
+            'multiple_shooting = 0.5\nloss = "huber"\nmax_evaluations = 7',
+        ).run()
     how = caught.value.args[0]
-    assert (how["shooting"], how["loss"], how["steps"]) == (0.5, "huber", 7)
+    assert (how["multiple_shooting"], how["loss"], how["max_evaluations"]) == (0.5, "huber", 7)
     monkeypatch.setattr(jobs, "many_starts", called)
-    job = read(example, "starts = true", "many_starts = 5")
+    job = read(example, "estimate_initial_state = true", "many_starts = 5")
     with pytest.raises(Called) as caught:
         job.run()
     assert caught.value.args[0]["guesses"] == 5
@@ -234,7 +234,9 @@ def test_shooting_and_many_starts_reach_the_estimators(example, monkeypatch):
 
 @pytest.mark.slow
 def test_many_starts_find_the_truth(example):
-    job = read(example, "starts = true", "starts = true\nmany_starts = 4")
+    job = read(
+        example, "estimate_initial_state = true", "estimate_initial_state = true\nmany_starts = 4"
+    )
     found = job.run().found
     assert abs(found.values["fore mass"] - 0.62) < 0.01
 
@@ -251,6 +253,6 @@ def test_results_lie_within_the_folder_of_the_file_or_where_the_command_says(exa
 def test_messages_keep_their_brackets(example):
     """`[options]` is text, not markup of the terminal."""
     path = example.with_name("try.toml")
-    path.write_text(CONFIGURATION.replace("starts = true", "begin = true"))
+    path.write_text(CONFIGURATION.replace("estimate_initial_state = true", "begin = true"))
     said = CliRunner().invoke(app, ["identify", str(path)])
     assert said.exit_code == 2 and "key of [options] 'begin'" in " ".join(said.stderr.split())

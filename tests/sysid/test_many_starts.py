@@ -18,8 +18,7 @@ from rbjax.sysid import (
     identify,
     many_starts,
 )
-from rbjax.sysid.parameters.guesses import drawn
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
 
 MODEL = rb.load("pendulum")
 ROTOR = {"armature": Unknown("joints.armature", 0, positive=True)}
@@ -47,15 +46,15 @@ def test_a_wrong_frequency_has_many_minima_and_many_starts_find_the_best():
     run, guess = long_run(), turning(0.05)
     single = identify(guess, run, ROTOR, restarts=0)
     assert single.success and single.rms["q"] > 0.1  # it ends, but not at the truth
-    assert not single.verdict.good
+    assert not single.verdict.success
     # by default a poor fit is tried from other starts, one of which grows to the truth
     np.testing.assert_allclose(identify(guess, run, ROTOR).values["armature"], 0.9, rtol=STEPS)
     found = many_starts(guess, run, ROTOR, guesses=12, spread=3.5, finalists=8)
     np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=STEPS)
     assert found.best.guess["armature"] == pytest.approx(0.05) and found.best.success
     assert found.guesses.shape == (12, 1) and found.guesses[0] == pytest.approx(0.05)
-    assert np.argmin(found.costs) in found.basins[0].starts
-    assert found.won in found.basins[0].starts
+    assert np.argmin(found.costs) in found.basins[0].guesses
+    assert found.best_guess in found.basins[0].guesses
     assert 1 < len(found.basins) <= 8  # the others are other frequencies
     assert found.basins[1].cost > 1e3 * found.basins[0].cost
     assert f"{len(found.basins)} basins" in found.summary()
@@ -65,7 +64,7 @@ def test_guesses_that_are_given():
     run = long_run()
     found = many_starts(turning(0.05), run, ROTOR, guesses=[[0.02], [0.8], [1.0]])
     np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=STEPS)
-    assert set(found.basins[0].starts) == {1, 2}
+    assert set(found.basins[0].guesses) == {1, 2}
 
 
 @pytest.mark.parametrize(
@@ -91,7 +90,7 @@ def test_guesses_are_drawn_where_they_can_be():
     model = model.replace(joints=model.joints.replace(damping=jnp.full(2, 0.1)))
     setup = setup.replace(model=model)
     of = Unknowns.of("test", members, setup)
-    p = drawn(of, setup, 32, 1.0, 0)
+    p = draw_guesses(of, setup, 32, 1.0, 0)
     assert p.shape == (32, sum(of.sizes))
     np.testing.assert_array_equal(p[0], np.asarray(of.read(setup)))
     assert all(np.isfinite(of.divergence(x, x).value) for x in p)

@@ -17,14 +17,16 @@ def swung(loss: str = "squares", noise: float = 1e-3) -> Identified:
     path = rb.rollout(model, start, None, 0.02, steps=80, integrator="rk4")
     off = noise * np.random.default_rng(0).normal(size=path.q.shape)
     run = Recording("swing", {"q": Channel(t, path.q + off)})
-    return identify(model, run, {"drag": Unknown("joints.damping", 0)}, starts=True, loss=loss)
+    return identify(
+        model, run, {"drag": Unknown("joints.damping", 0)}, estimate_initial_state=True, loss=loss
+    )
 
 
 @pytest.mark.slow
 def test_intervals_hold_and_the_scatter_is_the_one_foretold() -> None:
     found = swung()
     again = monte_carlo(found, 100, level=0.9)
-    assert again.names == ("drag",) and again.seen.all() and not again.failed
+    assert again.names == ("drag",) and again.identifiable.all() and not again.failed
     assert abs(again.coverage - 0.9) < 3 * np.sqrt(0.9 * 0.1 / 100)
     assert again.by_name == {"drag": again.coverage}
     foretold = found.estimates.interval("drag").sigma

@@ -8,10 +8,10 @@ import rbjax as rb
 from benchmarks.cases import pendulums
 from benchmarks.cases.pendulums import NAMES, Arms, chain
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, free_run, identify
-from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.runs import run_of
-from rbjax.sysid.simulation.setup import motion
-from rbjax.sysid.simulation.shooting import Shooting
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.multiple_shooting import MultipleShooting
+from rbjax.sysid.simulation.runs import make_run
+from rbjax.sysid.simulation.setup import simulate_motion
 
 T = 0.02
 GRID = Grid(T, 2)
@@ -26,7 +26,7 @@ def swing(arms, count, noise=0.0, first=(1.8,), step=T, seed=0):
     """A recording of a pendulum that is let go, its angles read with noise."""
     model = chain(arms)
     start = rb.State(jnp.asarray(first), jnp.zeros(model.nv))
-    path = motion(
+    path = simulate_motion(
         lambda p: Setup.of(model), jnp.zeros(1), start, jnp.zeros((count, 0)), Grid(step, 2)
     )
     q = np.asarray(path.q)
@@ -37,15 +37,17 @@ def swing(arms, count, noise=0.0, first=(1.8,), step=T, seed=0):
 def shot(runs, seconds, grid=GRID):
     setup = Setup.of(chain(ONE._replace(centre=[0.09])))
     sought = Unknowns.of("test", SOUGHT, setup)
-    of = Shooting(setup, sought, [run_of(setup, run, grid) for run in runs], grid, seconds)
+    of = MultipleShooting(
+        setup, sought, [make_run(setup, run, grid) for run in runs], grid, seconds
+    )
     return of, np.append(np.asarray(sought.read(setup)), np.zeros(of.size - 2))
 
 
 @pytest.mark.slow
 def test_the_slopes_of_pieces_and_gaps():
     of, x = shot([swing(ONE, 24, 1e-3), swing(ONE, 13, 1e-3, seed=1)], 8 * T)
-    assert of.pieces.count == 5 and of.firsts.tolist() == [0, 3] and of.gaps(x).shape == (3, 2)
-    of.tie = 3.0
+    assert of.segments.count == 5 and of.firsts.tolist() == [0, 3] and of.gaps(x).shape == (3, 2)
+    of.continuity_weight = 3.0
     x[2:] = 0.01 * np.random.default_rng(2).normal(size=x.size - 2)
     R, r = of.triangle(x), of.residuals(x)
     np.testing.assert_allclose(R[:, -1] @ R[:, -1], r @ r, rtol=1e-10)
@@ -62,7 +64,9 @@ def test_each_sample_belongs_to_one_piece():
     keep = np.setdiff1d(np.arange(41), [7, 15, 16, 30])
     run = Recording("gaps", {"q": Channel(t[keep] + 1e-3 * np.sin(keep), q[keep])})
     of, _ = shot([run], 10 * T, Grid(T / 2, 2))
-    weights, values = (np.asarray(x["q"]) for x in (of.pieces.runs.weights, of.pieces.runs.values))
+    weights, values = (
+        np.asarray(x["q"]) for x in (of.segments.runs.weights, of.segments.runs.values)
+    )
     found = values[(weights > 0).all(-1)]
     np.testing.assert_array_equal(found, run["q"].values[: len(found)])
     assert len(found) >= len(keep) - 1  # the last may lie behind the last whole period
@@ -71,7 +75,14 @@ def test_each_sample_belongs_to_one_piece():
 @pytest.mark.slow
 def test_a_noise_free_motion_gives_the_numbers():
     guess = chain(ONE._replace(centre=[0.08], viscous=[5e-3]))
-    found = identify(guess, swing(ONE, 80), SOUGHT, shooting=0.3, starts=True, grid=Grid(T, 2))
+    found = identify(
+        guess,
+        swing(ONE, 80),
+        SOUGHT,
+        multiple_shooting=0.3,
+        estimate_initial_state=True,
+        grid=Grid(T, 2),
+    )
     assert found.success
     np.testing.assert_allclose([*found.values.values()], [-0.1, 1e-3], rtol=1e-6)
 
@@ -79,9 +90,9 @@ def test_a_noise_free_motion_gives_the_numbers():
 @pytest.mark.parametrize(
     ("change", "error"),
     [
-        ({"shooting": 0.0}, "shooting is 0.0, expected seconds above 0"),
-        ({"shooting": 5.0}, "above 0 and shorter than the longest"),
-        ({"shooting": 0.1, "grid": Grid(T, 1, "rk4", 2)}, "delayed commands"),
+        ({"multiple_shooting": 0.0}, "multiple_shooting is 0.0, expected seconds above 0"),
+        ({"multiple_shooting": 5.0}, "above 0 and shorter than the longest"),
+        ({"multiple_shooting": 0.1, "grid": Grid(T, 1, "rk4", 2)}, "delayed commands"),
     ],
 )
 def test_bad_pieces_are_named(change, error):
@@ -101,7 +112,7 @@ def test_a_free_run_from_the_best_start_errs_by_the_noise():
     runs = [swing(ONE, 60, noise), swing(ONE, 45, noise, seed=1)]
     rms = []
     for starts in (False, True):
-        found = free_run(chain(ONE), runs, grid=Grid(T, 2), starts=starts)
+        found = free_run(chain(ONE), runs, grid=Grid(T, 2), estimate_initial_state=starts)
         off = np.concatenate([sensors["q"].residual for sensors in found.values()])
         rms.append(np.sqrt(np.mean(off**2)))
     assert 0.85 * noise < rms[1] < 1.05 * noise  # 4 numbers of 107 are fitted
@@ -123,14 +134,14 @@ def test_a_chaotic_triple_pendulum_from_a_poor_guess():
         "inertia": Unknown("bodies.inertia", (np.arange(2), 1, 1), positive=True),
         "viscous": Unknown("joints.damping", positive=True),
     }
-    how = {"grid": Grid(0.01, 2), "starts": True}
-    found = identify(chain(guess), run, sought, shooting=0.2, **how)
+    how = {"grid": Grid(0.01, 2), "estimate_initial_state": True}
+    found = identify(chain(guess), run, sought, multiple_shooting=0.2, **how)
     assert found.success
     np.testing.assert_allclose(found.rms["q"], noise, rtol=0.1)
     want = np.array([-0.16, -0.2, -0.18, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])
     off = np.array([*found.values.values()]) - want
     assert (np.abs(off) < 4 * found.estimates.sigma[:8]).all()
-    lost = identify(chain(guess), run, sought, steps=40, **how)
+    lost = identify(chain(guess), run, sought, max_evaluations=40, **how)
     assert lost.rms["q"].max() > 100 * noise
 
 

@@ -5,8 +5,8 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sysid import Channel, Derived, Grid, Recording, Setup, Unknown, identify
-from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.programs import kept
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.programs import get_cached
 from tests.compilations import compilations
 
 MODEL = rb.load("pendulum")
@@ -54,7 +54,7 @@ def test_what_is_one_program():
 
     def of(mass, members=MASS, grid=grid, damping=0.0):
         setup = Setup.of(heavy(mass, damping))
-        return kept(made, setup, Unknowns.of("test", members, setup), grid)
+        return get_cached(made, setup, Unknowns.of("test", members, setup), grid)
 
     one = of(1.0)
     assert of(1.0) is one and of(2.0) is one

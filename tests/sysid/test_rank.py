@@ -5,7 +5,7 @@ import pytest
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.sysid.statistics import combinations, estimates
-from rbjax.sysid.statistics.rank import beside_others
+from rbjax.sysid.statistics.rank import project_out_others
 
 RNG = np.random.default_rng(0)
 T = np.linspace(0.0, 2.0, 40)
@@ -19,10 +19,13 @@ def test_words():
     assert found.terms() == ("link1.Izz + joint1.armature + 0.5 link2.m", "mass + 2e-05 link2.m")
     assert found.hidden == ("bias",) and found.single == ()
     text = found.summary()
-    assert text.startswith("2 of 5 can be found: 0 by themselves and 2 as combinations; 1 never")
-    assert "link1.Izz + joint1.armature + 0.5 link2.m is found; none of them by itself." in text
-    assert "mass + 2e-05 link2.m is found; neither by itself." in text
-    assert text.endswith("Never show: bias.")
+    assert text.startswith(
+        "2 of 5 are identifiable: 0 by themselves and 2 as combinations; 1 have no"
+    )
+    due = "link1.Izz + joint1.armature + 0.5 link2.m is identifiable; none of them by itself."
+    assert due in text
+    assert "mass + 2e-05 link2.m is identifiable; neither by itself." in text
+    assert text.endswith("Without effect: bias.")
 
 
 def test_earlier_names_are_kept():
@@ -96,7 +99,7 @@ def test_single_precision():
 def test_nothing_moves():
     found = combinations(np.zeros((5, 2)), "ab")
     assert found.rank == 0 and found.hidden == ("a", "b") and found.terms() == ()
-    assert found.summary().startswith("0 of 2 can be found") and found.gap == (0.0, 0.0)
+    assert found.summary().startswith("0 of 2 are identifiable") and found.gap == (0.0, 0.0)
     assert found.free_directions.tolist() == [[1.0, 0.0], [0.0, 1.0]]
 
 
@@ -123,9 +126,9 @@ def test_what_other_numbers_could_make_is_not_seen():
     others = np.column_stack([2 * J[:, 1] + J[:, 0], np.zeros(40)])
     R = np.linalg.qr(np.column_stack([J, others, rng.normal(size=40)]), mode="r")
     assert combinations(R[:, :3], ["a", "b", "c"]).rank == 3  # if the others were known
-    found = combinations(beside_others(R, 3), ["a", "b", "c"])
+    found = combinations(project_out_others(R, 3), ["a", "b", "c"])
     assert found.rank == 2 and found.single == ("c",)
-    np.testing.assert_array_equal(beside_others(R[:, [0, 1, 2, 5]], 3), R[:, :3])
+    np.testing.assert_array_equal(project_out_others(R[:, [0, 1, 2, 5]], 3), R[:, :3])
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

@@ -8,13 +8,13 @@ from scipy.interpolate import CubicHermiteSpline
 import rbjax as rb
 from rbjax.sysid import Channel, Recording
 from rbjax.sysid.estimators.least_squares import minimise
-from rbjax.sysid.estimators.step_length import halved
+from rbjax.sysid.estimators.staged_fit import halve_steps
 from rbjax.sysid.estimators.verdict import _tiny
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.parameters.setup_leaves import put
-from rbjax.sysid.parameters.unknowns import Inertia, Unknown, Unknowns
-from rbjax.sysid.simulation.runs import _start
-from rbjax.sysid.simulation.setup import Grid, Path, _between
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Inertia, Unknown, put
+from rbjax.sysid.simulation.runs import _first_readings
+from rbjax.sysid.simulation.setup import Grid, Path, interpolate_state
 from rbjax.sysid.simulation.traces import FEW, Trace
 
 RNG = np.random.default_rng(0)
@@ -27,7 +27,7 @@ def test_states_between_samples_are_those_of_hermites_cubic():
     cubic = CubicHermiteSpline(knots, q, v)
     t = np.array([0.0, 0.03, 0.17, 0.29])
     path = Path(jnp.asarray(q), jnp.asarray(v), None, jnp.zeros((3, 0)))
-    found = jax.jit(jax.vmap(lambda t: _between(model, path, 0.1, t)))(t)
+    found = jax.jit(jax.vmap(lambda t: interpolate_state(model, path, 0.1, t)))(t)
     np.testing.assert_allclose(found.q, cubic(t), rtol=0, atol=1e-13)
     np.testing.assert_allclose(found.v, cubic(t, 1), rtol=0, atol=1e-12)
 
@@ -35,7 +35,7 @@ def test_states_between_samples_are_those_of_hermites_cubic():
 def test_a_halved_grid_has_the_same_length_in_more_steps():
     grid = Grid(0.02, 3, "rk4", 5)
     for times in (1, 3):
-        finer = halved(grid, times)
+        finer = halve_steps(grid, times)
         assert finer.period == 0.02 / 2**times and finer.longest_delay == 5 * 2**times
         np.testing.assert_allclose(finer.period * finer.longest_delay, 0.1, rtol=1e-15)
         assert (finer.substeps, finer.integrator) == (3, "rk4")
@@ -46,16 +46,16 @@ def test_first_readings():
     model = rb.load("pendulum")
     q = 1 + 2 * T + 3 * T**2
     told = Recording("told", {"q": Channel(T, q), "v": Channel(T, np.full(40, 7.0))})
-    np.testing.assert_array_equal(_start(model, told, 0.0), [[1.0], [7.0]])
+    np.testing.assert_array_equal(_first_readings(model, told, 0.0), [[1.0], [7.0]])
     bare = Recording("bare", {"q": Channel(T, q)})
-    np.testing.assert_allclose(_start(model, bare, 0.0), [[1.0], [2.0]], rtol=1e-9)
+    np.testing.assert_allclose(_first_readings(model, bare, 0.0), [[1.0], [2.0]], rtol=1e-9)
 
 
 def test_a_piece_from_the_start_keeps_the_initial_state():
     start = rb.State(np.ones(1), np.zeros(1))
     run = Recording("swing", {"q": Channel(T, np.ones(40))}, initial_state=start)
-    assert run.piece(0.0, 0.3).initial_state is start
-    assert run.piece(0.1, 0.3).initial_state is None
+    assert run.segment(0.0, 0.3).initial_state is start
+    assert run.segment(0.1, 0.3).initial_state is None
 
 
 def trace(recorded, simulated):

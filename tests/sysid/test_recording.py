@@ -44,7 +44,7 @@ def test_units_signs_and_scales_are_said_once():
         ({"dropped": np.zeros(3, bool)}, r"dropped has shape \(3,\)"),
         ({"noise": -1.0}, r"noise is \[-1. -1.\], expected positive"),
         ({"dropped": "zero"}, 'expected an array of bool or "nan"'),
-        ({"values": [[1], [2, 3]]}, "values is list"),
+        ({"values": [[1], [2, 3]]}, "values is"),
     ],
 )
 def test_what_is_wrong_with_a_channel_is_named(given, message):
@@ -130,15 +130,15 @@ def test_dropped_samples_are_never_averaged_away():
 def test_pieces():
     pushes = Channel([0.0, 0.25, 1.0, 2.0], [1.0, 2.0, 3.0, 3.0], ("motor",))
     seen = run(q=Channel(T, SWING), ctrl=pushes)
-    cut = seen.piece(0.4, 1.2)
+    cut = seen.segment(0.4, 1.2)
     np.testing.assert_allclose(cut["q"].t, T[40:121])
     assert cut["ctrl"].t.tolist() == [0.4, 1.0] and cut["ctrl"].values.ravel().tolist() == [2, 3]
     assert (cut.name, cut.source) == ("run[0.4:1.2]", "run")
-    assert [p.name for p in run().pieces(0.6)] == ["run[0:0.6]", "run[0.6:1.2]", "run[1.2:1.8]"]
+    assert [p.name for p in run().segments(0.6)] == ["run[0:0.6]", "run[0.6:1.2]", "run[1.2:1.8]"]
     with pytest.raises(rb.InputError, match="channel q has 0 samples from 3 to 4 s"):
-        seen.piece(3, 4)
+        seen.segment(3, 4)
     with pytest.raises(rb.InputError, match=r"seconds is 9, expected a positive length of at most"):
-        seen.pieces(9)
+        seen.segments(9)
 
 
 def test_split_by_recording():
@@ -150,11 +150,11 @@ def test_split_by_recording():
     assert [[r.name for r in p] for p in again] == [[r.name for r in p] for p in parts]
     others = {tuple(r.name for r in split(runs, 0.5, 0.2, 0.3, seed=s).train) for s in range(9)}
     assert len(others) > 1
-    pieces = [p for r in runs[:3] for p in r.pieces(0.5)]
+    pieces = [p for r in runs[:3] for p in r.segments(0.5)]
     used = [{p.source for p in part} for part in split(pieces)]
     assert [len(s) for s in used] == [1, 1, 1] and len(set.union(*used)) == 3
     with pytest.raises(rb.InputError, match=r"1 recordings .run. for 3 parts"):
-        split(run().pieces(0.5))
+        split(run().segments(0.5))
     with pytest.raises(rb.InputError, match="add up to 1"):
         split(runs, 0.5, 0.2, 0.2)
 

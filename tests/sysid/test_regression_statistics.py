@@ -245,8 +245,8 @@ def test_selection_with_channels_of_unequal_noise():
         tau = (1 + 2 * t)[:, None] + noise
         candidates = {f"degree {n}": (W[..., : n + 1], "abcd"[: n + 1]) for n in range(4)}
         found = select(candidates, tau)  # never "not nested"
-        assert found.comparisons[0].earned
-        earned += [c.earned for c in found.comparisons[1:]]
+        assert found.comparisons[0].significant
+        earned += [c.significant for c in found.comparisons[1:]]
         assert abs(found.regression.beta[1] - 2) < 0.02
     assert np.mean(earned) < 0.1  # 1 % is the level of the test
 

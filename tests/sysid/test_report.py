@@ -13,7 +13,12 @@ def test_a_report_says_what_was_found(tmp_path):
     page = path.read_text()
     for name, value in found.values.items():
         assert f"<td>{name}</td>" in page and f"<td>{value:.5g}</td>" in page
-    for words in ("run 0", found.message, "2 of 2 can be found", "on 1 recording outside of"):
+    for words in (
+        "run 0",
+        found.status.text,
+        "2 of 2 are identifiable",
+        "on 1 recording outside of",
+    ):
         assert words in page
     # fits of q and v, residuals, intervals, correlation, held out
     assert page.count("data:image/png") == 6

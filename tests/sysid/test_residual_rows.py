@@ -1,5 +1,6 @@
 """Rows of a fit: triangles, projections, robust rows, residuals of attitudes."""
 
+import functools
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,10 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rbjax.sensors.columns import Columns
-from rbjax.sysid.estimators.fit_rows import columns_of
-from rbjax.sysid.simulation.simulation_error import HUBER, triangle_of
-from rbjax.sysid.statistics.rank import beside_others
-from rbjax.sysid.statistics.variance import explained
+from rbjax.sysid.simulation.simulation_error import HUBER, SimulationError, triangle_of
+from rbjax.sysid.statistics.rank import project_out_others
+from rbjax.sysid.statistics.residual_tests import explained
 
 RNG = np.random.default_rng(0)
 
@@ -28,7 +28,7 @@ def test_slopes_beside_others_are_residuals_of_least_squares():
     """Of other numbers whose slopes depend on each other, in different units."""
     a, b, c = RNG.normal(size=(3, 8))
     others = np.stack([a, 1e6 * b, a + b, np.zeros(8)], 1)
-    found = beside_others(np.column_stack([c, others, RNG.normal(size=8)]), 1)[:, 0]
+    found = project_out_others(np.column_stack([c, others, RNG.normal(size=8)]), 1)[:, 0]
     span = np.stack([a, b], 1)
     np.testing.assert_allclose(found, c - span @ np.linalg.lstsq(span, c)[0], rtol=0, atol=1e-13)
 
@@ -38,20 +38,24 @@ def robust(times, u):
     far = np.abs(u) > HUBER
     r = np.where(far, np.sign(u) * np.sqrt(np.abs(HUBER * (2 * np.abs(u) - HUBER))), u)
     J = np.clip(u, -HUBER, HUBER) / r
+    shape = (1, len(u), 1)
     runs = SimpleNamespace(
-        times={"q": times}, values={"q": u}, weights={"q": np.ones((1, len(u), 1))}
+        times={"q": times}, values={"q": u.reshape(shape)}, weights={"q": np.ones(shape)}
     )
-    return SimpleNamespace(
+    of = SimpleNamespace(
         slopes=lambda x: (r[None], J[None, :, None]), shared=1, own=0, count=1, loss="huber",
         runs=runs, setup=SimpleNamespace(columns=lambda sensor: Columns(1)),
     )  # fmt: skip
+    of.rows_of = functools.partial(SimulationError.rows_of, of)
+    of.unknowns = SimpleNamespace(prior_rows=lambda p: np.zeros((0, 2)))
+    return of
 
 
 def test_rows_beyond_a_knee_are_those_of_the_linear_residual():
     """psi = clip(u) and du/dx = 1 of u = x - y; steps of a clock that ends with its last time."""
     off = np.array([0.3, -0.2, 4.0, -7.0, 1.0])
     of = robust(np.array([[0.0, 0.1, 0.2, 0.3, 0.3]]), off)
-    (column,) = columns_of(of, np.zeros(1), set())
+    (column,) = SimulationError.columns(of, np.zeros(1), set())
     (rows,) = column.runs
     np.testing.assert_allclose(rows.psi, np.clip(off, -HUBER, HUBER), rtol=1e-14)
     np.testing.assert_allclose(rows.J[:, 0], 1.0, rtol=1e-14)

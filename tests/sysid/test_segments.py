@@ -9,10 +9,10 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import PD, Grid, Setup, Unknown
-from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation import segments
-from rbjax.sysid.simulation.segments import in_segments
-from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation import parallel_in_time
+from rbjax.sysid.simulation.parallel_in_time import simulate_windows
+from rbjax.sysid.simulation.setup import simulate_motion
 
 N = 50
 SOUGHT = {
@@ -29,7 +29,9 @@ def both(setup: Setup, grid: Grid, count: int) -> list:
     def slopes(count: int) -> list:
         def path(x: jax.Array) -> list[jax.Array]:
             start = rb.State(x[-2:-1], x[-1:])
-            moved = motion(lambda p: of.write(setup, p), x[:-2], start, commands, grid, count=count)
+            moved = simulate_motion(
+                lambda p: of.write(setup, p), x[:-2], start, commands, grid, count=count
+            )
             return [moved.q, moved.v, moved.ctrls]
 
         x = jnp.append(of.read(setup), jnp.array([0.3, -0.2]))
@@ -57,7 +59,7 @@ def counted(f, first, count: int) -> tuple[np.ndarray, int]:
         jax.debug.callback(lambda k: seen.append(int(k)), begins[0])
         return jax.lax.scan(lambda x, u: (f(x) + u, f(x) + u), begins[1], commands)
 
-    shown = in_segments(segment, None, first, jnp.zeros(8 * count), count)
+    shown = simulate_windows(segment, None, first, jnp.zeros(8 * count), count)
     jax.effects_barrier()
     return np.asarray(shown), seen.count(0)
 
@@ -77,10 +79,10 @@ def test_how_many_sweeps():
 
 
 def test_few_samples_on_a_gpu_are_cut(monkeypatch):
-    assert segments.segments(8000, 4) == 1  # on a CPU
-    monkeypatch.setattr(segments, "gpu", lambda: True)
-    assert segments.segments(8000, 52) == 32
-    assert segments.segments(8000, 1000) == 8
-    assert segments.segments(8000, 100_000) == 1
-    assert segments.segments(130, 1) == 2
-    assert segments.segments(10, 1) == 1
+    assert parallel_in_time.count_windows(8000, 4) == 1  # on a CPU
+    monkeypatch.setattr(parallel_in_time, "has_gpu", lambda: True)
+    assert parallel_in_time.count_windows(8000, 52) == 32
+    assert parallel_in_time.count_windows(8000, 1000) == 8
+    assert parallel_in_time.count_windows(8000, 100_000) == 1
+    assert parallel_in_time.count_windows(130, 1) == 2
+    assert parallel_in_time.count_windows(10, 1) == 1

@@ -20,7 +20,7 @@ def test_terms_in_the_middle_that_are_not_needed_do_not_hide_one_that_is():
     noise = 0.01 * np.random.default_rng(1).normal(size=T.size)
     found = select(powers(0, 1, 2, 3, 4), 1.0 + T**3 + noise)
     assert found.name == "degree 3"
-    assert [c.earned for c in found.comparisons] == [True, False, True, False]
+    assert [c.significant for c in found.comparisons] == [True, False, True, False]
     np.testing.assert_allclose(found.regression.beta, [1, 0, 0, 1], atol=0.02)  # 5 sigma
 
 

@@ -14,12 +14,12 @@ def test_the_sentence_of_a_model_that_holds():
     y = 100 * np.sin(0.1 * np.arange(200))
     says = sysid.statistics.held_out({"a": noise[0]}, {"b": noise[1]}, measured={"b": y}, noise=1.0)
     rms = np.sqrt((noise[1] ** 2).mean())
-    assert says.holds and says.failed == () and "failed" not in says.sentence
-    assert f"; the error is {rms:.3g} times the noise" in says.sentence
-    assert says.sentence.startswith("the model holds")
+    assert says.success and says.failed == () and "failed" not in says.summary()
+    assert f"; the error is {rms:.3g} times the noise" in says.summary()
+    assert says.summary().startswith("the model holds")
     says = sysid.statistics.held_out({"a": noise[0]}, {"b": 4 * noise[1]}, noise=1.0)
-    assert says.sentence.startswith("the model fails") and says.failed
-    assert says.sentence.endswith("failed: " + "; ".join(says.failed))
+    assert says.summary().startswith("the model fails") and says.failed
+    assert says.summary().endswith("failed: " + "; ".join(says.failed))
 
 
 def test_the_place_of_a_wrong_noise():

@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import PD, Calibration, Grid, Setup
-from rbjax.sysid.simulation.setup import motion, reading
+from rbjax.sysid.simulation.setup import read_sensor, simulate_motion
 
 MODEL = rb.load("cart_pole")
 START = rb.State(jnp.array([0.1, 0.4]), jnp.array([0.0, -0.3]))
@@ -18,7 +18,7 @@ CTRLS = jnp.asarray(np.sin(np.arange(N) * 0.3)[:, None] * 3)
 def moved(delay=None, ctrls=CTRLS, longest=0, controller=None, substeps=1):
     setup = Setup.of(MODEL, controller, delay)
     grid = Grid(T, substeps, "rk4", longest)
-    return motion(lambda p: setup, jnp.zeros(1), START, ctrls, grid)
+    return simulate_motion(lambda p: setup, jnp.zeros(1), START, ctrls, grid)
 
 
 def test_it_is_the_rollout():
@@ -69,9 +69,9 @@ def test_readings_between_instants_are_cubic():
     coarse, fine = Grid(T), Grid(T / 2)
     setup = Setup.of(MODEL)
     path = jax.jit(moved)()
-    halves = motion(lambda p: setup, jnp.zeros(1), START, jnp.repeat(CTRLS, 2, 0), fine)
+    halves = simulate_motion(lambda p: setup, jnp.zeros(1), START, jnp.repeat(CTRLS, 2, 0), fine)
     times = jnp.arange(2 * N + 1) * T / 2
-    read = lambda s, path, grid, kind, t: reading(s, path, grid, kind, t)  # noqa: E731
+    read = lambda s, path, grid, kind, t: read_sensor(s, path, grid, kind, t)  # noqa: E731
     q = read(setup, path, coarse, "q", times)
     np.testing.assert_allclose(q, halves.q, atol=1e-6)
     np.testing.assert_allclose(q[::2], path.q, atol=1e-14)
@@ -83,7 +83,7 @@ def test_a_sensor_has_a_scale_a_bias_and_a_delay():
     setup = Setup.of(MODEL)
     setup = setup.replace(sensors=setup.sensors | {"q": seen})
     path = jax.jit(moved)()
-    found = reading(setup, path, Grid(T), "q", jnp.array([2 * T, 3 * T]))
+    found = read_sensor(setup, path, Grid(T), "q", jnp.array([2 * T, 3 * T]))
     np.testing.assert_allclose(found, path.q[1:3] * seen.scale + seen.bias, atol=1e-14)
 
 
@@ -92,8 +92,10 @@ def test_attitudes_between_instants_keep_their_length(attitude):
     model = rb.load(attitude)
     start = model.default_state().replace(v=jnp.arange(1.0, model.nv + 1) / 3)
     setup = Setup.of(model)
-    path = motion(lambda p: setup, jnp.zeros(1), start, jnp.zeros((20, model.nu)), Grid(T))
-    fine = motion(lambda p: setup, jnp.zeros(1), start, jnp.zeros((40, model.nu)), Grid(T / 2))
-    q = reading(setup, path, Grid(T), "q", jnp.arange(41) * T / 2)
+    path = simulate_motion(lambda p: setup, jnp.zeros(1), start, jnp.zeros((20, model.nu)), Grid(T))
+    fine = simulate_motion(
+        lambda p: setup, jnp.zeros(1), start, jnp.zeros((40, model.nu)), Grid(T / 2)
+    )
+    q = read_sensor(setup, path, Grid(T), "q", jnp.arange(41) * T / 2)
     np.testing.assert_allclose(jnp.linalg.norm(q[:, 3:7], axis=-1), 1.0, atol=1e-12)
     np.testing.assert_allclose(q, fine.q, atol=1e-5)

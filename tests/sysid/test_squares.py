@@ -43,7 +43,7 @@ GRID = Grid(T, 1, "rk4", 4)
 
 @pytest.fixture(scope="module")
 def forward():
-    of = squares(SETUP, RUNS, SOUGHT, grid=GRID, starts=True, mode="forward")
+    of = squares(SETUP, RUNS, SOUGHT, grid=GRID, estimate_initial_state=True, mode="forward")
     return of, *of.value_and_grad(of.x)
 
 
@@ -64,7 +64,9 @@ def test_forward_is_twice_the_jacobian_by_the_residual(forward):
 def test_reverse_is_forward(forward, memory):
     """Whether each state is kept, or every fourth."""
     _, value, slope = forward
-    of = squares(SETUP, RUNS, SOUGHT, grid=GRID, starts=True, mode="reverse", memory=memory)
+    of = squares(
+        SETUP, RUNS, SOUGHT, grid=GRID, estimate_initial_state=True, mode="reverse", memory=memory
+    )
     found = of.value_and_grad(of.x)
     np.testing.assert_allclose(found[0], value, rtol=1e-12)
     np.testing.assert_allclose(found[1], slope, rtol=1e-9, atol=1e-9)
@@ -72,7 +74,7 @@ def test_reverse_is_forward(forward, memory):
 
 def test_what_reverse_mode_keeps():
     """Every state where there is room, and never fewer than sqrt(N) of N."""
-    of = squares(SETUP, RUNS, SOUGHT, grid=GRID, starts=True, mode="forward")._of
+    of = squares(SETUP, RUNS, SOUGHT, grid=GRID, estimate_initial_state=True, mode="forward")._of
     each = 2 * (4 + 6) * 8  # two runs, a state and the commands that wait, f64
     assert _keep(SETUP, of.runs, GRID, each * N) == 1
     assert _keep(SETUP, of.runs, GRID, each * N / 2) == 2

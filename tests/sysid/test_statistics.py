@@ -85,7 +85,7 @@ def test_what_data_do_not_show_has_no_interval():
     positive, _ = not_identifiable(bounds={"m": (0, np.inf)})
     assert positive.interval("m")[2:] == (0, np.inf)
     words = found.sentences()
-    assert words[0] == "m: these data do not say it"
+    assert words[0] == "m: these data do not identify it"
     assert words[-1].startswith("free: a change along (+0.97 m, +0.243 b)")
 
 

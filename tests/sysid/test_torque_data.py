@@ -65,7 +65,7 @@ def test_a_gap_splits_the_recording():
     rows = torque_rows(MODEL, holed, 5.0, joint_terms=["coulomb"])
     assert not ((rows.t > 8.0) & (rows.t < 9.0)).any() and rows.t[-1] > 19
     each = [
-        torque_rows(MODEL, whole.piece(a, b), 5.0, joint_terms=["coulomb"])
+        torque_rows(MODEL, whole.segment(a, b), 5.0, joint_terms=["coulomb"])
         for a, b in ((0.0, 8.0), (9.0, 19.998))
     ]
     np.testing.assert_allclose(rows.t, np.concatenate([r.t for r in each]), atol=1e-9)
@@ -98,7 +98,7 @@ def test_without_a_stretch_that_is_long_enough_it_is_said():
 def test_slopes_are_computed_when_they_are_read():
     """W of seven joints needs no derivative: of 7 x 60,000 numbers there is one copy, not eight."""
     rows = torque_rows(MODEL, drive(seconds=4.0), 5.0)
-    few = rows.only(["rotor.Izz"]).piece(1.0, 2.0)
+    few = rows.only(["rotor.Izz"]).segment(1.0, 2.0)
     assert "slopes" not in rows.__dict__ and "slopes" not in few.__dict__
     few.residual([0.02]), few.at([0.0])
     assert "slopes" not in rows.__dict__ and "slopes" not in few.__dict__
@@ -173,7 +173,7 @@ def test_columns_go_to_the_joints_of_their_names():
         ({"joint_terms": "viscous"}, "expected a list such as"),
         ({"joint_terms": ["viscous", "viscous"]}, "expected none twice"),
         ({"joint_terms": 5}, "joint_terms is 5, expected a list"),
-        ({"recording": [1]}, "recording is list, expected one Recording"),
+        ({"recording": [1]}, "expected one Recording"),
         ({"model": "arm"}, "model is str, expected a Model"),
     ],
 )

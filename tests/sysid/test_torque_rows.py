@@ -106,7 +106,7 @@ def test_zeros_and_parameters_together():
 def test_zeros_of_a_run_that_was_not_fitted():
     """From its first three seconds."""
     r = rows("c", (0.02, 0.03), 5)
-    z = sysid.torque.zeros_of(r.piece(end=3.0), truth(), noise=1e-3)
+    z = sysid.torque.zeros_of(r.segment(end=3.0), truth(), noise=1e-3)
     np.testing.assert_allclose(z, (0.02, 0.03), atol=3e-3)
 
 
@@ -118,7 +118,7 @@ def test_fewer_columns():
     with pytest.raises(UnknownName, match="column"):
         r.only(["nose.m"])
     with pytest.raises(InputError, match="no equation"):
-        r.piece(50.0, 60.0)
+        r.segment(50.0, 60.0)
 
 
 def test_what_is_refused():
@@ -126,7 +126,7 @@ def test_what_is_refused():
     with pytest.raises(InputError, match="hinges and slides only"):
         sysid.torque.torque_rows(rb.load("free_body"), made, 5.0)
     with pytest.raises(InputError, match="the filters disturb"):
-        sysid.torque.torque_rows(MODEL, made.piece(0.0, 0.3), 1.0)
+        sysid.torque.torque_rows(MODEL, made.segment(0.0, 0.3), 1.0)
     with pytest.raises(InputError, match="different names"):
         sysid.torque.regress_with_zeros([rows("still"), rows("still")])
     with pytest.raises(InputError, match="spread"):

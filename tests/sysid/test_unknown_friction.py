@@ -9,7 +9,7 @@ import rbjax as rb
 from rbjax.errors import InputError, UnknownName
 from rbjax.forces import JointFriction
 from rbjax.sysid import Setup, Unknown
-from rbjax.sysid.jobs.places import place_of
+from rbjax.sysid.jobs.keys import index_of
 
 MODEL = rb.load("double_pendulum")
 A, B = MODEL.joint_names
@@ -69,7 +69,7 @@ def test_a_name_is_the_joint_of_the_element():
     """The element has the joints in another order than the model."""
     setup = setup_of(joints=(B, A))
     for joint, column in ((A, 0), (B, 1)):
-        dry = Unknown("forces.0.coulomb", place_of(setup, "forces.0.coulomb", joint))
+        dry = Unknown("forces.0.coulomb", index_of(setup, "forces.0.coulomb", joint))
         after = friction(dry.write(setup, jnp.array([0.7])))
         np.testing.assert_allclose(after[-1, column], -0.7, rtol=1e-6)
         assert after[-1, 1 - column] == friction(setup)[-1, 1 - column]

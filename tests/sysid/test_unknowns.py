@@ -6,10 +6,22 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import PD, Derived, FixedTotal, Inertia, Setup, Shared, Tilt, Unknown
+from rbjax.sysid import (
+    PD,
+    Channel,
+    Derived,
+    FixedTotal,
+    Grid,
+    Inertia,
+    Recording,
+    Setup,
+    Shared,
+    Tilt,
+    Unknown,
+    identify,
+)
 from rbjax.sysid.parameters import log_determinant_divergence, pseudo_inertia_of
-from rbjax.sysid.parameters.guesses import drawn
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
 
 MODEL = rb.load("arm7")
 MASSES = np.asarray(MODEL.bodies.mass)
@@ -148,5 +160,34 @@ def test_infinite_sides_of_bounds(bounds, low, high):
     assert np.isinf(u.divergence(np.array([-1.0]), p0).value) == (low == 0.0)
     assert np.isinf(u.divergence(np.array([3.0]), p0).value) == (high == 2.0)
     sought = Unknowns.of("test", {"mass": u}, rb.load("pendulum"))
-    guesses = drawn(sought, rb.load("pendulum"), 8, 1.0, 0)
+    guesses = draw_guesses(sought, rb.load("pendulum"), 8, 1.0, 0)
     assert np.isfinite(guesses).all() and (guesses > low).all() and (guesses < high).all()
+
+
+def test_rows_of_normal_priors():
+    """Of the entries of two unknowns with a prior, beside one without."""
+    members = {
+        "a": Unknown("bodies.mass", prior=(2.0, 0.5)), "b": Unknown("joints.damping"),
+        "c": Unknown("joints.armature", prior=(0.0, 4.0)),
+    }  # fmt: skip
+    rows = Unknowns(members, (2, 1, 1), ()).prior_rows(np.array([3.0, 2.0, 7.0, 8.0]))
+    due = [[2, 0, 0, 0, 2], [0, 2, 0, 0, 0], [0, 0, 0, 0.25, 2]]
+    np.testing.assert_array_equal(rows, due)
+    assert Unknowns({}, (), ()).prior_rows(np.zeros(0)).shape == (0, 1)
+
+
+@pytest.mark.slow
+def test_a_prior_is_combined_with_the_data_by_their_variances():
+    """Data that say little of the damping: the estimate and its sigma are those of Bayes' rule."""
+    t, rng = np.arange(101) * 0.01, np.random.default_rng(0)
+    model = rb.load("pendulum")
+    path = rb.rollout(model, rb.State(np.ones(1), np.zeros(1)), None, 0.01, steps=100)
+    q = Channel(t, path.q + 0.02 * rng.normal(size=(101, 1)), noise=[0.02])
+    run = Recording("swing", {"q": q}, initial_state=rb.State(np.ones(1), np.zeros(1)))
+    known = {"grid": Grid(0.01), "restarts": 0}
+    free = identify(model, run, {"d": Unknown("joints.damping", 0)}, **known)
+    sigma = float(free.estimates.sigma[0] / free.statistics.scale["q[0]"])
+    mean = free.values["d"] + 0.2 * sigma
+    held = identify(model, run, {"d": Unknown("joints.damping", 0, prior=(mean, sigma))}, **known)
+    np.testing.assert_allclose(held.values["d"] - free.values["d"], 0.1 * sigma, rtol=0.05)
+    np.testing.assert_allclose(held.estimates.sigma[0], sigma / np.sqrt(2), rtol=0.1)

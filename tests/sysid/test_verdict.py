@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Channel, Recording, Trace, Unknown, identify
-from rbjax.sysid.estimators.verdict import constant_columns, is_poor, judged, without_outliers
+from rbjax.sysid import Channel, FitStatus, Recording, Trace, Unknown, identify
+from rbjax.sysid.estimators.verdict import constant_columns, is_poor, judge, without_outliers
 from rbjax.sysid.statistics import held_out
-from rbjax.sysid.statistics.variance import explained, varies
+from rbjax.sysid.statistics.residual_tests import explained, varies
 
 RNG = np.random.default_rng(0)
 MASS = {"mass": Unknown("bodies.mass", 0, positive=True)}
@@ -28,7 +28,7 @@ def run_of(values, name="run", noise=None):
 def verdict(recorded, simulated=None, noise=None, **how):
     """That of a fit that has converged and leaves no colour."""
     seen = {"run": {"q": trace(recorded, simulated)}}
-    return judged(True, "converged", seen, [run_of(recorded, noise=noise)], (), **how)
+    return judge(FitStatus.CONVERGED, seen, [run_of(recorded, noise=noise)], (), **how)
 
 
 WAVE = np.sin(0.1 * np.arange(200))[:, None]
@@ -67,8 +67,8 @@ def test_a_recording_in_which_nothing_moves_is_never_good(noise, off, value):
     """Not even one that is fitted exactly; no other start is tried for it."""
     y = np.full((101, 1), value)
     found = verdict(y, y + off, noise)
-    assert not found.good and np.isnan(found.r_squared["q"])
-    assert "nothing moves (q of a is constant in all recordings)" in found.sentence
+    assert not found.success and np.isnan(found.r_squared["q"])
+    assert "nothing moves (q of a is constant in all recordings)" in found.summary()
     assert found.constant == {"q": ("a",)}
     assert not is_poor({"run": {"q": trace(y, y + off)}}, [run_of(y)], None)
 
@@ -77,8 +77,8 @@ def test_a_column_that_is_constant_is_named():
     y = np.hstack([WAVE, np.full_like(WAVE, 0.3)])
     noise = 1e-3 * RNG.normal(size=y.shape) * [1, 0]
     found = verdict(y + noise, y)
-    assert found.good and found.constant == {"q": ("b",)}
-    assert found.sentence.endswith("; q of b is constant, which no model of a motion can explain")
+    assert found.success and found.constant == {"q": ("b",)}
+    assert found.summary().endswith("; q of b is constant, which no model of a motion can explain")
     assert found.r_squared["q"] > 0.999
     every = {"x": {"q": trace(y)}, "y": {"q": trace(WAVE * [1, 1])}}
     assert constant_columns(every) == {}  # in one of the two it moves
@@ -88,10 +88,10 @@ def test_a_column_that_is_constant_is_named():
 def test_noise_about_a_point_is_no_motion():
     y = 0.1 + 1e-3 * RNG.normal(size=(200, 1))
     found = verdict(y, np.full_like(y, 0.1))
-    assert not found.good and "by no more than its noise" in found.sentence
+    assert not found.success and "by no more than its noise" in found.summary()
     found = verdict(y, np.full_like(y, 0.1), [1e-3])
-    assert not found.good and "by no more than its noise" in found.sentence
-    assert "by no more than" not in verdict(WAVE, 0 * WAVE).sentence
+    assert not found.success and "by no more than its noise" in found.summary()
+    assert "by no more than" not in verdict(WAVE, 0 * WAVE).summary()
 
 
 def with_outliers(share, size=0.04, noise=2e-3, count=400):
@@ -107,11 +107,11 @@ def test_outliers_do_not_count_in_the_verdict_of_a_robust_fit(stated):
     recorded, simulated = with_outliers(0.05)
     noise = [2e-3, 2e-3] if stated else None
     found = verdict(recorded, simulated, noise, robust=True)
-    assert found.good and abs(found.outliers["q"] - 0.05) < 0.02
-    assert "outliers do not count" in found.sentence
+    assert found.success and abs(found.outliers["q"] - 0.05) < 0.02
+    assert "outliers do not count" in found.summary()
     if stated:
         assert 0.9 < found.noise_ratio["q"] < 1.1
-        assert not verdict(recorded, simulated, noise).good  # of least squares they are errors
+        assert not verdict(recorded, simulated, noise).success  # of least squares they are errors
     seen = {"run": {"q": trace(recorded, simulated)}}
     assert not is_poor(seen, [run_of(recorded, noise=noise)], None, robust=True)
     left, shares = without_outliers(seen)
@@ -122,11 +122,13 @@ def test_outliers_do_not_count_in_the_verdict_of_a_robust_fit(stated):
 def test_how_many_outliers_are_too_many(share):
     recorded, simulated = with_outliers(share)
     found = verdict(recorded, simulated, [2e-3, 2e-3], robust=True)
-    assert found.good == (share == 0.0) and ("are outliers, above 20 %" in found.sentence) == (
+    assert found.success == (share == 0.0) and ("are outliers, above 20 %" in found.summary()) == (
         share == 0.3
     )
     wrong = verdict(recorded, 1.02 * simulated, [2e-3, 2e-3], robust=True)
-    assert not wrong.good  # a model that is wrong everywhere has no outliers, but too large errors
+    assert (
+        not wrong.success
+    )  # a model that is wrong everywhere has no outliers, but too large errors
     seen = {"run": {"q": trace(recorded, simulated)}}
     why = is_poor(seen, [run_of(recorded)], None, robust=True)
     assert ("are outliers" in why) == (share == 0.3)
@@ -143,20 +145,20 @@ def test_an_attitude_is_an_outlier_as_a_whole():
 
 def test_too_few_samples_to_judge():
     found = verdict(WAVE[:9], WAVE[:9])
-    assert not found.good and "10 samples, which are too few" in found.sentence
+    assert not found.success and "10 samples, which are too few" in found.summary()
     # one recording is long enough
     seen = {"run": {"q": trace(WAVE)}, "b": {"q": trace(WAVE[:5])}}
-    both = judged(True, "converged", seen, [run_of(WAVE), run_of(WAVE[:5], "b")], ())
-    assert both.good and both.r_squared["q"] == 1
+    both = judge(FitStatus.CONVERGED, seen, [run_of(WAVE), run_of(WAVE[:5], "b")], ())
+    assert both.success and both.r_squared["q"] == 1
 
 
 def test_held_out_recordings_in_which_nothing_moves():
     y = {"b": np.full((50, 1), 0.1)}
     r = {"b": 1e-3 * RNG.normal(size=(50, 1))}
     found = held_out({"a": r["b"]}, r, measured=y, noise=1e-3)
-    assert not found.holds and np.isnan(found.r_squared)
-    assert found.sentence.startswith("the model is not tested") and "constant" in found.failed[0]
-    assert "nan" not in found.sentence
+    assert not found.success and np.isnan(found.r_squared)
+    assert found.summary().startswith("the model is not tested") and "constant" in found.failed[0]
+    assert "nan" not in found.summary()
 
 
 @pytest.mark.slow
@@ -165,5 +167,5 @@ def test_a_pendulum_that_stays_where_gravity_pulls_it():
     t = np.arange(101) * 0.01
     run = Recording("rest", {"q": Channel(t, np.full((101, 1), 0.1))})
     found = identify(rb.load("pendulum"), run, MASS)
-    assert not found.verdict.good and not found.notes
+    assert not found.verdict.success and not found.notes
     assert "nothing moves (q of hinge is constant" in found.summary()

@@ -6,7 +6,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import Channel, Recording, read_npz
-from rbjax.sysid.estimators.fits import _weighed
+from rbjax.sysid.estimators.staged_fit import estimate_weights
 from rbjax.sysid.parameters import nearest_pseudo_inertia
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.traces import Trace
@@ -26,7 +26,7 @@ def weighed(noise=None, missing=False):
     data = Run(None, None, {"q": T[None]}, {"q": np.nan_to_num(y)[None]}, {"q": there[None] * 1.0})
     seen = {"run": {"q": Trace(("a", "b"), T, y, y + off)}}
     due = there / np.sqrt(np.nanmean(np.where(there, off, np.nan) ** 2, 0))
-    return _weighed(data, seen, [run], robust=False), due
+    return estimate_weights(data, seen, [run], robust=False), due
 
 
 @pytest.mark.parametrize("missing", [False, True])

@@ -6,7 +6,7 @@ from scipy import signal, stats
 
 import rbjax as rb
 from rbjax.sysid.statistics import whiteness
-from rbjax.sysid.statistics.whiteness_tests import meat_of
+from rbjax.sysid.statistics.residual_tests import long_run_covariance
 
 
 def sandwich(X, r, lag=None):
@@ -15,7 +15,7 @@ def sandwich(X, r, lag=None):
     n, rows = Xs[0].shape[-1], sum(r.size for r in rs)
     bread = np.linalg.inv(sum(x.reshape(-1, n).T @ x.reshape(-1, n) for x in Xs))
     scores = [(x * e[..., None]).reshape(len(x), -1, n).sum(1) for x, e in zip(Xs, rs, strict=True)]
-    return bread @ meat_of(scores, lag) @ bread * (rows / (rows - n))
+    return bread @ long_run_covariance(scores, lag) @ bread * (rows / (rows - n))
 
 
 def first_order(rng, rho, size, axis=-1):
@@ -33,7 +33,7 @@ def test_statistic_by_hand():
     Q = 10 * 12 * (0.81 / 9 + 0.64 / 8)
     assert abs(found.statistic / Q - 1) < 1e-13
     assert abs(found.p_value / np.exp(-Q / 2) - 1) < 1e-12  # chi-squared with 2 is exponential
-    assert not found.white and "not white" in found.sentence
+    assert not found.white and "not white" in found.summary()
 
 
 def test_white_noise_passes_as_often_as_said():

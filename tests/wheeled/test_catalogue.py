@@ -118,5 +118,5 @@ def test_what_no_robot_has_is_refused():
         with pytest.raises(rb.InputError, match=f"{name}.*at least 0"):
             rb.wheeled.DCMotor(1.0, 0.1, **{name: -0.1})
     vehicle = rb.wheeled.at(kinds()["unicycle"].make(), "kinematical")
-    with pytest.raises(rb.InputError, match="rates: state is int, expected a State"):
+    with pytest.raises(rb.InputError, match="rates: state is 3, expected a State"):
         rb.wheeled.rates(vehicle, 3, jnp.zeros(2))

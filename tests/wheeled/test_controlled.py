@@ -42,7 +42,7 @@ def duals(name: str):
         start = start.replace(x=jnp.asarray(rng.uniform(0.01, 0.02, one.nx)))
     if name != "cart":
         u = u.at[:, 0].add(14.0)  # rad/s
-    return wheeled.controlled(one, method=method, parts=PARTS), start, u
+    return wheeled.controlled(one, integrator=method, parts=PARTS), start, u
 
 
 @EVERY
@@ -54,7 +54,7 @@ def test_steps_are_those_of_rollout(name) -> None:
         for k in range(3):
             states.append(system.step(k * DT, states[-1], u[k], DT))
         path = wheeled.rollout(
-            system.vehicle, start, jnp.repeat(u, PARTS, 0), DT / PARTS, method=system.method,
+            system.model, start, jnp.repeat(u, PARTS, 0), DT / PARTS, integrator=system.integrator,
             save_every=PARTS,
         )  # fmt: skip
         return jax.tree.map(lambda *x: jnp.stack(x), *states), rb.State(path.q, path.v, path.x)
@@ -126,7 +126,7 @@ def test_bad_arguments_are_named() -> None:
     with pytest.raises(InputError, match="expected a robot at a fidelity"):
         wheeled.controlled(KINDS["bicycle"].make())
     with pytest.raises(UnknownName, match="euler"):
-        wheeled.controlled(vehicle("cart"), method="euler")
+        wheeled.controlled(vehicle("cart"), integrator="euler")
     with pytest.raises(InputError, match="parts"):
         wheeled.controlled(vehicle("cart"), parts=0)
     with pytest.raises(InputError, match="a design gave"):
@@ -208,7 +208,7 @@ def test_a_car_that_slips_changes_lanes_as_by_quasi_newton_shooting(method) -> N
 
     def path_of(u):
         return wheeled.rollout(
-            car, start, jnp.repeat(u, parts, 0), h / parts, method=implicit, save_every=parts
+            car, start, jnp.repeat(u, parts, 0), h / parts, integrator=implicit, save_every=parts
         )
 
     def cost_of(u):
@@ -220,7 +220,7 @@ def test_a_car_that_slips_changes_lanes_as_by_quasi_newton_shooting(method) -> N
 
     C = control.Cost
     problem = control.Problem(
-        wheeled.controlled(car, method=implicit, parts=parts), steps, h,
+        wheeled.controlled(car, integrator=implicit, parts=parts), steps, h,
         running=[
             lambda t, state, ctrl: jnp.stack([(ctrl[0] - 50) / 10, 10 * ctrl[1]]),
             lambda t, state, ctrl: state.v[:1] - 15,

@@ -14,12 +14,13 @@ from rbjax.constraints import KKT, jacobian, mobility
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled.kinematics.context import coordinate_rates
+from rbjax.wheeled.kinematics.parameters import parameters_of
 from rbjax.wheeled.kinematics.planar import Dual, rate_of
 from rbjax.wheeled.kinematics.velocities import constraint_rates, rolling_velocities
 from rbjax.wheeled.models.constrained import Constrained, full_state
-from rbjax.wheeled.models.equations import gravity_wrenches, projected_equations
-from rbjax.wheeled.models.robot_model import kinetic_energy
-from rbjax.wheeled.multibody.full_model import full_model
+from rbjax.wheeled.models.equations import gravity_wrenches, kinetic_energy, projected_equations
+from rbjax.wheeled.multibody.full_model import full_model, model_of
+from rbjax.wheeled.multibody.wheel_rows import SteeringRate
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 
 KINDS = wheeled.kinds()
@@ -159,7 +160,7 @@ def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
         ay = a[1] + w[2] * w[0] + a[2] * x - w[2] ** 2 * y
         fx, fy = 0.0, 0.0
         shape = now.shape
-        for (ahead, left), way in zip(full.wheel_forces(now), shape.wheels, strict=True):
+        for (ahead, left), way in zip(full.axle_forces(now), shape.wheels, strict=True):
             fx, fy = fx + ahead * way[0] - left * way[1], fy + ahead * way[1] + left * way[0]
         gx, gy = n.downhill
         weight = M * (c * gx + s * gy), M * (c * gy - s * gx)
@@ -254,3 +255,14 @@ def test_rows_hold_over_a_long_rollout() -> None:
     found = constraint_rates(n, now.shape, now.v)
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-12)
     np.testing.assert_allclose(ends[0].q[-1], ends[1].q[-1], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("given", [(), (0.3,)])
+def test_the_rate_of_a_steering_is_zero_or_as_given(given):
+    n = parameters_of(wheeled.kinds()["tricycle"].make(), jnp.float64)
+    rates = [
+        float(row.rate)
+        for row in model_of(n, steering_rates=given).constraints
+        if isinstance(row, SteeringRate)
+    ]
+    assert rates == [*(given or (0.0,))]

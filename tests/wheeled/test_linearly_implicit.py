@@ -21,7 +21,8 @@ def made(name, tyre=BRUSH, motor=None, **numbers):
 
 def end(vehicle, state, u, seconds, steps, method=STEP):
     path = wheeled.rollout(
-        vehicle, state, jnp.tile(u, (steps, 1)), seconds / steps, method=method, save_every=steps
+        vehicle, state, jnp.tile(u, (steps, 1)), seconds / steps, integrator=method,
+        save_every=steps,
     )
     return path.q[-1]
 

@@ -14,13 +14,14 @@ from rbjax.wheeled import DCMotor, Relaxing, RollingResistance, SpeedServo
 from rbjax.wheeled.kinematics.velocities import (
     constraint_rates,
     contact_velocity,
-    shaft_speed,
+    drive_speeds,
     twists_of,
 )
-from rbjax.wheeled.models.loads import wheel_loads
-from rbjax.wheeled.models.robot_model import as_state, kinetic_energy, potential_energy
+from rbjax.wheeled.models.equations import kinetic_energy, potential_energy
+from rbjax.wheeled.models.forces import wheel_loads
+from rbjax.wheeled.models.robot_model import as_state
 from rbjax.wheeled.models.slipping import Slipping
-from rbjax.wheeled.motion.rollout import METHODS
+from rbjax.wheeled.motion.rollout import INTEGRATORS
 from tests.wheeled.laws import LAWS, by_complex_step, numbers
 
 KINDS = wheeled.kinds()
@@ -52,7 +53,7 @@ def end_of(vehicle, twist, u, dt):
         n = now.n
 
         def once(y, u):
-            after = METHODS["rk4"](own, n, y, list(u), dt)
+            after = INTEGRATORS["rk4"](own, n, y, list(u), dt)
             return jax.tree.map(lambda x: jnp.asarray(x, dtype), after), None
 
         begin = (now.q, now.v, now.x)
@@ -129,11 +130,11 @@ def power(vehicle, state, u):
     shape, shafts = now.shape, w[2 + len(n.bodies) :]
     total, lost = 0.0, 0.0
     for i, drive in enumerate(robot.drives):
-        speed = shaft_speed(n, drive.wheels, n.splits[i], shafts)
+        speed = drive_speeds(n, shafts)[i]
         total += drive.motor.power_in(u[i], speed)
         lost += drive.motor.heat(u[i], speed)
     slips = isinstance(vehicle, Slipping)
-    loads, forces = vehicle.forces(now) if slips else (wheel_loads(n), None)
+    loads, forces = vehicle.wheel_forces(now) if slips else (wheel_loads(n), None)
     twists = twists_of(n, shape, w)
     for i, (wheel, (c, s)) in enumerate(zip(n.wheels, shape.wheels, strict=True)):
         roll = wheel.radius * shafts[wheel.shaft]

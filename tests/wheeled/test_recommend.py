@@ -32,7 +32,7 @@ def check(r: recommend.FidelityRecommendation, accuracy: float) -> None:
     """The cheapest of the good ones, with its numbers in the sentence."""
     best = min((x for x in r.candidates if x.ok), key=lambda x: x.cost)
     assert (r.name, r.dt, r.error, r.cost) == (best.name, best.dt, best.error, best.cost)
-    assert r.vehicle.name == r.name and r.error <= accuracy
+    assert r.model.name == r.name and r.error <= accuracy
     assert f"{r.name} with steps of {r.dt:.2g} s is off by {r.error:.1e}" in r.reason
     assert f"(requested: {accuracy:.1e})" in r.reason
 
@@ -82,7 +82,7 @@ def test_slip_decides_where_a_corner_needs_more_friction_than_there_is() -> None
     want = wheeled.simulate(finest, start, [0.0, 2.0], controls, tolerance=1e-9).q[-1, :3]
     steps = round(2.0 / r.dt)
     table = jnp.tile(jnp.array(controls), (steps, 1))
-    found = wheeled.rollout(r.vehicle, r.state, table, r.dt, save_every=steps).q[-1, :3]
+    found = wheeled.rollout(r.model, r.state, table, r.dt, save_every=steps).q[-1, :3]
     assert np.abs(found - want).max() <= 0.05
     ideal = wheeled.at(robot, "kinematical")
     there = wheeled.simulate(ideal, wheeled.start(ideal, twist=twist), [0.0, 2.0], controls)
@@ -100,7 +100,7 @@ def test_a_slow_manoeuvre_is_kinematic(steady_clock) -> None:
     check(r, 0.02)
     assert r.name == "kinematic" and r.share < 0.1 and r.lifts == np.inf
     steps = round(4.0 / r.dt)
-    found = wheeled.rollout(r.vehicle, r.state, jnp.tile(jnp.array(u), (steps, 1)), r.dt)
+    found = wheeled.rollout(r.model, r.state, jnp.tile(jnp.array(u), (steps, 1)), r.dt)
     arc = [v / w * np.sin(4 * w), v / w * (1 - np.cos(4 * w)), 4 * w]
     np.testing.assert_allclose(found.q[-1, :3], arc, atol=1e-9)
     finest = wheeled.at(robot, "slipping")
@@ -122,8 +122,8 @@ def test_torques_and_a_table_of_them() -> None:
     assert [x.name for x in r.candidates] == rolls[1:]
     np.testing.assert_allclose([x.error for x in r.candidates], r.error, rtol=0, atol=1e-11)
     assert r.name != "constrained"
-    found = wheeled.rollout(r.vehicle, r.state, jnp.repeat(table, round(0.02 / r.dt), 0), r.dt)
-    fine = wheeled.rollout(r.vehicle, r.state, jnp.repeat(table, 40, 0), 0.0005)
+    found = wheeled.rollout(r.model, r.state, jnp.repeat(table, round(0.02 / r.dt), 0), r.dt)
+    fine = wheeled.rollout(r.model, r.state, jnp.repeat(table, 40, 0), 0.0005)
     assert np.abs(found.q[-1, :3] - fine.q[-1, :3]).max() <= 1e-4
 
 
@@ -153,8 +153,8 @@ def test_controls_of_a_function_and_motors_with_a_free_speed() -> None:
     r = recommend.fidelity(robot, volts, 1e-3, horizon=0.5, among=["kinematic"])
     check(r, 1e-3)
     steps = round(0.5 / r.dt)
-    found = wheeled.rollout(r.vehicle, r.state, volts, r.dt, steps=steps).q[-1, :3]
-    due = wheeled.simulate(r.vehicle, r.state, [0.0, 0.5], volts).q[-1, :3]
+    found = wheeled.rollout(r.model, r.state, volts, r.dt, steps=steps).q[-1, :3]
+    due = wheeled.simulate(r.model, r.state, [0.0, 0.5], volts).q[-1, :3]
     assert np.abs(found - due).max() <= 1.5e-3
 
 
@@ -164,10 +164,10 @@ def test_controls_of_a_function_and_motors_with_a_free_speed() -> None:
         ({"robot": "cart"}, "robot is str, expected a Robot"),
         ({"accuracy": 1e-12}, "accuracy is 1e-12, expected at least 1e-10"),
         ({"horizon": -1.0}, "horizon is -1.0, expected a positive time"),
-        ({"controls": np.zeros((5, 2)), "horizon": 1.0}, "leave out the horizon"),
-        ({"controls": np.zeros((0, 2))}, r"controls has shape \(0, 2\), expected \(1, 2\)"),
-        ({"controls": np.zeros(3)}, r"controls has shape \(3,\)"),
-        ({"controls": lambda t: None}, "controls"),
+        ({"ctrl": np.zeros((5, 2)), "horizon": 1.0}, "leave out the horizon"),
+        ({"ctrl": np.zeros((0, 2))}, r"ctrl has shape \(0, 2\), expected \(1, 2\)"),
+        ({"ctrl": np.zeros(3)}, r"ctrl has shape \(3,\)"),
+        ({"ctrl": lambda t: None}, "ctrl"),
         ({"q": np.zeros(3)}, r"q has shape \(3,\), expected \(5,\)"),
         ({"twist": [np.nan, 0.0, 0.0]}, r"twist\[0\] is nan"),
         ({"among": ["kinematic"]}, r"no fidelity is left .*drives\[0\] is a TorqueSource"),
@@ -175,7 +175,7 @@ def test_controls_of_a_function_and_motors_with_a_free_speed() -> None:
     ],
 )
 def test_wrong_inputs(given: dict, message: str) -> None:
-    given = {"robot": cart(), "controls": [0.0, 0.0], "accuracy": 1e-3} | given
+    given = {"robot": cart(), "ctrl": [0.0, 0.0], "accuracy": 1e-3} | given
     with pytest.raises(InputError, match=message):
         recommend.fidelity(**given)
 

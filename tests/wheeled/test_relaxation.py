@@ -36,7 +36,7 @@ def test_step_response():
     sigma = np.array([0.2, 0.4])
 
     def rate(z):
-        return jnp.stack(tyre.rate(v + slides[0], slides[1], v, z))
+        return jnp.stack(tyre.response(v + slides[0], slides[1], v, z)[1])
 
     @jax.jit
     def after(steps, h):
@@ -79,7 +79,7 @@ def followed(tyre, motions, h):
 
     def hold(z, motion):
         ends = steady(tyre, *motion)
-        rates = jnp.stack(tyre.rate(*motion, ends + 1.0))  # per metre away from there
+        rates = jnp.stack(tyre.response(*motion, ends + 1.0)[1])  # per metre away from there
         z = ends + (z - ends) * jnp.exp(rates * h)
         return z, jnp.stack([*tyre.traction(*motion, z), *z])
 

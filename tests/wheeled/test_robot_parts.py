@@ -12,8 +12,7 @@ from rbjax.wheeled import RollingResistance, kinds
 from rbjax.wheeled.files.reading import _mapping
 from rbjax.wheeled.kinematics.parameters import parameters_of
 from rbjax.wheeled.kinematics.velocities import chassis_twist
-from rbjax.wheeled.models.loads import wheel_loads
-from rbjax.wheeled.models.robot_model import torques_at_rest_loads
+from rbjax.wheeled.models.forces import shaft_torques, wheel_loads
 from rbjax.wheeled.multibody.tree import _array
 
 UNICYCLE = kinds()["unicycle"].make(radius=0.2)
@@ -39,7 +38,7 @@ def test_rolling_resistance_of_loads_at_rest():
     robot = UNICYCLE.replace(resistance=RollingResistance(0.02, 0.01))
     n = parameters_of(robot, jnp.float64)
     now, w = SimpleNamespace(n=n, u=[1.5, -0.5]), [0.0, 0.0, 0.0, 0.3, -0.2]
-    found = [float(x) for x in torques_at_rest_loads(now, w)]
+    found = [float(x) for x in shaft_torques(now, w)]
     loads = np.array([float(x) for x in wheel_loads(n)])
     r = np.array([float(wheel.radius) for wheel in robot.wheels])
     due = [1.5, -0.5] - 0.02 * loads * r * np.tanh(r * w[3:] / 0.01)

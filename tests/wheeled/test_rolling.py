@@ -10,7 +10,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled import Body, Drive, Robot, SpeedServo, Steering, Wheel
 from rbjax.wheeled.kinematics.velocities import constraint_rates, rolling_velocities
-from rbjax.wheeled.models.robot_model import kinetic_energy, potential_energy
+from rbjax.wheeled.models.equations import kinetic_energy, potential_energy
 from tests.oracles import wheeled as oracle
 from tests.wheeled.test_full_model import on_a_slope
 
@@ -215,9 +215,7 @@ def test_wheels_whose_headings_are_backward_roll_by_negative_rates(dtype) -> Non
         np.testing.assert_allclose(np.array(e, float), due, atol=1e-6)
 
 
-def test_every_kind_has_every_fidelity_and_trailers_can_be_added() -> None:
-    for kind in wheeled.kinds().values():
-        assert kind.fidelities == tuple(wheeled.fidelities())
+def test_trailers_can_be_added_at_every_fidelity() -> None:
     robot = wheeled.with_trailers(differential(), 2, drawbar=0.7)
     for name, fidelity in wheeled.fidelities().items():
         vehicle = wheeled.at(robot, name)
@@ -277,7 +275,7 @@ def test_a_batch_is_its_samples_and_controls_may_be_a_function() -> None:
     np.testing.assert_allclose(batch.q[1], single.q, atol=1e-14)
     asked = wheeled.rollout(cart, one, lambda t, s: jnp.full(2, 0.1), 0.1, steps=6)
     np.testing.assert_allclose(asked.q[-1], batch.q[0, -1], atol=1e-14)
-    coarse = wheeled.rollout(cart, one, u, 0.1, method="semi_implicit_euler")
+    coarse = wheeled.rollout(cart, one, u, 0.1, integrator="semi_implicit_euler")
     assert 1e-6 < np.abs(coarse.q[-1] - asked.q[-1]).max() < 0.1
 
 
@@ -287,8 +285,8 @@ def test_bad_arguments_are_named() -> None:
     with pytest.raises(UnknownName, match="kinematical"):
         wheeled.at(differential(), "kinematics")
     with pytest.raises(UnknownName, match="rk4"):
-        wheeled.rollout(cart, state, jnp.zeros((2, 2)), 0.1, method="rk5")
-    with pytest.raises(InputError, match="controls has shape"):
+        wheeled.rollout(cart, state, jnp.zeros((2, 2)), 0.1, integrator="rk5")
+    with pytest.raises(InputError, match="ctrl has shape"):
         wheeled.rates(cart, state, jnp.zeros(3))
     with pytest.raises(InputError, match="expected a robot at a fidelity"):
         wheeled.rates(differential(), state, jnp.zeros(2))

@@ -10,8 +10,8 @@ from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.wheeled import Fiala, Linear, Relaxing, RollingResistance, TMeasy
 from rbjax.wheeled.kinematics.velocities import contact_velocity, twists_of
-from rbjax.wheeled.models.loads import wheel_loads
-from rbjax.wheeled.models.robot_model import kinetic_energy, potential_energy
+from rbjax.wheeled.models.equations import kinetic_energy, potential_energy
+from rbjax.wheeled.models.forces import wheel_loads
 
 KINDS = wheeled.kinds()
 SOME = ["differential_drive", "car_trailer"]
@@ -59,7 +59,7 @@ def test_power_is_balanced(kind) -> None:
     n = now.n
     shape = now.shape
     twists = twists_of(n, shape, now.v)
-    loads, forces = vehicle.forces(now)
+    loads, forces = vehicle.wheel_forces(now)
     shafts = v[2 + len(robot.bodies) :]
     power, sliding = 0.0, []
     for drive, torque in zip(robot.drives, u, strict=False):
@@ -86,7 +86,7 @@ def test_loads_carry_the_weight_and_balance_the_moments_of_the_tyres() -> None:
     now = vehicle.context(State(state.q, v))
     n = now.n
     at_rest = np.array(wheel_loads(n), float)
-    loads, forces = (np.array(x, float) for x in vehicle.forces(now))
+    loads, forces = (np.array(x, float) for x in vehicle.wheel_forces(now))
     places = np.array([w.position for w in vehicle.robot.wheels])
     body = n.bodies[0]
     weight, com = body.mass * 9.81, np.array(body.moment, float) / body.mass

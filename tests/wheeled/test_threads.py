@@ -14,13 +14,13 @@ KINDS = wheeled.kinds()
 
 
 def test_reduced_rollouts():
-    beside_xla("omni_3", [f for f in KINDS["omni_3"].fidelities if f != "constrained"])
+    beside_xla("omni_3", [f for f in wheeled.fidelities() if f != "constrained"])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_rollouts(kind):
-    beside_xla(kind, KINDS[kind].fidelities)
+    beside_xla(kind, wheeled.fidelities())
 
 
 def beside_xla(kind, fidelities):
@@ -40,7 +40,7 @@ def beside_xla(kind, fidelities):
 
             def end(*args, vehicle=vehicle, method=method):
                 *state, u = args
-                out = wheeled.rollout(vehicle, State(*state), u, 0.002, method=method)
+                out = wheeled.rollout(vehicle, State(*state), u, 0.002, integrator=method)
                 return jnp.concatenate([x[-1] for x in (out.q, out.v, out.x) if x is not None])
 
             cases.append((end, tuple(args)))

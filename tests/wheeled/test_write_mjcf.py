@@ -1,5 +1,6 @@
 """The file of a wheeled robot against its full model, its motors, and the equations of rolling."""
 
+import re
 import warnings
 import xml.etree.ElementTree as ET
 
@@ -12,7 +13,7 @@ import pytest
 import rbjax as rb
 from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName, UnsupportedFeature
-from rbjax.wheeled.models.states import with_twist
+from rbjax.wheeled.models.robot_model import with_twist
 from rbjax.wheeled.multibody.full_model import BASES, full_model
 from rbjax.wheeled.robot.motors import limited
 from tests.tolerances import relative_error
@@ -214,6 +215,34 @@ def test_the_motion_becomes_ours_as_contacts_stiffen():
     # 0.2 m of way; the error falls at least in proportion to T
     assert soft < 2e-3
     assert stiff < soft / 4
+
+
+def test_options_are_attributes_of_the_file():
+    """Numbers with all digits, names as they are, and this module's own options otherwise."""
+    step = 1 / 3000
+    root = ET.fromstring(
+        wheeled.write_mjcf(KINDS["differential_drive"].make(), integrator="Euler", timestep=step)
+    )
+    option = root.find("option").attrib
+    assert (option["integrator"], option["cone"]) == ("Euler", "elliptic")
+    assert float(option["timestep"]) == step and float(option["impratio"]) == 10.0
+
+
+def test_the_file_names_the_error_of_its_linkage():
+    """That of the polynomials of degree 4 against Ackermann's angles, within the stop."""
+    L, track, reach = 2.0, 1.2, 0.5
+    made = wheeled.write_mjcf(KINDS["car"].make(wheelbase=L, track=track), steering_range=reach)
+    stated = float(re.search(r"linkage within (\S+) rad", made)[1])
+    b = reach * np.cos(np.pi * (np.arange(33) + 0.5) / 33)
+    worst = 0.0
+    for element in ET.fromstring(made).iter("joint"):
+        if element.get("polycoef") is None:
+            continue
+        side = 1.0 if element.get("joint1") == "knuckle_2" else -1.0
+        angle = np.arctan2(L * np.sin(b), L * np.cos(b) - side * track / 2 * np.sin(b))
+        terms = np.array(element.get("polycoef").split(), float)
+        worst = max(worst, np.abs(np.polyval(terms[::-1], b) - angle).max())
+    assert worst > 0 and stated == float(f"{worst:.1g}")
 
 
 def test_what_is_refused(tmp_path):

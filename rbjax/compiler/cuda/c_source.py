@@ -1,4 +1,4 @@
-"""The statements of a program as C, for both NVRTC and a host's C compiler."""
+"""Prints the statements of a program as C, for NVRTC and for a host's C compiler."""
 
 from __future__ import annotations
 
@@ -8,26 +8,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.operations import OPERATIONS
 from rbjax.compiler.ir.program import Layout, Written
-from rbjax.compiler.ir.statements import (
-    Array,
-    Assign,
-    Await,
-    Barrier,
-    Block,
-    Declare,
-    If,
-    Load,
-    Loop,
-    Op,
-    Reserve,
-    Statement,
-    Store,
-    While,
-)
-from rbjax.compiler.ir.values import Unsupported, Value, Var
 
 PREAMBLE = "".join(x.helper for x in OPERATIONS.values()) + "\n"
 
@@ -36,7 +20,7 @@ GROUP, SHORT_BODY = 16, 10
 
 
 def literal(x: np.generic) -> str:
-    """A known number."""
+    """Return a constant as C."""
     kind = x.dtype.kind
     if kind == "b":
         return "true" if x else "false"
@@ -59,58 +43,60 @@ def literal(x: np.generic) -> str:
     return f"({text})" if math.copysign(1.0, number) < 0 else text
 
 
-def _moves_entries(loop: Loop) -> bool:
-    """Whether a loop is a few loads and operations whose results go to local arrays that it does
-    not read: a thread waits for memory once for several turns, and not at each."""
+def _moves_entries(loop: ir.Loop) -> bool:
+    """Return whether a loop only copies to local arrays that it does not read.
+
+    Several iterations of such a loop load before they store, so a thread waits for memory once.
+    """
     body = loop.body.statements
     if loop.count < GROUP or loop.reverse or len(body) > SHORT_BODY:
         return False
-    if not all(isinstance(s, Op | Load | Store) for s in body):
+    if not all(isinstance(s, ir.Op | ir.Load | ir.Store) for s in body):
         return False
-    read = {s.array for s in body if isinstance(s, Load)}
-    written = {s.array for s in body if isinstance(s, Store)}
+    read = {s.array for s in body if isinstance(s, ir.Load)}
+    written = {s.array for s in body if isinstance(s, ir.Store)}
     return bool(written) and not read & written and all(a.space == "local" for a in written)
 
 
 class Printer:
-    """Prints blocks; `address(array)` gives the C name of an array that is indexed."""
+    """Prints blocks as C. names: the C name of each array, by id."""
 
     def __init__(self, names: dict[int, str]):
         self.names = names
 
-    def value(self, x: Value) -> str:
-        return f"t{x.id}" if isinstance(x, Var) else literal(x)
+    def value(self, x: ir.Value) -> str:
+        return f"t{x.id}" if isinstance(x, ir.Var) else literal(x)
 
-    def place(self, array: Array, base: Value | None, offset: int) -> str:
+    def place(self, array: ir.Array, base: ir.Value | None, offset: int) -> str:
         name = self.names.get(array.id) or self.names.setdefault(array.id, _name(array))
         if base is None:
             return f"{name}[{offset}]"
         return f"{name}[{self.value(base)}{f'+{offset}' if offset > 0 else offset or ''}]"
 
-    def lines(self, block: Block) -> Iterator[str]:
+    def lines(self, block: ir.Block) -> Iterator[str]:
         for statement in block.statements:
             yield from self._lines(statement)
 
-    def _lines(self, statement: Statement) -> Iterator[str]:
+    def _lines(self, statement: ir.Statement) -> Iterator[str]:
         v = self.value
         match statement:
-            case Op(dest=dest):
+            case ir.Op(dest=dest):
                 yield f"const {c_type(dest.dtype)} {v(dest)}={self.expression(statement)};"
-            case Load(dest=dest, array=array, base=base, offset=offset):
+            case ir.Load(dest=dest, array=array, base=base, offset=offset):
                 yield f"const {c_type(dest.dtype)} {v(dest)}={self.place(array, base, offset)};"
-            case Store(array=array, base=base, offset=offset, value=value):
+            case ir.Store(array=array, base=base, offset=offset, value=value):
                 yield f"{self.place(array, base, offset)}={v(value)};"
-            case Declare(var=var, value=None):
+            case ir.Declare(var=var, value=None):
                 yield f"{c_type(var.dtype)} {v(var)};"
-            case Declare(var=var, value=value) if value is not None:
+            case ir.Declare(var=var, value=value) if value is not None:
                 yield f"{c_type(var.dtype)} {v(var)}={v(value)};"
-            case Assign(var=var, value=value):
+            case ir.Assign(var=var, value=value):
                 yield f"{v(var)}={v(value)};"
-            case Reserve(array=array):
+            case ir.Reserve(array=array):
                 yield f"{c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
-            case Loop() if _moves_entries(statement):
+            case ir.Loop() if _moves_entries(statement):
                 yield from self._in_groups(statement)
-            case Loop(counter=counter, count=count, reverse=reverse, body=body):
+            case ir.Loop(counter=counter, count=count, reverse=reverse, body=body):
                 i = v(counter)
                 yield "#pragma unroll 1"
                 if reverse:
@@ -119,32 +105,32 @@ class Printer:
                     yield f"for(int {i}=0;{i}<{count};{i}++){{"
                 yield from self.lines(body)
                 yield "}"
-            case While(test=test, condition=condition, body=body):
+            case ir.While(test=test, condition=condition, body=body):
                 yield "#pragma unroll 1"
                 yield "for(;;){"
                 yield from self.lines(test)
                 yield f"if(!({v(condition)}))break;"
                 yield from self.lines(body)
                 yield "}"
-            case If(condition=condition, then=then, otherwise=otherwise):
+            case ir.If(condition=condition, then=then, otherwise=otherwise):
                 yield f"if({v(condition)}){{"
                 yield from self.lines(then)
                 if otherwise.statements:
                     yield "}else{"
                     yield from self.lines(otherwise)
                 yield "}"
-            case Await() | Barrier():  # of a team
+            case ir.Await() | ir.Barrier():  # of a team
                 return
             case _:
                 raise TypeError(f"no such statement: {statement}")
 
-    def _in_groups(self, loop: Loop) -> Iterator[str]:
-        """Some turns at a time, which read all that they read before they write."""
+    def _in_groups(self, loop: ir.Loop) -> Iterator[str]:
+        """Print groups of iterations, which load all their entries before they store."""
         body, i = loop.body.statements, self.value(loop.counter)
-        own = {self.value(s.dest) for s in body if isinstance(s, Op | Load)} | {i}
+        own = {self.value(s.dest) for s in body if isinstance(s, ir.Op | ir.Load)} | {i}
         name = re.compile("|".join(rf"\b{x}\b" for x in own))
-        first = [s for s in body if not isinstance(s, Store)]
-        last = [s for s in body if isinstance(s, Store)]
+        first = [s for s in body if not isinstance(s, ir.Store)]
+        last = [s for s in body if isinstance(s, ir.Store)]
         reads, writes = ([x for s in some for x in self._lines(s)] for some in (first, last))
         rounds, rest = divmod(loop.count, GROUP)
         for start, turns, size in ((0, rounds, GROUP), (rounds * GROUP, 1, rest)):
@@ -158,28 +144,27 @@ class Printer:
                     yield from (name.sub(rf"\g<0>_{k}", x) for x in lines)
             yield "}"
 
-    def expression(self, op: Op) -> str:
+    def expression(self, op: ir.Op) -> str:
         kind, of = op.dest.dtype, op.args[0].dtype
         text = OPERATIONS[op.name].c(kind, of, [self.value(a) for a in op.args])
         if text is None:
-            raise Unsupported(f"operation {op.name} of {kind}")
+            raise ir.Unsupported(f"operation {op.name} of {kind}")
         return text
 
 
-def _by_bits(array: Array) -> bool:
-    """Whether a table has infinities or nan. CUDA does not accept their names as constants, but it
-    accepts their bits."""
+def _by_bits(array: ir.Array) -> bool:
+    """Return whether a table has infinities or nan, which CUDA accepts only as bits."""
     return array.data is not None and array.dtype.kind == "f" and not np.isfinite(array.data).all()
 
 
-def _name(array: Array) -> str:
+def _name(array: ir.Array) -> str:
     if _by_bits(array):
         return f"((const {c_type(array.dtype)}*)a{array.id})"
     return f"a{array.id}"
 
 
-def table(array: Array, qualifier: str) -> str:
-    """The definition of a constant array."""
+def table(array: ir.Array, qualifier: str) -> str:
+    """Return the definition of a constant array."""
     data = array.data
     if _by_bits(array):
         data = np.asarray(data).view(f"uint{8 * array.dtype.itemsize}")
@@ -189,16 +174,14 @@ def table(array: Array, qualifier: str) -> str:
 
 
 def parameters(program: Written, restrict: str) -> str:
-    """The pointers that a function of the program takes: operands, then results."""
-    reads = [
-        f"const {c_type(a.dtype)}* {restrict} p{k}" for k, a in enumerate(program.operands)
-    ]
+    """Return the pointer parameters of a program's function: operands, then results."""
+    reads = [f"const {c_type(a.dtype)}* {restrict} p{k}" for k, a in enumerate(program.operands)]
     writes = [f"{c_type(a.dtype)}* {restrict} r{k}" for k, a in enumerate(program.results)]
     return ", ".join(reads + writes)
 
 
 def sample_index(batch: tuple[int, ...]) -> list[str]:
-    """The index along each axis of the batch, from the linear index b."""
+    """Return the index along each axis of the batch, from the linear index b."""
     out, rest = [], "b"
     for k in reversed(range(len(batch))):
         if k == 0:
@@ -210,6 +193,6 @@ def sample_index(batch: tuple[int, ...]) -> list[str]:
 
 
 def offset(layout: Layout, index: list[str]) -> str:
-    """The offset of a sample, as C."""
+    """Return the offset of a sample, as C."""
     terms = [f"{i}*{step}ll" for i, step in zip(index, layout.steps, strict=True) if step]
     return "+".join(terms) or "0"

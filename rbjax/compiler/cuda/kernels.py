@@ -1,9 +1,9 @@
-"""The CUDA source around a program: one thread a sample, one warp a block.
+"""Prints a program as a CUDA kernel: one thread a sample, one warp a block.
 
-The warp fetches rows of a batch-first operand through shared memory, so that it reads whole lines.
-Batch-first results are written in the same way (`stores`). Other layouts are read and written in
-place. A result that all samples share (the cotangent of an operand without a batch) is summed over
-the warp, with one partial sum a block.
+The warp loads rows of a batch-first operand through shared memory, so that it reads whole cache
+lines. Batch-first results are stored in the same way (`stores`). Other layouts are read and written
+in place. A result that all samples share (the cotangent of an operand without a batch) is summed
+over the warp, with one partial sum a block.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rbjax.compiler.cuda import stores
 from rbjax.compiler.cuda.c_source import PREAMBLE, offset, parameters, sample_index, table
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.statements import Unsupported
 
 #: threads of a block: one warp, so that no warp waits for another
 BLOCK = 32
@@ -46,7 +46,7 @@ HEAD = """
 #else
 #define SPILL_TO_SHARED
 #endif
-template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, int rows) {
+template <class T, int N, int PITCH> QUALIFIED void load_rows(T* to, const T* from, int rows) {
   if (rows < BLOCK) {
     for (int k = threadIdx.x; k < rows * N; k += BLOCK) to[PITCH == N ? k : k + k / N] = from[k];
     return;
@@ -72,7 +72,7 @@ template <class T> QUALIFIED T over_warp(T x) {
 
 @dataclass(frozen=True)
 class Kernel:
-    """CUDA source of a program and how to launch it."""
+    """The CUDA source of a program, and its launch parameters."""
 
     source: str
     name: str
@@ -83,46 +83,51 @@ class Kernel:
 
 
 def kernel(program: Written, name: str = "threads") -> Kernel:
-    """The kernel of a program; raises `Unsupported` if it is too large for a thread."""
+    """Return the kernel of a program, or raise `Unsupported` if it is too large for a thread."""
     if program.statements > STATEMENTS_UP_TO:
         raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
     sums = (a for a, s in zip(program.results, program.summed, strict=True) if s)
     bytes = program.array_bytes + sum(a.size * a.dtype.itemsize for a in sums)
     if bytes > ARRAY_BYTES_UP_TO:
         raise Unsupported(f"{bytes} bytes of arrays in a thread, more than {ARRAY_BYTES_UP_TO}")
-    source = "\n".join(_lines(program, name, _room(program)))
+    source = "\n".join(_lines(program, name, _plan_shared_memory(program)))
     grid = max(-(-math.prod(program.batch) // BLOCK), 1)
     return Kernel(source, name, BLOCK, grid, program.summed)
 
 
 @dataclass(frozen=True)
-class Room:
-    """The contents of a block's shared memory.
+class SharedMemoryPlan:
+    """The plan of a block's shared memory.
 
-    staged: fetched operands, id -> entries of a row; whole: results whose rows are staged; tiled:
-    results that are written through the tile, at these `spots`; tile: bytes of the tile a thread.
+    staged: entries of a row of each operand that is loaded through it, by id.
+    whole: results whose rows are staged whole, by id.
+    tiled: results that are stored through the tile, by id.
+    spots: the tile slots of their stores, by the id of the store.
+    tile: bytes of the tile, per thread.
     """
 
     staged: dict[int, int]
-    whole: dict[int, stores.Rows]
-    tiled: dict[int, stores.Rows]
-    spots: dict[int, stores.Spot]
+    whole: dict[int, stores.RowTile]
+    tiled: dict[int, stores.RowTile]
+    spots: dict[int, stores.TileSlot]
     tile: int
 
 
 def _pitch(row: int) -> int:
-    """Entries from row to row. It is odd, so that the threads of a warp use different banks."""
+    """Return the odd row pitch, with which the threads of a warp use different banks."""
     return row | 1
 
 
-def _room(program: Written) -> Room:
-    """Fills shared memory: results that are staged whole, small ones first, a tile, operands."""
+def _plan_shared_memory(program: Written) -> SharedMemoryPlan:
+    """Allocate shared memory: to results staged whole, smallest first, a tile, and operands."""
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
-    rows = stores.rows_of(program)
+    rows = stores.row_sizes(program)
     short = [key for key, row in rows.items() if stores.is_staged(row)]
-    whole = {key: stores.whole(kinds[key], rows[key]) for key in short}
+    whole = {key: stores.whole_rows(kinds[key], rows[key]) for key in short}
     while True:
-        tiled, spots = stores.tiled(program, {k: n for k, n in rows.items() if k not in whole})
+        tiled, spots = stores.assign_tile(
+            program, {k: n for k, n in rows.items() if k not in whole}
+        )
         tile = max((r.bytes for r in tiled.values()), default=0)
         total = tile + sum(r.bytes for r in whole.values())
         if total <= left or not whole:
@@ -140,10 +145,10 @@ def _room(program: Written) -> Room:
         if total + bytes <= left:
             total += bytes
             staged[key] = row
-    return Room(staged, whole, tiled, spots, tile)
+    return SharedMemoryPlan(staged, whole, tiled, spots, tile)
 
 
-def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
+def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]:
     size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
     yield f"#define BLOCK {BLOCK}"
@@ -168,13 +173,13 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
         else:
             pitch = _pitch(row)
             yield f"__shared__ {kind} s{k}[{pitch * BLOCK}];"
-            yield f"fetch<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
+            yield f"load_rows<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
             yield f"const {kind}* x{k}=s{k}+own*{pitch};"
     if room.staged:
         yield "__syncwarp();"
     if room.tiled:
         yield f"__shared__ uint4 tile[{room.tile * BLOCK // 16}];"
-    tiles: dict[int, tuple[int, stores.Rows]] = {}
+    tiles: dict[int, tuple[int, stores.RowTile]] = {}
     leaving = []
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
         names[array.id] = f"y{k}"
@@ -185,7 +190,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
             n, pitch = room.whole[key].size, room.whole[key].pitch
             yield f"__shared__ uint4 o{k}[{room.whole[key].bytes * BLOCK // 16}];"
             yield f"{kind}* const y{k}=({kind}*)o{k}+threadIdx.x*{pitch};"
-            leaving.append(f"leave<{kind},{n},{pitch}>(r{k}+first*{n},({kind}*)o{k},rows);")
+            leaving.append(f"store_rows<{kind},{n},{pitch}>(r{k}+first*{n},({kind}*)o{k},rows);")
         elif key in room.tiled:
             tiles[key] = k, room.tiled[key]
             yield f"{kind}* const w{k}=({kind}*)tile;"
@@ -193,7 +198,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
         else:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
-    printer = stores.StorePrinter(names, tiles, room.spots, stores.passing(program))
+    printer = stores.StorePrinter(names, tiles, room.spots, stores.streaming_arrays(program))
     yield from printer.lines(program.builder.block)
     yield from leaving
     yield from _sums(program)
@@ -201,7 +206,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
 
 
 def _sums(program: Written) -> Iterator[str]:
-    """Sums of results over the batch: one partial sum a block."""
+    """Print sums of results over the batch, with one partial sum a block."""
     for k, array in enumerate(program.results):
         if not program.summed[k] or not array.size:
             continue

@@ -1,4 +1,4 @@
-"""CUDA C to PTX by NVRTC, which comes with `jax[cuda12]` and `jax[cuda13]`.
+"""Compiles CUDA C to PTX by NVRTC, which comes with `jax[cuda12]` and `jax[cuda13]`.
 
 PTX is cached on disk next to JAX's own compilation cache, if the caller has enabled that.
 """
@@ -16,12 +16,12 @@ from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
 
-from rbjax.compiler.disk_cache import cached
+from rbjax.compiler.disk_cache import read_or_make
 
 OPTIONS = ("--std=c++17", "--restrict", "-default-device")
 #: for programs that run for seconds only: several times as fast to compile; and since which NVRTC
 QUICK, QUICK_SINCE = ("--Ofast-compile=max",), (13, 0)
-_quick: ContextVar[bool] = ContextVar("quick", default=False)
+_fast: ContextVar[bool] = ContextVar("quick", default=False)
 
 
 class CompileError(RuntimeError):
@@ -29,25 +29,24 @@ class CompileError(RuntimeError):
 
 
 @contextlib.contextmanager
-def quickly(wanted: bool = True) -> Iterator[None]:
-    """Kernels of programs that are lowered within have a short compile time rather than the
-    shortest run time."""
-    before = _quick.set(wanted)
+def fast_compile(wanted: bool = True) -> Iterator[None]:
+    """Within this context, kernels are compiled for fast compilation, not for speed."""
+    before = _fast.set(wanted)
     try:
         yield
     finally:
-        _quick.reset(before)
+        _fast.reset(before)
 
 
 def options() -> tuple[str, ...]:
-    """NVRTC's options, here."""
+    """Return NVRTC's options in this context."""
     new = tuple(map(int, version().split("."))) >= QUICK_SINCE
-    return (*OPTIONS, *QUICK) if _quick.get() and new else OPTIONS
+    return (*OPTIONS, *QUICK) if _fast.get() and new else OPTIONS
 
 
 @functools.cache
 def library() -> ctypes.CDLL:
-    """NVRTC of the installed CUDA packages, or of the system."""
+    """Load NVRTC of the installed CUDA packages, or of the system."""
     places = []
     with contextlib.suppress(ImportError, ValueError):
         spec = importlib.util.find_spec("nvidia")
@@ -62,21 +61,21 @@ def library() -> ctypes.CDLL:
 
 
 def newest_first(files: list[str]) -> list[str]:
-    """Libraries by the version in their names ("libnvrtc.so.13"), the newest first."""
+    """Sort libraries by the version in their names ("libnvrtc.so.13"), the newest first."""
     return sorted(files, key=lambda file: [int(n) for n in re.findall(r"\d+", Path(file).name)],
                   reverse=True)  # fmt: skip
 
 
 def ptx(source: str, capability: str) -> str:
-    """The PTX of a CUDA C source for a device of this compute capability ("9.0")."""
+    """Compile a CUDA C source to PTX for a compute capability ("9.0")."""
     arch = f"compute_{capability.replace('.', '')}"
     key = hashlib.sha256("\n".join((source, arch, *options(), version())).encode()).hexdigest()
-    return cached(f"{key}.ptx", lambda: _compile(source, arch).encode()).decode()
+    return read_or_make(f"{key}.ptx", lambda: _compile(source, arch).encode()).decode()
 
 
 @functools.cache
 def version() -> str:
-    """NVRTC's version."""
+    """Return NVRTC's version."""
     major, minor = ctypes.c_int(), ctypes.c_int()
     library().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor))
     return f"{major.value}.{minor.value}"

@@ -1,10 +1,10 @@
-"""Stores of batch-first results: rows are collected in shared memory, and a warp writes its 32.
+"""Stores batch-first results through shared memory, in whole sectors.
 
-Rows that fit are staged whole, in any order of their entries: 32 of them are consecutive in memory.
-A longer row that is written once, in order, is stored piece by piece through the warp's tile.
-Pieces start at a sector of memory in every row, even if the row does not: the tile keeps the last
-entries of the previous piece, and a row's piece lags by as many as necessary. In other long rows,
-runs of entries that are written together are stored in this way from any start.
+Short rows are staged whole, in any order of their entries: the 32 rows of a warp are consecutive in
+    memory. A longer row that is written once, in order, is stored in chunks through the warp's
+    tile. Chunks start at a memory sector in every row: the tile keeps the last entries of the
+    previous chunk, and a row's chunk is shifted by its misalignment. In other long rows, runs of
+    consecutive stores go through the tile, from any start.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rbjax.compiler.cuda.c_source import Printer
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import Block, Load, Loop, Op, Statement, Store, walk
-from rbjax.compiler.ir.values import Var
 
 #: rows with more entries than about a sector, and at most this many, are staged whole
 SHORT, WHOLE = 8, 128
@@ -30,8 +29,8 @@ RUN = 32
 ALIGN = 32
 
 HEAD = """
-// a warp's whole rows, of N entries, to memory, where they lie without gaps
-template <class T, int N, int PITCH> QUALIFIED void leave(T* to, const T* from, int rows) {
+// stores a warp's whole rows, of N entries, to memory without gaps
+template <class T, int N, int PITCH> QUALIFIED void store_rows(T* to, const T* from, int rows) {
   const int lane = threadIdx.x;
   __syncwarp();
   if (PITCH == N && rows == 32) {
@@ -45,13 +44,13 @@ template <class T, int N, int PITCH> QUALIFIED void leave(T* to, const T* from, 
   }
   __syncwarp();
 }
-// what a piece writes of row r: entries FROM to UPTO, but both ends lag, to where memory is aligned
+// stores entries FROM to UPTO of row r, both shifted by the row's misalignment to aligned memory
 template <class T, int N, int FROM, int UPTO, int MARGIN, int PITCH>
-QUALIFIED void piece(T* to, const T* tile, int r, int lag) {
-  const int lane = threadIdx.x, upto = UPTO < N ? UPTO - lag : N;
+QUALIFIED void store_chunk(T* to, const T* tile, int r, int misalignment) {
+  const int lane = threadIdx.x, upto = UPTO < N ? UPTO - misalignment : N;
 #pragma unroll
   for (int c = 0; c < UPTO - FROM + MARGIN; c += 32) {
-    const int k = FROM - lag + c + lane;
+    const int k = FROM - misalignment + c + lane;
     if (k < upto && (FROM || k >= 0)) to[r * N + k] = tile[r * PITCH + MARGIN + k - FROM];
   }
 }
@@ -64,12 +63,12 @@ QUALIFIED void flush(T* to, T* tile, int rows) {
 #pragma unroll 1
     for (int r = 0; r < 32; r += 8)
 #pragma unroll
-      for (int i = 0; i < 8; i++)  // lags repeat after eight rows
-        piece<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r + i, i * N % ALIGN);
+      for (int i = 0; i < 8; i++)  // misalignments repeat after eight rows
+        store_chunk<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r + i, i * N % ALIGN);
   } else {
 #pragma unroll 1
     for (int r = 0; r < rows; r++)
-      piece<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r, r * N % ALIGN);
+      store_chunk<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r, r * N % ALIGN);
   }
   __syncwarp();
   if (UPTO < N)
@@ -82,11 +81,15 @@ QUALIFIED void flush(T* to, T* tile, int rows) {
 
 
 @dataclass(frozen=True)
-class Rows:
+class RowTile:
     """The layout of a result's rows in shared memory.
 
-    size: entries of a row; width: entries of a piece, `size` if a row is stored whole. align:
-    pieces start at multiples of this many entries; margin: entries kept from the previous piece.
+    dtype: type of an entry.
+    size: entries of a row.
+    width: entries of a chunk; `size` if a row is stored whole.
+    align: chunks start at multiples of this many entries.
+    margin: entries kept from the previous chunk.
+    pitch: entries from a thread's row to the next.
     """
 
     dtype: np.dtype
@@ -98,38 +101,38 @@ class Rows:
 
     @property
     def bytes(self) -> int:
-        """Bytes of one thread."""
+        """Bytes of a thread's row."""
         return self.pitch * self.dtype.itemsize
 
 
 def is_staged(row: int) -> bool:
-    """Whether rows with this many entries, of operands or results, go through shared memory."""
+    """Return whether rows of this length go through shared memory."""
     return SHORT < row <= WHOLE
 
 
-def whole(dtype: np.dtype, size: int) -> Rows:
-    """Rows that are stored whole; without gaps if at most two threads of a warp share a bank."""
-    return Rows(dtype, size, size, 1, 0, size if size % 4 else size | 1)
+def whole_rows(dtype: np.dtype, size: int) -> RowTile:
+    """Lay out rows that are stored whole; without gaps if at most two threads share a bank."""
+    return RowTile(dtype, size, size, 1, 0, size if size % 4 else size | 1)
 
 
-def pieces(dtype: np.dtype, size: int) -> Rows:
-    """Rows that are stored piece by piece, or whole if there is one piece."""
+def chunked_rows(dtype: np.dtype, size: int) -> RowTile:
+    """Lay out rows that are stored in chunks, or whole if there is one chunk."""
     width = TILE * 4 // max(dtype.itemsize, 4)
     if size <= width:
-        return whole(dtype, size)
+        return whole_rows(dtype, size)
     align = ALIGN // max(dtype.itemsize, 4)  # groups of 32 rows start at aligned memory
     margin = 0 if size % align == 0 else align - 1
-    return Rows(dtype, size, width, margin + 1, margin, (width + margin) | 1)
+    return RowTile(dtype, size, width, margin + 1, margin, (width + margin) | 1)
 
 
-def run_of(dtype: np.dtype, size: int) -> Rows:
-    """Pieces of a row that start anywhere."""
+def rows_of_runs(dtype: np.dtype, size: int) -> RowTile:
+    """Lay out chunks of a row that start anywhere."""
     width = min(TILE * 4 // max(dtype.itemsize, 4), size)
-    return Rows(dtype, size, width, 1, 0, width | 1)
+    return RowTile(dtype, size, width, 1, 0, width | 1)
 
 
-def rows_of(program: Written) -> dict[int, int]:
-    """The batch-first results: id -> entries of a row."""
+def row_sizes(program: Written) -> dict[int, int]:
+    """Return the entries of a row of each batch-first result, by id."""
     found = {}
     for array, layout in zip(program.results, program.layouts[1], strict=True):
         row = layout.rows(program.batch)
@@ -139,9 +142,10 @@ def rows_of(program: Written) -> dict[int, int]:
 
 
 @dataclass(frozen=True)
-class Spot:
-    """The place of a value in the tile: column `at`. With `last` the entries from `first` to `upto`
-    are stored to memory, counted from the store's own base."""
+class TileSlot:
+    """A slot of the tile: column `at`. With `last`, the entries from `first` to `upto`, counted
+    from the store's own base, are stored to memory.
+    """
 
     at: int
     first: int
@@ -149,64 +153,71 @@ class Spot:
     last: bool
 
 
-def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict[int, Spot]]:
-    """Of these results (id -> entries of a row), those that are stored through the tile, and the
-    spots of their stores, by id. No thread reads them, and all threads reach their stores."""
-    statements = [s for s in walk(program.builder.block) if isinstance(s, (Load, Store))]
-    read = {s.array.id for s in statements if isinstance(s, Load)}
+def assign_tile(
+    program: Written, rows: dict[int, int]
+) -> tuple[dict[int, RowTile], dict[int, TileSlot]]:
+    """Return the results that are stored through the tile, and the slots of their stores, by id.
+
+    rows: entries of a row of each candidate. No thread reads these results, and all threads reach
+        their stores.
+    """
+    statements = [s for s in ir.walk(program.builder.block) if isinstance(s, (ir.Load, ir.Store))]
+    read = {s.array.id for s in statements if isinstance(s, ir.Load)}
     rows = {key: n for key, n in rows.items() if n > 1 and key not in read}
     written = [s for s in statements if s.array.id in rows]
-    alike, found = _alike(program), {}
-    spots: dict[int, Spot] = {}
-    for run in _runs(program.builder.block, rows):
+    alike, found = _uniform_indices(program), {}
+    spots: dict[int, TileSlot] = {}
+    for run in _consecutive_stores(program.builder.block, rows):
         array, row = run[0].array, rows[run[0].array.id]
-        whole = len(run) == row == sum(s.array is array for s in written) and run[0].base is None
-        if not whole and (len(run) < min(row, RUN) or run[0].base not in alike):
+        whole_rows = (
+            len(run) == row == sum(s.array is array for s in written) and run[0].base is None
+        )
+        if not whole_rows and (len(run) < min(row, RUN) or run[0].base not in alike):
             continue
-        form = pieces(array.dtype, row) if whole else run_of(array.dtype, row)
+        form = chunked_rows(array.dtype, row) if whole_rows else rows_of_runs(array.dtype, row)
         found[array.id] = form
         for k, store in enumerate(run):
             at, upto = k % form.width, store.offset + 1
             last = at == form.width - 1 or k == len(run) - 1
-            spots[id(store)] = Spot(form.margin + at, store.offset - at, upto, last)
+            spots[id(store)] = TileSlot(form.margin + at, store.offset - at, upto, last)
     return found, spots
 
 
-def _alike(program: Written) -> set[Var | None]:
-    """The indices that are the same for all threads: those made from loop counters."""
-    found: set[Var | None] = {None}
-    for s in walk(program.builder.block):
-        if isinstance(s, Loop):
+def _uniform_indices(program: Written) -> set[ir.Var | None]:
+    """Return the uniform indices, the same for all threads: those made from loop counters."""
+    found: set[ir.Var | None] = {None}
+    for s in ir.walk(program.builder.block):
+        if isinstance(s, ir.Loop):
             found.add(s.counter)
-        elif isinstance(s, Op) and all(x in found for x in s.args if isinstance(x, Var)):
+        elif isinstance(s, ir.Op) and all(x in found for x in s.args if isinstance(x, ir.Var)):
             found.add(s.dest)
     return found
 
 
-def _runs(block: Block, rows: dict[int, int]) -> Iterator[list[Store]]:
-    """Stores of consecutive entries of one of these results, without others in between."""
-    run: list[Store] = []
+def _consecutive_stores(block: ir.Block, rows: dict[int, int]) -> Iterator[list[ir.Store]]:
+    """Yield runs of stores to consecutive entries of one of these results."""
+    run: list[ir.Store] = []
     for s in block.statements:
-        if isinstance(s, Store) and s.array.id in rows:
+        if isinstance(s, ir.Store) and s.array.id in rows:
             last = run[-1] if run else s
             follows = s.array is last.array and s.base is last.base
             if run and not (follows and s.offset == last.offset + 1):
                 yield run
                 run = []
             run.append(s)
-        elif isinstance(s, Loop) and any(
-            isinstance(x, Store) and x.array.id in rows for x in walk(s.body)
+        elif isinstance(s, ir.Loop) and any(
+            isinstance(x, ir.Store) and x.array.id in rows for x in ir.walk(s.body)
         ):
             if run:
                 yield run
                 run = []
-            yield from _runs(s.body, rows)
+            yield from _consecutive_stores(s.body, rows)
     if run:
         yield run
 
 
-def passing(program: Written) -> set[int]:
-    """Long batch-last arrays of floats, which are read or written once, a line by each warp."""
+def streaming_arrays(program: Written) -> set[int]:
+    """Return the long batch-last float arrays, which are read or written once."""
     found = set()
     for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
         for array, layout in zip(arrays, layouts, strict=True):
@@ -218,23 +229,25 @@ def passing(program: Written) -> set[int]:
 
 
 class StorePrinter(Printer):
-    """Prints statements. Stores of a result in pieces fill the warp's tile and flush it. Entries of
-    passing arrays do not stay in the cache, which needs its lines for other data."""
+    """Prints statements, with stores through the tile, and streaming loads and stores.
+
+    Entries of streaming arrays (`streaming_arrays`) do not stay in the cache.
+    """
 
     def __init__(
-        self, names: dict[int, str], tiles: dict[int, tuple[int, Rows]], spots: dict[int, Spot],
-        passing: set[int],
+        self, names: dict[int, str], tiles: dict[int, tuple[int, RowTile]],
+        spots: dict[int, TileSlot], streaming: set[int],
     ):  # fmt: skip
         super().__init__(names)
-        self.tiles, self.spots, self.passing = tiles, spots, passing
+        self.tiles, self.spots, self.streaming = tiles, spots, streaming
 
-    def _lines(self, statement: Statement) -> Iterator[str]:
+    def _lines(self, statement: ir.Statement) -> Iterator[str]:
         spot = self.spots.get(id(statement))
-        if isinstance(statement, Store) and spot is not None:
+        if isinstance(statement, ir.Store) and spot is not None:
             yield from self._through_tile(statement, spot)
-        elif isinstance(statement, (Load, Store)) and statement.array.id in self.passing:
+        elif isinstance(statement, (ir.Load, ir.Store)) and statement.array.id in self.streaming:
             at = f"&{self.place(statement.array, statement.base, statement.offset)}"
-            if isinstance(statement, Store):
+            if isinstance(statement, ir.Store):
                 yield f"__stcs({at},{self.value(statement.value)});"
             else:
                 dest = statement.dest
@@ -242,7 +255,7 @@ class StorePrinter(Printer):
         else:
             yield from super()._lines(statement)
 
-    def _through_tile(self, store: Store, spot: Spot) -> Iterator[str]:
+    def _through_tile(self, store: ir.Store, spot: TileSlot) -> Iterator[str]:
         k, rows = self.tiles[store.array.id]
         kind, pitch = c_type(rows.dtype), rows.pitch
         yield f"w{k}[threadIdx.x*{pitch}+{spot.at}]={self.value(store.value)};"
@@ -250,7 +263,7 @@ class StorePrinter(Printer):
             return
         to = f"v{k}" if store.base is None else f"v{k}+{self.value(store.base)}"
         if rows.width == rows.size == spot.upto - spot.first:
-            yield f"leave<{kind},{rows.size},{pitch}>({to},w{k},rows);"
+            yield f"store_rows<{kind},{rows.size},{pitch}>({to},w{k},rows);"
         else:
             sizes = (rows.size, spot.first, spot.upto, rows.align, rows.margin, pitch)
             yield f"flush<{kind},{','.join(map(str, sizes))}>({to},w{k},rows);"

@@ -1,13 +1,12 @@
-"""The CUDA source of a program that a team of threads runs: a block a sample.
+"""Prints a program as a CUDA kernel of a team of threads: one block a sample.
 
-Arrays lie in the block's shared memory. The turns of a loop over entries are independent, and
-thread i of n takes turns i, i + n, ... . All threads run what is outside of such loops, with the
-same values, so they take the same branches. Where a loop reads what other threads have written, or
-writes what they may still read, the threads meet at a barrier first. So a sample may have matrices
-of ten to thirty rows, which are too many numbers for the registers of one thread.
+Arrays lie in the block's shared memory. The iterations of a team loop are independent: thread i of
+n runs iterations i, i + n, ... . All threads run the statements outside of such loops with the same
+values, so they take the same branches. Barriers separate writes from the reads of other threads
+(`phases`). This suits matrices of ten to thirty rows, which do not fit into one thread's registers.
 
-Source: steps between barriers (Valiant 1990, *A bridging model for parallel computation*); a block
-a small matrix (Haidar et al. 2015, *Batched matrix computations on hardware accelerators*).
+Source: Valiant 1990, *A bridging model for parallel computation* (phases between barriers); Haidar
+    et al. 2015, *Batched matrix computations on hardware accelerators* (a block a small matrix).
 """
 
 from __future__ import annotations
@@ -17,20 +16,9 @@ from collections.abc import Iterator
 
 from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, offset, parameters, sample_index, table
 from rbjax.compiler.cuda.kernels import BASICS, STATEMENTS_UP_TO, Kernel
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import (
-    Await,
-    Barrier,
-    Block,
-    Load,
-    Loop,
-    Op,
-    Reserve,
-    Statement,
-    Store,
-    walk,
-)
 
 #: threads of a team where there are fewer samples than this; a warp where there are more
 TEAMS = {600: 128, 1200: 64}
@@ -45,47 +33,46 @@ WRITTEN_OUT = 600
 HEAD = """
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
 // copies that go on while the thread does other things
-template <class T> QUALIFIED void early(T* to, const T* from) {
+template <class T> QUALIFIED void copy_async(T* to, const T* from) {
   asm volatile("cp.async.ca.shared.global [%0], [%1], %2;"
     :: "r"((unsigned)__cvta_generic_to_shared(to)), "l"(from), "n"((int)sizeof(T)) : "memory");
 }
-QUALIFIED void arrived() { asm volatile("cp.async.wait_all;" ::: "memory"); }
+QUALIFIED void wait_for_copies() { asm volatile("cp.async.wait_all;" ::: "memory"); }
 #else
-template <class T> QUALIFIED void early(T* to, const T* from) { *to = *from; }
-QUALIFIED void arrived() {}
+template <class T> QUALIFIED void copy_async(T* to, const T* from) { *to = *from; }
+QUALIFIED void wait_for_copies() {}
 #endif
 """
 
 
-def size_of(samples: int) -> int:
-    """The threads of a team."""
+def team_size(samples: int) -> int:
+    """Return the number of threads of a team."""
     return next((n for most, n in TEAMS.items() if samples <= most), WARP)
 
 
 def kernel(program: Written, name: str = "threads", team: int | None = None) -> Kernel:
-    """The kernel of a program that was written for a team, and that fits."""
+    """Return the kernel of a program that was written for a team, and that fits."""
     samples = math.prod(program.batch)
-    team = team or size_of(samples)
+    team = team or team_size(samples)
     source = "\n".join(_lines(program, name, team))
     return Kernel(source, name, team, samples, program.summed)
 
 
 def fits(program: Written) -> bool:
-    """Whether the program's arrays fit into shared memory, and its text into a kernel."""
+    """Return whether the program's arrays fit into shared memory, and its text into a kernel."""
     bytes = shared_bytes(program.builder.block)
     return bytes <= SHARED_BYTES and program.statements <= STATEMENTS_UP_TO
 
 
 def _resident(bytes: int, team: int) -> int:
-    """The blocks for which a multiprocessor should have registers: not more than its shared memory
-    holds."""
+    """Return the blocks that should reside on a multiprocessor, as its shared memory allows."""
     wanted = RESIDENT if team == WARP else RESIDENT_LARGE
     return min(wanted, SHARED_BYTES_IN_ALL // (bytes + DRIVERS_BYTES))
 
 
-def shared_bytes(block: Block) -> int:
-    """Bytes of the arrays that a team shares."""
-    arrays = [s.array for s in walk(block) if isinstance(s, Reserve) and s.array.shared]
+def shared_bytes(block: ir.Block) -> int:
+    """Return the bytes of the arrays that a team shares."""
+    arrays = [s.array for s in ir.walk(block) if isinstance(s, ir.Reserve) and s.array.shared]
     return sum(-(-max(a.size, 1) * a.dtype.itemsize // 16) * 16 for a in arrays)
 
 
@@ -125,27 +112,27 @@ class TeamPrinter(Printer):
     def barrier(self) -> str:
         return "__syncwarp();" if self.team == WARP else "__syncthreads();"
 
-    def _lines(self, statement: Statement) -> Iterator[str]:
+    def _lines(self, statement: ir.Statement) -> Iterator[str]:
         match statement:
-            case Barrier():
+            case ir.Barrier():
                 yield self.barrier
-            case Await():
-                yield f"arrived();{self.barrier}"
-            case Reserve(array=array) if array.shared:
+            case ir.Await():
+                yield f"wait_for_copies();{self.barrier}"
+            case ir.Reserve(array=array) if array.shared:
                 yield f"__shared__ {c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
-            case Loop(team=True):
+            case ir.Loop(team=True):
                 yield from self._turns(statement)
-            case Load(dest=dest, array=array, base=base, offset=offset) if self._early:
+            case ir.Load(dest=dest, array=array, base=base, offset=offset) if self._early:
                 yield f"const auto* {self.value(dest)}=&{self.place(array, base, offset)};"
-            case Store(array=array, base=base, offset=offset, value=value) if self._early:
-                yield f"early(&{self.place(array, base, offset)},{self.value(value)});"
+            case ir.Store(array=array, base=base, offset=offset, value=value) if self._early:
+                yield f"copy_async(&{self.place(array, base, offset)},{self.value(value)});"
             case _:
                 yield from super()._lines(statement)
 
-    def _turns(self, loop: Loop) -> Iterator[str]:
-        """The turns of this thread."""
+    def _turns(self, loop: ir.Loop) -> Iterator[str]:
+        """Print the iterations of this thread."""
         i, count, team = self.value(loop.counter), loop.count, self.team
-        self._early = loop.early
+        self._early = loop.prefetch
         body = list(self.lines(loop.body))
         self._early = False
         rounds = -(-count // team)
@@ -153,7 +140,7 @@ class TeamPrinter(Printer):
             yield "{" if count == team else f"if(lane<{count}){{"
             yield f"const int {i}=lane;"
         else:
-            ops = sum(isinstance(s, (Op, Load, Store)) for s in walk(loop.body))
+            ops = sum(isinstance(s, (ir.Op, ir.Load, ir.Store)) for s in ir.walk(loop.body))
             yield "#pragma unroll" if rounds * ops <= WRITTEN_OUT else "#pragma unroll 1"
             yield f"for(int r{i}=0;r{i}<{rounds};r{i}++){{"
             yield f"const int {i}=r{i}*{team}+lane;"

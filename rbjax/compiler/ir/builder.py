@@ -1,129 +1,175 @@
-"""The builder, which writes the statements of a program.
-
-It folds known values, and computes equal expressions once.
-"""
+"""The builder of programs, with constant folding and common subexpression elimination."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
 
-from rbjax.compiler.ir.folding import folded, keys_of, simpler
-from rbjax.compiler.ir.statements import (
-    Array,
-    Assign,
-    Block,
-    Declare,
-    If,
-    Load,
-    Loop,
-    Op,
-    Reserve,
-    Store,
-)
-from rbjax.compiler.ir.values import I32, Value, Var, is_number
+from rbjax.compiler.ir import statements as ir
+from rbjax.compiler.ir.operations import OPERATIONS
+
+
+def fold(name: str, dtype: np.dtype, args: tuple) -> ir.Value | None:
+    """Fold an operation on constants; None if the program must compute it."""
+    operation = OPERATIONS[name]
+    if operation.fold is None or dtype.kind not in operation.fold_types:
+        return None
+    if name == "cast" and args[0].dtype.kind == "f" and dtype.kind != "f":
+        return None  # numpy's result for large numbers and nan is not XLA's
+    with np.errstate(all="ignore"):
+        return dtype.type(operation.fold(*args))
+
+
+def simplify(builder: Builder, name: str, args: tuple) -> ir.Value | None:
+    """Simplify an operation with a constant argument or a double negation; None if it cannot be."""
+    match name, args:
+        case ("select", (c, a, b)) if isinstance(c, np.generic):
+            return a if c else b
+        case ("select", (_, a, b)) if a is b:
+            return a
+        case ("neg", (a,)) if not isinstance(a, np.generic) and a.id in builder.negated:
+            return builder.negated[a.id]
+        case ("add" | "index_add", (a, b)) if ir.is_number(b, 0):
+            return a
+        case ("add" | "index_add", (a, b)) if ir.is_number(a, 0):
+            return b
+        case ("sub", (a, b)) if ir.is_number(b, 0):
+            return a
+        case ("mul" | "index_mul" | "index_div" | "div", (a, b)) if ir.is_number(b, 1):
+            return a
+        case ("mul" | "index_mul", (a, b)) if ir.is_number(a, 1):
+            return b
+        case ("mul", (a, b)) if ir.is_number(b, -1):
+            return builder.op("neg", a.dtype, a)
+        case ("mul", (a, b)) if ir.is_number(a, -1):
+            return builder.op("neg", b.dtype, b)
+        case ("mul" | "index_mul", (a, b)) if a.dtype.kind in "iu":
+            return a.dtype.type(0) if ir.is_number(a, 0) or ir.is_number(b, 0) else None
+        case ("and", (a, b)) if a.dtype == ir.BOOL and isinstance(a, np.generic):
+            return b if a else a
+        case ("and", (a, b)) if b.dtype == ir.BOOL and isinstance(b, np.generic):
+            return a if b else b
+        case ("or", (a, b)) if a.dtype == ir.BOOL and isinstance(a, np.generic):
+            return a if a else b
+        case ("or", (a, b)) if b.dtype == ir.BOOL and isinstance(b, np.generic):
+            return b if b else a
+    return None
+
+
+def value_keys(name: str, args: Sequence[ir.Value]) -> list:
+    """Return keys of arguments that are equal for operations with equal results."""
+    keys: list = [(a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args]
+    if OPERATIONS[name].commutes and _order(keys[0]) > _order(keys[1]):
+        keys.reverse()
+    return keys
+
+
+def _order(key: tuple | int) -> tuple:
+    return (1, *key) if isinstance(key, tuple) else (0, key)
 
 
 class Builder:
-    """Writes statements. Equal expressions in scope of each other become one variable.
+    """Writes statements. Equal expressions in nested scopes become one variable.
 
-    platform: where the program runs, "cuda" or "cpu", for functions that depend on it. team:
-    whether a team of threads runs it. matrices: whether one sample's matrices are to fill the
-    vectors of a CPU.
+    platform: "cuda" or "cpu", for functions that depend on it.
+    team: whether a team of threads runs the program.
+    matrices: whether the matrices of one sample fill the vectors of a CPU.
     """
 
-    def __init__(
-        self, platform: str = "cuda", team: bool = False, matrices: bool = False
-    ) -> None:
+    def __init__(self, platform: str = "cuda", team: bool = False, matrices: bool = False) -> None:
         self.platform, self.matrices = platform, matrices
-        self.teamed = team  # here; not in what each thread of a team does by itself
-        self._part, self._parts = 0, itertools.count(1)
-        self.block = Block()
+        self.in_team = team  # here; not in what each thread of a team does by itself
+        self._group, self._groups = 0, itertools.count(1)
+        self.block = ir.Block()
         self.ids = itertools.count()
         self.time = 0  # advances whenever earlier loads may be out of date
-        self._tables: dict[tuple, Array] = {}
-        self._known: dict[tuple, Value] = {}
+        self._tables: dict[tuple, ir.Array] = {}
+        self._known: dict[tuple, ir.Value] = {}
         self._scopes: list[list[tuple]] = [[]]
-        self.negated: dict[int, Value] = {}
-        self.inverses: dict[Value, Value] = {}  # of numbers whose inverses were computed first
-        self.solved: dict[Array, Any] = {}  # systems that a team has solved (`factorise`)
+        self.negated: dict[int, ir.Value] = {}
+        self.inverses: dict[
+            ir.Value, ir.Value
+        ] = {}  # of numbers whose inverses were computed first
+        self.solved: dict[ir.Array, Any] = {}  # systems that a team has solved (`factorise`)
         self._entered = 0  # blocks entered and left: memory differs in a loop's second iteration
 
     # ---------------------------------------------------------------- scalars
 
-    def var(self, dtype: DTypeLike) -> Var:
-        return Var(next(self.ids), np.dtype(dtype))
+    def var(self, dtype: DTypeLike) -> ir.Var:
+        return ir.Var(next(self.ids), np.dtype(dtype))
 
-    def op(self, name: str, dtype: DTypeLike, *args: Value) -> Value:
-        """name(args), of the given type."""
+    def op(self, name: str, dtype: DTypeLike, *args: ir.Value) -> ir.Value:
+        """Write the operation name(args) with a result of this type."""
         dtype = np.dtype(dtype)
-        known = [a for a in args if not isinstance(a, Var)]
+        known = [a for a in args if not isinstance(a, ir.Var)]
         if len(known) == len(args):
-            known_result = folded(name, dtype, args)
+            known_result = fold(name, dtype, args)
             if known_result is not None:
                 return known_result
         if known or name in ("neg", "select"):
-            simple = simpler(self, name, args)
+            simple = simplify(self, name, args)
             if simple is not None:
                 return simple
-        key = (name, dtype.char, *keys_of(name, args))
+        key = (name, dtype.char, *value_keys(name, args))
         dest = self._known.get(key)
         if dest is None:
             dest = self.var(dtype)
-            self.block.statements.append(Op(dest, name, args))
+            self.block.statements.append(ir.Op(dest, name, args))
             self._remember(key, dest)
             if name == "neg":
                 self.negated[dest.id] = args[0]
         return dest
 
-    def cast(self, x: Value, dtype: DTypeLike) -> Value:
-        """x as another type."""
+    def cast(self, x: ir.Value, dtype: DTypeLike) -> ir.Value:
+        """Convert x to another type."""
         return x if x.dtype == dtype else self.op("cast", dtype, x)
 
-    def select(self, condition: Value, yes: Value, no: Value) -> Value:
-        """yes if the condition holds, else no."""
+    def select(self, condition: ir.Value, yes: ir.Value, no: ir.Value) -> ir.Value:
+        """Select `yes` if the condition holds, else `no`."""
         return self.op("select", yes.dtype, condition, yes, no)
 
-    def declare(self, dtype: DTypeLike, value: Value | None = None) -> Var:
-        """A variable that is assigned later."""
+    def declare(self, dtype: DTypeLike, value: ir.Value | None = None) -> ir.Var:
+        """Declare a variable that is assigned later."""
         var = self.var(dtype)
-        self.block.statements.append(Declare(var, value))
+        self.block.statements.append(ir.Declare(var, value))
         return var
 
-    def assign(self, var: Var, value: Value) -> None:
+    def assign(self, var: ir.Var, value: ir.Value) -> None:
         if var is not value:
-            self.block.statements.append(Assign(var, value))
+            self.block.statements.append(ir.Assign(var, value))
 
     # ---------------------------------------------------------------- memory
 
-    def local(self, dtype: DTypeLike, size: int) -> Array:
-        array = Array(next(self.ids), np.dtype(dtype), size, "local", shared=self.teamed)
-        self.block.statements.append(Reserve(array))
+    def local(self, dtype: DTypeLike, size: int) -> ir.Array:
+        array = ir.Array(next(self.ids), np.dtype(dtype), size, "local", shared=self.in_team)
+        self.block.statements.append(ir.Reserve(array))
         return array
 
-    def outside(self, dtype: DTypeLike, size: int, space: str, index: DTypeLike = I32) -> Array:
-        """An operand or a result."""
-        return Array(next(self.ids), np.dtype(dtype), size, space, index=np.dtype(index))
+    def external_array(
+        self, dtype: DTypeLike, size: int, space: str, index: DTypeLike = ir.I32
+    ) -> ir.Array:
+        """Make an operand or a result."""
+        return ir.Array(next(self.ids), np.dtype(dtype), size, space, index=np.dtype(index))
 
-    def table(self, data: np.ndarray) -> Array:
-        """Known numbers in memory; equal tables are shared."""
+    def table(self, data: np.ndarray) -> ir.Array:
+        """Return constants in memory; equal tables are shared."""
         key = (data.dtype.char, data.tobytes())
         if key not in self._tables:
             flat = data.reshape(-1)
-            self._tables[key] = Array(next(self.ids), data.dtype, data.size, "constant", flat)
+            self._tables[key] = ir.Array(next(self.ids), data.dtype, data.size, "constant", flat)
         return self._tables[key]
 
     @property
-    def tables(self) -> list[Array]:
+    def tables(self) -> list[ir.Array]:
         return list(self._tables.values())
 
-    def load(self, array: Array, base: Value | None, offset: int) -> Value:
-        """array[base + offset]."""
+    def load(self, array: ir.Array, base: ir.Value | None, offset: int) -> ir.Value:
+        """Write the load of array[base + offset]."""
         base, offset = _at(base, offset)
         if array.data is not None and base is None:
             return array.data[offset]
@@ -132,25 +178,25 @@ class Builder:
         dest = self._known.get(key)
         if dest is None:
             dest = self.var(array.dtype)
-            self.block.statements.append(Load(dest, array, base, offset))
+            self.block.statements.append(ir.Load(dest, array, base, offset))
             self._remember(key, dest)
         return dest
 
-    def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
-        """array[base + offset] = value."""
+    def store(self, array: ir.Array, base: ir.Value | None, offset: int, value: ir.Value) -> None:
+        """Write array[base + offset] = value."""
         base, offset = _at(base, offset)
-        self.block.statements.append(Store(array, base, offset, value))
+        self.block.statements.append(ir.Store(array, base, offset, value))
         self.written(array)
 
-    def written(self, array: Array) -> None:
-        """From here on, earlier loads of this array are repeated."""
+    def written(self, array: ir.Array) -> None:
+        """Invalidate earlier loads of this array."""
         self.time += 1
         array.version = self.time
 
     # ---------------------------------------------------------------- blocks
 
     @contextmanager
-    def inside(self, block: Block) -> Iterator[None]:
+    def inside(self, block: ir.Block) -> Iterator[None]:
         """Write into an inner block; its values are out of scope afterwards."""
         outer, self.block = self.block, block
         self._scopes.append([])
@@ -164,70 +210,70 @@ class Builder:
             self.block = outer
 
     @contextmanager
-    def loop(self, count: int, *, reverse: bool = False) -> Iterator[Var]:
-        """A loop over a counter."""
-        counter, body = self.var(I32), Block()
-        self.block.statements.append(Loop(counter, count, reverse, body))
+    def loop(self, count: int, *, reverse: bool = False) -> Iterator[ir.Var]:
+        """Write a loop over a counter."""
+        counter, body = self.var(ir.I32), ir.Block()
+        self.block.statements.append(ir.Loop(counter, count, reverse, body))
         with self.inside(body):
             yield counter
 
     @contextmanager
-    def spread(self, count: int, early: bool = False) -> Iterator[Var]:
-        """A loop over a counter whose turns a team shares."""
-        counter, body = self.var(I32), Block()
-        loop = Loop(counter, count, False, body, True, early, self._part)
+    def team_loop(self, count: int, prefetch: bool = False) -> Iterator[ir.Var]:
+        """Write a loop over a counter whose iterations a team shares."""
+        counter, body = self.var(ir.I32), ir.Block()
+        loop = ir.Loop(counter, count, False, body, True, prefetch, self._group)
         self.block.statements.append(loop)
-        with self.inside(body), self.by_itself():
+        with self.inside(body), self.per_thread():
             yield counter
 
     @contextmanager
-    def by_itself(self) -> Iterator[None]:
-        """What each thread of a team does by itself."""
-        before, self.teamed = self.teamed, False
+    def per_thread(self) -> Iterator[None]:
+        """Write statements that each thread of a team runs by itself."""
+        before, self.in_team = self.in_team, False
         try:
             yield
         finally:
-            self.teamed = before
+            self.in_team = before
 
     @contextmanager
-    def parts(self) -> Iterator[None]:
-        """Loops of a team that write different entries of one array."""
-        before, self._part = self._part, next(self._parts)
+    def disjoint_writes(self) -> Iterator[None]:
+        """Write team loops that write disjoint elements of one array."""
+        before, self._group = self._group, next(self._groups)
         try:
             yield
         finally:
-            self._part = before
+            self._group = before
 
     @contextmanager
-    def when(self, condition: Value) -> Iterator[None]:
-        """Statements that run where a condition holds."""
-        then = Block()
-        self.block.statements.append(If(condition, then, Block()))
+    def when(self, condition: ir.Value) -> Iterator[None]:
+        """Write statements that run if a condition holds."""
+        then = ir.Block()
+        self.block.statements.append(ir.If(condition, then, ir.Block()))
         with self.inside(then):
             yield
 
-    def _remember(self, key: tuple, value: Value) -> None:
+    def _remember(self, key: tuple, value: ir.Value) -> None:
         self._known[key] = value
         self._scopes[-1].append(key)
 
-    def once(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """make(), or what it gave for this key in the same scope."""
+    def memoize(self, key: tuple, make: Callable[[], Any]) -> Any:
+        """Return make(), or its earlier result for this key in the same scope."""
         if key not in self._known:
             self._remember(key, make())
         return self._known[key]
 
-    def index(self, array: Array, *terms: tuple[Value, int]) -> Value | None:
-        """Sum of value * stride over the terms, in the array's type of index; None for 0."""
-        total: Value = array.index.type(0)
+    def index(self, array: ir.Array, *terms: tuple[ir.Value, int]) -> ir.Value | None:
+        """Return the sum of value * stride over the terms, as an index of the array; None for 0."""
+        total: ir.Value = array.index.type(0)
         for value, stride in terms:
             step = self.op(
                 "index_mul", array.index, self.cast(value, array.index), array.index.type(stride)
             )
             total = self.op("index_add", array.index, total, step)
-        return None if is_number(total, 0) else total
+        return None if ir.is_number(total, 0) else total
 
 
-def _at(base: Value | None, offset: int) -> tuple[Var | None, int]:
-    if base is None or isinstance(base, Var):
+def _at(base: ir.Value | None, offset: int) -> tuple[ir.Var | None, int]:
+    if base is None or isinstance(base, ir.Var):
         return base, offset
     return None, offset + int(base)

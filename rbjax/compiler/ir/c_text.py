@@ -1,7 +1,7 @@
-"""The C text of operations. A function of this module returns the text of a kind of operations.
+"""The C text of operations. Each function here makes or is a `CText`.
 
-A text function gets the type of the result, the type of the first argument, and the arguments'
-texts; it returns None for types that the operation does not support.
+A `CText` gets the type of the result, the type of the first argument, and the arguments' texts. It
+returns None for types that the operation does not support.
 """
 
 from __future__ import annotations
@@ -24,27 +24,29 @@ def c_type(dtype: np.dtype) -> str:
 
 
 def signed(dtype: np.dtype) -> str:
-    """The signed integer with as many bits."""
+    """Return the signed integer type with as many bits."""
     return C_TYPES[f"int{8 * dtype.itemsize}"]
 
 
 def unsigned(dtype: np.dtype, least: int = 0) -> str:
-    """The unsigned integer with as many bits, or with at least so many bytes."""
+    """Return the unsigned integer type with as many bits, and with at least so many bytes."""
     return C_TYPES[f"uint{8 * max(dtype.itemsize, least)}"]
 
 
 def suffix(dtype: np.dtype) -> str:
-    """The end of the name of a mathematical function of this type."""
+    """Return the suffix of the names of C's mathematical functions of this type."""
     return "f" if dtype == np.float32 else ""
 
 
 def narrowed(kind: np.dtype, text: str) -> str:
-    """Casts back integers narrower than int, which C computes as int."""
+    """Cast back integers narrower than int, which C computes as int."""
     return f"({c_type(kind)})({text})" if kind.kind in "iu" and kind.itemsize < 4 else text
 
 
 def infix(symbol: str, wraps: bool = False) -> CText:
-    """An operator. wraps: overflow of signed integers, which C leaves undefined, wraps around."""
+    """Return the text of an operator. wraps: signed overflow, which C leaves undefined, wraps
+    around.
+    """
 
     def text(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         if wraps and kind.kind == "i":
@@ -56,7 +58,7 @@ def infix(symbol: str, wraps: bool = False) -> CText:
 
 
 def function(name: str) -> CText:
-    """A function of C's mathematics; f is appended for float."""
+    """Return the text of a C mathematical function."""
 
     def text(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str | None:
         return f"{name}{suffix(kind)}({','.join(x)})" if kind.kind == "f" else None
@@ -65,12 +67,12 @@ def function(name: str) -> CText:
 
 
 def helper(name: str) -> CText:
-    """A function template of the preamble, of the type of the result."""
+    """Return the text of a function template of the preamble, of the type of the result."""
     return lambda kind, of, x: f"{name}<{c_type(kind)}>({x[0]},{x[1]})"
 
 
 def counted(name: str) -> CText:
-    """A function of the preamble of the bits of an integer."""
+    """Return the text of a bit-counting function of the preamble."""
 
     def text(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         u = unsigned(kind)
@@ -80,7 +82,7 @@ def counted(name: str) -> CText:
 
 
 def larger(symbol: str, logical: str) -> CText:
-    """The maximum or the minimum; nan if the first argument is nan."""
+    """Return the text of the maximum or minimum; nan if the first argument is nan."""
 
     def text(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         if kind.kind == "b":
@@ -122,7 +124,7 @@ def bitcast(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
 
 
 def shift_right(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
-    """A logical shift; 0 for a shift by all bits or more."""
+    """Return the text of a logical shift; 0 for a shift by all bits or more."""
     inside = f"{x[1]}>=0&&{x[1]}<{8 * kind.itemsize}"
     shifted = f"({c_type(kind)})(({unsigned(kind)}){x[0]}>>{x[1]})"
     return f"({inside})?{shifted}:({c_type(kind)})0"

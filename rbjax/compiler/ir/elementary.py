@@ -1,21 +1,83 @@
-"""Elementary functions in double precision as formulas that hold in every lane of a vector.
+"""Elementary functions in double precision, as formulas that hold in every lane of a vector.
 
-The argument is reduced to where a polynomial holds, by parts of a constant whose multiples are
-exact. A function says where it does not hold; those lanes are left to C's library.
+The argument is reduced to the range of a polynomial by a constant in several parts, whose multiples
+are exact. A function also returns where its formula does not hold; C's library computes those
+lanes.
 
 Source: Sun's fdlibm (Ng, 1993) for the polynomials of sine, cosine, logarithm and arctangent; the
-exponential is its Taylor series.
+    exponential is its Taylor series.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.values import F64, I32, I64
+from rbjax.compiler.ir.statements import BOOL, F64, I32, I64, Value
 from rbjax.lanes.primitives import SERIES, horner
+
+if TYPE_CHECKING:
+    from rbjax.compiler.ir.builder import Builder
+
+
+def _operator(
+    name: str, dtype: np.dtype | None = None
+) -> Callable[[Number, Number | float], Number]:
+    return lambda self, x: self.op(name, x, dtype=dtype)
+
+
+def _reflected(name: str) -> Callable[[Number, float], Number]:
+    return lambda self, x: self.known(x).op(name, self)
+
+
+@dataclass(frozen=True, eq=False)
+class Number:
+    """A value with the operators of numbers, which write operations with a builder."""
+
+    builder: Builder
+    value: Value
+
+    def op(self, name: str, *others: Number | float, dtype: np.dtype | None = None) -> Number:
+        """Write an operation on this and others of its type."""
+        own = self.value.dtype
+        rest = [x.value if isinstance(x, Number) else own.type(x) for x in others]
+        return Number(self.builder, self.builder.op(name, dtype or own, self.value, *rest))
+
+    def cast(self, dtype: np.dtype) -> Number:
+        return Number(self.builder, self.builder.cast(self.value, dtype))
+
+    def bits(self, dtype: np.dtype) -> Number:
+        """Reinterpret the bits as another type."""
+        return self.op("bitcast", dtype=dtype)
+
+    def known(self, x: float) -> Number:
+        """Return a constant of this type."""
+        return Number(self.builder, self.value.dtype.type(x))
+
+    def where(self, yes: Number | float, no: Number | float, dtype: type = np.float64) -> Number:
+        """Select `yes` if this condition holds, else `no`."""
+        values = [x.value if isinstance(x, Number) else dtype(x) for x in (yes, no)]
+        return Number(self.builder, self.builder.select(self.value, *values))
+
+    __add__, __radd__ = _operator("add"), _reflected("add")
+    __sub__, __rsub__ = _operator("sub"), _reflected("sub")
+    __mul__, __rmul__ = _operator("mul"), _reflected("mul")
+    __truediv__, __rtruediv__ = _operator("div"), _reflected("div")
+    __and__, __or__ = _operator("and"), _operator("or")
+    __lshift__, __rshift__ = _operator("shl"), _operator("shr")
+    __lt__, __gt__, __ge__ = (_operator(name, BOOL) for name in ("lt", "gt", "ge"))
+    equals = _operator("eq", BOOL)
+
+    def __neg__(self) -> Number:
+        return self.op("neg")
+
+    def __abs__(self) -> Number:
+        return self.op("abs")
+
 
 #: pi / 2 and ln 2 in parts, whose products with small integers are exact, and the rest
 QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21,
@@ -52,15 +114,17 @@ Found = tuple[Number, Number | None]
 
 
 def two_sum(a: Number, b: Number) -> tuple[Number, Number]:
-    """a + b, and what it lacks (Knuth)."""
+    """Return a + b and its rounding error (Knuth)."""
     s = a + b
     c = s - a
     return s, (a - (s - c)) + (b - c)
 
 
 def lifted(x: Number, power: int) -> tuple[Number, Number]:
-    """|x| 2^power, and whether x is subnormal or zero. It is exact although XLA sets the flags by
-    which the processor reads subnormal numbers as zeros."""
+    """Return |x| 2^power, and whether x is subnormal or zero.
+
+    It is exact although XLA sets the flags by which the processor reads subnormal numbers as zeros.
+    """
     bits = abs(x).bits(I64)
     one = bits | int(np.float64(2.0**52).view(I64))  # 2^52 + 2^1074 |x| for a subnormal x
     subnormal = bits < 1 << 52
@@ -69,7 +133,7 @@ def lifted(x: Number, power: int) -> tuple[Number, Number]:
 
 
 def widened(x: Number) -> Number:
-    """A number in double precision. It is exact for subnormal numbers of single precision too."""
+    """Convert to double precision, exactly for subnormal numbers of single precision too."""
     if x.value.dtype != np.float32:
         return x.cast(F64)
     bits = abs(x).bits(I32)
@@ -83,7 +147,7 @@ def widened(x: Number) -> Number:
 
 
 def _reduced(x: Number) -> tuple[Number, Number, Number]:
-    """x less a multiple of pi / 2, what that lacks, and the multiple."""
+    """Return x minus a multiple of pi / 2, the error of that, and the multiple."""
     n = (x * (2 / math.pi)).op("rint")
     r = x - n * QUARTER[0]
     r, e = two_sum(r, -(n * QUARTER[1]))
@@ -108,7 +172,7 @@ def _cosine(r: Number, e: Number) -> Number:
 
 
 def _turned(x: Number, quarters: int) -> tuple[Number, Number]:
-    """sin(x + quarters pi / 2)."""
+    """Return sin(x + quarters pi / 2)."""
     r, e, n = _reduced(x)
     n = n + quarters
     y = (n & 1).equals(0).where(_sine(r, e), _cosine(r, e))
@@ -132,7 +196,7 @@ def tan(x: Number) -> Found:
 
 
 def _of_ratio(a: Number, b: Number) -> Number:
-    """atan(a / b) for numbers that are not negative, and not both zero or infinite."""
+    """Return atan(a / b) for nonnegative numbers that are not both zero or infinite."""
     up, down, high, low = a, b, a.known(0.0), a.known(0.0)
     # less the angle whose tangent is 1/2, 1, 3/2 or infinity
     steps = (
@@ -149,7 +213,7 @@ def _of_ratio(a: Number, b: Number) -> Number:
 
 
 def _behind(x: Number, angle: Number) -> Number:
-    """The angle from the other side where x is negative."""
+    """Reflect an angle, pi - angle, if x is negative."""
     return (x.known(1.0).op("copysign", x) < 0.0).where(math.pi - (angle - PI_LACKS), angle)
 
 
@@ -179,20 +243,20 @@ def acos(x: Number) -> Found:
 
 
 def power_of_two(x: Number) -> tuple[Number, Number]:
-    """p and n with exp x = 2^n (1 + p)."""
+    """Return p and n with exp x = 2^n (1 + p)."""
     n = (x * (1 / math.log(2))).op("rint")
     high, low = x - n * LN2[0], n * LN2[1]
     return less_one(high, low), n
 
 
 def less_one(high: Number, low: Number | float) -> Number:
-    """exp(high - low) - 1, for |high| <= 0.35."""
+    """Return exp(high - low) - 1, for |high| <= 0.35."""
     r = high - low
     return high + (r * r * horner(EXP, r) - low)
 
 
 def scaled(y: Number, n: Number) -> Number:
-    """2^n y, in two steps, for 2^n may be too large or too small."""
+    """Return 2^n y in two steps, because 2^n may overflow or underflow."""
     half = (n * 0.5).op("rint")
 
     def power(k: Number) -> Number:
@@ -217,7 +281,7 @@ def exp2(x: Number) -> Found:
 
 
 def _expm1(x: Number) -> Number:
-    """exp x - 1, up to 700."""
+    """Return exp x - 1, up to x = 700."""
     p, n = power_of_two(x.op("max", -100.0))
     return scaled(p, n) + (scaled(x.known(1.0), n) - 1.0)
 
@@ -249,12 +313,12 @@ def cosh(x: Number) -> Found:
 
 
 def is_positive(x: Number) -> Number:
-    """Whether x > 0, for subnormal numbers too."""
+    """Return whether x > 0, for subnormal numbers too."""
     return x.bits(I64) > 0
 
 
 def mantissa(x: Number) -> tuple[Number, Number]:
-    """m and k with x = 2^k m, for positive x, and m between the roots of 1/2 and 2."""
+    """Return m and k with x = 2^k m, for positive x, and sqrt(1/2) < m <= sqrt(2)."""
     high, small = lifted(x, 54)
     bits = small.where(high, x).bits(I64)
     one = 1023 << 52

@@ -1,6 +1,6 @@
-"""The LLVM text of operations. A function of this module writes a kind of operations.
+"""The LLVM text of operations. Each function here makes or is an `LlvmText`.
 
-A text function gets the writer of instructions, the type of the result, the type of the first
+An `LlvmText` gets the writer of instructions, the type of the result, the type of the first
 argument, and the arguments' names. It writes all instructions but the last one, whose text it
 returns; None for types that the operation does not support.
 """
@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike
 
 
 class Instructions(Protocol):
-    """What a text function needs of the writer (`llvm.operations.Operations`)."""
+    """The interface of the writer of instructions (`llvm.operations.Operations`)."""
 
     def type(self, dtype: DTypeLike) -> str: ...
     def number(self, x: float | np.generic, dtype: np.dtype | None = None) -> str: ...
@@ -30,14 +30,14 @@ LlvmText = Callable[[Instructions, np.dtype, np.dtype, Sequence[str]], str | Non
 
 
 def instruction(name: str) -> LlvmText:
-    """An instruction of two arguments of the type of the result."""
+    """Return the text of an instruction with two arguments of the type of the result."""
     return lambda w, kind, of, x: f"{name} {w.type(kind)} {x[0]}, {x[1]}"
 
 
 def by_kind(
     f: LlvmText | None = None, i: LlvmText | None = None, b: LlvmText | None = None
 ) -> LlvmText:
-    """The text for floats, for integers, and for truth values (as integers of one bit if None)."""
+    """Choose the text for floats, integers, and booleans (integers of one bit if None)."""
     texts = {"f": f, "i": i, "u": i, "b": b or i}
 
     def text(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str | None:
@@ -48,7 +48,7 @@ def by_kind(
 
 
 def arithmetic(f: str | None, i: str, b: str | None = None) -> LlvmText:
-    """An instruction for floats, one for integers and one for truth values."""
+    """Choose the instruction for floats, integers and booleans."""
     return by_kind(*(instruction(name) if name else None for name in (f, i, b)))
 
 
@@ -66,22 +66,22 @@ def comparison(name: str) -> LlvmText:
 
 
 def intrinsic(name: str) -> LlvmText:
-    """A function that LLVM has as an instruction of the machine."""
+    """Return the text of an LLVM intrinsic."""
     return lambda w, kind, of, x: w.intrinsic(name, [kind], kind, x)
 
 
 def counted(name: str) -> LlvmText:
-    """The same with a flag: the result is defined for all arguments."""
+    """Return the text of a bit-counting intrinsic that is defined for all arguments."""
     return by_kind(i=lambda w, kind, of, x: w.intrinsic(name, [kind], kind, x, "false"))
 
 
 def mathematical(name: str) -> LlvmText:
-    """A function of C's mathematics, or its formula for vectors."""
+    """Return the text of a C mathematical function, or of its formula for vectors."""
     return by_kind(f=lambda w, kind, of, x: w.mathematical(name, kind, x))
 
 
 def larger(name: str, logical: str) -> LlvmText:
-    """The maximum or the minimum; nan if the first argument is nan."""
+    """Return the text of the maximum or minimum; nan if the first argument is nan."""
 
     def floats(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         t, truth = w.type(kind), w.type(bool)
@@ -130,7 +130,7 @@ def inverse_root(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]
 
 
 def shift(name: str) -> LlvmText:
-    """A shift; 0 for a shift by all bits or more."""
+    """Return the text of a shift; 0 for a shift by all bits or more."""
 
     def text(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         t, truth = w.type(kind), w.type(bool)
@@ -151,7 +151,10 @@ def shift_arithmetic(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[
 
 
 def division(name: str) -> LlvmText:
-    """a / 0 = -1, a % 0 = a; the least integer by -1 is itself, remainder 0."""
+    """Return the text of an integer division or remainder.
+
+    a / 0 = -1, a % 0 = a; the least integer by -1 is itself, with remainder 0.
+    """
 
     def text(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         t, signed, truth = w.type(kind), kind.kind == "i", w.type(bool)

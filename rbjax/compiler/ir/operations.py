@@ -1,4 +1,4 @@
-"""The table of operations: all that the compiler knows of an operation stands in its row.
+"""The table of operations: everything that the compiler needs of an operation is in its row.
 
 A new operation is one row. `primitives` are the JAX primitives that become this operation, entry by
 entry; a primitive that becomes several operations needs a rule in `lower`.
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.compiler.ir import c_text as c
-from rbjax.compiler.ir import elementary, error_function, powers
+from rbjax.compiler.ir import elementary, powers
 from rbjax.compiler.ir import llvm_text as llvm
 
 Fold = Callable[..., Any]
@@ -162,8 +162,8 @@ ALL = (
     _function("asinh", elementary.asinh),
     _function("acosh", elementary.acosh),
     _function("atanh", elementary.atanh),
-    _function("erf", error_function.erf),
-    _function("erfc", error_function.erfc),
+    _function("erf", powers.erf),
+    _function("erfc", powers.erfc),
     _function("lgamma"),
     _function("atan2", elementary.atan2, np.arctan2, arity=2, sees_subnormals=True),
     _function("pow", powers.pow, np.power, arity=2, primitive=False, sees_subnormals=True),

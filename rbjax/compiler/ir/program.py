@@ -1,7 +1,7 @@
 """The program of one sample of a batch, and the layout of samples in memory.
 
-A batch has one or several axes, anywhere among those of an operand. A thread's pointer is moved to
-its sample, and entries are read in place.
+A batch has one or several axes, at any positions in an operand. Each thread offsets its pointers to
+its sample and reads entries without copying.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from rbjax.compiler.ir.statements import Array, Op, Reserve, walk
 
 
 def row_major(shape: Sequence[int]) -> tuple[int, ...]:
-    """Strides, in entries, of an array that is written row by row."""
+    """Return the strides, in entries, of a row-major array."""
     return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of the samples in an array.
+    """The layout of samples in an array.
 
-    shape: of the array in memory. axes: for each axis of the batch, its place in that shape, or
-    None if the array lacks it.
+    shape: shape of the array in memory.
+    axes: the position of each axis of the batch in that shape; None if the array lacks it.
     """
 
     shape: tuple[int, ...]
@@ -48,7 +48,7 @@ class Layout:
         return tuple(0 if axis is None else every[axis] for axis in self.axes)
 
     def rows(self, batch: tuple[int, ...]) -> int | None:
-        """The entries of a sample, if samples are consecutive rows; else None."""
+        """Return the entries of a sample if samples are consecutive rows; else None."""
         if not self.axes or None in self.axes:
             return None
         n = math.prod(self.sample)
@@ -62,12 +62,12 @@ class Layout:
 
 
 def batch_first(sample: Sequence[int], batch: Sequence[int]) -> Layout:
-    """A result with the axes of the batch before its own."""
+    """Lay out an array with the axes of the batch before its own."""
     return Layout((*batch, *sample), tuple(range(len(batch))))
 
 
 def batch_last(sample: Sequence[int], batch: Sequence[int]) -> Layout:
-    """A result with the axes of the batch after its own."""
+    """Lay out an array with the axes of the batch after its own."""
     n = len(sample)
     return Layout((*sample, *batch), tuple(range(n, n + len(batch))))
 

@@ -1,4 +1,7 @@
-"""The statements of a program, which one thread runs."""
+"""The values and the statements of a program, which one thread runs.
+
+A value is a variable (`Var`) or a constant (a numpy scalar).
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,43 @@ from typing import ClassVar
 
 import numpy as np
 
-from rbjax.compiler.ir.values import I32, Value, Var
+BOOL: np.dtype = np.dtype(bool)
+I32: np.dtype = np.dtype(np.int32)
+I64: np.dtype = np.dtype(np.int64)
+F64: np.dtype = np.dtype(np.float64)
+
+
+class Unsupported(Exception):
+    """A primitive, an operation or a type that the compiler does not support."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Var:
+    """A scalar that is computed when the program runs."""
+
+    id: int
+    dtype: np.dtype
+
+
+Value = Var | np.generic
+
+
+def is_number(x: Value, number: int) -> bool:
+    """Return whether a value is the constant `number`."""
+    return isinstance(x, np.generic) and x.dtype != BOOL and x == number
 
 
 @dataclass(slots=True, eq=False)
 class Array:
     """Memory of one thread, addressed by element.
 
-    space: "local" (of the thread), "constant" (known numbers, `data`), "operand" (read only) or
-    "result" (what the thread returns). shared: local, of a team of threads.
+    space: "local", "constant" (a table with the numbers `data`), "operand" (read only) or "result".
+    index: the type of its indices: int64 if int32 is too small.
+    reference_count: live references while the program is written. Without any, an array may be
+        updated in place.
+    version: the `Builder` time of its last write.
+    shared: a local array that the threads of a team share.
+    write_once: each element is written at most once per iteration.
     """
 
     id: int
@@ -24,15 +55,11 @@ class Array:
     size: int
     space: str
     data: np.ndarray | None = None
-    #: the type of its indices: int64 if int32 is too small
     index: np.dtype = I32
-    #: live references while the program is written; an array without any may be updated in place
-    owners: int = 0
-    #: the `Builder` time of its last write
+    reference_count: int = 0
     version: int = 0
     shared: bool = False
-    #: each entry is written once (in a turn of a loop), by one of several statements
-    pieces: bool = False
+    write_once: bool = False
 
     @property
     def mutable(self) -> bool:
@@ -43,25 +70,21 @@ Name = Var | Array
 
 
 class Statement:
-    """A statement: what it reads, what it writes, and the blocks inside it.
-
-    `reads` and `writes` are of the statement itself, without its inner blocks.
-    """
+    """A statement. `reads` and `writes` do not include its inner blocks, `children`."""
 
     __slots__ = ()
-    #: whether it has no inner blocks
     is_leaf: ClassVar[bool] = True
 
     def reads(self) -> tuple[Name, ...]:
-        """The variables and arrays that it reads."""
+        """Return the variables and arrays that it reads."""
         return ()
 
     def writes(self) -> tuple[Name, ...]:
-        """The variables and arrays that it changes."""
+        """Return the variables and arrays that it changes."""
         return ()
 
     def children(self) -> tuple[Block, ...]:
-        """Its inner blocks, in the order in which they run."""
+        """Return its inner blocks, in the order in which they run."""
         return ()
 
 
@@ -118,7 +141,7 @@ class Store(Statement):
 
 @dataclass(slots=True)
 class Declare(Statement):
-    """A variable that is assigned later; its first value, or None."""
+    """The declaration of a variable that is assigned later; `value` is its first value or None."""
 
     var: Var
     value: Value | None
@@ -153,11 +176,11 @@ class Reserve(Statement):
 
 @dataclass(slots=True)
 class Loop(Statement):
-    """`counter` runs over 0 ... count - 1, or backwards.
+    """A loop whose `counter` runs over 0 ... count - 1, or backwards.
 
-    team: its turns do not depend on each other, and the threads of a team share them. early: it
-    copies entries that are first read after the next `Await`. part: loops of the same number write
-    different entries.
+    team: its iterations are independent, and the threads of a team share them.
+    prefetch: it copies entries that are first read after the next `Await`.
+    group: loops of an equal number, except 0, write disjoint elements.
     """
 
     counter: Var
@@ -165,8 +188,8 @@ class Loop(Statement):
     reverse: bool
     body: Block
     team: bool = False
-    early: bool = False
-    part: int = 0
+    prefetch: bool = False
+    group: int = 0
 
     is_leaf: ClassVar[bool] = False
 
@@ -179,17 +202,17 @@ class Loop(Statement):
 
 @dataclass(slots=True)
 class Await(Statement):
-    """Until here, early copies have arrived."""
+    """A wait for the copies of the prefetching loops."""
 
 
 @dataclass(slots=True)
 class Barrier(Statement):
-    """The threads of a team wait for each other (`phases.synchronised`)."""
+    """A barrier of a team of threads (`phases.insert_barriers`)."""
 
 
 @dataclass(slots=True)
 class While(Statement):
-    """Repeat: run `test`; stop if `condition` is false; run `body`."""
+    """A loop: run `test`, stop if `condition` is false, run `body`."""
 
     test: Block
     condition: Value
@@ -206,7 +229,7 @@ class While(Statement):
 
 @dataclass(slots=True)
 class If(Statement):
-    """One of two blocks."""
+    """A branch: `then` if the condition holds, else `otherwise`."""
 
     condition: Value
     then: Block
@@ -229,7 +252,7 @@ class Block:
 
 
 def walk(block: Block) -> Iterator[Statement]:
-    """All statements; those of inner blocks follow the statement that contains them."""
+    """Yield all statements in order, the inner blocks of a statement after it."""
     for statement in block.statements:
         yield statement
         if not statement.is_leaf:

@@ -1,7 +1,6 @@
-"""A verifier of programs: it finds statements that no back end may get.
+"""A verifier of programs. It names a statement that is not valid, before a back end fails on it.
 
-A rule or a pass with a mistake shows here, with the statement, and not as a wrong number or as an
-error of LLVM or NVRTC. The tests run it on every program that they write.
+The tests verify every program that they write.
 """
 
 from __future__ import annotations
@@ -9,32 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.operations import OPERATIONS
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import (
-    Array,
-    Assign,
-    Barrier,
-    Block,
-    Declare,
-    If,
-    Load,
-    Loop,
-    Op,
-    Reserve,
-    Statement,
-    Store,
-    While,
-)
 from rbjax.compiler.ir.text import statement_text
-from rbjax.compiler.ir.values import BOOL, I32, Value, Var
 
 #: operations whose result has another type than their arguments
 FREE = {"cast", "bitcast", "isfinite", "lt", "le", "gt", "ge", "eq", "ne"}
 
 
 class InvalidProgram(Exception):
-    """A program with a statement that no back end may get."""
+    """A program has an invalid statement."""
 
 
 def verify(program: Written) -> None:
@@ -48,14 +32,14 @@ def verify(program: Written) -> None:
     verify_block(program.builder.block, arrays)
 
 
-def verify_block(block: Block, arrays: Iterable[Array] = ()) -> None:
-    """The same of a block that may use these arrays."""
+def verify_block(block: ir.Block, arrays: Iterable[ir.Array] = ()) -> None:
+    """Verify a block that may use these arrays."""
     _Scope(arrays={x.id for x in arrays}).block(block)
 
 
 @dataclass
 class _Scope:
-    """The ids of what the statements of a block may use."""
+    """The ids of the variables and arrays that the statements of a block may use."""
 
     arrays: set[int]
     variables: set[int] = field(default_factory=set)
@@ -63,8 +47,8 @@ class _Scope:
     every: set[int] = field(default_factory=set)  # variables of the whole program
     in_team_loop: bool = False
 
-    def block(self, block: Block) -> _Scope:
-        """Check a block; the scope of what follows within."""
+    def block(self, block: ir.Block) -> _Scope:
+        """Check a block, and return its scope at the end."""
         inner = _Scope(
             {*self.arrays}, {*self.variables}, {*self.declared}, self.every, self.in_team_loop
         )
@@ -75,61 +59,61 @@ class _Scope:
                 raise InvalidProgram(f"{error}: {statement_text(statement)}") from None
         return inner
 
-    def statement(self, s: Statement) -> None:
-        if not isinstance(s, While):  # whose condition is a value of its test
+    def statement(self, s: ir.Statement) -> None:
+        if not isinstance(s, ir.While):  # whose condition is a value of its test
             for x in s.reads():
                 self.known(x)
         match s:
-            case Op():
+            case ir.Op():
                 _check_operation(s)
                 self.define(s.dest)
-            case Load(dest=dest, array=array, base=base, offset=offset):
+            case ir.Load(dest=dest, array=array, base=base, offset=offset):
                 _check_entry(array, base, offset, dest)
                 self.define(dest)
-            case Store(array=array, base=base, offset=offset, value=value):
+            case ir.Store(array=array, base=base, offset=offset, value=value):
                 self.known(array)
                 _check(array.mutable, f"a {array.space} array is written")
                 _check_entry(array, base, offset, value)
-            case Declare(var=var, value=value):
+            case ir.Declare(var=var, value=value):
                 _check(value is None or value.dtype == var.dtype, "types differ")
                 self.define(var)
                 self.declared.add(var.id)
-            case Assign(var=var, value=value):
+            case ir.Assign(var=var, value=value):
                 _check(var.id in self.declared, f"t{var.id} is assigned but not declared")
                 _check(value.dtype == var.dtype, "types differ")
-            case Reserve(array=array):
+            case ir.Reserve(array=array):
                 _check(array.space == "local", f"a {array.space} array is reserved")
                 self.arrays.add(array.id)
-            case Loop(counter=counter, count=count, body=body):
-                _check(counter.dtype == I32 and count >= 0, "not a loop of a count")
+            case ir.Loop(counter=counter, count=count, body=body):
+                _check(counter.dtype == ir.I32 and count >= 0, "not a loop of a count")
                 inside = _Scope({*self.arrays}, {*self.variables}, {*self.declared}, self.every)
                 inside.in_team_loop = self.in_team_loop or s.team
                 inside.define(counter)
                 inside.block(body)
-            case While(test=test, condition=condition, body=body):
+            case ir.While(test=test, condition=condition, body=body):
                 inside = self.block(test)
                 inside.condition(condition)
                 inside.block(body)
-            case If(condition=condition):
+            case ir.If(condition=condition):
                 self.condition(condition)
                 for inner in s.children():
                     self.block(inner)
-            case Barrier():
+            case ir.Barrier():
                 _check(not self.in_team_loop, "a barrier in a loop that a team shares")
 
-    def known(self, x: Var | Array) -> None:
-        ids, name = (self.variables, "t") if isinstance(x, Var) else (self.arrays, "a")
+    def known(self, x: ir.Var | ir.Array) -> None:
+        ids, name = (self.variables, "t") if isinstance(x, ir.Var) else (self.arrays, "a")
         _check(x.id in ids, f"{name}{x.id} is not defined here")
 
-    def define(self, x: Var) -> None:
+    def define(self, x: ir.Var) -> None:
         _check(x.id not in self.every, f"t{x.id} is defined twice")
         self.every.add(x.id)
         self.variables.add(x.id)
 
-    def condition(self, x: Value) -> None:
-        if isinstance(x, Var):
+    def condition(self, x: ir.Value) -> None:
+        if isinstance(x, ir.Var):
             self.known(x)
-        _check(x.dtype == BOOL, "the condition is not a truth value")
+        _check(x.dtype == ir.BOOL, "the condition is not a truth value")
 
 
 def _check(good: bool, message: str) -> None:
@@ -137,20 +121,20 @@ def _check(good: bool, message: str) -> None:
         raise InvalidProgram(message)
 
 
-def _check_operation(s: Op) -> None:
+def _check_operation(s: ir.Op) -> None:
     operation = OPERATIONS.get(s.name)
     if operation is None:
         raise InvalidProgram(f"no operation {s.name}")
     _check(len(s.args) == operation.arity, f"{s.name} has {operation.arity} arguments")
     first, *rest = (x.dtype for x in s.args)
     if s.name == "select":
-        _check(first == BOOL and rest == [s.dest.dtype] * 2, "types differ")
+        _check(first == ir.BOOL and rest == [s.dest.dtype] * 2, "types differ")
     else:
         _check(all(dtype == first for dtype in rest), "types differ")
         _check(s.name in FREE or s.dest.dtype == first, "types differ")
 
 
-def _check_entry(array: Array, base: Value | None, offset: int, x: Value) -> None:
+def _check_entry(array: ir.Array, base: ir.Value | None, offset: int, x: ir.Value) -> None:
     _check(x.dtype == array.dtype, "types differ")
     if base is None and array.space in ("local", "constant"):  # the others have strides
         _check(0 <= offset < array.size, f"not an entry of {array.size}")

@@ -1,13 +1,8 @@
-"""Derivatives of a traced function, equation by equation, by JAX's own rules.
+"""Derivatives of a jaxpr, equation by equation, by JAX's own rules.
 
-JAX differentiates a program by calling the rule of each equation, and binds what the rule writes
-several times over: for a robot's step of 5,000 equations that takes seconds. Here JAX
-differentiates each kind of equation (primitive, parameters, shapes) once. The result, a jaxpr of a
-few equations, is written wherever an equation of that kind occurs.
-
-Reverse mode: of the equations of the tangent those that depend on a rate are linear in the rates;
-they are transposed from the last to the first. Programs with loops that compute values and rates
-together are left to JAX (`transposed` returns None).
+JAX differentiates each kind of equation (primitive, parameters, shapes) once, and the resulting
+jaxpr is copied for each equation of that kind. In reverse mode, the equations that depend on a
+tangent are transposed from the last to the first.
 """
 
 from __future__ import annotations
@@ -16,253 +11,388 @@ import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.extend import core
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
 from rbjax._jax_compat import custom_rule, equation, without_names
-from rbjax.compiler.jax.equations import (
-    Atom,
-    called,
-    is_whole,
-    needed,
-    of,
-    reached,
-    rule_of,
-)
-from rbjax.compiler.jax.uncollected import uncollected
+from rbjax.compiler.jax.garbage import gc_paused
 
-#: equations that are linear: the rate of the result is the same of the rate
-LINEAR = {
-    "neg", "slice", "squeeze", "reshape", "broadcast_in_dim", "expand_dims", "transpose", "rev",
-    "reduce_sum", "copy",
-}
+Atom = Var | Literal
+Flags = tuple[bool, ...]
 
-#: equations that are their jaxpr
+#: equations that are replaced by their jaxpr
 INLINED = {"jit", "pjit", "closed_call", "core_call"}
+NO_EFFECTS: frozenset = frozenset()
+
+
+def needed(
+    eqns: Sequence[JaxprEqn], outs: Sequence[Atom], given: Sequence[Var], effects: bool = False
+) -> list[JaxprEqn]:
+    """Return the equations that compute `outs` from `given`, and also, if wanted, with effects."""
+    wanted, known, kept = {a for a in outs if isinstance(a, Var)}, set(given), []
+    for eqn in reversed(eqns):
+        if (effects and eqn.effects) or any(v in wanted and v not in known for v in eqn.outvars):
+            kept.append(eqn)
+            wanted.update(a for a in eqn.invars if isinstance(a, Var))
+    return kept[::-1]
+
+
+def close(
+    eqns: list[JaxprEqn], ins: Sequence[Var], outs: Sequence[Atom], consts: dict[Var, object],
+    effects: frozenset = NO_EFFECTS,
+) -> ClosedJaxpr:  # fmt: skip
+    """Return equations as a function of `ins`, with those of the constants that they read."""
+    read = {a for eqn in eqns for a in eqn.invars if isinstance(a, Var)}
+    read.update(a for a in outs if isinstance(a, Var))
+    constvars = [v for v in consts if v in read]
+    info = _anonymous_info()
+    jaxpr = Jaxpr(constvars, list(ins), list(outs), eqns, effects, info)
+    return ClosedJaxpr(jaxpr, [consts[v] for v in constvars])
+
+
+@functools.cache
+def _anonymous_info():
+    return without_names(jax.make_jaxpr(lambda: ())().jaxpr)
+
+
+def dependents(eqns: Sequence[JaxprEqn], start: Sequence[Atom]) -> set[Var]:
+    """Return the variables that depend on some of `start`."""
+    found = {a for a in start if isinstance(a, Var)}
+    for eqn in eqns:
+        if any(isinstance(a, Var) and a in found for a in eqn.invars):
+            found.update(eqn.outvars)
+    return found
+
+
+def _substitute(env: dict[Var, Atom], atoms: Sequence[Atom]) -> list[Atom]:
+    return [a if isinstance(a, Literal) else env[a] for a in atoms]
+
+
+def _inner_jaxpr(eqn: JaxprEqn) -> ClosedJaxpr:
+    inner = eqn.params["jaxpr" if "jaxpr" in eqn.params else "call_jaxpr"]
+    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+
+
+def _has_subjaxpr(eqn: JaxprEqn) -> bool:
+    """Return whether an equation with a jaxpr may compute values and tangents together."""
+    name = eqn.primitive.name
+    plain = name == "threads_tangent" or name.startswith("scatter")
+    leaves = jax.tree.leaves(list(eqn.params.values()), is_leaf=callable)
+    return not plain and any(callable(x) or isinstance(x, Jaxpr | ClosedJaxpr) for x in leaves)
+
+
+# ------------------------------------------------------------------- rules of one equation
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of equation, its inputs that have tangents, and its results that have cotangents."""
+
+    primitive: core.Primitive
+    params: tuple
+    ins: tuple[ShapedArray, ...]
+    outs: tuple[ShapedArray, ...]
+    moving: Flags
+    present: Flags
+
+    def call(self, args: Sequence[jax.Array]) -> list[jax.Array]:
+        """Evaluate such an equation."""
+        ins, outs = [Var(a) for a in self.ins], [Var(a) for a in self.outs]
+        eqn = core.new_jaxpr_eqn(ins, outs, self.primitive, dict(self.params), NO_EFFECTS)
+        return core.jaxpr_as_fun(close([eqn], ins, outs, {}))(*args)
+
+    def merge(self, still: Sequence[jax.Array], moved: Sequence[jax.Array]) -> list[jax.Array]:
+        """Put inputs without and with tangents in order."""
+        rest, along = iter(still), iter(moved)
+        return [next(along) if m else next(rest) for m in self.moving]
+
+    def tangent(self) -> tuple[ClosedJaxpr, list[bool]]:
+        """Trace (args, tangents) -> results and their tangents that are not zero."""
+        n, floats = len(self.ins), [jnp.issubdtype(a.dtype, jnp.floating) for a in self.outs]
+
+        def both(*xs: jax.Array) -> list[jax.Array]:
+            still, moved = _split(xs[:n], self.moving)
+            f = lambda *m: self.call(self.merge(still, m))  # noqa: E731
+            out, along = jax.jvp(f, moved, list(xs[n:]))
+            return [*out, *itertools.compress(along, floats)]
+
+        tangents = list(itertools.compress(self.ins, self.moving))
+        return _trace_dependent(both, [*self.ins, *tangents], n, len(self.outs), floats)
+
+    def transpose(self) -> tuple[ClosedJaxpr, list[bool]]:
+        """Trace (inputs without tangents, present cotangents) -> cotangents that are not zero."""
+        still, moved = _split(self.ins, self.moving)
+        cotangents = list(itertools.compress(self.outs, self.present))
+        n = len(still)
+
+        def back(*xs: jax.Array) -> list[jax.Array]:
+            def linear(*m: jax.Array) -> list[jax.Array]:
+                return list(itertools.compress(self.call(self.merge(xs[:n], m)), self.present))
+
+            return list(jax.linear_transpose(linear, *moved)(list(xs[n:])))
+
+        return _trace_dependent(back, [*still, *cotangents], n, 0, [True] * len(moved))
+
+
+def _split(xs: Sequence, moving: Flags) -> tuple[list, list]:
+    """Return the entries that do not move, and those that do."""
+    return [x for x, m in zip(xs, moving, strict=True) if not m], [*itertools.compress(xs, moving)]
+
+
+def _trace_dependent(
+    f, avals: Sequence[ShapedArray], first: int, plain: int, may: Sequence[bool]
+) -> tuple[ClosedJaxpr, list[bool]]:
+    """Trace f, without the results after the first `plain` that depend on no input from `first` on.
+
+    Also returns which of the results `may` are left.
+    """
+    closed = jax.make_jaxpr(f)(
+        *(jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=a.weak_type) for a in avals)
+    )
+    jaxpr = closed.jaxpr
+    moved = dependents(jaxpr.eqns, jaxpr.invars[first:])
+    kept = [isinstance(a, Var) and a in moved for a in jaxpr.outvars[plain:]]
+    rest = iter(kept)
+    outs = [*jaxpr.outvars[:plain], *itertools.compress(jaxpr.outvars[plain:], kept)]
+    eqns = needed(jaxpr.eqns, outs, jaxpr.invars)
+    short = close(eqns, jaxpr.invars, outs, dict(zip(jaxpr.constvars, closed.consts, strict=True)))
+    return short, [m and next(rest) for m in may]
+
+
+RULES = {"tangent": Kind.tangent, "transpose": Kind.transpose}
+CACHED = {name: functools.lru_cache(4096)(f) for name, f in RULES.items()}
+
+
+def _rule_of(
+    eqn: JaxprEqn, moving: Flags, which: str, present: Flags
+) -> tuple[ClosedJaxpr, list[bool]]:
+    """Return the derivative of one equation, and which of its results are not zero."""
+    params = tuple(sorted(eqn.params.items()))
+    kind = Kind(eqn.primitive, params, _avals(eqn.invars), _avals(eqn.outvars), moving, present)
+    try:
+        hash(kind)
+    except TypeError:
+        return RULES[which](kind)
+    return (RULES[which] if _has_subjaxpr(eqn) else CACHED[which])(kind)
+
+
+def _aval(atom: Atom) -> ShapedArray:
+    return cast(ShapedArray, atom.aval)
+
+
+def _avals(atoms: Sequence[Atom]) -> tuple:
+    """Return the types of one sample's values, without the mesh axes along which they vary."""
+    return tuple(
+        ShapedArray(x.shape, x.dtype, weak_type=x.weak_type) if type(x) is ShapedArray else x
+        for x in (a.aval for a in atoms)
+    )
 
 
 class Equations:
-    """A jaxpr that is being written: its equations, and the constants that they read."""
+    """A jaxpr under construction: its equations, and the constants that they read."""
 
     def __init__(self) -> None:
         self.eqns: list[JaxprEqn] = []
-        self.consts: dict[Var, Any] = {}
+        self.consts: dict[Var, object] = {}
 
-    def write(self, eqn: JaxprEqn, ins: list[Atom], at: JaxprEqn | None = None) -> list[Var]:
-        """`eqn` with other inputs, new results, and the source location of `at`."""
+    def append(self, eqn: JaxprEqn, ins: list[Atom], at: JaxprEqn | None = None) -> list[Var]:
+        """Append `eqn` with other inputs, new results, and the source location of `at`."""
         at, outs = at or eqn, [Var(v.aval) for v in eqn.outvars]
         self.eqns.append(equation(eqn, ins, outs, at))
         return outs
 
-    def inlined(self, closed: ClosedJaxpr, args: Sequence[Atom], at: JaxprEqn | None) -> list[Atom]:
-        """The results of a jaxpr."""
-        env = self.named(closed, args)
+    def inline(self, closed: ClosedJaxpr, args: Sequence[Atom], at: JaxprEqn | None) -> list[Atom]:
+        """Append the equations of a jaxpr, and return its results."""
+        env = self.bind(closed, args)
         for eqn in closed.jaxpr.eqns:
-            ins = of(env, eqn.invars)
+            ins = _substitute(env, eqn.invars)
             if eqn.primitive.name in INLINED:
-                outs = self.inlined(called(eqn), ins, at)
+                outs: Sequence[Atom] = self.inline(_inner_jaxpr(eqn), ins, at)
             else:
-                outs = self.write(eqn, ins, at)
+                outs = self.append(eqn, ins, at)
             env.update(zip(eqn.outvars, outs, strict=True))
-        return of(env, closed.jaxpr.outvars)
+        return _substitute(env, closed.jaxpr.outvars)
 
-    def named(self, closed: ClosedJaxpr, args: Sequence[Atom]) -> dict[Var, Atom]:
-        """The atoms of a jaxpr's constants and inputs."""
+    def bind(self, closed: ClosedJaxpr, args: Sequence[Atom]) -> dict[Var, Atom]:
+        """Return the atoms of a jaxpr's constants and inputs."""
         jaxpr = closed.jaxpr
         self.consts.update(zip(jaxpr.constvars, closed.consts, strict=True))
         env: dict[Var, Atom] = {v: v for v in jaxpr.constvars}
         env.update(zip(jaxpr.invars, args, strict=True))
         return env
 
-    def zeros(self, aval: Any) -> Atom:
-        return self.inlined(_zeros(aval), [], None)[0]
+    def zeros(self, of: Atom) -> Atom:
+        return self.inline(_zeros(_aval(of)), [], None)[0]
 
-    def closed(self, ins: Sequence[Var], outs: Sequence[Atom], notes: Any) -> ClosedJaxpr:
-        """The equations that the results need, as a function of `ins`."""
-        eqns = needed(self.eqns, outs, ins)
-        read = {a for eqn in eqns for a in eqn.invars if isinstance(a, Var)}
-        read.update(a for a in outs if isinstance(a, Var))
-        held = [v for v in self.consts if v in read]
-        effects = frozenset[Any]()
-        jaxpr = Jaxpr(held, list(ins), list(outs), eqns, effects, notes)
-        return ClosedJaxpr(jaxpr, [self.consts[v] for v in held])
+    def close(self, ins: Sequence[Var], outs: Sequence[Atom]) -> ClosedJaxpr:
+        """Return the equations that the results need, as a function of `ins`."""
+        return close(needed(self.eqns, outs, ins), ins, outs, self.consts)
 
 
 @dataclass(frozen=True)
 class Linearised:
-    """The equations of (args, rates of those that move) -> results and their rates (None: zero)."""
+    """The equations of (args, tangents of the moving ones) -> results and tangents (None: zero)."""
 
     eqns: Equations
     args: list[Var]
-    rates: list[Var]
+    tangents: list[Var]
     results: list[Atom]
-    result_rates: list[Atom | None]
-    notes: Any
+    result_tangents: list[Atom | None]
 
     @classmethod
-    @uncollected
+    @gc_paused()
     def of(cls, closed: ClosedJaxpr, moving: Sequence[bool]) -> Linearised:
+        """Linearise a jaxpr in its moving arguments."""
         eqns, jaxpr = Equations(), closed.jaxpr
         args = [Var(v.aval) for v in jaxpr.invars]
-        rates = [Var(v.aval) for v, m in zip(args, moving, strict=True) if m]
-        rest = iter(rates)
-        out, rate = _along(eqns, closed, args, [next(rest) if m else None for m in moving])
-        notes = without_names(jaxpr)
-        return cls(eqns, args, rates, out, rate, notes)
+        tangents = [Var(v.aval) for v, m in zip(args, moving, strict=True) if m]
+        rest = iter(tangents)
+        out, along = _push_forward(eqns, closed, args, [next(rest) if m else None for m in moving])
+        return cls(eqns, args, tangents, out, along)
 
-    def tangent(self, kept: Sequence[Any]) -> ClosedJaxpr:
-        """(args, kept, rates) -> the rates of all results. `kept` is not read."""
+    def tangent(self, residuals: Sequence[ShapedArray]) -> ClosedJaxpr:
+        """Return (args, residuals, tangents) -> tangents of all results; residuals are not read."""
         outs = [
-            self.eqns.zeros(x.aval) if rate is None else rate
-            for x, rate in zip(self.results, self.result_rates, strict=True)
+            self.eqns.zeros(x) if along is None else along
+            for x, along in zip(self.results, self.result_tangents, strict=True)
         ]
-        ins = [*self.args, *(Var(a) for a in kept), *self.rates]
-        return self.eqns.closed(ins, outs, self.notes)
+        ins = [*self.args, *(Var(a) for a in residuals), *self.tangents]
+        return self.eqns.close(ins, outs)
 
-    @uncollected
-    def transposed(self, weighed: Sequence[bool]) -> Transposed | None:
-        """(args, cotangents of the weighed results) -> cotangents of the arguments that move; None
-        where an equation computes values and rates together."""
+    @gc_paused()
+    def transposed(self, has_cotangent: Sequence[bool]) -> Transposed | None:
+        """Transpose: (args, cotangents of results) -> cotangents of the arguments that move.
+
+        None if an equation computes values and tangents together.
+        """
         eqns = Equations()
         eqns.consts.update(self.eqns.consts)
-        linear = reached(self.eqns.eqns, self.rates)
+        linear = dependents(self.eqns.eqns, self.tangents)
         if any(map(functools.partial(_is_mixed, linear), self.eqns.eqns)):
             return None
         eqns.eqns = [e for e in self.eqns.eqns if not any(v in linear for v in e.outvars)]
-        before = list(eqns.eqns)
-        bars = [Var(x.aval) for x, w in zip(self.results, weighed, strict=True) if w]
+        forward = list(eqns.eqns)
+        cotangents = [Var(x.aval) for x in itertools.compress(self.results, has_cotangent)]
         sums: dict[Var, Atom] = {}
 
-        def give(to: Atom | None, bar: Atom | None) -> None:
-            if to is None or bar is None or isinstance(to, Literal) or to not in linear:
+        def add(to: Atom | None, cotangent: Atom | None) -> None:
+            if not isinstance(to, Var) or cotangent is None or to not in linear:
                 return
             before = sums.get(to)
-            sums[to] = (
-                bar if before is None else eqns.inlined(_sum(to.aval), [before, bar], None)[0]
-            )
+            if before is not None:
+                (cotangent,) = eqns.inline(_sum(_aval(to)), [before, cotangent], None)
+            sums[to] = cotangent
 
-        rates = itertools.compress(self.result_rates, weighed)
-        for result_rate, of_result in zip(rates, bars, strict=True):
-            give(result_rate, of_result)
+        along = itertools.compress(self.result_tangents, has_cotangent)
+        for result_tangent, cotangent in zip(along, cotangents, strict=True):
+            add(result_tangent, cotangent)
         for eqn in reversed(self.eqns.eqns):
             if not any(v in linear for v in eqn.outvars):
                 continue
             out = [sums.get(v) for v in eqn.outvars]
-            if all(bar is None for bar in out):
+            present = [x is not None for x in out]
+            some = [x for x in out if x is not None]
+            if not some:
                 continue
             moving = tuple(isinstance(a, Var) and a in linear for a in eqn.invars)
             if eqn.primitive.name == "fusion_barrier" and all(moving):
-                some = [bar for bar in out if bar is not None]
-                new = iter(eqns.write(_barrier(eqn, some), some, eqn))
-                found = [None if bar is None else next(new) for bar in out]
+                new: Sequence[Atom] = eqns.append(_barrier(eqn, some), some, eqn)
             else:
-                present = tuple(bar is not None for bar in out)
-                found = _written(eqns, eqn, moving, "transposed", present, [
-                    *(a for a, m in zip(eqn.invars, moving, strict=True) if not m),
-                    *(bar for bar in out if bar is not None),
-                ])  # fmt: skip
-            for to, bar in zip(itertools.compress(eqn.invars, moving), found, strict=True):
-                give(to, bar)
-        outs = [sums[v] if v in sums else eqns.zeros(v.aval) for v in self.rates]
-        return Transposed(eqns, before, self.args, bars, self.results, outs, self.notes)
+                rule, present = _rule_of(eqn, moving, "transpose", tuple(present))
+                new = eqns.inline(rule, [*_split(eqn.invars, moving)[0], *some], eqn)
+            rest = iter(new)
+            found = [next(rest) if p else None for p in present]
+            for atom, x in zip(itertools.compress(eqn.invars, moving), found, strict=True):
+                add(atom, x)
+        outs = [sums[v] if v in sums else eqns.zeros(v) for v in self.tangents]
+        return Transposed(eqns, forward, self.args, cotangents, self.results, outs)
 
 
 @dataclass(frozen=True)
 class Transposed:
-    """The equations of (args, bars) -> outs. forward: the equations of the results, which come
-    first."""
+    """The equations of (args, cotangents) -> outs, of which `forward` compute the results."""
 
     eqns: Equations
     forward: list[JaxprEqn]
     args: list[Var]
-    bars: list[Var]
+    cotangents: list[Var]
     results: list[Atom]
     outs: list[Atom]
-    notes: Any
 
     def closed(self, given: Sequence[Var] = ()) -> ClosedJaxpr:
-        """(args, given, bars) -> outs, where values that are given are not computed."""
-        return self.eqns.closed([*self.args, *given, *self.bars], self.outs, self.notes)
+        """Return (args, given, cotangents) -> outs; given values are not computed."""
+        return self.eqns.close([*self.args, *given, *self.cotangents], self.outs)
 
     def values(self, more: Sequence[Var]) -> ClosedJaxpr:
-        """args -> the results, and more values of these equations."""
-        return self.eqns.closed(self.args, [*self.results, *more], self.notes)
+        """Return args -> the results, and more values of these equations."""
+        return self.eqns.close(self.args, [*self.results, *more])
 
 
-def _along(
-    eqns: Equations, closed: ClosedJaxpr, args: Sequence[Atom], rates: Sequence[Atom | None]
+def _push_forward(
+    eqns: Equations, closed: ClosedJaxpr, args: Sequence[Atom], tangents: Sequence[Atom | None]
 ) -> tuple[list[Atom], list[Atom | None]]:
-    """The results of a jaxpr and their rates."""
+    """Append a jaxpr and its tangent, and return the results and their tangents."""
     jaxpr = closed.jaxpr
-    env = eqns.named(closed, args)
-    along = {v: rate for v, rate in zip(jaxpr.invars, rates, strict=True) if rate is not None}
+    env = eqns.bind(closed, args)
+    along = {v: t for v, t in zip(jaxpr.invars, tangents, strict=True) if t is not None}
 
-    def rate_of(atom: Atom) -> Atom | None:
+    def tangent_of(atom: Atom) -> Atom | None:
         return None if isinstance(atom, Literal) else along.get(atom)
 
     for eqn in jaxpr.eqns:
-        ins, rate = of(env, eqn.invars), list(map(rate_of, eqn.invars))
-        moving = tuple(r is not None for r in rate)
-        moved = [r for r in rate if r is not None]
+        ins, own = _substitute(env, eqn.invars), list(map(tangent_of, eqn.invars))
+        moving = tuple(t is not None for t in own)
+        moved = [t for t in own if t is not None]
         found: list[Atom | None]
         if not moved:
-            out: list[Atom] = list(eqns.write(eqn, ins))
+            out: list[Atom] = list(eqns.append(eqn, ins))
             found = [None] * len(out)
         elif eqn.primitive.name in INLINED:
-            out, found = _along(eqns, called(eqn), ins, rate)
+            out, found = _push_forward(eqns, _inner_jaxpr(eqn), ins, own)
         elif eqn.primitive.name == "fusion_barrier":
-            out = list(eqns.write(eqn, ins))
-            new = iter(eqns.write(_barrier(eqn, moved), moved, eqn))
+            out = list(eqns.append(eqn, ins))
+            new = iter(eqns.append(_barrier(eqn, moved), moved, eqn))
             found = [next(new) if m else None for m in moving]
-        elif eqn.primitive.name in LINEAR and len(ins) == 1:
-            out = list(eqns.write(eqn, ins))
-            found = list(eqns.write(eqn, moved))
         else:
             both = custom_rule(eqn, moving) if eqn.primitive.name == "custom_jvp_call" else None
-            rule, present = both or rule_of(eqn, moving, "tangent", ())
+            rule, present = both or _rule_of(eqn, moving, "tangent", ())
             first = eqn.params["num_consts"] if both else 0
-            moved = [r for r in rate[first:] if r is not None]
-            new_atoms = eqns.inlined(rule, [*ins[first:], *moved], None if both else eqn)
+            moved = [t for t in own[first:] if t is not None]
+            atoms = eqns.inline(rule, [*ins[first:], *moved], None if both else eqn)
             n = len(eqn.outvars)
-            out, rest = new_atoms[:n], iter(new_atoms[n:])
+            out, rest = atoms[:n], iter(atoms[n:])
             found = [next(rest) if p else None for p in present]
-        for v, x, r in zip(eqn.outvars, out, found, strict=True):
+        for v, x, t in zip(eqn.outvars, out, found, strict=True):
             env[v] = x
-            if r is not None:
-                along[v] = r
-    return of(env, jaxpr.outvars), [rate_of(a) for a in jaxpr.outvars]
+            if t is not None:
+                along[v] = t
+    return _substitute(env, jaxpr.outvars), [tangent_of(a) for a in jaxpr.outvars]
 
 
 def _is_mixed(linear: set[Var], eqn: JaxprEqn) -> bool:
-    """Whether an equation computes values and rates together."""
+    """Return whether an equation computes values and tangents together."""
     moving = [isinstance(a, Var) and a in linear for a in eqn.invars]
     if eqn.primitive.name == "fusion_barrier":
         return any(moving) and not all(moving)
-    return any(moving) and is_whole(eqn)
-
-
-def _written(
-    eqns: Equations, eqn: JaxprEqn, moving: tuple, which: str, present: tuple, args: list[Atom]
-) -> list[Atom | None]:
-    closed, nonzero = rule_of(eqn, moving, which, present)
-    rest = iter(eqns.inlined(closed, args, eqn))
-    return [next(rest) if p else None for p in nonzero]
+    return any(moving) and _has_subjaxpr(eqn)
 
 
 def _barrier(eqn: JaxprEqn, some: Sequence[Atom]) -> JaxprEqn:
-    """The barrier of some values."""
+    """Return the barrier `eqn` of other values."""
     return eqn.replace(outvars=[Var(a.aval) for a in some])
 
 
 @functools.lru_cache(256)
-def _zeros(aval: Any) -> ClosedJaxpr:
+def _zeros(aval: ShapedArray) -> ClosedJaxpr:
     return jax.make_jaxpr(lambda: jnp.zeros(aval.shape, aval.dtype))()
 
 
 @functools.lru_cache(256)
-def _sum(aval: Any) -> ClosedJaxpr:
+def _sum(aval: ShapedArray) -> ClosedJaxpr:
     one = jax.ShapeDtypeStruct(aval.shape, aval.dtype)
     return jax.make_jaxpr(jax.lax.add)(one, one)

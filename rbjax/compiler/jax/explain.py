@@ -1,36 +1,41 @@
-"""`rb.compiler.explain`: a function as a GPU thread, and the limits of its speed."""
+"""`rb.compiler.explain`: the program of a function, and the limits of its speed."""
 
 from __future__ import annotations
 
+import dataclasses
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler.cuda import device
+from rbjax.compiler.cuda import driver
 from rbjax.compiler.cuda.kernels import kernel
 from rbjax.compiler.cuda.nvrtc import ptx
-from rbjax.compiler.ir.program import Written, batch_first
-from rbjax.compiler.jax import backend
-from rbjax.compiler.jax.function import flattened, threaded
-from rbjax.compiler.jax.launch import capability, ordinal, works
+from rbjax.compiler.ir.program import batch_first
+from rbjax.compiler.jax import launch
+from rbjax.compiler.jax.function import compile_threads, flatten_call
 from rbjax.compiler.lower.write import write_program
-from rbjax.compiler.passes.counting import operations
+from rbjax.compiler.passes.analysis import count_operations
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """A function of one sample as a thread.
+    """The program of a function of one sample, and the limits of its speed.
 
-    statements: arithmetic operations in the code; operations: those executed, with those of a loop
-    once per iteration (of a `while` once); array_bytes: local arrays of the program; moved_bytes:
-    reads and writes of one sample. On a GPU: registers and local_bytes of a thread (arrays and
-    spilled registers), seconds of a batch, and the shares of the device's limits of instructions
-    (one per operation) and of bandwidth. Without a GPU these are None.
+    statements: arithmetic operations in the code.
+    operations: executed operations; a loop's once per iteration, a `while` loop's once.
+    array_bytes: bytes of the program's local arrays.
+    moved_bytes: bytes of the operands and results of one sample.
+    batch: samples of the timed batch.
+    registers: registers of a thread; None without a GPU, as all that follows.
+    local_bytes: bytes of a thread's arrays and spilled registers.
+    shared_bytes: bytes of shared memory of a block.
+    seconds: time of a batch.
+    of_instructions: share of the device's instructions, with one per operation.
+    of_bandwidth: share of the device's bandwidth.
     """
 
     statements: int
@@ -64,8 +69,8 @@ class Explanation:
         return "\n".join(lines)
 
 
-def explain(f: Callable, *args: Any, batch: int = 65_536) -> Explanation:
-    """f as a GPU thread: statements, registers, memory, and the shares of the device's limits.
+def explain(f: Callable, *args: object, batch: int = 65_536) -> Explanation:
+    """Compile f as a GPU thread, and report statements, registers, memory and shares of the limits.
 
     Args:
         f: a function of one sample, as for `threads`.
@@ -84,41 +89,33 @@ def explain(f: Callable, *args: Any, batch: int = 65_536) -> Explanation:
         >>> found.statements
         5
     """
-    leaves, flat, _ = flattened(f, args, {})
+    leaves, flat, _ = flatten_call(f, args, {})
     closed = jax.make_jaxpr(flat)(*leaves)
-    one = [jnp.asarray(x) for x in leaves]
-    ins = [batch_first(x.shape, (batch,)) for x in one]
-    outs = [batch_first(v.aval.shape, (batch,)) for v in closed.jaxpr.outvars]
+    ins = [batch_first(x.shape, (batch,)) for x in leaves]
+    outs = [batch_first(a.shape, (batch,)) for a in closed.out_avals]
     program = write_program(closed, (batch,), ins, outs)
-    block = program.builder.block
-    found = {
-        "statements": program.statements,
-        "operations": operations(block),
-        "array_bytes": program.array_bytes,
-        "moved_bytes": _moved(program),
-        "batch": batch,
-    }
-    if not (backend.gpu() and works()):
-        return Explanation(**found)
-    code = kernel(program)
-    used = device.resources(ptx(code.source, capability()), code.name, ordinal())
-    many = [jnp.broadcast_to(x, (batch, *x.shape)) + jnp.zeros_like(x) for x in one]
-    seconds = _seconds(jax.jit(jax.vmap(threaded(flat))), many)
-    limits = device.limits(capability(), ordinal())
-    return Explanation(
-        **found, registers=used.registers, local_bytes=used.local_bytes,
+    arrays = (*program.operands, *program.results)
+    found = Explanation(
+        program.statements, count_operations(program.builder.block), program.array_bytes,
+        sum(a.size * a.dtype.itemsize for a in arrays), batch,
+    )  # fmt: skip
+    if not (launch.has_gpu() and launch.kernels_work()):
+        return found
+    code, capability, ordinal = kernel(program), launch.capability(), launch.ordinal()
+    used = driver.resources(ptx(code.source, capability), code.name, ordinal)
+    limits = driver.limits(capability, ordinal)
+    many = [jnp.broadcast_to(x, (batch, *x.shape)) + jnp.zeros_like(x) for x in leaves]
+    seconds = _seconds(jax.jit(jax.vmap(compile_threads(flat))), many)
+    return dataclasses.replace(
+        found, registers=used.registers, local_bytes=used.local_bytes,
         shared_bytes=used.shared_bytes, seconds=seconds,
-        of_instructions=batch * found["operations"] / seconds / limits.instructions,
-        of_bandwidth=batch * found["moved_bytes"] / seconds / limits.bandwidth,
+        of_instructions=batch * found.operations / seconds / limits.instructions,
+        of_bandwidth=batch * found.moved_bytes / seconds / limits.bandwidth,
     )  # fmt: skip
 
 
-def _moved(program: Written) -> int:
-    return sum(a.size * a.dtype.itemsize for a in (*program.operands, *program.results))
-
-
-def _seconds(run: Callable, args: list[Any], calls: int = 10) -> float:
-    """Seconds of one call, from several in a row; the median of seven."""
+def _seconds(run: Callable, args: list[jax.Array], calls: int = 10) -> float:
+    """Measure the seconds of one call among several in a row; the median of seven."""
     jax.block_until_ready(run(*args))
     times = []
     for _ in range(7):

@@ -1,15 +1,19 @@
-"""A kernel inside a jitted program.
+"""Kernels inside jitted programs, on GPUs and on CPUs, and the devices that run them.
 
-XLA loads PTX and launches it in order with everything else, without Python at run time. The name of
-the custom call is internal to XLA, and only this file uses it. If a version of XLA removes it, a
-typed FFI handler can replace it (`jax.ffi.register_ffi_target`): a compiled function that gets the
-stream and calls `cuLaunchKernel` on a module that it has loaded once.
+On a GPU, XLA loads PTX and launches it. The name of that custom call is internal to XLA; if a
+version removes it, a typed FFI handler that calls `cuLaunchKernel` can replace it. On a CPU, the
+machine code is itself a typed FFI handler, which is registered by the hash of its IR: executables
+from JAX's cache work in a new process because lowering registers the handler again.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import os
+import threading
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -18,42 +22,95 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
-from rbjax._jax_compat import GPU_KERNEL
-from rbjax.compiler.cuda.driver_cache import compile_ahead
+from rbjax._jax_compat import GPU_KERNEL, typed
+from rbjax.compiler.cuda.driver import compile_ahead
 from rbjax.compiler.cuda.kernels import Kernel
 from rbjax.compiler.cuda.nvrtc import CompileError, ptx
-from rbjax.compiler.ir.values import Unsupported
-from rbjax.compiler.jax import self_test
-from rbjax.compiler.jax.custom_call import typed_call
+from rbjax.compiler.ir.program import Written, batch_first
+from rbjax.compiler.ir.statements import Unsupported
+from rbjax.compiler.llvm import jit as llvm_jit
+from rbjax.compiler.llvm.xla_handler import write_handler
+from rbjax.compiler.lower.write import write_program
+from rbjax.errors import InputError
 
-TARGET = GPU_KERNEL
+#: the environment variable that chooses how functions of one sample run on the CPU
+VARIABLE = "RBJAX_CPU"
+CHOICES = ("llvm", "xla")
+default_choice = "llvm"
+#: the operand of the self-tests: as many numbers as a block has threads
+NUMBERS = np.arange(32, dtype=np.float32)
+SELF_TEST = """
+extern "C" __global__ void self_test(const float* x, float* y) {
+  y[threadIdx.x] = 2.0f * x[threadIdx.x];
+}
+"""
+
+# ------------------------------------------------------------------- devices
 
 
-def gpu() -> jax.Device:
-    """The GPU of this process with the least compute capability: all others run its code too."""
+@functools.cache
+def has_gpu() -> bool:
+    """Return whether this process has a GPU of NVIDIA."""
+    try:
+        return bool(jax.local_devices(backend="cuda"))
+    except RuntimeError:
+        return False
+
+
+@functools.cache
+def uses_llvm() -> bool:
+    """Return whether functions on the CPU run as machine code of LLVM, not under XLA."""
+    choice = os.environ.get(VARIABLE, default_choice)
+    if choice not in CHOICES:
+        raise InputError(f"{VARIABLE}: got {choice!r}, expected one of {', '.join(CHOICES)}")
+    return choice == "llvm" and host_kernels_work()
+
+
+def kernels_available() -> bool:
+    """Return whether some device runs functions of one sample as kernels."""
+    return has_gpu() or uses_llvm()
+
+
+def oldest_gpu() -> jax.Device:
+    """Return the GPU of this process with the least compute capability; all others run its code."""
     version = lambda d: [int(n) for n in str(d.compute_capability).split(".")]  # noqa: E731
     return min(jax.local_devices(backend="cuda"), key=version)
 
 
 def ordinal() -> int:
-    """The CUDA driver's number of that GPU, which need not be 0 if there are several processes."""
-    return gpu().local_hardware_id or 0
+    """Return the CUDA driver's number of that GPU, which need not be 0 with several processes."""
+    return oldest_gpu().local_hardware_id or 0
 
 
 def capability() -> str:
-    """The compute capability for which kernels are compiled."""
-    return str(gpu().compute_capability)
+    """Return the compute capability for which kernels are compiled."""
+    return str(oldest_gpu().compute_capability)
 
 
-_kernel = Primitive("gpu_kernel")
-_kernel.multiple_results = True
-_kernel.def_abstract_eval(lambda *operands, results, **how: list(results))
+# ------------------------------------------------------------------- calls from XLA
 
 
-def launch(
-    kernel: Kernel, operands: Sequence[jax.Array], results: Sequence[Any]
+def typed_call(target: str, ctx, *operands, **attributes: object):
+    """Write a call of a typed FFI handler, marked by StableHLO's own attribute.
+
+    JAX marks typed handlers by an attribute that the XLA of jax 0.11 loses when it rewrites a call,
+    for example a call with an empty operand.
+    """
+    results = jax.ffi.ffi_lowering(target)(ctx, *operands, **attributes)
+    first: Any = results[0]
+    typed(first.owner.attributes, mlir.i32_attr(4))
+    return results
+
+
+_gpu_kernel = Primitive("gpu_kernel")
+_gpu_kernel.multiple_results = True
+_gpu_kernel.def_abstract_eval(lambda *operands, results, **params: list(results))
+
+
+def launch_kernel(
+    kernel: Kernel, operands: Sequence[jax.Array], results: Sequence[ShapedArray]
 ) -> list[jax.Array]:
-    """The kernel's results, with these shapes and types. Only for programs lowered for CUDA.
+    """Launch a kernel with results of these shapes and types, in a program lowered for CUDA.
 
     Raises:
         Unsupported: NVRTC rejects the kernel.
@@ -63,39 +120,127 @@ def launch(
     except CompileError as error:
         raise Unsupported(f"a program that the GPU's compiler rejects ({error})") from error
     compile_ahead(code, ordinal)
-    how = {"name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block}
-    return _kernel.bind(*operands, results=tuple(results), **how)
+    params = {"name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block}
+    return _gpu_kernel.bind(*operands, results=tuple(results), **params)
 
 
-def _lower(ctx: Any, *operands: Any, results: Any, name: str, code: str, grid: int, block: int):
+def _lower_gpu_kernel(ctx, *operands, results, name: str, code: str, grid: int, block: int):
     one = np.int32(1)
     return typed_call(
-        TARGET, ctx, *operands, name=name, kernel_type="ptx", kernel_data=code,
+        GPU_KERNEL, ctx, *operands, name=name, kernel_type="ptx", kernel_data=code,
         grid_x=np.int32(grid), grid_y=one, grid_z=one,
         block_x=np.int32(block), block_y=one, block_z=one, shared_mem_bytes=np.int32(0),
     )  # fmt: skip
 
 
-mlir.register_lowering(_kernel, _lower, platform="cuda")
+mlir.register_lowering(_gpu_kernel, _lower_gpu_kernel, platform="cuda")
 
-SELF_TEST = """
-extern "C" __global__ void self_test(const float* x, float* y) {
-  y[threadIdx.x] = 2.0f * x[threadIdx.x];
-}
-"""
+
+@dataclass(frozen=True)
+class HostKernel:
+    """A registered handler. grid: parts of the batch, the rows of each result summed over it."""
+
+    name: str
+    grid: int
+
+
+#: code that XLA may call; never freed, because XLA does not report when it drops a handler
+_registered: dict[str, llvm_jit.Code] = {}
+_lock = threading.Lock()  # XLA rejects a second handler of one name
+
+
+def register_host_kernel(
+    program: Written, levels: llvm_jit.Levels = llvm_jit.LEVELS, samples: int | None = None
+) -> HostKernel:
+    """Compile a program and register its handler. samples: the size of a part of the batch.
+
+    Raises:
+        Unsupported: the program has an operation that LLVM lacks, LLVM rejects it, or XLA rejects
+            the handler.
+    """
+    module, rows = write_handler(program, samples)
+    try:
+        code = llvm_jit.compile_module(module, levels)
+    except llvm_jit.NoCompiler as error:
+        raise Unsupported(str(error)) from error
+    name = f"rbjax_{code.key}"
+    with _lock:
+        if name not in _registered:
+            try:
+                jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(code.address), platform="cpu")
+            except (RuntimeError, ValueError) as error:
+                raise Unsupported(f"a handler that XLA rejects: {error}") from error
+            _registered[name] = code
+    return HostKernel(name, rows)
+
+
+_host_kernel = Primitive("host_kernel")
+_host_kernel.multiple_results = True
+_host_kernel.def_abstract_eval(lambda *operands, results, name: list(results))
+
+
+def call_host_kernel(
+    kernel: HostKernel, operands: Sequence[jax.Array], results: Sequence[ShapedArray]
+) -> list[jax.Array]:
+    """Call a handler with results of these shapes and types, in a program lowered for a CPU."""
+    return _host_kernel.bind(*operands, results=tuple(results), name=kernel.name)
+
+
+def _lower_host_kernel(ctx, *operands, results, name: str):
+    return typed_call(name, ctx, *operands)
+
+
+mlir.register_lowering(_host_kernel, _lower_host_kernel, platform="cpu")
+
+
+# ------------------------------------------------------------------- self-tests
+
+
+def passes_self_test(double: Callable[[np.ndarray], jax.Array], warning: str) -> bool:
+    """Return whether double(x) = 2 x. If not, warn, with the reason in place of `{}`."""
+    try:
+        if np.array_equal(double(NUMBERS), 2 * NUMBERS):
+            return True
+        problem = "the self-test's result is wrong"
+    except (Unsupported, RuntimeError) as error:  # errors of JAX and compilers are RuntimeErrors
+        problem = str(error)[:300]
+    warnings.warn(warning.format(problem), stacklevel=3)
+    return False
 
 
 @functools.cache
-def works() -> bool:
-    """Whether kernels run here: NVRTC compiles, XLA launches. Tested once; a failure warns."""
+def kernels_work() -> bool:
+    """Return whether NVRTC compiles and XLA launches kernels here. The first call tests it."""
 
     def double(x: np.ndarray) -> jax.Array:
         test = Kernel(SELF_TEST, "self_test", x.size, 1, (False,))
-        run = jax.jit(lambda x: launch(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
-        return run(jax.device_put(x, gpu()))
+        run = jax.jit(lambda x: launch_kernel(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
+        return run(jax.device_put(x, oldest_gpu()))
 
-    return self_test.passes(
+    return passes_self_test(
         double,
-        "rbjax: kernels of threads do not run here ({}), so batches run under XLA, several times "
-        'slower. Install what they need with pip install "rbjax[cuda]", and a recent jax.',
+        "rbjax: GPU kernels are disabled ({}), so batches run under XLA, several times slower. "
+        'Install what they need with pip install "rbjax[cuda]", and a recent jax.',
+    )
+
+
+@functools.cache
+def host_kernels_work() -> bool:
+    """Return whether machine code runs inside of XLA. The first call tests a batch of two parts."""
+
+    def double(x: np.ndarray) -> jax.Array:
+        traced, parts = jax.make_jaxpr(lambda x: [x + x])(x[0]), 2
+        layouts = [batch_first((), x.shape)]
+        program = write_program(traced, x.shape, layouts, layouts, platform="cpu")
+        test = register_host_kernel(program, samples=x.size // parts)
+        run = jax.jit(lambda x: call_host_kernel(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
+        # with several processes the first device may belong to another process
+        own = jax.local_devices(backend="cpu")[0]
+        with jax.ensure_compile_time_eval(), jax.default_device(own):
+            return run(x)
+
+    return passes_self_test(
+        double,
+        "rbjax: machine code does not run inside of XLA here ({}), so functions on the CPU run "
+        "under XLA, which takes longer.",
     )

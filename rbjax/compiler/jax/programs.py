@@ -1,154 +1,156 @@
-"""Functions of one sample, traced, and the programs of their derivatives."""
+"""Traced functions of one sample, and the programs of their derivatives."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TypeVar, cast
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from rbjax.compiler.jax.derivatives import Linearised, Transposed
-from rbjax.compiler.jax.uncollected import uncollected
+from rbjax.compiler.jax.garbage import gc_paused
 
 Moving = tuple[bool, ...]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A function of one sample, traced.
+    """A traced function of one sample.
 
-    vjp: the transposed derivative, vjp(moving, args, kept, bars) -> cotangents of the arguments
-        that move, from the cotangents of the results (None for zero). If None, that of the jaxpr,
-        which needs only the arguments.
-    keeping: moving arguments -> the program that runs instead of this one for a derivative. Its
-        results are the same, and more that `vjp` reads.
-    reads: the index of the first result that `vjp` reads, as `kept`.
-    sized: the program that replaces this one for the derivative of a batch of a given size, by the
-        arguments that move.
-    apart: the same function as several kernels, for a batch on a GPU. Inside another program, and
-        for derivatives, the traced one is used.
-    up_to: the largest batch for which `apart` is used; None for any.
-    once: it runs once where others run many times, so that on a CPU its compile time matters more
-        than its run time; on a GPU XLA runs it. Its derivatives run once, too.
-    team: on a GPU a team of threads runs a sample, if its arrays fit into shared memory. Of
-        derivatives a thread does.
+    closed: its jaxpr.
+    vjp: the transposed derivative, vjp(moving, args, residuals, cotangents) -> cotangents of the
+        arguments that move, from cotangents of the results (None for zero). None: derived from
+        the jaxpr.
+    forward_with_residuals: maps the moving arguments to the program that replaces this one if it is
+        differentiated. It returns the same results, and the residuals that `vjp` reads.
+    first_residual: the index of its first result that is a residual.
+    for_batch_size: maps a batch size and the moving arguments to the program whose derivative is
+        used.
+    multi_kernel: the same function as several kernels, for a batch on a GPU. Derivatives and other
+        programs use the traced function.
+    max_batch: the largest batch for which `multi_kernel` is used; None for any.
+    compile_fast: it runs once where others run many times: its compile time matters more than its
+        run time, and a GPU runs it under XLA. Its derivatives run once, too.
+    team: on a GPU, a team of threads runs a sample whose arrays fit into shared memory. A single
+        thread runs its derivatives.
+    derived: programs made from this one, by a key.
     """
 
     closed: ClosedJaxpr
     vjp: Callable | None = None
-    keeping: Callable[[Moving], Program] | None = None
-    reads: int = 0
-    sized: Callable[[int, Moving], Program] | None = None
-    apart: Callable | None = None
-    up_to: int | None = None
-    once: bool = False
+    forward_with_residuals: Callable[[Moving], Program] | None = None
+    first_residual: int = 0
+    for_batch_size: Callable[[int, Moving], Program] | None = None
+    multi_kernel: Callable | None = None
+    max_batch: int | None = None
+    compile_fast: bool = False
     team: bool = False
-    derived: dict[Any, Any] = field(default_factory=dict)
-    split: dict[Any, Any] = field(default_factory=dict)
+    derived: dict[Hashable, object] = field(default_factory=dict)
 
     @property
-    def inputs(self) -> list[Any]:
-        return [v.aval for v in self.closed.jaxpr.invars]
+    def inputs(self) -> list[ShapedArray]:
+        return [cast(ShapedArray, v.aval) for v in self.closed.jaxpr.invars]
 
     @property
-    def outputs(self) -> list[Any]:
-        return [v.aval for v in self.closed.jaxpr.outvars]
+    def outputs(self) -> list[ShapedArray]:
+        return [cast(ShapedArray, v.aval) for v in self.closed.jaxpr.outvars]
 
-    def kept(self, moving: Moving) -> list[Any]:
-        """The inputs of a derivative besides the arguments."""
-        return self.keeping(moving).outputs[self.reads :] if self.keeping else []
+    def residuals(self, moving: Moving) -> list[ShapedArray]:
+        """Return the inputs of a derivative in addition to the arguments."""
+        forward = self.forward_with_residuals
+        return forward(moving).outputs[self.first_residual :] if forward else []
 
     def __call__(self, *args: jax.Array) -> list[jax.Array]:
         return jaxpr_as_fun(self.closed)(*args)
 
-    def goes_apart(self, samples: int) -> bool:
-        """Whether a batch on a GPU runs as several kernels."""
-        return self.apart is not None and (self.up_to is None or samples <= self.up_to)
+    def uses_multi_kernel(self, samples: int) -> bool:
+        """Return whether a batch on a GPU runs as several kernels."""
+        fits = self.max_batch is None or samples <= self.max_batch
+        return self.multi_kernel is not None and fits
 
-    def derive(self, key: Any, f: Callable, *avals: Any) -> Program:
-        """Another program derived from this one, cached."""
+    def memoize(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return make(), or its earlier result for this key."""
         if key not in self.derived:
-            self.derived[key] = dataclasses.replace(traced(f, *avals), once=self.once)
-        return self.derived[key]
-
-    def parts(self, shared: tuple[bool, ...], split: Callable) -> Any:
-        """The rest, and the part that depends only on shared operands (`uniform`), cached."""
-        if shared not in self.split:
-            self.split[shared] = split(self, shared)
-        return self.split[shared]
-
-    def _along(self, moving: Moving, args: Any) -> tuple[Callable, list[Any]]:
-        """This as a function of the arguments that move, and these arguments."""
-
-        def along(*changed: jax.Array) -> list[jax.Array]:
-            rest = iter(changed)
-            return self(*(next(rest) if m else x for m, x in zip(moving, args, strict=True)))
-
-        return along, [x for m, x in zip(moving, args, strict=True) if m]
-
-    def transposed_equations(self, moving: Moving, weighed: Moving) -> Transposed | None:
-        """The equations of the cotangents of arguments that move; None where they have loops."""
-        if self.closed.effects or self.vjp is not None:
-            return None
-        return self._linearised(moving).transposed(weighed)
-
-    def _linearised(self, moving: Moving) -> Linearised:
-        """Its equations and those of its rates, cached."""
-        key = "linearised", moving
-        if key not in self.derived:
-            self.derived[key] = Linearised.of(self.closed, moving)
-        return self.derived[key]
+            self.derived[key] = make()
+        return cast(T, self.derived[key])
 
     def tangent(self, moving: Moving) -> Program:
-        """(args, kept, tangents of those that move) -> tangents of all results."""
-        kept = self.kept(moving)
-        key = "tangent", moving
-        if key not in self.derived and not self.closed.effects:
-            self.derived[key] = Program(self._linearised(moving).tangent(kept), once=self.once)
+        """Return the program (args, residuals, tangents of moving args) -> tangents of results."""
+        return self.memoize(("tangent", moving), lambda: self._tangent(moving))
+
+    def transposed(self, moving: Moving, has_cotangent: Moving) -> Program:
+        """Return the program (args, residuals, cotangents) -> cotangents of the moving args."""
+        key = "transposed", moving, has_cotangent
+        return self.memoize(key, lambda: self._transposed(moving, has_cotangent))
+
+    def transposed_equations(self, moving: Moving, has_cotangent: Moving) -> Transposed | None:
+        """Return the equations of the cotangents of moving arguments; None if they have loops."""
+        if self.closed.effects or self.vjp is not None:
+            return None
+        return self._linearised(moving).transposed(has_cotangent)
+
+    def _linearised(self, moving: Moving) -> Linearised:
+        return self.memoize(("linear", moving), lambda: Linearised.of(self.closed, moving))
+
+    def _tangent(self, moving: Moving) -> Program:
+        residuals = self.residuals(moving)
+        if not self.closed.effects:
+            return self._same(self._linearised(moving).tangent(residuals))
 
         def f(*xs: jax.Array) -> list[jax.Array]:
-            rates = list(xs[len(moving) + len(kept) :])
-            found = jax.jvp(*self._along(moving, xs[: len(moving)]), rates)[1]
+            tangents = list(xs[len(moving) + len(residuals) :])
+            found = jax.jvp(*self._restricted(moving, xs[: len(moving)]), tangents)[1]
             return [  # a zero tangent has dtype float0, which no array here can have
                 t if jnp.issubdtype(a.dtype, jnp.floating) else jnp.zeros(a.shape, a.dtype)
                 for t, a in zip(found, self.outputs, strict=True)
             ]
 
-        rates = [a for m, a in zip(moving, self.inputs, strict=True) if m]
-        return self.derive(key, f, *self.inputs, *kept, *rates)
+        tangents = [a for m, a in zip(moving, self.inputs, strict=True) if m]
+        return self._same(traced(f, *self.inputs, *residuals, *tangents).closed)
 
-    def transposed(self, moving: Moving, weighed: tuple[bool, ...]) -> Program:
-        """(args, kept, cotangents of the weighed results) -> cotangents of those that move."""
-        also = self.kept(moving)
-        key = "vjp", moving, weighed
-        if key not in self.derived and self.vjp is None:
-            back = self.transposed_equations(moving, weighed)
-            if back is not None:
-                self.derived[key] = Program(back.closed(), once=self.once)
+    def _transposed(self, moving: Moving, has_cotangent: Moving) -> Program:
+        equations = self.transposed_equations(moving, has_cotangent)
+        if equations is not None:
+            return self._same(equations.closed())
+        residuals = self.residuals(moving)
+        n, end = len(moving), len(moving) + len(residuals)
 
         def f(*xs: jax.Array) -> list[jax.Array]:
-            n, end = len(moving), len(moving) + len(also)
-            args, kept, given = xs[:n], xs[n:end], iter(xs[end:])
+            given = iter(xs[end:])
             if self.vjp is not None:
-                bars = [next(given) if w else None for w in weighed]
-                return self.vjp(moving, args, kept, bars)
-
-            along, moved = self._along(moving, args)
+                cotangents = [next(given) if c else None for c in has_cotangent]
+                return self.vjp(moving, xs[:n], xs[n:end], cotangents)
+            restricted, moved = self._restricted(moving, xs[:n])
 
             def wanted(*changed: jax.Array) -> list[jax.Array]:
-                return [y for w, y in zip(weighed, along(*changed), strict=True) if w]
+                return [y for c, y in zip(has_cotangent, restricted(*changed), strict=True) if c]
 
             return list(jax.vjp(wanted, *moved)[1](list(given)))
 
-        bars = [a for w, a in zip(weighed, self.outputs, strict=True) if w]
-        return self.derive(key, f, *self.inputs, *also, *bars)
+        cotangents = [a for c, a in zip(has_cotangent, self.outputs, strict=True) if c]
+        return self._same(traced(f, *self.inputs, *residuals, *cotangents).closed)
+
+    def _same(self, closed: ClosedJaxpr) -> Program:
+        return Program(closed, compile_fast=self.compile_fast)
+
+    def _restricted(
+        self, moving: Moving, args: Sequence[jax.Array]
+    ) -> tuple[Callable, list[jax.Array]]:
+        """Return this as a function of the arguments that move, and these arguments."""
+
+        def restricted(*changed: jax.Array) -> list[jax.Array]:
+            rest = iter(changed)
+            return self(*(next(rest) if m else x for m, x in zip(moving, args, strict=True)))
+
+        return restricted, [x for m, x in zip(moving, args, strict=True) if m]
 
 
-@uncollected
-def traced(f: Callable, *avals: Any) -> Program:
-    """The program of a function of flat arguments that closes over no traced values."""
+@gc_paused()
+def traced(f: Callable, *avals: jax.ShapeDtypeStruct | ShapedArray) -> Program:
+    """Return the program of a function of flat arrays that closes over no traced values."""
     return Program(jax.make_jaxpr(f)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)))

@@ -1,14 +1,12 @@
-"""Derivatives of programs: tangents beside the values, and cotangents by transposing the tangents.
+"""Derivatives of programs: a linear primitive for tangents, which JAX transposes for cotangents.
 
-A tangent is a primitive of its own, linear in the tangents of the arguments. So JAX transposes it
-for a reverse derivative, and a batch of directions of one sample is a batch of tangents only.
+A batch of directions of one sample is a batch of tangents only.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +14,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from rbjax._jax_compat import needs_devices
-from rbjax.compiler.jax.primitive import batched_shape, placed, result, run, threads_p, with_axis
+from rbjax.compiler.jax.primitive import add_axis, place_batch, result_avals, run, threads_p
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
 #: so many directions fill a sector of a GPU's memory
@@ -24,23 +22,16 @@ DIRECTIONS = 8
 
 tangent_p = Primitive("threads_tangent")
 tangent_p.multiple_results = True
-"""Operands: arguments, values that the program keeps, and the tangents of moving arguments."""
+"""Operands: arguments, residuals of the program, and the tangents of the moving arguments."""
+tangent_p.def_abstract_eval(result_avals)
 
 
 def _as_threads(program, moving, batch, ins, outs):
     return {"program": program.tangent(moving), "batch": batch, "ins": ins, "outs": outs}
 
 
-@tangent_p.def_abstract_eval
-def _(*operands, program, moving, batch, ins, outs):
-    return [
-        result(batched_shape(a.shape, batch, axes), a.dtype, operands)
-        for a, axes in zip(program.outputs, outs, strict=True)
-    ]
-
-
-def _evaluate(*operands, program, moving, batch, ins, outs):
-    return threads_p.bind(*operands, **_as_threads(program, moving, batch, ins, outs))
+def _evaluate(*operands, **params):
+    return threads_p.bind(*operands, **_as_threads(**params))
 
 
 tangent_p.def_impl(_evaluate)
@@ -56,12 +47,12 @@ def _tangent_inside(low: Lowering, eqn: Equation, ins: list) -> list:
 
 def _batched_tangent(operands, dims, program, moving, batch, ins, outs):
     size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
-    moved = tuple(with_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
+    moved = tuple(add_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
     # many directions of one sample lie last, as in a Jacobian: threads write side by side
-    fixed = len(moving) + len(program.kept(moving))
+    fixed = len(moving) + len(program.residuals(moving))
     last = size >= DIRECTIONS and all(d is None for d in dims[:fixed])
     at = [len(a.shape) + len(batch) if last else 0 for a in program.outputs]
-    new = tuple(with_axis(k, axes) for k, axes in zip(at, outs, strict=True))
+    new = tuple(add_axis(k, axes) for k, axes in zip(at, outs, strict=True))
     out = tangent_p.bind(
         *operands, program=program, moving=moving, batch=(size, *batch), ins=moved, outs=new
     )
@@ -71,48 +62,53 @@ def _batched_tangent(operands, dims, program, moving, batch, ins, outs):
 batching.primitive_batchers[tangent_p] = _batched_tangent
 
 
-def _rates(primals, tangents):
-    """Which arguments have tangents, and these tangents."""
+def _moving_tangents(primals, tangents):
+    """Return which arguments have tangents, and these tangents."""
     moving = tuple(type(t) is not ad.Zero and _is_float(x) for x, t in zip(
         primals, tangents, strict=True))  # fmt: skip
     return moving, [t for t, m in zip(tangents, moving, strict=True) if m]
 
 
-def _zero(x: Any) -> ad.Zero:
-    """The zero tangent of an argument that does not move."""
+def _zero(x: jax.Array) -> ad.Zero:
+    """Return the zero tangent of an argument that does not move."""
     return ad.Zero(jax.typeof(x).to_tangent_aval())
 
 
-def _is_float(x: Any) -> bool:
+def _is_float(x: jax.Array) -> bool:
     return jnp.issubdtype(jnp.result_type(x), jnp.floating)
 
 
 def _jvp(primals, tangents, *, program, batch, ins, outs):
-    moving, rates = _rates(primals, tangents)
+    moving, moved = _moving_tangents(primals, tangents)
     if not any(moving):
         found = run(program, primals, batch, ins, outs)
         return found, [_zero(x) for x in found]
-    if program.sized is not None:
-        program = program.sized(math.prod(batch), moving)
-    n, kept = len(program.outputs), []
-    if program.keeping is None:
+    if program.for_batch_size is not None:
+        program = program.for_batch_size(math.prod(batch), moving)
+    n, residuals, positions = len(program.outputs), [], ()
+    if program.forward_with_residuals is None:
         found = run(program, primals, batch, ins, outs)
     else:
-        # internal values have the layout that threads read fastest
-        keeping = program.keeping(moving)
-        last = [tuple(range(a.ndim, a.ndim + len(batch))) for a in keeping.outputs[n:]]
-        places = (*outs, *last)
-        found = run(keeping, primals, batch, ins, places)
-        kept = found[program.reads :]
-    kept_axes = places[program.reads :] if kept else ()
-    axes = (*ins, *kept_axes, *(a for a, m in zip(ins, moving, strict=True) if m))
+        # residuals have the layout that threads read fastest
+        forward, first = program.forward_with_residuals(moving), program.first_residual
+        last = [tuple(range(a.ndim, a.ndim + len(batch))) for a in forward.outputs[n:]]
+        found = run(forward, primals, batch, ins, (*outs, *last))
+        residuals, positions = found[first:], (*outs, *last)[first:]
+    axes = (*ins, *positions, *(a for a, m in zip(ins, moving, strict=True) if m))
     first = tuple(range(len(batch)))
     whole = tuple(first if None in a else a for a in outs)  # sums over samples are taken here
     rate = tangent_p.bind(
-        *primals, *kept, *rates, program=program, moving=moving, batch=batch, ins=axes, outs=whole
+        *primals,
+        *residuals,
+        *moved,
+        program=program,
+        moving=moving,
+        batch=batch,
+        ins=axes,
+        outs=whole,
     )
     return found[:n], [
-        (t if own == a else placed(t, a)) if _is_float(t) else _zero(x)
+        (t if own == a else place_batch(t, a)) if _is_float(t) else _zero(x)
         for t, own, a, x in zip(rate, whole, outs, found[:n], strict=True)
     ]
 
@@ -127,24 +123,24 @@ def _jvp_of_tangent(primals, tangents, *, program, moving, batch, ins, outs):
 ad.primitive_jvps[tangent_p] = _jvp_of_tangent
 
 
-def _transpose(bars, *operands, program, moving, batch, ins, outs):
-    n = len(moving) + len(program.kept(moving))
-    weighed = tuple(type(bar) is not ad.Zero for bar in bars)
-    if not any(weighed):
+def _transpose(cotangents, *operands, program, moving, batch, ins, outs):
+    n = len(moving) + len(program.residuals(moving))
+    has_cotangent = tuple(type(c) is not ad.Zero for c in cotangents)
+    if not any(has_cotangent):
         return [None] * n + [ad.Zero(x.aval) if ad.is_undefined_primal(x) else None
                              for x in operands[n:]]  # fmt: skip
-    given = [bar for bar, w in zip(bars, weighed, strict=True) if w]
+    given = [bar for bar, w in zip(cotangents, has_cotangent, strict=True) if w]
     first = tuple(range(len(batch)))
-    there = [a for a, w in zip(outs, weighed, strict=True) if w]
-    axes, places = ins[n:], []
+    there = [a for a, w in zip(outs, has_cotangent, strict=True) if w]
+    axes, positions = ins[n:], []
     for a in axes:  # summed in the kernel if an operand has no batch at all
         whole = all(k is not None for k in a) or all(k is None for k in a)
-        places.append(a if whole else first)
-    found = run(
-        program.transposed(moving, weighed), [*operands[:n], *given], batch, [*ins[:n], *there],
-        places,
-    )  # fmt: skip
-    found = [x if o == a else placed(x, a) for x, o, a in zip(found, places, axes, strict=True)]
+        positions.append(a if whole else first)
+    transposed = program.transposed(moving, has_cotangent)
+    found = run(transposed, [*operands[:n], *given], batch, [*ins[:n], *there], positions)
+    found = [
+        x if o == a else place_batch(x, a) for x, o, a in zip(found, positions, axes, strict=True)
+    ]
     return [None] * n + [
         x if ad.is_undefined_primal(y) else None for x, y in zip(found, operands[n:], strict=True)
     ]

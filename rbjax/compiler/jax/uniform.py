@@ -1,4 +1,4 @@
-"""Moves work that depends on no sample out of a program: it is computed once, not by every thread.
+"""Hoisting of uniform work: values that depend on no sample are computed once, not by each thread.
 
 An example is the constants of a robot's links, which depend only on a model that samples share.
 """
@@ -6,13 +6,12 @@ An example is the constants of a robot's links, which depend only on a model tha
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import jax
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
+from jax.core import ShapedArray
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 
-from rbjax._jax_compat import without_names
-from rbjax.compiler.jax.equations import needed
+from rbjax.compiler.jax.derivatives import Atom, close, needed
 from rbjax.compiler.jax.programs import Program
 
 #: equations that only move entries, which cost a thread nothing
@@ -20,34 +19,38 @@ FREE = {
     "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev",
     "concatenate", "copy", "iota", "convert_element_type", "split", "unstack", "stack",
 }  # fmt: skip
-#: equations of work on the numbers of a model
+#: equations of work on the parameters of a model
 LIGHT = FREE | {
     "add", "sub", "mul", "div", "neg", "integer_pow", "square", "sqrt", "rsqrt", "select_n", "eq",
     "ne", "lt", "le", "gt", "ge", "and", "or", "not", "max", "min", "sign", "abs", "reduce_sum",
     "pad", "gather", "scatter-add", "sincos", "sin", "cos", "fusion_barrier", "add_any",
 }  # fmt: skip
-#: equations from which on, and entries up to which, shared work is a program of its own
+#: the least equations, and the most entries, of uniform work that is a program of its own
 LONG_ENOUGH, SHORT = 30, 50_000
-#: entries up to which threads do shared work, too: a kernel of its own takes a microsecond
+#: the most entries of uniform work that each thread does: a kernel of its own takes a microsecond
 FEW = 64
 
 
-def divided(
+def hoist_uniform(
     program: Program, shared: Sequence[bool], operands: Sequence[jax.Array | None], run: Callable
-) -> tuple[Program, list[Any]]:
-    """The rest of a program, as a function of the operands that samples do not share and of new
-    shared operands; and these, computed here. Work that is short is a program of its own, which
-    `run` evaluates: machine code compiles sooner than XLA."""
-    rest, plain, short = program.parts(tuple(shared), _parts)
+) -> tuple[Program, list[jax.Array]]:
+    """Split off the work that depends only on shared operands, and do it here.
+
+    Returns the rest of the program, as a function of the operands that samples do not share and of
+    new shared operands, and these. Short work is a program of its own, which `run` evaluates,
+    because machine code compiles sooner than XLA.
+    """
+    key = "uniform", tuple(shared)
+    rest, plain, short = program.memoize(key, lambda: _divide(program, shared))
     given = [x for x, s in zip(operands, shared, strict=True) if s]
     return rest, plain(*given) if short is None else run(short, given)
 
 
-def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable, Program | None]:
+def _divide(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable, Program | None]:
     jaxpr = program.closed.jaxpr
     own = [v for v, s in zip(jaxpr.invars, shared, strict=True) if not s]
-    alike = [v for v, s in zip(jaxpr.invars, shared, strict=True) if s]
-    uniform = {*alike, *jaxpr.constvars}
+    given = [v for v, s in zip(jaxpr.invars, shared, strict=True) if s]
+    uniform = {*given, *jaxpr.constvars}
     before, after = [], []
     for eqn in jaxpr.eqns:
         ins = [v for v in eqn.invars if not isinstance(v, Literal)]
@@ -61,10 +64,10 @@ def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable,
     size = _size(before)
     free = None if size is not None and size <= FEW else FREE  # None: all of it
     # threads do the equations that only move entries (small operands, wide arrays), and few others
-    needed: dict[Any, None] = {}
-    moves: dict[int, Any] = {}
+    frontier: dict[Var, None] = {}
+    moves: dict[int, JaxprEqn] = {}
 
-    def need(var: Any) -> None:
+    def need(var: Atom) -> None:
         if isinstance(var, Literal) or var in jaxpr.constvars or var not in uniform:
             return
         eqn = made.get(var)
@@ -74,61 +77,59 @@ def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable,
                 for v in eqn.invars:
                     need(v)
             return
-        needed.setdefault(var)
+        frontier.setdefault(var)
 
     for eqn in after:
         for v in eqn.invars:
             need(v)
     for v in jaxpr.outvars:
         need(v)
-    frontier = list(needed)
+    outside = list(frontier)
     moved = [eqn for eqn in before if id(eqn) in moves]
-    first = _closed(before, alike, frontier, program)
-    closed = _closed([*moved, *after], [*own, *frontier], jaxpr.outvars, program)
-    rest = Program(closed, team=program.team)
-    plain = jaxpr_as_fun(first)
-    return rest, plain, Program(first, once=True) if _is_short(first.jaxpr) else None
+    first = _close(before, given, outside, program)
+    rest = _close([*moved, *after], [*own, *outside], jaxpr.outvars, program)
+    short = Program(first, compile_fast=True) if _is_short(first.jaxpr) else None
+    return Program(rest, team=program.team), jaxpr_as_fun(first), short
 
 
-def halves(program: Program) -> tuple[Program, Program]:
-    """The programs of the first and the second half of the results."""
+def split_results(program: Program) -> tuple[Program, Program]:
+    """Return the programs of the first and the second half of the results."""
     jaxpr = program.closed.jaxpr
-    ins, outs = list(jaxpr.invars), jaxpr.outvars
-    half = len(outs) // 2
+    half = len(jaxpr.outvars) // 2
     first, second = (
-        _closed(jaxpr.eqns, ins, some, program) for some in (outs[:half], outs[half:])
+        _close(jaxpr.eqns, jaxpr.invars, outs, program)
+        for outs in (jaxpr.outvars[:half], jaxpr.outvars[half:])
     )
     return Program(first), Program(second)
 
 
-def _closed(eqns: list, ins: list, outs: Sequence[Any], program: Program) -> ClosedJaxpr:
-    """Some equations of a program, as a function."""
-    jaxpr, consts = program.closed.jaxpr, program.closed.consts
-    eqns = needed(eqns, outs, ins, jaxpr.effects)
-    read = {v for eqn in eqns for v in eqn.invars if not isinstance(v, Literal)}
-    read.update(v for v in outs if not isinstance(v, Literal))
-    held = [(v, c) for v, c in zip(jaxpr.constvars, consts, strict=True) if v in read]
-    notes = without_names(jaxpr)
-    some = Jaxpr([v for v, _ in held], ins, list(outs), eqns, jaxpr.effects, notes)
-    return ClosedJaxpr(some, [c for _, c in held])
+def _close(
+    eqns: list[JaxprEqn], ins: list[Var], outs: Sequence[Atom], program: Program
+) -> ClosedJaxpr:
+    """Return the equations of a program that `outs` need, as a function of `ins`."""
+    jaxpr = program.closed.jaxpr
+    consts = dict(zip(jaxpr.constvars, program.closed.consts, strict=True))
+    kept = needed(eqns, outs, ins, bool(jaxpr.effects))
+    return close(kept, ins, outs, consts, frozenset(jaxpr.effects))
 
 
 def _is_short(jaxpr: Jaxpr) -> bool:
-    """Whether a thread computes it in some microseconds, and XLA would compile it for longer."""
+    """Return whether a thread needs microseconds for work that XLA compiles for longer."""
     size = _size(jaxpr.eqns)
     return size is not None and len(jaxpr.eqns) >= LONG_ENOUGH and size <= SHORT
 
 
-def _size(eqns: Sequence[Any]) -> int | None:
-    """The entries that equations compute; None with a loop, a product of matrices or the like."""
-    size = 0
+def _size(eqns: Sequence[JaxprEqn]) -> int | None:
+    """Return the number of entries that equations compute; None with a loop or a matrix product."""
+    total = 0
     for eqn in eqns:
-        outs: list[Any] = eqn.outvars
         if eqn.primitive.name == "jit":
-            inner = _size(eqn.params["jaxpr"].jaxpr.eqns)
+            size = _size(eqn.params["jaxpr"].jaxpr.eqns)
+        elif eqn.primitive.name in LIGHT:
+            size = sum(v.aval.size for v in eqn.outvars if isinstance(v.aval, ShapedArray))
         else:
-            inner = sum(v.aval.size for v in outs) if eqn.primitive.name in LIGHT else None
-        if inner is None:
+            size = None
+        if size is None:
             return None
-        size += inner
-    return size
+        total += size
+    return total

@@ -1,7 +1,7 @@
-"""A program over a batch as LLVM IR: a function of one part of the samples.
+"""Writes a program over a batch as LLVM IR: a function of one part of the samples.
 
-`i32 part(buffers, index)` gets the data of the operands and results, and which part of the batch
-it computes; parts are independent, so threads may share them. It returns 0, or 1 without memory. A
+`i32 part(buffers, index)` gets the addresses of the operands and results, and the number of a part
+of the batch. Parts are independent, so threads may share them. It returns 0, or 1 without memory. A
 result that is summed over the batch has one row a part, which the caller adds up.
 """
 
@@ -16,9 +16,9 @@ from rbjax.compiler.ir.statements import Array, Load, Op, Store, walk
 from rbjax.compiler.llvm.jit import register_bytes
 from rbjax.compiler.llvm.operations import ALIGNMENT
 from rbjax.compiler.llvm.samples import Lines
-from rbjax.compiler.llvm.statements import MALLOC, one_sample, stored
-from rbjax.compiler.llvm.vectors import Step, many_samples
-from rbjax.compiler.passes.counting import accesses, operations
+from rbjax.compiler.llvm.statements import MALLOC, memory_type, write_sample
+from rbjax.compiler.llvm.vectors import Step, write_samples
+from rbjax.compiler.passes.analysis import count_accesses, count_operations
 
 #: operations that are worth a part of their own: some ten microseconds
 OPERATIONS_A_PART = 50_000
@@ -34,32 +34,33 @@ PARTS_UP_TO = 1024
 
 @dataclass(frozen=True)
 class Parts:
-    """The function `part`, with what it needs; libm: the functions of C that it calls; count: the
-    parts of the batch."""
+    """The function `part`. libm: the C functions that it calls. count: the number of parts of the
+    batch.
+    """
 
     text: str
     libm: tuple[str, ...]
     count: int
 
 
-def parts(program: Written, lanes: int | None = None, samples: int | None = None) -> Parts:
-    """The function of one part of the program's batch.
+def write_parts(program: Written, lanes: int | None = None, samples: int | None = None) -> Parts:
+    """Write the function of one part of the program's batch.
 
     Args:
-        lanes: samples that run at once, as lanes of vectors, if the batch has so many; as many as
-            fit into a register by default. The last ones of a part may run twice.
-        samples: the size of a part, a divisor of the batch. None: as many as are worth a thread.
+        lanes: samples that run at once, as lanes of vectors, if the batch has so many; by default
+        as many as fit into a register. The last ones of a part may run twice.
+        samples: the size of a part, a divisor of the batch; by default as many as are worth a
+        thread.
     """
     size = math.prod(program.batch)
     lanes = _lanes(program) if lanes is None else lanes
-    return _Frame(program, lanes if size >= lanes else 1).parts(samples)
+    return _Frame(program, lanes if size >= lanes else 1).write_parts(samples)
 
 
 class _Frame:
-    """The function `part` around the function of one sample, or of as many as there are lanes.
+    """Writes the function `part` around the function of one sample, or of one sample per lane.
 
-    Operands and results are numbered together. places: the bytes at %space where the function finds
-    a sum or a tile.
+    Operands and results are numbered together. places: the bytes at %space of each sum or tile.
     """
 
     def __init__(self, program: Written, lanes: int):
@@ -70,9 +71,9 @@ class _Frame:
         self.sums = [k + len(program.operands) for k, s in enumerate(program.summed) if s]
         self.tiles = self.in_tiles() if lanes > 1 else []
         if lanes > 1:
-            self.samples = many_samples(program, lanes, self.steps, (*self.sums, *self.tiles))
+            self.samples = write_samples(program, lanes, self.steps, (*self.sums, *self.tiles))
         else:
-            self.samples = one_sample(program)
+            self.samples = write_sample(program)
         self.room, self.places = self.samples.workspace, {}
         for k in (*self.sums, *self.tiles):
             self.places[k] = self.room
@@ -86,14 +87,14 @@ class _Frame:
         return self.arrays[k].size * self.arrays[k].dtype.itemsize
 
     def in_tiles(self) -> list[int]:
-        """The arrays whose samples are rows that are turned into vectors, and back.
+        """Return the arrays whose rows are transposed into tiles of vectors, and back.
 
-        The program must name most of their entries, or reach as many in loops and they are few; of
-        others it reads and writes what it needs.
+        An array is tiled only if most of its entries are accessed: by statements, or, if it is
+            short, by iterations of loops.
         """
         block = self.program.builder.block
         named = Counter(s.array.id for s in walk(block) if isinstance(s, Load | Store))
-        reached = accesses(block)
+        reached = count_accesses(block)
 
         def most(k: int, array: Array) -> bool:
             short = self.lanes * self.bytes_of(k) <= TILE_BYTES
@@ -107,7 +108,7 @@ class _Frame:
             and layout.strides == row_major(layout.sample)
         ]  # fmt: skip
 
-    def parts(self, share: int | None = None) -> Parts:
+    def write_parts(self, share: int | None = None) -> Parts:
         each, count = _shares(self.program, self.size, self.lanes)
         if share is not None:
             each, count = share, self.size // share
@@ -119,7 +120,7 @@ class _Frame:
         pointers, after = self.pointers(names)
         lines.append(samples.call(pointers, "%space" if self.room else "null"))
         for k in self.sums:
-            t = stored(self.arrays[k].dtype)
+            t = memory_type(self.arrays[k].dtype)
             lines.add_up(names[k], pointers[k], t, self.arrays[k].size, self.lanes)
         lines += [
             *after, "br label %after", "after:", f"%next = add i64 %wanted, {self.lanes}",
@@ -137,7 +138,7 @@ class _Frame:
         return Parts(text, samples.libm, count)
 
     def begin(self, each: int, count: int) -> list[str]:
-        """The samples of the part, its memory, and the addresses of the arrays."""
+        """Write the range of the part, its memory, and the addresses of the arrays."""
         lines, names = self.lines, []
         for k in range(len(self.arrays)):
             place = lines.made(f"getelementptr ptr, ptr %buffers, i64 {k}")
@@ -166,11 +167,11 @@ class _Frame:
         return names
 
     def pointers(self, names: list[str]) -> tuple[list[str], Lines]:
-        """The arguments of the function of samples from %b on, and what follows its call."""
+        """Write the arguments of the function of samples from %b on, and the lines after it."""
         lines, batch, out = self.lines, self.program.batch, []
         after = Lines(lines)
         for k, (array, layout) in enumerate(zip(self.arrays, self.layouts, strict=True)):
-            t = stored(array.dtype)
+            t = memory_type(array.dtype)
             if k in self.tiles or k in self.tables:
                 rows = lines.each(names[k], t, layout, batch, self.lanes, self.steps[k])
             if k in self.places:
@@ -188,7 +189,7 @@ class _Frame:
 
 
 def _lanes(program: Written) -> int:
-    """The samples whose numbers fit into a register; one if their local arrays need much memory."""
+    """Return the samples that fit into a register; one if local arrays need much memory."""
     values = [s.dest for s in walk(program.builder.block) if isinstance(s, Op)]
     dtypes = {x.dtype for x in values} | {x.dtype for x in (*program.operands, *program.results)}
     floats = [t.itemsize for t in dtypes if t.kind == "f"] or [t.itemsize for t in dtypes]
@@ -197,7 +198,7 @@ def _lanes(program: Written) -> int:
 
 
 def _lane_step(layout: Layout, batch: tuple[int, ...], lanes: int) -> int | None:
-    """The entries from a sample to the next one within a vector, or None if they differ."""
+    """Return the entries between the samples of a vector, or None if they differ."""
     if not layout.axes:  # shared, or a sum
         return 0
     axes = [(n, step) for n, step in zip(batch, layout.steps, strict=True) if n > 1]
@@ -212,9 +213,11 @@ def _lane_step(layout: Layout, batch: tuple[int, ...], lanes: int) -> int | None
 
 
 def _shares(program: Written, size: int, lanes: int) -> tuple[int, int]:
-    """The samples of a part, and the parts. The last one has the rest of the batch too, but for
-    parts that are one vector: a second one would take it twice as long."""
-    work = max(operations(program.builder.block, TURNS), 1)
+    """Return the number of samples of a part, and the number of parts.
+
+    The last part also has the rest of the batch, unless parts are single vectors.
+    """
+    work = max(count_operations(program.builder.block, TURNS), 1)
     wanted = max(OPERATIONS_A_PART * max(lanes // 2, 1) // work, -(-size // PARTS_UP_TO), 1)
     each = max(min(-(-wanted // lanes) * lanes, size), 1)
     single = each == lanes and not any(program.summed)

@@ -1,4 +1,4 @@
-"""LLVM IR to machine code of this processor, by llvmlite, which carries LLVM in its wheel.
+"""Compiles LLVM IR to machine code of this processor, by llvmlite, whose wheel carries LLVM.
 
 The code is cached on disk next to JAX's own compilation cache, if the caller has enabled that.
 """
@@ -13,12 +13,19 @@ import threading
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from rbjax.compiler.disk_cache import cached
-from rbjax.compiler.llvm.module import Module
+from rbjax.compiler.disk_cache import read_or_make
+
+
+@dataclass(frozen=True)
+class Module:
+    """LLVM IR with a function `run`, and the external functions that it calls."""
+
+    text: str
+    symbols: tuple[str, ...]
 
 
 class Levels(NamedTuple):
-    """How LLVM compiles.
+    """Levels of LLVM's optimization.
 
     passes: passes on the IR, or one of LLVM's own levels.
     selection: the level of the instruction selection.
@@ -72,27 +79,27 @@ def _libm() -> ctypes.CDLL:
 
 
 def _address(function: str) -> int | None:
-    """Of a function of C's mathematics, or of the system."""
+    """Return the address of a function of C's mathematics, or of the system."""
     library = _libm() if hasattr(_libm(), function) else ctypes.CDLL(None)
     return ctypes.cast(getattr(library, function), ctypes.c_void_p).value
 
 
 @functools.cache
 def _processor() -> tuple[str, str, str]:
-    """The triple, the name and the features of this processor."""
+    """Return the triple, the name and the features of this processor."""
     llvm = _llvm()
     features = llvm.get_host_cpu_features().flatten()
     return llvm.get_process_triple(), llvm.get_host_cpu_name(), features
 
 
 def register_bytes() -> int:
-    """The size of a vector register of this processor."""
+    """Return the size of a vector register of this processor."""
     features = _processor()[2].split(",")
     return 64 if "+avx512f" in features else 32 if "+avx" in features else 16
 
 
 def _machine(levels: Levels) -> Any:
-    """A target machine; the engine that is given one destroys it."""
+    """Make a target machine; the engine that gets it destroys it."""
     triple, cpu, features = _processor()
     if levels.features and triple.startswith("x86_64"):
         features = f"{features},{levels.features}"
@@ -108,9 +115,8 @@ KEPT = 128
 _lock = threading.Lock()
 
 
-def compiled(module: Module, levels: Levels = LEVELS) -> Code:
-    """The machine code of a module's function `run`. Equal programs share it, even if several
-    threads compile them at the same time.
+def compile_module(module: Module, levels: Levels = LEVELS) -> Code:
+    """Compile a module's function `run`, or return the code of an equal module.
 
     Raises:
         NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.
@@ -128,7 +134,9 @@ def compiled(module: Module, levels: Levels = LEVELS) -> Code:
 def _loaded(module: Module, levels: Levels, key: str) -> Code:
     llvm = _llvm()
     try:
-        code = cached(f"{key}.o", lambda: object_of(module.text, levels.passes, _machine(levels)))
+        code = read_or_make(
+            f"{key}.o", lambda: compile_object(module.text, levels.passes, _machine(levels))
+        )
         for function in module.symbols:
             llvm.add_symbol(function, _address(function))
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(levels))
@@ -139,8 +147,8 @@ def _loaded(module: Module, levels: Levels, key: str) -> Code:
         raise NoCompiler(f"LLVM does not compile for this machine: {error}") from error
 
 
-def object_of(text: str, passes: tuple[str, ...] | int, machine: Any) -> bytes:
-    """The object file of IR for a target machine."""
+def compile_object(text: str, passes: tuple[str, ...] | int, machine: Any) -> bytes:
+    """Compile IR to an object file for a target machine."""
     llvm = _llvm()
     parsed = llvm.parse_assembly(text)
     options = llvm.create_pipeline_tuning_options()

@@ -1,4 +1,4 @@
-"""The operations of a program as LLVM instructions on scalars."""
+"""The operations of a program as LLVM instructions, and mathematical functions of vectors."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import DTypeLike
 
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.elementary import Number, widened
 from rbjax.compiler.ir.operations import OPERATIONS
-from rbjax.compiler.ir.statements import Op
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.statements import F64, Op, Unsupported, Var
 
 TYPES = {"float32": "float", "float64": "double", "bool": "i1"}
 
@@ -24,13 +25,13 @@ ATTRIBUTES = f"nounwind alignstack({ALIGNMENT})"
 
 @functools.lru_cache(64)
 def llvm_type(dtype: np.dtype) -> str:
-    """The type of a value in a register."""
+    """Return the type of a value in a register."""
     dtype = np.dtype(dtype)
     return TYPES.get(dtype.name) or f"i{8 * dtype.itemsize}"
 
 
 def literal(x: np.generic) -> str:
-    """A known number. Floats are given by their bits, those of float as double."""
+    """Return a constant as LLVM IR; floats by their bits, those of float32 as a double."""
     if x.dtype.kind == "b":
         return "true" if x else "false"
     if x.dtype.kind == "f":
@@ -39,21 +40,19 @@ def literal(x: np.generic) -> str:
 
 
 def splat(made: Callable[[str], str], lanes: int, t: str, x: str) -> str:
-    """A scalar in every lane; `made` names what an instruction gives."""
+    """Write a scalar into every lane. made: writes an instruction and returns its name."""
     many = f"<{lanes} x {t}>"
     one = made(f"insertelement {many} poison, {t} {x}, i64 0")
     return made(f"shufflevector {many} {one}, {many} poison, <{lanes} x i32> zeroinitializer")
 
 
 class Operations:
-    """Writes instructions with `emit` and notes the functions that they call.
+    """Writes instructions with `emit`, and records the functions that they call.
 
     lanes: entries of a value; with more than one, all values are vectors.
     """
 
-    def __init__(
-        self, emit: Callable[[str], None], lanes: int = 1, like: Operations | None = None
-    ):
+    def __init__(self, emit: Callable[[str], None], lanes: int = 1, like: Operations | None = None):
         self.emit, self.lanes = emit, lanes
         self.declared: dict[str, str] = like.declared if like else {}
         self.names: Iterator[int] = like.names if like else itertools.count()
@@ -71,20 +70,20 @@ class Operations:
         return t if self.lanes == 1 else f"<{self.lanes} x {t}>"
 
     def number(self, x: float | np.generic, dtype: np.dtype | None = None) -> str:
-        """A known number, in every lane."""
+        """Return a constant in every lane."""
         if not isinstance(x, np.generic) or dtype is not None:
             x = np.dtype(dtype).type(x)
         text = literal(x)
         return text if self.lanes == 1 else f"splat ({llvm_type(x.dtype)} {text})"
 
     def made(self, text: str, name: str | None = None) -> str:
-        """A new value."""
+        """Write an instruction, and return the name of its value."""
         name = name or f"%v{next(self.names)}"
         self.emit(f"{name} = {text}")
         return name
 
     def call(self, function: str, result: str, args: list[tuple[str, str]]) -> str:
-        """The text of a call."""
+        """Return the text of a call."""
         types = ", ".join(t for t, _ in args)
         own = function.startswith("llvm.")
         # the functions keep their meaning to the last bit: LLVM may not replace them
@@ -95,7 +94,7 @@ class Operations:
     def intrinsic(
         self, name: str, of: Sequence[DTypeLike], result: DTypeLike, x: Sequence[str], *more: str
     ) -> str:
-        """The text of a call of `llvm.name`, which is overloaded by the types of `of`."""
+        """Return the text of a call of `llvm.name`, which is overloaded by the types `of`."""
         suffix = ".".join(self.short(dtype) for dtype in of)
         args = [(self.type(of[-1]), a) for a in x] + [("i1", a) for a in more]
         return self.call(f"llvm.{name}.{suffix}", self.type(result), args)
@@ -114,7 +113,7 @@ class Operations:
         self.made(last, name)
 
     def mathematical(self, name: str, kind: np.dtype, x: Sequence[str]) -> str:
-        """A call of a function of C's mathematics, or for vectors of one that is defined here."""
+        """Return the call of a C mathematical function, or of its formula for vectors."""
         t = self.type(kind)
         if self.lanes == 1 and name != "atan2":  # C's is wrong at subnormal numbers in XLA
             return self.call(of_c(name, kind), t, [(t, a) for a in x])
@@ -123,5 +122,77 @@ class Operations:
 
 
 def of_c(what: str, kind: np.dtype) -> str:
-    """The name of a function of C's mathematics for a type."""
+    """Return the name of a C mathematical function of this type."""
     return what + ("f" if kind.itemsize == 4 else "")
+
+
+def definitions(vectors: Operations) -> list[str]:
+    """Define the mathematical functions that vector operations call."""
+    out = []
+    for what, kind in list(vectors.functions):
+        if OPERATIONS[what].formula:
+            out += _by_formula(vectors, what, kind)
+        else:
+            out.append(_lane_by_lane(vectors, what, kind, name_of(vectors, what, kind)))
+    return out
+
+
+def name_of(vectors: Operations, what: str, kind: np.dtype) -> str:
+    return f"{what}.{vectors.short(kind)}"
+
+
+def _head(vectors: Operations, name: str, kind: np.dtype, takes: list[str]) -> str:
+    """Return the first line of a function."""
+    t = vectors.type(kind)
+    given = ", ".join(f"{t} {x}" for x in takes)
+    return f"define internal {t} @{name}({given}) noinline {ATTRIBUTES} willreturn memory(none) {{"
+
+
+def _lane_by_lane(vectors: Operations, what: str, kind: np.dtype, name: str) -> str:
+    """Define a function that calls C's function once per lane."""
+    t, one = vectors.type(kind), llvm_type(kind)
+    takes = ["%x", "%y"][: OPERATIONS[what].arity]
+    lines, out = [], "poison"
+    for k in range(vectors.lanes):
+        args = [(one, f"{x}{k}") for x in takes]
+        lines += [f"{x}{k} = extractelement {t} {x}, i64 {k}" for x in takes]
+        lines.append(f"%z{k} = {vectors.call(of_c(what, kind), one, args)}")
+        lines.append(f"%r{k} = insertelement {t} {out}, {one} %z{k}, i64 {k}")
+        out = f"%r{k}"
+    return "\n".join([_head(vectors, name, kind, takes), *lines, f"ret {t} {out}", "}"])
+
+
+def _by_formula(vectors: Operations, what: str, kind: np.dtype) -> list[str]:
+    """Define a function by its formula in double precision, and lane by lane where that fails."""
+    builder, operation = Builder(), OPERATIONS[what]
+    assert operation.formula is not None
+    given = [builder.var(kind) for _ in range(operation.arity)]
+    numbers = [Number(builder, x) for x in given]
+    wide = [widened(x) if operation.sees_subnormals else x.cast(F64) for x in numbers]
+    y, far = operation.formula(*wide)
+    y = y.cast(kind)
+    lines: list[str] = []
+    inner = Operations(lines.append, vectors.lanes, vectors)
+
+    def text(x: Var | np.generic) -> str:
+        return f"%t{x.id}" if isinstance(x, Var) else vectors.number(x)
+
+    for op in builder.block.statements:
+        assert isinstance(op, Op)
+        inner.write(op, text(op.dest), [text(a) for a in op.args])
+    t, truth, many = vectors.type(kind), vectors.type(bool), vectors.lanes
+    takes, name = [text(x) for x in given], name_of(vectors, what, kind)
+    head = _head(vectors, name, kind, takes)
+    if far is None:
+        return ["\n".join([head, *lines, f"ret {t} {text(y.value)}", "}"])]
+    args = ", ".join(f"{t} {x}" for x in takes)
+    lines += [
+        f"%bits = bitcast {truth} {text(far.value)} to i{many}",
+        f"%some = icmp ne i{many} %bits, 0", "br i1 %some, label %far, label %near",
+        "near:", f"ret {t} {text(y.value)}", "far:",
+        f"%each = call {t} @{name}.each({args})",
+        f"%all = select {truth} {text(far.value)}, {t} %each, {t} {text(y.value)}",
+        f"ret {t} %all",
+    ]  # fmt: skip
+    each = _lane_by_lane(vectors, what, kind, f"{name}.each")
+    return [each, "\n".join([head, *lines, "}"])]

@@ -1,4 +1,4 @@
-"""Samples in memory, as LLVM IR: their pointers, tiles that turn rows into vectors, and sums."""
+"""Writes accesses to samples in memory as LLVM IR: pointers, tiles of vectors, and sums."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rbjax.compiler.llvm.operations import splat
 
 
 class Lines(list):
-    """Instructions with fresh names."""
+    """A list of instructions, with fresh names."""
 
     def __init__(self, like: Lines | None = None):
         super().__init__()
@@ -22,10 +22,8 @@ class Lines(list):
         self.append(f"{name} = {text}")
         return name
 
-    def sample(
-        self, base: str, t: str, layout: Layout, batch: tuple[int, ...], sample: str
-    ) -> str:
-        """The pointer to a sample of an array."""
+    def sample(self, base: str, t: str, layout: Layout, batch: tuple[int, ...], sample: str) -> str:
+        """Write the pointer to a sample of an array."""
         rest, place = sample, base
         for k in reversed(range(len(batch))):
             index = rest
@@ -41,24 +39,23 @@ class Lines(list):
         self, base: str, t: str, layout: Layout, batch: tuple[int, ...], lanes: int,
         step: int | None,
     ) -> list[str]:  # fmt: skip
-        """The pointers to the samples from %b on, which lie `step` entries apart or anywhere."""
+        """Write the pointers to the samples from %b on, `step` entries apart or anywhere."""
         if step is not None:
             first = self.sample(base, t, layout, batch, "%b")
             return [self.made(f"getelementptr {t}, ptr {first}, i64 {k * step}")
                     for k in range(lanes)]  # fmt: skip
         return [
-            self.sample(base, t, layout, batch, self.made(f"add i64 %b, {k}"))
-            for k in range(lanes)
+            self.sample(base, t, layout, batch, self.made(f"add i64 %b, {k}")) for k in range(lanes)
         ]
 
     def fill(self, table: str, pointers: Sequence[str]) -> None:
-        """Writes pointers into a table."""
+        """Write pointers into a table."""
         for k, place in enumerate(pointers):
             slot = self.made(f"getelementptr ptr, ptr {table}, i64 {k}")
             self.append(f"store ptr {place}, ptr {slot}")
 
     def loop(self, count: int) -> tuple[str, list[str]]:
-        """Begins a loop: its counter, and the lines that end it."""
+        """Begin a loop: return its counter, and the lines that end it."""
         n = next(self.names)
         self += [
             f"br label %before{n}", f"before{n}:", f"br label %turn{n}", f"turn{n}:",
@@ -70,15 +67,18 @@ class Lines(list):
         ]  # fmt: skip
 
     def blocks(self, lanes: int, count: int) -> tuple[int, str, list[str]]:
-        """Begins a loop over blocks of entries: their size, the first entry, and the lines that end
-        the loop. The last block may overlap the one before."""
+        """Begin a loop over blocks of entries: return their size, the first entry, and the last
+        lines.
+
+        The last block may overlap the one before.
+        """
         size = min(lanes, 1 << count.bit_length() - 1)
         k, end = self.loop(-(-count // size))
         first = self.made(f"mul i64 {k}, {size}")
         return size, self.made(f"call i64 @llvm.smin.i64(i64 {first}, i64 {count - size})"), end
 
     def tile_of_rows(self, tile: str, rows: Sequence[str], t: str, count: int) -> None:
-        """Each entry of all rows as a vector."""
+        """Transpose rows into a tile, in which each entry of all rows is a vector."""
         lanes = len(rows)
         size, i, end = self.blocks(lanes, count)
         one = f"<{size} x {t}>"
@@ -92,7 +92,7 @@ class Lines(list):
         self += end
 
     def rows_of_tile(self, rows: Sequence[str], tile: str, t: str, count: int) -> None:
-        """The entries of each lane as a row."""
+        """Transpose a tile into rows, one per lane."""
         lanes = len(rows)
         size, i, end = self.blocks(lanes, count)
         many, one, found = f"<{lanes} x {t}>", f"<{size} x {t}>", []
@@ -108,7 +108,7 @@ class Lines(list):
         self += end
 
     def turned(self, x: Sequence[str], t: str) -> list[str]:
-        """The transpose of a square of entries, by exchanges of halves, quarters and so on."""
+        """Transpose a square of entries by exchanges of halves, quarters and so on."""
         x, n, far = list(x), len(x), 1
         while far < n:
             for k in (k for k in range(n) if not k & far):
@@ -120,7 +120,7 @@ class Lines(list):
         return x
 
     def joined(self, pieces: Sequence[str], size: int, t: str) -> str:
-        """One vector of some."""
+        """Concatenate vectors."""
         while len(pieces) > 1:
             pairs = zip(pieces[::2], pieces[1::2], strict=True)
             pieces = [self.shuffled(a, b, range(2 * size), size, t) for a, b in pairs]
@@ -128,14 +128,14 @@ class Lines(list):
         return pieces[0]
 
     def shuffled(self, a: str, b: str, where: Iterable[int], size: int, t: str) -> str:
-        """Entries of two vectors."""
+        """Select entries of two vectors."""
         indices = [f"i32 {k}" for k in where]
         many = f"<{size} x {t}>"
         return self.made(f"shufflevector {many} {a}, {many} {b}, <{len(indices)} x i32> "
                          f"<{', '.join(indices)}>")  # fmt: skip
 
     def add_up(self, total: str, term: str, t: str, count: int, lanes: int) -> None:
-        """total[i] += term[i]."""
+        """Write total[i] += term[i]."""
         if not count:
             return
         add = "fadd" if t in ("float", "double") else "add"
@@ -148,7 +148,7 @@ class Lines(list):
         self += [f"store {t} {self.made(f'{add} {t} {x}, {y}')}, ptr {to}", *end]
 
     def sum_of(self, x: str, t: str, lanes: int) -> str:
-        """The sum of the lanes whose samples have not run before."""
+        """Write the sum over the lanes whose samples have not run before."""
         many, kind = f"<{lanes} x {t}>", {"float": "f32", "double": "f64"}.get(t, t)
         counts = ", ".join(f"i64 {k}" for k in range(lanes))
         again = self.made("sub i64 %wanted, %b")

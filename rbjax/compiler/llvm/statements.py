@@ -1,7 +1,7 @@
-"""The statements of a program as LLVM IR: a function of one sample.
+"""Writes the statements of a program as LLVM IR: a function of one sample.
 
-Scalars are values of SSA form. A variable that is assigned several times is a place on the stack,
-which LLVM's `sroa` turns into a register.
+Scalars are values in SSA form. A variable that is assigned several times is on the stack; LLVM's
+pass `sroa` moves it into a register.
 """
 
 from __future__ import annotations
@@ -12,32 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import (
-    Array,
-    Assign,
-    Block,
-    Declare,
-    If,
-    Load,
-    Loop,
-    Name,
-    Op,
-    Reserve,
-    Statement,
-    Store,
-    While,
-)
-from rbjax.compiler.ir.values import Value, Var
-from rbjax.compiler.llvm.mathematics import definitions
 from rbjax.compiler.llvm.operations import (
     ALIGNMENT,
     ATTRIBUTES,
     Operations,
+    definitions,
     literal,
     llvm_type,
 )
-from rbjax.compiler.passes.cutting import Cuts, Frame, cut
+from rbjax.compiler.passes.cutting import Cuts, Frame, split_block
 
 #: larger local arrays lie in the workspace, not on the stack, of which a thread has little
 STACK_ARRAY_BYTES = 2048
@@ -48,11 +33,11 @@ MALLOC = ("declare noalias ptr @malloc(i64)", "declare void @free(ptr)")
 
 @dataclass(frozen=True)
 class Function:
-    """A function of one sample or some, `void name(operands, results, space)`, all of them
-    pointers.
+    """A function of one or several samples, `void name(operands, results, space)`, of pointers.
 
-    outside: the tables and declarations that it needs. libm: the functions of C's mathematics that
-    it calls. workspace: bytes at `space`.
+    outside: the tables and declarations that it needs.
+    libm: the functions of C's mathematics that it calls.
+    workspace: bytes at `space`.
     """
 
     text: str
@@ -62,17 +47,17 @@ class Function:
     workspace: int
 
     def call(self, pointers: list[str], space: str) -> str:
-        """A call with these operands and results."""
+        """Return a call with these operands and results."""
         return f"call void @{self.name}({', '.join(f'ptr {x}' for x in (*pointers, space))})"
 
 
-def one_sample(program: Written, name: str = "sample") -> Function:
-    """The function of one sample of a program."""
-    return written_function(Writer(), program, name)
+def write_sample(program: Written, name: str = "sample") -> Function:
+    """Write the function of one sample of a program."""
+    return write_function(Writer(), program, name)
 
 
-def written_function(writer: Writer, program: Written, name: str) -> Function:
-    """What a writer makes of a program."""
+def write_function(writer: Writer, program: Written, name: str) -> Function:
+    """Write the function of a program with a writer."""
     xs = [f"%x{k}" for k in range(len(program.operands))]
     ys = [f"%y{k}" for k in range(len(program.results))]
     for array, place in zip((*program.operands, *program.results), (*xs, *ys), strict=True):
@@ -92,8 +77,9 @@ def written_function(writer: Writer, program: Written, name: str) -> Function:
 
 
 class Writer:
-    """Writes statements for one sample; `entry` has the stack places, which LLVM wants in the first
-    block."""
+    """Writes statements for one sample. entry: stack allocations, which LLVM expects in the first
+    block.
+    """
 
     def __init__(self) -> None:
         self.entry: list[str] = []
@@ -110,16 +96,16 @@ class Writer:
         self.pieces: list[str] = []
 
     def begin(self, program: Written) -> None:
-        """What comes before the statements."""
+        """Write the lines before the statements."""
 
     def functions(self) -> list[str]:
-        """The mathematical functions that the statements call, except those of the C library."""
+        """Define the mathematical functions that the statements call and the C library lacks."""
         return definitions(self.operations)
 
     # ---------------------------------------------------------------- functions
 
     def parts(self, name: str, program: Written, takes: list[str]) -> None:
-        """Cuts a long program into functions."""
+        """Prepare the frame of a program that is split into functions."""
         cuts = self.cuts(program)
         if cuts is None:
             return
@@ -133,50 +119,50 @@ class Writer:
             self.entry.append("%frame = getelementptr i8, ptr %space, i64 0")
 
     def cuts(self, program: Written) -> Cuts | None:
-        return cut(program.builder.block, branches=True)
+        return split_block(program.builder.block, branches=True)
 
-    def bytes(self, x: Var | Array) -> int:
-        """The size of a variable or of a local array."""
-        return x.dtype.itemsize * (max(x.size, 1) if isinstance(x, Array) else 1)
+    def bytes(self, x: ir.Var | ir.Array) -> int:
+        """Return the size of a variable or of a local array."""
+        return x.dtype.itemsize * (max(x.size, 1) if isinstance(x, ir.Array) else 1)
 
     def function(self, name: str, takes: list[str], more: str = "") -> list[str]:
-        """What has been written, as a function."""
+        """Return the lines written so far as a function."""
         return [
             f"define internal void @{name}({', '.join(takes)}) {more}{ATTRIBUTES} {{",
             "entry:", *self.entry, "br label %start", "start:", *self.lines, "ret void", "}",
         ]  # fmt: skip
 
     def piece(self, number: int, statements: list) -> None:
-        """Writes statements as a function of their own, and calls it."""
+        """Write statements as a function of their own, and call it."""
         outside = self.entry, [*self.lines]
         self.entry, self.here, self.recalled = [], number, {}
         self.lines.clear()
         self.begin(self.program)
-        self.block(Block(statements))
+        self.block(ir.Block(statements))
         name, takes = f"{self.name}{number}", [*self.takes, "ptr noalias %frame"]
         self.pieces += self.function(name, takes, "noinline ")
         self.entry, self.here, self.recalled = outside[0], 0, {}
         pointers = ", ".join("ptr " + x.split()[-1] for x in takes)
         self.lines[:] = [*outside[1], f"call void @{name}({pointers})"]
 
-    def shares(self, x: Name) -> bool:
-        """Whether a variable or an array lies in the frame."""
+    def shares(self, x: ir.Name) -> bool:
+        """Return whether a variable or an array is in the frame."""
         return self.frame is not None and x in self.frame.places
 
-    def framed(self, x: Name, lines: list[str] | None = None) -> str:
-        """The address of what lies in the frame."""
+    def framed(self, x: ir.Name, lines: list[str] | None = None) -> str:
+        """Write the address of a variable or an array in the frame."""
         assert self.frame is not None
         lines, name = self.lines if lines is None else lines, f"%p{next(self.numbers)}"
         lines.append(f"{name} = getelementptr i8, ptr %frame, i64 {self.frame.places[x]}")
         return name
 
-    def keep(self, x: Var) -> None:
-        """Leaves a new value to the other functions."""
+    def keep(self, x: ir.Var) -> None:
+        """Store a new value in the frame, if other functions read it."""
         if self.shares(x):
             self.lines.append(f"store {self.kind(x)} %t{x.id}, ptr {self.framed(x)}")
 
-    def recall(self, x: Var) -> str:
-        """A value that another function has left; the caller of the others may read a newer one."""
+    def recall(self, x: ir.Var) -> str:
+        """Load a value that another function has stored; again at each use in the main function."""
         if x.id not in self.recalled:
             name = f"%r{next(self.numbers)}"
             lines = self.entry if self.here else self.lines
@@ -188,8 +174,8 @@ class Writer:
 
     # ---------------------------------------------------------------- memory
 
-    def reserve(self, array: Array, lanes: int = 1) -> None:
-        """A local array, on the stack or in the workspace."""
+    def reserve(self, array: ir.Array, lanes: int = 1) -> None:
+        """Allocate a local array on the stack or in the workspace."""
         if self.shares(array):
             return
         count = max(array.size, 1)
@@ -197,24 +183,24 @@ class Writer:
         if size <= lanes * STACK_ARRAY_BYTES and self.stack + size <= STACK_BYTES:
             self.stack += size
             name = self.pointers[array.id] = f"%a{array.id}"
-            t = f"[{lanes * count} x {stored(array.dtype)}]"
+            t = f"[{lanes * count} x {memory_type(array.dtype)}]"
             self.entry.append(f"{name} = alloca {t}, align {16 if lanes == 1 else ALIGNMENT}")
             return
         start, self.workspace = self.workspace, self.workspace + -(-size // ALIGNMENT) * ALIGNMENT
         text = f"getelementptr i8, ptr %space, i64 {start}"
         self.pointers[array.id] = self.made(text)
 
-    def start(self, array: Array) -> str:
-        """The address of an array."""
+    def start(self, array: ir.Array) -> str:
+        """Return the address of an array."""
         if self.shares(array):
             return self.framed(array)
         return f"@a{array.id}" if array.space == "constant" else self.pointers[array.id]
 
-    def address(self, array: Array, base: Value | None, offset: int) -> str:
-        return self.at(stored(array.dtype), self.start(array), base, offset)
+    def address(self, array: ir.Array, base: ir.Value | None, offset: int) -> str:
+        return self.at(memory_type(array.dtype), self.start(array), base, offset)
 
-    def at(self, t: str, start: str, base: Value | None, offset: int) -> str:
-        """start + base + offset, in entries of type t."""
+    def at(self, t: str, start: str, base: ir.Value | None, offset: int) -> str:
+        """Write the address start + base + offset, in entries of type t."""
         if base is not None:
             kind, index = llvm_type(base.dtype), self.value(base)
             start = self.made(f"getelementptr {t}, ptr {start}, {kind} {index}")
@@ -222,39 +208,39 @@ class Writer:
 
     # ---------------------------------------------------------------- values
 
-    def value(self, x: Value) -> str:
-        if not isinstance(x, Var):
+    def value(self, x: ir.Value) -> str:
+        if not isinstance(x, ir.Var):
             return literal(x)
         return self.current(x)
 
-    def kind(self, x: Var) -> str:
-        """The type of a variable."""
+    def kind(self, x: ir.Var) -> str:
+        """Return the type of a variable."""
         return llvm_type(x.dtype)
 
-    def current(self, x: Var) -> str:
-        """The value that a variable has now."""
+    def current(self, x: ir.Var) -> str:
+        """Return the present value of a variable."""
         if x.id in self.places:
             return self.made(f"load {self.kind(x)}, ptr {self.place_of(x)}")
         if self.frame is not None and self.shares(x) and self.frame.cuts.home[x] != self.here:
             return self.recall(x)
         return f"%t{x.id}"
 
-    def place(self, var: Var) -> None:
-        """Makes the place of a variable that is assigned several times."""
+    def place(self, var: ir.Var) -> None:
+        """Allocate a variable that is assigned several times."""
         self.places[var.id] = f"%m{var.id}"
         if not self.shares(var):
             self.entry.append(f"%m{var.id} = alloca {self.kind(var)}")
 
-    def place_of(self, var: Var) -> str:
+    def place_of(self, var: ir.Var) -> str:
         return self.framed(var) if self.shares(var) else self.places[var.id]
 
-    def put(self, var: Var, value: Value) -> None:
+    def put(self, var: ir.Var, value: ir.Value) -> None:
         text = self.value(value)
         self.lines.append(f"store {self.kind(var)} {text}, ptr {self.place_of(var)}")
 
     # ---------------------------------------------------------------- statements
 
-    def block(self, block: Block) -> None:
+    def block(self, block: ir.Block) -> None:
         pieces = self.frame.cuts.runs.get(id(block)) if self.frame else None
         for number, statements in pieces or [(0, block.statements)]:
             if number:
@@ -262,36 +248,36 @@ class Writer:
                 continue
             for statement in statements:
                 self.statement(statement)
-                if isinstance(statement, Op | Load):
+                if isinstance(statement, ir.Op | ir.Load):
                     self.keep(statement.dest)
 
-    def statement(self, statement: Statement) -> None:
+    def statement(self, statement: ir.Statement) -> None:
         match statement:
-            case Op(dest=dest, args=args):
+            case ir.Op(dest=dest, args=args):
                 self.operations.write(statement, f"%t{dest.id}", [self.value(a) for a in args])
-            case Load(dest=dest, array=array, base=base, offset=offset):
+            case ir.Load(dest=dest, array=array, base=base, offset=offset):
                 self.load(dest, array, base, offset)
-            case Store(array=array, base=base, offset=offset, value=value):
+            case ir.Store(array=array, base=base, offset=offset, value=value):
                 self.store(array, base, offset, value)
-            case Declare(var=var, value=value):
+            case ir.Declare(var=var, value=value):
                 self.place(var)
                 if value is not None:
                     self.put(var, value)
-            case Assign(var=var, value=value):
+            case ir.Assign(var=var, value=value):
                 self.put(var, value)
-            case Reserve(array=array):
+            case ir.Reserve(array=array):
                 self.reserve(array)
-            case Loop():
+            case ir.Loop():
                 self.loop(statement)
-            case While(test=test, condition=condition, body=body):
+            case ir.While(test=test, condition=condition, body=body):
                 self.while_(test, condition, body)
-            case If(condition=condition, then=then, otherwise=otherwise):
+            case ir.If(condition=condition, then=then, otherwise=otherwise):
                 self.if_(condition, then, otherwise)
             case _:
                 raise TypeError(f"no such statement: {statement}")
 
-    def load(self, dest: Var, array: Array, base: Value | None, offset: int) -> None:
-        """dest = array[base + offset]."""
+    def load(self, dest: ir.Var, array: ir.Array, base: ir.Value | None, offset: int) -> None:
+        """Write dest = array[base + offset]."""
         address = self.address(array, base, offset)
         if dest.dtype.kind == "b":
             byte = self.made(f"load i8, ptr {address}")
@@ -299,15 +285,15 @@ class Writer:
         else:
             self.made(f"load {llvm_type(dest.dtype)}, ptr {address}", f"%t{dest.id}")
 
-    def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
-        """array[base + offset] = value."""
+    def store(self, array: ir.Array, base: ir.Value | None, offset: int, value: ir.Value) -> None:
+        """Write array[base + offset] = value."""
         text, address = self.value(value), self.address(array, base, offset)
         if array.dtype.kind == "b":
             text = self.made(f"zext i1 {text} to i8")
-        self.lines.append(f"store {stored(array.dtype)} {text}, ptr {address}")
+        self.lines.append(f"store {memory_type(array.dtype)} {text}, ptr {address}")
 
     def start_of(self, label: str, come: bool = True) -> None:
-        """A new block of instructions, to which the one before goes on."""
+        """Begin a basic block. come: whether the previous block branches to it."""
         if come:
             self.lines.append(f"br label %{label}")
         self.lines.append(f"{label}:")
@@ -316,7 +302,7 @@ class Writer:
         n = next(self.numbers)
         return (f"{name}{n}" for name in names)
 
-    def loop(self, loop: Loop) -> None:
+    def loop(self, loop: ir.Loop) -> None:
         if loop.count <= 0:
             return
         (body,) = self.labels("loop")
@@ -336,7 +322,7 @@ class Writer:
         self.lines.append(f"br i1 {done}, label %{end}, label %{body}")
         self.start_of(end, come=False)
 
-    def while_(self, test: Block, condition: Value, body: Block) -> None:
+    def while_(self, test: ir.Block, condition: ir.Value, body: ir.Block) -> None:
         top, turn, end = self.labels("while", "turn", "leave")
         self.start_of(top)
         self.block(test)
@@ -346,7 +332,7 @@ class Writer:
         self.lines.append(f"br label %{top}")
         self.start_of(end, come=False)
 
-    def if_(self, condition: Value, then: Block, otherwise: Block) -> None:
+    def if_(self, condition: ir.Value, then: ir.Block, otherwise: ir.Block) -> None:
         yes, no, end = self.labels("then", "else", "both")
         self.lines.append(f"br i1 {self.value(condition)}, label %{yes}, label %{no}")
         self.start_of(yes, come=False)
@@ -357,14 +343,14 @@ class Writer:
         self.start_of(end)
 
 
-def stored(dtype: np.dtype) -> str:
-    """The type of an entry in memory."""
+def memory_type(dtype: np.dtype) -> str:
+    """Return the type of an entry in memory."""
     return "i8" if dtype.kind == "b" else llvm_type(dtype)
 
 
-def _table(array: Array) -> str:
-    """The definition of a constant array."""
-    t, data = stored(array.dtype), array.data
+def _table(array: ir.Array) -> str:
+    """Return the definition of a constant array."""
+    t, data = memory_type(array.dtype), array.data
     assert data is not None
     plain = data.view(np.uint8) if data.dtype.kind == "b" else data
     numbers = ", ".join(f"{t} {literal(x)}" for x in plain)

@@ -1,8 +1,8 @@
-"""The statements of a program as LLVM IR for several samples at once: a sample a lane of vectors.
+"""Writes the statements of a program as LLVM IR for several samples, one per lane of vectors.
 
-What is the same in every lane stays scalar (`divergence`). A local array that differs holds a
-vector an entry. Where a condition differs, a block runs if a lane wants it, under a mask: what
-outlives the block keeps its value in the other lanes.
+Values that are equal in every lane stay scalar (`analysis.divergence`). A local array that differs
+holds a vector per entry. If a condition differs, a block runs if some lane needs it, under a mask:
+variables from outside the block keep their values in the other lanes.
 """
 
 from __future__ import annotations
@@ -13,32 +13,30 @@ from contextlib import contextmanager
 import numpy as np
 
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import Array, Block, Op, Statement
-from rbjax.compiler.ir.values import Value, Var
-from rbjax.compiler.llvm.mathematics import definitions
-from rbjax.compiler.llvm.operations import ALIGNMENT, Operations, llvm_type, splat
+from rbjax.compiler.ir.statements import Array, Block, Op, Statement, Value, Var
+from rbjax.compiler.llvm.operations import ALIGNMENT, Operations, definitions, llvm_type, splat
 from rbjax.compiler.llvm.statements import (
     Function,
     Writer,
-    stored,
-    written_function,
+    memory_type,
+    write_function,
 )
-from rbjax.compiler.passes.cutting import Cuts, cut
-from rbjax.compiler.passes.divergence import divergence, part_of
+from rbjax.compiler.passes.analysis import find_divergence, region_of
+from rbjax.compiler.passes.cutting import Cuts, split_block
 
 Step = int | None  # entries from a lane's sample to the next; None if lanes lie anywhere
 
 
-def many_samples(
+def write_samples(
     program: Written, lanes: int, steps: Sequence[Step], tiles: Collection[int] = (),
     name: str = "samples",
 ) -> Function:  # fmt: skip
-    """The function of as many samples of a program as there are lanes.
+    """Write the function of as many samples of a program as there are lanes.
 
     Args:
-        steps: for each operand and result, how its samples lie. With None, the function takes a
-            pointer to the pointers of the samples.
-        tiles: which of these are tiles instead: each entry is a vector.
+        steps: for each operand and result, the entries between samples. With None, the function
+        takes a pointer to the pointers of the samples.
+        tiles: the operands and results that are tiles instead, with a vector per entry.
     """
     apart = {
         array.id: step
@@ -47,12 +45,16 @@ def many_samples(
         )
         if k not in tiles
     }
-    return written_function(_Vectors(lanes, program, apart), program, name)
+    return write_function(_Vectors(lanes, program, apart), program, name)
 
 
 class _Vectors(Writer):
-    """Writes statements for some samples. steps: of arrays that are no tiles. mask: the lanes that
-    run, or "" for all; they run block `part` of those in which lanes have parted."""
+    """Writes statements for several samples.
+
+    steps: the lane stride of each array that is not a tile.
+    mask: the active lanes; "" for all.
+    part: the current divergent region.
+    """
 
     def __init__(self, lanes: int, program: Written, steps: dict[int, Step]):
         super().__init__()
@@ -60,11 +62,11 @@ class _Vectors(Writer):
         self.mask, self.part = "", 0
         self.vectors = Operations(self.lines.append, lanes, self.operations)
         differ = [a for a in program.operands if self.steps.get(a.id) != 0]
-        self.found = divergence(program.builder.block, [*differ, *program.results])
+        self.found = find_divergence(program.builder.block, [*differ, *program.results])
         self.splats: list[dict[int, str]] = []
 
     def cuts(self, program: Written) -> Cuts | None:
-        return cut(program.builder.block, branches=False)  # where all lanes run
+        return split_block(program.builder.block, branches=False)  # where all lanes run
 
     def piece(self, number: int, statements: list) -> None:
         outside, self.splats = self.splats, []
@@ -83,18 +85,18 @@ class _Vectors(Writer):
             if step is None:
                 self.entry.append(f"{name} = load {self.many('ptr')}, ptr {place}")
             elif step:
-                t = f"getelementptr {stored(array.dtype)}, ptr {place}"
+                t = f"getelementptr {memory_type(array.dtype)}, ptr {place}"
                 self.entry.append(f"{name} = {t}, {self.counts(step)}")
 
     def counts(self, step: int = 1) -> str:
-        """0, step, 2 step ... as indices."""
+        """Return the indices 0, step, 2 step ... ."""
         return f"{self.many('i64')} <{', '.join(f'i64 {k * step}' for k in range(self.lanes))}>"
 
     def functions(self) -> list[str]:
         return [*super().functions(), *definitions(self.vectors)]
 
     def many(self, t: str) -> str:
-        """The vector of a type."""
+        """Return the vector of a type."""
         return f"<{self.lanes} x {t}>"
 
     # ---------------------------------------------------------------- values
@@ -105,7 +107,7 @@ class _Vectors(Writer):
         self.splats.pop()
 
     def vector(self, x: Value) -> str:
-        """A value in every lane."""
+        """Return a value in every lane."""
         if not isinstance(x, Var):
             return self.vectors.number(x)
         if self.found.of(x):
@@ -119,7 +121,7 @@ class _Vectors(Writer):
         return name
 
     def spread(self, t: str, x: str) -> str:
-        """A scalar in every lane."""
+        """Write a scalar into every lane."""
         return splat(self.made, self.lanes, t, x)
 
     def kind(self, x: Var) -> str:
@@ -129,13 +131,13 @@ class _Vectors(Writer):
         if not self.found.of(var):
             return super().put(var, value)
         text, t, place = self.vector(value), self.vectors.type(var.dtype), self.place_of(var)
-        if self.mask and self.found.outlives(var, self.part):
+        if self.mask and self.found.is_declared_outside(var, self.part):
             text = self.blended(t, text, self.made(f"load {t}, ptr {place}"))
         self.lines.append(f"store {t} {text}, ptr {place}")
         return None
 
     def blended(self, t: str, new: str, old: str) -> str:
-        """The new value in the lanes that run."""
+        """Select the new value in the active lanes."""
         return self.made(f"select {self.many('i1')} {self.mask}, {t} {new}, {t} {old}")
 
     def statement(self, statement: Statement) -> None:
@@ -153,7 +155,7 @@ class _Vectors(Writer):
     def load(self, dest: Var, array: Array, base: Value | None, offset: int) -> None:
         if not self.found.of(dest):
             return super().load(dest, array, base, offset)
-        t = self.many(stored(dest.dtype))
+        t = self.many(memory_type(dest.dtype))
         if self.found.of(base):
             x = self.gathered(self.running(self.pointers_at(array, base, offset)), dest.dtype)
         elif self.side_by_side(array):
@@ -169,11 +171,11 @@ class _Vectors(Writer):
     def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
         if not self.found.of(array):
             return super().store(array, base, offset, value)
-        x, one = self.vector(value), stored(array.dtype)
+        x, one = self.vector(value), memory_type(array.dtype)
         t = self.many(one)
         if array.dtype.kind == "b":
             x = self.made(f"zext {self.many('i1')} {x} to {t}")
-        some = bool(self.mask) and self.found.outlives(array, self.part)
+        some = bool(self.mask) and self.found.is_declared_outside(array, self.part)
         if self.side_by_side(array) and not self.found.of(base):
             place, align = self.entry_of(array, base, offset)
             if some:
@@ -188,20 +190,20 @@ class _Vectors(Writer):
         return None
 
     def side_by_side(self, array: Array) -> bool:
-        """Whether an entry of all lanes is one piece of memory."""
+        """Return whether an entry of all lanes is contiguous in memory."""
         return array.id not in self.steps or self.steps[array.id] == 1
 
     def entry_of(self, array: Array, base: Value | None, offset: int) -> tuple[str, int]:
-        """The address of an entry of all lanes, and its alignment."""
-        t, size = stored(array.dtype), array.dtype.itemsize
+        """Write the address of an entry of all lanes, and return its alignment."""
+        t, size = memory_type(array.dtype), array.dtype.itemsize
         if array.id in self.steps:
             return self.address(array, base, offset), size
         place = self.at(self.many(t), self.start(array), base, offset)
         return place, min(ALIGNMENT, size * self.lanes)
 
     def pointers_at(self, array: Array, base: Value | None, offset: int) -> str:
-        """The addresses of an entry in each lane."""
-        t, places = stored(array.dtype), self.many("ptr")
+        """Write the addresses of an entry in each lane."""
+        t, places = memory_type(array.dtype), self.many("ptr")
         whole = t
         if not self.found.of(array):
             start = self.spread("ptr", self.start(array))
@@ -219,18 +221,18 @@ class _Vectors(Writer):
         return self.made(f"getelementptr {whole}, {places} {start}, {far}")
 
     def running(self, pointers: str) -> str:
-        """These addresses in the lanes that run; others may be out of bounds."""
+        """Replace the addresses in inactive lanes, which may be out of bounds."""
         if not self.mask:
             return pointers
         return self.blended(self.many("ptr"), pointers, self.spread("ptr", "%nowhere"))
 
     def lanes_of(self, t: str, x: str) -> list[str]:
-        """The entries of a vector."""
+        """Extract the entries of a vector."""
         return [self.made(f"extractelement {self.many(t)} {x}, i64 {k}") for k in range(self.lanes)]
 
     def gathered(self, pointers: str, dtype: np.dtype) -> str:
-        """What lies at these addresses; the text of its last instruction."""
-        t = stored(dtype)
+        """Load the entries at these addresses; return the text of the last instruction."""
+        t = memory_type(dtype)
         text = "poison"
         for k, place in enumerate(self.lanes_of("ptr", pointers)):
             x = self.made(f"load {t}, ptr {place}")
@@ -241,21 +243,21 @@ class _Vectors(Writer):
     # ---------------------------------------------------------------- control
 
     def any_of(self, mask: str) -> str:
-        """Whether there are such lanes."""
+        """Write whether a mask has an active lane."""
         bits = self.made(f"bitcast {self.many('i1')} {mask} to i{self.lanes}")
         return self.made(f"icmp ne i{self.lanes} {bits}, 0")
 
     def within(self, condition: str) -> str:
-        """The lanes that run in which a condition holds."""
+        """Restrict the active lanes to those in which a condition holds."""
         if not self.mask:
             return condition
         return self.made(f"and {self.many('i1')} {self.mask}, {condition}")
 
     @contextmanager
     def among(self, mask: str, block: Block, condition: Value) -> Iterator[None]:
-        """Some lanes run a block, and what follows within."""
+        """Write a block for some lanes, and the lines of the context in the same region."""
         before = self.mask, self.part
-        self.mask, self.part = mask, part_of(block, condition, self.part, self.found)
+        self.mask, self.part = mask, region_of(block, condition, self.part, self.found)
         self.block(block)
         yield
         self.mask, self.part = before

@@ -1,16 +1,16 @@
-"""A program over a batch as LLVM IR: a handler that XLA calls from a compiled program.
+"""Writes a program over a batch as a handler that XLA calls from a compiled program.
 
 The handler is a function of XLA's typed foreign function interface (`xla/ffi/api/c_api.h`). It
-reads the buffers from the call frame and computes the parts of the batch, on the calling thread if
-there is one, else with the threads of XLA's pool. Each thread takes the next part until none is
-left; the caller works too, and then waits for parts that others have begun.
+reads the buffers from the call frame and computes the parts of the batch: one part on the calling
+thread, several on the threads of XLA's pool too. Each thread takes the next part until none is
+left; the caller then waits for the parts in progress.
 """
 
 from __future__ import annotations
 
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.llvm.batch import parts
-from rbjax.compiler.llvm.module import Module
+from rbjax.compiler.llvm.batch import write_parts
+from rbjax.compiler.llvm.jit import Module
 
 # members of the structs of c_api.h, in bytes
 EXTENSION, API, CONTEXT, STAGE, ARGS, RESULTS = 8, 16, 24, 32, 72, 112  # XLA_FFI_CallFrame
@@ -192,10 +192,12 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 """
 
 
-def handler(program: Written, samples: int | None = None) -> tuple[Module, int]:
-    """The handler `run`, and the number of parts of the batch (the rows of each summed result).
-    samples: the size of a part; None: by its work."""
-    made = parts(program, samples=samples)
+def write_handler(program: Written, samples: int | None = None) -> tuple[Module, int]:
+    """Return the module of the handler `run`, and the number of parts of the batch.
+
+    Each summed result has one row a part. samples: the size of a part; None: by its work.
+    """
+    made = write_parts(program, samples=samples)
     n = len(program.operands)
     names = [*((ARGS, k) for k in range(n)), *((RESULTS, k) for k in range(len(program.results)))]
     lines = ["%list = alloca [" + str(max(len(names), 1)) + " x ptr]"]

@@ -1,8 +1,8 @@
 """Small arrays of a thread.
 
-They have three forms: a numpy array whose entries are known; an object array of `Value`s, each in a
-register; a `View` of memory. Only a `View` may have indices that are not known. A team of threads
-has a fourth, `Delayed`: entries that are computed where they are read.
+They have three forms: a numpy array of constants; an object array of `Value`s, each in a register;
+    a `View` of memory. Only a `View` may have indices that are not constant. A team of threads has
+    a fourth form, `Delayed`: entries that are computed where they are read.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.program import row_major
-from rbjax.compiler.ir.statements import Array
-from rbjax.compiler.ir.values import I32, Value, Var
+from rbjax.compiler.ir.statements import I32, Array, Value, Var
 from rbjax.compiler.lower.delayed import Delayed, Shaped
 
 
@@ -34,7 +33,7 @@ class View(Shaped):
 
     @staticmethod
     def of(array: Array, shape: Sequence[int]) -> View:
-        """All of an array, row by row."""
+        """View all of an array, row by row."""
         return View(array, None, 0, row_major(shape), tuple(shape))
 
     @property
@@ -42,14 +41,16 @@ class View(Shaped):
         return self.array.dtype
 
     @property
-    def changeable(self) -> bool:
-        """Whether it may be updated in place: no two entries share a place, and no one reads it."""
+    def is_updatable(self) -> bool:
+        """Whether it may be updated in place: entries have distinct addresses, and nothing else
+        reads it.
+        """
         apart = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
-        own = self.array.space == "local" and not self.array.pieces
-        return apart and own and not self.array.owners
+        own = self.array.space == "local" and not self.array.write_once
+        return apart and own and not self.array.reference_count
 
-    def same(self, other: object) -> bool:
-        """Whether the other is a view of the same place."""
+    def is_same_view(self, other: object) -> bool:
+        """Return whether the other is a view of the same entries."""
         return isinstance(other, View) and all(
             a is b or a == b
             for a, b in (
@@ -59,11 +60,11 @@ class View(Shaped):
         )  # fmt: skip
 
     def _steps(self) -> list[int]:
-        """The strides along axes of more than one entry."""
+        """Return the strides along axes of more than one entry."""
         return [s for s, n in zip(self.strides, self.shape, strict=True) if n > 1]
 
-    def places(self) -> np.ndarray:
-        """The known part of the address of each entry."""
+    def offsets(self) -> np.ndarray:
+        """Return the constant part of the address of each entry."""
         out = np.full(self.shape, self.offset)
         for axis, (n, stride) in enumerate(zip(self.shape, self.strides, strict=True)):
             wide = [-1 if k == axis else 1 for k in range(self.ndim)]
@@ -71,36 +72,32 @@ class View(Shaped):
         return out
 
     def at(self, b: Builder, axis: int, index: Value) -> View:
-        """The slice at an index along an axis, which disappears."""
+        """Return the slice at an index along an axis, which disappears."""
         stride = self.strides[axis]
         strides, shape = (
             tuple(x for k, x in enumerate(xs) if k != axis) for xs in (self.strides, self.shape)
         )
-        moved = self.moved(b, (index, stride))
+        moved = self.shift(b, (index, stride))
         return replace(moved, strides=strides, shape=shape)
 
-    def moved(self, b: Builder, *terms: tuple[Value, int]) -> View:
-        """The view shifted by value * stride entries, for each term."""
+    def shift(self, b: Builder, *terms: tuple[Value, int]) -> View:
+        """Shift the view by value * stride entries, for each term."""
         known = sum(int(v) * s for v, s in terms if isinstance(v, np.generic))
         unknown = [(v, s) for v, s in terms if not isinstance(v, np.generic)]
         base = b.index(self.array, *unknown)
         if self.base is not None and base is not None:
             base = b.op("index_add", self.array.index, self.base, base)
-        return replace(
-            self, base=self.base if base is None else base, offset=self.offset + known
-        )
+        return replace(self, base=self.base if base is None else base, offset=self.offset + known)
 
-    def sliced(self, slices: Sequence[slice]) -> View:
-        """A rectangle of it; slices have start, stop and a step that may be negative."""
-        offset = self.offset + sum(
-            s.start * k for s, k in zip(slices, self.strides, strict=True)
-        )
+    def slice_box(self, slices: Sequence[slice]) -> View:
+        """Return a rectangle of it. Slices have a start, a stop and perhaps a negative step."""
+        offset = self.offset + sum(s.start * k for s, k in zip(slices, self.strides, strict=True))
         shape = tuple(len(range(s.start, s.stop, s.step or 1)) for s in slices)
         strides = tuple(k * (s.step or 1) for s, k in zip(slices, self.strides, strict=True))
         return replace(self, offset=offset, strides=strides, shape=shape)
 
-    def reshaped(self, shape: Sequence[int]) -> View | None:
-        """The same entries with another shape, or None if they would have to move."""
+    def reshape_view(self, shape: Sequence[int]) -> View | None:
+        """Return the same entries with another shape, or None if they would move."""
         shape = tuple(shape)
         if 0 in shape:
             return replace(self, strides=(0,) * len(shape), shape=shape)
@@ -135,7 +132,9 @@ class View(Shaped):
         )
 
     def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> View:
-        """As `jax.lax.broadcast_in_dim`: axis k of the view is axis axes[k] of the result."""
+        """Broadcast as `jax.lax.broadcast_in_dim`: axis k of the view is axis axes[k] of the
+        result.
+        """
         strides = [0] * len(shape)
         for k, axis in enumerate(axes):
             strides[axis] = self.strides[k] if self.shape[k] == shape[axis] else 0
@@ -151,13 +150,13 @@ FEW = 16
 SHARED_ABOVE = 64
 
 
-def is_known(x: ThreadArray) -> bool:
-    """Whether all entries are numbers."""
+def is_constant(x: ThreadArray) -> bool:
+    """Return whether all entries are constants."""
     return isinstance(x, np.ndarray) and x.dtype != object
 
 
-def objects(x: np.ndarray) -> np.ndarray:
-    """Entries, known or not, as an object array of Values."""
+def as_objects(x: np.ndarray) -> np.ndarray:
+    """Convert constants to an object array of Values."""
     if x.dtype == object:
         return x
     out = np.empty(x.shape, object)
@@ -167,38 +166,38 @@ def objects(x: np.ndarray) -> np.ndarray:
     return out
 
 
-def every_index(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """The indices of all entries of a shape, row by row."""
+def indices_of(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """Return the indices of all entries of a shape, row by row."""
     return iter(np.ndindex(tuple(shape)))
 
 
-def filled(shape: Sequence[int], value: Value) -> np.ndarray:
-    """One value everywhere (`np.full` would convert it to a Python number)."""
+def full_of(shape: Sequence[int], value: Value) -> np.ndarray:
+    """Return an array with one value (`np.full` would convert it to a Python number)."""
     out = np.empty(shape, object)
     out[...] = value
     return out
 
 
-def scalars(b: Builder, x: ThreadArray) -> np.ndarray:
-    """The entries as an array of Values; those in memory are read."""
+def to_scalars(b: Builder, x: ThreadArray) -> np.ndarray:
+    """Return the entries as an array of Values, and load those in memory."""
     if isinstance(x, Delayed):
-        if not b.teamed or x.work <= SHARED_ABOVE or x.size == 1:
+        if not b.in_team or x.work <= SHARED_ABOVE or x.size == 1:
             out = np.empty(x.shape, object)
-            for i in every_index(x.shape):
+            for i in indices_of(x.shape):
                 out[i] = x.entry(*map(I32.type, i))
             return out
-        x = stored(b, x)
+        x = materialize_in_memory(b, x)
     if not isinstance(x, View):
-        return objects(x)
+        return as_objects(x)
     out = np.empty(x.shape, object)
-    places = x.places()
-    for i in every_index(x.shape):
+    places = x.offsets()
+    for i in indices_of(x.shape):
         out[i] = b.load(x.array, x.base, int(places[i]))
     return out
 
 
-def tidy(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
-    """An object array as known numbers, if every entry is known."""
+def fold_if_constant(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
+    """Convert an object array of constants to a constant array."""
     if x.dtype != object:
         return x
     if not x.shape:
@@ -209,75 +208,77 @@ def tidy(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
     return x
 
 
-def in_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
-    """The entries in memory: a table of known numbers, or a local copy of registers."""
+def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
+    """Put the entries in memory: a table of constants, or a local copy of registers."""
     if isinstance(x, View):
         return x
     if isinstance(x, Delayed):
-        return stored(b, x)
-    x = tidy(x, dtype)
-    if is_known(x):
+        return materialize_in_memory(b, x)
+    x = fold_if_constant(x, dtype)
+    if is_constant(x):
         return View.of(b.table(np.ascontiguousarray(x)), x.shape)
-    if b.teamed:
-        return _kept(b, x, dtype)
+    if b.in_team:
+        return _share_in_memory(b, x, dtype)
     view = View.of(b.local(dtype, x.size), x.shape)
-    write(b, view, x)
+    write_to(b, view, x)
     return view
 
 
-def _kept(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
-    """Values of a team's threads in memory that does not change; equal ones once. Axes along which
-    they repeat have no entries of their own."""
+def _share_in_memory(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
+    """Put a team's values in memory that does not change, once for equal values.
+
+    Axes along which they repeat have no entries of their own.
+    """
     repeats = [n > 1 and s == 0 for n, s in zip(x.shape, x.strides, strict=True)]
     own = x[tuple(slice(0, 1) if r else slice(None) for r in repeats)]
 
     def make() -> View:
         view = View.of(b.local(dtype, own.size), own.shape)
-        write(b, view, own)
-        view.array.owners += 1
+        write_to(b, view, own)
+        view.array.reference_count += 1
         return view
 
     values = tuple(v.id if isinstance(v, Var) else (v.dtype.char, v.tobytes()) for v in own.flat)
-    return b.once(("kept", own.shape, values), make).broadcast(x.shape, range(x.ndim))
+    return b.memoize(("kept", own.shape, values), make).broadcast(x.shape, range(x.ndim))
 
 
-def stored(b: Builder, x: Delayed) -> View:
-    """Delayed entries in memory that does not change, once."""
+def materialize_in_memory(b: Builder, x: Delayed) -> View:
+    """Compute delayed entries, once, in memory that does not change."""
 
     def make() -> tuple[View, Delayed]:
         view = View.of(b.local(x.dtype, max(x.size, 1)), x.shape)
-        write(b, view, x)
-        view.array.owners += 1
+        write_to(b, view, x)
+        view.array.reference_count += 1
         return view, x  # x lives as long as its number is a key
 
-    return b.once(("stored", id(x)), make)[0]
+    return b.memoize(("stored", id(x)), make)[0]
 
 
-def settled(b: Builder, x: ThreadArray) -> ThreadArray:
-    """A delayed array in registers if it is small, else in memory; another as it is."""
+def materialize(b: Builder, x: ThreadArray) -> ThreadArray:
+    """Compute a delayed array, in registers if it is small, else in memory."""
     if not isinstance(x, Delayed):
         return x
     few = (x.size <= FEW and x.work <= SHARED_ABOVE) or x.size == 1
-    return scalars(b, x) if few else stored(b, x)
+    return to_scalars(b, x) if few else materialize_in_memory(b, x)
 
 
-def write(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> None:
-    """Copy x to a place in memory; large pieces by a loop."""
-    if isinstance(x, View) and x.same(to):
+def write_to(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> None:
+    """Copy x to memory; many entries by a loop."""
+    if isinstance(x, View) and x.is_same_view(to):
         return
-    if b.teamed and isinstance(x, View):
-        to, x = in_a_row(to, x)
-    if isinstance(x, Delayed) or (b.teamed and isinstance(x, View) and x.size > 1):
-        each(b, to.shape, lambda *i: put(b, to, i, get(b, x, i)))
+    if b.in_team and isinstance(x, View):
+        to, x = as_flat_views(to, x)
+    if isinstance(x, Delayed) or (b.in_team and isinstance(x, View) and x.size > 1):
+        for_each_index(b, to.shape, lambda *i: store_entry(b, to, i, load_entry(b, x, i)))
         return
-    if b.teamed and is_known(x) and x.size > FEW:
+    if b.in_team and is_constant(x) and x.size > FEW:
         loop_above = 0
-    if x.size > loop_above and (isinstance(x, View) or is_known(x)):
-        source = in_memory(b, x, to.dtype)
-        each(b, to.shape, lambda *i: put(b, to, i, get(b, source, i)))
+    if x.size > loop_above and (isinstance(x, View) or is_constant(x)):
+        source = to_memory(b, x, to.dtype)
+        for_each_index(b, to.shape, lambda *i: store_entry(b, to, i, load_entry(b, source, i)))
         return
-    values, places = scalars(b, x), to.places()
-    for i in every_index(to.shape):
+    values, places = to_scalars(b, x), to.offsets()
+    for i in indices_of(to.shape):
         b.store(to.array, to.base, int(places[i]), values[i])
 
 
@@ -286,58 +287,62 @@ def transposed(x: ThreadArray, order: Sequence[int]) -> ThreadArray:
     return x.transpose(order) if isinstance(x, np.ndarray) else x.transposed(order)
 
 
-def in_a_row(*views: View) -> Sequence[View]:
-    """The views with one axis, if the entries of each are in a row."""
-    flat = [x.reshaped((x.size,)) for x in views]
+def as_flat_views(*views: View) -> Sequence[View]:
+    """Return the views with one axis if the entries of each are equally spaced."""
+    flat = [x.reshape_view((x.size,)) for x in views]
     return [x for x in flat if x is not None] if None not in flat else views
 
 
-def owned_copy(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
-    """A local copy that may be changed."""
+def copy_to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
+    """Return a local copy that may be changed."""
     view = View.of(b.local(dtype, x.size), x.shape)
-    write(b, view, x)
+    write_to(b, view, x)
     return view
 
 
-def spread(b: Builder, x: ThreadArray, dtype: DTypeLike, shape: tuple[int, ...]) -> View | Delayed:
-    """x in memory, broadcast to a shape as numpy does."""
-    view = x if isinstance(x, Delayed) else in_memory(b, x, dtype)
+def broadcast_in_memory(
+    b: Builder, x: ThreadArray, dtype: DTypeLike, shape: tuple[int, ...]
+) -> View | Delayed:
+    """Put x in memory, and broadcast it to a shape as numpy does."""
+    view = x if isinstance(x, Delayed) else to_memory(b, x, dtype)
     return view.broadcast(shape, range(len(shape) - view.ndim, len(shape)))
 
 
-def get(b: Builder, view: View | Delayed, index: Sequence[Value]) -> Value:
-    """One entry."""
+def load_entry(b: Builder, view: View | Delayed, index: Sequence[Value]) -> Value:
+    """Write the load of one entry."""
     if isinstance(view, Delayed):
         return view.entry(*index)
-    there = view.moved(b, *zip(index, view.strides, strict=True))
+    there = view.shift(b, *zip(index, view.strides, strict=True))
     return b.load(there.array, there.base, there.offset)
 
 
-def put(b: Builder, view: View, index: Sequence[Value], value: Value) -> None:
-    """Change one entry."""
-    there = view.moved(b, *zip(index, view.strides, strict=True))
+def store_entry(b: Builder, view: View, index: Sequence[Value], value: Value) -> None:
+    """Write the store of one entry."""
+    there = view.shift(b, *zip(index, view.strides, strict=True))
     b.store(there.array, there.base, there.offset, value)
 
 
-def each(b: Builder, shape: Sequence[int], f: Callable[..., None], *index: Value) -> None:
-    """f(*index) for every index of a shape, in nested loops; by a team in one loop. What f does for
-    an index does not depend on what it does for others."""
-    if b.teamed and not math.prod(shape):
+def for_each_index(b: Builder, shape: Sequence[int], f: Callable[..., None], *index: Value) -> None:
+    """Write f(*index) for every index of a shape, in nested loops, or in one loop of a team.
+
+    The work of f for an index does not depend on its work for others.
+    """
+    if b.in_team and not math.prod(shape):
         return
-    if b.teamed and math.prod(shape) != 1:
-        with b.spread(math.prod(shape)) as counter:
-            f(*index, *unravelled(b, counter, shape))
+    if b.in_team and math.prod(shape) != 1:
+        with b.team_loop(math.prod(shape)) as counter:
+            f(*index, *unravel_index(b, counter, shape))
     elif not shape:
         f(*index)
     elif shape[0] == 1:
-        each(b, shape[1:], f, *index, I32.type(0))
+        for_each_index(b, shape[1:], f, *index, I32.type(0))
     else:
         with b.loop(shape[0]) as counter:
-            each(b, shape[1:], f, *index, counter)
+            for_each_index(b, shape[1:], f, *index, counter)
 
 
-def unravelled(b: Builder, counter: Value, shape: Sequence[int]) -> list[Value]:
-    """The index along each axis of a shape, from a place row by row."""
+def unravel_index(b: Builder, counter: Value, shape: Sequence[int]) -> list[Value]:
+    """Write the index along each axis of a shape, from a row-major position."""
     out: list[Value] = []
     wide = [n for n in shape if n > 1]
     for n in reversed(shape):

@@ -1,7 +1,7 @@
 """Arrays whose entries are computed where they are read.
 
-A chain of operations on entries so becomes one loop of a team of threads, without arrays between
-them. Moving entries changes the index, and costs nothing.
+Elementwise chains fuse into one loop of a team of threads, with no temporary arrays. Slices and
+reshapes only change the index.
 
 Source: pull arrays (Keller et al. 2010, *Regular, shape-polymorphic, parallel arrays in Haskell*).
 """
@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.statements import Array
-from rbjax.compiler.ir.values import I32, Value
+from rbjax.compiler.ir.statements import I32, Array, Value
 
 
 class Shaped:
-    """What has a shape."""
+    """An array with a shape."""
 
     __slots__ = ()
     shape: tuple[int, ...]
@@ -36,7 +35,11 @@ class Shaped:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Delayed(Shaped):
-    """entry(*index) of a shape, from some arrays, by about `cost` operations."""
+    """An array of entries entry(*index).
+
+    sources: the arrays that `entry` reads.
+    cost: operations per entry.
+    """
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -48,43 +51,43 @@ class Delayed(Shaped):
     def work(self) -> int:
         return self.size * self.cost
 
-    def moved(self, shape: Sequence[int], index: Callable[..., Sequence[Value]]) -> Delayed:
-        """Other entries of it: index(*i) is the place of entry i."""
+    def shift(self, shape: Sequence[int], index: Callable[..., Sequence[Value]]) -> Delayed:
+        """Return other entries of it: entry i is at index(*i)."""
         entry = self.entry
         return replace(self, shape=tuple(shape), entry=lambda *i: entry(*index(*i)))
 
     def transposed(self, permutation: Sequence[int]) -> Delayed:
         order = np.argsort(permutation)
         shape = [self.shape[k] for k in permutation]
-        return self.moved(shape, lambda *i: [i[k] for k in order])
+        return self.shift(shape, lambda *i: [i[k] for k in order])
 
     def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> Delayed:
-        """As `jax.lax.broadcast_in_dim`."""
+        """Broadcast as `jax.lax.broadcast_in_dim`."""
         wide = [self.shape[k] == shape[axis] for k, axis in enumerate(axes)]
         zero = I32.type(0)
-        return self.moved(shape, lambda *i: [
+        return self.shift(shape, lambda *i: [
             i[axis] if w else zero for axis, w in zip(axes, wide, strict=True)
         ])  # fmt: skip
 
-    def sliced(self, b: Builder, slices: Sequence[slice]) -> Delayed:
-        """A rectangle of it."""
+    def slice_box(self, b: Builder, slices: Sequence[slice]) -> Delayed:
+        """Return a rectangle of it."""
         shape = [len(range(s.start, s.stop, s.step or 1)) for s in slices]
-        return self.moved(shape, lambda *i: [
+        return self.shift(shape, lambda *i: [
             _along(b, k, s.start, s.step or 1) for k, s in zip(i, slices, strict=True)
         ])  # fmt: skip
 
-    def reshaped(self, shape: Sequence[int]) -> Delayed | None:
-        """With more or fewer axes of one entry; else None."""
+    def reshape_view(self, shape: Sequence[int]) -> Delayed | None:
+        """Add or remove axes of one entry; None for other shapes."""
         own, new = ([k for k, n in enumerate(s) if n != 1] for s in (self.shape, shape))
         if [self.shape[k] for k in own] != [shape[k] for k in new]:
             return None
         place = dict(zip(own, new, strict=True))
         zero = I32.type(0)
-        return self.moved(
+        return self.shift(
             shape, lambda *i: [i[place[k]] if k in place else zero for k in range(self.ndim)]
         )
 
 
 def _along(b: Builder, k: Value, start: int, step: int) -> Value:
-    """start + k step."""
+    """Write start + k step."""
     return b.op("index_add", I32, b.op("index_mul", I32, k, I32.type(step)), I32.type(start))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -14,23 +14,11 @@ from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.operations import OF_PRIMITIVE
-from rbjax.compiler.ir.values import BOOL, Unsupported, Value, Var
-from rbjax.compiler.lower.arrays import (
-    FEW,
-    SHARED_ABOVE,
-    ThreadArray,
-    View,
-    each,
-    every_index,
-    filled,
-    get,
-    in_memory,
-    is_known,
-    put,
-    spread,
-)
+from rbjax.compiler.ir.statements import BOOL, Unsupported, Value, Var
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.delayed import Delayed
-from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 from rbjax.lanes import polynomial_sincos
 
 #: larger arrays use loops over memory
@@ -39,71 +27,93 @@ LOOP_ABOVE = 1024
 LOOP_ABOVE_IN_MEMORY = 64
 
 
-def entrywise(
+def map_entrywise(
     low: Lowering, dtype: DTypeLike, shape: tuple, f: Callable[..., Value], *xs: ThreadArray
 ) -> ThreadArray:
-    """f of the entries of arrays of equal shape; an axis may have 1 entry, a shape may be ()."""
+    """Apply f to the entries of arrays; an axis may have one entry, and a shape may be ()."""
     if not shape:
         out = np.empty((), object)
-        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.scalar(x) for x in xs))
+        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.to_scalar(x) for x in xs))
         return out
     size = math.prod(shape)
-    if low.b.teamed and _is_wide(xs, size):
+    if low.b.in_team and _is_wide(xs, size):
         delayed = _delayed(low.b, dtype, shape, f, xs)
-        if size > FEW or delayed.work > SHARED_ABOVE:
+        if size > arrays.FEW or delayed.work > arrays.SHARED_ABOVE:
             return delayed
-        xs = tuple(low.scalars(x) for x in xs)
+        xs = tuple(low.to_scalars(x) for x in xs)
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
-    if size > LOOP_ABOVE or in_memory_now:
-        b = low.b
-        sources = [spread(b, x, _dtype(x), shape) for x in xs]
-        view = View.of(b.local(dtype, math.prod(shape)), shape)
-        each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
-        return view
-    arrays = [low.scalars(x) for x in xs]
-    out = np.empty(shape, object)
-    arrays = [x if x.shape == shape else np.broadcast_to(x, shape) for x in arrays]
-    for i in every_index(shape):
-        out[i] = f(*(x[i] for x in arrays))
-    return out
+    loop_above = 0 if in_memory_now else LOOP_ABOVE
+    return map_entries(low, [dtype], shape, lambda *x: (f(*x),), *xs, loop_above=loop_above)[0]
+
+
+def map_entries(
+    low: Lowering, dtypes: Sequence[DTypeLike], shape: tuple, f: Callable[..., Sequence[Value]],
+    *xs: ThreadArray, loop_above: int,
+) -> list[ThreadArray]:  # fmt: skip
+    """Apply f, which returns one value per dtype, to the entries of arrays broadcast to a shape.
+
+    Arrays of more than `loop_above` entries are computed by a loop over memory.
+    """
+    b, size = low.b, math.prod(shape)
+    if size > loop_above:
+        sources = [arrays.broadcast_in_memory(b, x, _dtype(x), shape) for x in xs]
+        views = [View.of(b.local(dtype, size), shape) for dtype in dtypes]
+
+        def one(*i: Value) -> None:
+            values = f(*(arrays.load_entry(b, x, i) for x in sources))
+            for view, value in zip(views, values, strict=True):
+                arrays.store_entry(b, view, i, value)
+
+        arrays.for_each_index(b, shape, one)
+        return list(views)
+    operands = np.broadcast_arrays(*(low.to_scalars(x) for x in xs), np.empty(shape, bool))[:-1]
+    outs = [np.empty(shape, object) for _ in dtypes]
+    for i in arrays.indices_of(shape):
+        for out, value in zip(outs, f(*(x[i] for x in operands)), strict=True):
+            out[i] = value
+    return list(outs)
 
 
 def _is_wide(xs: tuple, size: int) -> bool:
-    """Whether threads of a team may share the entries: not where registers hold as many."""
+    """Return whether the threads of a team share the entries, and do not hold them all in
+    registers.
+    """
     if all(isinstance(x, np.ndarray) for x in xs):
-        entries = sum(own_entries(x).size for x in xs if not is_known(x))
-        return size > FEW and 0 < entries < size
-    return size > FEW or any(isinstance(x, Delayed) for x in xs)
+        entries = sum(own_entries(x).size for x in xs if not arrays.is_constant(x))
+        return size > arrays.FEW and 0 < entries < size
+    return size > arrays.FEW or any(isinstance(x, Delayed) for x in xs)
 
 
 def own_entries(x: np.ndarray) -> np.ndarray:
-    """The entries of an array without those that broadcasting repeats."""
+    """Return the entries of an array without those that broadcasting repeats."""
     own = (slice(0, 1) if s == 0 else slice(None) for s in x.strides)
     return x[tuple(own)] if x.size and x.ndim else x
 
 
 def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple) -> Delayed:
-    """The same of a team, entry by entry when they are read."""
+    """Return the result for a team, with entries that are computed when they are read."""
     sources = [source(b, x, shape) for x in xs]
-    arrays = frozenset().union(*(s.sources for s in sources))
+    operands = frozenset().union(*(s.sources for s in sources))
     cost = 1 + sum(s.cost for s in sources)
 
     def entry(*i: Value) -> Value:
         return f(*(s.entry(*i) for s in sources))
 
-    return Delayed(shape, np.dtype(dtype), entry, arrays, cost)
+    return Delayed(shape, np.dtype(dtype), entry, operands, cost)
 
 
 def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
-    """The entries of an array, broadcast to a shape as numpy does. Values in registers are also in
-    memory, for an index that is not known."""
+    """Return the entries of an array, broadcast to a shape as numpy does.
+
+    Values in registers are also put in memory, for an index that is not constant.
+    """
     if not isinstance(x, np.ndarray):
         wide = x.broadcast(shape, range(len(shape) - x.ndim, len(shape)))
         if isinstance(wide, Delayed):
             return wide
         view = wide
         return Delayed(
-            shape, view.dtype, lambda *i: get(b, view, i), frozenset({view.array}), 1
+            shape, view.dtype, lambda *i: arrays.load_entry(b, view, i), frozenset({view.array}), 1
         )
     x = np.broadcast_to(x, shape)
     own = own_entries(x)
@@ -111,11 +121,11 @@ def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
     if own.size == 1:
         value = own.reshape(-1)[0]
         return Delayed(shape, dtype, lambda *i: value, frozenset(), 0)
-    memory = in_memory(b, x, dtype)
+    memory = arrays.to_memory(b, x, dtype)
 
     def entry(*i: Value) -> Value:
         known = [k.item() for k in i if not isinstance(k, Var)]
-        return x[tuple(known)] if len(known) == len(i) else get(b, memory, i)
+        return x[tuple(known)] if len(known) == len(i) else arrays.load_entry(b, memory, i)
 
     return Delayed(shape, dtype, entry, frozenset(), 1)
 
@@ -130,15 +140,15 @@ def _shape(eqn: Equation) -> tuple[int, ...]:
 
 def _one(low: Lowering, eqn: Equation, ins: list) -> list:
     operation, dtype = OF_PRIMITIVE[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
-    if operation.fold and all(map(is_known, ins)):
+    if operation.fold and all(map(arrays.is_constant, ins)):
         with np.errstate(all="ignore"):
             return [np.asarray(operation.fold(*ins), dtype)]
     f = functools.partial(low.b.op, operation.name, dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 rule(*OF_PRIMITIVE)(_one)
-takes_delayed(
+accepts_delayed(
     *OF_PRIMITIVE, "div", "rem", "pow", "square", "integer_pow", "logistic", "sign", "round",
     "clamp", "select_n", "convert_element_type",
 )  # fmt: skip
@@ -147,18 +157,18 @@ takes_delayed(
 @rule("div")
 def _div(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
-    if dtype.kind == "f" and all(map(is_known, ins)):
+    if dtype.kind == "f" and all(map(arrays.is_constant, ins)):
         with np.errstate(all="ignore"):
             return [np.asarray(np.divide(*ins), dtype)]
     f = functools.partial(low.b.op, "div" if dtype.kind == "f" else "idiv", dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("rem")
 def _rem(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     f = functools.partial(low.b.op, "fmod" if dtype.kind == "f" else "irem", dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("pow")
@@ -167,13 +177,13 @@ def _pow(low: Lowering, eqn: Equation, ins: list) -> list:
     if dtype.kind != "f":
         raise Unsupported("pow of integers")
     f = lambda x, y: low.b.op("pow", dtype, x, low.b.cast(y, dtype))  # noqa: E731
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("square")
 def _square(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
-    return [entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
 
 
 @rule("one_minus_square")  # from jax 0.11 on, in the derivatives of tanh, asin, acos, atanh
@@ -196,7 +206,7 @@ def _integer_pow(low: Lowering, eqn: Equation, ins: list) -> list:
         out = dtype.type(1) if out is None else out
         return low.b.op("div", dtype, dtype.type(1), out) if y < 0 else out
 
-    return [entrywise(low, dtype, _shape(eqn), power, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), power, *ins)]
 
 
 @rule("logistic")
@@ -208,7 +218,7 @@ def _logistic(low: Lowering, eqn: Equation, ins: list) -> list:
         e = b.op("exp", dtype, b.op("neg", dtype, x))
         return b.op("div", dtype, one, b.op("add", dtype, e, one))
 
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("sign")
@@ -222,7 +232,7 @@ def _sign(low: Lowering, eqn: Equation, ins: list) -> list:
         )  # fmt: skip
         return b.select(b.op("gt", BOOL, x, zero), dtype.type(1), below)
 
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("round")
@@ -230,7 +240,7 @@ def _round(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     to_even = int(eqn.params["rounding_method"]) == 1
     f = functools.partial(b.op, "rint" if to_even else "round", dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("clamp")
@@ -240,7 +250,7 @@ def _clamp(low: Lowering, eqn: Equation, ins: list) -> list:
     def f(least: Value, x: Value, most: Value) -> Value:
         return b.op("min", dtype, b.op("max", dtype, x, least), most)
 
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("select_n")
@@ -257,7 +267,7 @@ def _select_n(low: Lowering, eqn: Equation, ins: list) -> list:
             out = b.select(b.op("eq", BOOL, which, which.dtype.type(k)), cases[k], out)
         return out
 
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("convert_element_type", "reduce_precision")
@@ -271,7 +281,7 @@ def _convert(low: Lowering, eqn: Equation, ins: list) -> list:
     x = ins[0]
     if isinstance(x, View) and x.dtype == dtype:
         return [x]
-    if is_known(x) and dtype.kind == "f":
+    if arrays.is_constant(x) and dtype.kind == "f":
         return [x.astype(dtype)]
 
     def f(x: Value) -> Value:
@@ -279,7 +289,7 @@ def _convert(low: Lowering, eqn: Equation, ins: list) -> list:
             return b.op("ne", BOOL, x, x.dtype.type(0)) if x.dtype != BOOL else x
         return b.cast(x, dtype)
 
-    return [entrywise(low, dtype, _shape(eqn), f, x)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, x)]
 
 
 @rule("bitcast_convert_type")
@@ -288,34 +298,19 @@ def _bitcast(low: Lowering, eqn: Equation, ins: list) -> list:
     if eqn.invars[0].aval.dtype.itemsize != dtype.itemsize:
         raise Unsupported("bitcast_convert_type to another size")
     f = functools.partial(low.b.op, "bitcast", dtype)
-    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("sincos")
 def _sincos(low: Lowering, eqn: Equation, ins: list) -> list:
-    """Cosine and sine by polynomials of one reduced angle."""
-    aval = jax.ShapeDtypeStruct((), eqn.invars[0].aval.dtype)
-    closed = _traced(polynomial_sincos, aval.dtype)
+    """Compute cosine and sine by polynomials of one reduced angle."""
+    dtype = eqn.invars[0].aval.dtype
+    closed = _traced(polynomial_sincos, dtype)
 
     def pair(angle: Value) -> list[Value]:
-        return [low.scalar(x) for x in low.closed(closed, [filled((), angle)])]
+        return [low.to_scalar(x) for x in low.closed(closed, [arrays.full_of((), angle)])]
 
-    b, shape = low.b, _shape(eqn)
-    if math.prod(shape) > LOOP_ABOVE_IN_MEMORY:
-        angles = spread(b, ins[0], aval.dtype, shape)
-        views = [View.of(b.local(aval.dtype, math.prod(shape)), shape) for _ in range(2)]
-
-        def one(*i: Value) -> None:
-            for view, value in zip(views, pair(get(b, angles, i)), strict=True):
-                put(b, view, i, value)
-
-        each(b, shape, one)
-        return list(views)
-    x = low.scalars(ins[0])
-    out = np.empty(shape, object), np.empty(shape, object)
-    for i in every_index(shape):
-        out[0][i], out[1][i] = pair(x[i])
-    return list(out)
+    return map_entries(low, [dtype] * 2, _shape(eqn), pair, *ins, loop_above=LOOP_ABOVE_IN_MEMORY)
 
 
 @functools.cache

@@ -1,7 +1,7 @@
 """Rules for dense factorisations and triangular systems.
 
-Each is a JAX function that works column by column, which is traced and lowered. Small matrices are
-unrolled, entry by entry. Larger ones use a loop over the columns.
+Each rule traces and lowers a JAX function that works column by column. Small matrices are unrolled
+entry by entry; larger ones use a loop over the columns.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
-from rbjax.compiler.ir.statements import Block
-from rbjax.compiler.ir.values import I32, Value, Var
-from rbjax.compiler.lower.arrays import ThreadArray, View, each, get, in_memory, put, settled
+from rbjax.compiler.ir.statements import I32, Block, Value, Var
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.elementwise import source
-from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
 #: matrices with more columns are factorised by a loop
 UNROLL_UP_TO = 8
@@ -30,7 +30,7 @@ ROWS_UP_TO = 16
 
 
 def _columns(n: int, step: Callable, *state: jax.Array, reverse: bool = False) -> Any:
-    """step(k, *state) for each column; k is known if there are few."""
+    """Run step(k, *state) for each column; k is a constant if there are few columns."""
     if n <= UNROLL_UP_TO:
         for k in reversed(range(n)) if reverse else range(n):
             state = step(k, *state)
@@ -40,7 +40,7 @@ def _columns(n: int, step: Callable, *state: jax.Array, reverse: bool = False) -
 
 
 def _row(a: jax.Array, k: ArrayLike, first: int = 0) -> jax.Array:
-    """a[k], where k is at least `first`; by selections if k is not known and rows are few."""
+    """Return a[k] with k >= first; by selections if k is not constant and rows are few."""
     if isinstance(k, int) or len(a) > UNROLL_UP_TO:
         return a[k]
     out = a[-1]
@@ -49,8 +49,8 @@ def _row(a: jax.Array, k: ArrayLike, first: int = 0) -> jax.Array:
     return out
 
 
-def _exchanged(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.Array:
-    """x, with rows k and p in each other's place, where p is at least `first`."""
+def _exchange_rows(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.Array:
+    """Exchange rows k and p of x, where p >= first."""
     rows = np.arange(len(x))
     here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
     there = (rows == k).reshape(here.shape)
@@ -58,13 +58,15 @@ def _exchanged(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.
 
 
 def cholesky(a: jax.Array) -> jax.Array:
-    """L of A = L L^T, from the lower triangle; nan if A is not positive definite."""
+    """Compute L of A = L L^T from the lower triangle; nan if A is not positive definite."""
     return _cholesky_by(a, False)[0]
 
 
 def cholesky_and_inverses(a: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The same by the inverse of each root, which on a GPU takes a third of a root's and a
-    division's time; and these inverses (n,) of the diagonal."""
+    """Compute L and the inverses (n,) of its diagonal by inverse square roots.
+
+    On a GPU, an inverse root takes a third of the time of a root and a division.
+    """
     return _cholesky_by(a, True)
 
 
@@ -90,7 +92,7 @@ def _cholesky_by(a: jax.Array, inverse: bool) -> tuple[jax.Array, jax.Array]:
 
 
 def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """L and U in one matrix, the row swapped at each column, and the permutation."""
+    """Compute L and U in one matrix, the row swapped at each column, and the permutation."""
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
@@ -101,7 +103,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         p = p + k if isinstance(k, int) else p
         first = k if isinstance(k, int) else 0
 
-        a, order = _exchanged(a, k, p, first), _exchanged(order, k, p, first)
+        a, order = _exchange_rows(a, k, p, first), _exchange_rows(order, k, p, first)
         pivots = jnp.where(np.arange(count) == k, p, pivots)
         below = rows > k
         pivot = a[k, k]
@@ -115,7 +117,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 def permutation(pivots: jax.Array, *, size: int) -> jax.Array:
-    """The order of rows after the swaps, one after another."""
+    """Compose row swaps into a permutation."""
     rows = np.arange(size)
 
     def step(k: ArrayLike, order: jax.Array) -> tuple:
@@ -129,7 +131,7 @@ def triangular_solve(
     a: jax.Array, b: jax.Array, *, left_side: bool, lower: bool, transpose_a: bool,
     unit_diagonal: bool,
 ) -> jax.Array:  # fmt: skip
-    """x of a x = b, or of x a = b; a may be transposed."""
+    """Solve a x = b, or x a = b; a may be transposed."""
     if not left_side:
         a, b = a.T, b.T
         lower = not lower
@@ -150,8 +152,11 @@ def triangular_solve(
 
 
 def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Householder's reflections below the diagonal, R above it, the reflections' factors, and the
-    order of the columns: with `pivoting` the longest that is left comes next."""
+    """Factorise by Householder reflections.
+
+    Returns the reflections below the diagonal with R above it, the factors of the reflections, and
+        the order of the columns: with `pivoting`, the longest remaining column is next.
+    """
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
@@ -159,7 +164,7 @@ def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, j
         if pivoting:
             left = jnp.where((rows >= k)[:, None], a, 0)
             p = jnp.where(columns >= k, (left * left).sum(0), -1).argmax().astype(jnp.int32)
-            a, order = _exchanged(a.T, k, p).T, _exchanged(order, k, p)
+            a, order = _exchange_rows(a.T, k, p).T, _exchange_rows(order, k, p)
         below, alpha = rows > k, a[k, k]
         rest = jnp.where(below, a[:, k] ** 2, 0).sum()
         length = jnp.sqrt(alpha**2 + rest)
@@ -179,7 +184,7 @@ def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, j
 
 
 def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
-    """The first columns of the product of reflections."""
+    """Return the first columns of the product of reflections."""
     rows = np.arange(a.shape[0])
 
     def step(k: ArrayLike, q: jax.Array) -> tuple:
@@ -191,7 +196,7 @@ def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
 
 
 def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[jax.Array, ...]:
-    """Q and R; with `pivoting` the order of the columns too."""
+    """Compute Q and R; with `pivoting`, the order of the columns too."""
     m, n = a.shape
     r, taus, order = geqrf(a, pivoting)
     k = m if full_matrices else min(m, n)
@@ -200,8 +205,10 @@ def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[ja
     return (*found, order) if pivoting else found
 
 
-def mapped(low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
-    """The results of f, mapped over the axes before the last ones."""
+def lower_mapped(
+    low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]
+) -> list:
+    """Lower f, mapped over the leading axes."""
     for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
         f = jax.vmap(f)
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
@@ -209,50 +216,50 @@ def mapped(low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[in
 
 @rule("cholesky")
 def _cholesky(low: Lowering, eqn: Equation, ins: list) -> list:
-    if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
-        a = low.scalars(ins[0])
-        with low.b.by_itself():  # each thread the whole factor, in its registers
-            L, inverses = mapped(low, eqn, [a], cholesky_and_inverses, (2,))
+    if low.b.in_team and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
+        a = low.to_scalars(ins[0])
+        with low.b.per_thread():  # each thread the whole factor, in its registers
+            L, inverses = lower_mapped(low, eqn, [a], cholesky_and_inverses, (2,))
         for root, inverse in zip(np.diagonal(L), inverses, strict=True):
             low.b.inverses[root] = inverse
         return [L]
-    return mapped(low, eqn, ins, cholesky, (2,))
+    return lower_mapped(low, eqn, ins, cholesky, (2,))
 
 
 @rule("lu")
 def _lu(low: Lowering, eqn: Equation, ins: list) -> list:
-    return mapped(low, eqn, ins, lu, (2,))
+    return lower_mapped(low, eqn, ins, lu, (2,))
 
 
 @rule("lu_pivots_to_permutation")
 def _permutation(low: Lowering, eqn: Equation, ins: list) -> list:
     f = functools.partial(permutation, size=eqn.params["permutation_size"])
-    return mapped(low, eqn, ins, f, (1,))
+    return lower_mapped(low, eqn, ins, f, (1,))
 
 
 @rule("triangular_solve")
 def _triangular_solve(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "left_side", "lower", "transpose_a", "unit_diagonal"
-    if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= ROWS_UP_TO:
+    if low.b.in_team and ins[0].ndim == 2 and ins[0].shape[0] <= ROWS_UP_TO:
         return [_solved_by_team(low, eqn, *ins)]
-    ins = [settled(low.b, x) for x in ins]
+    ins = [arrays.materialize(low.b, x) for x in ins]
     f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
-    return mapped(low, eqn, ins, f, (2,))
+    return lower_mapped(low, eqn, ins, f, (2,))
 
 
-takes_delayed("triangular_solve")
+accepts_delayed("triangular_solve")
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A loop of a team in which each thread has solved a system for a column (or row) of the right
-    side.
+    """A team loop in which each thread has solved a system for a column (or row) of the right side.
 
-    solution: all entries of the solutions in memory, as at `version` of their array.
+    solution: all solutions in memory, at `version` of their array.
+    version: the version of the array when they were stored.
     block: the loop's statements.
     left: whether the matrix is on the left.
     column: the column of a thread.
-    x: the entries of a thread's solution, in registers.
+    x: a thread's solution, in registers.
     """
 
     solution: View
@@ -263,29 +270,32 @@ class Solved:
     x: list[Value]
 
     def goes_on(self, left: bool, used: Sequence[View | Value | None], right: View) -> bool:
-        """Whether the same threads can solve the next system at once: with numbers that were
-        there before the loop, and the whole of the solutions."""
+        """Return whether a second solve may be fused into this loop.
+
+        It may use only values from before the loop, and the right side must be all the solutions.
+        """
         column = self.column.id if isinstance(self.column, Var) else 0
         there = all(not isinstance(v, Var) or v.id < column for v in used)
         known = not any(isinstance(v, View) for v in used)
-        whole = self.solution.same(right) and right.array.version == self.version
+        whole = self.solution.is_same_view(right) and right.array.version == self.version
         return self.left == left and there and known and whole
 
 
 def _solved_by_team(
     low: Lowering, eqn: Equation, a: ThreadArray, right: ThreadArray
 ) -> ThreadArray:
-    """Each thread solves for some columns of the right side (or its rows, from the right), which
-    are in its registers, with the inverses of the diagonal."""
+    """Write a solve in which each thread has columns (or rows) of the right side in registers."""
     b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]
     left, turned = P["left_side"], P["transpose_a"] == P["left_side"]
     forwards = P["lower"] != turned
-    a = settled(b, a)
-    a = low.scalars(a) if n <= UNROLL_UP_TO else in_memory(b, a, dtype)
+    a = arrays.materialize(b, a)
+    a = low.to_scalars(a) if n <= UNROLL_UP_TO else arrays.to_memory(b, a, dtype)
 
     def entry(j: int, k: int) -> Value:
         j, k = (k, j) if turned else (j, k)
-        return get(b, a, (I32.type(j), I32.type(k))) if isinstance(a, View) else a[j, k]
+        return (
+            arrays.load_entry(b, a, (I32.type(j), I32.type(k))) if isinstance(a, View) else a[j, k]
+        )
 
     def inverted(x: Value) -> Value:
         return b.inverses[x] if x in b.inverses else b.op("div", dtype, dtype.type(1), x)
@@ -302,7 +312,7 @@ def _solved_by_team(
         return x
 
     if right.shape[1 if left else 0] == 1:
-        found = solve(list(low.scalars(right).reshape(-1)))
+        found = solve(list(low.to_scalars(right).reshape(-1)))
         out = np.empty(right.shape, object)
         out.reshape(-1)[:] = found
         return out
@@ -310,13 +320,13 @@ def _solved_by_team(
 
     def write(c: Value, x: list[Value]) -> None:
         for k in range(n):
-            put(b, view, (I32.type(k), c) if left else (c, I32.type(k)), x[k])
+            arrays.store_entry(b, view, (I32.type(k), c) if left else (c, I32.type(k)), x[k])
         b.solved[view.array] = Solved(view, view.array.version, b.block, left, c, x)
 
     before = b.solved.get(right.array) if isinstance(right, View) else None
     used = [*inverse, *np.ravel(a)] if isinstance(a, np.ndarray) else [a]
     if before is not None and before.goes_on(left, used, right):
-        with b.inside(before.block), b.by_itself():
+        with b.inside(before.block), b.per_thread():
             write(before.column, solve(list(before.x)))
         return view
     s = source(b, right, right.shape)
@@ -325,25 +335,25 @@ def _solved_by_team(
         write(c, solve([s.entry(*((I32.type(k), c) if left else (c, I32.type(k))))
                         for k in range(n)]))  # fmt: skip
 
-    each(b, (right.shape[1 if left else 0],), column)
+    arrays.for_each_index(b, (right.shape[1 if left else 0],), column)
     return view
 
 
 @rule("geqrf")
 def _geqrf(low: Lowering, eqn: Equation, ins: list) -> list:
-    return mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
+    return lower_mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
 
 
 @rule("householder_product")
 def _householder_product(low: Lowering, eqn: Equation, ins: list) -> list:
-    return mapped(low, eqn, ins, householder_product, (2,))
+    return lower_mapped(low, eqn, ins, householder_product, (2,))
 
 
 @rule("qr")
 def _qr(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "full_matrices", "pivoting"
     f = functools.partial(qr, **{name: eqn.params.get(name, False) for name in names})
-    return mapped(low, eqn, ins, f, (2,))
+    return lower_mapped(low, eqn, ins, f, (2,))
 
 
 @rule("custom_linear_solve")

@@ -10,27 +10,18 @@ from typing import Any
 import numpy as np
 from jax.lax import GatherScatterMode
 
-from rbjax.compiler.ir.values import BOOL, I32, Unsupported, Value, Var
-from rbjax.compiler.lower.arrays import (
-    View,
-    each,
-    every_index,
-    filled,
-    get,
-    in_memory,
-    objects,
-    put,
-    tidy,
-)
+from rbjax.compiler.ir.statements import BOOL, I32, Unsupported, Value, Var
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import View
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
-from rbjax.compiler.lower.indexing import SELECT_UP_TO, changeable, clamped, in_bounds
+from rbjax.compiler.lower.indexing import SELECT_UP_TO, clamp, is_in_bounds, make_updatable
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
 FILL = GatherScatterMode.FILL_OR_DROP
 
 
 def _starts(low: Lowering, indices: np.ndarray, at: tuple, axes: Sequence[int], rank: int) -> list:
-    """The start of a window of a gather or scatter, one value per axis of the operand."""
+    """Return the start of a window, one value per axis of the operand."""
     out: list[Value] = [I32.type(0)] * rank
     for k, axis in enumerate(axes):
         out[axis] = indices[(*at, k)]
@@ -47,7 +38,7 @@ def _batch_starts(
 def _all_in_bounds(low: Lowering, starts: list, most: list[int]) -> Value:
     inside: Value = np.bool_(True)
     for start, m in zip(starts, most, strict=True):
-        inside = low.b.op("and", BOOL, inside, in_bounds(low, start, m))
+        inside = low.b.op("and", BOOL, inside, is_in_bounds(low, start, m))
     return inside
 
 
@@ -63,23 +54,23 @@ def _gather(low: Lowering, eqn: Equation, ins: list) -> list:
         raise Unsupported(f"gather with mode {mode}")
     if aval.size > LOOP_ABOVE:
         return [_gather_looped(low, eqn, ins)]
-    b, indices = low.b, low.scalars(ins[1])
+    b, indices = low.b, low.to_scalars(ins[1])
     gone = {*dims.collapsed_slice_dims, *dims.operand_batching_dims}
     window_axes = [axis for axis in range(len(x.shape)) if axis not in gone]
     batch_dims = [k for k in range(len(aval.shape)) if k not in dims.offset_dims]
     most = [n - size for n, size in zip(x.shape, sizes, strict=True)]
     dynamic = any(isinstance(v, Var) for v in indices.flat)
     if dynamic or isinstance(x, View):
-        x = in_memory(b, x, dtype_of(aval))
+        x = arrays.to_memory(b, x, dtype_of(aval))
     fill = _fill(P.get("fill_value"), dtype_of(aval))
     out = np.empty(aval.shape, object)
-    for at in every_index([*(aval.shape[k] for k in batch_dims)]):
+    for at in arrays.indices_of([*(aval.shape[k] for k in batch_dims)]):
         starts = _starts(low, indices, at, dims.start_index_map, len(x.shape))
         _batch_starts(starts, at, dims.operand_batching_dims, dims.start_indices_batching_dims)
         inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
-        starts = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
-        corner = x.moved(b, *zip(starts, x.strides, strict=True)) if isinstance(x, View) else x
-        for offset in every_index([*(sizes[axis] for axis in window_axes)]):
+        starts = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
+        corner = x.shift(b, *zip(starts, x.strides, strict=True)) if isinstance(x, View) else x
+        for offset in arrays.indices_of([*(sizes[axis] for axis in window_axes)]):
             window = [0] * len(x.shape)
             for axis, k in zip(window_axes, offset, strict=True):
                 window[axis] = k
@@ -102,14 +93,16 @@ def _place(
     low: Lowering, indices: View, at: tuple, axes: Sequence[int], batching: tuple, offsets: dict,
     most: list[int], mode: Any,
 ) -> tuple[list[Value], Value]:  # fmt: skip
-    """The entry of the operand that one iteration reads or writes, and whether its window is
-    inside. `offsets` are within the window, by axis."""
+    """Return the operand's index in one iteration, and whether its window is in bounds.
+
+    offsets: the offset within the window, by axis.
+    """
     starts: list[Value] = [I32.type(0)] * len(most)
     for k, axis in enumerate(axes):
-        starts[axis] = get(low.b, indices, (*at, I32.type(k)))
+        starts[axis] = arrays.load_entry(low.b, indices, (*at, I32.type(k)))
     _batch_starts(starts, at, *batching)
     inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
-    place = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
+    place = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
     for axis, offset in offsets.items():
         place[axis] = low.b.op("index_add", I32, place[axis], offset)
     return place, inside
@@ -118,7 +111,9 @@ def _place(
 def _gather_looped(low: Lowering, eqn: Equation, ins: list) -> View:
     P, aval, b = eqn.params, eqn.outvars[0].aval, low.b
     dims, mode, dtype = P["dimension_numbers"], P["mode"], dtype_of(aval)
-    x, indices = (in_memory(b, x, dtype_of(v.aval)) for x, v in zip(ins, eqn.invars, strict=True))
+    x, indices = (
+        arrays.to_memory(b, x, dtype_of(v.aval)) for x, v in zip(ins, eqn.invars, strict=True)
+    )
     gone = {*dims.collapsed_slice_dims, *dims.operand_batching_dims}
     window_axes = [axis for axis in range(x.ndim) if axis not in gone]
     batch_dims = [k for k in range(len(aval.shape)) if k not in dims.offset_dims]
@@ -132,10 +127,10 @@ def _gather_looped(low: Lowering, eqn: Equation, ins: list) -> View:
         place, inside = _place(
             low, indices, at, dims.start_index_map, batching, offsets, most, mode
         )
-        value = get(b, x, place)
-        put(b, out, to, b.select(inside, value, _fill(P.get("fill_value"), dtype)))
+        value = arrays.load_entry(b, x, place)
+        arrays.store_entry(b, out, to, b.select(inside, value, _fill(P.get("fill_value"), dtype)))
 
-    each(b, aval.shape, one)
+    arrays.for_each_index(b, aval.shape, one)
     return out
 
 
@@ -162,7 +157,7 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
     combine = _combination(low, eqn)
     if eqn.invars[2].aval.size > LOOP_ABOVE:
         return [_scatter_looped(low, eqn, ins, combine)]
-    indices, updates = low.scalars(ins[1]), low.scalars(ins[2])
+    indices, updates = low.to_scalars(ins[1]), low.to_scalars(ins[2])
     gone = {*dims.inserted_window_dims, *dims.operand_batching_dims}
     window_axes = [axis for axis in range(len(x.shape)) if axis not in gone]
     batch_dims = [k for k in range(updates.ndim) if k not in dims.update_window_dims]
@@ -171,22 +166,20 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
         sizes[axis] = updates.shape[k]
     most = [n - size for n, size in zip(x.shape, sizes, strict=True)]
     dynamic = any(isinstance(v, Var) for v in indices.flat)
-    few = not isinstance(x, View) and x.size <= SELECT_UP_TO
-    out = objects(x).copy() if not isinstance(x, View) and (few or not dynamic) else changeable(
-        low, x, dtype
-    )  # fmt: skip
-    for at in every_index([*(updates.shape[k] for k in batch_dims)]):
+    in_registers = not isinstance(x, View) and (x.size <= SELECT_UP_TO or not dynamic)
+    out = arrays.as_objects(x).copy() if in_registers else make_updatable(low, x, dtype)
+    for at in arrays.indices_of([*(updates.shape[k] for k in batch_dims)]):
         starts = _starts(low, indices, at, dims.scatter_dims_to_operand_dims, len(x.shape))
         _batch_starts(starts, at, dims.operand_batching_dims, dims.scatter_indices_batching_dims)
         inside: Value = np.bool_(True)
         if mode == GatherScatterMode.CLIP:
-            starts = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
+            starts = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
         elif mode != GatherScatterMode.PROMISE_IN_BOUNDS:
             inside = _all_in_bounds(low, starts, most)
         if not isinstance(inside, Var) and not inside:
             continue
         window = np.empty(sizes, object)
-        for offset in every_index([*(updates.shape[k] for k in dims.update_window_dims)]):
+        for offset in arrays.indices_of([*(updates.shape[k] for k in dims.update_window_dims)]):
             to, place = [0] * len(x.shape), [0] * updates.ndim
             for axis, k in zip(window_axes, offset, strict=True):
                 to[axis] = k
@@ -199,11 +192,11 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
             _stored(low, out, window, starts, inside, combine, most)
         else:
             out = _merged(low, out, window, starts, inside, combine)
-    return [tidy(out, dtype) if isinstance(out, np.ndarray) else out]
+    return [arrays.fold_if_constant(out, dtype) if isinstance(out, np.ndarray) else out]
 
 
 def _combination(low: Lowering, eqn: Equation) -> Callable[[Value, Value], Value]:
-    """The function that combines an entry and its update."""
+    """Return the function that combines an entry and its update."""
     name, update = COMBINE[eqn.primitive.name], eqn.params["update_jaxpr"]
     if name is not None:
         return functools.partial(low.b.op, name, dtype_of(eqn.outvars[0].aval))
@@ -211,8 +204,8 @@ def _combination(low: Lowering, eqn: Equation) -> Callable[[Value, Value], Value
         return lambda old, new: new
 
     def applied(old: Value, new: Value) -> Value:
-        pair = [filled((), old), filled((), new)]
-        return low.scalar(low.run(update, eqn.params["update_consts"], pair)[0])
+        pair = [arrays.full_of((), old), arrays.full_of((), new)]
+        return low.to_scalar(low.run(update, eqn.params["update_consts"], pair)[0])
 
     return applied
 
@@ -221,10 +214,11 @@ def _scatter_looped(low: Lowering, eqn: Equation, ins: list, combine: Callable) 
     P, b = eqn.params, low.b
     dims, mode = P["dimension_numbers"], P["mode"]
     indices, updates = (
-        in_memory(b, x, dtype_of(v.aval)) for x, v in zip(ins[1:], eqn.invars[1:], strict=True)
+        arrays.to_memory(b, x, dtype_of(v.aval))
+        for x, v in zip(ins[1:], eqn.invars[1:], strict=True)
     )
-    with low.held([indices, updates]):
-        out = changeable(low, ins[0], dtype_of(eqn.outvars[0].aval))
+    with low.pinned([indices, updates]):
+        out = make_updatable(low, ins[0], dtype_of(eqn.outvars[0].aval))
     gone = {*dims.inserted_window_dims, *dims.operand_batching_dims}
     window_axes = [axis for axis in range(out.ndim) if axis not in gone]
     batch_dims = [k for k in range(updates.ndim) if k not in dims.update_window_dims]
@@ -241,12 +235,12 @@ def _scatter_looped(low: Lowering, eqn: Equation, ins: list, combine: Callable) 
         place, inside = _place(
             low, indices, at, dims.scatter_dims_to_operand_dims, batching, offsets, most, mode
         )
-        new = get(b, updates, source)
+        new = arrays.load_entry(b, updates, source)
         with b.when(inside):
-            put(b, out, place, combine(get(b, out, place), new))
+            arrays.store_entry(b, out, place, combine(arrays.load_entry(b, out, place), new))
 
-    with b.by_itself():  # several updates may meet in one place
-        each(b, updates.shape, one)
+    with b.per_thread():  # several updates may meet in one place
+        arrays.for_each_index(b, updates.shape, one)
     return out
 
 
@@ -257,9 +251,9 @@ def _stored(
     b = low.b
 
     def store() -> None:
-        safe = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
-        corner = out.moved(b, *zip(safe, out.strides, strict=True))
-        for k in every_index(window.shape):
+        safe = [clamp(low, s, m) for s, m in zip(starts, most, strict=True)]
+        corner = out.shift(b, *zip(safe, out.strides, strict=True))
+        for k in arrays.indices_of(window.shape):
             offset = corner.offset + sum(i * s for i, s in zip(k, corner.strides, strict=True))
             old = b.load(corner.array, corner.base, offset)
             b.store(corner.array, corner.base, offset, combine(old, window[k]))
@@ -284,7 +278,7 @@ def _merged(
         for start, k in zip(starts, at, strict=True):
             if isinstance(start, Var):
                 here = b.op("and", BOOL, here, b.op("eq", BOOL, start, start.dtype.type(k)))
-        for i in every_index(window.shape):
+        for i in arrays.indices_of(window.shape):
             to = tuple(np.add(at, i))
             out[to] = b.select(here, combine(x[to], window[i]), out[to])
     return out

@@ -1,9 +1,9 @@
-"""From the jaxpr of one sample to the program of one thread.
+"""Lowers the jaxpr of one sample to the program of one thread.
 
-`Lowering.run` goes through the equations. A rule for each primitive (`RULES`) maps small arrays to
-small arrays. Moving entries (slices, reshapes, transposes) costs nothing: it renames them. A result
-that is written entry by entry (the stacked outputs of a scan) is written to its final place, so a
-trajectory goes directly to the kernel's result.
+`Lowering.run` visits the equations. The rule of each primitive (`RULES`) maps small arrays to small
+arrays. Slices, reshapes and transposes need no statements. A result that is written entry by entry
+(the stacked outputs of a scan) is written to its final place, so a trajectory goes directly to the
+kernel's result.
 """
 
 from __future__ import annotations
@@ -22,8 +22,16 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, Var
 
 from rbjax._jax_compat import CALLS, JAXPRS, expanded
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.values import Unsupported, Value
-from rbjax.compiler.lower.arrays import FEW, ThreadArray, View, scalars, settled, tidy, write
+from rbjax.compiler.ir.statements import Unsupported, Value
+from rbjax.compiler.lower.arrays import (
+    FEW,
+    ThreadArray,
+    View,
+    fold_if_constant,
+    materialize,
+    to_scalars,
+    write_to,
+)
 from rbjax.compiler.lower.delayed import Delayed
 
 
@@ -68,24 +76,18 @@ WRITERS: dict[str, Callable[[Lowering, Equation, list, list], list]] = {}
 
 #: a key of threefry: its first number is the low half
 KEY = np.dtype(np.uint64)
-
-
 #: the dtypes that a thread supports
 DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
-
-
 #: primitives whose rules take delayed arrays as they are
 TAKES_DELAYED: set[str] = set()
-#: operations up to which the entries of a delayed array are computed at each of its uses
+#: the most operations of a delayed entry that is computed at each of its uses
 CHEAP = 4
-
-
-def takes_delayed(*names: str) -> None:
-    TAKES_DELAYED.update(names)
-
-
 #: arguments that the rule of a primitive does not read; they are passed as None
 UNREAD: dict[str, tuple[int, ...]] = {}
+
+
+def accepts_delayed(*names: str) -> None:
+    TAKES_DELAYED.update(names)
 
 
 def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
@@ -99,8 +101,8 @@ def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
     return register
 
 
-def writer(*names: str) -> Callable:
-    """The same, for rules that get the places of their results."""
+def placing_rule(*names: str) -> Callable:
+    """Register a rule that also gets the places of its results."""
 
     def register(f: Callable) -> Callable:
         WRITERS.update(dict.fromkeys(names, f))
@@ -113,8 +115,9 @@ def writer(*names: str) -> Callable:
 class Needs:
     """The part of a jaxpr that its results need.
 
-    last: for each variable that is read, the last equation that reads it. equations: for each, its
-    number, itself and the inputs that it reads. uses: how often each variable is read.
+    last: for each variable that is read, the number of the last equation that reads it.
+    uses: how often each variable is read.
+    equations: for each needed equation, its number, itself, and the inputs that it reads.
     """
 
     jaxpr: Jaxpr
@@ -142,17 +145,17 @@ class Lowering:
         args: Sequence[ThreadArray],
         places: Sequence[View | None] = (),
     ) -> list[ThreadArray]:
-        """The results of a jaxpr. A result with a place is written there."""
-        needs = self.needed(jaxpr)
+        """Write a jaxpr, and return its results. A result with a place is written there."""
+        needs = self.analyze(jaxpr)
         last = needs.last
         env: dict[Any, ThreadArray] = {}
 
         def bind(var: Any, value: ThreadArray) -> None:
             if var in last:
                 if isinstance(value, Delayed) and needs.uses[var] > 1 and value.cost > CHEAP:
-                    value = settled(self.b, value)
+                    value = materialize(self.b, value)
                 env[var] = value
-                _own(value, 1)
+                _count_reference(value, 1)
 
         def read(atom: Any) -> ThreadArray:
             return known(atom.val, atom.aval) if isinstance(atom, Literal) else env[atom]
@@ -162,7 +165,7 @@ class Lowering:
             bind(var, const if held else known(const, var.aval))
         for var, arg in zip(jaxpr.invars, args, strict=True):
             bind(var, arg)
-        if self.b.teamed:
+        if self.b.in_team:
             wanted = _places(jaxpr, places, lambda v: v in last and self._joined(v))
         else:
             wanted = _places(jaxpr, places)
@@ -170,45 +173,43 @@ class Lowering:
             ins = [None if atom is None else read(atom) for atom in atoms]
             for atom in atoms:
                 if not isinstance(atom, Literal) and last.get(atom) == n and atom in env:
-                    _own(env.pop(atom), -1)
+                    _count_reference(env.pop(atom), -1)
             outs = self._equation(eqn, ins, [wanted.get(v) for v in eqn.outvars])
             for var, out in zip(eqn.outvars, outs, strict=True):
                 place = wanted.get(var)
                 if isinstance(out, Delayed) and place is not None and place.array.shared:
-                    write(self.b, place, out)  # a piece of a larger array, where it belongs
+                    write_to(self.b, place, out)  # a piece of a larger array, where it belongs
                     out = place
                 bind(var, out)
         outs = [read(atom) for atom in jaxpr.outvars]
         for value in env.values():
-            _own(value, -1)
+            _count_reference(value, -1)
         for i, place in enumerate(places):
             if place is not None:
-                write(self.b, place, outs[i])
+                write_to(self.b, place, outs[i])
                 outs[i] = place
         return outs
 
-    def _equation(
-        self, eqn: Any, ins: list, places: list[View | None]
-    ) -> list[ThreadArray]:
+    def _equation(self, eqn: Any, ins: list, places: list[View | None]) -> list[ThreadArray]:
         name = eqn.primitive.name
         if name == "custom_lin":  # what JAX makes of a custom_vjp under jvp
             raise TypeError("forward-mode autodiff of a function that has only a reverse rule")
         for var in eqn.outvars:
             dtype = dtype_of(var.aval)
             fits = dtype is None or dtype in DTYPES
-            call = called(eqn) or expanded(eqn)  # the inner jaxpr names it
+            call = inner_jaxpr(eqn) or expanded(eqn)  # the inner jaxpr names it
             if not fits and (name in RULES or call is None):
                 raise Unsupported(f"{name} of type {dtype}")
         if name not in TAKES_DELAYED and (name in WRITERS or name in RULES):
-            ins = [settled(self.b, x) for x in ins]
+            ins = [materialize(self.b, x) for x in ins]
         if name in WRITERS:
             return WRITERS[name](self, eqn, ins, places)
         if name in RULES:
             return [
-                tidy(out, dtype_of(var.aval)) if isinstance(out, np.ndarray) else out
+                fold_if_constant(out, dtype_of(var.aval)) if isinstance(out, np.ndarray) else out
                 for out, var in zip(RULES[name](self, eqn, ins), eqn.outvars, strict=True)
             ]
-        inner, high = called(eqn), expanded(eqn)
+        inner, high = inner_jaxpr(eqn), expanded(eqn)
         if high is not None:
             inner = jax.make_jaxpr(high)(*(v.aval for v in eqn.invars))
         if inner is None:
@@ -216,22 +217,22 @@ class Lowering:
         return self.closed(inner, ins, places)
 
     def _joined(self, var: Any) -> View | None:
-        """A place for a concatenation of a team, for the pieces to be written there."""
+        """Reserve memory for a concatenation of a team, so that the pieces are written there."""
         aval = var.aval
         if aval.size <= FEW or dtype_of(aval) not in DTYPES:
             return None
         array = self.b.local(dtype_of(aval), aval.size)
-        array.pieces = True
+        array.write_once = True
         return View.of(array, aval.shape)
 
-    def needed(self, jaxpr: Jaxpr) -> Needs:
-        """The part of a jaxpr that its results need."""
+    def analyze(self, jaxpr: Jaxpr) -> Needs:
+        """Return the part of a jaxpr that its results need."""
         known = self.needs.get(id(jaxpr))
         if known is None or known.jaxpr is not jaxpr:
-            known = self.needs[id(jaxpr)] = self._needed(jaxpr)
+            known = self.needs[id(jaxpr)] = self._analyze(jaxpr)
         return known
 
-    def _needed(self, jaxpr: Jaxpr) -> Needs:
+    def _analyze(self, jaxpr: Jaxpr) -> Needs:
         end = len(jaxpr.eqns)
         last: dict[Any, int] = {v: end for v in jaxpr.outvars if not isinstance(v, Literal)}
         equations = []
@@ -250,56 +251,56 @@ class Lowering:
         return Needs(jaxpr, last, uses, equations[::-1])
 
     def _unread(self, eqn: Any) -> Sequence[int]:
-        inner = called(eqn)
+        inner = inner_jaxpr(eqn)
         if inner is None or eqn.primitive.name in RULES:
             return UNREAD.get(eqn.primitive.name, ())
-        last = self.needed(inner.jaxpr).last
+        last = self.analyze(inner.jaxpr).last
         return [k for k, v in enumerate(inner.jaxpr.invars) if v not in last]
 
     @contextmanager
-    def held(self, values: Sequence[ThreadArray]) -> Iterator[None]:
-        """Prevents updates in place of values that are read again later."""
+    def pinned(self, values: Sequence[ThreadArray]) -> Iterator[None]:
+        """Prevent updates in place of values that are read again later."""
         for value in values:
-            _own(value, 1)
+            _count_reference(value, 1)
         try:
             yield
         finally:
             for value in values:
-                _own(value, -1)
+                _count_reference(value, -1)
 
-    def scalars(self, x: ThreadArray) -> np.ndarray:
-        return scalars(self.b, x)
+    def to_scalars(self, x: ThreadArray) -> np.ndarray:
+        return to_scalars(self.b, x)
 
-    def scalar(self, x: ThreadArray) -> Value:
-        """The value of an array with one entry and no axes."""
-        return self.scalars(x).item()
+    def to_scalar(self, x: ThreadArray) -> Value:
+        """Return the value of an array with one entry and no axes."""
+        return self.to_scalars(x).item()
 
     def evaluate(self, f: Callable, *args: ThreadArray, avals: Sequence[Aval]) -> list[ThreadArray]:
-        """The results of a JAX function, traced for arguments of these shapes and types."""
+        """Trace and write a JAX function of arguments of these types."""
         return self.closed(jax.make_jaxpr(f)(*avals), args)
 
 
 def dtype_of(aval: Aval) -> Any:
-    """The dtype of an array's entries; a random key is one 64-bit number."""
+    """Return the dtype of an array's entries; a random key is one 64-bit number."""
     dtype: Any = getattr(aval, "dtype", None)
     return KEY if is_key(dtype) and dtype.itemsize == KEY.itemsize else dtype
 
 
 @functools.lru_cache(256)
 def is_key(dtype: Any) -> bool:
-    """Whether this is a dtype of random keys."""
+    """Return whether this is a dtype of random keys."""
     return jnp.issubdtype(dtype, jax.dtypes.prng_key)
 
 
 def known(x: Any, aval: Any) -> np.ndarray:
-    """A constant as a numpy array, with the dtype of the jaxpr."""
+    """Return a constant as a numpy array, with the dtype of the jaxpr."""
     if is_key(getattr(x, "dtype", None)):
         return np.asarray(jax.random.key_data(x)).view(KEY)[..., 0]
     return np.asarray(x, aval.dtype)
 
 
-def called(eqn: Equation) -> ClosedJaxpr | None:
-    """The jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
+def inner_jaxpr(eqn: Equation) -> ClosedJaxpr | None:
+    """Return the jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
     if eqn.primitive.name not in CALLS:
         return None
     for name in JAXPRS:
@@ -315,12 +316,12 @@ def _is_objects(x: object) -> bool:
     return isinstance(x, np.ndarray) and x.dtype == object
 
 
-def _own(value: ThreadArray, change: int) -> None:
+def _count_reference(value: ThreadArray, change: int) -> None:
     if isinstance(value, View):
-        value.array.owners += change
+        value.array.reference_count += change
     elif isinstance(value, Delayed):
         for array in value.sources:
-            array.owners += change
+            array.reference_count += change
 
 
 #: equations that only move entries
@@ -332,8 +333,10 @@ MOVES = {
 def _places(
     jaxpr: Jaxpr, places: Sequence[View | None], joined: Callable | None = None
 ) -> dict[Any, View]:
-    """The places of results, passed back through equations that only move entries. joined: a place
-    for another concatenation with computed pieces."""
+    """Propagate the places of results back through equations that only move entries.
+
+    joined: reserves memory for a concatenation of computed pieces.
+    """
     wanted: dict[Any, View] = {}
     inputs = {*jaxpr.invars, *jaxpr.constvars}
 
@@ -342,7 +345,7 @@ def _places(
             wanted.setdefault(var, place)
 
     def same_entries(var: Any, place: View) -> None:
-        want(var, place.reshaped(var.aval.shape))
+        want(var, place.reshape_view(var.aval.shape))
 
     for var, place in zip(jaxpr.outvars, places, strict=False):
         want(var, place)
@@ -351,7 +354,8 @@ def _places(
     moved = {v for eqn in jaxpr.eqns if eqn.primitive.name in MOVES for v in eqn.outvars}
     uses = Counter(v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal))
     uses.update(v for v in jaxpr.outvars if not isinstance(v, Literal))
-    for eqn in reversed(jaxpr.eqns):
+    eqns: Sequence[Any] = jaxpr.eqns
+    for eqn in reversed(eqns):
         if eqn.primitive.name == "fusion_barrier":
             for var, made in zip(eqn.invars, eqn.outvars, strict=True):
                 shape = getattr(made.aval, "shape", ())
@@ -368,7 +372,7 @@ def _places(
         match eqn.primitive.name:
             case "reshape" | "squeeze" | "expand_dims":
                 same_entries(eqn.invars[0], place)
-            case "broadcast_in_dim" if _size(eqn.invars[0]) == _size(eqn.outvars[0]):
+            case "broadcast_in_dim" if eqn.invars[0].aval.size == eqn.outvars[0].aval.size:
                 same_entries(eqn.invars[0], place)
             case "stack" if uses[eqn.outvars[0]] > 1:  # stays in registers to be read again
                 del wanted[eqn.outvars[0]]
@@ -377,7 +381,7 @@ def _places(
                 for k, var in enumerate(eqn.invars):
                     box = [slice(0, n, 1) for n in place.shape]
                     box[axis] = slice(k, k + 1, 1)
-                    same_entries(var, place.sliced(box))
+                    same_entries(var, place.slice_box(box))
             case "concatenate":
                 start, axis = 0, eqn.params["dimension"]
                 atoms: list[Any] = eqn.invars
@@ -385,10 +389,6 @@ def _places(
                     stop = start + var.aval.shape[axis]
                     box = [slice(0, n, 1) for n in place.shape]
                     box[axis] = slice(start, stop, 1)
-                    want(var, place.sliced(box))
+                    want(var, place.slice_box(box))
                     start = stop
     return wanted
-
-
-def _size(atom: Any) -> int:
-    return atom.aval.size

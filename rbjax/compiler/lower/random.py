@@ -5,6 +5,7 @@ Source: Salmon et al., *Parallel random numbers: as easy as 1, 2, 3*, 2011.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -12,8 +13,12 @@ import jax
 import numpy as np
 
 from rbjax._jax_compat import key_implementation
-from rbjax.compiler.ir.values import Unsupported, Value
-from rbjax.compiler.lower.arrays import ThreadArray, View, each, every_index, get, put, spread
+from rbjax.compiler.ir.statements import Unsupported, Value
+from rbjax.compiler.lower.arrays import (
+    ThreadArray,
+    indices_of,
+)
+from rbjax.compiler.lower.elementwise import map_entries
 from rbjax.compiler.lower.lowering import KEY, Equation, Lowering, dtype_of, rule
 
 U32 = np.dtype(np.uint32)
@@ -24,23 +29,8 @@ ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 
 @rule("threefry2x32")
 def _threefry(low: Lowering, eqn: Equation, ins: list) -> list:
-    b, aval = low.b, eqn.outvars[0].aval
-    if aval.size > LOOP_ABOVE:
-        sources = [spread(b, x, U32, aval.shape) for x in ins]
-        views = [View.of(b.local(U32, aval.size), aval.shape) for _ in range(2)]
-
-        def one(*i: Value) -> None:
-            values = threefry(low, *(get(b, x, i) for x in sources))
-            for view, value in zip(views, values, strict=True):
-                put(b, view, i, value)
-
-        each(b, aval.shape, one)
-        return list(views)
-    arrays = np.broadcast_arrays(*(low.scalars(x) for x in ins))
-    outs = np.empty(aval.shape, object), np.empty(aval.shape, object)
-    for i in every_index(outs[0].shape):
-        outs[0][i], outs[1][i] = threefry(low, *(x[i] for x in arrays))
-    return list(outs)
+    shape, f = eqn.outvars[0].aval.shape, functools.partial(threefry, low)
+    return map_entries(low, [U32] * 2, shape, f, *ins, loop_above=LOOP_ABOVE)
 
 
 @rule("iota_2x32_shape")
@@ -51,7 +41,7 @@ def _counters(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[Value, Value]:
-    """Twenty rounds of the block cipher on two numbers."""
+    """Write twenty rounds of the block cipher on two numbers."""
     b = low.b
 
     def op(name: str, *args: Value) -> Value:
@@ -69,21 +59,21 @@ def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[V
     return x, y
 
 
-def unwrapped(low: Lowering, keys: ThreadArray) -> np.ndarray:
-    """Keys as pairs of 32-bit numbers."""
-    b, x = low.b, low.scalars(keys)
+def unwrap_keys(low: Lowering, keys: ThreadArray) -> np.ndarray:
+    """Convert keys to pairs of 32-bit numbers."""
+    b, x = low.b, low.to_scalars(keys)
     out = np.empty((*x.shape, 2), object)
-    for i in every_index(x.shape):
+    for i in indices_of(x.shape):
         out[(*i, 0)] = b.cast(x[i], U32)
         out[(*i, 1)] = b.cast(b.op("shr", KEY, x[i], KEY.type(32)), U32)
     return out
 
 
-def wrapped(low: Lowering, data: ThreadArray) -> np.ndarray:
-    """Pairs of numbers as keys."""
-    b, x = low.b, low.scalars(data)
+def wrap_keys(low: Lowering, data: ThreadArray) -> np.ndarray:
+    """Convert pairs of numbers to keys."""
+    b, x = low.b, low.to_scalars(data)
     out = np.empty(x.shape[:-1], object)
-    for i in every_index(out.shape):
+    for i in indices_of(out.shape):
         high = b.op("shl", KEY, b.cast(x[(*i, 1)], KEY), KEY.type(32))
         out[i] = b.op("or", KEY, b.cast(x[(*i, 0)], KEY), high)
     return out
@@ -98,12 +88,12 @@ def _impl(dtype: Any) -> Any:
 @rule("random_wrap")
 def _wrap(low: Lowering, eqn: Equation, ins: list) -> list:
     _impl(eqn.outvars[0].aval.dtype)
-    return [wrapped(low, ins[0])]
+    return [wrap_keys(low, ins[0])]
 
 
 @rule("random_unwrap")
 def _unwrap(low: Lowering, eqn: Equation, ins: list) -> list:
-    return [unwrapped(low, ins[0])]
+    return [unwrap_keys(low, ins[0])]
 
 
 @rule("random_clone")
@@ -114,7 +104,7 @@ def _clone(low: Lowering, eqn: Equation, ins: list) -> list:
 @rule("random_seed")
 def _seed(low: Lowering, eqn: Equation, ins: list) -> list:
     impl, aval = _impl(eqn.outvars[0].aval.dtype), eqn.invars[0].aval
-    return [wrapped(low, _each(low, impl.seed, aval.shape, [ins[0]], [aval.dtype])[0])]
+    return [wrap_keys(low, _each(low, impl.seed, aval.shape, [ins[0]], [aval.dtype])[0])]
 
 
 @rule("random_bits")
@@ -122,28 +112,28 @@ def _bits(low: Lowering, eqn: Equation, ins: list) -> list:
     P, aval = eqn.params, eqn.invars[0].aval
     impl = _impl(aval.dtype)
     f = lambda key: impl.random_bits(key, P["bit_width"], P["shape"])  # noqa: E731
-    return _each(low, f, aval.shape, [unwrapped(low, ins[0])], [U32])
+    return _each(low, f, aval.shape, [unwrap_keys(low, ins[0])], [U32])
 
 
 @rule("random_split")
 def _split(low: Lowering, eqn: Equation, ins: list) -> list:
     aval = eqn.invars[0].aval
     f = lambda key: _impl(aval.dtype).split(key, eqn.params["shape"])  # noqa: E731
-    return [wrapped(low, _each(low, f, aval.shape, [unwrapped(low, ins[0])], [U32])[0])]
+    return [wrap_keys(low, _each(low, f, aval.shape, [unwrap_keys(low, ins[0])], [U32])[0])]
 
 
 @rule("random_fold_in")
 def _fold_in(low: Lowering, eqn: Equation, ins: list) -> list:
     key, message = (v.aval for v in eqn.invars)
     shape = eqn.outvars[0].aval.shape
-    keys = np.broadcast_to(unwrapped(low, ins[0]), (*shape, 2))
-    args = [keys, np.broadcast_to(low.scalars(ins[1]), shape)]
+    keys = np.broadcast_to(unwrap_keys(low, ins[0]), (*shape, 2))
+    args = [keys, np.broadcast_to(low.to_scalars(ins[1]), shape)]
     (out,) = _each(low, _impl(key.dtype).fold_in, shape, args, [U32, message.dtype])
-    return [wrapped(low, out)]
+    return [wrap_keys(low, out)]
 
 
 def _each(low: Lowering, f: Callable, shape: tuple, args: list, dtypes: list) -> list[ThreadArray]:
-    """f mapped over the leading axes of this shape."""
+    """Lower f, mapped over the leading axes of this shape."""
     for _ in shape:
         f = jax.vmap(f)
     avals = [jax.ShapeDtypeStruct(x.shape, d) for x, d in zip(args, dtypes, strict=True)]

@@ -41,7 +41,7 @@ DOUBLE = (
 
 
 def erf_inv(x: jax.Array) -> jax.Array:
-    """The number whose error function is x; Giles, 2010."""
+    """Compute the inverse error function; Giles, 2010."""
     w = -jnp.log1p(-x * x)
     if x.dtype == jnp.float64:
         root = jnp.sqrt(w)
@@ -56,7 +56,7 @@ def erf_inv(x: jax.Array) -> jax.Array:
 
 
 def _polynomial(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
-    """Horner's rule, the highest power first."""
+    """Evaluate a polynomial by Horner's rule, the highest power first."""
     out = jnp.full_like(x, coefficients[0])
     for c in coefficients[1:]:
         out = out * x + c
@@ -64,7 +64,7 @@ def _polynomial(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
 
 
 def digamma(x: jax.Array) -> jax.Array:
-    """The derivative of log Gamma: reflection, recurrence up to 10, and Stirling's series."""
+    """Compute the derivative of log Gamma: reflection, recurrence up to 10, Stirling's series."""
     reflected = x < 0.5
     y = jnp.where(reflected, 1 - x, x)
     shift = jnp.zeros_like(x)
@@ -83,7 +83,7 @@ def digamma(x: jax.Array) -> jax.Array:
 
 
 def cumlogsumexp(x: jax.Array, *, axis: int, reverse: bool) -> jax.Array:
-    """log of the cumulative sums of exp."""
+    """Compute the log of the cumulative sums of exp."""
     rows = jnp.moveaxis(x, axis, 0)
     out = list(rows[::-1] if reverse else rows)
     for k in range(1, len(out)):

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from rbjax.compiler.ir.values import Unsupported
-from rbjax.compiler.lower.factorise import UNROLL_UP_TO, mapped, qr
+from rbjax.compiler.ir.statements import Unsupported
+from rbjax.compiler.lower.factorise import UNROLL_UP_TO, lower_mapped, qr
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
 #: more than any matrix needs: 4 to 8 are usual
@@ -26,7 +26,7 @@ MOST_SWEEPS = 20
 
 
 def _sweep(n: int, rotate: Callable, *state: jax.Array) -> Any:
-    """rotate(i, j, *state) for each pair i < j; the pair is known if there are few."""
+    """Run rotate(i, j, *state) for each pair i < j, which is a constant if there are few."""
     pairs = np.array([(i, j) for i in range(n) for j in range(i + 1, n)], np.int32)
     if n <= UNROLL_UP_TO:
         for i, j in pairs.tolist():
@@ -39,7 +39,7 @@ def _sweep(n: int, rotate: Callable, *state: jax.Array) -> Any:
 def _rotation(
     a: jax.Array, b: jax.Array, c: jax.Array, off: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Cosine and sine of the rotation that makes [[a, c], [c, b]] diagonal; none unless `off`."""
+    """Return the cosine and sine that make [[a, c], [c, b]] diagonal; the identity unless `off`."""
     half = (b - a) / jnp.where(off, 2 * c, 1)
     t = jnp.where(half >= 0, 1.0, -1.0) / (jnp.abs(half) + jnp.sqrt(half * half + 1))
     t = jnp.where(off, t, 0.0).astype(c.dtype)
@@ -48,13 +48,13 @@ def _rotation(
 
 
 def _rotated(x: jax.Array, i: jax.Array, j: jax.Array, c: jax.Array, s: jax.Array) -> jax.Array:
-    """Rows i and j of x, rotated."""
+    """Rotate rows i and j of x."""
     first, second = x[i], x[j]
     return x.at[i].set(c * first - s * second).at[j].set(s * first + c * second)
 
 
 def eigh(a: jax.Array, *, lower: bool) -> tuple[jax.Array, jax.Array]:
-    """Eigenvectors and ascending eigenvalues, from one triangle; nan where an entry is."""
+    """Compute eigenvectors and ascending eigenvalues from one triangle; nan if an entry is."""
     n, rows = len(a), np.arange(len(a))
     kept = rows[:, None] >= rows if lower else rows[:, None] <= rows
     a = jnp.where(kept, a, a.T)
@@ -83,7 +83,7 @@ def eigh(a: jax.Array, *, lower: bool) -> tuple[jax.Array, jax.Array]:
 
 
 def svd(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Descending singular values, U and V^T; nan where an entry is."""
+    """Compute descending singular values, U and V^T; nan if an entry is."""
     if a.shape[0] < a.shape[1]:
         s, u, vt = svd(a.T, full_matrices=full_matrices)
         return s, vt.T, u.T
@@ -128,7 +128,7 @@ def _whole(eqn: Equation) -> None:
 @rule("eigh")
 def _eigh(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
-    return mapped(low, eqn, ins, functools.partial(eigh, lower=eqn.params["lower"]), (2,))
+    return lower_mapped(low, eqn, ins, functools.partial(eigh, lower=eqn.params["lower"]), (2,))
 
 
 @rule("svd")
@@ -136,5 +136,5 @@ def _svd(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
     f = functools.partial(svd, full_matrices=eqn.params.get("full_matrices", False))
     if not eqn.params["compute_uv"]:
-        return mapped(low, eqn, ins, lambda a: svd(a, full_matrices=False)[:1], (2,))
-    return mapped(low, eqn, ins, f, (2,))
+        return lower_mapped(low, eqn, ins, lambda a: svd(a, full_matrices=False)[:1], (2,))
+    return lower_mapped(low, eqn, ins, f, (2,))

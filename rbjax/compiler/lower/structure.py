@@ -6,22 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rbjax.compiler.lower.arrays import (
-    FEW,
-    ThreadArray,
-    View,
-    filled,
-    owned_copy,
-    stored,
-    tidy,
-    transposed,
-    write,
-)
+from rbjax.compiler.lower import arrays
+from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
-from rbjax.compiler.lower.lowering import Equation, Lowering, rule, takes_delayed, writer
+from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, placing_rule, rule
 
-takes_delayed(
+accepts_delayed(
     "fusion_barrier", "copy", "copy_p", "stop_gradient", "name", "batch_first", "batch_last",
     "slice", "squeeze", "reshape", "expand_dims", "transpose", "rev", "broadcast_in_dim",
     "concatenate", "stack", "split", "unstack",
@@ -50,10 +41,10 @@ def _slice(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def cut(low: Lowering, x: ThreadArray, box: tuple[slice, ...]) -> ThreadArray:
-    """A rectangle of x."""
+    """Return a rectangle of x."""
     if isinstance(x, Delayed):
-        return x.sliced(low.b, box)
-    return x.sliced(box) if isinstance(x, View) else x[box]
+        return x.slice_box(low.b, box)
+    return x.slice_box(box) if isinstance(x, View) else x[box]
 
 
 @rule("squeeze", "reshape", "expand_dims")
@@ -62,21 +53,23 @@ def _reshape(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def reshaped(low: Lowering, x: ThreadArray, shape: tuple[int, ...]) -> ThreadArray:
-    """x with another shape."""
+    """Return x with another shape."""
     if isinstance(x, Delayed):
-        delayed = x.reshaped(shape)
+        delayed = x.reshape_view(shape)
         if delayed is not None:
             return delayed
-        x = stored(low.b, x)
+        x = arrays.materialize_in_memory(low.b, x)
     if isinstance(x, View):
-        out = x.reshaped(shape)
-        return View.of(owned_copy(low.b, x, x.dtype).array, shape) if out is None else out
+        out = x.reshape_view(shape)
+        return (
+            View.of(arrays.copy_to_memory(low.b, x, x.dtype).array, shape) if out is None else out
+        )
     return x.reshape(shape)
 
 
 @rule("transpose")
 def _transpose(low: Lowering, eqn: Equation, ins: list) -> list:
-    return [transposed(ins[0], eqn.params["permutation"])]
+    return [arrays.transposed(ins[0], eqn.params["permutation"])]
 
 
 @rule("rev")
@@ -99,28 +92,32 @@ def _broadcast(low: Lowering, eqn: Equation, ins: list) -> list:
     return [np.broadcast_to(x.reshape(wide), shape)]
 
 
-@writer("concatenate")
+@placing_rule("concatenate")
 def _concatenate(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     out, axis, place = eqn.outvars[0].aval, eqn.params["dimension"], places[0]
-    whole = _pieces_of_one(ins, axis) if low.b.teamed else None
+    whole = _pieces_of_one(ins, axis) if low.b.in_team else None
     if place is None and whole is not None:
         return [whole]
-    if place is None and out.size > (FEW if low.b.teamed else LOOP_ABOVE):
+    if place is None and out.size > (arrays.FEW if low.b.in_team else LOOP_ABOVE):
         place = View.of(low.b.local(out.dtype, out.size), out.shape)
     if place is None:
-        return [tidy(np.concatenate([low.scalars(x) for x in ins], axis), out.dtype)]
+        return [
+            arrays.fold_if_constant(
+                np.concatenate([low.to_scalars(x) for x in ins], axis), out.dtype
+            )
+        ]
     start = 0
-    with low.b.parts():
+    with low.b.disjoint_writes():
         for x in ins:
             box = [slice(0, n, 1) for n in place.shape]
             box[axis] = slice(start, start + x.shape[axis], 1)
-            write(low.b, place.sliced(box), x)
+            arrays.write_to(low.b, place.slice_box(box), x)
             start += x.shape[axis]
     return [place]
 
 
 def _pieces_of_one(xs: list, axis: int) -> View | None:
-    """Pieces of one array, side by side along an axis as they were, as one view; else None."""
+    """Return pieces that are adjacent in one array as one view; else None."""
     first = xs[0]
     if not all(isinstance(x, View) and x.array is first.array for x in xs):
         return None
@@ -137,28 +134,32 @@ def _pieces_of_one(xs: list, axis: int) -> View | None:
 
 @rule("tile")
 def _tile(low: Lowering, eqn: Equation, ins: list) -> list:
-    return [np.tile(low.scalars(ins[0]), eqn.params["reps"])]
+    return [np.tile(low.to_scalars(ins[0]), eqn.params["reps"])]
 
 
-@writer("stack")
+@placing_rule("stack")
 def _stack(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     axis, place = eqn.params.get("axis", eqn.params.get("dimension", 0)), places[0]
     out = eqn.outvars[0].aval
-    if place is None and low.b.teamed and out.size > FEW:
+    if place is None and low.b.in_team and out.size > arrays.FEW:
         whole = _rows_of_one(ins, axis)
         if whole is not None:
             return [whole]
         place = View.of(low.b.local(out.dtype, out.size), out.shape)
     if place is None:
-        return [tidy(np.stack([low.scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype)]
-    with low.b.parts():
+        return [
+            arrays.fold_if_constant(
+                np.stack([low.to_scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype
+            )
+        ]
+    with low.b.disjoint_writes():
         for k, x in enumerate(ins):
-            write(low.b, place.at(low.b, axis, np.int32(k)), x)
+            arrays.write_to(low.b, place.at(low.b, axis, np.int32(k)), x)
     return [place]
 
 
 def _rows_of_one(xs: list, axis: int) -> View | None:
-    """Rows of one array, at equal distances, as one view; else None."""
+    """Return equally spaced rows of one array as one view; else None."""
     first = xs[0]
     if len(xs) < 2 or not all(isinstance(x, View) for x in xs):
         return None
@@ -201,18 +202,18 @@ def _split(
 
 @rule("pad")
 def _pad(low: Lowering, eqn: Equation, ins: list) -> list:
-    x, fill = low.scalars(ins[0]), low.scalar(ins[1])
+    x, fill = low.to_scalars(ins[0]), low.to_scalar(ins[1])
     config = eqn.params["padding_config"]
     # put gaps between entries, then pad the sides; a negative side is cut
     spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
-    wide = filled(spread, fill)
+    wide = arrays.full_of(spread, fill)
     wide[tuple(slice(None, None, gap + 1) for _, _, gap in config)] = x
     for axis, (before, after, _) in enumerate(config):
         for side, amount in ((0, before), (1, after)):
             if amount > 0:
                 shape = list(wide.shape)
                 shape[axis] = amount
-                more = filled(shape, fill)
+                more = arrays.full_of(shape, fill)
                 wide = np.concatenate([wide, more] if side else [more, wide], axis)
             elif amount < 0:
                 cut = slice(None, amount) if side else slice(-amount, None)

@@ -1,4 +1,4 @@
-"""From the jaxpr of one sample to its finished program: rules, then passes."""
+"""Lowers the jaxpr of one sample to its finished program: rules, then passes."""
 
 from __future__ import annotations
 
@@ -11,29 +11,24 @@ from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.program import Layout, Written
-from rbjax.compiler.ir.statements import Array
-from rbjax.compiler.ir.values import I32, I64, Unsupported
+from rbjax.compiler.ir.statements import I32, I64, Array, Unsupported
 from rbjax.compiler.lower import (  # noqa: F401 (rules)
     control,
-    effects,
     elementwise,
     factorise,
     gather,
     indexing,
-    inversion,
     linear,
     random,
     reductions,
-    sorting,
     special,
     spectral,
     structure,
 )
 from rbjax.compiler.lower.arrays import View
 from rbjax.compiler.lower.lowering import DTYPES, Lowering
-from rbjax.compiler.passes.phases import synchronised
-from rbjax.compiler.passes.prune import prune
-from rbjax.compiler.passes.reuse import share_memory
+from rbjax.compiler.passes.liveness import prune, share_memory
+from rbjax.compiler.passes.phases import insert_barriers
 
 
 def write_program(
@@ -46,8 +41,13 @@ def write_program(
     team: bool = False,
     matrices: bool = False,
 ) -> Written:
-    """The program of one sample of a batch. Summed results are sums over the batch. team: for a
-    team of threads a sample (`team.kernel`). matrices: those of one sample fill a CPU's vectors."""
+    """Write the program of one sample of a batch.
+
+    Args:
+        summed: which results are sums over the batch.
+        team: whether a team of threads runs a sample (`team.kernel`).
+        matrices: whether the matrices of one sample fill the vectors of a CPU.
+    """
     b = Builder(platform, team, matrices)
     ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(
         closed.jaxpr.invars, operands, strict=True)]  # fmt: skip
@@ -57,14 +57,12 @@ def write_program(
     places = [
         View(a, None, 0, lay.strides, lay.sample) for a, lay in zip(outs, results, strict=True)
     ]
-    args = [
-        View(a, None, 0, lay.strides, lay.sample) for a, lay in zip(ins, operands, strict=True)
-    ]
-    with Lowering(b).held(args):
+    args = [View(a, None, 0, lay.strides, lay.sample) for a, lay in zip(ins, operands, strict=True)]
+    with Lowering(b).pinned(args):
         Lowering(b).closed(closed, args, places)
     prune(b.block)
     if team:
-        b.block = synchronised(b.block)
+        b.block = insert_barriers(b.block)
     share_memory(b.block)
     layouts = tuple(operands), tuple(results)
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)
@@ -75,4 +73,4 @@ def _array(b: Builder, dtype: DTypeLike, layout: Layout, space: str) -> Array:
         raise Unsupported(f"{space} of type {dtype}")
     reach = sum((n - 1) * s for n, s in zip(layout.sample, layout.strides, strict=True)) + 1
     index = I64 if reach > np.iinfo(np.int32).max else I32
-    return b.outside(dtype, math.prod(layout.sample), space, index)
+    return b.external_array(dtype, math.prod(layout.sample), space, index)

@@ -1,12 +1,7 @@
-"""Long straight code cut into functions.
+"""Splits long straight code into functions, because LLVM's compile time grows faster than length.
 
-LLVM's register allocator and scheduler take four times as long for code of twice the length. What
-one function makes and another reads lies in a frame, to which all have a pointer.
-Forward dynamics of 60 links (seconds of LLVM; microseconds of one call, of 1,024 samples):
-    26,000 lines in one piece   2.2; 11.6          20,000 lines, with limbs   1.5; 10.3, 1,070
-    pieces of 1,500 statements  1.2; 11.3                                     1.0; 10.0, 962
-The body of a loop loses more than it gains: the gradient of 100 steps, 9,000 statements a turn,
-takes 274 us in one piece and 309 us in pieces, and compiles as fast.
+Values that one function computes and another reads lie in a frame, to which all have a pointer. The
+bodies of long loops are not split: they would run slower and compile as long.
 """
 
 from __future__ import annotations
@@ -14,17 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from rbjax.compiler.ir.statements import (
-    Array,
-    Assign,
-    Block,
-    Loop,
-    Name,
-    Reserve,
-    Statement,
-    walk,
-)
-from rbjax.compiler.ir.values import Var
+from rbjax.compiler.ir import statements as ir
 
 #: statements of a block from which on it is cut, and of a function
 CUT_ABOVE, EACH = 12_000, 1_500
@@ -34,38 +19,42 @@ CUT_ABOVE, EACH = 12_000, 1_500
 class Cuts:
     """The functions of a program: 0, which calls the others, and 1, 2, ...
 
-    runs: of a block that is cut, by its `id`, pieces of statements and the function of each.
-    home: the function that makes a variable. shared: the variables that others read as well.
+    runs: for each block that is split, by its id, a list of (function, statements).
+    home: the function that computes a variable.
+    shared: the variables that other functions read too.
+    arrays: the local arrays.
     """
 
-    runs: dict[int, list[tuple[int, list[Statement]]]] = field(default_factory=dict)
-    home: dict[Var, int] = field(default_factory=dict)
-    shared: dict[Var, None] = field(default_factory=dict)
-    arrays: dict[Array, None] = field(default_factory=dict)
+    runs: dict[int, list[tuple[int, list[ir.Statement]]]] = field(default_factory=dict)
+    home: dict[ir.Var, int] = field(default_factory=dict)
+    shared: dict[ir.Var, None] = field(default_factory=dict)
+    arrays: dict[ir.Array, None] = field(default_factory=dict)
 
 
-def cut(block: Block, branches: bool) -> Cuts | None:
-    """The functions of a block, or None if it is short. branches: whether those of branches and of
-    `while` loops may be cut, too."""
-    cuts, used, count = Cuts(), dict[Var, set[int]](), 0
+def split_block(block: ir.Block, branches: bool) -> Cuts | None:
+    """Split a block into functions; None if it is short.
 
-    def note(statement: Statement, here: int) -> None:
+    branches: whether to split the blocks of branches and of `while` loops too.
+    """
+    cuts, used, count = Cuts(), dict[ir.Var, set[int]](), 0
+
+    def note(statement: ir.Statement, here: int) -> None:
         read = statement.reads()
-        if isinstance(statement, Assign):  # the variable has been declared before
+        if isinstance(statement, ir.Assign):  # the variable has been declared before
             read = (statement.var, *read)
         else:
-            cuts.home.update((x, here) for x in statement.writes() if isinstance(x, Var))
+            cuts.home.update((x, here) for x in statement.writes() if isinstance(x, ir.Var))
         for x in read:
-            if isinstance(x, Var):
+            if isinstance(x, ir.Var):
                 used.setdefault(x, set()).add(here)
-        if isinstance(statement, Reserve):
+        if isinstance(statement, ir.Reserve):
             cuts.arrays[statement.array] = None
 
-    def every(statements: list[Statement], here: int) -> None:
-        for statement in walk(Block(statements)):
+    def every(statements: list[ir.Statement], here: int) -> None:
+        for statement in ir.walk(ir.Block(statements)):
             note(statement, here)
 
-    def visit(block: Block) -> None:
+    def visit(block: ir.Block) -> None:
         nonlocal count
         sizes = [_size(s) for s in block.statements]
         if sum(n for n in sizes if n <= EACH) <= CUT_ABOVE:
@@ -83,7 +72,7 @@ def cut(block: Block, branches: bool) -> Cuts | None:
             for statement in statements:
                 note(statement, 0)
                 for inner in statement.children():
-                    if branches or isinstance(statement, Loop):
+                    if branches or isinstance(statement, ir.Loop):
                         visit(inner)
                     else:
                         every(inner.statements, 0)
@@ -98,10 +87,10 @@ def cut(block: Block, branches: bool) -> Cuts | None:
 
 
 def _pieces(
-    statements: list[Statement], sizes: list[int]
-) -> Iterator[tuple[bool, list[Statement]]]:
-    """Pieces of some `EACH` statements, and longer statements that stay where they are."""
-    piece: list[Statement] = []
+    statements: list[ir.Statement], sizes: list[int]
+) -> Iterator[tuple[bool, list[ir.Statement]]]:
+    """Yield pieces of about `EACH` statements, and longer statements, which are not moved."""
+    piece: list[ir.Statement] = []
     length = 0
     for statement, n in zip(statements, sizes, strict=True):
         if n > EACH:
@@ -119,19 +108,19 @@ def _pieces(
         yield length > EACH // 4, piece
 
 
-def _size(statement: Statement) -> int:
-    return sum(1 for _ in walk(Block([statement])))
+def _size(statement: ir.Statement) -> int:
+    return sum(1 for _ in ir.walk(ir.Block([statement])))
 
 
 class Frame:
-    """The places, in bytes, of what functions share. size_of: the bytes of a variable, an array."""
+    """The layout of a frame, in bytes. size_of: returns the bytes of a variable or an array."""
 
-    def __init__(self, cuts: Cuts, size_of: Callable[[Name], int], alignment: int):
+    def __init__(self, cuts: Cuts, size_of: Callable[[ir.Name], int], alignment: int):
         self.cuts, self.bytes = cuts, 0
-        self.places: dict[Name, int] = {}
-        every: tuple[Name, ...] = (*cuts.arrays, *cuts.shared)
+        self.places: dict[ir.Name, int] = {}
+        every: tuple[ir.Name, ...] = (*cuts.arrays, *cuts.shared)
         for x in every:
             size = size_of(x)
-            step = alignment if isinstance(x, Array) else min(alignment, size)
+            step = alignment if isinstance(x, ir.Array) else min(alignment, size)
             self.places[x] = -(-self.bytes // step) * step
             self.bytes = self.places[x] + size

@@ -1,117 +1,107 @@
-"""The statements of a team of threads in phases: the threads meet at a barrier between two of them.
+"""Places barriers between the statements of a team of threads.
 
-Each statement reads and writes variables and arrays, and comes after those that it depends on. A
-barrier is due before a statement that reads what other threads have written since the last one, or
-that writes what they may still read. Before it is placed, later loops of the team that need no
-barrier, with what they are made of, come forward into the phase (list scheduling, Graham 1969).
+A barrier is needed before a statement that reads entries that other threads have written since the
+last one, or writes entries that they may still read. Before it is placed, later team loops that
+need no barrier are hoisted into the phase, after the statements that they depend on (list
+scheduling, Graham 1969).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from rbjax.compiler.ir.statements import (
-    Array,
-    Await,
-    Barrier,
-    Block,
-    If,
-    Load,
-    Loop,
-    Name,
-    Reserve,
-    Statement,
-    Store,
-    While,
-    walk,
-)
+from rbjax.compiler.ir import statements as ir
 
 
-def synchronised(block: Block) -> Block:
+def insert_barriers(block: ir.Block) -> ir.Block:
     """The statements in an order with few barriers, with these."""
     return _Phases(Pending()).ordered(block)
 
 
 @dataclass
 class Pending:
-    """Accesses since the last barrier: arrays that were read; places that all threads wrote; arrays
-    that loops of a team wrote, and the part of each loop."""
+    """Accesses since the last barrier.
 
-    read: set[Array] = field(default_factory=set)
-    alike: dict[Array, set] = field(default_factory=dict)
-    spread: dict[Array, set[int]] = field(default_factory=dict)
+    read: arrays that were read.
+    uniform: entries that all threads wrote with equal values, by array.
+    spread: groups of the team loops that wrote an array.
+    """
+
+    read: set[ir.Array] = field(default_factory=set)
+    uniform: dict[ir.Array, set] = field(default_factory=dict)
+    spread: dict[ir.Array, set[int]] = field(default_factory=dict)
 
     def copy(self) -> Pending:
         return Pending().joined(self)
 
     def joined(self, other: Pending) -> Pending:
         self.read |= other.read
-        for mine, more in ((self.alike, other.alike), (self.spread, other.spread)):
+        for mine, more in ((self.uniform, other.uniform), (self.spread, other.spread)):
             for array, places in more.items():
                 mine.setdefault(array, set()).update(places)
         return self
 
     def clear(self) -> None:
         self.read.clear()
-        self.alike.clear()
+        self.uniform.clear()
         self.spread.clear()
 
-    def may(self, s: Statement) -> bool:
-        """Whether a statement without inner blocks, or a loop of a team, needs no barrier."""
+    def needs_no_barrier(self, s: ir.Statement) -> bool:
+        """Return whether a leaf statement or a team loop needs no barrier."""
         match s:
-            case Load(array=array):
+            case ir.Load(array=array):
                 return array not in self.spread
-            case Store(array=array, base=base, offset=offset) if _is_seen(array):
-                here = self.alike.get(array, ())
+            case ir.Store(array=array, base=base, offset=offset) if _is_seen(array):
+                here = self.uniform.get(array, ())
                 apart = all(b is base and at != offset for b, at in here)
                 free = array not in self.read and array not in self.spread
-                return array.pieces or (apart and free)
-            case Loop(team=True, body=body, part=part):
+                return array.write_once or (apart and free)
+            case ir.Loop(team=True, body=body, group=group):
                 loads, stores = _touched(body)
                 return all(x not in self.spread for x in loads) and all(
-                    x.pieces or self._may_spread(x, part) for x in stores
+                    x.write_once or self._may_spread(x, group) for x in stores
                 )
         return True
 
-    def _may_spread(self, array: Array, part: int) -> bool:
-        others = self.spread.get(array, set()) - ({part} if part else set())
-        return array not in self.read and array not in self.alike and not others
+    def _may_spread(self, array: ir.Array, group: int) -> bool:
+        others = self.spread.get(array, set()) - ({group} if group else set())
+        return array not in self.read and array not in self.uniform and not others
 
-    def note(self, s: Statement) -> None:
-        """Its accesses."""
+    def record(self, s: ir.Statement) -> None:
+        """Record the accesses of a statement."""
         match s:
-            case Load(array=array) if _is_seen(array):
+            case ir.Load(array=array) if _is_seen(array):
                 self.read.add(array)
-            case Store(array=array, base=base, offset=offset) if _is_seen(array):
-                self.alike.setdefault(array, set()).add((base, offset))
-            case Loop(team=True, body=body, part=part, early=early):
+            case ir.Store(array=array, base=base, offset=offset) if _is_seen(array):
+                self.uniform.setdefault(array, set()).add((base, offset))
+            case ir.Loop(team=True, body=body, group=group, prefetch=prefetch):
                 loads, stores = _touched(body)
                 self.read |= loads
-                for array in () if early else stores:
-                    self.spread.setdefault(array, set()).add(part)
+                for array in () if prefetch else stores:
+                    self.spread.setdefault(array, set()).add(group)
 
 
-def _is_seen(array: Array) -> bool:
-    """Whether several threads access an array that changes."""
+def _is_seen(array: ir.Array) -> bool:
+    """Return whether several threads access an array that changes."""
     return array.shared or array.space == "result"
 
 
-def _touched(*blocks: Block) -> tuple[set[Array], set[Array]]:
-    """The arrays that statements read, and those that they write."""
-    every = [s for block in blocks for s in walk(block)]
-    loads = {s.array for s in every if isinstance(s, Load) and _is_seen(s.array)}
-    return loads, {s.array for s in every if isinstance(s, Store) and _is_seen(s.array)}
+def _touched(*blocks: ir.Block) -> tuple[set[ir.Array], set[ir.Array]]:
+    """Return the arrays that blocks read, and the arrays that they write."""
+    every = [s for block in blocks for s in ir.walk(block)]
+    loads = {s.array for s in every if isinstance(s, ir.Load) and _is_seen(s.array)}
+    return loads, {s.array for s in every if isinstance(s, ir.Store) and _is_seen(s.array)}
 
 
 class _Phases:
-    """Writes the statements of a block, and of those inside."""
+    """Writes the statements of a block and its inner blocks, with barriers."""
 
     def __init__(self, now: Pending):
         self.now = now
-        self.out: list[Statement] = []
+        self.out: list[ir.Statement] = []
 
-    def ordered(self, block: Block) -> Block:
-        statements = [s for s in block.statements if not isinstance(s, Reserve)]
+    def ordered(self, block: ir.Block) -> ir.Block:
+        statements = [s for s in block.statements if not isinstance(s, ir.Reserve)]
         before = _dependencies(statements)
         left = dict.fromkeys(range(len(statements)))
         while left:
@@ -120,17 +110,17 @@ class _Phases:
                 for k in list(left):
                     s = statements[k]
                     if k in left and _is_shared(s):
-                        self._forward(statements, before, left, k)
+                        self._hoist(statements, before, left, k)
             if first in left:
                 self._write(statements[first])
                 del left[first]
-        own = {s.array for s in block.statements if isinstance(s, Reserve)}
-        return Block(_declared(self.out, own))
+        own = {s.array for s in block.statements if isinstance(s, ir.Reserve)}
+        return ir.Block(_declared(self.out, own))
 
-    def _forward(
-        self, statements: list[Statement], before: list[set[int]], left: dict[int, None], k: int
+    def _hoist(
+        self, statements: list[ir.Statement], before: list[set[int]], left: dict[int, None], k: int
     ) -> None:
-        """A loop of a team, after what it depends on, if none of that waits."""
+        """Hoist a team loop, with its dependencies, if none of them needs a barrier."""
         wanted, reached = {k}, [k]
         while reached:
             more = {j for j in before[reached.pop()] if j in left} - wanted
@@ -139,92 +129,90 @@ class _Phases:
         trial = self.now.copy()
         for j in sorted(wanted):
             s = statements[j]
-            if _has_phases(s) or not trial.may(s):
+            if _has_phases(s) or not trial.needs_no_barrier(s):
                 return
-            trial.note(s)
+            trial.record(s)
         for j in sorted(wanted):
             self._write(statements[j])
             del left[j]
 
-    def _waits(self, s: Statement) -> bool:
-        """Whether the threads meet before a statement, or in it."""
-        return _has_phases(s) or not self.now.may(s)
+    def _waits(self, s: ir.Statement) -> bool:
+        """Return whether a barrier precedes a statement, or is in it."""
+        return _has_phases(s) or not self.now.needs_no_barrier(s)
 
-    def _write(self, s: Statement) -> None:
+    def _write(self, s: ir.Statement) -> None:
         now = self.now
         match s:
-            case Loop(team=False, body=body):
-                s = Loop(s.counter, s.count, s.reverse, self._turn(body))
-            case While(test=test, body=body):
+            case ir.Loop(team=False, body=body):
+                s = ir.Loop(s.counter, s.count, s.reverse, self._turn(body))
+            case ir.While(test=test, body=body):
                 test = self._turn(test, body)
                 after = now.copy()
-                s = While(test, s.condition, _Phases(now).ordered(body))
+                s = ir.While(test, s.condition, _Phases(now).ordered(body))
                 now.clear()
                 now.joined(after)
-            case If(then=then, otherwise=otherwise):
+            case ir.If(then=then, otherwise=otherwise):
                 other = now.copy()
                 then = _Phases(now).ordered(then)
-                s = If(s.condition, then, _Phases(other).ordered(otherwise))
+                s = ir.If(s.condition, then, _Phases(other).ordered(otherwise))
                 now.joined(other)
-            case Await():
+            case ir.Await():
                 now.clear()
             case _:
-                if not now.may(s):
-                    self.out.append(Barrier())
+                if not now.needs_no_barrier(s):
+                    self.out.append(ir.Barrier())
                     now.clear()
-                now.note(s)
+                now.record(s)
         self.out.append(s)
 
-    def _turn(self, block: Block, *others: Block) -> Block:
-        """The first statements of a loop's turn, before which the threads meet if it changes
-        arrays."""
+    def _turn(self, block: ir.Block, *others: ir.Block) -> ir.Block:
+        """Write the body of a loop, with a barrier first if an iteration changes arrays."""
         if not any(_touched(block, *others)):
             return _Phases(self.now).ordered(block)
         self.now.clear()
         found = _Phases(self.now).ordered(block)
-        waits = found.statements and isinstance(found.statements[0], Await)
-        return found if waits else Block([Barrier(), *found.statements])
+        waits = found.statements and isinstance(found.statements[0], ir.Await)
+        return found if waits else ir.Block([ir.Barrier(), *found.statements])
 
 
-def _is_shared(s: Statement) -> bool:
-    """Whether the threads of a team share the turns of a loop."""
-    return isinstance(s, Loop) and s.team
+def _is_shared(s: ir.Statement) -> bool:
+    """Return whether a statement is a team loop."""
+    return isinstance(s, ir.Loop) and s.team
 
 
-def _has_phases(s: Statement) -> bool:
-    """Whether the threads may meet in a statement."""
-    return isinstance(s, Loop | While | If | Await) and not _is_shared(s)
+def _has_phases(s: ir.Statement) -> bool:
+    """Return whether a statement may contain barriers."""
+    return isinstance(s, ir.Loop | ir.While | ir.If | ir.Await) and not _is_shared(s)
 
 
-def _declared(statements: list[Statement], own: set[Array]) -> list[Statement]:
-    """The statements, and before the first use of each of a block's own arrays its declaration."""
-    out: list[Statement] = []
+def _declared(statements: list[ir.Statement], own: set[ir.Array]) -> list[ir.Statement]:
+    """Declare each of a block's own arrays before its first use."""
+    out: list[ir.Statement] = []
     left = set(own)
     for s in statements:
         if left:
             for array in [x for x in _uses(s)[0] | _uses(s)[1] if x in left]:
-                out.append(Reserve(array))
+                out.append(ir.Reserve(array))
                 left.remove(array)
         out.append(s)
     return out
 
 
-def _uses(s: Statement) -> tuple[set[Name], set[Name]]:
-    """The variables and arrays that a statement reads, and those that it writes, with its inner
-    blocks."""
-    reads: set[Name] = set()
-    writes: set[Name] = set()
-    for x in walk(Block([s])):
+def _uses(s: ir.Statement) -> tuple[set[ir.Name], set[ir.Name]]:
+    """Return the variables and arrays that a statement reads and writes, with its inner blocks."""
+    reads: set[ir.Name] = set()
+    writes: set[ir.Name] = set()
+    for x in ir.walk(ir.Block([s])):
         reads.update(x.reads())
         writes.update(x.writes())
     return reads, writes
 
 
-def _dependencies(statements: list[Statement]) -> list[set[int]]:
-    """For each statement those before it that it depends on."""
+def _dependencies(statements: list[ir.Statement]) -> list[set[int]]:
+    """Return, for each statement, the earlier statements that it depends on."""
     out: list[set[int]] = []
-    writers: dict[Name, list[int]] = {}
-    readers: dict[Name, list[int]] = {}
+    writers: dict[ir.Name, list[int]] = {}
+    readers: dict[ir.Name, list[int]] = {}
     fence: int | None = None
     for k, s in enumerate(statements):
         before = set() if fence is None else {fence}
@@ -233,12 +221,12 @@ def _dependencies(statements: list[Statement]) -> list[set[int]]:
             before.update(writers.get(x, ()))
             readers.setdefault(x, []).append(k)
         for x in writes:
-            if isinstance(x, Array) and x.pieces:  # each entry once
+            if isinstance(x, ir.Array) and x.write_once:  # each entry once
                 writers.setdefault(x, []).append(k)
                 continue
             before.update(writers.get(x, ()), readers.get(x, ()))
             writers[x], readers[x] = [k], []
-        if isinstance(s, Await):
+        if isinstance(s, ir.Await):
             before, fence = set(range(k)), k
         out.append(before - {k})
     return out

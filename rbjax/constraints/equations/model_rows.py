@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.link_forces import LinkForces, added
+from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
@@ -23,7 +23,7 @@ from rbjax.spatial import Force
 
 
 def rows_of(model: Model, now: Context) -> list[Row]:
-    """All rows of the model's constraints, one constraint after the other."""
+    """Build all rows of the model, one constraint after the other."""
     out: list[Row] = []
     for constraint in model.constraints:
         rows = list(constraint.rows(now))
@@ -38,50 +38,50 @@ def rows_of(model: Model, now: Context) -> list[Row]:
                     f"{type(constraint).__name__}.rows returned a {type(row).__name__} among its "
                     "rows, expected a Row: rbjax.constraints.coordinate and others make them"
                 )
-        out += [_computed(row, now) for row in rows]
+        out += [_compute_once(row, now) for row in rows]
     return out
 
 
-def _computed(row: Row, now: Context) -> Row:
-    """The row, its lanes computed once."""
+def _compute_once(row: Row, now: Context) -> Row:
+    """Fuse the lanes of a row, so that they are computed once."""
     known = (now.q, now.v, now.a, now.t)
     parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
     value, rate, acceleration, tau, wrenches = fusion_barrier(parts, known=known)
     return Row(value, rate, Loads(tau, wrenches, row.gradient.internal), acceleration)
 
 
-def by_link(loads: Loads) -> Mapping[int, Force]:
-    """The wrenches of a row's gradient."""
+def wrenches_by_link(loads: Loads) -> Mapping[int, Force]:
+    """Return the wrenches of a row's gradient, by link."""
     if isinstance(loads.wrenches, Force):
         raise InputError("a row's gradient has wrenches on all links, expected those on a few")
     return loads.wrenches
 
 
-def arms(now: Context, row: Row) -> dict[int, Lane]:
-    """The gradient of a row by velocity coordinate."""
+def gradient_by_dof(now: Context, row: Row) -> dict[int, Lane]:
+    """Compute the gradient of a row, by velocity coordinate."""
     out = dict(row.gradient.tau)
-    for link, force in by_link(row.gradient).items():
+    for link, force in wrenches_by_link(row.gradient).items():
         for i, x in now.link(link).arms(force).items():
             out[i] = add(out.get(i, 0.0), x)
     return out
 
 
 def gradient_matrix(now: Context, rows: Sequence[Row]) -> jax.Array:
-    """G (m, nv)."""
+    """Compute G (m, nv)."""
     out = jnp.zeros((len(rows), now.model.nv), now.q.dtype)
     for r, row in enumerate(rows):
-        found = {i: x for i, x in arms(now, row).items() if not is_zero(x)}
+        found = {i: x for i, x in gradient_by_dof(now, row).items() if not is_zero(x)}
         if found:
             out = out.at[r, np.array(list(found))].set(pack(list(found.values()), now.v))
     return out
 
 
-def with_multipliers(
+def add_multipliers(
     d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array, LinkForces]:
-    """tau + G^T l, in two parts: generalized forces (nv,) and forces on links."""
-    held = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
-    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(f_ext, held.wrenches)
+    """Add G^T l: to generalized forces (nv,) and to forces on links."""
+    total = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
+    return tau + d.pack(d.scattered(total.tau, 0.0), tau), add_forces(f_ext, total.wrenches)
 
 
 class Residual(NamedTuple):
@@ -93,7 +93,7 @@ class Residual(NamedTuple):
 
 @algorithm("state", "t")
 def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
-    """The residuals of the constraints at a state: g(t, q) and g' = G v + g_t.
+    """Compute the residuals of the constraints at a state: g(t, q) and g' = G v + g_t.
 
     Args:
         model: the robot, with constraints.
@@ -101,8 +101,7 @@ def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
         t: time in seconds, for rows that depend on it.
 
     Returns:
-        `Residual(value (m,), rate (m,))`. A value is in m, or without unit for angles. A rate is
-        that per second.
+        `Residual(value (m,), rate (m,))`. Values are in m, or without unit for angles.
 
     Example:
         >>> import rbjax as rb
@@ -119,7 +118,7 @@ def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
 
 @algorithm("q", "t")
 def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
-    """G (m, nv): g' = G v + g_t, row by row.
+    """Compute the Jacobian of the constraints, G (m, nv) of g' = G v + g_t.
 
     Args:
         model: the robot, with constraints.

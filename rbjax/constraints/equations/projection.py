@@ -1,11 +1,26 @@
-"""The least change, in the norm of the mass matrix, that puts a motion on its constraints.
+"""Projections: the least change of a state that satisfies the constraints.
 
-    M dq = G^T l,   g(t, q_0 + u + dq) = 0
-    M dv = G^T m,   G' (v + dv) + g_t = 0
-M and G are those at (t_0, q_0); G' and g_t those at t and where the first line ends. A row that has
-only a rate has G dq = 0 in the first line. `projection`
-and `tangent` solve these equations by iterations of their own; the derivative, here, is that of the
-equations, so no iteration and no factorization is differentiated.
+    W dq = G^T l,   g(t, q_0 + u + dq) = 0
+    W dv = G^T m,   G' (v + dv) + g_t = 0
+G is the gradient at (t_0, q_0), G' the one at t and at the solution of the first line; there, a
+non-holonomic row has G dq = 0. The derivative is the one of these equations. There are three:
+
+`project_state`, after a step: u = 0, W = M. All is factored once; each iteration reduces the
+residual by about the relative size of the correction. The regularization of A is larger than in
+accelerations, with one refinement: a correction along a row of singular value sigma is multiplied
+by 1 - (eps / (sigma^2 + eps))^2. So near a singular position rounding moves a state little, and
+kinetic energy does not rise.
+
+`project_to_tangent_space`, at a stage, for steps from q_0: W = M. The components of u and v in the
+tangent space, Z^T M u and Z^T M v with G Z = 0, do not change, so a step is one of the ordinary
+differential equations of these components.
+
+`solve_dependent`, at a stage: dq and dv are changes of dependent coordinates only, W dq = G^T l for
+these. So a step is one of the ordinary differential equations of the independent coordinates.
+
+Source: Masarati, *Multibody System Dynamics*, 7.1.1, 7.1.3, 9.3.3; Wehage & Haug 1982; Mani, Haug &
+Atkinson 1985; Potra & Rheinboldt 1991; Bayo & Ledesma 1996; Blajer 2002; Hairer, Lubich & Wanner,
+*Geometric Numerical Integration*, IV.5.3.
 """
 
 from __future__ import annotations
@@ -18,32 +33,41 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.constraints.equations.constrained_motion import OnMatrices, least_norm, response
-from rbjax.constraints.equations.model_rows import gradient_matrix, rows_of, with_multipliers
+from rbjax.constraints.equations.constrained_motion import (
+    DelassusMatrix,
+    factor_delassus,
+    solve_least_norm,
+)
+from rbjax.constraints.equations.model_rows import add_multipliers, gradient_matrix, rows_of
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import factorize
-from rbjax.dynamics.algorithms.aba import solve as solved
+from rbjax.dynamics.algorithms.aba import solve as solve_mass
 from rbjax.dynamics.algorithms.manifold import difference_lanes, retract, velocity_lanes
 from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
-from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
+from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.forces.context import Context
-from rbjax.lanes import Vec3
+from rbjax.lanes import Vec3, batch_first
 from rbjax.lanes.arrays import matmat, matvec, pack
 from rbjax.lanes.factorization import diagonal_floor
 from rbjax.model import Model, State
 from rbjax.rank_tolerances import rank_tolerance
 
-#: (force (nv,), c (rows,)) -> x (nv,), l (rows,) of M x = force + G^T l, G' x = c
+#: (force (nv,), c (rows,)) -> x (nv,), l (rows,) of W x = force + G^T l, G' x = c
 Solve = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 #: (driver, model, t_0, t, q_0, u, v) -> the changes
 Method = Callable[..., "Changes"]
+#: x (nv,) -> residuals (rows,)
+Residual = Callable[[jax.Array], jax.Array]
+#: iterations of `project_state`, by bytes of a number
+ITERATIONS = {4: 1, 8: 2}
+#: iterations of Newton's method at a stage: from an error below 0.1 to rounding
+STAGE_ITERATIONS = {4: 3, 8: 5}
 
 
 @dataclass(frozen=True)
 class Changes:
-    """dq, dv (nv,); l, m (rows,); and the solutions of equations that are linear in their changes,
-    with G' at the end of each."""
+    """dq, dv (nv,), l, m (rows,), and the solutions of both lines linearized at their ends."""
 
     dq: jax.Array
     l: jax.Array
@@ -53,223 +77,261 @@ class Changes:
     of_velocities: Solve
 
 
-def least_changes(
-    method: Method, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """dq and dv."""
+def least_change(
+    method: Method, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array,
+    dependent: bool = False,
+) -> tuple[jax.Array, jax.Array]:  # fmt: skip
+    """Compute dq and dv by a method, with the derivative of the equations. `dependent`: those of
+    `solve_dependent`."""
     given, rebuilt = split_tracers((model, t0, t))
     nv = model.nv
 
-    def found(changed, q, u, v):
+    def changes(changed, q, u, v):
         model, t0, t = rebuilt(changed)
         x = method(driver(model, q.dtype), model, t0, t, q, u, v)
-        return (_joined(x.dq, x.l), _joined(x.dv, x.m)), x
+        return (_join(x.dq, x.l), _join(x.dv, x.m)), x
 
-    def plain(changed, q, u, v):
-        return found(changed, q, u, v)[0]
+    def plain(*at):
+        return batch_first(changes(*at)[0], at)
 
     def solved(changed, q, u, v):
-        values, x = found(changed, q, u, v)
+        values, x = changes(changed, q, u, v)
         solves = x.of_positions, x.of_velocities
-        return values, [lambda c, by=by: _joined(*by(c[:nv], c[nv:])) for by in solves]
+        return values, [lambda c, by=by: _join(*by(c[:nv], c[nv:])) for by in solves]
 
-    def begun(changed, q, v, x, l):
-        """The driver, the instant and the rows at q, and G^T l - M x there."""
+    def at_start(changed, q, v, x, l):
+        """Return the driver, the context and the rows at q, and G^T l - W x there."""
         model, t0, _ = rebuilt(changed)
         d = driver(model, q.dtype)
         now = Context.of(model, t0, State(q, v), None, d=d)
         rows = rows_of(model, now)
-        tau, f_ext = with_multipliers(d, rows, list(l), jnp.zeros_like(x), {})
-        needed = rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), f_ext)
-        return d, now, rows, tau - d.pack(needed, tau)
+        tau, f_ext = add_multipliers(d, rows, list(l), jnp.zeros_like(x), {})
+        a = jnp.zeros_like(x) if dependent else x
+        force = tau - d.pack(rnea(d, d.joints(q, None), d.lanes(a), Vec3.zero(), f_ext), tau)
+        if dependent:
+            force = force * _dependent(gradient_matrix(now, rows)) - x
+        return d, now, rows, force
 
     def of_positions(changed, q, u, v, x):
         model, _, t = rebuilt(changed)
         dq = x[:nv]
-        d, now, rows, force = begun(changed, q, v, dq, x[nv:])
-        level, _ = off(d, model, t, q, u + dq, v)
-        return _joined(force, -leveled(now, rows, level, dq))
+        d, now, rows, force = at_start(changed, q, v, dq, x[nv:])
+        value, _ = residuals_at(d, model, t, q, u + dq, v)
+        return _join(force, -position_residuals(now, rows, value, dq))
 
     def of_velocities(changed, q, u, v, x, y):
         model, _, t = rebuilt(changed)
         dv = y[:nv]
-        d, _, _, force = begun(changed, q, v, dv, y[nv:])
-        _, rate = off(d, model, t, q, u + x[:nv], v + dv)
-        return _joined(force, -rate)
+        d, _, _, force = at_start(changed, q, v, dv, y[nv:])
+        _, rate = residuals_at(d, model, t, q, u + x[:nv], v + dv)
+        return _join(force, -rate)
 
-    changes = with_implicit_jvp(plain, solved, of_positions, of_velocities)(given, q, u, v)
-    return changes[0][:nv], changes[1][:nv]
+    solution = with_implicit_jvp(plain, solved, of_positions, of_velocities)
+    found = solution(*jax_arrays(given, q, u, v))
+    return found[0][:nv], found[1][:nv]
 
 
-def off(
+def residuals_at(
     d: Driver, model: Model, t: Any, q: jax.Array, u: jax.Array, v: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """g and G v + g_t (rows,) at q + u."""
+    """Compute g and G v + g_t (rows,) at q + u."""
     now = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
-    return off_of(rows_of(model, now), v)
+    return residuals_of(rows_of(model, now), v)
 
 
-def off_of(rows: Sequence[Row], like: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """g and G v + g_t (rows,)."""
+def residuals_of(rows: Sequence[Row], like: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Pack g and G v + g_t (rows,)."""
     return pack([row.residual for row in rows], like), pack([row.rate for row in rows], like)
 
 
-def leveled(now: Context, rows: Sequence[Row], level: jax.Array, dq: jax.Array) -> jax.Array:
-    """g, or G dq of a row that has only a rate, at `now`."""
-    free = np.array([r for r, row in enumerate(rows) if not row.holonomic], int)
-    if not free.size:
-        return level
-    G = gradient_matrix(now, [rows[r] for r in free])
-    return level.at[free].set(matvec(G, dq))
+def position_residuals(
+    now: Context, rows: Sequence[Row], value: jax.Array, dq: jax.Array
+) -> jax.Array:
+    """Return g, or G dq of non-holonomic rows with G at `now`."""
+    rates = np.array([r for r, row in enumerate(rows) if not row.holonomic], int)
+    if not rates.size:
+        return value
+    G = gradient_matrix(now, [rows[r] for r in rates])
+    return value.at[rates].set(matvec(G, dq))
 
 
-def _joined(x: jax.Array, l: jax.Array) -> jax.Array:
+def _join(x: jax.Array, l: jax.Array) -> jax.Array:
     return jnp.concatenate([x, l])
 
 
-#: x (nv,) -> what rows are off by (rows,)
-Residual = Callable[[jax.Array], jax.Array]
-#: by bytes of a number
-ITERATIONS = {4: 1, 8: 2}
-
-
-def projected(
+def project_state(
     model: Model, t: Any, state: State, iterations: int | None = None, positions: bool = True
 ) -> State:
-    """The state on its constraints. iterations None: as many as bring the error of a step down to
+    """Project a state on its constraints. iterations None: as many as reduce the error of a step to
     rounding. `positions`: not only its velocity."""
     q, v = state.q, state.v
     many = ITERATIONS[q.dtype.itemsize] if iterations is None else iterations
 
     def method(d: Driver, model: Model, _: Any, t: Any, q: jax.Array, u: Any, v: Any) -> Changes:
-        return _projection(d, model, t, q, v, many, positions)
+        return _project(d, model, t, q, v, many, positions)
 
-    dq, dv = least_changes(method, model, t, t, q, jnp.zeros_like(v), v)
+    dq, dv = least_change(method, model, t, t, q, jnp.zeros_like(v), v)
     return State(retract(model, q, dq) if positions else q, v + dv, state.x)
 
 
-def _projection(
+def _project(
     d: Driver, model: Model, t: Any, q: jax.Array, v: jax.Array, many: int, positions: bool
 ) -> Changes:
     now = Context.of(model, t, State(q, v), None, d=d)
     rows = rows_of(model, now)
-    answer = response(
-        d, factorize(d, now.links.joints), now, rows, rank_tolerance("projection", q.dtype)
-    )
+    damping = rank_tolerance("projection", q.dtype)
+    delassus = factor_delassus(d, factorize(d, now.links.joints), now, rows, damping)
 
-    def iterated(f: Residual, begun: jax.Array, force: Any = None) -> tuple[jax.Array, jax.Array]:
-        """x and l of M x = force + G^T l and f(x) = 0, from x = 0, where f is `begun`."""
-        x, l = answer.solved(force, list(-begun))
+    def iterate(f: Residual, first: jax.Array, force: Any = None) -> tuple[jax.Array, jax.Array]:
+        """Solve M x = force + G^T l and f(x) = 0 from x = 0, with f(0) = first."""
+        x, l = delassus.solve(force, list(-first))
         for _ in range(many - 1):
-            more = answer.solved(None, list(-f(x)))
+            more = delassus.solve(None, list(-f(x)))
             x, l = x + more[0], l + more[1]
         return x, l
 
     def linear(f: Residual, x: jax.Array) -> Solve:
-        def left(dx: jax.Array, c: jax.Array) -> jax.Array:
+        def residual(dx: jax.Array, c: jax.Array) -> jax.Array:
             return jax.jvp(f, (x,), (dx,))[1] - c
 
-        return lambda force, c: iterated(lambda dx: left(dx, c), -c, force)
+        return lambda force, c: iterate(lambda dx: residual(dx, c), -c, force)
 
-    def level(dq: jax.Array) -> jax.Array:
-        return leveled(now, rows, off(d, model, t, q, dq, v)[0], dq)
+    def value(dq: jax.Array) -> jax.Array:
+        return position_residuals(now, rows, residuals_at(d, model, t, q, dq, v)[0], dq)
 
     def rate(dv: jax.Array) -> jax.Array:
-        return off(d, model, t, q, dq, v + dv)[1]
+        return residuals_at(d, model, t, q, dq, v + dv)[1]
 
     dq, l = jnp.zeros_like(v), jnp.zeros(len(rows), v.dtype)
-    begun = off_of(rows, v)
-    of_positions: Solve = _unmoved
+    first = residuals_of(rows, v)
+    of_positions: Solve = _no_change
     if positions and any(row.holonomic for row in rows):
-        dq, l = iterated(level, begun[0])
-        begun, of_positions = off(d, model, t, q, dq, v), linear(level, dq)
-    dv, m = iterated(rate, begun[1])
+        dq, l = iterate(value, first[0])
+        first, of_positions = residuals_at(d, model, t, q, dq, v), linear(value, dq)
+    dv, m = iterate(rate, first[1])
     return Changes(dq, l, dv, m, of_positions, linear(rate, dv))
 
 
-def _unmoved(force: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _no_change(force: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
     return jnp.zeros_like(force), jnp.zeros_like(c)
 
 
-#: of Newton's method, by bytes of a number: from the error of a stage, below 0.1, to rounding
-TANGENT_ITERATIONS = {4: 3, 8: 5}
-
-
-def across(
+def project_to_tangent_space(
     model: Model, t: Any, state: State, t0: Any, start: State, iterations: int | None = None
 ) -> State:
-    """The state on the constraints with the z and s of another, of the tangent space at `start`."""
+    """Find the consistent state with the same components in the tangent space at `start`."""
+    return _project_stage(model, t, state, t0, start, iterations, False)
+
+
+def solve_dependent(
+    model: Model, t: Any, state: State, t0: Any, start: State, iterations: int | None = None
+) -> State:
+    """Solve the constraints for the coordinates and velocities that are dependent at `start`."""
+    return _project_stage(model, t, state, t0, start, iterations, True)
+
+
+def _project_stage(
+    model: Model, t: Any, state: State, t0: Any, start: State, iterations: int | None,
+    dependent: bool,
+) -> State:  # fmt: skip
     q, v, top = start.q, state.v, model.topology
-    many = TANGENT_ITERATIONS[q.dtype.itemsize] if iterations is None else iterations
+    many = STAGE_ITERATIONS[q.dtype.itemsize] if iterations is None else iterations
     u = pack(difference_lanes(top, list(q), list(state.q)), v)
 
-    def method(
-        d: Driver, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array
-    ) -> Changes:
-        return _newton(d, model, t0, t, q, u, v, many)
+    def method(*at: Any) -> Changes:
+        return _newton(*at, many, dependent)
 
-    du, dv = least_changes(method, model, t0, t, q, u, v)
+    du, dv = least_change(method, model, t0, t, q, u, v, dependent)
     return State(retract(model, q, u + du), v + dv, state.x)
 
 
+def _dependent(G: jax.Array) -> jax.Array:
+    """Choose dependent coordinates by elimination: 1 for these, 0 for others (nv,)."""
+    G = jax.lax.stop_gradient(G)
+    length = jnp.sqrt((G * G).sum(1, keepdims=True))
+    chosen = eliminate(jnp.where(length > 0, G / jnp.where(length > 0, length, 1.0), 0.0))[1]
+    return chosen.any(0).astype(G.dtype)
+
+
+def eliminate(G: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Reduce [G 1] by Gauss-Jordan elimination with full pivoting. Returns the reduced matrix
+    (m, n + m) and the pivots, True in (m, n)."""
+    m, n = G.shape
+    zero = rank_tolerance("constraint rows", G.dtype) * jnp.abs(G).max()
+
+    def step(_: int, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        W, chosen = x
+        remaining = ~chosen.any(1)[:, None] & ~chosen.any(0)
+        size = jnp.where(remaining, jnp.abs(W[:, :n]), -1.0)
+        i, j = jnp.unravel_index(size.argmax(), (m, n))
+        found = size[i, j] > zero
+        row = W[i] / jnp.where(found, W[i, j], 1.0)
+        reduced = (W - W[:, j][:, None] * row).at[i].set(row)
+        return jnp.where(found, reduced, W), chosen.at[i, j].set(found | chosen[i, j])
+
+    start = jnp.concatenate([G, jnp.eye(m, dtype=G.dtype)], 1), jnp.zeros((m, n), bool)
+    return jax.lax.fori_loop(0, min(m, n), step, start)
+
+
 def _newton(
-    d: Driver,
-    model: Model,
-    t0: Any,
-    t: Any,
-    q: jax.Array,
-    u: jax.Array,
-    v: jax.Array,
-    many: int,
-) -> Changes:
-    def seen(t: Any, u: jax.Array, v: jax.Array) -> tuple[Context, list[Row]]:
+    d: Driver, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array, many: int,
+    dependent: bool,
+) -> Changes:  # fmt: skip
+    def rows_at(t: Any, u: jax.Array, v: jax.Array) -> tuple[Context, list[Row]]:
         now = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
         return now, rows_of(model, now)
 
-    first, rows = seen(t0, jnp.zeros_like(u), v)
-    factors = factorize(d, first.links.joints)
-    begun = OnMatrices(d, factors, first, rows)
-    size, usual = jnp.diagonal(begun.A), begun.usual  # a row that vanishes stays short
-    size = size + diagonal_floor(size, usual, 1.0)
+    first, rows = rows_at(t0, jnp.zeros_like(u), v)
+    if dependent:
+        G_0 = gradient_matrix(first, rows)
+        Y = (G_0 * _dependent(G_0)).T
+        size, free = (G_0 * Y.T).sum(1), jnp.zeros(len(rows), v.dtype)
+    else:
+        factors = factorize(d, first.links.joints)
+        delassus = DelassusMatrix(d, factors, first, rows)
+        G_0, Y = delassus.G, delassus.Y
+        size, free = jnp.diagonal(delassus.A), delassus.free_diagonal
+    size = size + diagonal_floor(size, free, 1.0)  # a vanishing row stays short
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
-    def nearest(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """x = M_0^-1 G_0^T l, and l, of G x = c; of redundant rows the least l."""
-        J = r[:, None] * matmat(G, begun.Y) * r
-        l = r * matvec(J.T, least_norm(matmat(J, J.T), r * c, 1.0))
-        return matvec(begun.Y, l), l
+    def correction(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Solve G x = c, x = W^-1 G_0^T l, for x and l; l is the least if rows are redundant."""
+        J = r[:, None] * matmat(G, Y) * r
+        l = r * matvec(J.T, solve_least_norm(matmat(J, J.T), r * c, 1.0))
+        return matvec(Y, l), l
 
-    level = np.array([row.holonomic for row in rows])
+    holonomic = np.array([row.holonomic for row in rows])
 
     def by_du(G: jax.Array, du: jax.Array) -> jax.Array:
-        """The gradient of positions: attitudes turn by J_r(u) du; a row with only a rate
-        keeps G_0."""
+        """Return the gradient along du: attitudes rotate by J_r(u) du; non-holonomic rows keep
+        G_0."""
         back = list(-(u + du))
-        turned = jax.vmap(lambda row: pack(velocity_lanes(model.topology, back, list(row)), row))
-        return jnp.where(level[:, None], turned(G), begun.G)
+        rotated = jax.vmap(lambda row: pack(velocity_lanes(model.topology, back, list(row)), row))
+        return jnp.where(holonomic[:, None], rotated(G), G_0)
 
-    def nearer(_: Any, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        now, there = seen(t, u + x[0], v)
-        left = leveled(first, rows, off_of(there, v)[0], x[0])
-        more = nearest(by_du(gradient_matrix(now, there), x[0]), -left)
+    def improve_positions(_: Any, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        now, there = rows_at(t, u + x[0], v)
+        residual = position_residuals(first, rows, residuals_of(there, v)[0], x[0])
+        more = correction(by_du(gradient_matrix(now, there), x[0]), -residual)
         return x[0] + more[0], x[1] + more[1]
 
     du, l = jnp.zeros_like(u), jnp.zeros(len(rows), u.dtype)
-    if level.any():
-        du, l = jax.lax.fori_loop(0, many, nearer, (du, l))
-    G = gradient_matrix(*seen(t, u + du, v))
+    if holonomic.any():
+        du, l = jax.lax.fori_loop(0, many, improve_positions, (du, l))
+    G = gradient_matrix(*rows_at(t, u + du, v))
 
-    def slower(_: Any, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        more = nearest(G, -off(d, model, t, q, u + du, v + x[0])[1])
+    def improve_velocities(_: Any, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        more = correction(G, -residuals_at(d, model, t, q, u + du, v + x[0])[1])
         return x[0] + more[0], x[1] + more[1]
 
     def linear(G: jax.Array) -> Solve:
         def solve(force: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
-            free = d.pack(solved(d, factors, d.lanes(force)), force)
-            x, l = nearest(G, c - matvec(G, free))
+            free = force if dependent else d.pack(solve_mass(d, factors, d.lanes(force)), force)
+            x, l = correction(G, c - matvec(G, free))
             return free + x, l
 
         return solve
 
-    dv, m = jax.lax.fori_loop(0, 2, slower, (jnp.zeros_like(v), jnp.zeros_like(l)))  # linear: twice
+    zero = jnp.zeros_like(v), jnp.zeros_like(l)
+    dv, m = jax.lax.fori_loop(0, 2, improve_velocities, zero)  # linear: twice is enough
     return Changes(du, l, dv, m, linear(by_du(G, du)), linear(G))

@@ -13,14 +13,13 @@ import jax
 
 from rbjax.arguments import integer, real_number
 from rbjax.constraints.equations.constrained_motion import constrained_motion
-from rbjax.constraints.equations.model_rows import rows_of, with_multipliers
-from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.forward import acceleration
-from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.constraints.equations.model_rows import add_multipliers, rows_of
+from rbjax.dynamics.algorithms.aba import acceleration
+from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
-from rbjax.lanes import Lane, add, mul, neg
+from rbjax.lanes import add, mul, neg
 from rbjax.model import Model, State
 
 
@@ -29,7 +28,7 @@ class Factor:
     """A factor of a formulation: a frozen dataclass of parameters, which are checked."""
 
     def __post_init__(self) -> None:
-        """Reject parameters that are not numbers of at least 0, or integers of at least 1."""
+        """Raise unless parameters are numbers of at least 0, or integers of at least 1."""
         name = type(self).__name__
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
@@ -45,7 +44,7 @@ class Factor:
 
 @dataclass(frozen=True)
 class Method(Factor):
-    """A method for the accelerations of constrained motion. Make a frozen dataclass of it.
+    """A solution of the equations of constrained motion. Make a frozen dataclass of it.
 
     Class fields:
         name: in `rb.constraints.formulations()`.
@@ -63,20 +62,17 @@ class Method(Factor):
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces,
         alpha: Any = 0.0, beta: Any = 0.0,
     ) -> jax.Array:  # fmt: skip
-        """v' (nv,) with g'' = -2 alpha g' - beta^2 g."""
+        """Compute v' (nv,) with g'' = -2 alpha g' - beta^2 g."""
         raise NotImplementedError(f"{type(self).__name__} has no accelerations")
 
     def projected_rows(self, model: Model) -> Model:
-        """The model with the constraints that a projection enforces."""
+        """Return the model with the constraints that a projection enforces."""
         return model
 
 
 @dataclass(frozen=True)
 class Multipliers(Method):
     """Index 1, by the range space of the rows: A l = c - G a_f, with the factors of ABA.
-
-    Without feedback and projection the residual after a time t is g_0 + g'_0 t, plus the error of
-    the integrator.
 
     Source: Masarati 8.3; Carpentier, Budhiraja & Mansard 2021.
     """
@@ -91,15 +87,17 @@ class Multipliers(Method):
 
 @dataclass(frozen=True)
 class Penalty(Method):
-    """Index 0, by stiff springs and dampers in the place of constraints:
+    """Index 0, by stiff springs and dampers instead of constraints:
 
         M a + b = tau - G^T (k g + d g')
-    A singular perturbation: the residual is -l / k where motion is slow, and frequencies grow as
-    sqrt(k). A row with only a rate has only the damper.
+    A singular perturbation: the residual of slow motion is -l / k, and frequencies grow as sqrt(k).
+    A non-holonomic row has only the damper.
 
-    Fields: stiffness k, N/m or N m by row; damping d, N s/m or N m s.
+    Fields:
+        stiffness: k, N/m or N m by row.
+        damping: d, N s/m or N m s.
 
-    Source: Lötstedt 1979; Masarati, ch. 8.
+    Source: Lötstedt 1979; Masarati 8.2.
     """
 
     stiffness: float = 1e6
@@ -112,11 +110,9 @@ class Penalty(Method):
     def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
         d = driver(model, state.q.dtype)
         now = Context.of(model, t, state, None, d=d)
-        _ = now.links.joints  # a driver learns from them what its lanes are
+        _ = now.links.joints  # first: the driver finds its lanes there
         rows = rows_of(model, now)
-        l = [neg(self._force(row)) for row in rows]
-        tau, f_ext = with_multipliers(d, rows, l, tau, f_ext)
+        k, c = self.stiffness, self.damping
+        l = [neg(add(mul(k, row.residual), mul(c, row.rate))) for row in rows]
+        tau, f_ext = add_multipliers(d, rows, l, tau, f_ext)
         return acceleration(model, state.q, state.v, tau, f_ext)
-
-    def _force(self, row: Row) -> Lane:
-        return add(mul(self.stiffness, row.residual), mul(self.damping, row.rate))

@@ -1,25 +1,24 @@
-"""Constrained motion by recursion over a tree of clusters: the articulated-body algorithm with
-loops.
+"""Constrained motion by recursion over a tree of clusters: articulated bodies with loops.
 
-Inside a cluster the articulated-body algorithm eliminates the joints as if no row held them. It
-leaves an inertia I_f and a force -p_f at the parent, and of each row, as of a unit multiplier, a
-force u_i at each joint and a wrench w at the parent. With W = [w ...] the rows ask
+A row acts on some links and joints. If its forces are internal, they have no effect beyond a link
+that carries all of these; the joints between are those that the row reaches. Rows that reach a
+common joint are in one cluster. A cluster is a connected part of the tree with one parent, so
+clusters and the other joints form a tree again.
+
+In a cluster the articulated-body algorithm eliminates the joints without rows. The result at the
+parent is an inertia I_f and a force -p_f, and for the unit multiplier of each row a force u_i at
+each joint and a wrench w. With W = [w ...] the equations of the rows are
 
     A l = c - sum of u_i u_f,i / D_i - W^T a_p,     A_rs = sum of u_r,i u_s,i / D_i
-(u_f: what the forces leave; a_p: the parent's acceleration). So the cluster is to its parent
+(u_f: forces at the joints, a_p: acceleration of the parent). So the cluster is to its parent
 
     I = I_f + W A^-1 W^T,     p = p_f - W l_0,     l = l_0 - A^-1 W^T a_p
-With H the inertia of the cluster's joints and F their coupling to the parent, W = -F H^-1 G^T and
-I = I_c - F P F^T, where P = H^-1 - H^-1 G^T A^-1 G H^-1 is the inverse that the rows leave of H. It
-is B (B^T H B)^-1 B^T, with no basis B of their null space and no choice of coordinates. A holds the
-rows of one cluster only: loops that share no joint are never coupled.
-
-Where a loop is not quite closed, forces of its rows do not quite cancel at the parent. What is left
+A contains the rows of one cluster only. If a loop is not exactly closed, the sum of its forces
 is in W, so the equations stay exact.
 
-(Jain 2012, *Multibody graph transformations and analysis, part II: constraint embedding*; Chignoli,
-Adrian, Kim & Wensing 2023, *Recursive rigid-body dynamics algorithms for systems with kinematic
-loops*; Carpentier, Budhiraja & Mansard 2021 for A where rows are redundant)
+Source: Jain 2012, *Multibody graph transformations and analysis, part II: constraint embedding*;
+Chignoli, Adrian, Kim & Wensing 2023, *Recursive rigid-body dynamics algorithms for systems with
+kinematic loops*; Carpentier, Budhiraja & Mansard 2021.
 """
 
 from __future__ import annotations
@@ -32,22 +31,21 @@ import jax
 
 from rbjax.constraints.equations.constrained_motion import (
     ROWS_ON_LANES,
+    LinearProblem,
     Solve,
-    System,
-    as_free_bodies,
     constrained_motion,
-    eliminated_along,
-    range_space,
-    response,
-    shared,
-    triangle,
+    delassus_triangle,
+    eliminate_loads,
+    factor_delassus,
+    free_body_diagonal,
+    joint_product,
+    range_space_problem,
 )
-from rbjax.constraints.equations.model_rows import by_link
+from rbjax.constraints.equations.model_rows import wrenches_by_link
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
-from rbjax.dynamics.algorithms.link_forces import LinkForces
-from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea, transmitted_forces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
@@ -59,19 +57,24 @@ from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 
 class Cluster(NamedTuple):
-    """Fields: parent, the link on which it hangs, or WORLD; links, those that its joints move;
-    rows, by index."""
+    """Joints that rows couple.
+
+    Fields:
+        parent: the link that carries it, or WORLD.
+        links: those that its joints move.
+        rows: by index.
+    """
 
     parent: int
     links: frozenset[int]
     rows: tuple[int, ...]
 
 
-def clusters(topology: Topology, rows: Sequence[Row]) -> list[Cluster]:
-    """The clusters that rows form. A row whose gradient is zero forms one without joints."""
+def find_clusters(topology: Topology, rows: Sequence[Row]) -> list[Cluster]:
+    """Group rows to clusters. A row without gradient is a cluster without joints."""
     found: list[Cluster] = []
     for r, row in enumerate(rows):
-        new = Cluster(*reach(topology, row.gradient), (r,))
+        new = Cluster(*reached_links(topology, row.gradient), (r,))
         for met in [x for x in found if x.links & new.links]:
             found.remove(met)
             # each has all links from its own to its parent: one parent carries the other
@@ -81,38 +84,33 @@ def clusters(topology: Topology, rows: Sequence[Row]) -> list[Cluster]:
     return found
 
 
-def reach(topology: Topology, gradient: Loads) -> tuple[int, frozenset[int]]:
-    """The link below which the forces of a row stay, and the links below it on which they act or
-    that carry such."""
-    pushed = [i for i, f in by_link(gradient).items() if not all(map(is_zero, f))]
+def reached_links(topology: Topology, gradient: Loads) -> tuple[int, frozenset[int]]:
+    """Return the link that carries all links of a row's forces, and the links between."""
+    pushed = [i for i, f in wrenches_by_link(gradient).items() if not all(map(is_zero, f))]
     turned = [i for i, x in gradient.tau.items() if not is_zero(x)]
     tops = [topology.parents[i] for i in turned]
     tops += pushed if gradient.internal else [WORLD] * len(pushed)
-    shared = set.intersection(*(_chain(topology, i) for i in tops)) if tops else set()
-    parent = max(shared, default=WORLD)  # indices grow along a chain
+    joint_product = set.intersection(*(_chain(topology, i) for i in tops)) if tops else set()
+    parent = max(joint_product, default=WORLD)  # indices grow along a chain
     carrying = {j for i in pushed + turned for j in _chain(topology, i)}
     return parent, frozenset(carrying - _chain(topology, parent))
 
 
 def _chain(topology: Topology, link: int) -> set[int]:
-    """The link and those that carry it."""
+    """Return the link and those that carry it."""
     return set() if link == WORLD else set(topology.ancestors[link])
 
 
 @dataclass(frozen=True)
 class Recursive(Method):
-    """Index 0, by recursion over clusters of joints that share loops:
+    """Index 0, by recursion over clusters of joints in common loops:
 
         I = I_f + W A^-1 W^T,     A = G_c H_c^-1 G_c^T of one cluster
-    The cost is that of the articulated-body algorithm and, of each cluster by itself, its rows
-    cubed: a robot with loops in its legs costs as much as its legs do. The accelerations are those
-    of `Multipliers`, where rows are redundant too. A single cluster that hangs on the world is
-    solved as there; rows that hold links to the world are in one.
-
-    Recursion is for trees that are written out link by link (`driver="unrolled"`, small trees, and
-    values on a CPU up to 40 coordinates), and for clusters of up to 24 rows. Others are solved as
-    by `Multipliers`. A row whose gradient has pushes of your own counts as held to the world unless
-    its `Loads` are `internal`.
+    The cost is the one of the articulated-body algorithm plus the rows of each cluster cubed. Use
+    it for robots with separate loops, as in each leg. It is for unrolled trees and for clusters of
+    at most 24 rows; others are solved as by `Multipliers`. The accelerations are the same, with
+    redundant rows too. A row with forces of your own counts as attached to the world, unless its
+    `Loads` are `internal`.
 
     Source: Jain 2012; Chignoli, Adrian, Kim & Wensing 2023.
 
@@ -130,38 +128,37 @@ class Recursive(Method):
     index: ClassVar[int] = 0
 
     def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
-        return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method=by_clusters)[0]
+        return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method=cluster_problem)[
+            0
+        ]
 
 
-def by_clusters(
-    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
-) -> tuple[jax.Array | None, None, System]:
-    """From accelerations zero on, cluster by cluster; from free motion on where links are a loop of
-    the program."""
+def cluster_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
+    """Start from zero accelerations, cluster by cluster; from free motion if the tree is rolled."""
     if not d.listed:
-        return range_space(d, now, tau, f_ext)
+        return range_space_problem(d, now, tau, f_ext)
     joints, gravity = now.links.joints, d.prepared.gravity
 
-    def system(now: Context, rows: Sequence[Row]) -> Solve:
-        found = clusters(d.topology, rows)
+    def factor(now: Context, rows: Sequence[Row]) -> Solve:
+        found = find_clusters(d.topology, rows)
         if max((len(cluster.rows) for cluster in found), default=0) > ROWS_ON_LANES:
-            by_rows = response(d, factorize(d, joints), now, rows)
-            left = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
-            return lambda f, c: by_rows.solved(left if f is None else f, c)
-        moved = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, f_ext))
+            delassus = factor_delassus(d, factorize(d, joints), now, rows)
+            force = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
+            return lambda f, c: delassus.solve(force if f is None else f, c)
+        moved = d.whole(transmitted_forces(d, joints, d.lanes(None), gravity, f_ext))
         tree = ClusterTree(d, joints, [X for X, _ in moved], rows, found, tau)
         own = {i: -f for i, (_, f) in enumerate(moved)}
-        return lambda f, c: tree.solved(tau, own, c) if f is None else tree.solved(f, {}, c)
+        return lambda f, c: tree.solve(tau, own, c) if f is None else tree.solve(f, {}, c)
 
-    return None, None, system
+    return LinearProblem(None, None, factor)
 
 
-class Tied(NamedTuple):
-    """A cluster whose joints and multipliers are eliminated.
+class EliminatedCluster(NamedTuple):
+    """A cluster with eliminated joints and multipliers.
 
-    Fields, of each of its rows: u, the force that a unit multiplier leaves at each joint, and
-    e = u / D; W, the wrench that it leaves at the parent, and Y = A^-1 W, of no row if the parent
-    is the world.
+    Fields, for each of its rows:
+        u: the force of a unit multiplier at each joint, and e = u / D.
+        W: its wrench at the parent, and Y = A^-1 W; empty if the parent is the world.
     """
 
     cluster: Cluster
@@ -173,7 +170,7 @@ class Tied(NamedTuple):
 
 
 class ClusterTree:
-    """The factors of the mass matrix of a robot and of the rows that tie its joints."""
+    """The factors of the mass matrix of a robot and of the rows that couple its joints."""
 
     def __init__(
         self,
@@ -188,7 +185,7 @@ class ClusterTree:
         self._rows, self._like = rows, like
         self._factors: dict[int, Factor] = {}
         self._found = found
-        self._tied: dict[int, list[Tied]] = {}  # by the link on which they hang
+        self._clusters: dict[int, list[EliminatedCluster]] = {}  # by their parent
         constants, joints = d.whole(d.constants), d.whole(joints)
         carried: dict[int, ArticulatedInertia] = {}
         for i in reversed(range(len(joints))):
@@ -207,48 +204,48 @@ class ClusterTree:
         self._with_clusters(WORLD, ArticulatedInertia.zero())
 
     def _with_clusters(self, link: int, I: ArticulatedInertia) -> ArticulatedInertia:
-        """The inertia of a link with the clusters that hang on it."""
-        self._tied[link] = [self._tie(x) for x in self._found if x.parent == link]
-        more = [x for tied in self._tied[link] for x in zip(tied.W, tied.Y, strict=False)]
+        """Add the inertias of the clusters of a link."""
+        self._clusters[link] = [self._eliminate(x) for x in self._found if x.parent == link]
+        more = [x for tied in self._clusters[link] for x in zip(tied.W, tied.Y, strict=False)]
         for w, y in more:
             I = I + ArticulatedInertia.outer(w, y)
         return fusion_barrier(I) if more else I
 
-    def _tie(self, cluster: Cluster) -> Tied:
+    def _eliminate(self, cluster: Cluster) -> EliminatedCluster:
         inward = sorted(cluster.links, reverse=True)
         loads = [self._rows[r].gradient for r in cluster.rows]
         units = [
-            eliminated_along(self._parents, self._factors, inward, x, cluster.parent) for x in loads
+            eliminate_loads(self._parents, self._factors, inward, x, cluster.parent) for x in loads
         ]
         u, e, W = zip(*units, strict=True)
-        usual = [as_free_bodies(self._d, self._rows[r]) for r in cluster.rows]
-        A, Y = LeastNorm(triangle(u, e), usual, self._like.dtype), []
+        usual = [free_body_diagonal(self._d, self._rows[r]) for r in cluster.rows]
+        A, Y = LeastNorm(delassus_triangle(u, e), usual, self._like.dtype), []
         if cluster.parent != WORLD:
             columns = [A.solve(column) for column in zip(*W, strict=True)]
             Y = [Force.from_lanes(lanes) for lanes in zip(*columns, strict=True)]
-        return Tied(cluster, u, e, W, Y, A)
+        return EliminatedCluster(cluster, u, e, W, Y, A)
 
-    def solved(
+    def solve(
         self, tau: jax.Array, forces: Mapping[int, Force], c: Sequence[Lane]
     ) -> tuple[jax.Array, jax.Array]:
-        """a (nv,) and l (rows,) of M a = tau + sum of J_i^T f_i + G^T l, G a = c; f_i: forces on
-        links."""
+        """Solve M a = tau + sum of J_i^T f_i + G^T l, G a = c for a (nv,), l (rows,); f_i: forces
+        on links."""
         u = unpack(tau)
         l = self._inward(u, dict(forces), c)
         a = self._outward(u, l)
         return pack(a, self._like), pack(l, self._like)
 
     def _inward(self, u: list[Lane], pending: dict[int, Force], c: Sequence[Lane]) -> list[Lane]:
-        """The multipliers, as if no parent of a cluster moved; the forces u become those that are
-        left at the joints. pending: forces on links."""
+        """Compute the multipliers for parents without acceleration, and change u to the forces at
+        the joints. pending: forces on links."""
         l: list[Lane] = [0.0] * len(self._rows)
 
         def arrived(link: int) -> Force:
-            """The force on a link, with those of the clusters that hang on it."""
+            """Add the forces of the clusters of a link to its own."""
             f = pending.pop(link, Force.zero())
-            for tied in self._tied[link]:
+            for tied in self._clusters[link]:
                 rows, left = tied.cluster.rows, dict(enumerate(u))
-                off = [sub(c[r], shared(left, e)) for r, e in zip(rows, tied.e, strict=True)]
+                off = [sub(c[r], joint_product(left, e)) for r, e in zip(rows, tied.e, strict=True)]
                 for r, x, w in zip(rows, tied.A.solve(off), tied.W, strict=True):
                     l[r], f = x, f + w * x
             return f
@@ -266,12 +263,12 @@ class ClusterTree:
         return l
 
     def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
-        """Accelerations; l become the multipliers where parents move."""
+        """Compute the accelerations, and change l to the multipliers for accelerated parents."""
         a, out = {WORLD: Motion.zero()}, []
 
         def arrived(link: int) -> None:
-            """The multipliers of the clusters that hang on a link act on their joints."""
-            for tied in self._tied[link]:
+            """Add the forces of the multipliers of a link's clusters at their joints."""
+            for tied in self._clusters[link]:
                 rows = tied.cluster.rows
                 for r, y in zip(rows, tied.Y, strict=False):
                     l[r] = fusion_barrier(sub(l[r], y.dot(a[link])))

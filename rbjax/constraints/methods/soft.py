@@ -1,18 +1,20 @@
-"""Rows that yield, as MuJoCo's do.
+"""Soft constraints, of MuJoCo's model, and the method that solves them together with rigid ones.
 
-    g'' + R f = -b g' - d k g,     g'' = G a + G' v,     R = (1 - d) / d w
-f, the force on a row, is what is left of the multiplier; w its inverse inertia, a number of the
-row; d its impedance, between 0 and 1, a function of how far the constraint is off, r = |g|:
+    M a + b = tau + sum of J_i^T f_i + G^T f
+    g'' + R f = -b g' - d k g     of soft rows,      R = (1 - d) / d w
+    g'' = 0                       of rigid rows,     R = 0
+so (A + R) f = (right-hand side) - g''(a_0). f is the force on a row, w its inverse inertia, and d
+its impedance, from 0 to 1, a function of the residual r = |g|:
 
     d(r) = d_0 + (d_w - d_0) y(r / width),   y(x) = x^p / m^(p-1) up to m,
                                              1 - (1 - x)^p / (1 - m)^(p-1) above, 1 from x = 1 on
-and their mean where the width is zero;
-k, b from solref = (time constant T, damping ratio z): k = 1 / (d_w T z)^2, b = 2 / (d_w T); or,
-where its numbers are not above zero, from (-stiffness, -damping): k = stiffness / d_w^2,
-b = damping / d_w.
+and the mean of d_0 and d_w if the width is zero. solref = (time constant T, damping ratio z) gives
+k = 1 / (d_w T z)^2, b = 2 / (d_w T); solref = (-stiffness, -damping), both not positive, gives
+k = stiffness / d_w^2, b = damping / d_w. The distance to the rigid motion falls as T^2.
 
-MuJoCo 4 has G' v in connects and welds, and not in the couplings of joints; MJX has it nowhere.
-(MuJoCo, *Computation*, constraint model; Todorov 2014)
+MuJoCo 4 includes G' v in connects and welds, but not in couplings of joints; MJX neglects it.
+
+Source: MuJoCo, *Computation*, constraint model; Todorov 2014.
 """
 
 from __future__ import annotations
@@ -27,10 +29,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints.equations.constrained_motion import (
-    OnMatrices,
+    DelassusMatrix,
+    LinearProblem,
     Solve,
-    System,
-    asked,
+    baumgarte_residual,
     constrained_motion,
 )
 from rbjax.constraints.equations.model_rows import gradient_matrix, jacobian
@@ -38,7 +40,7 @@ from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.dynamics.algorithms.aba import aba
 from rbjax.dynamics.algorithms.crba import mass_matrix
-from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
@@ -47,20 +49,23 @@ from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model, State
 from rbjax.model.record import check_fields, floats
 
-#: within which MuJoCo holds impedances and the place of their middle
+#: limits of impedances and of the midpoint m in MuJoCo
 IMPEDANCES = 1e-4, 0.9999
-#: a width below which it is none
+#: a width below this is zero
 LEAST = 1e-15
 SOLREF = (0.02, 1.0)
 SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 
 
 class Soft(Constraint):
-    """A constraint whose rows yield under the formulation "compliant"; others hold them as ever.
+    """A constraint that is soft in the formulation "compliant", and rigid in others.
 
-    Fields: of, the constraint; solref (2,), (time constant s, damping ratio) or (-stiffness 1/s^2,
-    -damping 1/s); solimp (5,), d_0, d_w, width in the unit of its rows, m, p; weight (rows,), the
-    inverse inertias of the rows. Static: bias, whether g'' has its part G' v.
+    Fields:
+        of: the constraint.
+        solref: (2,) (time constant s, damping ratio) or (-stiffness 1/s^2, -damping 1/s).
+        solimp: (5,) d_0, d_w, width in the unit of the rows, m, p.
+        weight: (rows,) inverse inertias of the rows.
+        bias: static, whether g'' includes G' v.
 
     Source: MuJoCo, *Computation*, constraint model, parameters.
 
@@ -109,8 +114,8 @@ class Soft(Constraint):
         solimp: Any = SOLIMP,
         q: jax.Array | None = None,
     ) -> Soft:
-        """A constraint with the weights diag(G M^-1 G^T) that it has in a configuration (nq,); the
-        model's default state if None."""
+        """Make a constraint soft, with the weights diag(G M^-1 G^T) of a configuration q (nq,), by
+        default that of the model's default state."""
         q = model.default_state().q if q is None else q
         G = jacobian(model.replace(constraints=(of,)), q)
         weight = (G * jnp.linalg.solve(mass_matrix(model, q), G.T).T).sum(-1)
@@ -123,26 +128,26 @@ class Soft(Constraint):
     def rows(self, now: Context) -> Sequence[Row]:
         return self.of.rows(now)
 
-    def yielding(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
-        """R, and what g'' + R f shall be, of its rows."""
+    def soft_terms(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
+        """Compute R and the right-hand side of g'' + R f of its rows."""
         low, high, width, middle, power = self.solimp.astype(dtype)
         low, high, middle = (jnp.clip(x, *IMPEDANCES) for x in (low, high, middle))
         g = jnp.stack([jnp.asarray(row.residual, dtype) for row in rows])
         rate = jnp.stack([jnp.asarray(row.rate, dtype) for row in rows])
         d = impedance(_norm(g), low, high, width, middle, jnp.maximum(power, 1.0))
-        k, b = reference(self.solref.astype(dtype), high)
-        asked = -b * rate - d * k * g
+        k, b = stiffness_and_damping(self.solref.astype(dtype), high)
+        right_hand_side = -b * rate - d * k * g
         R = (1 - d) / d * self.weight.astype(dtype)
-        return list(R), list(asked)
+        return list(R), list(right_hand_side)
 
 
 def is_soft(model: Model) -> bool:
-    """Whether a model has a `Soft` constraint. If so, "compliant" is the default formulation."""
+    """Return whether a model has a `Soft` constraint."""
     return any(isinstance(x, Soft) for x in model.constraints)
 
 
-def reference(solref: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """k 1/s^2 and b 1/s."""
+def stiffness_and_damping(solref: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Compute k in 1/s^2 and b in 1/s from solref and d_w."""
     direct = solref[0] <= 0
     time, ratio = jnp.where(direct, 1.0, solref)
     k = jnp.where(direct, -solref[0], 1 / (time * ratio) ** 2) / high**2
@@ -150,7 +155,7 @@ def reference(solref: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]
 
 
 def impedance(r: jax.Array, low: Any, high: Any, width: Any, middle: Any, power: Any) -> jax.Array:
-    """d at a distance r."""
+    """Compute d at a residual r."""
     x = jnp.minimum(r / jnp.maximum(width, LEAST), 1.0)
     inner = x**power / middle ** (power - 1)
     outer = 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
@@ -159,43 +164,41 @@ def impedance(r: jax.Array, low: Any, high: Any, width: Any, middle: Any, power:
 
 
 def _norm(g: jax.Array) -> jax.Array:
-    """|g|, with the derivative zero at zero."""
+    """Return |g|, with derivative 0 at 0."""
     square = (g * g).sum()
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
 
-def softness(
+def regularizer_and_residual(
     now: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
 ) -> tuple[jax.Array, jax.Array]:
-    """R (rows,), zero where a constraint is not soft, and what is left of the rows' equations at
-    the accelerations of the instant without forces on them: asked - g''; of rigid ones those of
-    Baumgarte's feedback."""
+    """Compute R (rows,), zero for rigid rows, and the residual of the rows' equations at the
+    accelerations of the context for f = 0, with Baumgarte's feedback of rigid rows."""
     R: list[Any] = []
-    left: list[Any] = []
+    residual: list[Any] = []
     a = now.a
-    done = matvec(gradient_matrix(now, rows), a)
+    without_bias = matvec(gradient_matrix(now, rows), a)
     for constraint in now.model.constraints:
         at = slice(len(R), len(R) + constraint.size)
-        has = [row.acceleration for row in rows[at]]
         if isinstance(constraint, Soft):
-            own, wanted = constraint.yielding(rows[at], a.dtype)
+            own, right = constraint.soft_terms(rows[at], a.dtype)
             R += own
-            has = has if constraint.bias else list(done[at])
-            left += [sub(x, y) for x, y in zip(wanted, has, strict=True)]
+            bias = [row.acceleration for row in rows[at]]
+            left = bias if constraint.bias else list(without_bias[at])
+            residual += [sub(x, y) for x, y in zip(right, left, strict=True)]
         else:
             R += [jnp.zeros((), a.dtype)] * constraint.size
-            left += [asked(row, alpha, beta) for row in rows[at]]
-    return jnp.stack(R), pack(left, a)
+            residual += [baumgarte_residual(row, alpha, beta) for row in rows[at]]
+    return jnp.stack(R), pack(residual, a)
 
 
 @dataclass(frozen=True)
 class Compliant(Method):
-    """Index 0 in soft rows, by MuJoCo's law; 1 in others. Feedback and projection apply to others
-    only.
+    """Index 0 for soft rows, by MuJoCo's model; index 1 for others. Feedback and projection apply
+    to these others only. An explicit step must be well below the time constant T.
 
-    With a projection it is "compliant" of `rb.constraints.formulations()`, which enforces the
-    models of `rb.load(file, compliant=True)`, and those with a `Soft` if no other formulation is
-    given. An explicit step needs T well above it, as MuJoCo's own (twice there).
+    "compliant" in `rb.constraints.formulations()` is this method with a projection. It is the
+    default formulation of models with a `Soft` constraint.
 
     Source: MuJoCo, *Computation*, constraint model.
     """
@@ -216,27 +219,25 @@ def compliant_motion(
     model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces,
     alpha: Any = 0.0, beta: Any = 0.0,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """a (nv,) and the forces f (rows,) on the rows, of a sample."""
-    return constrained_motion(
-        model, t, state, tau, f_ext, alpha, beta, method=yielding, left_of=left_of
-    )
+    """Compute a (nv,) and the forces f (rows,) on the rows, of a sample."""
+    method, residual = soft_problem, soft_right_hand_side
+    return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method, residual)
 
 
-def yielding(
-    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
-) -> tuple[jax.Array, None, System]:
-    """From free motion on: (A + R) df = c - G M^-1 f."""
+def soft_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
+    """Start from free motion: (A + R) df = c - G M^-1 f."""
     qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
-    def system(now: Context, rows: Sequence[Row]) -> Solve:
-        return OnMatrices(d, factors, now, rows, R=softness(now, rows)[0]).solved
+    def factor(now: Context, rows: Sequence[Row]) -> Solve:
+        R, _ = regularizer_and_residual(now, rows)
+        return DelassusMatrix(d, factors, now, rows, R=R).solve
 
-    return d.pack(qdd, tau), None, system
+    return LinearProblem(d.pack(qdd, tau), None, factor)
 
 
-def left_of(
+def soft_right_hand_side(
     now: Context, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
-    """The right-hand side - g'' - R f."""
-    R, left = softness(now, rows, alpha, beta)
-    return list(left if f is None else left - R * f)
+    """Return the residual of the rows' equations at forces f."""
+    R, residual = regularizer_and_residual(now, rows, alpha, beta)
+    return list(residual if f is None else residual - R * f)

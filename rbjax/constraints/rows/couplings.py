@@ -1,12 +1,9 @@
-"""Couplings: one coordinate of a joint as a function of another one, or of time.
+"""Couplings: a coordinate of a joint as a function of another one, or of time. One row each.
 
-    polynomial    q1 - r1 = c0 + c1 (q2 - r2) + c2 (q2 - r2)^2 + ...
-    gear          q1 - r1 = ratio (q2 - r2)
-    rack          q1 - r1 = radius (q2 - r2)
-    prescribed    q1 = f(t)
-with r the joints' reference, in which the file draws the robot. One row each.
-(MuJoCo, *XML reference*, equality/joint; URDF's mimic; Haug, *Computer-Aided Kinematics and
-Dynamics*, 9.5)
+r is the reference of a joint, its coordinate in the configuration of the file.
+
+Source: MuJoCo, *XML reference*, equality/joint; URDF, mimic; Haug, *Computer-Aided Kinematics and
+Dynamics*, 9.5.
 """
 
 from __future__ import annotations
@@ -32,8 +29,10 @@ from rbjax.model.record import check_fields, check_number, floats
 class JointPolynomial(Constraint):
     """q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality of joints, URDF's mimic.
 
-    Fields: coefficients (n,), c_0 first, n at least 1. Static: `joint` (1), `driver` (2), names or
-    indices of joints of one coordinate; without a driver q1 - r1 = c_0.
+    Fields:
+        joint: 1, static, the name or index of a joint of one coordinate.
+        driver: 2, static, another one; None for q1 - r1 = c_0.
+        coefficients: (n,), c_0 first, n at least 1.
 
     Example:
         >>> import rbjax as rb
@@ -58,17 +57,19 @@ class JointPolynomial(Constraint):
     def rows(self, now: Context) -> Sequence[Row]:
         c = numbers(self.coefficients, now.q.dtype)
         if self.driver is None:
-            return [moved(now, self.joint) - c[0]]
-        x, out = moved(now, self.driver), Row.constant(c[-1])
+            return [from_reference(now, self.joint) - c[0]]
+        x, out = from_reference(now, self.driver), Row.constant(c[-1])
         for each in reversed(c[:-1]):
             out = out * x + each
-        return [moved(now, self.joint) - out]
+        return [from_reference(now, self.joint) - out]
 
 
 class Gear(Constraint):
-    """q1 - r1 = ratio (q2 - r2), of two hinges; the ratio of wheels that mesh is below zero.
+    """q1 - r1 = ratio (q2 - r2) of two hinges.
 
-    Fields: ratio. Static: `joint` (1), `driver` (2), names or indices of hinges.
+    Fields:
+        joint, driver: 1 and 2, static, names or indices of hinges.
+        ratio: negative for wheels that mesh from outside.
     """
 
     joint: str | int = eqx.field(static=True)
@@ -80,15 +81,16 @@ class Gear(Constraint):
         check_number(self, "ratio")
 
     def rows(self, now: Context) -> Sequence[Row]:
-        turned = moved(now, self.driver, "hinge")
-        return [moved(now, self.joint, "hinge") - turned * scalar(self.ratio, now.q.dtype)]
+        return [_proportional(now, (self.joint, "hinge"), self.driver, self.ratio)]
 
 
 class Rack(Constraint):
-    """q1 - r1 = radius (q2 - r2), of a slide and a hinge: a rack and its pinion.
+    """q1 - r1 = radius (q2 - r2) of a slide and a hinge: a rack and its pinion.
 
-    Fields: radius, m, the pinion's pitch radius; below zero for the other side of the pinion.
-    Static: `joint` (1), a slide, `driver` (2), a hinge, names or indices.
+    Fields:
+        joint: 1, static, the name or index of a slide.
+        driver: 2, static, the name or index of a hinge.
+        radius: m, the pinion's pitch radius; negative for the other side of the pinion.
     """
 
     joint: str | int = eqx.field(static=True)
@@ -100,15 +102,15 @@ class Rack(Constraint):
         check_number(self, "radius")
 
     def rows(self, now: Context) -> Sequence[Row]:
-        turned = moved(now, self.driver, "hinge")
-        return [moved(now, self.joint, "slide") - turned * scalar(self.radius, now.q.dtype)]
+        return [_proportional(now, (self.joint, "slide"), self.driver, self.radius)]
 
 
 class Prescribed(Constraint):
-    """q = f(t): a coordinate of a joint follows a function of time, which is differentiated twice.
+    """q = f(t): a coordinate of a joint is a function of time, which is differentiated twice.
 
-    Static: `joint`, a name or index of a joint of one coordinate, and `function`, of t (), which
-    gives rad or m; one function is one program.
+    Fields:
+        joint: static, the name or index of a joint of one coordinate.
+        function: static, t () -> rad or m. Each function is compiled once.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -128,14 +130,20 @@ class Prescribed(Constraint):
     def rows(self, now: Context) -> Sequence[Row]:
         _check_kind(now, self.joint, None)
 
-        def wanted(t: Any) -> Any:
+        def f(t: Any) -> Any:
             return evaluate("Prescribed: function", self.function, None, (t,), (), now.q.dtype)
 
-        return [coordinate(now, self.joint) - time(now).applied(wanted)]
+        return [coordinate(now, self.joint) - time(now).apply(f)]
 
 
-def moved(now: Context, joint: str | int, kind: str | None = None) -> Row:
-    """q - r of a joint of one coordinate; of this kind, if one is named."""
+def _proportional(now: Context, joint: tuple, driver: str | int, factor: jax.Array) -> Row:
+    """Build q1 - r1 - factor (q2 - r2), of a joint and its kind, and of a hinge."""
+    driven = from_reference(now, driver, "hinge")
+    return from_reference(now, *joint) - driven * scalar(factor, now.q.dtype)
+
+
+def from_reference(now: Context, joint: str | int, kind: str | None = None) -> Row:
+    """Build q - r of a joint of one coordinate; of this kind, if one is given."""
     _check_kind(now, joint, kind)
     start = now.model.topology.joint_q[now.model.joint(joint)]
     reference = lane(table(now.model.joints.reference, now.q.dtype), start)

@@ -1,23 +1,17 @@
 """A point of one body on a curve or a surface that is fixed in another.
 
-x is the point of B in A's axes, three rows that `along` makes; what follows is the chain rule.
-
     surface   f(x) = 0                                                   1 row
     curve     n_1 . (x - c(s)) = 0,  n_2 . (x - c(s)) = 0                2 rows
 
-where s(x) is the parameter of the curve's point nearest to x, a root of
+x is the point of B in A's axes, and s(x) the parameter of the curve's point nearest to x, a root of
 
     F(x, s) = (x - c(s)) . c'(s) = 0,       ds = -F_x dx / F_s,      F_s = (x - c) . c'' - |c'|^2
 
-(implicit function theorem; its derivatives of higher order follow from the same line), and n_1, n_2
-span the plane across c'(s). The rows vanish together only where x = c(s).
+n_1 and n_2 span the plane across c'(s). s(x) is smooth if x is nearer than the curve's centre of
+curvature (F_s < 0) and nearer to one branch of the curve than to others. For a curve that crosses
+itself, use a coordinate s of its own (a slide).
 
-Points of equal distance. s(x) is smooth as long as x is nearer than the curve's centre of curvature
-(F_s < 0). Two branches of the curve may be equally near; then the first entry of the table decides,
-and s jumps as x passes from one to the other. There the rows jump too; a point that satisfies them
-is on the curve, at distance zero, so this concerns only where a curve crosses itself: x does not
-say which branch is meant, and such curves need a coordinate s of their own (a slide).
-(do Carmo, *Differential Geometry of Curves and Surfaces*, 1.5, 2.7)
+Source: do Carmo, *Differential Geometry of Curves and Surfaces*, 1.5, 2.7.
 """
 
 from __future__ import annotations
@@ -29,12 +23,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.rows.functions import (
-    arrays,
-    check_function,
-    check_leaves,
-    evaluate,
-)
+from rbjax.constraints.rows.functions import arrays, check_functions, evaluate
 from rbjax.constraints.rows.geometry import AXES, along
 from rbjax.constraints.rows.row import Constraint, Row, function_of
 from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
@@ -43,13 +32,12 @@ from rbjax.forces.context import Context
 from rbjax.forces.place import Place, check_places
 from rbjax.model.record import check_fields, floats
 
-#: of Newton's method, from the nearest point of the table; a table that is fine enough to be on the
-#: right branch needs four or five
+#: iterations of Newton's method from the nearest point of the table
 NEWTON_STEPS = 8
 
 
 def _position(a: Place, b: Place, now: Context) -> list[Row]:
-    """The origin of b in a's axes."""
+    """Build the rows of the origin of b in a's axes."""
     A, B = a.frame(now), b.frame(now)
     return [along(A, u, B) for u in AXES]
 
@@ -61,9 +49,10 @@ def _inner(a: jax.Array, b: jax.Array) -> jax.Array:
 class PointOnSurface(Constraint):
     """The origin of b on the surface f(x) = 0, x in a's axes: one row.
 
-    Fields: a, b, `Place`s; numbers, a pytree that f takes as its last argument, or None.
-    Static: f, from x (3,) m (and numbers) to a scalar (); its gradient is nowhere zero on the
-    surface.
+    Fields:
+        a, b: `Place`s.
+        f: static, x (3,) m (and numbers) -> (). Its gradient is nowhere zero on the surface.
+        numbers: a pytree that f takes as its last argument, or None.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -82,8 +71,7 @@ class PointOnSurface(Constraint):
 
     def __check_init__(self) -> None:
         check_places(self)
-        check_function("PointOnSurface(f=...)", self.f)
-        check_leaves("PointOnSurface(numbers=...)", self.numbers)
+        check_functions(self, "f")
 
     def rows(self, now: Context) -> Sequence[Row]:
         def height(x: jax.Array) -> jax.Array:
@@ -95,11 +83,12 @@ class PointOnSurface(Constraint):
 class PointOnCurve(Constraint):
     """The origin of b on the curve c(s), in a's axes: two rows.
 
-    Fields: a, b, `Place`s; starts (n,), parameters s of the curve, fine enough that Newton's method
-    finds the nearest point of the curve from the nearest of theirs; numbers, a pytree that c takes
-    as its last argument, or None. Between and beyond `starts` the curve is what c says; a closed
-    curve is one of periodic c.
-    Static: c, from s () (and numbers) to (3,) m, with c' nowhere zero.
+    Fields:
+        a, b: `Place`s.
+        c: static, s () (and numbers) -> (3,) m, with c' nowhere zero. A closed curve is periodic.
+        starts: (n,) parameters s, so close to each other that Newton's method from the nearest one
+            finds the nearest point of the curve.
+        numbers: a pytree that c takes as its last argument, or None.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -121,29 +110,28 @@ class PointOnCurve(Constraint):
 
     def __check_init__(self) -> None:
         check_places(self)
-        check_function("PointOnCurve(c=...)", self.c)
+        check_functions(self, "c")
         check_fields(self)
         if len(jnp.shape(self.starts)) != 1 or not jnp.shape(self.starts)[0]:
             raise InputError(
                 f"PointOnCurve(starts=...): got the shape {jnp.shape(self.starts)}, expected (n,), "
                 "parameters along the curve, as jnp.linspace makes them"
             )
-        check_leaves("PointOnCurve(numbers=...)", self.numbers)
 
     def point(self, s: jax.Array) -> jax.Array:
-        """c(s) (3,) m in a's axes."""
+        """Evaluate c(s) (3,) m in a's axes."""
         return _curve(self.c, self.numbers, s)
 
     def nearest(self, x: jax.Array) -> jax.Array:
-        """The parameter () of the point of the curve nearest to x (3,), with its derivatives."""
+        """Find the parameter () of the curve's point nearest to x (3,). It is differentiable."""
         return _nearest(self.c)(x, self.numbers, self.starts.astype(x.dtype))
 
     def rows(self, now: Context) -> Sequence[Row]:
-        def across(x: jax.Array) -> jax.Array:
+        def components(x: jax.Array) -> jax.Array:
             c, dc = _with_slope(self.point, self.nearest(x))
             return jnp.stack([_inner(n, x - c) for n in _normals(dc)])
 
-        return function_of(_position(self.a, self.b, now), across, now.q.dtype)
+        return function_of(_position(self.a, self.b, now), components, now.q.dtype)
 
 
 def _curve(c: Callable, numbers: Any, s: jax.Array) -> jax.Array:
@@ -151,14 +139,13 @@ def _curve(c: Callable, numbers: Any, s: jax.Array) -> jax.Array:
 
 
 def _with_slope(f: Callable, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """f(s) and f'(s)."""
+    """Evaluate f(s) and f'(s)."""
     return jax.jvp(f, (s,), (jnp.ones_like(s),))
 
 
 def _normals(along: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Two unit vectors across a direction (3,), and across each other. They turn smoothly with it,
-    but where it passes from one axis that is least along it to another: then they jump, and the
-    multipliers with them, while forces do not."""
+    """Return two unit vectors orthogonal to a direction (3,) and to each other. They jump if the
+    axis that is most across the direction changes; multipliers jump too, forces do not."""
     t = along / jnp.sqrt(_inner(along, along))
     least = jnp.eye(3, dtype=t.dtype)[jnp.argmin(jnp.abs(jax.lax.stop_gradient(t)))]
     n = jnp.cross(t, least)
@@ -167,24 +154,24 @@ def _normals(along: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _nearest(c: Callable) -> Callable:
-    """(x, numbers, starts) -> s, with the derivative of the implicit function."""
+    """Make the function (x, numbers, starts) -> s, with the derivative of the implicit function."""
 
     def F(x: jax.Array, numbers: Any, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """F and |c'|^2."""
+        """Evaluate F and |c'|^2."""
         point, slope = _with_slope(lambda s: _curve(c, numbers, s), s)
         return _inner(x - point, slope), _inner(slope, slope)
 
-    def found(x: jax.Array, numbers: Any, starts: jax.Array) -> jax.Array:
-        apart = x - jax.vmap(lambda s: _curve(c, numbers, s))(starts)
+    def find(x: jax.Array, numbers: Any, starts: jax.Array) -> jax.Array:
+        d = x - jax.vmap(lambda s: _curve(c, numbers, s))(starts)
 
         def newton(_: Any, s: jax.Array) -> jax.Array:
-            off, slope, size = jax.jvp(
+            value, slope, size = jax.jvp(
                 lambda s: F(x, numbers, s), (s,), (jnp.ones_like(s),), has_aux=True
             )
-            # beyond the centre of curvature the step would go to where x is farthest: Gauss' step
-            return s - off / jnp.where(slope < -0.1 * size, slope, -size)
+            # beyond the centre of curvature Newton's step leads to a maximum: Gauss-Newton step
+            return s - value / jnp.where(slope < -0.1 * size, slope, -size)
 
-        return jax.lax.fori_loop(0, NEWTON_STEPS, newton, starts[jnp.argmin(_inner(apart, apart))])
+        return jax.lax.fori_loop(0, NEWTON_STEPS, newton, starts[jnp.argmin(_inner(d, d))])
 
     def rule(primals: tuple, tangents: tuple) -> tuple:
         s = nearest(*primals)
@@ -193,5 +180,5 @@ def _nearest(c: Callable) -> Callable:
         _, slope = _with_slope(lambda s: F(x, numbers, s)[0], s)
         return s, jnp.zeros_like(s) if change is None else -change / slope
 
-    nearest = with_jvp(found, rule)
+    nearest = with_jvp(find, rule)
     return nearest

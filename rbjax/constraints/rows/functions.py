@@ -5,13 +5,15 @@
     Pfaffian    A(t, q) v = b(t, q)
                 y = A v - b,    y' = A a + A' v - b'
 
-Their derivatives in time are those along the path on which the robot has the velocity v and the
-acceleration a,
+Their derivatives in time are taken along the path of velocity v and acceleration a,
 
-    q(s) = q (+) (s v + s^2 a / 2),      v(s) = v + s a,      time t + s.
+    q(s) = q (+) (s v + s^2 a / 2),      v(s) = v + s a,      time t + s,
 
-So functions see only configurations: quaternions of unit length, never a derivative of one.
-(Goldstein, *Classical Mechanics*, 1.3; Masarati, *Multibody System Dynamics*, ch. 7)
+so the argument of a function is always a configuration, with unit quaternions. A function is a
+compile-time constant, compared by identity: define it once. Values that shall be differentiated,
+batched or changed are in `numbers`, a pytree that it takes as its last argument.
+
+Source: Goldstein, *Classical Mechanics*, 1.3; Masarati, *Multibody System Dynamics*, 4.3.
 """
 
 from __future__ import annotations
@@ -22,9 +24,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from rbjax.constraints.rows.row import Constraint, Row
+from rbjax.arguments import integer
+from rbjax.constraints.rows.row import Constraint, Row, derivatives
 from rbjax.dynamics.algorithms.manifold import integrate_lanes
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
@@ -34,7 +36,7 @@ from rbjax.model.record import check_numbers
 
 
 def arrays(numbers: Any) -> Any:
-    """The pytree with arrays for its numbers."""
+    """Convert the leaves of a pytree to arrays."""
     try:
         return jax.tree.map(jnp.asarray, numbers)
     except (TypeError, ValueError) as error:
@@ -44,7 +46,7 @@ def arrays(numbers: Any) -> Any:
 
 
 def check_function(where: str, f: Any) -> None:
-    """Refuse what cannot be called, or cannot be a part of a program."""
+    """Raise unless f is callable and hashable."""
     if not callable(f):
         raise InputError(f"{where}: got {type(f).__name__}, expected a function")
     try:
@@ -56,22 +58,19 @@ def check_function(where: str, f: Any) -> None:
         ) from error
 
 
-def check_size(where: str, size: Any) -> None:
-    """Refuse what counts no rows."""
-    if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
-        raise InputError(f"{where}: got {size!r}, expected a whole number of rows, at least 1")
-
-
-def check_leaves(where: str, numbers: Any) -> None:
-    """Refuse numbers that are not finite."""
-    for x in jax.tree.leaves(numbers):
-        check_numbers(where, x, endless=False)
+def check_functions(constraint: Any, *names: str) -> None:
+    """Check the functions in the fields of a constraint, and that its numbers are finite."""
+    kind = type(constraint).__name__
+    for name in names:
+        check_function(f"{kind}({name}=...)", getattr(constraint, name))
+    for x in jax.tree.leaves(constraint.numbers):
+        check_numbers(f"{kind}(numbers=...)", x, infinite=False)
 
 
 def evaluate(
     where: str, f: Callable, numbers: Any, args: tuple, shape: tuple[int, ...], dtype: Any
 ) -> jax.Array:
-    """f(*args), or f(*args, numbers) where there are numbers, of this shape and dtype."""
+    """Evaluate f(*args), or f(*args, numbers) if there are numbers, and check its shape."""
 
     def cast(x: Any) -> jax.Array:
         x = jnp.asarray(x)
@@ -90,18 +89,14 @@ def evaluate(
     return jnp.asarray(out, dtype)
 
 
-def _moved(now: Context, dq: jax.Array) -> jax.Array:
-    """q (+) dq."""
-    return jnp.stack(integrate_lanes(now.model.topology, list(now.q), list(dq)))
+def _on_path(now: Context, s: jax.Array, dq: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the time t + s and the configuration q (+) dq."""
+    q = jnp.stack(integrate_lanes(now.model.topology, list(now.q), list(dq)))
+    return jnp.asarray(now.t, now.q.dtype) + s, q
 
 
 def _acceleration(now: Context) -> jax.Array:
     return jnp.zeros_like(now.v) if now.a is None else now.a
-
-
-def _start(now: Context) -> tuple[jax.Array, jax.Array]:
-    """s = 0, and its rate."""
-    return jnp.zeros((), now.q.dtype), jnp.ones((), now.q.dtype)
 
 
 def _loads(gradient: jax.Array) -> Loads:
@@ -109,13 +104,15 @@ def _loads(gradient: jax.Array) -> Loads:
 
 
 class Holonomic(Constraint):
-    """f(t, q) = 0, any smooth function of the configuration.
+    """f(t, q) = 0, for a smooth function of the configuration.
 
-    Fields: numbers, a pytree that f takes as its last argument, or None.
-    Static: f, from t, q (nq,) in MuJoCo's layout with unit quaternions (and numbers) to (size,);
-    size, how many rows it has. Define f once: a function defined again is another program.
+    Fields:
+        f: static, (t, q) or (t, q, numbers) -> (size,). q (nq,) is in MuJoCo's layout.
+        size: static, the number of rows.
+        numbers: a pytree, or None.
 
-    Raises: `InputError` where f returns another shape.
+    Raises:
+        InputError: f returns another shape.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -131,44 +128,39 @@ class Holonomic(Constraint):
     numbers: Any = eqx.field(converter=arrays, default=None)
 
     def __check_init__(self) -> None:
-        check_function("Holonomic(f=...)", self.f)
+        check_functions(self, "f")
         numbers = () if self.numbers is None else ("numbers",)
         check_takes("Holonomic", "f", self.f, "t", "q", *numbers)
-        check_size("Holonomic(size=...)", self.size)
-        check_leaves("Holonomic(numbers=...)", self.numbers)
+        integer("Holonomic", "size", self.size, least=1)
 
     def _residual(self, now: Context, dq: jax.Array, s: jax.Array) -> jax.Array:
-        at = jnp.asarray(now.t, now.q.dtype) + s, _moved(now, dq)
+        at = _on_path(now, s, dq)
         return evaluate("Holonomic: f", self.f, self.numbers, at, (self.size,), now.q.dtype)
 
     def rows(self, now: Context) -> Sequence[Row]:
-        v, a, (zero, one) = now.v, _acceleration(now), _start(now)
-
-        def rate(s: jax.Array) -> tuple:
-            def path(s: jax.Array) -> jax.Array:
-                return self._residual(now, s * v + (s * s / 2) * a, s)
-
-            return jax.jvp(path, (s,), (one,))
-
-        (value, first), (_, second) = jax.jvp(rate, (zero,), (one,))
+        v, a, zero = now.v, _acceleration(now), jnp.zeros((), now.q.dtype)
+        value, first, second = derivatives(
+            lambda s: self._residual(now, s * v + (s * s / 2) * a, s), zero
+        )
         _, pull = jax.vjp(lambda dq: self._residual(now, dq, zero), jnp.zeros_like(v))
         (G,) = jax.vmap(pull)(jnp.eye(self.size, dtype=now.q.dtype))
         return [Row(value[r], first[r], _loads(G[r]), second[r]) for r in range(self.size)]
 
 
 class Pfaffian(Constraint):
-    """A(t, q) v = b(t, q): constraints on the velocity, which need no function behind them.
+    """A(t, q) v = b(t, q): constraints on the velocity, integrable or not.
 
-    Fields: numbers, a pytree that A and b take as their last argument, or None.
-    Static: A, from t, q (nq,) in MuJoCo's layout with unit quaternions (and numbers) to (size, nv);
-    b, to (size,), or None for zero; size, how many rows it has. v is in the model's coordinates: of
-    a ball and a free joint, rad/s in body axes.
+    Fields:
+        A: static, (t, q) or (t, q, numbers) -> (size, nv). q (nq,) is in MuJoCo's layout; v are the
+            model's velocities, in body axes for the rotation of a ball and a free joint.
+        b: static, the same to (size,); None is zero.
+        size: static, the number of rows.
+        numbers: a pytree, or None.
 
-    Raises: `InputError` where A or b returns another shape.
+    Raises:
+        InputError: A or b returns another shape.
 
-    Example:
-        A gear of ratio two between two joints, which forgets where it began.
-
+    Example: a gear of ratio two between two joints
         >>> import rbjax as rb, jax.numpy as jnp
         >>> def gear(t, q):
         ...     return jnp.array([[1.0, -2.0]])
@@ -181,23 +173,21 @@ class Pfaffian(Constraint):
     numbers: Any = eqx.field(converter=arrays, default=None)
 
     def __check_init__(self) -> None:
-        check_function("Pfaffian(A=...)", self.A)
-        if self.b is not None:
-            check_function("Pfaffian(b=...)", self.b)
-        check_size("Pfaffian(size=...)", self.size)
-        check_leaves("Pfaffian(numbers=...)", self.numbers)
+        check_functions(self, "A", *(() if self.b is None else ("b",)))
+        integer("Pfaffian", "size", self.size, least=1)
 
     def rows(self, now: Context) -> Sequence[Row]:
-        v, a, dtype, (zero, one) = now.v, _acceleration(now), now.q.dtype, _start(now)
+        v, a, dtype = now.v, _acceleration(now), now.q.dtype
         shape = self.size, now.model.nv
 
         def rate(s: jax.Array) -> tuple:
-            at = jnp.asarray(now.t, dtype) + s, _moved(now, s * v + (s * s / 2) * a)
+            at = _on_path(now, s, s * v + (s * s / 2) * a)
             A = evaluate("Pfaffian: A", self.A, self.numbers, at, shape, dtype)
             y = (A * (v + s * a)).sum(1)  # no `dot`, which rounds to TF32 on a GPU
             if self.b is not None:
                 y = y - evaluate("Pfaffian: b", self.b, self.numbers, at, shape[:1], dtype)
             return y, A
 
-        y, dy, A = jax.jvp(rate, (zero,), (one,), has_aux=True)
+        zero = jnp.zeros((), dtype)
+        y, dy, A = jax.jvp(rate, (zero,), (jnp.ones_like(zero),), has_aux=True)
         return [Row(None, y[r], _loads(A[r]), dy[r]) for r in range(self.size)]

@@ -1,12 +1,15 @@
-"""Rows between two frames A and B, each fixed to a body: what loop joints are made of.
+"""Primitive rows between two frames A and B, each fixed to a body.
 
-With d = p_B - p_A, and u, w directions that are fixed in A and B,
+With d = p_B - p_A, and directions u and w that are fixed in A and B,
 
-    displacement   d_k                    force e_k at p_B, and back on A
-    along          u . d                  force u at p_B, on A against it at the same point
-    cosine         u . w                  torque w x u on B, and back on A
-    distance       |d|                    force d / |d| at p_B, and back on A
-(Masarati, *Multibody System Dynamics*, ch. 6; Haug, *Computer-Aided Kinematics and Dynamics*, 9.4)
+    row            value     force of a unit multiplier on B, with its reaction on A
+    displacement   d_k       force e_k at p_B
+    along          u . d     force u at p_B
+    cosine         u . w     torque w x u
+    distance       |d|       force d / |d| at p_B
+
+Source: Masarati, *Multibody System Dynamics*, ch. 6; Haug, *Computer-Aided Kinematics and
+Dynamics*, 9.4.
 """
 
 from __future__ import annotations
@@ -33,19 +36,19 @@ AXES = (X, Y, Z)
 
 
 def time(now: Context) -> Row:
-    """t."""
+    """The time t."""
     return Row(now.t, 1.0, Loads(), 0.0)
 
 
 def coordinate(now: Context, joint: str | int, k: int = 0) -> Row:
-    """A coordinate of a joint of one coordinate or of a chain of such."""
+    """Coordinate k of a joint, of one coordinate or of a chain of such."""
     j = now.joint(joint)
     i = j.start + k
     return Row(j.q[k], j.v[k], Loads({i: 1.0}), 0.0 if now.a is None else now.a[i])
 
 
-def _apart(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:
-    """d with its first two derivatives, in world axes."""
+def _relative(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:
+    """Return d with its first two derivatives, in world axes."""
     return (
         B.position - A.position,
         B.velocity - A.velocity,
@@ -54,28 +57,31 @@ def _apart(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:
 
 
 def opposed(action: Loads, reaction: Loads) -> Loads:
-    """An action and its reaction; the world feels none."""
+    """Add an action and its reaction. They are internal unless one is on the world."""
     both = bool(action.wrenches and reaction.wrenches)
     return replace(action + reaction, internal=both)
 
 
 def displacement(A: Frame, B: Frame) -> list[Row]:
     """p_B - p_A in world axes."""
-    d, rate, bent = _apart(A, B)
-    return [Row(d[k], rate[k], opposed(B.push(e), A.push(-e)), bent[k]) for k, e in enumerate(AXES)]
+    d, rate, acceleration = _relative(A, B)
+    return [
+        Row(d[k], rate[k], opposed(B.push(e), A.push(-e)), acceleration[k])
+        for k, e in enumerate(AXES)
+    ]
 
 
 def along(A: Frame, u: Vec3, B: Frame) -> Row:
     """u . (p_B - p_A), with u in A's axes."""
     u, w = A.rotation @ u, A.angular_velocity
-    d, rate, bent = _apart(A, B)
+    d, rate, acceleration = _relative(A, B)
     du = w.cross(u)
     ddu = A.angular_acceleration.cross(u) + w.cross(du)
     return Row(
         u.dot(d),
         add(du.dot(d), u.dot(rate)),
         opposed(B.push(u), A.push(-u, at=B.position)),
-        add(add(ddu.dot(d), mul(2.0, du.dot(rate))), u.dot(bent)),
+        add(add(ddu.dot(d), mul(2.0, du.dot(rate))), u.dot(acceleration)),
     )
 
 
@@ -83,34 +89,35 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
     """u . w, with u in A's axes and w in B's."""
     u, w = A.rotation @ u, B.rotation @ w
     a, b = A.angular_velocity, B.angular_velocity
-    turn = w.cross(u)
-    turned = b.cross(w).cross(u) + w.cross(a.cross(u))
-    bent = B.angular_acceleration - A.angular_acceleration
+    torque = w.cross(u)
+    rate = b.cross(w).cross(u) + w.cross(a.cross(u))
+    acceleration = B.angular_acceleration - A.angular_acceleration
     return Row(
         u.dot(w),
-        (b - a).dot(turn),
-        opposed(B.push(Vec3.zero(), turn), A.push(Vec3.zero(), -turn)),
-        add(bent.dot(turn), (b - a).dot(turned)),
+        (b - a).dot(torque),
+        opposed(B.push(Vec3.zero(), torque), A.push(Vec3.zero(), -torque)),
+        add(acceleration.dot(torque), (b - a).dot(rate)),
     )
 
 
 def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
     """d = |p_B - p_A|, or sqrt(d^2 + least^2), which is smooth at d = 0. If `least` is 0, the
-    gradient at d = 0 is zero."""
-    d, rate, bent = _apart(A, B)
+    gradient is zero at d = 0."""
+    d, rate, acceleration = _relative(A, B)
     square = add(d.dot(d), least * least)
-    apart = square > 0
-    length = jnp.sqrt(jnp.where(apart, square, 1.0))
+    positive = square > 0
+    length = jnp.sqrt(jnp.where(positive, square, 1.0))
     n = d * (1.0 / length)
-    along = n.dot(rate)
-    turning = jnp.where(apart, sub(rate.dot(rate), mul(along, along)) / length, 0.0)
-    length = jnp.where(apart, length, 0.0)
-    return Row(length, along, opposed(B.push(n), A.push(-n)), add(n.dot(bent), turning))
+    radial = n.dot(rate)
+    centripetal = jnp.where(positive, sub(rate.dot(rate), mul(radial, radial)) / length, 0.0)
+    length = jnp.where(positive, length, 0.0)
+    acceleration = add(n.dot(acceleration), centripetal)
+    return Row(length, radial, opposed(B.push(n), A.push(-n)), acceleration)
 
 
 def turn(A: Frame, B: Frame) -> list[Row]:
-    """The sine of the angle by which B is turned against A, times its axis, in axes between those
-    of A and B: half the skew part of the rotation. Zero where they are aligned."""
+    """The axis of the rotation from A to B times the sine of its angle: half the skew part of the
+    rotation matrix. Zero if the frames are aligned."""
     return [
         (cosine(A, AXES[j], B, AXES[i]) - cosine(A, AXES[i], B, AXES[j])) * -0.5
         for i, j in ((2, 1), (0, 2), (1, 0))
@@ -126,11 +133,11 @@ def places(
     axis: Any = (0.0, 0.0, 1.0),
     q: jax.Array | None = None,
 ) -> tuple[Place, Place]:
-    """One frame, fixed to two bodies (or the world, None) as they are in a configuration.
+    """Fix one frame of the world to two bodies, for one configuration.
 
     Args:
         model: the robot.
-        a, b: names or indices of bodies.
+        a, b: names or indices of bodies; None is the world.
         point: (3,) m in the world.
         axis: (3,), of any length, in the world.
         q: (nq,); the model's default state if None.

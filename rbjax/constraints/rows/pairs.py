@@ -1,27 +1,18 @@
-"""Joints between two bodies that close a loop: the lower pairs and what is made of the same rows.
+"""Joints that close loops: the lower pairs, and other joints of the same primitive rows.
 
-a and b are frames on the two bodies, their z the axis of the joint.
+a and b are frames on the two bodies, their z the axis of the joint. Parallel axes may point in
+opposite directions. The rows of a prismatic joint and of a weld are the sine of an angle, so they
+are zero at half a turn too; `assemble` uses the sine of half the angle (`HalfAngle`).
 
-    spherical     p_b = p_a                                 3 rows
-    revolute      p_b = p_a,  z_b parallel to z_a           5
-    cylindrical   p_b on z_a, z_b parallel to z_a           4
-    prismatic     p_b on z_a, axes parallel                 5
-    screw         cylindrical, s = pitch (turn / 2 pi)      5
-    planar        p_b in the plane across z_a, z_b parallel 3
-    universal     p_b = p_a,  z_b across x_a                4
-    weld          p_b = p_a,  axes parallel                 6
-
-Parallel z axes may point in the same or in opposite directions: these rows are zero for both. The
-rows of a prismatic joint and of a weld are the sine of an angle, so they are zero at half a turn
-too. `assemble` uses the sine of half the angle (`HalfAngle`), which is not zero there.
-(Masarati, *Multibody System Dynamics*, ch. 6; Haug, 1989, 9.4; Reuleaux's lower pairs)
+Source: Masarati, *Multibody System Dynamics*, ch. 6; Haug, *Computer-Aided Kinematics and
+Dynamics*, 9.4.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -50,19 +41,25 @@ from rbjax.model import Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats
 
+Primitive = Callable[[Frame, Frame], list[Row]]
 #: if the trace of a rotation is this near to -1 (half a turn), 1 + trace is mostly rounding error
 NEAR = 1e-5
 
 
 class Pair(Constraint):
-    """Rows between two frames.
+    """A joint between two frames that closes a loop. Its rows are those of its primitives.
 
-    Fields: a, b, `Place`s. Class field: turns, the slice of the rows that `geometry.turn` gives, or
-    None.
+    Fields:
+        a, b: `Place`s on the two bodies.
+
+    Class fields:
+        primitives: functions (A, B) -> rows of two frames.
+        turns: the slice of the rows that are the sine of an angle (`turn`), or None.
     """
 
     a: Place
     b: Place
+    primitives: ClassVar[Sequence[Primitive]] = ()
     turns: ClassVar[slice | None] = None
 
     def __check_init__(self) -> None:
@@ -80,16 +77,15 @@ class Pair(Constraint):
         q: jax.Array | None = None,
         **numbers: Any,
     ) -> Any:
-        """The joint of two bodies (None: the world) that a point and an axis of the world, in a
-        configuration, define; there it is closed.
+        """Make the joint from a point and an axis in the world, for one configuration.
 
         Args:
             model: the robot.
-            a, b: names or indices of bodies.
+            a, b: names or indices of bodies; None is the world.
             point: (3,) m in the world.
             axis: (3,), of any length, in the world.
             q: (nq,); the model's default state if None.
-            numbers: the kind's own.
+            numbers: other fields of the joint.
         """
         ends = places(model, a, b, point=point, axis=axis, q=q)
         try:
@@ -104,17 +100,17 @@ class Pair(Constraint):
         return self.between_frames(self.a.frame(now), self.b.frame(now), now)
 
     def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        """The rows, of the two frames."""
-        raise NotImplementedError(f"{type(self).__name__} has no method between_frames")
+        """Build the rows of two frames."""
+        return [row for primitive in self.primitives for row in primitive(A, B)]
 
 
 class HalfAngle(Constraint):
-    """The rows of a pair, with 2 sin(x / 2) instead of sin(x) for the angle x between its frames.
+    """The rows of a pair with 2 sin(x / 2) instead of sin(x), for the angle x between its frames.
 
-    They are zero only if the frames are aligned. They are NaN within 0.2 degrees of half a turn,
-    where rounding determines them.
+    They are zero only if the frames are aligned, and NaN within 0.2 degrees of half a turn.
 
-    Fields: of, a `Pair` with `turns`.
+    Fields:
+        of: a `Pair` with `turns`.
     """
 
     of: Pair
@@ -126,13 +122,16 @@ class HalfAngle(Constraint):
     def rows(self, now: Context) -> Sequence[Row]:
         A, B = self.of.a.frame(now), self.of.b.frame(now)
         rows = list(self.of.between_frames(A, B, now))
-        trace = Row.constant(0.0)
-        for e in AXES:
-            trace = trace + cosine(A, e, B, e)
         # 2 sin(x / 2) = sin(x) / cos(x / 2), with 1 + trace = 4 cos(x / 2)^2
-        scale = trace.applied(lambda c: 2 / jnp.sqrt(jnp.where(c > NEAR - 1, 1 + c, jnp.nan)))
+        scale = trace(A, B).apply(lambda c: 2 / jnp.sqrt(jnp.where(c > NEAR - 1, 1 + c, jnp.nan)))
         turns = range(*self.of.turns.indices(len(rows))) if self.of.turns else ()
         return [row * scale if r in turns else row for r, row in enumerate(rows)]
+
+
+def trace(A: Frame, B: Frame) -> Row:
+    """The trace of the rotation between two frames: 1 + 2 cos(x), x its angle."""
+    x, y, z = (cosine(A, e, B, e) for e in AXES)
+    return x + y + z
 
 
 def parallel(A: Frame, B: Frame) -> list[Row]:
@@ -140,48 +139,55 @@ def parallel(A: Frame, B: Frame) -> list[Row]:
     return [cosine(A, X, B, Z), cosine(A, Y, B, Z)]
 
 
+def orthogonal(A: Frame, B: Frame) -> list[Row]:
+    """z_b orthogonal to x_a."""
+    return [cosine(A, X, B, Z)]
+
+
+def on_axis(A: Frame, B: Frame) -> list[Row]:
+    """p_b on the axis z_a."""
+    return [along(A, X, B), along(A, Y, B)]
+
+
+def in_plane(A: Frame, B: Frame) -> list[Row]:
+    """p_b in the plane across z_a."""
+    return [along(A, Z, B)]
+
+
 class Spherical(Pair):
     """p_b = p_a: three rows, in world axes. MuJoCo's `connect`."""
 
     size = 3
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return displacement(A, B)
+    primitives = (displacement,)
 
 
 class Revolute(Pair):
     """p_b = p_a, z_b parallel to z_a: five rows."""
 
     size = 5
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [*displacement(A, B), *parallel(A, B)]
+    primitives = displacement, parallel
 
 
 class Cylindrical(Pair):
     """p_b on the axis z_a, z_b parallel to it: four rows."""
 
     size = 4
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [along(A, X, B), along(A, Y, B), *parallel(A, B)]
+    primitives = on_axis, parallel
 
 
 class Prismatic(Pair):
     """p_b on the axis z_a, all axes parallel: five rows."""
 
     size = 5
+    primitives = on_axis, turn
     turns = slice(2, 5)
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [along(A, X, B), along(A, Y, B), *turn(A, B)]
 
 
 class Screw(Pair):
-    """A cylindrical joint whose slide is tied to its turn: s = pitch turn / (2 pi), five rows.
+    """A cylindrical joint with a thread: s = pitch angle / (2 pi), five rows.
 
-    Fields: pitch, m a turn, not zero. The joint may make any number of turns: the slide determines
-    it, to within half a turn.
+    Fields:
+        pitch: m a turn, not zero. The slide determines the number of turns, to half a turn.
     """
 
     pitch: jax.Array = eqx.field(converter=floats)
@@ -197,32 +203,28 @@ class Screw(Pair):
 
     def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
         lead = scalar(self.pitch, now.q.dtype) / (2 * math.pi)
-        turned = along(A, Z, B) * (1.0 / lead)
+        angle_ = along(A, Z, B) * (1.0 / lead)
         sine, cosine_ = cosine(A, Y, B, X), cosine(A, X, B, X)
-        s, c = turned.applied(jnp.sin), turned.applied(jnp.cos)
-        off = angle(sine * c - cosine_ * s, cosine_ * c + sine * s)
-        return [along(A, X, B), along(A, Y, B), *parallel(A, B), off * lead]
+        s, c = angle_.apply(jnp.sin), angle_.apply(jnp.cos)
+        error = angle(sine * c - cosine_ * s, cosine_ * c + sine * s)
+        return [*on_axis(A, B), *parallel(A, B), error * lead]
 
 
 class Planar(Pair):
     """p_b in the plane across z_a, z_b parallel to z_a: three rows."""
 
     size = 3
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [along(A, Z, B), *parallel(A, B)]
+    primitives = in_plane, parallel
 
 
 class Universal(Pair):
-    """A Cardan joint: p_b = p_a, z_b across x_a: four rows.
+    """A Cardan joint: p_b = p_a, z_b orthogonal to x_a: four rows.
 
-    The cross turns about x_a on one body and about z_b on the other.
+    The cross rotates about x_a on one body and about z_b on the other.
     """
 
     size = 4
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [*displacement(A, B), cosine(A, X, B, Z)]
+    primitives = displacement, orthogonal
 
 
 class Weld(Pair):
@@ -230,52 +232,43 @@ class Weld(Pair):
     frames times its axis."""
 
     size = 6
+    primitives = displacement, turn
     turns = slice(3, 6)
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [*displacement(A, B), *turn(A, B)]
 
 
 class Inline(Pair):
     """p_b on the axis z_a: two rows."""
 
     size = 2
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [along(A, X, B), along(A, Y, B)]
+    primitives = (on_axis,)
 
 
 class Inplane(Pair):
     """p_b in the plane across z_a: one row."""
 
     size = 1
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [along(A, Z, B)]
+    primitives = (in_plane,)
 
 
 class Parallel(Pair):
     """z_b parallel to z_a: two rows."""
 
     size = 2
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return parallel(A, B)
+    primitives = (parallel,)
 
 
 class Orthogonal(Pair):
-    """z_b across x_a: one row."""
+    """z_b orthogonal to x_a: one row."""
 
     size = 1
-
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [cosine(A, X, B, Z)]
+    primitives = (orthogonal,)
 
 
 class Distance(Pair):
     """|p_b - p_a| = length: one row, a massless rod with two balls.
 
-    Fields: length, m, above zero.
+    Fields:
+        length: m, above zero.
 
     Example:
         >>> import rbjax as rb
@@ -302,7 +295,7 @@ class Distance(Pair):
         length: Any = None,
         q: jax.Array | None = None,
     ) -> Distance:
-        """A rod between two points, which are given in world axes for one configuration.
+        """Make a rod between two points in the world, for one configuration.
 
         Args:
             model: the robot.
@@ -339,11 +332,13 @@ class Distance(Pair):
 
 
 class QuaternionWeld(Pair):
-    """p_b = p_a, all axes parallel: six rows, as MuJoCo's `weld` has them. The last three are the
-    sine of half the angle between the frames times its axis, times `scale`, m; under a formulation
-    that holds rows it is `Weld`. Frames half a turn apart have no derivative.
+    """p_b = p_a, all axes parallel: six rows, those of MuJoCo's `weld`. The last three are the sine
+    of half the angle between the frames times its axis, times `scale`. They have no derivative at
+    half a turn.
 
-    Fields: a, b, `Place`s; scale, MuJoCo's torquescale.
+    Fields:
+        a, b: `Place`s.
+        scale: MuJoCo's torquescale, m.
     """
 
     scale: jax.Array = eqx.field(converter=floats)
@@ -354,8 +349,7 @@ class QuaternionWeld(Pair):
         check_number(self, "scale")
 
     def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        trace = sum(cosine(A, e, B, e) for e in AXES)
         scale = scalar(self.scale, now.q.dtype)
         # sin(x) n / (2 cos(x / 2)), with 1 + trace = 4 cos(x / 2)^2
-        turned = trace.applied(lambda c: 1 / jnp.sqrt(1 + c))  # type: ignore[union-attr]
-        return [*displacement(A, B), *(row * turned * scale for row in turn(A, B))]
+        half = trace(A, B).apply(lambda c: 1 / jnp.sqrt(1 + c))
+        return [*displacement(A, B), *(row * half * scale for row in turn(A, B))]

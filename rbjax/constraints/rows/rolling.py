@@ -1,23 +1,22 @@
-"""Wheels that roll without slip, and blades that slide only along themselves, on a plane.
+"""Wheels that roll without slip, and knife edges, on a plane.
 
-The plane is through A's origin, across its z, n; it may move with a body. The wheel's centre c is
-B's origin. What touches the plane is at p = c + r:
+The plane is through A's origin, its normal n is z_A; it may move with a body. The wheel's centre c
+is B's origin. The contact point is p = c + r:
 
     sphere      r = -R n
     thin disc   r = R m,     m = -(n - (n . e) e) / sin(lean),   cos(lean) = n . e,   e its axle
 
-(m is the steepest way down in the disc's plane, so p is the lowest point of the rim.) They touch
-where n . (p - p_A) = 0, a holonomic row. They do not slip where the material points of both bodies
-at p have one velocity: where
+The height n . (p - p_A) = 0 is a holonomic row. The slip velocity
 
     u = c' + w_B x r - p_A' - w_A x (p - p_A)
 
-is zero along x_A and y_A, two rows with no function behind them. Along n, u is the holonomic row's
-rate already. As the contact moves along the rim, u' needs its rate r', not the material point's:
+is zero along x_A and y_A: two non-holonomic rows. r' is the rate of the contact point, which moves
+along the rim:
 
     u' = c'' + w_B' x r + w_B x r' - p_A'' - w_A' x (p - p_A) - w_A x (c' + r' - p_A')
-(Neimark & Fufaev, *Dynamics of Nonholonomic Systems*, ch. 1; Bloch, *Nonholonomic Mechanics and
-Control*, 1.4 to 1.8)
+
+Source: Neimark & Fufaev, *Dynamics of Nonholonomic Systems*, ch. 1; Bloch, *Nonholonomic Mechanics
+and Control*, 1.4 to 1.8.
 """
 
 from __future__ import annotations
@@ -41,20 +40,20 @@ Moving = tuple[Vec3, Vec3]  # a vector in world axes, and its rate
 
 
 def swept(F: Frame, u: Vec3) -> Moving:
-    """A direction fixed in a frame, in world axes, with its rate."""
+    """Return a direction fixed in a frame, in world axes, with its rate."""
     u = F.rotation @ u
     return u, F.angular_velocity.cross(u)
 
 
-def slip(A: Frame, B: Frame, arm: Moving, ways: Sequence[Moving]) -> list[Row]:
-    """How fast B slides on A at B's origin + arm, along each way: u . s."""
+def slip(A: Frame, B: Frame, arm: Moving, directions: Sequence[Moving]) -> list[Row]:
+    """Build the rows u . s of the slip of B on A at B's origin + arm, along directions s."""
     (r, dr), a, b = arm, A.angular_velocity, B.angular_velocity
     p = B.position + r
-    far, apart = p - A.position, B.velocity + dr - A.velocity
-    u = B.velocity + b.cross(r) - A.velocity - a.cross(far)
+    d, dd = p - A.position, B.velocity + dr - A.velocity
+    u = B.velocity + b.cross(r) - A.velocity - a.cross(d)
     du = (
         B.acceleration + B.angular_acceleration.cross(r) + b.cross(dr)
-        - A.acceleration - A.angular_acceleration.cross(far) - a.cross(apart)
+        - A.acceleration - A.angular_acceleration.cross(d) - a.cross(dd)
     )  # fmt: skip
     return [
         Row(
@@ -63,15 +62,17 @@ def slip(A: Frame, B: Frame, arm: Moving, ways: Sequence[Moving]) -> list[Row]:
             opposed(B.push(s, at=p), A.push(-s, at=p)),
             add(du.dot(s), u.dot(ds)),
         )
-        for s, ds in ways
+        for s, ds in directions
     ]
 
 
 class Rolling(Constraint):
-    """A wheel on a plane: three rows, the height of the contact and two of slip.
+    """A wheel on a plane: three rows, the height of the contact point and two of slip.
 
-    Fields: a, a `Place`, its origin in the plane and its z the normal on the wheel's side; b, a
-    `Place`, its origin the wheel's centre and its z the axle; radius, m, above zero.
+    Fields:
+        a: a `Place`, its origin in the plane, its z the normal towards the wheel.
+        b: a `Place`, its origin the wheel's centre, its z the axle.
+        radius: m, above zero.
     """
 
     a: Place
@@ -89,15 +90,15 @@ class Rolling(Constraint):
         return [height, *slip(A, B, arm, [swept(A, X), swept(A, Y)])]
 
     def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
-        """The height of the lowest point, and its arm from the centre."""
+        """Return the row of the height of the contact point, and its position from the centre."""
         raise NotImplementedError(f"{type(self).__name__} has no method contact")
 
 
 class RollingSphere(Rolling):
-    """A sphere that rolls on a plane without slip: three rows.
+    """A sphere that rolls on a plane without slip: three rows. It is also a round wheel whose axle
+    stays parallel to the plane.
 
-    Fields: a, b, radius, as `Rolling` has them; b's axes do not matter. A round wheel whose axle
-    stays parallel to the plane rolls like this too.
+    Fields: a, b, radius, as in `Rolling`; the axes of b have no effect.
 
     Example:
         >>> import rbjax as rb
@@ -113,9 +114,10 @@ class RollingSphere(Rolling):
 
 
 class RollingDisc(Rolling):
-    """A thin disc that rolls on a plane without slip, and may lean: three rows.
+    """A thin disc that rolls on a plane without slip, and may lean: three rows. It must not lie
+    flat.
 
-    Fields: a, b, radius, as `Rolling` has them. It must not lie flat, where all of its rim touches.
+    Fields: a, b, radius, as in `Rolling`.
 
     Example:
         >>> import rbjax as rb
@@ -127,7 +129,7 @@ class RollingDisc(Rolling):
 
     def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
         lean = cosine(A, Z, B, Z)
-        sine = lean.applied(lambda c: jnp.sqrt(1 - c * c))
+        sine = lean.apply(lambda c: jnp.sqrt(1 - c * c))
         (n, dn), (e, de), c = swept(A, Z), swept(B, Z), lean.value
         # m sin = c e - n, with the rate m' sin + m sin'
         scale: Any = 1.0 / sine.value  # type: ignore[operator]
@@ -137,14 +139,13 @@ class RollingDisc(Rolling):
 
 
 class KnifeEdge(Constraint):
-    """A blade that slides along itself on a plane, and not sideways: one row, u . (n x d) = 0.
+    """A blade on a plane that slides only along itself: one row, u . (n x d) = 0, with the velocity
+    u of the blade's point relative to the plane. The row does not keep the point in the plane. It
+    is also a massless wheel, whose axle is across d.
 
-    u is the velocity of the blade's point against the plane's body, d the direction of the blade.
-    What keeps the point in the plane is no part of it. A wheel without mass is such a blade, across
-    its axle: so is a Chaplygin sleigh made, and a cart's axle.
-
-    Fields: a, a `Place`, its z the normal n; b, a `Place`, its origin the blade's point and its z
-    the direction d, not along n.
+    Fields:
+        a: a `Place`, its z the normal n.
+        b: a `Place`, its origin the blade's point, its z the direction d of the blade.
 
     Example:
         >>> import rbjax as rb
@@ -164,5 +165,5 @@ class KnifeEdge(Constraint):
     def rows(self, now: Context) -> Sequence[Row]:
         A, B = self.a.frame(now), self.b.frame(now)
         (n, dn), (d, dd) = swept(A, Z), swept(B, Z)
-        still = Vec3.zero(), Vec3.zero()
-        return slip(A, B, still, [(n.cross(d), dn.cross(d) + n.cross(dd))])
+        arm = Vec3.zero(), Vec3.zero()
+        return slip(A, B, arm, [(n.cross(d), dn.cross(d) + n.cross(dd))])

@@ -1,12 +1,11 @@
-"""One row of a constraint: a scalar of the motion with its first two derivatives in time.
+"""Rows: scalar functions of the motion with two derivatives in time, of which constraints consist.
 
-    holonomic        g(t, q) = 0,     g' = G v + g_t,     g'' = G a + (G' v + 2 g_t' ...)
-    non-holonomic    y = G v + b = 0 (no g behind it),    y' = G a + ...
+    holonomic        g(t, q) = 0,     g' = G v + g_t,     g'' = G a + G' v + ...
+    non-holonomic    y = G v + b = 0,                     y' = G a + ...
 
-`gradient` is G as the forces on the robot by a multiplier of one: generalized forces and wrenches
-on links. A row stands for a scalar: g if it is holonomic, otherwise y. Rows add, scale and multiply
-as these scalars do; `applied` applies a smooth function to g. So a new constraint needs only its
-residual: its derivatives follow by the chain rule.
+`gradient` is G as the forces of a unit multiplier on the robot. Sums, products and functions of
+rows are those of g, or of y, with derivatives by the chain rule. So a new constraint needs only its
+residual.
 """
 
 from __future__ import annotations
@@ -28,11 +27,13 @@ from rbjax.model.record import Record, check_fields
 
 @dataclass(frozen=True)
 class Row:
-    """A scalar of the motion.
+    """A scalar function of the motion.
 
-    Fields: value g, None where there is only a rate (non-holonomic); rate, its first derivative in
-    time; gradient G, as `Loads`; acceleration, the derivative of the rate at the accelerations that
-    the instant has.
+    Fields:
+        value: g; None for a non-holonomic row.
+        rate: g' or y.
+        gradient: G, as `Loads`.
+        acceleration: g'' or y', at the accelerations of the context.
     """
 
     value: Lane | None
@@ -42,7 +43,7 @@ class Row:
 
     @classmethod
     def constant(cls, x: Lane) -> Row:
-        """What does not move."""
+        """Make a constant."""
         return cls(x, 0.0, Loads(), 0.0)
 
     @property
@@ -51,13 +52,12 @@ class Row:
 
     @property
     def residual(self) -> Lane:
-        """g; zero where there is none."""
+        """g; zero for a non-holonomic row."""
         return 0.0 if self.value is None else self.value
 
     @property
     def time_derivative(self) -> Row:
-        """g' of a holonomic row, as a row with only a rate: `rate = 0.3` is
-        `row.time_derivative - 0.3`. A row that has only a rate has no such derivative."""
+        """g' of a holonomic row, as a row: `row.time_derivative - 0.3` is g' = 0.3."""
         if self.value is None:
             raise InputError("Row.time_derivative: the row has only a rate, expected a value g")
         return Row(None, self.rate, self.gradient, self.acceleration)
@@ -120,18 +120,21 @@ class Row:
 
     __rmul__ = __mul__
 
-    def applied(self, f: Callable[[Any], Any]) -> Row:
-        """f of a holonomic row, f smooth and of one scalar."""
-        _check_holonomic("Row.applied", [self])
+    def apply(self, f: Callable[[Any], Any]) -> Row:
+        """Apply a smooth function of one scalar to a holonomic row."""
+        _check_holonomic("Row.apply", [self])
         x: Any = self.value if not is_literal(self.value) else jnp.asarray(self.value, float)
-
-        def slope(x: Any) -> tuple:
-            return jax.jvp(f, (x,), (jnp.ones_like(x),))
-
-        (value, first), (_, second) = jax.jvp(slope, (x,), (jnp.ones_like(x),))
-        bent = mul(second, mul(self.rate, self.rate))
-        acceleration = add(mul(first, self.acceleration), bent)
+        value, first, second = derivatives(f, x)
+        curvature = mul(second, mul(self.rate, self.rate))
+        acceleration = add(mul(first, self.acceleration), curvature)
         return Row(value, mul(first, self.rate), self.gradient * first, acceleration)
+
+
+def derivatives(f: Callable[[Any], Any], x: Any) -> tuple[Any, Any, Any]:
+    """Compute f, f' and f'' at a scalar x."""
+    one = jnp.ones_like(x)
+    (value, first), (_, second) = jax.jvp(lambda x: jax.jvp(f, (x,), (one,)), (x,), (one,))
+    return value, first, second
 
 
 def _check_holonomic(where: str, rows: Sequence[Row]) -> None:
@@ -144,7 +147,7 @@ def _check_holonomic(where: str, rows: Sequence[Row]) -> None:
 
 
 def angle(sine: Row, cosine: Row) -> Row:
-    """atan2(sine, cosine) of two rows, in (-pi, pi]: the angle of a vector of any length."""
+    """Return atan2(sine, cosine) of two rows, in (-pi, pi], for a vector of any length."""
     _check_holonomic("angle", [sine, cosine])
     s: Any = sine.value
     c: Any = cosine.value
@@ -162,16 +165,14 @@ def angle(sine: Row, cosine: Row) -> Row:
 
 
 def function_of(rows: Sequence[Row], f: Callable[[jax.Array], jax.Array], dtype: Any) -> list[Row]:
-    """f (n,) -> (m,) of n holonomic rows, f smooth."""
+    """Apply a smooth function f (n,) -> (m,) to n holonomic rows."""
     _check_holonomic("function_of", rows)
     one = jnp.ones((), dtype)
     columns = zip(*((row.value, row.rate, row.acceleration) for row in rows), strict=True)
-    x, rate, bent = (pack(column, one[None]) for column in columns)
-
-    def slope(s: jax.Array) -> tuple:
-        return jax.jvp(lambda s: f(x + s * rate + (s * s / 2) * bent), (s,), (one,))
-
-    (value, first), (_, second) = jax.jvp(slope, (jnp.zeros_like(one),), (one,))
+    x, rate, acceleration = (pack(column, one[None]) for column in columns)
+    value, first, second = derivatives(
+        lambda s: f(x + s * rate + (s * s / 2) * acceleration), jnp.zeros_like(one)
+    )
     J = jax.jacfwd(f)(x)
     return [
         Row(
@@ -185,7 +186,8 @@ def function_of(rows: Sequence[Row], f: Callable[[jax.Array], jax.Array], dtype:
 
 
 class Constraint(Record):
-    """A constraint on the motion of a robot. Make a subclass: its fields are its numbers.
+    """A constraint on the motion of a robot. Make a subclass; its fields are its parameters, and
+    leaves of the model. A formulation enforces the rows.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -202,9 +204,9 @@ class Constraint(Record):
 
     @property
     def size(self) -> int:
-        """How many rows it has."""
-        raise NotImplementedError(f"{type(self).__name__} does not say its size")
+        """The number of rows."""
+        raise NotImplementedError(f"{type(self).__name__} has no size")
 
     def rows(self, now: Context) -> Sequence[Row]:
-        """Its rows at an instant."""
+        """Build the rows in a context."""
         raise NotImplementedError(f"{type(self).__name__} has no method rows(self, now) -> rows")

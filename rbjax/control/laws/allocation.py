@@ -1,12 +1,10 @@
 """From generalized forces to the controls of a model's actuators.
 
     tau_a(u) = b(q, v) + B(q, v) u            u = B^+ (tau - b)
-Actuators without a state are affine in their controls as long as no limit is reached. B has the
-moment arms times the gains, b the biases of servos and the gravity compensation of a file. Where
-each actuator drives a coordinate of its own, u is one division each; else it is the least-squares
-solution of least length (B^+ is the pseudoinverse).
 
-(MuJoCo, *Computation*, actuation model; Siciliano et al., *Robotics*, 8.1.)
+Actuators without a state are affine in their controls up to their limits: B has moment arms times
+gains, b the biases of servos and the gravity compensation of a file.
+Source: MuJoCo, *Computation*, actuation model; Siciliano et al., *Robotics*, 8.1.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from rbjax.arguments import instance
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
-from rbjax.forces.acting import sighted
+from rbjax.forces.acting import element_contexts
 from rbjax.forces.actuators.actuator import Actuator, GainBias
 from rbjax.forces.context import Context
 from rbjax.forces.element import Loads
@@ -36,7 +34,7 @@ UNDRIVEN = ("refuse", "least_squares")
 
 class Allocation(NamedTuple):
     """ctrl (nu,), within the control ranges; residual (nv,) N m or N, the requested forces minus
-    those of the actuators: of coordinates without an actuator, and at limits."""
+    the forces of the actuators."""
 
     ctrl: jax.Array
     residual: jax.Array
@@ -97,11 +95,8 @@ def controls(model: Model, state: State, tau: jax.Array) -> jax.Array:
 
 
 def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
-    """u of least length among those with the least |B u - r|, for the columns of B.
-
-    One u by the normal equations, in which an actuator that adds nothing to the others drops out;
-    then the shortest that does the same, u = B^T y with B B^T y = B u.
-    """
+    """u of least length among the minimisers of |B u - r|, for the columns of B: one by the normal
+    equations, then the shortest with the same B u, u = B^T y with B B^T y = B u."""
     least = rank_tolerance("actuators", dtype)
     columns = B
 
@@ -124,7 +119,8 @@ def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
 
     def at(u: list) -> list[Lane]:
         given = Loads()
-        for element, seen in sighted(free, dataclasses.replace(now, u=u, found={})):
+        context = dataclasses.replace(now, ctrl=u, found={})
+        for element, seen in element_contexts(free, context):
             if element.actuates:
                 given = given + element.loads(seen)
         tau = [given.tau.get(n, 0.0) for n in range(model.nv)]
@@ -219,7 +215,7 @@ def check_driven(where: str, model: Model, undriven: str) -> None:
 
 
 def _generic(model: Model) -> np.ndarray:
-    """B (nv, nu) at a random state, or what has its zeros and its rank."""
+    """B (nv, nu) at a random state, or a matrix with the same zeros and rank."""
     top, a = model.topology, model.actuators
     if not any(e.actuates for e in model.forces) and all(
         j >= 0 and top.joints[j].nv == 1 for j in a.joints

@@ -1,10 +1,6 @@
-"""Which starts come back under a feedback: a map of a region of attraction by a batch.
+"""A map of a region of attraction: which starts come back under a feedback.
 
-    x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back where |x(T) (-) x*| <= tolerance
-
-The region of attraction of x* is the set of starts from which the motion tends to x*. A batch shows
-it on a plane through x*, as it is seen after a time T: a slow start that would still come back
-counts as one that does not.
+x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back if |x(T) (-) x*| <= tolerance
 """
 
 from __future__ import annotations
@@ -24,7 +20,7 @@ from rbjax.kinematics.arguments import check_at_least, check_several
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.linearise import box_minus, box_plus
-from rbjax.motion.rollout import integrated
+from rbjax.motion.rollout import run_rollout
 
 KEPT = 2**23  # numbers of states that are kept at once: 64 MiB in f64
 
@@ -156,7 +152,7 @@ def region_of_attraction(
         t = jnp.asarray(begin, dtype) * step
         part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
         # without the warning of `rollout`: motions that are not finite are part of the answer
-        run, _, _ = integrated(
+        run, _, _ = run_rollout(
             model, states, part, step, steps=few, integrator=integrator, **dynamics
         )
         far = distances(run.q, run.v, run.x)

@@ -1,13 +1,9 @@
 """Feedback controllers: from time and state to the forces and controls of the actuators.
 
-    tau_a = tau(t, x),      u = B^+ (tau_a - b)             (`allocation.py`)
+    tau_a = tau(t, x),      u = B^+ (tau_a - b)             (`allocation`)
 
-tau_a are the forces of the actuators, in addition to springs, dampers, friction, wind and all other
-forces on the model, so `rollout(model, state, law, ...)` through the actuators and
-`rollout(model, state, tau=law.tau, ...)` without them are the same motion, if no limit is met
-and every coordinate is driven.
-
-A reference is a constant, or a function of time, which JAX differentiates in forward mode:
+tau_a are the forces of the actuators, in addition to all other forces on the model. A reference is
+a constant, or a function of time, which JAX differentiates in forward mode:
 
     configuration   v = d/ds (q(t + s) - q(t)),  a = dv/dt         (minus on the manifold)
     frame           w = vee(R' R^T),  V = [w; p'],  A = [w'; p'']  in world axes
@@ -90,7 +86,7 @@ def configuration(model: Model, reference: Any, t: Any, dtype: Any) -> Followed:
 
 
 def check_poses(where: str, reference: Any, rows: tuple[str, ...]) -> Any:
-    """A reference of a frame: an array or a function of t, of the kind that `rows` says."""
+    """Check a reference of a frame: an array or a function of t, with the parts in `rows`."""
     if isinstance(reference, Callable):  # type: ignore[arg-type]
         check_takes(where, "reference", reference, "t")
         return reference

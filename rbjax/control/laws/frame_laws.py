@@ -1,26 +1,14 @@
 """Control laws of a frame: operational-space control and Cartesian impedance.
 
     e = [log(R_d R^T); p_d - p],   V = J v,   V' = J a + J' v          (world axes, angular first)
-    Lambda = (J M^-1 J^T)^-1                                             the inertia of the task
+    operational space   a = a_0 + M^-1 J^T Lambda (V'_c - J' v - J a_0),   Lambda = (J M^-1 J^T)^-1
+    impedance           tau = h + J^T (K e + D (V_d - V)) + N^T tau_0,   N = 1 - M^-1 J^T Lambda J
 
-    operational space   tau = M a + b - other forces,   V'_c = A_d + D (V_d - V) + K e
-                        a = a_0 + M^-1 J^T Lambda (V'_c - J' v - J a_0)
-    impedance           tau = h + J^T (K e + D (V_d - V)) + N^T tau_0
-
-a_0 = K_0 (q_0 - q) - D_0 v leads to a posture, and tau_0 likewise. Of all accelerations with V'_c,
-a is the nearest to a_0 in the metric of the inertia (Gauss' principle), which is Khatib's
-dynamically consistent null space N = 1 - M^-1 J^T Lambda J. With impedance a wrench on the frame at
-rest gives the displacement K^-1 F; the robot's inertia stays as it is.
-
-Near a singular configuration A = J M^-1 J^T cannot be inverted: Lambda is then damped,
-    (A + d 1)^-1,   d = d_max (1 - s / s_0)^2  if  s = 1 / tr((A + tiny)^-1) < s_0,  else 0
-s is below the smallest eigenvalue of A, smooth, and not below a sixth of it. Away from
-singularities d is zero. s_0 and d_max are shares of tr(A) / rows.
-
-Source: Khatib, *A unified approach for motion and force control*, 1987; Bruyninckx & Khatib 2000;
-Peters et al. 2008; Hogan 1985; Albu-Schäffer, Ott & Hirzinger 2007; Ott, *Cartesian Impedance
-Control of Redundant and Flexible-Joint Robots*, 2008; Nakamura & Hanafusa 1986 and Chiaverini 1997
-(damping).
+a_0 and tau_0 lead to a posture in the dynamically consistent null space of the frame. Near a
+singular configuration Lambda is damped: (A + d 1)^-1 for A = J M^-1 J^T, with
+d = d_max (1 - s / s_0)^2 if s = 1 / tr((A + tiny)^-1) < s_0, else 0.
+Source: Khatib 1987; Bruyninckx & Khatib 2000; Hogan 1985; Ott, *Cartesian Impedance Control of
+Redundant and Flexible-Joint Robots*, 2008; Nakamura & Hanafusa 1986 and Chiaverini 1997 (damping).
 """
 
 from __future__ import annotations
@@ -45,8 +33,7 @@ from rbjax.control.laws.controller import (
     pose,
 )
 from rbjax.dynamics.algorithms.crba import mass_matrix
-from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_pose
-from rbjax.dynamics.algorithms.jacobians import jacobian
+from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_pose, jacobian
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_array, check_static, shape_of
 from rbjax.errors import InputError

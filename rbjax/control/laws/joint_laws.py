@@ -5,14 +5,10 @@
     impedance              tau = h + K e + D (v_d - v)
 
 e = q_d - q on the manifold. For hinges and slides  a = a_d + D (v_d - v) + K e. For an attitude
-e = phi with q_d = q exp(phi), and in body axes, with E = exp(phi),
+e = phi with q_d = q exp(phi), in body axes, with E = exp(phi),
+
     phi' = J_l^-1(phi) (E w_d - w)
     w'   = E w_d' - w x E w_d - J_l(phi) phi'' - (dJ_l/dt) phi' ,     phi'' = -D phi' - K phi
-so the error obeys the linear equation exactly there too, as long as its angle stays below pi.
-
-w_b are known wrenches from the surroundings, as at the feet of a standing robot. A robot on a
-floating base has no actuators at its base: the wrenches must balance the forces there. h balances
-gravity and the other forces at rest, or with "motion" the velocity terms too.
 
 Source: Luh, Walker & Paul 1980; Siciliano et al., *Robotics*, 8.5; Bullo & Murray 1999
 (attitudes); Righetti et al. 2011 (floating bases); Hogan 1985 (impedance).
@@ -38,7 +34,7 @@ from rbjax.control.laws.controller import (
     gains,
     holding_forces,
 )
-from rbjax.dynamics.algorithms.jacobians import generalized_forces
+from rbjax.dynamics.algorithms.frames import generalized_forces
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_array, check_takes
 from rbjax.lanes import matvec
@@ -46,29 +42,28 @@ from rbjax.model import Model, State, spans
 from rbjax.rotations import so3
 
 
-class ComputedTorque(Controller):
-    """See `computed_torque`. Fields: reference; stiffness and damping (nv,), 1/s^2 and 1/s."""
+class JointController(Controller):
+    """A control law of joints. Fields: reference; stiffness and damping (nv,)."""
 
     reference: Any
     stiffness: jax.Array
     damping: jax.Array
+
+
+class ComputedTorque(JointController):
+    """See `computed_torque`. The stiffness is in 1/s^2, the damping in 1/s."""
 
     def tau(self, t: Any, state: State) -> jax.Array:
         return actuator_forces(self.model, state, self.acceleration(t, state))
 
     def acceleration(self, t: Any, state: State) -> jax.Array:
         """The desired accelerations (nv,)."""
-        wanted = configuration(self.model, self.reference, t, state.q.dtype)
-        return tracking_acceleration(self.model, state, wanted, self.stiffness, self.damping)
+        desired = configuration(self.model, self.reference, t, state.q.dtype)
+        return tracking_acceleration(self.model, state, desired, self.stiffness, self.damping)
 
 
 def computed_torque(
-    model: Model,
-    reference: Any,
-    *,
-    stiffness: Any,
-    damping: Any = None,
-    undriven: str = "refuse",
+    model: Model, reference: Any, *, stiffness: Any, damping: Any = None, undriven: str = "refuse"
 ) -> ComputedTorque:
     """The law that makes the error of a motion obey e'' + D e' + K e = 0.
 
@@ -108,16 +103,16 @@ def computed_torque(
 
 
 def tracking_acceleration(
-    model: Model, state: State, wanted: Followed, K: jax.Array, D: jax.Array
+    model: Model, state: State, desired: Followed, K: jax.Array, D: jax.Array
 ) -> jax.Array:
     """a (nv,) with which the error obeys its equation."""
     q, v = state.q, state.v
-    e = difference(model, q, wanted.q)
-    a = wanted.a + D * (wanted.v - v) + K * e
+    e = difference(model, q, desired.q)
+    a = desired.a + D * (desired.v - v) + K * e
     for span in spans(model.topology):
         if span.attitude:
             at = span.attitude[1]
-            turning = _turning(e[at], v[at], wanted.v[at], wanted.a[at], K[at], D[at])
+            turning = _turning(e[at], v[at], desired.v[at], desired.a[at], K[at], D[at])
             a = a.at[at].set(turning)
     return a
 
@@ -130,8 +125,8 @@ def _turning(
     there = matvec(E, w_d)
     rate = matvec(so3.inverse_left_jacobian(phi), there - w)
     J, J_rate = jax.jvp(so3.left_jacobian, (phi,), (rate,))
-    wanted = -D * rate - K * phi
-    return matvec(E, a_d) - jnp.cross(w, there) - matvec(J, wanted) - matvec(J_rate, rate)
+    desired = -D * rate - K * phi
+    return matvec(E, a_d) - jnp.cross(w, there) - matvec(J, desired) - matvec(J_rate, rate)
 
 
 class GravityCompensation(Controller):
@@ -185,18 +180,15 @@ def gravity_compensation(
     return GravityCompensation(model, undriven, wrenches)
 
 
-class JointImpedance(Controller):
-    """See `joint_impedance`. Fields: reference; stiffness and damping (nv,)."""
+class JointImpedance(JointController):
+    """See `joint_impedance`."""
 
-    reference: Any
-    stiffness: jax.Array
-    damping: jax.Array
     compensate: str = eqx.field(static=True)
 
     def tau(self, t: Any, state: State) -> jax.Array:
-        wanted = configuration(self.model, self.reference, t, state.q.dtype)
-        e = difference(self.model, state.q, wanted.q)
-        spring = self.stiffness * e + self.damping * (wanted.v - state.v)
+        desired = configuration(self.model, self.reference, t, state.q.dtype)
+        e = difference(self.model, state.q, desired.q)
+        spring = self.stiffness * e + self.damping * (desired.v - state.v)
         return balancing_forces(self.model, state, self.compensate) + spring
 
 

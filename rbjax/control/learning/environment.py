@@ -36,20 +36,10 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
 
 
 class Network(Record):
-    """A feed-forward network (n,) -> (m,).
+    """A feed-forward network (n,) -> (m,)."""
 
-    Fields: weights, each (out, in); biases, each (out,); activation, "tanh", "elu" or "silu".
-
-    Example:
-        >>> import jax, jax.numpy as jnp
-        >>> import rbjax as rb
-        >>> policy = rb.control.network(jax.random.key(0), (4, 16, 1))
-        >>> policy(jnp.zeros(4)).shape
-        (1,)
-    """
-
-    weights: tuple[jax.Array, ...]
-    biases: tuple[jax.Array, ...]
+    weights: tuple[jax.Array, ...]  # each (out, in)
+    biases: tuple[jax.Array, ...]  # each (out,)
     activation: str = eqx.field(static=True)
 
     def __call__(self, x: jax.Array) -> jax.Array:
@@ -95,12 +85,12 @@ def network(
         raise InputError(f"network: sizes is {sizes}, expected two or more positive integers")
     if activation not in ACTIVATIONS:
         raise UnknownName("activation of network", activation, ACTIVATIONS)
-    weights, biases = _drawn(key, sizes, factor)
+    weights, biases = _random_layers(key, sizes, factor)
     return Network(weights, biases, activation)
 
 
 @functools.partial(jax.jit, static_argnames="sizes")
-def _drawn(key: jax.Array, sizes: tuple[int, ...], last: jax.Array) -> tuple:
+def _random_layers(key: jax.Array, sizes: tuple[int, ...], last: jax.Array) -> tuple:
     pairs = list(itertools.pairwise(sizes))
     dtype = last.dtype
     normal = jax.random.normal(key, (sum(a * b for a, b in pairs),), dtype)
@@ -170,12 +160,12 @@ class Environment(Record):
             raise InputError("Environment: the model has no actuator, expected one or more")
         check_takes("Environment", "cost", cost, "state", "ctrl")
         check_takes("Environment", "start", start, "key")
-        if observe is not None:
-            check_takes("Environment", "observe", observe, "state")
-        if randomise is not None:
-            check_takes("Environment", "randomise", randomise, "key", "model")
-        if lost is not None:
-            check_takes("Environment", "lost", lost, "state")
+        for name, f, takes in (
+            ("observe", observe, ("state",)), ("randomise", randomise, ("key", "model")),
+            ("lost", lost, ("state",)),
+        ):  # fmt: skip
+            if f is not None:
+                check_takes("Environment", name, f, *takes)
         integer("Environment", "episode", episode, least=1)
         self.model, self.cost, self.start = model, cost, start
         dtype = jnp.zeros(()).dtype
@@ -208,7 +198,7 @@ class Environment(Record):
 
     def act(self, policy: Any, state: State) -> jax.Array:
         """The controls (nu,) of a policy at a state."""
-        return squashed(self, policy(self.observe(state)))
+        return squash_controls(self, policy(self.observe(state)))
 
     def controller(self, policy: Any) -> Callable[[Any, State], jax.Array]:
         """The policy as (t, state) -> ctrl, for `rb.rollout`."""
@@ -235,7 +225,7 @@ class Environment(Record):
                 f"{jnp.shape(found)}, expected ({self.model.nu},)"
             )
 
-    def begun(self, key: jax.Array) -> tuple[Any, State]:
+    def reset(self, key: jax.Array) -> tuple[Any, State]:
         """A model (None if it is not randomised) and a first state."""
         one, two = jax.random.split(key)
         model = None if self.randomise is None else self.randomise(one, self.model)
@@ -260,7 +250,7 @@ class Environment(Record):
         return Segment(path, ctrls, jax.vmap(jax.vmap(self.cost))(before, ctrls))
 
 
-def squashed(env: Environment, y: jax.Array) -> jax.Array:
+def squash_controls(env: Environment, y: jax.Array) -> jax.Array:
     """The controls of a policy's output."""
     if not env.squash:
         return y

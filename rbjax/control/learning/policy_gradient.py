@@ -1,17 +1,11 @@
-"""Policies trained through the dynamics: short-horizon actor-critic, or through whole episodes.
+"""Policies trained through the dynamics over a short horizon, with a value function.
 
     J(theta) = E[(1 - g) sum_{k<h} g^k c_k + g^h V(x_h)],     theta <- theta - a dJ/dtheta
-
-The derivative goes through h steps of the robot and through the value function V, which stands for
-all later costs: long enough to be nearly unbiased, short enough not to explode (Xu et al. 2022,
-*Accelerated policy learning with parallel differentiable simulation*, SHAC). V is fitted to
-
     G_k = (1 - g) c_k + g ((1 - l) V'(x_{k+1}) + l G_{k+1}),     G_h = V'(x_h)
 
-with V' a slow copy of V. Costs are in units of one step: V is about the mean of those to come. The
-policy is deterministic; random starts, and random models, explore.
-
-`through_time` takes the whole episode and no value function: for gains and short motions.
+The value function V, fitted to the targets G, stands for all costs after h steps; V' is a slow copy
+of V. Costs are in units of one step. The policy is deterministic; random starts and models explore.
+Source: Xu et al., *Accelerated policy learning with parallel differentiable simulation*, 2022.
 """
 
 from __future__ import annotations
@@ -26,7 +20,13 @@ import optax
 
 from rbjax.arguments import integer, real_number
 from rbjax.control.learning.environment import Environment, Segment, network
-from rbjax.control.learning.training import Trained, check_training, falling_rate, iterated, updated
+from rbjax.control.learning.training import (
+    Trained,
+    apply_update,
+    check_training,
+    falling_rate,
+    run_iterations,
+)
 from rbjax.errors import InputError
 from rbjax.model import State
 
@@ -173,7 +173,7 @@ def actor_critic(
 
     def turn(now: Training, _: None) -> tuple[Training, jax.Array]:
         slope, segment = jax.grad(loss, has_aux=True)(now.policy, now.slow, now.samples)
-        policy, memory, fine = updated(optimiser, slope, now.memory, now.policy)
+        policy, memory, fine = apply_update(optimiser, slope, now.memory, now.policy)
         flat = jax.tree.map(lambda x: x[:, 1:].reshape(-1, *x.shape[2:]), segment.states)
         later = worth(now.slow, flat).reshape(segment.costs.shape)
         targets = returns(segment.costs, later, discount, trace)
@@ -181,7 +181,7 @@ def actor_critic(
         values, value_memory = fit(now.value, now.value_memory, before, targets.reshape(-1))
         behind = jax.tree.map(lambda s, v: s + slow * (v - s), now.slow, values)
         key, other = jax.random.split(now.key)
-        samples = renewed(env, other, now.samples, segment, horizon)
+        samples = renew_batch(env, other, now.samples, segment, horizon)
         skipped = now.skipped + (1 - fine.astype(int))
         after = Training(policy, values, behind, memory, value_memory, samples, key, skipped)
         return after, jnp.nanmean(segment.costs)
@@ -192,11 +192,11 @@ def actor_critic(
             values = eqx.filter(fresh(one), eqx.is_inexact_array)
         return Training(
             numbers, values, values, optimiser.init(numbers), fitter.init(values),
-            drawn(env, two, batch), three, jnp.asarray(0),
+            draw_batch(env, two, batch), three, jnp.asarray(0),
         )  # fmt: skip
 
     given = (numbers, None if value is None else values, key)
-    last, costs = iterated("actor_critic", turn, begin, given, iterations, progress)
+    last, costs = run_iterations("actor_critic", turn, begin, given, iterations, progress)
     trained = eqx.combine(last.policy, rest)
     return Trained(trained, eqx.combine(last.value, value_rest), costs, last.skipped)
 
@@ -220,14 +220,14 @@ def returns(costs: jax.Array, later: jax.Array, discount: float, trace: float) -
     return found.T
 
 
-def drawn(env: Environment, key: jax.Array, batch: int) -> Samples:
+def draw_batch(env: Environment, key: jax.Array, batch: int) -> Samples:
     """A batch to begin with, of all ages."""
     one, two = jax.random.split(key)
-    models, states = jax.vmap(env.begun)(jax.random.split(one, batch))
+    models, states = jax.vmap(env.reset)(jax.random.split(one, batch))
     return Samples(models, states, jax.random.randint(two, (batch,), 0, env.episode))
 
 
-def renewed(
+def renew_batch(
     env: Environment, key: jax.Array, samples: Samples, segment: Segment, steps: int
 ) -> Samples:
     """The batch after a segment: samples that are old, lost or not finite begin again."""
@@ -238,7 +238,7 @@ def renewed(
     over = over | ~jnp.stack([jnp.isfinite(x).all(-1) for x in jax.tree.leaves(last)]).all(0)
     if env.lost is not None:
         over = over | jax.vmap(env.lost)(last)
-    models, states = jax.vmap(env.begun)(jax.random.split(key, batch))
+    models, states = jax.vmap(env.reset)(jax.random.split(key, batch))
 
     def pick(new: jax.Array, old: jax.Array) -> jax.Array:
         return jnp.where(over.reshape(-1, *[1] * (new.ndim - 1)), new, old)
@@ -248,5 +248,5 @@ def renewed(
 
 
 def _is_number(x: Any) -> bool:
-    """Whether a leaf, or what stands for one, is an array of floating numbers."""
+    """Whether a leaf, or its shape, is of floating-point numbers."""
     return hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import optax
 
 from rbjax.arguments import instance, integer, real_number
-from rbjax.compiler import quickly
+from rbjax.compiler import fast_compile
 from rbjax.control.learning.environment import Environment
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
@@ -33,7 +33,7 @@ UNMEASURED = {"xla_gpu_autotune_level": 0, "xla_gpu_enable_triton_gemm": False}
 OPTIMISED_FROM = 2000
 
 
-def iterated(
+def run_iterations(
     where: str, turn: Callable, begin: Callable, given: tuple, iterations: int, progress: bool
 ) -> tuple[Any, jax.Array]:
     """All iterations from begin(*given), in one program, or in chunks that report."""
@@ -41,7 +41,7 @@ def iterated(
     jit: Any = functools.partial(jax.jit, compiler_options=UNMEASURED if quick else None)
     first = jit(lambda n, *given: jax.lax.scan(turn, begin(*given), None, n), static_argnums=0)
     more = jit(lambda now, n: jax.lax.scan(turn, now, None, n), static_argnums=1)
-    with quickly(quick):
+    with fast_compile(quick):
         if not progress:
             return first(iterations, *given)
         chunk = max(1, iterations // CHUNKS)
@@ -129,24 +129,26 @@ def through_time(
     def turn(now: tuple, _: None) -> tuple[tuple, jax.Array]:
         numbers, memory, key, skipped = now
         key, other = jax.random.split(key)
-        models, states = jax.vmap(env.begun)(jax.random.split(other, batch))
+        models, states = jax.vmap(env.reset)(jax.random.split(other, batch))
 
         def loss(numbers: Any) -> jax.Array:
             policy = eqx.combine(numbers, rest)
             return env.unroll(policy, models, states, env.episode).costs.mean()
 
         cost, slope = jax.value_and_grad(loss)(numbers)
-        numbers, memory, fine = updated(optimiser, slope, memory, numbers)
+        numbers, memory, fine = apply_update(optimiser, slope, memory, numbers)
         return (numbers, memory, key, skipped + (1 - fine.astype(int))), cost
 
     def begin(numbers: Any, key: jax.Array) -> tuple:
         return numbers, optimiser.init(numbers), key, jnp.asarray(0)
 
-    last, costs = iterated("through_time", turn, begin, (numbers, key), iterations, progress)
+    last, costs = run_iterations("through_time", turn, begin, (numbers, key), iterations, progress)
     return Trained(eqx.combine(last[0], rest), None, costs, last[3])
 
 
-def updated(optimiser: Any, slope: Any, memory: Any, numbers: Any) -> tuple[Any, Any, jax.Array]:
+def apply_update(
+    optimiser: Any, slope: Any, memory: Any, numbers: Any
+) -> tuple[Any, Any, jax.Array]:
     """Numbers and memory after an update, or as they were where the gradient is not finite; and
     whether it was."""
     leaves = [jnp.isfinite(x).all() for x in jax.tree.leaves(slope)]

@@ -3,25 +3,19 @@
     continuous  A'P + PA + Q - (PB + S) R^-1 (PB + S)' = 0,              K = R^-1 (PB + S)'
     discrete    A'PA - P + Q - (A'PB + S) (R + B'PB)^-1 (A'PB + S)' = 0, K = (R + B'PB)^-1 (..)'
 
-1. Doubling. With S taken into A and Q, and G = B R^-1 B', a step
+1. Doubling. With S taken into A and Q, and G = B R^-1 B', k steps from F = A, P = Q give the cost
+   to go of 2^k steps of time. Cayley's transform makes a continuous equation discrete.
 
         F <- F (1 + G P)^-1 F,  G <- G + F (1 + G P)^-1 G F',  P <- P + F'P (1 + G P)^-1 F
 
-   from F = A, P = Q joins a horizon with itself (`parallel_riccati.joined`): after k steps P is the
-   cost to go of 2^k steps. A continuous equation becomes a discrete one by Cayley's transform.
-2. If its gain is not stabilising (a mode that grows and has no cost), the gain for the costs
-   Q = q 1, R = r 1 is, unless (A, B) is not stabilisable.
-3. Newton's method (Kleinman, Hewer) from that gain: P of a closed loop by a Lyapunov equation, and
-   the gain of that P. It converges quadratically and stays stabilising.
-4. Two steps of refinement: the remainder for that gain with 1.5 times the digits (`Double`), and
-   the correction of P by a Lyapunov equation. P is accurate to rounding.
+2. If its gain is not stabilising, the gain for costs Q = q 1, R = r 1 is, if (A, B) can be.
+3. Newton's method from that gain: P of a closed loop by a Lyapunov equation, and the gain of P.
+4. Two steps of refinement by the remainder with 1.5 times the digits (`Double`).
 
 The derivative solves one Lyapunov equation of the closed loop, by the implicit function theorem.
-Source: Chu, Fan, Lin & Wang, *Structure-preserving algorithms for periodic discrete-time algebraic
-Riccati equations*, Int. J. Control 77, 2004; Chu, Fan & Lin, Linear Algebra Appl. 396, 2005
-(Cayley); Kleinman, IEEE TAC 13, 1968; Hewer, IEEE TAC 16, 1971; Lancaster & Rodman, *Algebraic
-Riccati Equations*. Knuth, *The Art of Computer Programming* 2, 4.2.2; Ogita, Rump & Oishi, SIAM J.
-Scientific Computing 26, 2005 (sums and products of more digits).
+Source: Chu, Fan, Lin & Wang, Int. J. Control 77, 2004; Chu, Fan & Lin, Linear Algebra Appl. 396,
+2005 (Cayley); Kleinman, IEEE TAC 13, 1968; Hewer, IEEE TAC 16, 1971 (Newton); Ogita, Rump & Oishi,
+SIAM J. Scientific Computing 26, 2005 (digits).
 """
 
 from __future__ import annotations
@@ -190,7 +184,7 @@ def _solution(discrete: bool, *matrices: jax.Array) -> tuple[jax.Array, tuple[ja
     problem = A, B, Q, R, S
     K, started = _start(discrete, problem)
     P, converged, definite = _newton(discrete, problem, K, started)
-    refined = _refined(discrete, problem, P)
+    refined = _refine(discrete, problem, P)
     good = started & converged & definite & jnp.isfinite(refined).all()
     P = jnp.where(good, refined, P)
     return P, (started, converged, definite)
@@ -220,7 +214,7 @@ def _start(discrete: bool, problem: Problem) -> tuple[jax.Array, jax.Array]:
     both = jax.tree.map(lambda *x: jnp.stack(x), problem, easy)
 
     def of(z: Problem) -> tuple[jax.Array, jax.Array]:
-        P = _doubled(discrete, z)
+        P = _cost_to_go_by_doubling(discrete, z)
         K, ok = gain(discrete, z, P)
         return K, ok & _stabilises(discrete, A, B, K)
 
@@ -235,7 +229,7 @@ def _stabilises(discrete: bool, A: jax.Array, B: jax.Array, K: jax.Array) -> jax
     return finite & is_stable(closed, discrete)
 
 
-def _doubled(discrete: bool, problem: Problem) -> jax.Array:
+def _cost_to_go_by_doubling(discrete: bool, problem: Problem) -> jax.Array:
     """The cost to go after many steps. It need not converge."""
     A, B, Q, R, S = problem
     n = A.shape[0]
@@ -306,9 +300,7 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
         left, size = remainder(discrete, problem, new)
         rest = jnp.abs(left).max() / size
         good = stable & definite & jnp.isfinite(new).all() & jnp.isfinite(gained).all()
-        # At rounding the residual stops to fall, and one more turn changes only what is rounded.
-        # On the edge of stability each turn halves P there: Newton's method converges linearly to a
-        # double root.
+        # on the edge of stability each step halves P: linear convergence to a double root
         sizes = jnp.abs(jnp.diag(new))
         moved = jnp.abs(jnp.diag(new - P)) > EDGE * jnp.maximum(sizes, 1e3 * eps * sizes.max())
         better = good & ((rest < off) | (off > 1e4 * eps))
@@ -326,7 +318,7 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
     return P, good, definite
 
 
-def _refined(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
+def _refine(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
     """The cost to go of P's gain. That gain's error enters it squared."""
     rounded = (*problem, gain(discrete, problem, P)[0])
     A, B, Q, R, S, K = (Double.of(x) for x in rounded)

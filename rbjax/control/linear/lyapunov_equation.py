@@ -119,8 +119,8 @@ def solve_stable(A: jax.Array, Q: jax.Array, discrete: bool) -> tuple[jax.Array,
     safe = jnp.where(stable, A, 0.0 if discrete else -jnp.eye(A.shape[0], dtype=A.dtype))
     X = jax.lax.custom_linear_solve(
         lambda X: _left_side(discrete, safe, X), Q,
-        lambda _, Q: _refined(safe, Q, discrete),
-        lambda _, Q: _refined(safe.T, Q, discrete),
+        lambda _, Q: _solve_refined(safe, Q, discrete),
+        lambda _, Q: _solve_refined(safe.T, Q, discrete),
     )  # fmt: skip
     return X, stable
 
@@ -144,7 +144,7 @@ def is_stable(A: jax.Array, discrete: bool) -> jax.Array:
     return jax.lax.while_loop(going, turn, (A, 0, first))[2]
 
 
-def _doubled(A: jax.Array, Q: jax.Array) -> jax.Array:
+def _sum_by_doubling(A: jax.Array, Q: jax.Array) -> jax.Array:
     """The sum of A^k Q A'^k."""
     eps = jnp.finfo(A.dtype).eps
 
@@ -168,9 +168,8 @@ def cayley(A: jax.Array, g: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def cayley_shift(A: jax.Array) -> jax.Array:
-    """The geometric mean of the fastest and the slowest rate, by norms of A and of its inverse.
-
-    Any shift above zero is right; this one takes the fewest steps if both are known."""
+    """The geometric mean of the fastest and the slowest rate, by norms of A and of its inverse. Any
+    shift above zero is right."""
     fast = jnp.sqrt(jnp.abs(A).sum(0).max() * jnp.abs(A).sum(1).max())
     slow = jnp.linalg.inv(A)
     slow = jnp.sqrt(jnp.abs(slow).sum(0).max() * jnp.abs(slow).sum(1).max())
@@ -178,15 +177,15 @@ def cayley_shift(A: jax.Array) -> jax.Array:
     return jnp.where(jnp.isfinite(g) & (g > 0), g, jnp.where(fast > 0, fast, 1.0))
 
 
-def _refined(A: jax.Array, Q: jax.Array, discrete: bool) -> jax.Array:
+def _solve_refined(A: jax.Array, Q: jax.Array, discrete: bool) -> jax.Array:
     """X by doubling, and a step of refinement."""
 
     def solve(Q: jax.Array) -> jax.Array:
         if discrete:
-            return _doubled(A, Q)
+            return _sum_by_doubling(A, Q)
         g = cayley_shift(A)
         F, inverse = cayley(A, g)
-        return _doubled(F, 2 * g * product(product(inverse, Q), inverse.T))
+        return _sum_by_doubling(F, 2 * g * product(product(inverse, Q), inverse.T))
 
     def refine(_, X):  # twice the same program
         return X + solve(Q - _left_side(discrete, A, X))

@@ -1,26 +1,18 @@
 """The linear-quadratic problem of finite horizon, parallel in time.
 
-The least cost from a state x at knot i to a state y at knot j, as a function of both, is
+The least cost between a state x at one knot and a state y at a later knot is
 
     V(x, y) = max over l of  1/2 x'Jx - x'e - 1/2 l'C l - l'(y - F x - b)
 
-with five arrays (F, b, C, e, J). Two stretches that meet at a knot are one, by the minimum over the
-state there: with M = (1 + C1 J2)^-1,
+Two stretches that meet at a knot are joined by, with M = (1 + C1 J2)^-1,
 
     F = F2 M F1,   b = F2 M (b1 + C1 e2) + b2,   C = F2 M C1 F2' + C2
     J = F1'J2 M F1 + J1,   e = F1'(e2 - J2 M (b1 + C1 e2)) + e1
 
-That is associative, so all tails of the horizon come from log2 N products in a row. By doubling,
-turn k joins each stretch of 2^k steps with the next one: N log2 N products, and one program for all
-turns. By a tree (`associative_scan`) 2 N products in 2 log2 N turns, each of another size, which
-take XLA minutes to compile on a CPU where N is 1,000. A tail's J and -e are P and p
-of `riccati.backward`; the gains follow from them, all knots at once. One step is
-
-    F = A - B R^-1 S',  b = d - B R^-1 r,  C = B R^-1 B',  J = Q - S R^-1 S',  e = S R^-1 r - q
-
-so R must be positive definite here; the serial recursion only needs R + B'P B.
-Source: Särkkä & García-Fernández, *Temporal parallelization of dynamic programming and linear
-quadratic control*, IEEE TAC 68(2), 2023.
+which is associative: all tails of the horizon follow by log2 N products in a row. J and -e of a
+tail are P and p of `riccati.backward`. R must be positive definite. Source: Särkkä &
+García-Fernández, *Temporal parallelization of dynamic programming and linear quadratic control*,
+IEEE TAC 68(2), 2023.
 """
 
 from __future__ import annotations
@@ -48,7 +40,7 @@ class Stretch(NamedTuple):
     J: jax.Array
 
 
-def joined(one: Stretch, two: Stretch) -> Stretch:
+def join(one: Stretch, two: Stretch) -> Stretch:
     """Two stretches, the second behind the first; leading axes are a batch."""
     turned = matrix_transpose
     n = one.b.shape[-1]
@@ -87,17 +79,17 @@ def stretches(problem: LinearQuadratic) -> tuple[Stretch, jax.Array]:
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), steps, end), ok.all()
 
 
-def tails(each: Stretch, by: str) -> Stretch:
-    """What leads from every knot to the end."""
+def join_tails(each: Stretch, by: str) -> Stretch:
+    """The stretches from every knot to the end."""
     if by == "tree":
-        return jax.lax.associative_scan(lambda a, b: joined(b, a), each, reverse=True)
+        return jax.lax.associative_scan(lambda a, b: join(b, a), each, reverse=True)
     count = each.b.shape[0]
 
     def turn(k, now):
         ahead = jnp.arange(count) + 2**k
         there = ahead < count
         rest = jax.tree.map(lambda x: x[jnp.minimum(ahead, count - 1)], now)
-        new = joined(now, rest)
+        new = join(now, rest)
 
         def kept(a, b):
             return jnp.where(there.reshape(-1, *[1] * (a.ndim - 1)), a, b)
@@ -108,7 +100,7 @@ def tails(each: Stretch, by: str) -> Stretch:
 
 
 def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gains:
-    """What `backward` finds, with log2 N products of a batch in a row instead of N.
+    """The gains of `backward`, by log2 N batched products in a row instead of N.
 
     Args:
         problem: of one sample, with R positive definite.
@@ -137,7 +129,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
         raise UnknownName("way of parallel_backward", by, ("doubling", "tree"))
     instance("parallel_backward", "problem", problem, LinearQuadratic, MADE)
     all_steps, ok = stretches(problem)
-    to_end = tails(all_steps, by)
+    to_end = join_tails(all_steps, by)
     P, p = to_end.J, -to_end.e
     ok &= jnp.isfinite(P).all() & jnp.isfinite(p).all()
     P, p = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (P, p))
@@ -158,7 +150,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
 def parallel_roll(
     problem: LinearQuadratic, gains: Gains, start: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """What `roll` finds, parallel in time: the closed loop is a chain of affine maps.
+    """The closed loop of `roll`, parallel in time: a chain of affine maps.
 
     Args:
         problem: of one sample.

@@ -3,14 +3,10 @@
     continuous  minimise  integral of x'Qx + u'Ru + 2 x'Su,   dx/dt = A x + B u
     discrete    minimise  sum of      x'Qx + u'Ru + 2 x'Su,   x+ = A x + B u
 
-The feedback is u = -K x, and the least cost from x is x'Px. For infinite horizon P solves an
-algebraic Riccati equation (`algebraic_riccati`). The gain of the steady Kalman filter is the
-regulator of the transposed system, (A', C', W, V) for (A, B, Q, R).
-
-A model is linearised on the tangent space of its configuration, x = [dq; dv; dx_e], so attitudes
-are three coordinates and the law is u = u_0 - K (state (-) state_0).
-Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2, 3; Lancaster & Rodman,
-*Algebraic Riccati Equations*.
+The feedback is u = -K x, and the least cost from x is x'Px. A model is linearised on the tangent
+space, x = [dq; dv; dx_e]. The gain of the steady Kalman filter is the regulator of the transposed
+system, (A', C', W, V) for (A, B, Q, R).
+Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2, 3.
 """
 
 from __future__ import annotations
@@ -186,7 +182,7 @@ def feedback(model: Model, state: State, ctrl: Any, K: Any) -> Any:
 
     Args:
         model: the robot.
-        state: that is held.
+        state: the reference state.
         ctrl: (nu,) there.
         K: (nu, 2 nv + nx).
 

@@ -5,12 +5,10 @@
 
 The cost to go is 1/2 x'Px + p'x and a constant. With P+ and p+ of the next knot,
 
-    H = R + B'P+B,  G = S' + B'P+A,  g = r + B'(p+ + P+d)
-    K = H^-1 G,     k = H^-1 g,      u = -K x - k
+    H = R + B'P+B,  G = S' + B'P+A,  g = r + B'(p+ + P+d),    u = -H^-1 G x - H^-1 g
     P = Q + A'P+A - G'H^-1 G,        p = q + A'(p+ + P+d) - G'H^-1 g
 
-H is factorised as L L', and G'H^-1 G is the square of L^-1 G, so P stays symmetric. The minimum
-exists where every H is positive definite; R by itself need not be. Products are in full f32.
+The minimum exists if every H is positive definite.
 Source: Bryson & Ho, *Applied Optimal Control*, 5; Anderson & Moore, *Optimal Control: Linear
 Quadratic Methods*, 2; Tassa, Erez & Todorov, IROS 2012 (affine terms).
 """
@@ -75,9 +73,7 @@ def check_start(where: str, problem: Any, gains: Any, start: Any) -> jax.Array:
 
 @jax.custom_jvp
 def definite_factor(H: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """L of H = L L' and whether H is positive definite; if not, L is the unit matrix.
-
-    Values and derivatives are finite in both cases."""
+    """L of H = L L' and whether H is positive definite; if not, L is the unit matrix."""
     L = jax.lax.linalg.cholesky(H, symmetrize_input=False)
     ok = jnp.isfinite(L).all()
     return jnp.where(ok, L, jnp.eye(H.shape[-1], dtype=H.dtype)), ok

@@ -1,18 +1,11 @@
 """Gain, phase and delay margins of a state feedback, each loop broken at its input.
 
-With u = -K x closed at all other inputs, the loop from input i back to it is
-
     l_i(s) = k_i (s - A_i)^-1 b_i,     A_i = A - sum_(j != i) b_j k_j,     s = iw, or z = exp(iw dt)
 
-The closed loop stays stable while l_i does not meet -1. The gain may be multiplied by -1 / l where
-l crosses the negative real axis; the phase may turn by the angle between l and -1 where |l| = 1;
-a delay turns it by w seconds^-1, so the least of angle / w is the delay that is allowed.
-
-Crossings are found on a grid of frequencies, by sign changes of Im l and |l| - 1, and then by
-bisection to rounding. The grid is logarithmic about the rates of the closed and the open loop; a
-resonance much narrower than a point of it is missed.
-Source: Åström & Murray, *Feedback Systems*, 10; Safonov & Athans, *Gain and phase margin for
-multiloop LQG regulators*, IEEE TAC 22(2), 1977 (an LQR has 1/2 to infinity, and 60 degrees).
+is the loop from input i back to it. The closed loop stays stable while l_i does not meet -1.
+Crossings of the real axis and of |l| = 1 are found on a logarithmic grid of frequencies and refined
+by bisection; a resonance much narrower than the grid is missed.
+Source: Åström & Murray, *Feedback Systems*, 10; Safonov & Athans, IEEE TAC 22(2), 1977.
 """
 
 from __future__ import annotations

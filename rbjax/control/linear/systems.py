@@ -1,19 +1,11 @@
-"""Linear systems: what controls reach, what readings show, poles, discretisation.
+"""Linear systems: controllability, observability, Gramians, poles, discretisation.
 
     continuous  dx/dt = A x + B u,   y = C x         discrete  x+ = A x + B u
 
-The reachable space is the range of [B, AB, ..., A^(n-1) B]. Its powers lose digits, so an
-orthonormal basis is built instead: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal
-to all before (the staircase, or block Arnoldi). The rest of the space is uncontrollable.
-A state is unobservable if it is uncontrollable for (A', C').
-
-The Gramian W of a stable system says how much effort that takes: x'W^-1 x is the least integral of
-u^2 that leads from rest to x. A control held over a step makes the discrete system
-
-    [Ad, Bd; 0, 1] = exp([A, B; 0, 0] dt)
-
-Source: Van Dooren, *The generalized eigenstructure problem in linear system theory*, IEEE TAC 26,
-1981; Åström & Wittenmark, *Computer-Controlled Systems*, 3; Zhou, Doyle & Glover, 3.
+The reachable space is the range of [B, AB, ..., A^(n-1) B]. An orthonormal basis of it is built
+step by step: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal to all before (the
+staircase). A state is unobservable if it is uncontrollable for (A', C'). Source: Van Dooren, IEEE
+TAC 26, 1981; Åström & Wittenmark, *Computer-Controlled Systems*, 3; Zhou, Doyle & Glover, 3.
 """
 
 from __future__ import annotations
@@ -56,7 +48,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
             its column, count as zero; n times the rounding unit times 100 if None.
 
     Returns:
-        `Reach`. The rank is a whole number, so it has no derivative.
+        `Reach`. The rank is an integer, so it has no derivative.
 
     Raises:
         InputError: shapes, values that are not finite.
@@ -168,15 +160,15 @@ def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -
         )
     names = state_names(model)
     missing = np.asarray(reach.outside)[:, : n - int(reach.rank)].copy()
-    said = []
+    texts = []
     for row in _reduced(missing.T):
         row = row / np.abs(row).max()
         order = [i for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) >= least]
         row = row * np.sign(row[order[0]])
         parts = [f"{abs(row[i]):.2f} {names[i]}" for i in order]
         signs = ["" if k == 0 else " + " if row[i] > 0 else " - " for k, i in enumerate(order)]
-        said.append("".join(s + p for s, p in zip(signs, parts, strict=True)))
-    return said
+        texts.append("".join(s + p for s, p in zip(signs, parts, strict=True)))
+    return texts
 
 
 def state_names(model: Model) -> list[str]:

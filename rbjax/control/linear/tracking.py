@@ -1,10 +1,7 @@
 """A time-varying linear quadratic regulator along a motion of a model.
 
-Each step of `rollout` is linearised about its knot, on the tangent spaces at both of its ends,
+    dx_(k+1) = A_k dx_k + B_k du_k,     dx_k = state (-) states_k,     u = ctrls_k - K_k dx_k
 
-    dx_(k+1) = A_k dx_k + B_k du_k,     dx_k = state (-) states_k
-
-and the Riccati recursion goes back from the end. The law is u = ctrls_k - K_k (state (-) states_k).
 Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2; Sola, *A micro Lie
 theory*, 2018 (tangent spaces).
 """

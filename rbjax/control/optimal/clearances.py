@@ -1,17 +1,13 @@
-"""Distances of a robot to obstacles: what keeps it off them.
+"""Distances of a robot to obstacles.
 
-A body is covered by spheres (centres c_i fixed to bodies, radii r_i), and an obstacle is a sphere,
-a capsule or a half-space. The signed distance is positive outside,
+A body is covered by spheres with centres c and radii r. The signed distance to an obstacle is
 
     sphere      |c - p| - R - r
     capsule     |c - a - s (b - a)| - R - r,   s = clip((c - a).(b - a) / |b - a|^2, 0, 1)
     half-space  n.c - d - r
 
-and has a derivative everywhere: |x| is sqrt(x.x + e^2) - e with e = 1e-6 m, which is 1e-6 m less
-than |x| at most. Held as `Constraint(Clearance(...), 0.0, inf)`.
-
-Source: Ericson, *Real-Time Collision Detection*, 2005, ch. 5; Schulman et al., IJRR 2014 (spheres
-of distances as constraints of trajectories).
+|x| is sqrt(x.x + e^2) - e with e = 1e-6 m, so it has a derivative everywhere.
+Source: Ericson, *Real-Time Collision Detection*, 2005, ch. 5; Schulman et al., IJRR 2014.
 """
 
 from __future__ import annotations

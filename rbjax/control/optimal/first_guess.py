@@ -1,12 +1,11 @@
 """The knots and controls from which a search starts.
 
-A solution that is the guess is rolled out from the new start with its feedback,
+The solution of a similar problem is rolled out from the new start with its feedback,
 
     u_k = us_k - K_k (x_k (-) xs_k),  within the bounds,      x_{k+1} = f(x_k, u_k)
 
-so that the motion stays near the solution on an unstable plant. Controls without states are rolled
-out without feedback. The result is used if it costs less than standing at the start: on an unstable
-plant the motion may diverge.
+Controls without states are rolled out without feedback. The motion is used if it costs less than
+standing at the start: on an unstable plant it may diverge.
 """
 
 from __future__ import annotations
@@ -33,20 +32,13 @@ from rbjax.errors import InputError
 
 
 class Guess(NamedTuple):
-    """A first guess; None is the default of each field.
+    """A first guess; None is the default of each field."""
 
-    states: (N + 1, ...).
-    ctrls: (N, nu).
-    parameters: (p,).
-    K: (N, nu, n), the gains of a solution.
-    multipliers: the multipliers of a solution.
-    """
-
-    states: Any = None
-    ctrls: Any = None
-    parameters: Any = None
-    K: Any = None
-    multipliers: Multipliers | None = None
+    states: Any = None  # (N + 1, ...)
+    ctrls: Any = None  # (N, nu)
+    parameters: Any = None  # (p,)
+    K: Any = None  # (N, nu, n), the gains of a solution
+    multipliers: Multipliers | None = None  # the multipliers of a solution
 
 
 def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, parameters: Any) -> Guess:
@@ -58,7 +50,7 @@ def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, parameters: 
             f"solve: guess is {type(guess).__name__}, expected the Solution of a similar problem; "
             "give arrays as states= and ctrls="
         )
-    given = {"states": states, "ctrls": ctrls, "numbers": parameters}
+    given = {"states": states, "ctrls": ctrls, "parameters": parameters}
     twice = [name for name, x in given.items() if x is not None]
     if twice:
         raise InputError(f"solve: got guess and {twice}, expected one of them: a Solution has both")

@@ -1,16 +1,10 @@
 """The cost and the constraints of a problem, at a knot and along a motion.
 
-    low <= c <= high,      violation = |c - clip(c, low, high)|
-
-An augmented Lagrangian holds constraints: a penalty with a shifted centre, as residuals of the cost
-
-    L = mu/2 |s - clip(s, low, high)|^2,     s = c + lambda / mu
-
-At the minimum of the cost with L, its gradient is the gradient of the Lagrangian with the
-multipliers
-
+    violation = |c - clip(c, low, high)|
+    L = cost + mu/2 |s - clip(s, low, high)|^2,     s = c + lambda / mu
     lambda <- mu (s - clip(s, low, high)),     mu <- 10 mu if the violation did not fall
 
+L is the augmented Lagrangian of the constraints low <= c <= high.
 Source: Hestenes 1969, Powell 1969; Bertsekas, *Constrained Optimization and Lagrange Multiplier
 Methods*, 2.
 """
@@ -136,8 +130,8 @@ def shifted_excess(
 def next_penalty(
     mu: jax.Array, violation: jax.Array, before: jax.Array, held: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The penalty after a turn of multipliers, and whether the violation did not fall as it should.
-    before: the violation a turn ago; held: whether it is small enough."""
+    """The penalty after an update of the multipliers, and whether the violation did not fall
+    enough. before: the violation at the update before; held: whether it is small enough."""
     failing = ~held & (violation > FALLS * before)
     return jnp.where(failing, jnp.minimum(HARDER * mu, PENALTY_MOST), mu), failing
 
@@ -170,7 +164,7 @@ def merit_terms(problem: Problem, where: str, rows: jax.Array, mu: jax.Array) ->
     return found
 
 
-def summed(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+def sum_terms(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
     """The sum () of the costs of terms."""
     total = jnp.zeros((), ctrl.dtype)
     for term in terms:
@@ -180,7 +174,7 @@ def summed(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
 
 def knot_cost(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
     """The cost () of a knot with controls ("path") or of the "end"."""
-    return summed(cost_terms(problem, where), k, knot, ctrl)
+    return sum_terms(cost_terms(problem, where), k, knot, ctrl)
 
 
 def merit(
@@ -188,11 +182,11 @@ def merit(
     mu: jax.Array,
 ) -> jax.Array:  # fmt: skip
     """The cost () of a knot with its part of the augmented Lagrangian."""
-    return summed(merit_terms(problem, where, rows, mu), k, knot, ctrl)
+    return sum_terms(merit_terms(problem, where, rows, mu), k, knot, ctrl)
 
 
 def residuals(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """All residuals (r,) of terms, and the sum () of those that are numbers."""
+    """All residuals (r,) of terms, and the sum () of the terms that are numbers."""
     vectors, rest = [jnp.zeros(0, ctrl.dtype)], jnp.zeros((), ctrl.dtype)
     for term in terms:
         value = term(k, knot, ctrl)

@@ -48,9 +48,10 @@ class Design(Record):
         self.start = check_array("Design", "start", jnp.atleast_1d(jnp.asarray(start, float)), n)
         low, high = (check_bound("Design", k, x, (), n) for k, x in (("low", low), ("high", high)))
         self.low, self.high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
-        lowest, first, highest = (known_array(x) for x in (self.low, self.start, self.high))
-        if lowest is None or first is None or highest is None:  # traced
+        known = [known_array(x) for x in (self.low, self.start, self.high)]
+        if any(x is None for x in known):  # traced
             return
+        lowest, first, highest = known
         if not ((lowest <= first) & (first <= highest)).all():
             raise InputError(
                 f"Design: low is {lowest.tolist()}, start {first.tolist()}, high "
@@ -83,7 +84,7 @@ class Problem(Record):
 
     Args:
         model: an `rb.Model`; `Equations`; or a robot of `rb.wheeled.at`.
-        horizon: N, the number of steps, each with controls that are held.
+        horizon: N, the number of steps, each with constant controls.
         dt: the step in s; the model's timestep if None.
         running: costs at the N knots with controls: `Cost(term, weight)`, a term, or a function
             (t, state, ctrl) or (model, t, state, ctrl). A number is a cost, a vector of residuals r
@@ -158,13 +159,20 @@ class Problem(Record):
                 f"Problem: constraints has {wrong}, expected rb.control.Constraint(term, low, high)"
             )
         self.constraints = tuple(constraints)
+        for x in (*self.running, *self.terminal, *self.constraints):
+            if x.knots is not None and max(x.knots, default=0) >= horizon:
+                raise InputError(
+                    f"Problem: {x.term.label} has knots {x.knots}, expected indices below the "
+                    f"horizon {horizon}"
+                )
         self.low, self.high, self.bounded = _bounds(self.system, bounds)
         self.integral = flag("Problem", "integral", integral)
         if not isinstance(design, Design | None):
             raise InputError(f"Problem: design is {type(design).__name__}, expected a Design")
         self.design = design
         self.times = None if free_time is None else _times(free_time)
-        self.start_time = _start_time(start_time)
+        finite = ": a finite time in s"
+        self.start_time = check_array("Problem", "start_time", start_time, (), fix=finite)
         self.free = _free(free_start, self.system.n)
 
     @property
@@ -208,15 +216,12 @@ class Problem(Record):
             parts.append(jnp.atleast_1d(jnp.clip(self.dt * self.horizon, *self.times)))
         return jnp.concatenate(parts).astype(dtype) if parts else jnp.zeros(0, dtype)
 
-    def start_bounds(self, dtype: Any) -> tuple[jax.Array, jax.Array]:
-        """Bounds (n,) of the first knot: of the parameters; the state has none."""
-        low, high = [jnp.full(self.system.n, -jnp.inf)], [jnp.full(self.system.n, jnp.inf)]
-        if self.design is not None:
-            low.append(self.design.low)
-            high.append(self.design.high)
+    def parameter_bounds(self, dtype: Any) -> tuple[jax.Array, jax.Array]:
+        """The bounds (p,) of the parameters."""
+        ends = [] if self.design is None else [(self.design.low, self.design.high)]
         if self.times is not None:
-            low.append(self.times[:1])
-            high.append(self.times[1:])
+            ends.append((self.times[:1], self.times[1:]))
+        low, high = zip(*ends, strict=True) if ends else ([jnp.zeros(0)], [jnp.zeros(0)])
         return jnp.concatenate(low).astype(dtype), jnp.concatenate(high).astype(dtype)
 
     def at(self, parameters: jax.Array) -> tuple[System, jax.Array]:
@@ -273,16 +278,27 @@ class Problem(Record):
             B = jnp.concatenate([B, jnp.zeros((p, self.nu), B.dtype)])
         return Linearised(after, A, B)
 
+    def term(self, term: Term, k: Any, knot: Knot, ctrl: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The value of a term at a knot, and the step."""
+        system, dt = self.at(knot.parameters)
+        value = term(system.model, self.time(k, dt), knot.state, ctrl)
+        try:
+            return jnp.asarray(value, dt.dtype), dt
+        except (TypeError, ValueError) as error:
+            got = type(value).__name__
+            raise InputError(
+                f"Problem: the term {term.label} returned {got}, expected a number or a vector"
+            ) from error
+
     def value(self, cost: Cost, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """A cost at a knot with controls ("path") or at the "end": a number, or residuals (r,)
         whose squares are halved and summed."""
-        system, dt = self.at(knot.parameters)
-        value = _array(
-            cost.term, cost.term(system.model, self.time(k, dt), knot.state, ctrl), dt.dtype
-        )
+        value, dt = self.term(cost.term, k, knot, ctrl)
         w = jnp.asarray(cost.weight, dt.dtype)
         if self.integral and where == "path":
             w = w * dt
+        if where == "path" and cost.knots is not None:
+            w = w * self.counts_at(cost.knots, k)
         if value.ndim > 1:
             raise InputError(
                 f"Problem: the cost {cost.term.label} returned shape {value.shape}, expected a "
@@ -293,15 +309,22 @@ class Problem(Record):
                 f"Problem: the weight of {cost.term.label} has shape {w.shape}, expected () or "
                 f"that of its value, {value.shape}"
             )
-        if value.ndim:
-            return _root(w) * value
-        return w * value
+        return _root(w) * value if value.ndim else w * value
 
     def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of a constraint at a knot."""
-        system, dt = self.at(knot.parameters)
-        value = c.term(system.model, self.time(k, dt), knot.state, ctrl)
-        return jnp.ravel(_array(c.term, value, dt.dtype))
+        value = jnp.ravel(self.term(c.term, k, knot, ctrl)[0])
+        if c.knots is None:
+            return value
+        low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
+        return jnp.where(self.counts_at(c.knots, k), value, jnp.clip(value, low, high))
+
+    def counts_at(self, knots: tuple[int, ...], k: Any) -> jax.Array:
+        """Whether place k is at one of the knots, or at the end."""
+        counts = np.zeros(self.horizon + 1, bool)
+        counts[[*knots, self.horizon]] = True
+        at = jnp.floor(jnp.asarray(k) + 1e-6).astype(jnp.uint32)
+        return jax.lax.dynamic_index_in_dim(jnp.asarray(counts), at, keepdims=False)
 
     def rows(self, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
@@ -317,17 +340,6 @@ class Problem(Record):
     def constraints_at(self, where: str) -> list[Constraint]:
         """The constraints at "path" or "end"."""
         return [c for c in self.constraints if c.where in (where, "all")]
-
-
-def _array(term: Term, value: Any, dtype: Any) -> jax.Array:
-    """The value of a term."""
-    try:
-        return jnp.asarray(value, dtype)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"Problem: the term {term.label} returned {type(value).__name__}, expected a number or "
-            "a vector"
-        ) from error
 
 
 def _root(w: jax.Array) -> jax.Array:
@@ -381,10 +393,6 @@ def _times(free_time: Any) -> jax.Array:
             f"Problem: free_time is {free_time!r}, expected (low, high) with 0 < low < high"
         )
     return times
-
-
-def _start_time(start_time: Any) -> jax.Array:
-    return check_array("Problem", "start_time", start_time, (), fix=": a finite time in s")
 
 
 def _free(free_start: Any, n: int) -> tuple[bool, ...]:

@@ -1,20 +1,19 @@
 """Model predictive control: a new plan at every tick, and a fallback if that fails.
 
-At tick k with the state x_k the controls u_k .. u_{k+d-1} are already determined (d: ticks of
-delay, the duration of a computation). The state is predicted over them, and the plan begins there:
+At tick k the next d controls are determined already (d: ticks of delay, the duration of a
+computation). The state is predicted over them, and the plan begins there:
 
     x' = f(... f(f(x_k, u_k), u_{k+1}) ...),    (us, xs) = a few iterations from the plan before,
     shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    at that tick
 
-The feedback K corrects the error of the prediction (Diehl, Bock & Schloder 2005, the real-time
-iteration; Mayne et al. 2000). The multipliers and the penalty are kept from the plan before, so a
-few iterations satisfy the constraints. The status of a tick reports if the plan violates a
-constraint. A plan that is not finite, or whose constraints are infeasible, is rejected. Then the
-last plan is continued for at most `patience` ticks; after that a fallback policy acts.
+The multipliers and the penalty are kept from plan to plan. A plan that is not finite, or whose
+constraints are infeasible, is rejected. Then the last plan is continued for at most `patience`
+ticks; after that a fallback policy acts. Source: Diehl, Bock & Schloder 2005; Mayne et al. 2000.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -60,52 +59,36 @@ class PlannedControl(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """The memory of a controller.
+    """The memory of a controller: the last plan and its gains du = +K dx."""
 
-    knots (N + 1, ...), ctrls (N, nu), K (N, nu, n): the last plan and its gains du = +K dx.
-    multipliers: of the last plan; None for a method without multipliers.
-    pending: the controls of the ticks of delay; None without delay.
-    failures: (), the plans that failed in a row.
-    search_status: (), of the last search.
-    cost, violation: (), of the plan.
-    gap: (), the largest between a step of the plan and its next state; 0 without constraints.
-    """
-
-    knots: Knot
-    ctrls: jax.Array
-    K: jax.Array
-    multipliers: Multipliers | None
-    pending: PlannedControl | None
-    failures: jax.Array
-    search_status: jax.Array
-    cost: jax.Array
-    violation: jax.Array
-    gap: jax.Array
+    knots: Knot  # (N + 1, ...)
+    ctrls: jax.Array  # (N, nu)
+    K: jax.Array  # (N, nu, n)
+    multipliers: Multipliers | None  # of the last plan; None for a method without multipliers
+    pending: PlannedControl | None  # the controls of the ticks of delay; None without delay
+    failures: jax.Array  # (), the plans that failed in a row
+    search_status: jax.Array  # (), of the last search
+    cost: jax.Array  # (), of the plan
+    violation: jax.Array  # (), of the plan
+    gap: jax.Array  # (), the largest between a step and the next state; 0 without constraints
 
 
 class Run(NamedTuple):
-    """A closed loop of T ticks.
+    """A closed loop of T ticks."""
 
-    ts: (T + 1,) s.
-    states: with a leading axis T + 1.
-    ctrls: (T, nu).
-    statuses: (T,), a `TickStatus` each.
-    search_statuses: (T,), a `Status` each.
-    costs: (T,), of the plans.
-    """
-
-    ts: jax.Array
-    states: Any
-    ctrls: jax.Array
-    statuses: jax.Array
-    search_statuses: jax.Array
-    costs: jax.Array
+    ts: jax.Array  # (T + 1,) s
+    states: Any  # with a leading axis T + 1
+    ctrls: jax.Array  # (T, nu)
+    statuses: jax.Array  # (T,), a `TickStatus` each
+    search_statuses: jax.Array  # (T,), a `Status` each
+    costs: jax.Array  # (T,), of the plans
 
 
 HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class PredictiveController:
     """A model predictive controller, made by `mpc`.
 
@@ -114,16 +97,17 @@ class PredictiveController:
     for `rb.rollout`, and `rb.control.RealTime` is a callable with a clock.
     """
 
-    def __init__(
-        self, problem_at: Callable[[Any], Problem], example: Problem, method: str, iterations: int,
-        delay: int, feedback: bool, patience: int, fallback: Callable[[Any, Any], Any],
-        tolerance: float, violation: float, first: int,
-    ) -> None:  # fmt: skip
-        self.problem_at = problem_at
-        self.problem = example
-        self.method, self.iterations, self.delay = method, iterations, delay
-        self.feedback, self.patience, self.fallback = feedback, patience, fallback
-        self.tolerance, self.violation, self.first = tolerance, violation, first
+    problem_at: Callable[[Any], Problem]
+    problem: Problem
+    method: str
+    iterations: int
+    delay: int
+    feedback: bool
+    patience: int
+    fallback: Callable[[Any, Any], Any]
+    tolerance: float
+    violation: float
+    first: int
 
     @property
     def dt(self) -> jax.Array:
@@ -297,7 +281,7 @@ class PredictiveController:
         return PlannedControl(memory.ctrls[k], memory.K[k], state, status)
 
     def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:
-        """The control of a tick: the planned one with feedback, or that of the fallback."""
+        """The control of a tick: planned with feedback, or from the fallback."""
         u = entry.u
         if self.feedback:
             back = product(entry.K, problem.system.minus(state, entry.state))

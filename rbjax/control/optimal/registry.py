@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from rbjax.control.optimal.collocation.collocation import solve_collocation
 from rbjax.control.optimal.shooting.ddp import solve_ddp
-from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
+from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling, solve_sampling
 from rbjax.control.optimal.shooting.single_shooting import (
     adam_search,
     bfgs_search,
@@ -64,18 +64,18 @@ METHODS: dict[str, Method] = {
         "the same with second derivatives of the dynamics: the fewest iterations; for small robots",
     ),
     "predictive": Method(
-        Sampling("predictive"), True, False,
+        functools.partial(solve_sampling, Sampling("predictive")), True, False,
         "the best of many random motions, again and again: needs no derivative; the simplest start "
         "for another method",
         False,
     ),
     "mppi": Method(
-        Sampling("mppi"), True, False,
+        functools.partial(solve_sampling, Sampling("mppi")), True, False,
         "random motions weighed by their costs: needs no derivative, smoother than predictive",
         False,
     ),
     "cross_entropy": Method(
-        Sampling("cross_entropy"), True, False,
+        functools.partial(solve_sampling, Sampling("cross_entropy")), True, False,
         "random motions drawn ever closer to the best tenth: needs no derivative; finds its way "
         "where ddp is stuck, ends at a few digits",
         False,
@@ -132,7 +132,8 @@ def method_of(method: Any) -> Method:
         return method
     if isinstance(method, (Sampling, SampledStart)):
         exact = isinstance(method, SampledStart)
-        return Method(method, True, exact, "with the parameters of the caller", exact)
+        run = method if exact else functools.partial(solve_sampling, method)
+        return Method(run, True, exact, "with the parameters of the caller", exact)
     if method not in METHODS:
         raise UnknownName("method of rb.control", method, METHODS)
     return METHODS[method]

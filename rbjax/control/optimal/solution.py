@@ -17,32 +17,21 @@ from rbjax.model.record import Record
 
 
 class StoppingRule(NamedTuple):
-    """When a search ends; each ().
+    """When a search ends. Each field is ()."""
 
-    tolerance: of the expected decrease of the cost, relative to the larger of |cost| and scale.
-    violation: of constraints.
-    iterations: at most.
-    scale: None: min(|cost of the first guess|, 1).
-    """
-
-    tolerance: jax.Array
-    violation: jax.Array
-    iterations: jax.Array
-    scale: jax.Array | None = None
+    tolerance: jax.Array  # of the expected decrease of the cost, relative to max(|cost|, scale)
+    violation: jax.Array  # of constraints
+    iterations: jax.Array  # at most
+    scale: jax.Array | None = None  # None: min(|cost of the first guess|, 1)
 
 
 class Options(Record):
-    """Options of every method.
+    """Options of every method. report is called with (iterations, cost, violation) after each
+    iteration."""
 
-    rule: when the search ends.
-    seed: of random numbers.
-    multipliers: of the constraints at the beginning; None for zeros.
-    report: called with (iterations, cost, violation) after each iteration; None for no call.
-    """
-
-    rule: StoppingRule
-    seed: jax.Array | int = 0
-    multipliers: Any = None
+    rule: StoppingRule  # when the search ends
+    seed: jax.Array | int = 0  # of random numbers
+    multipliers: Any = None  # of the constraints at the beginning; None for zeros
     report: Callable[[Any, Any, Any], None] | None = eqx.field(static=True, default=None)
 
 
@@ -56,38 +45,23 @@ class StageValues(NamedTuple):
 
 
 class SearchResult(NamedTuple):
-    """The result of a method, without the problem: a value that a program can return.
+    """The result of a method, without the problem: a value that a program can return."""
 
-    knots (N + 1, ...), ctrls (N, m): the motion.
-    cost: (), without penalties.
-    status: (), of `rbjax.control.status`.
-    iterations: ().
-    expected_decrease: (), of the cost, by the last step.
-    gap: (), the largest between a step and the next state.
-    violation: (), the largest of a constraint.
-    costs: (history,) of the iterations, nan after the last.
-    K: (N, m, n), gains of du = +K dx.
-    path, end: multipliers of the constraints, (N, c) and (e,).
-    stages: of a collocation.
-    violations: of each constraint, from methods whose controls change within a step.
-    penalty: () of the augmented Lagrangian; None for methods without one.
-    """
-
-    knots: Knot
-    ctrls: jax.Array
-    cost: jax.Array
-    status: jax.Array
-    iterations: jax.Array
-    expected_decrease: jax.Array
-    gap: jax.Array
-    violation: jax.Array
-    costs: jax.Array
-    K: jax.Array
-    path: jax.Array
-    end: jax.Array
-    stages: StageValues | None = None
-    violations: jax.Array | None = None
-    penalty: jax.Array | None = None
+    knots: Knot  # (N + 1, ...)
+    ctrls: jax.Array  # (N, m)
+    cost: jax.Array  # (), without penalties
+    status: jax.Array  # (), of `rbjax.control.status`
+    iterations: jax.Array  # ()
+    expected_decrease: jax.Array  # (), of the cost, by the last step
+    gap: jax.Array  # (), the largest between a step and the next state
+    violation: jax.Array  # (), the largest of a constraint
+    costs: jax.Array  # (history,) of the iterations, nan after the last
+    K: jax.Array  # (N, m, n), gains of du = +K dx
+    path: jax.Array  # multipliers of the constraints (N, c)
+    end: jax.Array  # (e,)
+    stages: StageValues | None = None  # of a collocation
+    violations: jax.Array | None = None  # of each constraint, at the stages of a collocation
+    penalty: jax.Array | None = None  # () of the augmented Lagrangian; None for methods without one
 
 
 class Solution(Record):
@@ -134,7 +108,7 @@ class Solution(Record):
 
     @property
     def success(self) -> jax.Array:
-        """Whether the search converged to an optimum. Methods without derivatives cannot know."""
+        """Whether the search converged to an optimum. It is false for sampling methods."""
         return self.status == CONVERGED
 
     def summary(self) -> str:

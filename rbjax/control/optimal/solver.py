@@ -7,7 +7,6 @@ of a form are constants, and those of later ones are arguments (`ConstantRobots`
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Hashable
 from typing import Any
 
@@ -181,13 +180,13 @@ def solve(
     for name, value in (("tolerance", tolerance), ("violation", violation)):
         real_number("solve", name, value, least=0.0, finite=False, traced=True)
     for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
-                        ("numbers", parameters)):  # fmt: skip
+                        ("parameters", parameters)):  # fmt: skip
         _check_finite(name, value)
     if not isinstance(seed, jax.core.Tracer):
         _check_seed(seed)
     inside = inside_jit()
     show = progress and not inside
-    number = jnp.asarray if inside else _plain
+    number = jnp.asarray if inside else _as_number
     began = guess_of(problem, guess, states, ctrls, parameters)
     rule = StoppingRule(number(tolerance), number(violation), number(iterations))
     options = Options(
@@ -265,7 +264,7 @@ def _report(iterations: Any, cost: Any, violation: Any) -> None:
 _robots = ConstantRobots()
 
 
-def _plain(x: Any) -> Any:
+def _as_number(x: Any) -> Any:
     """A number that a program may be given as it is."""
     return x if isinstance(x, int | float) else jnp.asarray(x)
 
@@ -281,21 +280,25 @@ def _solve(
     problem = jax.tree.unflatten(tree, [x for part in parts for x in part])
     start = problem.system.checked("solve", start)
     knots, ctrls = first_guess(problem, start, *guess[:4])
-    found, off = _judged(problem, start, knots, ctrls, options, method, history)
+    found, off = _search(problem, start, knots, ctrls, options, method, history)
     parameters = found.knots.parameters[0]
     ks = jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
     ts = problem.time(ks, problem.at(parameters)[1])
     return found, off, ts, parameters
 
 
-def _judged(
+def _search(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, method: Any,
     history: int,
 ) -> tuple[SearchResult, jax.Array]:  # fmt: skip
     """The result of a method, its status corrected by violated constraints and values not
     finite."""
-    search = functools.partial(_searched, method, history)
-    if method_of(method).differentiable:
+    used = method_of(method)
+
+    def search(*given: Any) -> SearchResult:
+        return used.solve(*given, history)
+
+    if used.differentiable:
         found = differentiable(search, problem, start, knots, ctrls, options)
     else:
         found = _without_derivative(search(problem, start, knots, ctrls, options))
@@ -323,10 +326,6 @@ def _refuse(primals: Any, tangents: Any) -> Any:
         f"solve: the optimum of this method has no derivative; those of {able} have: solve again "
         "by one of them, from the states and controls found"
     )
-
-
-def _searched(method: Any, history: int, *given: Any) -> SearchResult:
-    return method_of(method).solve(*given, history)
 
 
 _compiled = compiled(_solve, static_argnames=("key", "method", "history"))

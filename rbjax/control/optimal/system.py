@@ -23,8 +23,8 @@ from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.field import Field, dynamics_of, free_motion
-from rbjax.motion.integrators import advanced, integrator_of, semi_implicit_euler
-from rbjax.motion.linearise import box_minus, box_plus, euler_linearised
+from rbjax.motion.integrators import advance_state, integrator_of, semi_implicit_euler
+from rbjax.motion.linearise import box_minus, box_plus, linearise_euler_step
 
 
 class Linearised(NamedTuple):
@@ -43,7 +43,7 @@ class System(Record):
 
     @property
     def model(self) -> Any:
-        """What costs are given as `model`."""
+        """The `model` argument of costs and constraints."""
         return self
 
     def with_model(self, model: Any) -> System:
@@ -84,7 +84,7 @@ class System(Record):
         raise NotImplementedError(f"{type(self).__name__} has no method example")
 
     def step(self, t: Any, state: Any, ctrl: jax.Array, dt: Any) -> Any:
-        """The state after dt, the controls held."""
+        """The state after dt under constant controls."""
         raise NotImplementedError(f"{type(self).__name__} has no method step")
 
     def plus(self, state: Any, dx: jax.Array) -> Any:
@@ -180,7 +180,7 @@ class Robot(System):
 
     def step(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> State:
         field = Field(self.robot, self.dynamics, dt)
-        return advanced(self.integrator, field, t, state, Inputs(ctrl), dt)
+        return advance_state(self.integrator, field, t, state, Inputs(ctrl), dt)
 
     def rates(self, t: Any, base: State, dx: jax.Array, ctrl: jax.Array) -> jax.Array:
         field = Field(self.robot, self.dynamics)
@@ -197,7 +197,7 @@ class Robot(System):
 
     def linear(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> Linearised:
         if self.integrator is semi_implicit_euler and self.dynamics is free_motion:
-            found = euler_linearised(self.robot, t, state, Inputs(ctrl), dt)
+            found = linearise_euler_step(self.robot, t, state, Inputs(ctrl), dt)
             if found is not None:
                 return Linearised(*found)
         return super().linear(t, state, ctrl, dt)

@@ -20,14 +20,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.control.optimal.system import as_system
+from rbjax.dynamics.algorithms.aba import forward_dynamics
 from rbjax.dynamics.algorithms.energy import center_of_mass
-from rbjax.dynamics.algorithms.forward import forward_dynamics
 from rbjax.dynamics.algorithms.frames import frame_pose, frame_velocity
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
-from rbjax.kinematics.arguments import check_bound, check_rotation, known_array
+from rbjax.kinematics.arguments import check_bound, check_rotation, check_several, known_array
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.linearise import box_minus, box_plus
@@ -65,14 +66,18 @@ class Given(Term):
 class Cost(Record):
     """A term with its weight.
 
-    Fields: term; weight, () or (m,) of residuals, not negative; () of a number.
+    Fields: term; weight, () or (m,) of residuals, not negative; () of a number; knots, the indices
+    of the knots at which a running cost counts, all if None. In a collocation the stages from a
+    knot up to the next belong to it.
     """
 
     term: Term
     weight: jax.Array
+    knots: tuple[int, ...] | None = eqx.field(static=True)
 
-    def __init__(self, term: Any, weight: Any = 1.0) -> None:
+    def __init__(self, term: Any, weight: Any = 1.0, knots: Any = None) -> None:
         self.term = term_of("Cost", term)
+        self.knots = knot_indices_of(f"Cost({self.term.label})", knots)
         self.weight = check_bound(f"Cost({self.term.label})", "weight", weight)
         known = known_array(self.weight)
         if known is not None and ((known < 0).any() or not np.isfinite(known).all()):
@@ -86,7 +91,8 @@ class Constraint(Record):
     """low <= term <= high; an equation where both are equal.
 
     Fields: term; low and high, () or as the term, infinite without a bound; where: at which
-    knots: "path" (those with controls), "end" or "all"; name.
+    knots: "path" (the knots with controls), "end" or "all"; name; knots, the indices of the knots
+    of the path at which it counts, all if None.
     """
 
     term: Term
@@ -94,16 +100,18 @@ class Constraint(Record):
     high: jax.Array
     where: str = eqx.field(static=True)
     name: str = eqx.field(static=True)
+    knots: tuple[int, ...] | None = eqx.field(static=True)
 
     def __init__(
         self, term: Any, low: Any = 0.0, high: Any = 0.0, where: str = "path",
-        name: str | None = None,
+        name: str | None = None, knots: Any = None,
     ) -> None:  # fmt: skip
         self.term = term_of("Constraint", term)
         self.name = self.term.label if name is None else name
         if not isinstance(self.name, str):
             raise InputError(f"Constraint: name is {name!r}, expected a string")
         here = f"Constraint({self.name})"
+        self.knots = knot_indices_of(here, knots)
         self.low, self.high = check_bound(here, "low", low), check_bound(here, "high", high)
         self.where = where
         if where not in ("path", "end", "all"):
@@ -142,6 +150,14 @@ def term_of(where: str, f: Any) -> Term:
             "(model, t, state, ctrl)"
         )
     return Given(f, count == 4, _name(f))
+
+
+def knot_indices_of(where: str, knots: Any) -> tuple[int, ...] | None:
+    """Indices of knots as integers; None for all."""
+    if knots is None:
+        return None
+    given = check_several(where, "knots", knots, "indices of knots")
+    return tuple(integer(where, "an entry of knots", k, least=0) for k in given)
 
 
 def cost_of(where: str, given: Any) -> Cost:
@@ -193,7 +209,7 @@ class Velocity(Term):
 
 
 class Configuration(Term):
-    """q (nq,): what the limits of hinges and slides bound."""
+    """q (nq,), for the limits of hinges and slides."""
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         return state.q
@@ -329,31 +345,30 @@ def at_time(where: str, reference: Any, t: Any) -> Any:
 
 
 def check_target(where: str, name: str, value: Any, shape: tuple[int, ...] | None) -> None:
-    """Reject a reference that is neither a function of t nor arrays with these last axes."""
+    """`InputError` unless a reference is a function of t, or arrays, finite if known, whose last
+    axes have a shape (None: any). Leading axes are a batch."""
     if callable(value):
         check_takes(where, f"the {name}", value, "t")
         return
-    for x in jax.tree.leaves(value) if shape is None else [value]:
-        if not isinstance(x, jax.ShapeDtypeStruct):
-            check_reference(where, name, x, shape)
-
-
-def check_reference(where: str, name: str, value: Any, shape: tuple[int, ...] | None) -> None:
-    """`InputError` unless value is an array, finite if known, whose last axes have a shape (None:
-    any). Leading axes are those of a batch."""
-    try:
-        x = jnp.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{where}: {name} is {type(value).__name__}, expected numbers or a function of t"
-        ) from error
-    if shape is not None and x.shape[max(0, x.ndim - len(shape)) :] != shape:
-        raise InputError(
-            f"{where}: {name} has shape {x.shape}, expected {shape} or a function of t"
-        )
-    known = known_array(x)
-    if known is not None and not np.isfinite(known).all():
-        raise InputError(f"{where}: {name} has numbers that are not finite, expected finite ones")
+    for given in jax.tree.leaves(value) if shape is None else [value]:
+        if isinstance(given, jax.ShapeDtypeStruct):
+            continue
+        try:
+            x = jnp.asarray(given)
+        except (TypeError, ValueError) as error:
+            got = type(given).__name__
+            raise InputError(
+                f"{where}: {name} is {got}, expected numbers or a function of t"
+            ) from error
+        if shape is not None and x.shape[max(0, x.ndim - len(shape)) :] != shape:
+            raise InputError(
+                f"{where}: {name} has shape {x.shape}, expected {shape} or a function of t"
+            )
+        known = known_array(x)
+        if known is not None and not np.isfinite(known).all():
+            raise InputError(
+                f"{where}: {name} has numbers that are not finite, expected finite ones"
+            )
 
 
 def check_frame(where: str, site: Any, body: Any) -> None:

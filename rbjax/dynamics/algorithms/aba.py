@@ -7,6 +7,12 @@ then not needed (Luh, Walker & Paul 1980), and forces still add as spatial force
     inward    U = I_A S;  D = S.U + armature;  u = tau - S.p_A
               to the parent: X^T (I_A - U U^T / D),  X^T (p_A + I_a c + U u / D)
     outward   a' = X(a_p) + c;  qdd = (u - U.a') / D;  a = a' + S qdd
+
+The derivative does not differentiate ABA. With a = FD(q, v, tau), ID(q, v, a) = tau gives
+
+    da = M^-1 (dtau - dID(q, v, a)),
+
+one tangent of RNEA and one solve with the factors of ABA (Carpentier & Mansard 2018).
 """
 
 from __future__ import annotations
@@ -15,14 +21,22 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.dynamics.algorithms.kinematics import velocity_bias
-from rbjax.dynamics.algorithms.link_forces import LinkForces, per_link
-from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.algorithms.rnea import LinkForces, per_link, rnea, wrenches_to_links
+from rbjax.dynamics.drivers.choice import Driver, driver
+from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.dynamics.tracing.custom_rules import (
+    jax_arrays,
+    split_tracers,
+    with_implicit_jvp,
+)
 from rbjax.errors import ModelError
-from rbjax.lanes import Lane, Sym3, Vec3, add, is_zero, mul, sub
-from rbjax.model import LinkConstants
-from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
+from rbjax.lanes import Lane, Sym3, Vec3, add, batch_first, is_zero, mul, sub
+from rbjax.model import LinkConstants, Model, with_constants
+from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 
 class VelocityStep(NamedTuple):
@@ -42,15 +56,10 @@ class Factor(NamedTuple):
     inverse_D: Lane
 
 
-def bias_force(inertia: RigidInertia, w: Vec3) -> Force:
-    """p = [w x J w; w x (w x h)], the force that rotation at constant w needs."""
-    return Force(w.cross(inertia.J @ w), w.cross(w.cross(inertia.h)))
-
-
 def eliminate(
     link: LinkConstants, S: Motion, X: Transform, I_A: ArticulatedInertia
 ) -> tuple[ArticulatedInertia, Factor]:
-    """Eliminate the joint: its factor, and the remaining inertia across it."""
+    """Eliminate the joint: return the remaining inertia across it, and its factor."""
     U = I_A(S)
     D = add(S.dot(U), link.armature)
     if is_zero(D):
@@ -65,8 +74,8 @@ def eliminate(
 def to_parent(
     X: Transform, I_a: ArticulatedInertia, factor: Factor, mass: Lane | None
 ) -> ArticulatedInertia:
-    """X^T I_a X. For a rigid link on a hinge, M = m 1 - U U^T / D (linear parts): m, given as
-    `mass`, needs no rotation, and the rank-one term is rotated as a vector."""
+    """X^T I_a X. For a rigid link of mass m on a hinge, M = m 1 - U U^T / D (linear parts): m needs
+    no rotation, and the rank-one term is rotated as a vector."""
     if mass is None:
         return X.articulated_to_parent(I_a)
     U = X.R @ factor.U.lin
@@ -76,7 +85,7 @@ def to_parent(
 
 
 def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -> Lane | None:
-    """The mass of a link that has no children and a hinge; else None."""
+    """The mass of a link that has a hinge and no children; None for others."""
     tip = all(is_zero(x) for x in jax.tree.leaves((I_children, S.lin)))
     return link.inertia.m if tip else None
 
@@ -84,8 +93,7 @@ def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -
 def aba(
     d: Driver, joints: Any, tau: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> tuple[Any, Any]:
-    """Accelerations per link, and the factors of the mass matrix. `f_ext`: external forces on
-    links."""
+    """Accelerations per link, and the factors of the mass matrix."""
 
     def outward(x, w_parent):
         link, joint, *_ = x
@@ -95,7 +103,7 @@ def aba(
 
     def inward(x, message):
         (link, joint, tau, push), motion = x
-        p_A = bias_force(link.inertia, motion.w) - push + message[1]
+        p_A = link.inertia.bias_force(motion.w) - push + message[1]
         I_a, factor = eliminate(link, joint.S, motion.X, link.inertia.articulated() + message[0])
         u = sub(tau, joint.S.dot(p_A))
         p_a = p_A + I_a(motion.c) + factor.U * mul(u, factor.inverse_D)
@@ -117,8 +125,7 @@ def aba(
 
 
 def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
-    """The factors of the mass matrix, from articulated inertias only. `extra`: added to its
-    diagonal, per link."""
+    """The factors of the mass matrix plus a diagonal `extra` (per link), without velocities."""
 
     def inward(x, I_children):
         link, joint, *more = x
@@ -133,8 +140,8 @@ def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
 
 
 def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
-    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau. `again`: the
-    factors that the way out reads, where it shall not be handed those of the way in."""
+    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau. `again`: a
+    second copy of the factors for the outward sweep, to save registers."""
     ys = eliminated(d, factors, tau)
     if again is not None:
         ys = d.zip(again, d.part(ys, 1))
@@ -142,7 +149,8 @@ def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
 
 
 def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
-    """The way in: (factor, u) per link, u the force that is left at its joint."""
+    """The inward sweep of `solve`: (factor, u) per link, with u the joint force that remains after
+    the elimination of the subtree."""
 
     def inward(x, p_A):
         factor, tau = x
@@ -153,7 +161,7 @@ def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
 
 
 def accelerated(d: Driver, left: Any) -> Any:
-    """The way out: accelerations per link, of (factor, u) per link."""
+    """The outward sweep of `solve`: accelerations per link, from (factor, u) per link."""
 
     def outward(x, a_parent):
         factor, u = x
@@ -162,3 +170,101 @@ def accelerated(d: Driver, left: Any) -> Any:
         return a + factor.S * qdd, qdd
 
     return d.outward(outward, Motion.zero(), left)
+
+
+#: the names of values that a derivative may store instead of recomputing them
+LEFT = ("acceleration", "factors")
+
+
+def _left(a: jax.Array, factors: Any) -> tuple[jax.Array, Any]:
+    """Name the acceleration and the factors. Transforms and axes are cheap to recompute."""
+
+    def named(f: Factor) -> Factor:
+        U, inverse_D = jax.tree.map(
+            lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x,
+            (f.U, f.inverse_D),
+        )
+        return f._replace(U=U, inverse_D=inverse_D)
+
+    named_factors = jax.tree.map(named, factors, is_leaf=lambda x: isinstance(x, Factor))
+    return checkpoint_name(a, "acceleration"), named_factors
+
+
+def acceleration(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    tau: jax.Array,
+    f_ext: LinkForces | None = None,
+) -> jax.Array:
+    """a = M^-1 (tau - b + sum of J_i^T f_i) on checked arrays (nv, ...), with the derivative above.
+
+    Leaves of the model and lanes of f_ext that are known while tracing are not arguments of the
+    custom derivative, so they stay known.
+    """
+    given, rebuilt = split_tracers((model, f_ext))
+
+    def plain(*at):
+        changed, q, v, tau = at
+        model, f_ext = rebuilt(changed)
+        d = driver(model, q.dtype)
+        qdd, _ = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, f_ext)
+        return batch_first((d.pack(qdd, tau),), at)
+
+    def solved(changed, q, v, tau):
+        model, f_ext = rebuilt(changed)
+        d = driver(model, q.dtype)
+        qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, f_ext)
+        a, factors = _left(d.pack(qdd, tau), factors)
+        return (a,), [lambda change: d.pack(solve(d, factors, d.lanes(change)), tau)]
+
+    def residual(changed, q, v, tau, a):
+        model, f_ext = rebuilt(changed)
+        d = driver(model, q.dtype)
+        forces = rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, f_ext)
+        return tau - d.pack(forces, tau)
+
+    return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))[0]
+
+
+@algorithm("q", "v", "tau", "wrenches", long=True)
+def forward_dynamics(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, wrenches: jax.Array | None = None
+) -> jax.Array:
+    """Compute the acceleration of the bodies only: no actuators, force elements or constraints.
+
+    a = M^-1 (tau - b + sum_b J_b^T w_b). `rb.acceleration` has everything in the model,
+    `rbjax.constraints.constrained_dynamics` the bodies and the constraints.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        tau: (nv,) all applied generalized forces; `applied_forces` gives those of the model.
+        wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
+
+    Returns:
+        (nv,) the rate of v; not finite where the mass matrix is singular, as with a joint that
+        moves no mass.
+
+    Raises:
+        InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
+        ModelError: a joint moves no mass, and this is known while tracing.
+
+    Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 7 (ABA).
+
+    Example:
+        >>> import rbjax as rb, jax
+        >>> model = rb.load("arm7")
+        >>> state = model.random_state(jax.random.key(0))
+        >>> rb.forward_dynamics(model, state.q, state.v, 0 * state.v).shape
+        (7,)
+    """
+    if not model.nv:
+        return jnp.zeros(0, q.dtype)
+    model = with_constants(model, q.dtype)  # all samples share them: outside of the derivative rule
+    f_ext = None
+    if wrenches is not None:
+        d = driver(model, q.dtype)
+        f_ext = wrenches_to_links(d, d.joints(q, None), wrenches)
+    return acceleration(model, q, v, tau, f_ext)

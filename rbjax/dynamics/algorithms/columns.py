@@ -16,10 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiler import side_by_side, threaded
+from rbjax.compiler import compile_threads, map_threads
 from rbjax.dynamics.algorithms.aba import Factor, aba, factorize, solve
-from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
-from rbjax.dynamics.algorithms.operands import inverse_pairs, operands
+from rbjax.dynamics.algorithms.composites import inverse_pairs, link_axes, operands, tree_poses
 from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.pairs import pair_column, which_moves
 from rbjax.dynamics.drivers.unrolled import Unrolled
@@ -51,7 +50,7 @@ def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.
 
 
 def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-    """a, 1 / D and U of each link, in its own axes, as an array (8, nv)."""
+    """a, 1 / D and U of each link in its own axes, as an array (8, nv)."""
     d = driver(model, q.dtype)
     a, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
     _, _, U, inverse_D = d.unzip(factors, 4)
@@ -75,8 +74,8 @@ def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> 
 
 
 def inverse_mass_rows(model: Model, q: jax.Array) -> jax.Array:
-    """X, U and 1 / D of each link, in its own axes, where f32 keeps more digits, as (19, nv). If
-    the axes depend on q, S follows below."""
+    """X, U and 1 / D of each link in its own axes, where f32 keeps more digits, as (19, nv); then
+    S, if the axes depend on q."""
     d = driver(model, q.dtype)
     X, S, U, inverse_D = d.unzip(factorize(d, d.joints(q, None)), 4)
     moving = () if model.topology.constant_axes else (S,)
@@ -122,7 +121,7 @@ def forward_by_columns(
 ) -> tuple[jax.Array, ...]:
     """`forward_dynamics_derivatives` as three kernels."""
     model = on_threads(model, q.dtype)
-    found = threaded(lambda *x: accelerations(model, *x))(*batch_last((q, v, tau)))
+    found = compile_threads(lambda *x: accelerations(model, *x))(*batch_last((q, v, tau)))
     rows = _kernel(lambda *x: forward_rows(model, *x), q, v, found)
     return forward_columns(model, rows)
 
@@ -168,12 +167,12 @@ def inverse_mass_by_columns(model: Model, q: jax.Array) -> jax.Array:
         unit = _unit(model, j, q)
         return [_solved(model, factors(inward), factors(outward), unit)]
 
-    return side_by_side(column, [_numbers(model)], [0])[0]
+    return map_threads(column, [_numbers(model)], [0])[0]
 
 
 def _kernel(f: Callable, *args: jax.Array) -> jax.Array:
-    """f(*args) of one sample, as a kernel whose results have the batch first."""
-    return batch_first(threaded(f)(*args))
+    """Run f(*args) of one sample as a kernel whose results have the batch first."""
+    return batch_first(compile_threads(f)(*args))
 
 
 def _by_column(model: Model, rows: jax.Array, column: Callable) -> list[jax.Array]:
@@ -185,7 +184,7 @@ def _by_column(model: Model, rows: jax.Array, column: Callable) -> list[jax.Arra
 
     # numbers that the threads of a sample read at the same time lie side by side
     places = jnp.asarray(which_moves(model.topology).T)
-    return side_by_side(of_link, [rows, places, _numbers(model)], [0, 1, 0])
+    return map_threads(of_link, [rows, places, _numbers(model)], [0, 1, 0])
 
 
 def _numbers(model: Model) -> jax.Array:
@@ -199,8 +198,7 @@ def _unit(model: Model, j: jax.Array, like: jax.Array) -> jax.Array:
 def _entries(
     rows: jax.Array, own: jax.Array, places: jax.Array, start: int, count: int
 ) -> list[list[Lane]]:
-    """The entries of one column of that many matrices, link by link. A link uses what it reads
-    before the next one reads."""
+    """The entries of one column of `count` matrices, link by link."""
     out: list[list[Lane]] = []
     for row in rows:
         S, below = _lanes(row, AXIS), _lanes(row, slice(start, start + BELOW))
@@ -227,7 +225,7 @@ def _factors(rows: jax.Array) -> list[Factor]:
 
 
 def _solved(model: Model, inward: list, outward: list, x: jax.Array) -> jax.Array:
-    """M^-1 x of columns (nv, ...). The factors are passed twice, so that the outward sweep reads
-    them again instead of keeping them in registers."""
+    """Compute M^-1 x for columns x (nv, ...). A second copy of the factors for the outward sweep
+    saves registers."""
     d = Unrolled(model, None)
     return d.pack(solve(d, inward, d.lanes(x), outward), x)

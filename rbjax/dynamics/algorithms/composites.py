@@ -1,17 +1,28 @@
-"""Links in world axes, and sums over the links that each of them carries.
+"""Links in world axes, sums over subtrees, and the factors of the derivatives of RNEA.
 
-The origin of each tree is that of its first link, so that f32 keeps its digits.
+The origin of each tree is that of its first link, so that f32 keeps its digits. With V and A the
+twist and spatial acceleration of the link that carries joint j, a tangent dq_j moves the subtree of
+j as one rigid body. So for each body k of the subtree (Singh, Russell & Wensing 2022)
+
+    df_k / dq_j = S_j x* f_k + I_k Psi''_j + 2 B_k Psi'_j,     Psi'_j = V x S_j
+    df_k / dv_j = I_k (Psi'_j + S_j') + 2 B_k S_j,             Psi''_j = A x S_j + V x Psi'_j
+
+with B of `Coriolis`. Sums of these over a subtree are composites, and an entry (i, j) is a product
+with S_i: O(n) for the composites, and O(depth) a column. If j moves i, the rotations of f and of
+S_i cancel.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 
 from rbjax.dynamics.algorithms.kinematics import POSE, sweep
 from rbjax.dynamics.drivers.choice import Driver
-from rbjax.lanes import Mat3, Sym3, Vec3, add, mul, total
+from rbjax.lanes import Lane, Mat3, Sym3, Vec3, add, mul, total
+from rbjax.model import Topology
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
@@ -28,12 +39,12 @@ def link_axes(d: Driver, poses: Any, joints: Any) -> Any:
 
 
 def axis_rates(d: Driver, V: Any, S: Any, poses: Any, joints: Any) -> Any:
-    """S' of each link in world axes."""
-    moved = d.each(Motion.cross, turning(d, V), S)
+    """The rate S' of each axis, in world axes."""
+    rates = d.each(Motion.cross, axis_twists(d, V), S)
     if d.topology.constant_axes:
-        return moved
+        return rates
     own = d.whole(d.axes(joints)[1])
-    return d.each(lambda moved, pose, own: moved + pose.motion_to_parent(own), moved, poses, own)
+    return d.each(lambda rate, pose, own: rate + pose.motion_to_parent(own), rates, poses, own)
 
 
 def link_twists(d: Driver, S: Any, v: jax.Array) -> Any:
@@ -47,14 +58,14 @@ def link_twists(d: Driver, S: Any, v: jax.Array) -> Any:
     return d.whole(d.outward(step, Motion.zero(), d.zip(d.rows(S), d.lanes(v))))
 
 
-def turning(d: Driver, V: Any) -> Any:
-    """The twist T with S' = T x S of each link's axis. It is the twist of the link itself. For the
-    three links of a ball it is that of the last, because their axes are fixed in the body."""
-    return d.take(V, [link.node[-1] for link in d.topology.dofs])
+def axis_twists(d: Driver, V: Any) -> Any:
+    """The twist T of each axis, S' = T x S: that of the link. The axes of a ball are fixed in the
+    body, so theirs is the twist of the last link."""
+    return d.take(V, [dof.node[-1] for dof in d.topology.dofs])
 
 
 def link_inertias(d: Driver, poses: Any) -> Any:
-    """Each link's own inertia in world axes."""
+    """Each link's inertia in world axes."""
     return d.each(
         lambda pose, link: pose.rigid_to_parent(link.inertia), poses, d.whole(d.constants)
     )
@@ -74,15 +85,15 @@ class Coriolis(NamedTuple):
         """K = [w] (J - tr(J) / 2) + (h . u) 1 - u h^T, where V = [w; u]."""
         w, u, h, (*diagonal, xy, xz, yz) = V.ang, V.lin, inertia.h, inertia.J
         half = mul(-0.5, total(diagonal))
-        turning = Mat3.skew(w) @ Sym3(*(add(x, half) for x in diagonal), xy, xz, yz)
+        angular = Mat3.skew(w) @ Sym3(*(add(x, half) for x in diagonal), xy, xz, yz)
         xx, yy, zz = (mul(a, b) for a, b in zip(u, h, strict=True))
         (ux, uy, uz), (hx, hy, hz) = -u, h
-        sliding = Mat3(
+        linear = Mat3(
             add(yy, zz), mul(ux, hy), mul(ux, hz),
             mul(uy, hx), add(xx, zz), mul(uy, hz),
             mul(uz, hx), mul(uz, hy), add(xx, yy),
         )  # fmt: skip
-        return cls(turning + sliding, u * inertia.m - h.cross(w))
+        return cls(angular + linear, u * inertia.m - h.cross(w))
 
     @classmethod
     def zero(cls) -> Coriolis:
@@ -97,11 +108,88 @@ class Coriolis(NamedTuple):
         return self.K.T @ S.ang + self.f.cross(S.lin)
 
 
-def carried(d: Driver, values: Any, zero: Any) -> Any:
-    """For each link, the sum of the values of all links that it carries, itself included."""
+def subtree_sums(d: Driver, values: Any, zero: Any) -> Any:
+    """The sum over the subtree of each link, itself included."""
 
     def step(own, children):
         total = jax.tree.map(add, own, children)
         return total, total
 
     return d.whole(d.inward(step, zero, d.rows(values)))
+
+
+class Operands(NamedTuple):
+    """The factors of `pair_matrix` for each link. Entry (i, j) is the row of link i times a column
+    of link j if j moves i, else the axis of i times a force of j."""
+
+    force_q: Force
+    force_v: Force
+    force_a: Force
+    row: tuple[Lane, ...]
+    column_q: tuple[Lane, ...]
+    column_v: tuple[Lane, ...]
+
+
+def operands(
+    d: Driver, poses: Any, S: Any, v: jax.Array, a: Any, select: Callable | None = None, *given: Any
+) -> Any:
+    """`Operands` per link at the accelerations `a`; or select(pose, S, operands, *given) of each
+    link."""
+    V = link_twists(d, S, v)
+    base = Motion(Vec3.zero(), -d.prepared.gravity)
+    before = [_before(d.topology, i) for i in range(d.topology.nv)]
+    V_before, T = d.take(V, before, Motion.zero()), axis_twists(d, V)
+    no_balls = T is V_before
+
+    def accelerate(x, A_parent):
+        S, V_before, speed, qdd = x
+        A = A_parent + S * qdd + V_before.cross(S) * speed
+        return A, A
+
+    A = d.whole(d.outward(accelerate, base, d.zip(d.rows(S), d.rows(V_before), d.lanes(v), a)))
+    A_before = d.take(A, before, base)
+
+    def gather(x, children):
+        link, (pose, S, V, A, T, V_before, A_before), *more = x
+        inertia = pose.rigid_to_parent(link.inertia)
+        own = inertia, (B := Coriolis.of(inertia, V)), inertia(A) + B(V.ang)
+        inertia, B, force = composite = jax.tree.map(add, own, children)
+        Psi_d = V_before.cross(S)
+        Psi_dd = A_before.cross(S) + V_before.cross(Psi_d)
+        with_rate = Psi_d * 2.0 if no_balls else Psi_d + T.cross(S)
+        twice_Psi_d = with_rate.ang if no_balls else Psi_d.ang * 2.0
+        twice_S, IS = S.ang * 2.0, inertia(S)
+        out = Operands(
+            S.cross_force(force) + inertia(Psi_dd) + B(twice_Psi_d),
+            inertia(with_rate) + B(twice_S),
+            IS,
+            (*IS, *B.transposed(S)),
+            (*Psi_dd, *twice_Psi_d),
+            (*with_rate, *twice_S),
+        )
+        return composite, out if select is None else select(pose, S, out, *more)
+
+    nothing = RigidInertia.zero(), Coriolis.zero(), Force.zero()
+    rows = d.zip(*map(d.rows, (poses, S, V, A, T, V_before, A_before)))
+    return d.inward(gather, nothing, d.zip(d.constants, rows, *given))
+
+
+def whole_operands(d: Driver, *args: Any) -> Operands:
+    """`operands` in the whole form."""
+    return Operands(*map(d.whole, d.unzip(operands(d, *args), len(Operands._fields))))
+
+
+def _before(top: Topology, i: int) -> int:
+    """The link whose motion moves the axis of link i if its joint is at rest: the parent of the
+    first link for a ball, else the link itself, because S x S = 0."""
+    node = top.dofs[i].node
+    return i if len(node) == 1 else top.parents[node[0]]
+
+
+def inverse_pairs(S: Any, x: Operands) -> tuple:
+    """The factors of `pair_matrix` for dID/dq, dID/dv and M."""
+    return (
+        ((S, x.force_q), (x.row, x.column_q)),
+        ((S, x.force_v), (x.row, x.column_v)),
+        ((S, x.force_a), (x.force_a, S)),
+    )

@@ -21,10 +21,10 @@ import jax.numpy as jnp
 from rbjax.dynamics.algorithms.composites import (
     Coriolis,
     axis_rates,
-    carried,
     link_axes,
     link_inertias,
     link_twists,
+    subtree_sums,
     tree_poses,
 )
 from rbjax.dynamics.algorithms.crba import mass_matrix
@@ -33,14 +33,13 @@ from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.drivers.pairs import pair_matrix
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.lanes import Sym3, Vec3
 from rbjax.model import Model
 from rbjax.spatial import RigidInertia
 
 
 @algorithm("q", "v")
 def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """C(q, v) (nv, nv), with C v + gravity_forces = bias_forces and M' - 2 C skew.
+    """The Coriolis matrix (nv, nv), with C v + gravity_forces = bias_forces and M' - 2 C skew.
 
     Args:
         model: the robot.
@@ -68,8 +67,8 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     V = link_twists(d, S, v)
     S_rate = axis_rates(d, V, S, poses, joints)
     B = d.each(Coriolis.of, inertias, V)
-    nothing = (RigidInertia(0.0, Vec3.zero(), Sym3.zero()), Coriolis.zero())
-    composite = carried(d, d.each(lambda *x: x, inertias, B), nothing)
+    nothing = (RigidInertia.zero(), Coriolis.zero())
+    composite = subtree_sums(d, d.each(lambda *x: x, inertias, B), nothing)
 
     def forces(S, S_rate, composite):
         inertia, B = composite

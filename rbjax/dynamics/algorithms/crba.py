@@ -12,19 +12,17 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.algorithms.composites import (
-    carried,
     link_axes,
     link_inertias,
+    subtree_sums,
     tree_poses,
 )
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.pairs import packed, pair_matrix, with_armature
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.lanes import Lane, Sym3, Vec3, add, fusion_barrier
+from rbjax.lanes import Lane, add, fusion_barrier
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, RigidInertia
-
-_ZERO = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
 
 
 def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]:
@@ -41,7 +39,7 @@ def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
         X, I_c, F = composite(x, children)
         return X.rigid_to_parent(I_c), (X, F)
 
-    ys = d.whole(d.inward(step, _ZERO, d.zip(d.constants, joints)))
+    ys = d.whole(d.inward(step, RigidInertia.zero(), d.zip(d.constants, joints)))
     axes = [joint.S for joint in d.whole(joints)]
     armatures = [link.armature for link in d.whole(d.constants)]
     n = len(axes)
@@ -62,7 +60,7 @@ def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
     d.unroll = 2  # the steps are small
     poses = tree_poses(d, joints)
     S = link_axes(d, poses, joints)
-    I_c = carried(d, link_inertias(d, poses), _ZERO)
+    I_c = subtree_sums(d, link_inertias(d, poses), RigidInertia.zero())
     F = d.each(lambda inertia, S: inertia(S), I_c, S)
     return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
 
@@ -74,7 +72,7 @@ def crba(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
 
 @algorithm("q", long=True)
 def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
-    """M(q) (nv, nv), symmetric positive definite: kinetic energy = v^T M v / 2, armature included.
+    """The mass matrix M(q) (nv, nv): kinetic energy = v^T M v / 2, armature included.
 
     Args:
         model: the robot.

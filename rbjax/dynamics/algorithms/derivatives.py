@@ -4,10 +4,8 @@
 
 with dq on the tangent space of the configuration (`integrate`). An entry is a product of the
 `operands` of two links. For forward dynamics the columns are solved with ABA's factors
-(inverse.py). On a GPU, a batch of a large robot is computed column by column (columns.py).
-
-`operands` requires axes that are constant in their links. The axes of a `Node` are not: then JAX
-differentiates the dynamics.
+(inverse.py). On a GPU, a batch of a large robot is computed column by column (columns.py). If an
+axis is not constant in its link (`Node`), JAX differentiates the dynamics.
 """
 
 from __future__ import annotations
@@ -18,14 +16,17 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.algorithms.aba import aba
+from rbjax.dynamics.algorithms.aba import aba, acceleration, forward_dynamics
 from rbjax.dynamics.algorithms.columns import forward_by_columns, inverse_by_columns
-from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
+from rbjax.dynamics.algorithms.composites import (
+    inverse_pairs,
+    link_axes,
+    tree_poses,
+    whole_operands,
+)
 from rbjax.dynamics.algorithms.crba import mass_matrix
-from rbjax.dynamics.algorithms.forward import acceleration, forward_dynamics, inverse_mass_matrix
-from rbjax.dynamics.algorithms.inverse import InverseMass
+from rbjax.dynamics.algorithms.inverse import InverseMass, inverse_mass_matrix
 from rbjax.dynamics.algorithms.manifold import integrate
-from rbjax.dynamics.algorithms.operands import inverse_pairs, whole_operands
 from rbjax.dynamics.algorithms.rnea import inverse_dynamics
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.drivers.pairs import pair_matrix, with_armature
@@ -51,21 +52,23 @@ class ForwardDynamicsDerivatives(NamedTuple):
     tau: jax.Array
 
 
-def _inverse_apart(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
+def _inverse_in_kernels(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
     by = inverse_by_columns if model.topology.constant_axes else differentiated_inverse
     return by(model, *given)
 
 
-def _forward_apart(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
+def _forward_in_kernels(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
     by = forward_by_columns if model.topology.constant_axes else differentiated_forward
     return by(model, *given)
 
 
-@algorithm("q", "v", "a", apart=_inverse_apart)
+@algorithm("q", "v", "a", multi_kernel=_inverse_in_kernels)
 def inverse_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> InverseDynamicsDerivatives:
-    """Derivatives of tau = ID(q, v, a): `(q, v, a)`, each (nv, nv), q on the tangent space.
+    """Differentiate `inverse_dynamics`, of the bodies only: no force elements or constraints.
+
+    tau = ID(q, v, a): derivatives `(q, v, a)`, each (nv, nv), q on the tangent space.
 
     Args:
         model: the robot.
@@ -95,11 +98,14 @@ def inverse_dynamics_derivatives(
     return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
 
 
-@algorithm("q", "v", "tau", pairs=True, apart=_forward_apart)
+@algorithm("q", "v", "tau", pairs=True, multi_kernel=_forward_in_kernels)
 def forward_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> ForwardDynamicsDerivatives:
-    """Derivatives of a = FD(q, v, tau): `(q, v, tau)`, each (nv, nv), q on the tangent space.
+    """Differentiate `forward_dynamics`, of the bodies only: no force elements or constraints.
+
+    a = FD(q, v, tau): derivatives `(q, v, tau)`, each (nv, nv), q on the tangent space.
+    `rb.linearise` differentiates the motion with everything in the model.
 
     Args:
         model: the robot.

@@ -1,29 +1,44 @@
-"""Energy, centre of mass and momentum.
+"""Energy, centre of mass, momenta and their rates, each in O(n).
 
-T = v^T M v / 2 = sum of V.(I V) / 2 + armature v^2 / 2;   U = -sum of m g.c
-h_G = [sum of I_b w + m (c_b - c) x v_b;  sum of m v_b]      (Orin, Goswami & Lee 2013)
+    T = v^T M v / 2 = sum of V.(I V) / 2 + armature v^2 / 2;   U = -sum of m g.c
+    h_G = [sum of I_b w + m (c_b - c) x v_b;  sum of m v_b]      (Orin, Goswami & Lee 2013)
+
+The momentum p = M(q) v needs no M, and its rate no accelerations. V_i is the twist of a link, h_i
+the momentum of its subtree, and f_i the weight of the subtree plus the external forces on it:
+
+    p_i  = S_i.h_i + armature v_i
+    p'_i = S_i.(f_i - V_i x* h_i) + S'_i.h_i + tau_i    (dL/dq_i + tau_i; of attitudes less w x p)
+
+(Featherstone, 2.9 and 2.12, for the subtree of a joint: its axis moves at V x S + S', where S' is
+its rate in the link.)
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.algorithms.aba import factorize, solve
 from rbjax.dynamics.algorithms.kinematics import (
     TWIST,
     body_velocities,
     forward_kinematics,
     sweep,
 )
+from rbjax.dynamics.algorithms.rnea import LinkForces, momentum, per_link
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.lanes import add, matmat, matvec, mul
+from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
+from rbjax.lanes import Lane, Vec3, add, batch_first, matmat, matvec, mul
 from rbjax.model import Model
+from rbjax.spatial import Force, Motion
 
 
 @algorithm("q", "v")
 def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """T = v^T M(q) v / 2 in joules, armature included, in O(n).
+    """The kinetic energy v^T M(q) v / 2 in joules, armature included, in O(n).
 
     Args:
         model: the robot.
@@ -51,7 +66,7 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 @algorithm("q")
 def potential_energy(model: Model, q: jax.Array) -> jax.Array:
-    """U = -sum of m g.c in joules, of gravity only (springs: `rbjax.forces.elastic_energy`).
+    """The potential energy of gravity in joules (of springs: `rbjax.forces.elastic_energy`).
 
     Args:
         model: the robot.
@@ -121,3 +136,79 @@ def _centres(model: Model, q: jax.Array):
     bodies = model.bodies
     com = poses.p + matvec(poses.R, bodies.com.astype(q.dtype))
     return poses, com, bodies.mass.astype(q.dtype)
+
+
+def momentum_and_rate(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    tau: jax.Array,
+    f_ext: LinkForces | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """The generalized momentum p = M(q) v and its rate (nv, ...), of checked arrays."""
+
+    def outward(x, parent):
+        link, joint, _, _ = x
+        V_parent, g_parent = parent
+        X = joint.transform(link)
+        V = X(V_parent) + joint.twist
+        g = X.E @ g_parent
+        return (V, g), (X, V, g)
+
+    def inward(x, children):
+        (link, joint, tau, f_ext), (X, V, g) = x
+        h = link.inertia(V) + children[0]
+        f = link.inertia(Motion(Vec3.zero(), g)) + f_ext + children[1]
+        p = add(joint.S.dot(h), mul(link.armature, joint.qd))
+        rate = add(joint.S.dot(f - V.cross_force(h)), add(joint.S_rate.dot(h), tau))
+        return (X.T(h), X.T(f)), (p, rate)
+
+    d = driver(model, q.dtype)
+    xs = d.zip(d.constants, d.joints(q, v), d.lanes(tau), per_link(d, f_ext))
+    root = (Motion.zero(), d.prepared.gravity)
+    found = d.out_and_in(outward, root, inward, (Force.zero(), Force.zero()), xs)
+    p, rate = d.unzip(found, 2)
+    return d.pack(p, v), d.pack(rate, v)
+
+
+def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
+    """The velocity M(q)^-1 p (nv, ...) of a momentum, of checked arrays, with the derivative
+
+    dv = M^-1 (dp - d(M(q) v)),   v held constant.
+    """
+    given, rebuilt = split_tracers(model)
+
+    def factors(changed, q):
+        d = driver(rebuilt(changed), q.dtype)
+        return d, factorize(d, d.joints(q, None))
+
+    def plain(*at):
+        d, found = factors(*at[:2])
+        return batch_first((d.pack(solve(d, found, d.lanes(at[2])), at[2]),), at)
+
+    def solved(changed, q, p):
+        d, found = factors(changed, q)
+
+        def velocity(p):
+            return d.pack(solve(d, found, d.lanes(p)), p)
+
+        return (velocity(p),), [velocity]
+
+    def residual(changed, q, p, v):
+        return p - momentum(rebuilt(changed), q, v)
+
+    return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, p))[0]
+
+
+def linearly_implicit_velocity(
+    model: Model, q: jax.Array, extra: Mapping[int, Lane] | None = None
+) -> Callable[[jax.Array], jax.Array]:
+    """The function p -> (M(q) + diag(extra))^-1 p of arrays (nv, ...), with derivatives by p only.
+
+    All calls share one elimination. `extra`: dof -> lane.
+    """
+    moving, closed = split_tracers(model)  # known leaves stay known
+    still, q = closed(jax.lax.stop_gradient(moving)), jax.lax.stop_gradient(q)
+    d = driver(still, q.dtype)
+    found = factorize(d, d.joints(q, None), d.scattered(extra or {}, 0.0))
+    return lambda p: d.pack(solve(d, found, d.lanes(p)), p)

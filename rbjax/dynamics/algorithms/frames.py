@@ -1,41 +1,43 @@
-"""The pose of a frame, and the twist and bias acceleration of a point of it.
+"""Pose, twist, bias acceleration and Jacobian of a frame; generalized forces of wrenches.
 
     V = J v = [w; u + w x r],        dV/dt = J a + J' v,
     J' v = [w'; u' + w' x r + w x (w x r)]  with w', u' of the link at constant v
+
 The link that carries the frame has the twist [w; u] and the classical acceleration [w'; u'] at its
-own origin; r is the vector from there to the point. (Featherstone, *Rigid Body Dynamics
-Algorithms*, 2.11.)
+own origin; r is the vector from there to the point. Column i of J is [z_i; z_i x (p - p_i)] for a
+hinge and [0; z_i] for a slide. Angular first, world axes. (Featherstone, 2.11; Lynch & Park, 5.1.)
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from rbjax.dynamics.algorithms.kinematics import ACCELERATION, POSE, ROTATION, TWIST, sweep
-from rbjax.dynamics.algorithms.link_motion import LinkMotion
+from rbjax.dynamics.algorithms import kinematics
+from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
+from rbjax.dynamics.algorithms.rnea import generalized_of_links, wrenches_to_links
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
-from rbjax.lanes import Mat3, Vec3
-from rbjax.lanes.arrays import pack
-from rbjax.model import WORLD, Model, prepare
+from rbjax.lanes import Mat3, Vec3, pack
+from rbjax.model import WORLD, Frame, Model, Topology, prepare
 from rbjax.model.leaves import site_transform
 from rbjax.spatial import Motion, Transform
 
-#: a longer path to a site runs on the model's driver. An unrolled link takes 0.06 s to compile, its
-#: gradient 0.3 s in a chain of 60; a robot's path has 16 links at most
+#: a longer path to a frame runs on the model's driver. An unrolled link takes 0.06 s to compile,
+#: its gradient 0.3 s in a chain of 60; the path of a robot has 16 links at most
 PATH_UNROLLED_UP_TO = 24
 
 
-def located(
-    where: str, model: Model, like: jax.Array, body: Any, site: Any, point: Any
-) -> tuple[int, Transform]:
-    """The body of a frame (or WORLD), and the frame's pose in it: axes of the body or of the site,
-    origin at the point. `where` is the caller in messages; `like` has the dtype of the lanes."""
+def locate(where: str, model: Model, like: jax.Array, frame: Frame) -> tuple[int, Transform]:
+    """Return the body of a frame (or WORLD) and the pose of the frame in it. `where` is the caller
+    in messages; `like` has the dtype of the lanes."""
+    body, point, site = frame
     if (body is None) == (site is None):
         got = "neither" if body is None else "both"
         raise InputError(f"{where}: got {got} of body and site, expected exactly one")
@@ -49,29 +51,31 @@ def located(
     return WORLD if fixed else model.body(body), Transform(Mat3.identity(), at)
 
 
-def carried_point(
-    where: str, model: Model, d: Driver, like: jax.Array, body: Any, site: Any, point: Any
+def locate_on_link(
+    where: str, model: Model, d: Driver, like: jax.Array, frame: Frame
 ) -> tuple[int, Vec3]:
-    """The link that carries a frame (or WORLD), and the frame's origin in that link's axes.
-    Arguments as for `located`."""
-    b, frame = located(where, model, like, body, site, point)
+    """Return the link that carries a frame (or WORLD) and the frame's origin in the link's axes.
+    Arguments as for `locate`."""
+    b, pose = locate(where, model, like, frame)
     if b == WORLD:
-        return WORLD, frame.p
+        return WORLD, pose.p
     weld = d.prepared.weld(b)
-    return model.topology.body_links[b], weld.p + weld.R @ frame.p
+    return model.topology.body_links[b], weld.p + weld.R @ pose.p
 
 
-def _row(d: Driver, values: tuple, link: int, f: Any, like: jax.Array) -> jax.Array:
-    """The Motion f(*values of one link) as an array (6,)."""
-    chosen = d.each(f, *(d.take(d.whole(x), [link]) for x in values))
-    return d.stack(chosen, lambda m: m, like)[0]
+def ancestor_mask(top: Topology, link: int) -> np.ndarray:
+    """(nv,) whether each dof moves the link."""
+    mask = np.zeros(top.nv, bool)
+    if link != WORLD:
+        mask[list(top.ancestors[link])] = True
+    return mask
 
 
 @algorithm("q", "point")
 def frame_pose(
     model: Model,
     q: jax.Array,
-    body: str | None = None,
+    body: str | Frame | None = None,
     point: jax.Array | None = None,
     *,
     site: str | None = None,
@@ -84,7 +88,7 @@ def frame_pose(
     Args:
         model: the robot.
         q: (nq,) configuration.
-        body: the name of a body; "world" is the frame that does not move.
+        body: the name of a body, or an `rb.Frame`; "world" is the frame that does not move.
         point: (3,) m in the frame of the body or site: p is its position; the origin if None.
         site: the name of a site, instead of a body.
 
@@ -105,29 +109,35 @@ def frame_pose(
         (3,)
     """
     top = model.topology
-    b, pose = located("frame_pose", model, q, body, site, point)
+    b, pose = locate("frame_pose", model, q, Frame(body, point, site))
     link = WORLD if b == WORLD else top.body_links[b]
     path = () if link == WORLD else top.ancestors[link]
     few = len(path) <= PATH_UNROLLED_UP_TO
     d = Unrolled(model, prepare(model, q.dtype)) if few else driver(model, q.dtype)
     if b != WORLD:
-        pose = LinkMotion(d, q, None).pose(link).then(d.prepared.weld(b)).then(pose)
+        carrier = kinematics.LinkMotion(d, q, None).pose(link)
+        pose = carrier.then(d.prepared.weld(b)).then(pose)
     found = pack([*pose.R, *pose.p], jnp.zeros(12, q.dtype))
     return found[:9].reshape(3, 3), found[9:]
 
 
-@algorithm("q")
-def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Array]:
-    """The pose of a site in the world: `frame_pose(model, q, site=site)`.
-
-    Example:
-        >>> import rbjax as rb
-        >>> model = rb.load("arm7")
-        >>> R, p = rb.site_pose(model, model.default_state().q, "tool")
-        >>> p.shape
-        (3,)
-    """
-    return frame_pose(model, q, site=site)
+def _point_motion(
+    where: str,
+    model: Model,
+    state: tuple[jax.Array, jax.Array],
+    frame: Frame,
+    quantities: tuple,
+    motion: Callable[..., Motion],
+) -> jax.Array:
+    """motion(r, *quantities of the link that carries the frame) as an array (6,)."""
+    q, v = state
+    d = driver(model, q.dtype)
+    link, r = locate_on_link(where, model, d, q, frame)
+    if link == WORLD:
+        return jnp.zeros(6, q.dtype)
+    values = sweep(d, d.joints(q, v), *quantities)
+    chosen = d.each(lambda *x: motion(r, *x), *(d.take(d.whole(x), [link]) for x in values))
+    return d.stack(chosen, lambda m: m, q)[0]
 
 
 @algorithm("q", "v", "point")
@@ -135,7 +145,7 @@ def frame_velocity(
     model: Model,
     q: jax.Array,
     v: jax.Array,
-    body: str | None = None,
+    body: str | Frame | None = None,
     point: jax.Array | None = None,
     *,
     site: str | None = None,
@@ -148,7 +158,7 @@ def frame_velocity(
         model: the robot.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        body: the name of a body; "world" is the frame that does not move.
+        body: the name of a body, or an `rb.Frame`; "world" is the frame that does not move.
         point: (3,) m in the frame of the body or site; its origin if None.
         site: the name of a site, instead of a body.
 
@@ -167,15 +177,12 @@ def frame_velocity(
         >>> rb.frame_velocity(model, state.q, state.v, site="tool").shape
         (6,)
     """
-    d = driver(model, q.dtype)
-    link, r = carried_point("frame_velocity", model, d, q, body, site, point)
-    if link == WORLD:
-        return jnp.zeros(6, q.dtype)
 
-    def at_point(pose, V):
+    def at_point(r: Vec3, pose: Transform, V: Motion) -> Motion:
         return Motion(pose.R @ V.ang, pose.R @ (V.lin + V.ang.cross(r)))
 
-    return _row(d, sweep(d, d.joints(q, v), POSE, TWIST), link, at_point, q)
+    frame = Frame(body, point, site)
+    return _point_motion("frame_velocity", model, (q, v), frame, (POSE, TWIST), at_point)
 
 
 @algorithm("q", "v", "point")
@@ -183,7 +190,7 @@ def frame_bias_acceleration(
     model: Model,
     q: jax.Array,
     v: jax.Array,
-    body: str | None = None,
+    body: str | Frame | None = None,
     point: jax.Array | None = None,
     *,
     site: str | None = None,
@@ -198,7 +205,7 @@ def frame_bias_acceleration(
         model: the robot.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        body: the name of a body; "world" is the frame that does not move.
+        body: the name of a body, or an `rb.Frame`; "world" is the frame that does not move.
         point: (3,) m in the frame of the body or site; its origin if None.
         site: the name of a site, instead of a body.
 
@@ -218,14 +225,171 @@ def frame_bias_acceleration(
         >>> rb.frame_bias_acceleration(model, state.q, state.v, site="tool").shape
         (6,)
     """
-    d = driver(model, q.dtype)
-    link, r = carried_point("frame_bias_acceleration", model, d, q, body, site, point)
-    if link == WORLD:
-        return jnp.zeros(6, q.dtype)
 
-    def at_point(R, motion):
+    def at_point(r: Vec3, R: Mat3, motion: tuple[Vec3, Motion]) -> Motion:
         w, a = motion
         lin = a.lin + a.ang.cross(r) + w.cross(w.cross(r))
         return Motion(R @ a.ang, R @ lin)
 
-    return _row(d, sweep(d, d.joints(q, v), ROTATION, ACCELERATION), link, at_point, q)
+    frame, needed = Frame(body, point, site), (kinematics.ROTATION, kinematics.ACCELERATION)
+    return _point_motion("frame_bias_acceleration", model, (q, v), frame, needed, at_point)
+
+
+def _jacobian(
+    where: str,
+    model: Model,
+    state: tuple[jax.Array, jax.Array | None],
+    frame: Frame,
+    columns: Callable[..., Any],
+) -> jax.Array:
+    """The matrix (6, nv) whose columns are columns(d, joints, link, r, moves) in the whole form.
+    `moves` is 1 for each dof that moves the link, else 0."""
+    q, v = state
+    d = driver(model, q.dtype)
+    link, r = locate_on_link(where, model, d, q, frame)
+    if link == WORLD:
+        return jnp.zeros((6, model.nv), q.dtype)
+    joints = d.joints(q, v)
+    moves = d.literals([1.0 if x else 0.0 for x in ancestor_mask(d.topology, link)])
+    return d.stack(columns(d, joints, link, r, moves), lambda m: m, q).T
+
+
+@algorithm("q", "point")
+def jacobian(
+    model: Model,
+    q: jax.Array,
+    body: str | Frame | None = None,
+    point: jax.Array | None = None,
+    *,
+    site: str | None = None,
+) -> jax.Array:
+    """Jacobian (6, nv) of a point of a body or site: [angular; linear] in world axes, V = J v.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        body: the name of a body, or an `rb.Frame`; "world" is the frame that does not move.
+        point: (3,) m in the frame of the body or site; its origin if None.
+        site: the name of a site, instead of a body.
+
+    Returns:
+        (6, nv); zero where a coordinate does not move the point.
+
+    Raises:
+        UnknownName: no such body or site. InputError: both or neither given; a wrong shape.
+
+    Source: Lynch & Park, *Modern Robotics*, 5.1 (there at the world's origin).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> rb.jacobian(model, model.default_state().q, "lower").shape
+        (6, 2)
+    """
+
+    def column(pose: Transform, at: Vec3, S: Motion, moves: Any) -> Motion:
+        S = S * moves
+        spin = pose.R @ S.ang
+        return Motion(spin, spin.cross(at - pose.p) + pose.R @ S.lin)
+
+    def columns(d: Driver, joints: Any, link: int, r: Vec3, moves: Any) -> Any:
+        poses = d.whole(*sweep(d, joints, POSE))
+        here = d.each(lambda pose: pose.p + pose.R @ r, d.take(poses, [link]))
+        return d.each(column, poses, d.take(here, [0] * model.nv), d.whole_axes(joints), moves)
+
+    return _jacobian("jacobian", model, (q, None), Frame(body, point, site), columns)
+
+
+@algorithm("q", "v", "point")
+def jacobian_rate(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    body: str | Frame | None = None,
+    point: jax.Array | None = None,
+    *,
+    site: str | None = None,
+) -> jax.Array:
+    """J'(q, v) (6, nv), the rate of `jacobian` while the robot moves at v.
+
+    With u the velocity of a link's origin and w the angular velocity of its axis z,
+    z' = w x z and (z x r)' = z' x r + z x (u_point - u). `frame_bias_acceleration` is J' v.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        body: the name of a body, or an `rb.Frame`; "world" is the frame that does not move.
+        point: (3,) m in the frame of the body or site; its origin if None.
+        site: the name of a site, instead of a body.
+
+    Returns:
+        (6, nv) [angular; linear] in world axes.
+
+    Raises:
+        UnknownName: no such body or site. InputError: both or neither given; a wrong shape.
+
+    Source: Featherstone, 2.10 (the derivative of `jacobian`, written out).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> state = model.default_state()
+        >>> rb.jacobian_rate(model, state.q, state.v, "lower").shape
+        (6, 2)
+    """
+
+    def in_world(pose: Transform, V: Motion) -> tuple[Transform, Motion]:
+        return pose, Motion(pose.R @ V.ang, pose.R @ V.lin)
+
+    def column(x, carrier, point, moves, S, S_rate=None):
+        (pose, V), (_, T), (at, speed) = x, carrier, point
+        if S_rate is None:  # both parts of S are along z
+            axis = pose.R.columns[2] * moves
+            rate = T.ang.cross(axis)
+            z, spin, slip = axis * S.ang[2], rate * S.ang[2], rate * S.lin[2]
+        else:
+            z, slid = pose.R @ (S.ang * moves), pose.R @ (S.lin * moves)
+            spin = T.ang.cross(z) + pose.R @ (S_rate.ang * moves)
+            slip = T.ang.cross(slid) + pose.R @ (S_rate.lin * moves)
+        return Motion(spin, spin.cross(at - pose.p) + z.cross(speed - V.lin) + slip)
+
+    def columns(d: Driver, joints: Any, link: int, r: Vec3, moves: Any) -> Any:
+        def at_point(x):
+            pose, V = x
+            arm = pose.R @ r
+            return pose.p + arm, V.lin + V.ang.cross(arm)
+
+        links = d.each(in_world, *map(d.whole, sweep(d, joints, POSE, TWIST)))
+        points = d.take(d.each(at_point, d.take(links, [link])), [0] * model.nv)
+        carriers = d.take(links, [dof.node[-1] for dof in d.topology.dofs])
+        S = [d.whole_axes(joints)]
+        if not d.topology.constant_axes:
+            S.append(d.whole(d.axes(joints)[1]))
+        return d.each(column, links, carriers, points, moves, *S)
+
+    return _jacobian("jacobian_rate", model, (q, v), Frame(body, point, site), columns)
+
+
+@algorithm("q", "wrenches")
+def generalized_forces(model: Model, q: jax.Array, wrenches: jax.Array) -> jax.Array:
+    """Generalized forces (nv,) of wrenches on bodies, by virtual work: tau = sum_b J_b^T w_b.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        wrenches: (nb, 6) [moment N m; force N], world axes, at each body's frame origin.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> push = jnp.zeros((2, 6)).at[0, 3].set(1.0)
+        >>> rb.dynamics.generalized_forces(model, model.default_state().q, push).shape
+        (2,)
+    """
+    if not model.nv:
+        return jnp.zeros(0, q.dtype)
+    d = driver(model, q.dtype)
+    joints = d.joints(q, None)
+    tau = generalized_of_links(d, joints, wrenches_to_links(d, joints, wrenches))
+    return d.pack(tau, jnp.zeros(model.nv, q.dtype))

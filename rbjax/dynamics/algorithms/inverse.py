@@ -19,10 +19,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.algorithms.aba import factorize, solve
+from rbjax.dynamics.algorithms.columns import inverse_mass_by_columns
+from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.pairs import pair_columns, pair_entries
+from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.lanes import Lane, fusion_barrier, inner, mul, neg, sub
 from rbjax.lanes.arrays import pack
+from rbjax.model import Model
 from rbjax.spatial import Motion
 
 
@@ -106,3 +110,30 @@ def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
         return d.pack(d.outward(follow, Motion.zero(), steps), unit)
 
     return jax.vmap(column, out_axes=1)(jnp.eye(d.topology.nv, dtype=like.dtype))
+
+
+@algorithm("q", pairs=True, multi_kernel=inverse_mass_by_columns)
+def inverse_mass_matrix(model: Model, q: jax.Array) -> jax.Array:
+    """The inverse mass matrix M(q)^-1 (nv, nv), by the articulated-body algorithm in O(n) a column.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+
+    Source: Featherstone, 7.5; Carpentier (2018), analytical inverse of the joint-space inertia.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> rb.inverse_mass_matrix(model, model.default_state().q).shape
+        (2, 2)
+    """
+    if not model.nv:
+        return jnp.zeros((0, 0), q.dtype)
+    d = driver(model, q.dtype)
+    factors = factorize(d, d.joints(q, None))
+
+    def column(unit):
+        return d.pack(solve(d, factors, d.lanes(unit)), unit)
+
+    return jax.vmap(column)(jnp.eye(model.nv, dtype=q.dtype))

@@ -7,7 +7,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -17,9 +19,9 @@ import numpy as np
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.joints import JointMotion
-from rbjax.lanes import Lane, Mat3, Vec3
+from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier
 from rbjax.model import WORLD, Model
-from rbjax.spatial import Motion, Transform
+from rbjax.spatial import Force, Motion, Transform
 
 
 class Poses(NamedTuple):
@@ -30,8 +32,8 @@ class Poses(NamedTuple):
 
 
 class Hop(NamedTuple):
-    """One outward step: the pose X of a link in its parent, its joint's motion, its acceleration.
-    `qdd` is a lane, 0.0 if the sweep has no accelerations."""
+    """One outward step: the pose X of a link in its parent, the motion of its joint, and its joint
+    acceleration, 0.0 if the sweep has none."""
 
     X: Transform
     joint: JointMotion
@@ -39,8 +41,8 @@ class Hop(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity of a link that follows from that of its parent: `root`, its value in the world,
-    and `step(hop, value of the parent)`."""
+    """A quantity of links by recursion: `root`, its value in the world, and `step(hop, value of
+    the parent)`."""
 
     root: Any
     step: Callable[[Hop, Any], Any]
@@ -74,7 +76,7 @@ ACCELERATION = Quantity((Vec3.zero(), Motion.zero()), _acceleration)
 
 
 def accelerated_base(a: Motion) -> Quantity:
-    """`ACCELERATION` on a base with the acceleration a; -g acts as gravity g does."""
+    """`ACCELERATION` on a base with the acceleration a: -g for gravity g."""
     return ACCELERATION._replace(root=(Vec3.zero(), a))
 
 
@@ -92,7 +94,7 @@ def sweep(d: Driver, joints: Any, *quantities: Quantity, a: Any = None) -> tuple
 
 
 def body_transforms(d: Driver, poses: Any) -> Any:
-    """The pose of each body, from the poses of the links in the form of `Driver.whole`."""
+    """The pose of each body, from the poses of the links in the whole form."""
     top = d.topology
     if d.listed:
         welds = [d.prepared.weld(b) for b in range(top.nb)]
@@ -182,3 +184,127 @@ def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
     carriers = d.take(poses, link), d.take(twists, link)
     return d.stack(d.each(in_world, body_transforms(d, poses), *carriers, moves), lambda V: V, q)
+
+
+def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force:
+    """The sums of forces on these links, which may repeat, as columns over all links."""
+    nothing = jnp.zeros(d.topology.nv, dtype)
+    return jax.tree.map(lambda x: nothing.at[links].add(x), forces)
+
+
+class LinkMotion:
+    """Poses, twists and accelerations of single links at (q, v, a), each computed on first use.
+
+    For force elements that need a few links, such as a spring between two points. The recursions
+    run along the path from the base to the link. `columns` and `scattered` are for elements on many
+    bodies. v None is at rest, a None is zero.
+    """
+
+    def __init__(self, d: Driver, q: jax.Array, v: jax.Array | None, a: jax.Array | None = None):
+        self.driver, self._q, self._v, self._a = d, q, v, a
+        #: quantity -> its values by link, or its columns
+        self._found: dict[Quantity, Any] = {}
+
+    def accelerating(self, a: jax.Array) -> LinkMotion:
+        """The same motion with the accelerations a (nv,)."""
+        out = copy.copy(self)
+        out._a, out._found = a, {k: x for k, x in self._found.items() if k is not ACCELERATION}
+        return out
+
+    def pose(self, link: int) -> Transform:
+        """The pose of the link in the world."""
+        return self._of(POSE, link)
+
+    def twist(self, link: int) -> Motion:
+        """The twist of the link in its own axes, at its origin."""
+        return self._of(TWIST, link)
+
+    def acceleration(self, link: int) -> Motion:
+        """The angular acceleration of the link and the classical acceleration of its origin, in its
+        own axes, without gravity."""
+        return self._of(ACCELERATION, link)[1]
+
+    def _of(self, quantity: Quantity, link: int) -> Any:
+        """A quantity of a link: the recursion along the links from the base to it."""
+        if link == WORLD:
+            return quantity.root
+        if not self.driver.listed:
+            return _row(self._columns(quantity), link)
+        found = self._found.setdefault(quantity, {WORLD: quantity.root})
+        for i in self.driver.topology.ancestors[link]:
+            if i in found:
+                continue
+            parent = found[self.driver.topology.dofs[i].parent]
+            joint, constants = self._links[i]
+            hop = Hop(joint.transform(constants), joint)
+            if quantity is ACCELERATION and self._a is not None:
+                hop = hop._replace(qdd=self._a[i])
+            known = (parent, joint, constants)
+            found[i] = fusion_barrier(quantity.step(hop, parent), known=known)
+        return found[link]
+
+    def to_parent(self, link: int) -> tuple[Transform, Motion]:
+        """The pose of a link in its parent, and the axis of its joint."""
+        joint, constants = self._links[link]
+        return joint.transform(constants), joint.S
+
+    def axis(self, link: int) -> Motion:
+        """The axis S of a link in its own axes, if links are columns."""
+        if self.driver.topology.constant_axes:
+            kind = self.driver.topology.dofs[link].kind
+            return kind.axis(self.driver.prepared.link(link).params)
+        return _row(self._axes, link)
+
+    def weld(self, body: int) -> Transform:
+        """The pose of a body in the link that carries it."""
+        return self.driver.prepared.weld(body)
+
+    def columns(self, bodies: np.ndarray) -> tuple[Transform, Motion, Transform]:
+        """For bodies that can move, as columns over them: the pose and the twist of the links that
+        carry them, and their poses in these links."""
+        links = np.array(self.driver.topology.body_links)[bodies]
+        pose, twist = (_row(self._columns(x), links) for x in (POSE, TWIST))
+        welds = self.driver.prepared.welds
+        return pose, twist, jax.tree.map(lambda column: self.column(column, bodies), welds)
+
+    def column(self, column: Any, rows: np.ndarray) -> Lane:
+        """Rows of a column; a literal if they are known and equal."""
+        if not isinstance(column, np.ndarray):
+            return column[rows]
+        found = np.asarray(column[rows], np.float64)
+        equal = bool((found == found[0]).all())
+        return float(found[0]) if equal else jnp.asarray(found, self._q.dtype)
+
+    def scattered(self, bodies: np.ndarray, forces: Force) -> Force:
+        """Forces on the links that carry these bodies, as columns over all links."""
+        links = np.array(self.driver.topology.body_links)[bodies]
+        return over_links(self.driver, links, forces, self._q.dtype)
+
+    @cached_property
+    def joints(self) -> Any:
+        """The joint motion of each link, per link."""
+        return self.driver.joints(self._q, self._v)
+
+    @cached_property
+    def _links(self) -> list:
+        d = self.driver
+        return list(zip(d.whole(self.joints), d.whole(d.constants), strict=True))
+
+    def _columns(self, quantity: Quantity) -> Any:
+        """A quantity of all links, as columns. Pose and twist share one sweep."""
+        if quantity not in self._found:
+            d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
+            some = (ACCELERATION,) if quantity is ACCELERATION else (POSE, TWIST)
+            a = d.lanes(self._a) if quantity is ACCELERATION else None
+            for one, values in zip(some, sweep(d, self.joints, *some, a=a), strict=True):
+                self._found[one] = d.columns(values, like)
+        return self._found[quantity]
+
+    @cached_property
+    def _axes(self) -> Any:
+        d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
+        return d.columns(d.axes(self.joints)[0], like)
+
+
+def _row(columns: Any, i: Any) -> Any:
+    return jax.tree.map(lambda x: x[i], columns)

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiler import side_by_side, threaded
+from rbjax.compiler import compile_threads, map_threads
 from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
-from rbjax.dynamics.algorithms.jacobians import ancestor_mask
+from rbjax.dynamics.algorithms.frames import ancestor_mask
 from rbjax.dynamics.algorithms.kinematics import accelerated_base, body_transforms, sweep
 from rbjax.dynamics.arguments import check_model
 from rbjax.dynamics.drivers.choice import driver, on_threads
@@ -53,18 +53,18 @@ def _moved_by(model: Model) -> np.ndarray:
 def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
     """`inertial_regressor` as two kernels: the factors, then one thread a parameter."""
     model = on_threads(model, q.dtype, long=False)
-    S, wrenches = batch_first(threaded(lambda *x: regressor_factors(model, *x))(q, v, a))
+    S, wrenches = batch_first(compile_threads(lambda *x: regressor_factors(model, *x))(q, v, a))
 
     def column(wrench: jax.Array, moved: jax.Array) -> list[jax.Array]:
         entries = [functools.reduce(add, map(mul, axis, wrench)) for axis in S]
         return [jnp.where(moved, jnp.stack(entries), 0.0)]
 
-    return side_by_side(column, [wrenches, jnp.asarray(_moved_by(model))], [1, 1])[0]
+    return map_threads(column, [wrenches, jnp.asarray(_moved_by(model))], [1, 1])[0]
 
 
-@algorithm("q", "v", "a", apart=regressor_by_columns)
+@algorithm("q", "v", "a", multi_kernel=regressor_by_columns)
 def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """Y(q, v, a) (nv, 10 nb), with ID(q, v, a) = Y pi + armature * a.
+    """The inertial regressor Y (nv, 10 nb): ID(q, v, a) = Y pi + armature * a.
 
     pi stacks (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz) of each body, in its own
     frame, with the inertia about the frame's origin: `inertial_parameters(model)`.
@@ -120,7 +120,7 @@ def _inertia_columns(x: Vec3) -> list[Vec3]:
 
 
 def inertial_parameters(model: Model) -> jax.Array:
-    """pi (10 nb,) of a model, in the order of `inertial_regressor`.
+    """The inertial parameters pi (10 nb,) of a model, in the order of `inertial_regressor`.
 
     Example:
         >>> import rbjax as rb

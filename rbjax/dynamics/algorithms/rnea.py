@@ -1,41 +1,111 @@
 """Recursive Newton-Euler algorithm: inverse dynamics in O(n) (Luh, Walker & Paul 1980).
 
     outward   w = E w_p + rate;   a = X(a_p) + c + S qdd       (classical accelerations)
-              f = I a + [w x J w; w x (w x h)]
+              f = I a + [w x J w; w x (w x h)] - f_ext
     inward    f = f + sum of X^T f of the children;   tau = S.f + armature qdd
-Gravity is an acceleration of the base, a_0 = -g.
+
+Gravity is an acceleration of the base, a_0 = -g. External forces f_ext are each in the axes of
+their link at its origin. Their generalized forces are sum J_i^T f_i (Featherstone, 5.3).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from rbjax.dynamics.algorithms.aba import bias_force
-from rbjax.dynamics.algorithms.kinematics import ACCELERATION, Hop, accelerated_base
-from rbjax.dynamics.algorithms.link_forces import LinkForces, on_links, per_link
+from rbjax.dynamics.algorithms.kinematics import (
+    ACCELERATION,
+    ROTATION,
+    Hop,
+    accelerated_base,
+    over_links,
+    sweep,
+)
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.lanes import Vec3, add, mul
-from rbjax.model import Model
+from rbjax.lanes import Mat3, Vec3, add, mul
+from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, Motion
+
+#: forces on some links by their index, or columns over all links
+LinkForces = Mapping[int, Force] | Force
+
+
+def per_link(d: Driver, f_ext: LinkForces | None) -> Any:
+    """The external force on each link, per link."""
+    if isinstance(f_ext, Force):
+        return jax.tree.map(lambda *x: Force.from_lanes(x), *map(d.lanes, f_ext))
+    return d.scattered(f_ext or {}, Force.zero())
+
+
+def add_forces(a: LinkForces, b: LinkForces) -> LinkForces:
+    """The sum of both."""
+    a, b = a or {}, b or {}
+    if isinstance(a, Force) and isinstance(b, Force):
+        return a + b
+    if isinstance(a, Force):
+        return add_forces(b, a)
+    if isinstance(b, Force):
+        for i, f in a.items():
+            b = jax.tree.map(lambda x, y, i=i: x.at[i].add(y), b, f)
+        return b
+    out = dict(a)
+    for i, f in b.items():
+        out[i] = out[i] + f if i in out else f
+    return out
+
+
+def generalized_of_links(d: Driver, joints: Any, f_ext: LinkForces) -> Any:
+    """Generalized forces per link of external forces: sum J_i^T f_i."""
+
+    def inward(x, children):
+        link, joint, f_ext = x
+        f = f_ext + children
+        return joint.transform(link).T(f), joint.S.dot(f)
+
+    return d.inward(inward, Force.zero(), d.zip(d.constants, joints, per_link(d, f_ext)))
+
+
+def wrenches_to_links(d: Driver, joints: Any, wrenches: jax.Array) -> LinkForces:
+    """Wrenches (nb, 6) on bodies, in world axes at the bodies' origins, as forces on links."""
+    top = d.topology
+    rotations = d.whole(*sweep(d, joints, ROTATION))
+    if not d.listed:
+        bodies = np.array([b for b, k in enumerate(top.body_links) if k != WORLD], int)
+        links = [top.body_links[b] for b in bodies]
+        arms = Vec3(*jnp.asarray(d.prepared.body_p, wrenches.dtype)[bodies].T)
+        found = _to_link(d.take(rotations, links), arms, Force.from_lanes(wrenches[bodies].T))
+        return over_links(d, np.array(links, int), found, wrenches.dtype)
+    out: dict[int, Force] = {}
+    for b, k in enumerate(top.body_links):
+        if k != WORLD:
+            f = _to_link(rotations[k], d.prepared.weld(b).p, Force.from_lanes(wrenches[b]))
+            out[k] = out[k] + f if k in out else f
+    return out
+
+
+def _to_link(R: Mat3, arm: Vec3, wrench: Force) -> Force:
+    """A wrench in world axes, at a point of a link, in the link's axes at its origin."""
+    force = R.T @ wrench.lin
+    return Force(R.T @ wrench.ang + arm.cross(force), force)
 
 
 def newton_euler(x: Any, parent: tuple[Vec3, Motion]) -> tuple[tuple[Vec3, Motion], Any]:
-    """Outward step: a link's pose, and the force that its motion needs beyond its push."""
-    link, joint, qdd, push = x
+    """Outward step: the pose of a link, and the force on it that its joint transmits."""
+    link, joint, qdd, f_ext = x
     X = joint.transform(link)
     w, a = ACCELERATION.step(Hop(X, joint, qdd), parent)
-    return (w, a), (X, link.inertia(a) + bias_force(link.inertia, w) - push)
+    return (w, a), (X, link.inertia(a) + link.inertia.bias_force(w) - f_ext)
 
 
 def rnea(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
-    """Generalized forces per link, from `accelerations` per link. `f_ext`: external forces on
-    links."""
+    """Generalized forces per link, from `accelerations` per link."""
 
     def inward(x, children):
         (link, joint, qdd, _), (X, f) = x
@@ -46,11 +116,11 @@ def rnea(
     return d.out_and_in(newton_euler, _root(gravity), inward, Force.zero(), xs)
 
 
-def forces_on_links(
+def transmitted_forces(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
-    """As `rnea`, per link: its pose in its parent, and the force that it needs beyond its push, in
-    its axes at its origin."""
+    """The pose of each link in its parent, and the force that accelerates it less f_ext, per
+    link."""
     xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.outward(newton_euler, _root(gravity), xs)
 
@@ -67,7 +137,7 @@ def _run(
     d = driver(model, q.dtype)
     g = d.prepared.gravity if gravity is None else gravity
     joints = d.joints(q, v)
-    f_ext = f_ext if wrenches is None else on_links(d, joints, wrenches)
+    f_ext = f_ext if wrenches is None else wrenches_to_links(d, joints, wrenches)
     tau = rnea(d, joints, d.lanes(a), g, f_ext)
     return d.pack(tau, jnp.zeros((model.nv, *q.shape[1:]), q.dtype))
 
@@ -77,7 +147,7 @@ def momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     return _run(model, q, None, v, gravity=Vec3.zero())
 
 
-def forces_of(
+def forces_at(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array, f_ext: LinkForces
 ) -> jax.Array:
     """The generalized forces (nv,) that, with forces on links, give the acceleration a."""
@@ -88,7 +158,10 @@ def forces_of(
 def inverse_dynamics(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array, wrenches: jax.Array | None = None
 ) -> jax.Array:
-    """Generalized forces that give the acceleration a: tau = M(q) a + b(q, v) - sum_b J_b^T w_b.
+    """Compute the forces of the bodies only: no actuators, force elements or constraints.
+
+    tau = M(q) a + b(q, v) - sum_b J_b^T w_b gives the acceleration a. `rb.applied_forces` are those
+    of actuators and force elements.
 
     Args:
         model: the robot.
@@ -118,7 +191,7 @@ def inverse_dynamics(
 
 @algorithm("q", "v")
 def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """b(q, v): Coriolis, centrifugal, gyroscopic and gravity forces (nv,); M a + b = tau.
+    """The Coriolis, centrifugal, gyroscopic and gravity forces b(q, v) (nv,); M a + b = tau.
 
     Args:
         model: the robot.
@@ -139,7 +212,7 @@ def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 @algorithm("q")
 def gravity_forces(model: Model, q: jax.Array) -> jax.Array:
-    """g(q) = dV/dq on the tangent space (nv,): the forces that hold the robot against gravity.
+    """The forces g(q) = dV/dq (nv,) that hold the robot against gravity.
 
     Args:
         model: the robot.

@@ -1,15 +1,11 @@
-"""Drivers: how a recursion over the tree runs.
-
-A recursion is written once, as a step on the lanes of one link. A driver runs it over the tree:
+"""The choice of a driver.
 
 - `Unrolled` writes the steps one after another into the program. Structural zeros differ from link
   to link, so this is the least arithmetic and the fastest code. Compile time grows with the tree.
-- `Rolled` is a `lax.scan` over the links: one step is compiled however many links there are.
+- `Rolled` is a `lax.scan` over the links, which compiles one step for any number of links.
 - `Limbs` unrolls the trunk and one limb of each kind, and is a `lax.scan` over the limbs of that
-  kind: a humanoid's two legs are one leg in a loop. It is for GPU threads, whose programs must be
-  short.
-
-`outward` passes each step its parent's carry, `inward` the sum of its children's messages.
+  kind: the two legs of a humanoid are one leg in a loop. It is for GPU threads, whose programs must
+  be short.
 """
 
 from __future__ import annotations
@@ -19,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.jax.backend import gpu
+from rbjax.compiler.jax.launch import has_gpu
 from rbjax.dynamics.drivers.contract import Driver as Driver
 from rbjax.dynamics.drivers.limbs import Limbs
 from rbjax.dynamics.drivers.rolled import Rolled
@@ -38,14 +34,13 @@ UNROLLED_UP_TO = 8
 THREADS_UNROLLED_UP_TO = {4: 26, 8: 12}
 SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
 
-#: at least so many where there is no GPU: as machine code a humanoid's forward dynamics takes 0.85
-#: of the time it takes in limbs, its derivatives a quarter, and the gradient of a rollout compiles
-#: in two thirds, since JAX differentiates no loops; G1's take the same time, and twice to compile
+#: the least of these thresholds without a GPU: unrolled machine code of a humanoid's forward
+#: dynamics takes 0.85 of the time of limbs, its derivatives a quarter
 CPU_UNROLLED_UP_TO = 26
 
-#: above this many velocity coordinates, algorithms with a row of numbers for each pair of links run
-#: as several kernels, with a thread for each link of each sample
-THREADS_APART_ABOVE = 8
+#: above this many velocity coordinates, algorithms on pairs of links run as several kernels on a
+#: GPU, with a thread for each link of each sample
+KERNELS_ABOVE = 8
 
 DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
     zip(DRIVER_NAMES[1:], (Unrolled, Rolled, Limbs), strict=True)
@@ -53,7 +48,7 @@ DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
 
 
 def driver(model: Model, dtype: Any) -> Driver:
-    """The driver that the model names; "auto" unrolls small trees and rolls large ones."""
+    """The driver of a model; "auto" unrolls small trees and rolls large ones."""
     name = model.driver
     if name == "auto":
         name = "unrolled" if model.nv <= UNROLLED_UP_TO else "rolled"
@@ -63,11 +58,14 @@ def driver(model: Model, dtype: Any) -> Driver:
 
 
 def on_threads(model: Model, dtype: Any, *, pairs: bool = False, long: bool = True) -> Model:
-    """The model with the driver that suits a thread of a GPU or a lane of machine code, if it names
-    none. `pairs`: the algorithm works on all pairs of links, which limbs do not shorten. `long`: it
-    has as many statements as ABA, twice those of the others."""
+    """Replace the driver "auto" by one for a GPU thread or a SIMD lane.
+
+    Args:
+        pairs: whether the algorithm works on all pairs of links, which limbs do not shorten.
+        long: whether it has as many statements as ABA, twice those of the others.
+    """
     if model.driver != "auto":
         return model
     most = THREADS_UNROLLED_UP_TO if pairs or long else SHORT_UNROLLED_UP_TO
-    few = model.nv <= max(most[np.dtype(dtype).itemsize], 0 if gpu() else CPU_UNROLLED_UP_TO)
+    few = model.nv <= max(most[np.dtype(dtype).itemsize], 0 if has_gpu() else CPU_UNROLLED_UP_TO)
     return model.replace(driver="unrolled" if few else "rolled" if pairs else "limbs")

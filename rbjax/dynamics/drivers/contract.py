@@ -105,8 +105,8 @@ class Driver(abc.ABC):
         return tuple(self.part(tuples, k) for k in range(count))
 
     def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: PerLink) -> PerLink:
-        """An outward sweep with the steps outward(x_i, carry) gives y_i. Then an inward one with
-        the steps inward((x_i, y_i), messages) gives the result."""
+        """Run an outward sweep with outward(x_i, carry) -> y_i, then an inward one with
+        inward((x_i, y_i), messages)."""
         return self.inward(inward, zero, self.zip(xs, self.outward(outward, root, xs)))
 
     def axes(self, joints: PerLink) -> tuple[PerLink, PerLink]:

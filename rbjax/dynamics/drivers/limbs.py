@@ -1,8 +1,7 @@
-"""The driver by limbs: isomorphic limbs run as a loop over one unrolled limb.
+"""The driver by limbs: a loop over isomorphic limbs, one of which is unrolled.
 
 A humanoid's two legs are one leg in a `lax.scan` over two. Base and waist (the trunk) are unrolled,
-as in `Unrolled`. So the program is short if a robot repeats itself. Within a limb the loop carries
-nothing: all lanes of a limb are in registers.
+as in `Unrolled`. All lanes of a limb are in registers; the loop carries nothing.
 
 A number on which all limbs of a group agree is a literal of the program, so shared zeros vanish. A
 number on which they differ is a column over the limbs (`loop`).
@@ -50,7 +49,7 @@ class Limbs(unrolled.ListDriver):
         )
 
     def _parts(self, of_link: Callable, of_links: Callable, *given: Parts) -> Parts:
-        """A per-link value, from each link of the trunk and from the links of each position."""
+        """A per-link value, from functions of one link and of the links of a position."""
         trunk = list(map(of_link, self._trunk, *(x.trunk for x in given)))
         positions = [list(zip(*group.links, strict=True)) for group in self._groups]
         limbs = [
@@ -149,7 +148,7 @@ class Limbs(unrolled.ListDriver):
         )
 
     def _column_of(self, *lanes: Lane) -> Any:
-        """The lanes of the limbs as a column: the one that they were read from, if there is one."""
+        """The column that the lanes of the limbs were read from, or a new one."""
         _, column, _ = self._read.get(id(lanes[0]), (None, None, 0))
         for j, x in enumerate(lanes):
             _, own, limb = self._read.get(id(x), (None, None, 0))
@@ -202,8 +201,8 @@ class Limbs(unrolled.ListDriver):
     def _each_group(
         self, limb: Callable, zero: Any, xs: Parts, carries: list | None, root: Any
     ) -> tuple[list, list]:
-        """message, ys = limb(group, xs, carry of its carrier, known) of every limb: the sums of the
-        messages to each link of the trunk, and the columns of ys."""
+        """Run message, ys = limb(group, xs, carry of its carrier, known) for every limb. Return the
+        sums of the messages to each link of the trunk, and the columns of ys."""
         sums, out = [zero] * len(self._trunk), []
         for group, positions in zip(self._groups, xs.rest, strict=True):
             messages, ys = self._one_group(group, limb, zero, positions, carries, root)
@@ -215,8 +214,7 @@ class Limbs(unrolled.ListDriver):
     def _one_group(
         self, group: Group, limb: Callable, zero: Any, xs: list, carries: list | None, root: Any
     ) -> tuple[list[tuple[int, Any]], Any]:
-        """The same for one group. Messages are pairs (place in the trunk, message). The loop sums
-        those to the same link."""
+        """Run one group. Return pairs (place in the trunk, message), and the columns of ys."""
         ports = [self._place[i] for i in group.carriers]
         together = len(set(ports)) == 1
         summed = together and ports[0] != WORLD
@@ -281,14 +279,14 @@ def _sequential_sincos_jvp(primals: tuple, tangents: tuple) -> tuple:
 
 
 def _wide(column: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """A column, or a value that all limbs share, as (limbs, 1, ...)."""
+    """Broadcast a column, or a value that all limbs share, to (limbs, 1, ...)."""
     if column.ndim:
         column = jnp.expand_dims(column, (1, *range(column.ndim + 1, len(shape))))
     return jnp.broadcast_to(column, shape)
 
 
 def _rows(x: Any, index: Sequence[int]) -> Any:
-    """These rows of an array; a slice of it if they are evenly spaced."""
+    """Rows of an array; a slice if they are evenly spaced."""
     steps = {b - a for a, b in itertools.pairwise(index)}
     if len(steps) == 1 and min(steps) > 0:
         return x[index[0] : index[-1] + 1 : steps.pop()]

@@ -1,7 +1,7 @@
 """Matrices over pairs of links.
 
 A matrix such as M or C has an entry (i, j) only where one link moves the other. The entry is a
-product of six to nine lanes of each link; which lanes depends on which link is deeper.
+product of six to nine lanes of each link, which depend on which link is deeper.
 """
 
 from __future__ import annotations
@@ -57,14 +57,13 @@ def pair_entries(top: Topology, above: Any, below: Any) -> list[list[Lane]]:
 
 
 def packed(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
-    """Rows of lanes as a matrix."""
+    """Pack rows of lanes as a matrix."""
     flat = [x for row in rows for x in row]
     return pack(flat, jnp.zeros(len(flat), like.dtype)).reshape(len(rows), -1)
 
 
 def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[Callable, Any]:
-    """Several matrices (above, below) for the rolled driver, column by column: f and xs. f(x) gives
-    column j of each, where x is slice j of xs."""
+    """Return f and xs, such that f(slice j of xs) is column j of each matrix (above, below)."""
     _, arrays = _columns(top, pairs, like)
     columns = [x for (_, b), (_, e) in arrays for x in (*b, *e)]
 
@@ -82,8 +81,12 @@ def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[
 
 
 def pair_column(above: Any, below: Any, places: jax.Array) -> jax.Array:
-    """A column of `pair_matrix` as an array (n,). above, below: the lanes of all links as arrays
-    (n,), and those of the column's link. places: the row of this link in `which_moves`."""
+    """A column of `pair_matrix` as an array (n,).
+
+    Args:
+        above, below: the lanes of all links as arrays (n,), and those of the column's link.
+        places: the row of the column's link in `which_moves`.
+    """
     upper, lower = (
         functools.reduce(jnp.add, [x * y for x, y in zip(*half, strict=True)])
         for half in (above, below)
@@ -98,7 +101,7 @@ def which_moves(top: Topology) -> np.ndarray:
 
 
 def _columns(top: Topology, pairs: Any, like: jax.Array) -> tuple[np.ndarray, Any]:
-    """At (i, j) whether j moves i, and all lanes as arrays (nv,)."""
+    """`_moves`, and all lanes as arrays (nv,)."""
 
     def spread(v):
         return [jnp.broadcast_to(jnp.asarray(x, like.dtype), (top.nv,)) for x in v]
@@ -107,7 +110,7 @@ def _columns(top: Topology, pairs: Any, like: jax.Array) -> tuple[np.ndarray, An
 
 
 def _moves(top: Topology) -> np.ndarray:
-    """At (i, j) whether link j moves link i."""
+    """Entry (i, j) is whether link j moves link i."""
     moves = np.zeros((top.nv, top.nv), bool)
     for i in range(top.nv):
         moves[i, movers(top, i)] = True

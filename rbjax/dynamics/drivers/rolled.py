@@ -50,8 +50,6 @@ class Rolled(Driver):
         self.head = 6 if top.joint_kinds[:1] == ("free",) and n > 6 else 0
         self._columns = jax.tree.map(lambda x: _uniform(x[self.head :]), prepared.columns)
         self.constants = Parts([prepared.link(i) for i in range(self.head)], Constants())
-        #: links in one iteration: two save copies of the carry, and double the program
-        self.unroll = 1
         self._like: Any = None  # the shape and dtype of one lane, known with q
         parents = np.array(top.parents)
         self._slots, self._slot_of = allocate_slots(top.parents)
@@ -237,7 +235,7 @@ def _select(condition, a, b):
 
 
 def _uniform(column):
-    """A literal if all entries of a concrete column are zero (or one)."""
+    """Replace a concrete column of zeros, or ones, by a literal."""
     if isinstance(column, np.ndarray) and column.dtype == object:
         lanes = [lane_of(x) for x in column]
         if lanes and all(is_literal(x) and x == lanes[0] and x in (0.0, 1.0) for x in lanes):
@@ -251,7 +249,7 @@ def _uniform(column):
 
 
 def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
-    """The number of slots, and the slot of each link with a child that does not follow directly."""
+    """The number of slots, and the slot of each link with a child that is not the next link."""
     last: dict[int, int] = {}
     for i, parent in enumerate(parents):
         if parent != i - 1:
@@ -274,10 +272,8 @@ def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
 def joint_columns(
     top: Topology, prepared: Prepared, q: jax.Array, v: jax.Array | None, start: int = 0
 ) -> tuple[Callable[..., JointMotion], list[Lane]]:
-    """The motions of the links from `start` on, for the rolled driver: a function and its columns.
-
-    The function makes a `JointMotion` from the columns (nv - start, ...) or from one link's lanes.
-    """
+    """The motions of the links from `start` on: a function of columns (nv - start, ...), or of the
+    lanes of one link, that returns a `JointMotion`; and the columns."""
     links = top.dofs[start:]
     batch = (1,) * (q.ndim - 1)
 
@@ -302,11 +298,11 @@ def joint_columns(
         S = Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, 1 - turns))
         moves = jnp.where(slide, at, 0.0)
     motion = JointMotion(J, Vec3(0.0, 0.0, moves), S, rate, qd)
-    bent = not all(link.kind.constant_axis for link in links)
-    motion = NodeMotion.of(motion) if bent else motion
+    varying = not all(link.kind.constant_axis for link in links)
+    motion = NodeMotion.of(motion) if varying else motion
 
     def with_kind(motion: JointMotion, kind: DofKind, rows: np.ndarray) -> JointMotion:
-        """The motion whose rows of a kind are its own."""
+        """The motion with the rows of one kind replaced."""
         some = [links[i] for i in rows]
         qs = [q[np.array(of)] for of in zip(*(link.q for link in some), strict=True)]
         vs = [
@@ -317,10 +313,10 @@ def joint_columns(
             lambda x: stacked(x[rows + start].reshape(-1, *batch), q.dtype), prepared.columns
         )
         own = kind.motion(qs, vs, constants)
-        own = NodeMotion.of(own) if bent else own
+        own = NodeMotion.of(own) if varying else own
         return jax.tree.map(lambda column, x: _insert(column, rows, x, at), motion, own)
 
-    # what else there is, kind by kind; what stands still is as above
+    # the other kinds; dofs that are rigid to the previous one have the motion above
     others: dict[DofKind, list[int]] = {}
     for i, link in enumerate(links):
         if link.kind not in (HINGE, SLIDE) and not link.kind.rigid_to_previous:

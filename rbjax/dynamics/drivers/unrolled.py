@@ -81,6 +81,10 @@ class Unrolled(ListDriver):
     def inward(self, step: Step, zero: Any, xs: list) -> list:
         return inward(self.topology.parents, step, [zero] * len(xs), xs)[1]
 
+    def out_and_in(self, out: Step, root: Any, back: Step, zero: Any, xs: list) -> list:
+        ys = outward(self.topology.parents, out, root, xs)[1]
+        return self.inward(back, zero, list(zip(xs, ys, strict=True)))
+
 
 def outward(
     parents: Sequence[int], step: Step, root: Any, xs: list, known: Any = ()

@@ -1,11 +1,10 @@
 """The entry of every public algorithm: checked arguments, one dtype, one compiled call.
 
-Outside traced code an algorithm checks the values of its arguments and runs compiled. The model's
-numbers are arguments of the program, so changing one never recompiles. The same holds under a
+Outside traced code an algorithm checks the values of its arguments and runs compiled. The leaves of
+the model are arguments of the program, so changing one never recompiles. The same holds under a
 `vmap` or `grad` outside of any `jit`. Inside traced code it is inlined: a model that is closed over
 is constant, and its zeros vanish from the program. A batch runs as a program of one sample: a
-thread on a GPU, a lane of machine code on a CPU (`rbjax.compiler`). Without either it
-runs under XLA, as JAX maps it.
+thread on a GPU, a lane of machine code on a CPU (`rbjax.compiler`), else by XLA.
 """
 
 from __future__ import annotations
@@ -19,21 +18,21 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import wanted
-from rbjax.compiler.jax.backend import gpu
+from rbjax.compiler import kernels_available
 from rbjax.compiler.jax.function import trace
+from rbjax.compiler.jax.launch import has_gpu
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiling import inside_jit, jitted
 from rbjax.dynamics.arguments import check_arrays, check_static, check_takes
-from rbjax.dynamics.drivers.choice import THREADS_APART_ABOVE, on_threads
-from rbjax.dynamics.tracing.constants import with_compiled_constants
+from rbjax.dynamics.drivers.choice import KERNELS_ABOVE, on_threads
 from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
+from rbjax.errors import InputError
 from rbjax.meshes import on_auto_axes, on_explicit_axes
-from rbjax.model import Model
+from rbjax.model import Frame, Model, with_constants
 
 #: arguments that are part of the program
 STATIC = ("body", "site", "integrator", "dynamics", "constraints")
-#: programs that an algorithm keeps, by the functions that it was called with (laws, integrators)
+#: programs that an algorithm keeps for different functions of a user (dynamics, integrators)
 PROGRAMS_OF_FUNCTIONS = 64
 
 
@@ -41,22 +40,25 @@ def algorithm(
     *names: str,
     pairs: bool = False,
     long: bool = False,
-    apart: Callable | None = None,
+    multi_kernel: Callable | None = None,
     where: str = "",
     functions: tuple[str, ...] = (),
 ) -> Callable[[Callable], Callable]:
-    """Decorate f(model, *arrays, *rest) whose arrays have the named shapes.
+    """Make a public algorithm of f(model, *arrays, *rest). Names of bodies and sites are static.
 
-    The name `state` is a `State`. Names of bodies and sites are static. `pairs`: most of the work
-    is on pairs of links. `long`: it has twice the statements of the others for each link.
-    `apart`: the same function as several kernels, for a batch of a large model on a GPU.
-    `where`: the name in messages, that of f if empty. `functions`: arguments that may be functions
-    of (t, state) in place of arrays; they are part of the program.
+    Args:
+        names: of the arrays (`dynamics.arguments.SHAPES`), or "state".
+        pairs: whether most of the work is on pairs of links.
+        long: whether f has twice the statements of other algorithms for each link.
+        multi_kernel: the same function as several kernels, for a batch of a large model on a GPU.
+        where: the name in messages, that of f if empty.
+        functions: arguments that may be functions of (t, state) in place of arrays; they are part
+            of the program.
     """
 
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)
-        suited = functools.partial(for_threads, pairs=pairs, long=long)
+        on_lanes = functools.partial(with_driver_of_threads, pairs=pairs, long=long)
         static = [n for n in STATIC if n in signature.parameters]
         required = [n for n in names if signature.parameters[n].default is not None]
         name = where or f.__name__
@@ -65,9 +67,9 @@ def algorithm(
         def inlined(*args: Any, **kwargs: Any) -> Any:
             if on_explicit_axes(args, kwargs):
                 return on_auto_axes(lambda args, kwargs: inlined(*args, **kwargs), args, kwargs)
-            kernels = wanted()
-            moving, closed = split_tracers((suited(args) if kernels else args, kwargs))
-            if not moving or not kernels:
+            compiled = kernels_available()
+            moving, closed = split_tracers((on_lanes(args) if compiled else args, kwargs))
+            if not moving or not compiled:
                 return f(*args, **kwargs)
             shape: list[Any] = []
 
@@ -78,21 +80,21 @@ def algorithm(
                 return [jnp.asarray(x) for x in leaves]
 
             program, closed_over = trace(flat, moving)
-            if apart is not None and args[0].nv > THREADS_APART_ABOVE:
+            if multi_kernel is not None and args[0].nv > KERNELS_ABOVE:
                 as_given = split_tracers((args, kwargs))[1]
 
-                def flat_apart(*moving: Any) -> list[jax.Array]:
+                def in_kernels(*moving: Any) -> list[jax.Array]:
                     args, kwargs = as_given(list(moving))
-                    return jax.tree.leaves(apart(*args, **kwargs))
+                    return jax.tree.leaves(multi_kernel(*args, **kwargs))
 
-                program = dataclasses.replace(program, apart=flat_apart)
+                program = dataclasses.replace(program, multi_kernel=in_kernels)
             return jax.tree.unflatten(shape[0], run(program, [*closed_over, *moving]))
 
         program = jitted(inlined, static_argnames=static)
 
         @functools.lru_cache(PROGRAMS_OF_FUNCTIONS)
         def program_with(**own: Callable) -> Callable:
-            """The program of functions of a user. As static arguments `jax.jit` would keep them."""
+            """The program of functions of a user. `jax.jit` never forgets a static argument."""
 
             def run(*args: Any, **kwargs: Any) -> Any:
                 return inlined(*args, **kwargs, **own)
@@ -104,6 +106,10 @@ def algorithm(
         @functools.wraps(f)
         def call(model: Model, *args: Any, **kwargs: Any) -> Any:
             bound = signature.bind(model, *args, **kwargs)
+            if isinstance(frame := bound.arguments.get("body"), Frame):
+                if others := [n for n in ("point", "site") if bound.arguments.get(n) is not None]:
+                    raise InputError(f"{name}: got a Frame and {others[0]}, expected one")
+                bound.arguments.update(frame._asdict())
             asked = [n for n in functions if callable(bound.arguments.get(n))]
             given = {n: x for n, x in bound.arguments.items() if n in names and n not in asked}
             bound.arguments.update(check_arrays(name, model, given, (), required))
@@ -127,17 +133,38 @@ def algorithm(
     return decorate
 
 
-def for_threads(args: tuple, *, pairs: bool = False, long: bool = False) -> tuple:
-    """The arguments, whose first one, the model, has the driver that suits threads. Of many pairs
-    on a CPU the link constants are a program of their own, if the model is an argument: half of
-    all statements, which would else be compiled once for each part that reads them."""
+def with_driver_of_threads(args: tuple, *, pairs: bool = False, long: bool = False) -> tuple:
+    """Replace the first argument, the model, by one with the driver for threads or SIMD lanes.
+
+    For pairs on a CPU the link constants become a program of their own: half of all statements,
+    which otherwise would be compiled once for each part that reads them.
+    """
     model, *rest = args
     arrays = [x for x in jax.tree.leaves(rest) if isinstance(x, jax.Array)]
     floats = [x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
     if not floats:
         return args
     model = on_threads(model, floats[0], pairs=pairs, long=long)
-    if pairs and model.driver == "rolled" and not gpu():
+    if pairs and model.driver == "rolled" and not has_gpu():
         made = with_compiled_constants(model, floats[0])
         model = model.replace(constants=made.execution.constants)
     return (model, *rest)
+
+
+def with_compiled_constants(model: Model, dtype: Any) -> Model:
+    """`with_constants` as a program of its own, which compiles sooner than under XLA."""
+    if model.execution.constants is not None:
+        return model
+    found: list[Any] = []
+
+    def numbers() -> list[jax.Array]:
+        leaves, tree = jax.tree.flatten(with_constants(model, dtype).execution.constants)
+        found[:] = leaves, tree
+        return [x for x in leaves if isinstance(x, jax.core.Tracer)]
+
+    program, operands = trace(numbers, [])
+    program = dataclasses.replace(program, compile_fast=True)
+    leaves, tree = found
+    made = iter(run(program, operands) if operands else ())
+    known = [next(made) if isinstance(x, jax.core.Tracer) else x for x in leaves]
+    return model.replace(constants=jax.tree.unflatten(tree, known))

@@ -1,8 +1,7 @@
-"""Known and traced values.
+"""Custom derivative rules whose arguments are the traced values only.
 
-A leaf of a model that is closed over is known: its zeros vanish from the program. Custom rules (of
-derivatives, of batches) turn all their arguments into tracers, so only traced values may be among
-these. `split_tracers` separates the two.
+A leaf of a model that is closed over is known: its zeros vanish from the program. A custom rule
+turns all its arguments into tracers. So `split_tracers` separates traced values from known ones.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from rbjax.lanes import batch_first
 
 
 def split_tracers(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
-    """The traced leaves of a pytree, and the function that puts others in their places."""
+    """Return the traced leaves of a pytree, and a function that replaces them by others."""
     leaves, treedef = jax.tree.flatten(tree)
     where = [i for i, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
 
@@ -40,30 +39,37 @@ def is_traced(tree: Any) -> bool:
 
 
 def with_jvp(f: Callable, rule: Callable) -> Callable:
-    """f, whose derivative is rule(primals, tangents) -> (value, rate). Tangents may be symbolic
+    """Give f the derivative rule(primals, tangents) -> (value, rate). Tangents may be symbolic
     zeros. Under `vmap` both return the batch first, as JAX assumes."""
-    ruled = jax.custom_jvp(lambda *args: batch_first(f(*args), args))
+    ruled = _custom_jvp(lambda *args: batch_first(f(*args), args), rule)
+    return lambda *args: ruled(*jax_arrays(*args))
+
+
+def _custom_jvp(f: Callable, rule: Callable) -> Callable:
+    """As `with_jvp`, for an f that returns `batch_first(results, args)`, called with
+    `jax_arrays`."""
+    ruled = jax.custom_jvp(f)
     ruled.defjvp(lambda at, *to: batch_first(rule(at, *to), at), symbolic_zeros=True)
-    return lambda *args: ruled(*jax.tree.map(of_jax, args))
+    return ruled
 
 
 def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -> Callable:
-    """x_1, x_2, ... = plain(*at), the solutions of residual_k(*at, x_1, ..., x_k) = 0, one after
-    another, with the derivative of the implicit function:
+    """Differentiate the solutions x_k of residual_k(*at, x_1, ..., x_k) = 0 implicitly:
 
         dx_k = solve_k(d residual_k(*at, x_1, ..., x_k)),   x_k held constant
 
     Args:
-        plain: *at -> the solutions, used where nothing is differentiated.
+        plain: *at -> the solutions, `batch_first(solutions, at)`.
         solved: *at -> the solutions, and a function solve for each.
         residuals: each with the sign for which `solve` maps its change to that of its solution.
 
-    Derivatives of higher order take only the functions `solve` from `solved`, not the solutions.
+    Call the result with `jax_arrays`. Derivatives of higher order take only the functions `solve`
+    from `solved`, not the solutions.
     """
 
     def tangent(primals: tuple, tangents: tuple) -> tuple:
         xs, solves = solved(*primals)
-        xs, rates = found(*primals, xs), list[Any]()
+        xs, rates = found(*jax_arrays(*primals, xs)), list[Any]()
         for k, (residual, solve) in enumerate(zip(residuals, solves, strict=True)):
             at, moving = (*primals, *xs[:k]), (*tangents, *rates)
             _, change = jvp_of(functools.partial(_held, residual, xs[k]), at, moving)
@@ -74,22 +80,26 @@ def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -
         return at[-1], tangent(at[:-1], moving[:-1])[1]
 
     # the solutions, already computed, with a rule for the next derivative
-    found = with_jvp(lambda *at: at[-1], again)
-    return with_jvp(plain, tangent)
+    found = _custom_jvp(lambda *at: batch_first(at[-1], at), again)
+    return _custom_jvp(plain, tangent)
 
 
 def _held(residual: Callable, x: Any, *at: Any) -> Any:
     return residual(*at, x)
 
 
-def of_jax(x: Any) -> Any:
-    """x, or, if x is a batch or tangent tracer of a NumPy array, a copy that is one of a JAX array:
-    a custom rule inside a `jit` accepts only JAX arrays (jax 0.10.2 asserts this)."""
-    return jnp.copy(x) if isinstance(inside(x), (np.ndarray, np.generic)) else x
+def jax_arrays(*args: Any) -> Any:
+    """The arguments, with a copy of each batch or tangent tracer of a NumPy array: a custom rule
+    inside a `jit` accepts only tracers of JAX arrays (jax 0.10.2 asserts this)."""
+
+    def copied(x: Any) -> Any:
+        return jnp.copy(x) if isinstance(inside(x), (np.ndarray, np.generic)) else x
+
+    return jax.tree.map(copied, args)
 
 
 def jvp_of(f: Callable, primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """f and its tangent, as `jax.jvp`. Tangents may be symbolic zeros; their arguments are not
+    """Compute f and its tangent, as `jax.jvp`. Arguments whose tangents are symbolic zeros are not
     differentiated. The tangent is None if all are zero."""
     leaves, treedef = jax.tree.flatten(primals)
     rates = jax.tree.leaves(tangents, is_leaf=lambda t: isinstance(t, SymbolicZero))

@@ -47,7 +47,7 @@ class OperationCount:
 
 
 def operation_count(fn: Callable, *args: Any, traced: Sequence[str] = ()) -> OperationCount:
-    """Arithmetic operations of `fn(*args)` as traced, without those that no result needs.
+    """Count the arithmetic operations of `fn(*args)`, without operations that no result needs.
 
     A `Model` among the arguments is closed over. Its numbers are constants of the program and its
     structural zeros cost nothing, except those of leaves named in `traced`.
@@ -62,7 +62,7 @@ def operation_count(fn: Callable, *args: Any, traced: Sequence[str] = ()) -> Ope
         A `while` counts one iteration, a `cond` its most expensive branch.
 
     Raises:
-        UnknownName: a name in `traced` is no leaf of the model.
+        UnknownName: a name in `traced` is not a leaf of the model.
         InputError: the function computes floating-point numbers with a primitive whose operations
             are not known, such as an FFT or an eigenvalue.
 
@@ -171,7 +171,7 @@ def _equation(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
     if name == "threads":  # a kernel of a GPU: its program, once a sample
         count, needs = _walk(params["program"].closed.jaxpr, out)
         return math.prod(params["batch"]) * count, needs
-    if name == "threads_tangent":  # the same of its derivative
+    if name == "threads_tangent":  # the derivative of such a kernel
         tangent = params["program"].tangent(params["moving"])
         count, needs = _walk(tangent.closed.jaxpr, out)
         return math.prod(params["batch"]) * count, needs

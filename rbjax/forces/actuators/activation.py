@@ -1,8 +1,13 @@
-"""The inner state of an actuator between its control and its force: lag, wind-up, recruitment.
+"""Activations of actuators: lag, wind-up and recruitment between a control and a force; muscles.
 
     integrator  a' = u,      filter  a' = (u - a) / T,      muscle  a' = (u - a) / T(u, a)
-(MuJoCo, *Computation*, stateful actuators.) A step keeps the state within its range; that of an
-exact filter is the solution for a held control, a + (u - a) (1 - exp(-h / T)).
+(MuJoCo, *Computation*, stateful actuators.) A step keeps the state within its range. The step of an
+exact filter is the solution for a constant control, a + (u - a) (1 - exp(-h / T)).
+
+    f = -F0 (FL(L) FV(V) a + FP(L)),      L = (l - LT) / L0,      V = l' / (L0 vmax)
+is the force of a muscle. FL rises from 0 at lmin to 1 at 1 and falls to 0 at lmax, FV falls from
+fvmax for a lengthening muscle to 0 at V = -1, FP begins at L = 1 (MuJoCo, *Modeling*, muscles). All
+three are piecewise parabolas with a continuous slope.
 """
 
 from __future__ import annotations
@@ -13,19 +18,28 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from rbjax.forces.actuators.limits import clip
 from rbjax.lanes import Lane, is_literal
 from rbjax.model.leaves import scalar, table
 from rbjax.model.links import lane
 from rbjax.model.model import Record
+
+
+def clip(x: Lane, limits: Any, i: int) -> Lane:
+    """x within row i of the limits (n, 2); unchanged if these are known to be infinite."""
+    low, high = lane(limits[:, 0], i), lane(limits[:, 1], i)
+    if is_literal(low) and np.isneginf(low) and np.isposinf(high):
+        return x
+    return jnp.clip(x, jnp.asarray(low, x.dtype), jnp.asarray(high, x.dtype))
+
 
 #: as MuJoCo's mjMINVAL: no divisor is smaller
 LEAST = 1e-15
 
 
 class Activation(Record):
-    """One number a of state. `limits` (2,) are its range, infinite where there is none."""
+    """One state a between a control and a force. limits: its range (2,), or infinite."""
 
     limits: jax.Array
 
@@ -77,12 +91,12 @@ class Filter(Activation):
     def advanced(self, u: Lane, a: Lane, h: Any) -> Lane:
         if not self.exact:
             return super().advanced(u, a, h)
-        return self.within(a + decayed(h, scalar(self.time_constant, a.dtype), u - a))
+        return self.within(a + lag_step(h, scalar(self.time_constant, a.dtype), u - a))
 
 
 class Recruitment(Activation):
-    """Of a muscle: time constants (2,) of activation and deactivation, both longer where that is
-    further to go (Millard et al., 2013), and the width of a smooth change between the two."""
+    """The activation of a muscle: time constants (2,) of activation and deactivation, both longer
+    for a longer way (Millard et al., 2013), and the width of a smooth transition between them."""
 
     time_constants: jax.Array
     width: jax.Array
@@ -107,11 +121,84 @@ def smoothstep(x: Lane) -> Lane:
     return x * x * x * (3 * x * (2 * x - 5) + 10)
 
 
-def decayed(h: Any, time_constant: Lane, gap: Lane) -> Lane:
-    """How much of a gap a lag of first order closes in h."""
+def lag_step(h: Any, time_constant: Lane, gap: Lane) -> Lane:
+    """The part of a gap that a first-order lag closes in a step h."""
     return -jnp.expm1(jnp.asarray(-h / at_least(time_constant), gap.dtype)) * gap
 
 
 def at_least(x: Lane) -> Lane:
-    """x as a divisor."""
+    """Bound a divisor from below."""
     return max(x, LEAST) if is_literal(x) else jnp.maximum(x, LEAST)
+
+
+class Muscle(Record):
+    """Numbers of a muscle's curves.
+
+    Fields: parameters (9,), [range of L (2); F0; scale; lmin; lmax; vmax; fpmax; fvmax];
+    lengthrange (2,), lengths of the transmission at the range of L; acceleration (), of a unit
+    force at rest. `scaled`: F0 is scale / acceleration, and the third number unused.
+    """
+
+    parameters: jax.Array
+    lengthrange: jax.Array
+    acceleration: jax.Array
+    scaled: bool = eqx.field(static=True)
+
+    def active(self, length: Lane, speed: Lane, dtype: Any) -> Lane:
+        """The force at full activation."""
+        _, lmin, lmax, vmax, _, fvmax = p = self._numbers(dtype)
+        L, optimal = self._scaled_length(length, dtype)
+        V = speed / at_least(optimal * vmax)
+        return -p[0] * length_curve(L, lmin, lmax) * speed_curve(V, fvmax)
+
+    def passive(self, length: Lane, dtype: Any) -> Lane:
+        """The force of a muscle that is stretched and not active."""
+        peak, _, lmax, _, fpmax, _ = self._numbers(dtype)
+        L, _ = self._scaled_length(length, dtype)
+        return -peak * fpmax * passive_curve(L, lmax)
+
+    def _numbers(self, dtype: Any) -> list[Lane]:
+        """F0, lmin, lmax, vmax, fpmax, fvmax."""
+        column = table(self.parameters, dtype)
+        _, _, peak, scale, *rest = (lane(column, i) for i in range(9))
+        if self.scaled:
+            peak = scale / at_least(lane(table(self.acceleration, dtype)[None], 0))
+        return [peak, *rest]
+
+    def _scaled_length(self, length: Lane, dtype: Any) -> tuple[Lane, Lane]:
+        """L, and L0."""
+        column, limits = table(self.parameters, dtype), table(self.lengthrange, dtype)
+        low, high = lane(column, 0), lane(column, 1)
+        least, most = lane(limits, 0), lane(limits, 1)
+        optimal = (most - least) / at_least(high - low)
+        return jnp.asarray(low + (length - least) / at_least(optimal), dtype), optimal
+
+
+def length_curve(L: Lane, lmin: Lane, lmax: Lane) -> Lane:
+    """FL: 0, and half parabolas with knots at lmin, (lmin + 1) / 2, 1, (1 + lmax) / 2, lmax."""
+    a, b = 0.5 * (lmin + 1), 0.5 * (1 + lmax)
+    rise = 0.5 * _square((L - lmin) / at_least(a - lmin))
+    before = 1 - 0.5 * _square((1 - L) / at_least(1 - a))
+    after = 1 - 0.5 * _square((L - 1) / at_least(b - 1))
+    fall = 0.5 * _square((lmax - L) / at_least(lmax - b))
+    short = jnp.where(a >= L, rise, before)
+    long = jnp.where(b >= L, after, fall)
+    return jnp.where((lmin > L) | (lmax < L), 0.0, jnp.where(L <= 1, short, long))
+
+
+def speed_curve(V: Lane, fvmax: Lane) -> Lane:
+    """FV: 0 up to V = -1, 1 at rest, fvmax from V = fvmax - 1 on."""
+    y = fvmax - 1
+    lengthening = fvmax - _square(jnp.maximum(y - V, 0.0)) / at_least(y)
+    return jnp.where(V <= 0, _square(jnp.maximum(V + 1, 0.0)), lengthening)
+
+
+def passive_curve(L: Lane, lmax: Lane) -> Lane:
+    """FP / fpmax: 0 up to L = 1, half a parabola up to (1 + lmax) / 2, then its tangent."""
+    width = at_least(0.5 * (1 + lmax) - 1)
+    x = jnp.maximum((L - 1) / width, 0.0)
+    return jnp.where(x <= 1, 0.5 * x * x, x - 0.5)
+
+
+def _square(x: Lane) -> Lane:
+    return x * x

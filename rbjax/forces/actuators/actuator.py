@@ -1,14 +1,18 @@
-"""An actuator of any kind: a transmission, and a law from its controls to a force.
+"""Actuators: a transmission, and a force law from controls to a force.
 
     tau = r(q) f(u, x, l, l'),      x' = rate(u, x, l, l')
-(MuJoCo, *Computation*, actuation model.) `model.actuators` stores those whose law is affine and has
-no state by columns (`affine`).
+(MuJoCo, *Computation*, actuation model.) `model.actuators` stores as columns those at a joint or a
+site that have no state and are affine in their control,
+
+    f = clip((g0 + g1 l + g2 l') clip(u) + b0 + b1 l + b2 l').
+A model of many motors then has five arrays, which are parameters of identification, instead of five
+for each motor.
 """
 
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -16,20 +20,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.forces.actuators.activation import Activation
-from rbjax.forces.actuators.limits import clip
-from rbjax.forces.actuators.muscle import Muscle
-from rbjax.forces.actuators.transmissions import JointAxis, Reach, Transmission
+from rbjax.forces.actuators.activation import Activation, Muscle, clip
+from rbjax.forces.actuators.transmissions import JointAxis, Reach, SiteWrench, Transmission
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
+from rbjax.model import Model
 from rbjax.model.leaves import numbers, table
-from rbjax.model.model import Record
+from rbjax.model.model import Actuators, Record
 
 
 class Signals:
-    """What the law of an actuator sees: its controls u within their ranges, its state x, the length
-    and speed of its transmission, and the step h: the model's timestep where none is fixed."""
+    """The inputs of a force law.
+
+    u: controls, clipped to their ranges.
+    x: the state of the law.
+    length, speed: of the transmission.
+    h: the step in s; the model's timestep if no step is fixed.
+    """
 
     def __init__(self, now: Context, u: Sequence[Lane], transmission: Transmission):
         self.u, self.x, self.dtype = u, now.x, now.q.dtype
@@ -53,11 +61,11 @@ class Signals:
 
     @property
     def turn(self) -> Lane:
-        """What a full turn adds to the length."""
+        """The change of the length over a full turn."""
         return self._transmission.turn(self.dtype)
 
     def nearest(self, angle: Lane, to: Lane) -> Lane:
-        """Of all that differ from an angle by full turns, the one nearest to another."""
+        """The angle plus the number of full turns that brings it nearest to another angle."""
         return angle - self.turn * jnp.round((angle - to) / self.turn)
 
 
@@ -66,7 +74,7 @@ class ForceLaw(Record):
 
     @property
     def size(self) -> int:
-        """How many numbers its state has."""
+        """The size of its state."""
         return 0
 
     @abc.abstractmethod
@@ -95,8 +103,12 @@ class ForceLaw(Record):
 
 
 class Actuator(Element):
-    """One actuator. Fields: ctrlrange (n, 2) of its controls and forcerange (2,), infinite where
-    the file sets none. Static: `controls`, their indices among those of the model."""
+    """A transmission and a force law.
+
+    ctrlrange: (n, 2) of its controls, infinite if the file sets none.
+    forcerange: (2,), infinite if the file sets none.
+    controls: their indices among those of the model; static.
+    """
 
     transmission: Transmission
     law: ForceLaw
@@ -185,7 +197,7 @@ class Passive(Record):
 
 
 class GainBias(ForceLaw):
-    """f = gain a + bias, with a the activation, or the control where there is none.
+    """f = gain a + bias, with the activation a, or the control if there is no activation.
 
     `early`: the force is that of the activation after the step. `circular`: a is an angle; of all
     that differ from it by full turns the one nearest to l counts.
@@ -239,6 +251,56 @@ class GainBias(ForceLaw):
         return [self.activation.within(a, period) for a in x]
 
     def _control(self, seen: Signals) -> Lane:
-        """The control; on a circle, where it is followed, the one nearest to the activation."""
+        """The control; on a circle, for an activation that follows it, the equivalent angle nearest
+        to the activation."""
         followed = self.activation is not None and self.activation.follows
         return seen.nearest(seen.u[0], seen.x[0]) if self.circular and followed else seen.u[0]
+
+
+def is_affine(element: Any) -> bool:
+    """Whether an element can be a row of `model.actuators`."""
+    if type(element) is not Actuator or type(element.law) is not GainBias:
+        return False
+    law, transmission = element.law, element.transmission
+    axis = isinstance(transmission, JointAxis) and not transmission.in_parent
+    affine = isinstance(law.gain, Affine) and (law.bias is None or isinstance(law.bias, Affine))
+    stateless = law.activation is None and not law.circular and len(element.controls) == 1
+    return affine and stateless and (axis or isinstance(transmission, SiteWrench))
+
+
+def from_columns(model: Model) -> tuple[Actuator, ...]:
+    """The actuators of `model.actuators` as elements, without the rows that drive nothing."""
+    own = model.actuators
+    names = ("gear", "gain", "bias", "ctrlrange", "forcerange")
+    columns = (getattr(own, n) for n in names)
+    parts: Any = (x if isinstance(x, np.ndarray) else table(x, x.dtype) for x in columns)
+    gear, gain, bias, ctrl, force = parts
+
+    def element(i: int) -> Actuator:
+        joint, site = own.joints[i], own.sites[i]
+        transmission = JointAxis(gear[i], joint) if site < 0 else SiteWrench(gear[i], site)
+        law = GainBias(Affine(gain[i]), Affine(bias[i]), None)
+        return Actuator(transmission, law, ctrl[i : i + 1], force[i], (i,))
+
+    driving = (i for i in range(model.nu) if own.joints[i] >= 0 or own.sites[i] >= 0)
+    return tuple(map(element, driving))
+
+
+def to_columns(elements: Iterable[Any], nu: int) -> Actuators:
+    """Affine actuators as columns, a row for each of nu controls; the other rows drive nothing."""
+    gear, gain, bias = np.zeros((nu, 6)), np.zeros((nu, 3)), np.zeros((nu, 3))
+    ctrlrange, forcerange = np.tile([-np.inf, np.inf], (2, nu, 1))
+    joints, sites = [-1] * nu, [-1] * nu
+    for one in elements:
+        (i,), law, transmission = one.controls, one.law, one.transmission
+        gear[i], ctrlrange[i], forcerange[i] = transmission.gear, one.ctrlrange[0], one.forcerange
+        gain[i, : law.gain.coefficients.size] = law.gain.coefficients
+        if law.bias is not None:
+            bias[i, : law.bias.coefficients.size] = law.bias.coefficients
+        if isinstance(transmission, SiteWrench):
+            sites[i] = transmission.site
+        else:
+            joints[i] = transmission.joint
+    make: Any = Actuators  # of arrays of NumPy
+    columns = gear, gain, bias, ctrlrange, forcerange
+    return make(*columns, joints=tuple(joints), sites=tuple(sites))

@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.actuators.activation import at_least, decayed
+from rbjax.forces.actuators.activation import at_least, lag_step
 from rbjax.forces.actuators.actuator import ForceLaw, Signals
 from rbjax.forces.actuators.pid import Controller
 from rbjax.lanes import Lane, add
@@ -25,9 +25,15 @@ from rbjax.model.model import Record
 
 
 class Windings(Record):
-    """Fields: resistance () R0, constant () K, drive () the limit of the controller's voltage,
-    time_constant () L / R, current_rate () the limit of i'; the last two count where the current is
-    a state (`inductive`)."""
+    """The electrical parameters of a motor.
+
+    resistance: () R0.
+    constant: () K.
+    drive: () limit of the controller's voltage.
+    time_constant: () L / R, if the current is a state.
+    current_rate: () limit of i', if the current is a state.
+    inductive: whether the current is a state; static.
+    """
 
     resistance: jax.Array
     constant: jax.Array
@@ -38,13 +44,15 @@ class Windings(Record):
 
 
 class Heat(Record):
-    """Fields: numbers (5,), RT K/W, C J/K, Ta, alpha 1/K, T0. The state is T - Ta."""
+    """The thermal model of the windings. numbers: (5,) RT K/W, C J/K, Ta, alpha 1/K, T0. The state
+    is T - Ta."""
 
     numbers: jax.Array
 
 
 class LuGre(Record):
-    """Fields: numbers (5,), s0, s1, FC, FS, vS. The state is z, how far the bristles bend."""
+    """The LuGre friction of the bearings. numbers: (5,) s0, s1, FC, FS, vS. The state z is the
+    deflection of the bristles."""
 
     numbers: jax.Array
 
@@ -74,9 +82,13 @@ class LuGre(Record):
 
 
 class DCMotor(ForceLaw):
-    """Fields: `cogging` (3,), amplitude, number of poles, phase; the others None where the motor
-    has none. `voltage`: whether the last control is a terminal voltage. States, where they are: the
-    controller's, T - Ta, z, i."""
+    """A DC motor. A part that the motor does not have is None.
+
+    cogging: (3,) amplitude, number of poles, phase.
+    voltage: whether the last control is a terminal voltage; static.
+
+    Its states, as far as it has them: those of the controller, T - Ta, z, i.
+    """
 
     windings: Windings
     cogging: jax.Array
@@ -126,7 +138,7 @@ class DCMotor(ForceLaw):
         return [*self.controller.within(x[:n], dtype), *x[n:]]
 
     def _parts(self, seen: Signals) -> dict[str, Lane]:
-        """The states beside the controller's."""
+        """The states other than the controller's, by name."""
         own = [("T", self.heat is not None), ("z", self.bristles is not None)]
         names = [name for name, there in [*own, ("i", self.windings.inductive)] if there]
         return dict(zip(names, seen.x[self.size - len(names) :], strict=True))
@@ -150,12 +162,12 @@ class DCMotor(ForceLaw):
         return add(out, seen.u[-1]) if self.voltage else out
 
     def _current(self, seen: Signals, h: Any) -> Lane:
-        """i where it has no inertia."""
+        """The current i without inductance."""
         K = scalar(self.windings.constant, seen.dtype)
         return (self._voltage(seen, h) - K * seen.speed) / at_least(self._resistance(seen))
 
     def _current_rate(self, seen: Signals, h: Any) -> Lane:
-        """i' where it has."""
+        """The rate i' of a current with inductance."""
         w, i = self.windings, self._parts(seen)["i"]
         limit = scalar(w.current_rate, seen.dtype)
         te = at_least(scalar(w.time_constant, seen.dtype))
@@ -165,7 +177,7 @@ class DCMotor(ForceLaw):
         """i after a step."""
         te = scalar(self.windings.time_constant, seen.dtype)
         rate = self._current_rate(seen, h)
-        return self._parts(seen)["i"] + decayed(h, te, rate * at_least(te))
+        return self._parts(seen)["i"] + lag_step(h, te, rate * at_least(te))
 
     def _rates(self, seen: Signals, h: Any) -> list[Lane]:
         out = [] if self.controller is None else self.controller.rate(seen, h)

@@ -1,6 +1,6 @@
 """A servo on an orientation: three torques along the shortest way to an attitude.
 
-    tau = kp log(Q^-1 Q_target) + c - kv w,      in the axes of what turns
+    tau = kp log(Q^-1 Q_target) + c - kv w,      in the axes of the turning frame
 (MuJoCo, *XML reference*, actuator/orientation.) The target is a rotation vector or a quaternion. It
 may be a state whose rate is the control.
 """
@@ -14,9 +14,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.actuators.activation import Activation
-from rbjax.forces.actuators.limits import clip
-from rbjax.forces.actuators.transmissions import Arms, between, merged, relative
+from rbjax.forces.actuators.activation import Activation, clip
+from rbjax.forces.actuators.transmissions import Arms, add_arms, arms_between, relative_quaternion
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
 from rbjax.lanes import Lane, Vec3, add, is_zero, mul, total
@@ -26,10 +25,16 @@ from rbjax.rotations.coefficients import length as norm
 
 
 class OrientationServo(Element):
-    """Fields: gains (3,) kp, c, kv; ctrlrange (n, 2); strongest () the largest torque; activation,
-    of a target that is a state. Static: `joint`, a ball that it turns; or `site`, and `reference`
-    from which its attitude is measured; `controls`, three of a rotation vector or four of a
-    quaternion."""
+    """A servo on the orientation of a ball joint, or of a site relative to another.
+
+    gains: (3,) kp, c, kv.
+    ctrlrange: (n, 2).
+    strongest: () the largest torque.
+    activation: of a target that is a state; None otherwise.
+    controls: three of a rotation vector, or four of a quaternion; static, as all below.
+    joint: the ball; or -1, and `site` with the `reference` relative to which it is measured.
+    early: whether the torque is that of the activation after the step.
+    """
 
     gains: jax.Array
     ctrlrange: jax.Array
@@ -64,7 +69,7 @@ class OrientationServo(Element):
         share = jnp.where(strong, limit, 1.0) / jnp.where(strong, size, 1.0)
         tau: Arms = {}
         for row, x in zip(rows, torque, strict=True):
-            tau = merged(tau, {n: mul(arm, share * x) for n, arm in row.items()})
+            tau = add_arms(tau, {n: mul(arm, share * x) for n, arm in row.items()})
         return Loads(tau)
 
     def rate(self, now: Context) -> Sequence[Lane]:
@@ -84,7 +89,7 @@ class OrientationServo(Element):
         return self._nearest([self.activation.within(a) for a in x])
 
     def _nearest(self, phi: list[Lane]) -> list[Lane]:
-        """The shortest rotation vector of the same attitude."""
+        """The shortest rotation vector of the same orientation."""
         angle = norm(sum(x * x for x in phi))
         far = angle > jnp.pi
         turns = 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
@@ -112,13 +117,13 @@ class OrientationServo(Element):
         return quaternion.exp_lanes(phi)
 
     def _turned(self, now: Context) -> tuple[list[Lane], list[Arms]]:
-        """The attitude as a quaternion, and the arms of a torque about each of its axes."""
+        """The orientation as a quaternion, and the arms of a torque about each of its axes."""
         if self.joint >= 0:
             top = now.model.topology
             at, start = top.joint_v[self.joint], top.joint_q[self.joint]
             return [now.q[start + k] for k in range(4)], [{at + k: 1.0} for k in range(3)]
         site, base = now.site(self.site), now.site(self.reference)
         axes = site.rotation.columns
-        rows = [between(site, base, Vec3.zero(), axis) for axis in axes]
+        rows = [arms_between(site, base, Vec3.zero(), axis) for axis in axes]
         rows = [{n: arm for n, arm in row.items() if not is_zero(arm)} for row in rows]
-        return relative(site, base, now.q.dtype), rows
+        return relative_quaternion(site, base, now.q.dtype), rows

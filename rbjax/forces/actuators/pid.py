@@ -14,8 +14,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.forces.actuators.activation import clip
 from rbjax.forces.actuators.actuator import ForceLaw, Signals
-from rbjax.forces.actuators.limits import clip
 from rbjax.lanes import Lane, add, mul, neg, sub
 from rbjax.model.leaves import numbers, scalar, table
 from rbjax.model.model import Record
@@ -25,11 +25,15 @@ INPUTS = ("pos", "vel", "ff")
 
 
 class Controller(Record):
-    """Gains (3,) kp, ki, kv; `windup` () and `slew` (), the limits of the integral and of the first
-    input's rate, infinite where there are none. Static: `inputs`, some of INPUTS, and which states
-    there are: slewed input, integral, in that order. `circular`: positions are angles, and of all
-    that differ by full turns the nearest counts. `clipped`: no step ends beyond the windup limit;
-    otherwise the integral only stops growing there."""
+    """A PID controller.
+
+    gains: (3,) kp, ki, kv.
+    windup, slew: () limits of the integral and of the rate of the first input; infinite for none.
+    inputs: some of INPUTS; static, as all below.
+    slews, integrates: whether it has the states slewed input and integral, in that order.
+    circular: whether positions are angles, of which the equivalent one nearest to l counts.
+    clipped: whether a step ends within the windup limit; otherwise the integral only stops growing.
+    """
 
     gains: jax.Array
     windup: jax.Array
@@ -42,11 +46,11 @@ class Controller(Record):
 
     @property
     def size(self) -> int:
-        """How many numbers its state has."""
+        """The size of its state."""
         return self.slews + self.integrates
 
     def output(self, seen: Signals, h: Any, x: Sequence[Lane]) -> Lane:
-        """What the controller asks for in a step h, with the integral of the states x."""
+        """The output of the controller in a step h, with the integral among the states x."""
         kp, ki, kv = numbers(self.gains, seen.dtype)
         u = self.setpoints(seen, h)
         out = mul(kp, sub(u.get("pos", 0.0), seen.length))
@@ -56,7 +60,7 @@ class Controller(Record):
         return add(out, u.get("ff", 0.0))
 
     def setpoints(self, seen: Signals, h: Any) -> dict[str, Lane]:
-        """The inputs that there are, the first of them slewed over a step h."""
+        """The inputs by name, the first of them slewed over a step h."""
         u = dict(zip(self.inputs, seen.u, strict=False))
         if self.slews:
             u[self.inputs[0]] = self._slewed(seen, h)
@@ -65,7 +69,7 @@ class Controller(Record):
         return u
 
     def _slewed(self, seen: Signals, h: Any) -> Lane:
-        """The state that follows the first input, after a step h."""
+        """The slewed first input after a step h."""
         u, x, reach = seen.u[0], seen.x[0], h * scalar(self.slew, seen.dtype)
         target = seen.nearest(u, x) if self.circular and self.inputs[0] == "pos" else u
         return jnp.clip(target, x - reach, x + reach)
@@ -89,7 +93,7 @@ class Controller(Record):
         return self.within(x, seen.dtype)
 
     def within(self, x: Sequence[Lane], dtype: Any) -> list[Lane]:
-        """Its states, the integral within the windup limit where that is `clipped`."""
+        """Clip the integral to the windup limit if it is `clipped`."""
         x = list(x)
         if self.integrates and self.clipped:
             windup = scalar(self.windup, dtype)
@@ -98,8 +102,12 @@ class Controller(Record):
 
 
 class PID(ForceLaw):
-    """A controller whose output is a force; `offset` () is a constant force beside it, `limits`
-    (2,) the range of its states. `early`: the force is that of the integral after the step."""
+    """A controller whose output is a force.
+
+    offset: () a constant force that is added.
+    limits: (2,) range of its states.
+    early: whether the force is computed from the integral after the step; static.
+    """
 
     controller: Controller
     offset: jax.Array

@@ -2,8 +2,8 @@
 
     l = l(q),      l' = sum of r_n v_n,      tau_n = r_n f
 with the length l and the moment arms r, one for each velocity coordinate (MuJoCo, *Computation*,
-transmission). r is the gradient of l wherever l is a length in space. Where a site is measured in
-the axes of another, r is what the force does, as in MuJoCo: action and reaction on the two sites,
+transmission). r is the gradient of l if l is a length in space. If a site is measured in the
+axes of another, r is the effect of the force, as in MuJoCo: action and reaction on the two sites,
 and nothing on the joints that carry both.
 """
 
@@ -38,7 +38,7 @@ class Reach(NamedTuple):
         return total(mul(arm, now.v[n]) for n, arm in self.arms.items())
 
     def scaled(self, gear: Lane) -> Reach:
-        """The same through a gear."""
+        """The transmission through a gear."""
         return Reach(mul(gear, self.length), {n: mul(gear, arm) for n, arm in self.arms.items()})
 
 
@@ -50,13 +50,16 @@ class Transmission(Record):
         """The length and the moment arms at an instant."""
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
-        """How much a full turn adds to the length, where that is an angle."""
+        """The change of the length over a full turn, if the length is an angle."""
         raise TypeError(f"the length of {type(self).__name__} is no angle")
 
 
 class JointAxis(Transmission):
-    """A joint, or an axis of one: gear (6,), of a ball [axis, ...], of a free joint [force axis in
-    the world; torque axis]. `in_parent`: the axis of torque is in the parent's axes."""
+    """A joint, or an axis of one.
+
+    gear: (6,); of a ball [axis, ...], of a free joint [force axis in the world; torque axis].
+    in_parent: whether the torque axis is in the parent's axes; static.
+    """
 
     gear: jax.Array
     joint: int = eqx.field(static=True)
@@ -76,7 +79,7 @@ class SiteWrench(Transmission):
     site: int = eqx.field(static=True)
 
     def reach(self, now: Context) -> Reach:
-        force, torque = halves(numbers(self.gear, now.q.dtype))
+        force, torque = split_gear(numbers(self.gear, now.q.dtype))
         return Reach(0.0, now.site(self.site).arms(Force(torque, force)))
 
 
@@ -89,23 +92,23 @@ class SitePose(Transmission):
 
     def reach(self, now: Context) -> Reach:
         site, base = now.site(self.site), now.site(self.reference)
-        force, torque = halves(numbers(self.gear, now.q.dtype))
+        force, torque = split_gear(numbers(self.gear, now.q.dtype))
         length: Lane = 0.0
         if not all(map(is_zero, force)):
             length = force.dot(base.rotation.T @ (site.position - base.position))
         if not all(map(is_zero, torque)):
-            turned = quaternion.log_lanes(relative(site, base, now.q.dtype))
+            turned = quaternion.log_lanes(relative_quaternion(site, base, now.q.dtype))
             length = add(length, torque.dot(Vec3(*turned)))
         force, torque = base.rotation @ force, base.rotation @ torque
-        return Reach(length, between(site, base, force, torque))
+        return Reach(length, arms_between(site, base, force, torque))
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
         return 2 * jnp.pi * Vec3(*numbers(self.gear, dtype)[3:]).norm()
 
 
 class SliderCrank(Transmission):
-    """Where a slider is on the z axis of its site, pulled by a rod of constant length from the
-    crank's site. Beyond the rod's reach the slider follows the foot of the perpendicular."""
+    """The position of a slider on the z axis of its site, connected by a rod of constant length to
+    the crank's site. Beyond the rod's length it is the foot of the perpendicular."""
 
     gear: jax.Array
     rod: jax.Array
@@ -127,7 +130,7 @@ class SliderCrank(Transmission):
         by_axis = r * share
         length = sub(along, jnp.where(near, root, 0.0))
         pulled = slider.world_arms(-by_r, axis.cross(by_axis))
-        arms = apart(crank.world_arms(by_r, Vec3.zero()), pulled)
+        arms = opposed_arms(crank.world_arms(by_r, Vec3.zero()), pulled)
         return Reach(length, arms).scaled(numbers(self.gear, dtype)[0])
 
 
@@ -142,7 +145,7 @@ class JointSum(Transmission):
         top, out = now.model.topology, Reach(0.0, {})
         for c, j in zip(numbers(self.coefficients, now.q.dtype), self.joints, strict=True):
             length = add(out.length, mul(c, now.q[top.joint_q[j]]))
-            out = Reach(length, merged(out.arms, {top.joint_v[j]: c}))
+            out = Reach(length, add_arms(out.arms, {top.joint_v[j]: c}))
         return out.scaled(numbers(self.gear, now.q.dtype)[0])
 
 
@@ -162,9 +165,9 @@ class SitePath(Transmission):
             some = square > 0
             length = jnp.sqrt(jnp.where(some, square, 1.0))
             e = r * jnp.where(some, 1 / (divisor * length), 0.0)
-            arms = between(end, start, e, Vec3.zero())
+            arms = arms_between(end, start, e, Vec3.zero())
             length = jnp.where(some, length, 0.0) / divisor
-            out = Reach(add(out.length, length), merged(out.arms, arms))
+            out = Reach(add(out.length, length), add_arms(out.arms, arms))
         return out.scaled(numbers(self.gear, dtype)[0])
 
 
@@ -186,27 +189,27 @@ def joint_reach(now: Context, joint: int, gear: list[Lane], in_parent: bool = Fa
     return Reach(0.0, {at + k: x for k, x in enumerate([*gear[:3], *own])})
 
 
-def relative(site: Frame, base: Frame, dtype: jax.typing.DTypeLike) -> list[Lane]:
+def relative_quaternion(site: Frame, base: Frame, dtype: jax.typing.DTypeLike) -> list[Lane]:
     """A quaternion, of any length, of a frame's attitude in the axes of another."""
     R = base.rotation.T @ site.rotation
     return quaternion.from_matrix_lanes([jnp.asarray(x, dtype) for x in R])
 
 
-def between(site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
+def arms_between(site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
     """The arms of a force and a torque in world axes on a frame, and of their reaction."""
-    return apart(site.world_arms(force, torque), base.world_arms(-force, -torque))
+    return opposed_arms(site.world_arms(force, torque), base.world_arms(-force, -torque))
 
 
-def apart(a: Arms, b: Arms) -> Arms:
-    """Arms of two limbs, without the joints that carry both."""
+def opposed_arms(a: Arms, b: Arms) -> Arms:
+    """Merge the arms of two limbs, without the joints that carry both."""
     return {n: arm for n, arm in (a | b).items() if (n in a) != (n in b)}
 
 
-def merged(a: Arms, b: Arms) -> Arms:
-    """Their sum."""
+def add_arms(a: Arms, b: Arms) -> Arms:
+    """Add two sets of arms."""
     return {n: add(a.get(n, 0.0), b.get(n, 0.0)) for n in a | b}
 
 
-def halves(gear: list[Lane]) -> tuple[Vec3, Vec3]:
+def split_gear(gear: list[Lane]) -> tuple[Vec3, Vec3]:
     """The force and the torque of a gear."""
     return Vec3(*gear[:3]), Vec3(*gear[3:])

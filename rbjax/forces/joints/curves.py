@@ -6,8 +6,8 @@ x runs from -1 to 1 over a joint's range, and both curves are Chebyshev series i
 
     c(x) = c_0 + c_1 T_1(x) + ... + c_n T_n(x),     T_k(cos a) = cos(k a).
 
-c is what a motor's magnets, a cable or an offset of the torque do: it stores energy. F is what a
-linkage or a gear rubs at each angle, in both directions. Beyond the range both keep the values of
+c is the torque of a motor's magnets, of a cable, or an offset; it stores energy. F is the friction
+of a linkage or a gear at each angle, in both directions. Beyond the range both keep the values of
 its ends. A series with more terms contains all with fewer, so that models of growing length can be
 compared. As in `joint_friction`, the step of F at rest is as wide as v_0, and s is how much more
 breaking away costs than sliding (Stribeck).
@@ -26,7 +26,7 @@ import numpy as np
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
-from rbjax.forces.element import Element, Loads, Shapes
+from rbjax.forces.element import Element, Loads, Shapes, columns_of
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -65,6 +65,7 @@ class JointCurves(Element):
     smoothing: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
     positive = ("stribeck", "smoothing")
+    unlimited = ()
 
     def __check_init__(self) -> None:
         super().__check_init__()
@@ -87,6 +88,7 @@ class JointCurves(Element):
         """The curves of these joints; range is (2,) or (n, 2), curves are a number, (n,) or (n, k)
         coefficients, the rest a number or (n,)."""
         check_model("JointCurves.of", model)
+        given = {"breakaway": breakaway, "stribeck": stribeck, "smoothing": smoothing}
         n, dtype = len(joints), model.gravity.dtype
         wrong = [j for j in joints if model.topology.joints[model.joint(j)].nv != 1]
         if wrong:
@@ -94,14 +96,11 @@ class JointCurves(Element):
                 f"JointCurves.of: joints {wrong} have more than one coordinate, expected hinges or "
                 "slides"
             )
-
-        def column(name: str, x: Any) -> jax.Array:
-            found = check_array("JointCurves.of", name, x, (), (n,))
-            return jnp.broadcast_to(found.astype(dtype), (n,))
+        columns = columns_of("JointCurves.of", model, joints, given)
 
         def series(name: str, x: Any) -> jax.Array:
             if np.ndim(x) < 2:
-                return column(name, x)[:, None]
+                return columns_of("JointCurves.of", model, joints, {name: x})[name][:, None]
             return check_array("JointCurves.of", name, x, (n, np.shape(x)[-1])).astype(dtype)
 
         ends = check_array("JointCurves.of", "range", range, (2,), (n, 2)).astype(dtype)
@@ -111,14 +110,9 @@ class JointCurves(Element):
             range=jnp.broadcast_to(ends, (n, 2)),
             torque=series("torque", torque),
             coulomb=series("coulomb", coulomb),
-            breakaway=column("breakaway", breakaway),
-            stribeck=column("stribeck", stribeck),
-            smoothing=column("smoothing", smoothing),
             joints=tuple(joints),
+            **columns,
         )
-
-    def may_be_endless(self, name: str) -> bool:
-        return False
 
     def shapes(self, model: Model) -> Shapes:
         n = len(self.joints)
@@ -155,7 +149,7 @@ class JointCurves(Element):
         return total(stored(row) for row in range(len(self.joints)))
 
     def _place(self, now: Context, row: int) -> tuple[Lane, Lane, Lane]:
-        """x within -1 and 1, half the range, and how far the joint is beyond it."""
+        """x clipped to -1 and 1, half the range, and the distance of the joint beyond it."""
         ends = table(self.range, now.q.dtype)
         low, high = lane(ends[:, 0], row), lane(ends[:, 1], row)
         (q,) = now.joint(self.joints[row]).q

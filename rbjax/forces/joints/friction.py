@@ -1,16 +1,19 @@
-"""Friction in the joints: Coulomb's, Stribeck's and viscous, smooth at rest.
+"""Friction of joints, smooth at rest: of bearings, and of gears in proportion to their load.
 
-    tau = -[F_c + (F_s - F_c) exp(-(v / v_s)^2)] tanh(v / v_0) - d v
+    bearing    tau = -[F_c + (F_s - F_c) exp(-(v / v_s)^2)] tanh(v / v_0) - d v
+    gear       tau = -mu |tau_motor| tanh(v / v_0)
 
-for each velocity coordinate. F_c is what sliding costs at any speed, F_s what breaking away costs;
-between the two the friction falls with the speed (Stribeck, 1902), over v_s. Coulomb's law has a
-step at v = 0, where it holds whatever does not exceed F_s. Here the step is as wide as v_0: a joint
-under a load F that it should hold creeps at v = v_0 artanh(F / F_s), and at a speed of 3 v_0 the
-friction is right to half a percent. So a motion that comes to rest under a load is wrong by order
-v_0, from the creep; how far it slides until then is wrong by order v_0^2.
+for each velocity coordinate. F_c is the Coulomb (kinetic) friction, F_s the static (breakaway)
+friction; between them the friction falls with the speed, over v_s (Stribeck, 1902). A gear of
+efficiency eta dissipates the fraction mu = 1 - eta of the transmitted torque.
 
-The slope at rest, F_s / v_0, is a viscosity: an explicit method of step h follows it while
-h F_s / (v_0 m) is below about 2, m being the joint's inertia.
+Coulomb's law has a step at v = 0. Here the step has the width v_0: a joint under a load F that it
+should hold creeps at v = v_0 artanh(F / F_s), and at a speed of 3 v_0 the friction is right to half
+a percent. A motion that comes to rest under a load has an error of order v_0, from the creep; the
+distance that it slides until then has an error of order v_0^2.
+
+The slope at rest, F_s / v_0, is a viscosity: an explicit method of step h is stable while
+h F_s / (v_0 m) is below about 2, with the joint's inertia m.
 """
 
 from __future__ import annotations
@@ -22,9 +25,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.forces.context import Context
-from rbjax.forces.element import Element, Loads, Shapes, coordinates
+from rbjax.forces.element import Element, Loads, Shapes, columns_of, coordinates
 from rbjax.lanes import Lane, add, is_zero, mul, neg, sub
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -36,10 +38,15 @@ class JointFriction(Element):
 
     tau = -[F_c + (F_s - F_c) exp(-(v / v_s)^2)] tanh(v / v_0) - d v.
 
-    Fields, one entry for each velocity coordinate of the joints, in their order: coulomb F_c (n,)
-    N m or N; breakaway F_s (n,) N m or N, None for F_s = F_c; stribeck v_s (n,) rad/s or m/s;
-    smoothing v_0 (n,) rad/s or m/s, above 0; viscous d (n,) N m s/rad or N s/m. Static: `joints`,
-    their names or indices. `JointFriction.of` makes it from single numbers.
+    Fields, with n the velocity coordinates of the joints, in their order:
+        coulomb: F_c (n,) N m or N.
+        breakaway: F_s (n,) N m or N; None for F_s = F_c.
+        stribeck: v_s (n,) rad/s or m/s.
+        smoothing: v_0 (n,) rad/s or m/s, above 0.
+        viscous: d (n,) N m s/rad or N s/m.
+        joints: their names or indices; static.
+
+    `JointFriction.of` makes it from single numbers.
 
     Source: Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30, 1994, 1083-1138.
 
@@ -60,6 +67,7 @@ class JointFriction(Element):
     viscous: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
     positive = ("stribeck", "smoothing")
+    unlimited = ()
 
     @classmethod
     def of(
@@ -73,25 +81,10 @@ class JointFriction(Element):
         smoothing: Any = 1e-2,
         viscous: Any = 0.0,
     ) -> JointFriction:
-        """The friction of these joints, with the same numbers for all or (n,) of each kind."""
-        check_model("JointFriction.of", model)
-        n = coordinates(model, joints)
-
-        def column(name: str, x: Any) -> jax.Array:
-            found = check_array("JointFriction.of", name, x, (), (n,))
-            return jnp.broadcast_to(found.astype(model.gravity.dtype), (n,))
-
-        return cls(
-            coulomb=column("coulomb", coulomb),
-            breakaway=None if breakaway is None else column("breakaway", breakaway),
-            stribeck=column("stribeck", stribeck),
-            smoothing=column("smoothing", smoothing),
-            viscous=column("viscous", viscous),
-            joints=tuple(joints),
-        )
-
-    def may_be_endless(self, name: str) -> bool:
-        return False
+        """The friction of these joints, with one number for all or (n,) of each kind."""
+        given = {"coulomb": coulomb, "breakaway": breakaway, "stribeck": stribeck}
+        given |= {"smoothing": smoothing, "viscous": viscous}
+        return cls(**columns_of("JointFriction.of", model, joints, given), joints=tuple(joints))
 
     def shapes(self, model: Model) -> Shapes:
         n = coordinates(model, self.joints)
@@ -102,10 +95,11 @@ class JointFriction(Element):
         breakaway = self.coulomb if self.breakaway is None else self.breakaway
         given = (self.coulomb, breakaway, self.stribeck, self.smoothing, self.viscous)
         columns = [table(x, now.v.dtype) for x in given]
-        at = [(i, v) for j in map(now.joint, self.joints) for i, v in enumerate(j.v, j.start)]
-        rows = [[lane(x, n) for x in columns] for n in range(len(at))]
         falls = self.breakaway is not None
-        tau = {i: _friction(v, row, falls) for (i, v), row in zip(at, rows, strict=True)}
+        tau = {
+            i: _friction(v, [lane(x, n) for x in columns], falls)
+            for n, (i, v) in enumerate(now.dofs(self.joints))
+        }
         return Loads(tau)
 
 
@@ -118,3 +112,63 @@ def _friction(v: Lane, numbers: Sequence[Lane], falls: bool) -> Lane:
     if not is_zero(dry):
         dry = mul(dry, jnp.tanh(v / v_0))
     return neg(add(dry, mul(viscous, v)))
+
+
+class GearLoss(Element):
+    """Friction of gears in proportion to the torques of their motors.
+
+    tau = -mu |tau_motor| tanh(v / v_0), with tau_motor the sum of all actuator forces on the joint,
+    clipped to the joint's force range. Without controls there is no loss.
+
+    Fields, with n the velocity coordinates of the joints, in their order:
+        loss: mu (n,), a fraction.
+        smoothing: v_0 (n,) rad/s or m/s, above 0.
+        joints: their names or indices; static.
+
+    `GearLoss.of` makes it from single numbers.
+
+    Source: Siciliano, Sciavicco, Villani & Oriolo, *Robotics*, 2009, 7.2; Gautier & Hamon, ICRA
+    2011 (load-dependent friction as a linear term).
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> gear = rb.forces.GearLoss.of(model, model.joint_names[:1], 0.1)
+        >>> state = model.default_state().replace(v=jnp.array([1.0, 0.0]))
+        >>> with_gear = rb.applied_forces(model.with_forces(gear), state, jnp.ones(1))
+        >>> lost = rb.applied_forces(model, state, jnp.ones(1)) - with_gear
+        >>> motor = rb.applied_forces(model, model.default_state(), jnp.ones(1))
+        >>> [round(float(x), 5) for x in lost / motor[0]]
+        [0.1, 0.0]
+    """
+
+    loss: jax.Array
+    smoothing: jax.Array
+    joints: tuple[str | int, ...] = eqx.field(static=True)
+    positive = ("smoothing",)
+    unlimited = ()
+
+    @classmethod
+    def of(
+        cls, model: Model, joints: Sequence[str | int], loss: Any, *, smoothing: Any = 1e-2
+    ) -> GearLoss:
+        """The losses of these joints, with one number for all or (n,) of each kind."""
+        given = {"loss": loss, "smoothing": smoothing}
+        return cls(**columns_of("GearLoss.of", model, joints, given), joints=tuple(joints))
+
+    @property
+    def after_actuators(self) -> bool:
+        return True
+
+    def shapes(self, model: Model) -> Shapes:
+        return dict.fromkeys(("loss", "smoothing"), (coordinates(model, self.joints),))
+
+    def loads(self, now: Context) -> Loads:
+        loss, smoothing = (table(x, now.v.dtype) for x in (self.loss, self.smoothing))
+        out: dict[int, Lane] = {}
+        for n, (i, v) in enumerate(now.dofs(self.joints)):
+            motor = now.driven.get(i, 0.0)
+            if not is_zero(motor):
+                share = mul(jnp.abs(motor), jnp.tanh(v / lane(smoothing, n)))
+                out[i] = neg(mul(lane(loss, n), share))
+        return Loads(out)

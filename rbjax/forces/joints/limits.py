@@ -15,7 +15,7 @@ differentiable. What the damper adds to k s(p) has the sign of p', so energy is 
 
     dE/dt = -(f - k s) p' <= 0,      E = ... + k S(p),  S' = s
 
-At rest under a load F the joint stands p = F / k + w / 2 beyond the limit (F > k w / 2).
+At rest under a load F the depth is p = F / k + w / 2 (F > k w / 2).
 A ball's coordinate is its angle of rotation, with one limit; its stop pushes about the axis of the
 rotation.
 """
@@ -44,7 +44,7 @@ from rbjax.rotations.coefficients import length, where
 class JointLimits(Element):
     """Stops that hold hinges, slides and balls within `model.joints.range`, softly.
 
-    f = k s(p) + d r(p) p' at a depth p, where it goes in; never less than 0 where it comes out.
+    f = k s(p) + d r(p) p' at a growing depth p; while it shrinks the force is never below 0.
 
     Fields, one entry a joint: stiffness k (n,) N m/rad or N/m; damping d (n,) N m s/rad or N s/m;
     margin (n,) rad or m, how far before the limit the stop begins; width w (n,) rad or m, above 0,
@@ -70,9 +70,7 @@ class JointLimits(Element):
     width: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
     positive = ("width",)
-
-    def may_be_endless(self, name: str) -> bool:
-        return False
+    unlimited = ()
 
     def shapes(self, model: Model) -> Shapes:
         return dict.fromkeys(("stiffness", "damping", "margin", "width"), (len(self.joints),))
@@ -99,8 +97,8 @@ class JointLimits(Element):
         )
 
     def _stops(self, now: Context) -> Iterator[tuple[int, Joint, Lane, list[Lane]]]:
-        """Each stop: its joint's place among the fields, its joint, how deep that is in it, and the
-        direction in which it goes deeper."""
+        """Yield each stop: the index of its joint among the fields, the joint, the depth, and the
+        direction of increasing depth."""
         given = (now.model.joints.range, self.stiffness, self.margin)
         ranges, stiffness, margins = (table(x, now.q.dtype) for x in given)
         for n, name in enumerate(self.joints):
@@ -139,8 +137,8 @@ def stop_force(p: Lane, rate: Lane, k: Lane, d: Lane, w: Lane) -> Lane:
 
 
 def stop_energy(p: Lane, k: Lane, w: Lane) -> Lane:
-    """What the spring of a stop stores at the depth p: k p^3 / (6 w), beyond the onset
-    k (p^2 / 2 - p w / 2 + w^2 / 6)."""
+    """The energy of the spring of a stop at the depth p: k p^3 / (6 w), beyond the onset k (p^2 / 2
+    - p w / 2 + w^2 / 6)."""
     p = jnp.maximum(p, 0.0)
     return k * where(p < w, p * p * p / (6 * w), (p * p - p * w) / 2 + w * w / 6)
 
@@ -161,14 +159,14 @@ def _coordinate(joint: Joint) -> tuple[Lane, list[Lane]]:
 
 
 def _apart(low: Lane, high: Lane) -> bool:
-    """Whether two stops are known never to act at once: one begins below where the other does."""
+    """Whether two stops never act at once, as far as their limits are compile-time constants."""
     known = is_literal(low) and is_literal(high)
     return known and bool(np.isfinite(low) and np.isfinite(high) and low <= high)
 
 
 def _nearer(x: Lane, low: Lane, high: Lane) -> tuple[Lane, list[Lane]]:
-    """How deep x is in the stop of the nearer end, and in which direction it goes deeper: of two
-    stops that are apart the other does nothing, so one evaluation of the law serves both."""
+    """The depth of x in the stop of the nearer end, and the direction of increasing depth. Of two
+    stops that never act at once, one evaluation serves both."""
     below = x < (low + high) / 2
     end, side = (
         where(below, jnp.full_like(x, a), jnp.full_like(x, b)) for a, b in ((low, high), (-1, 1))

@@ -9,12 +9,12 @@ coordinates of v (MuJoCo, *Computation*, passive forces). The linear terms k_0, 
 `joints.stiffness` and `joints.damping`. Dampers are odd in v, so that positive coefficients
 dissipate. Springs are not odd in the coordinate of a hinge or a slide: that is MuJoCo's law
 (measured on its `qfrc_spring`), whose k_1 makes a spring stiffer to one side and softer to the
-other. It is the law of a potential,
+other. It has the potential
 
     V = x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...),
 
-and so is that of a ball with |x|: the torque -f(|x|) x / |x| on the tangent is conservative because
-the rate of the angle |x| is x . w / |x|.
+and so has the spring of a ball with |x|: the torque -f(|x|) x / |x| on the tangent is conservative
+because the rate of the angle |x| is x . w / |x|.
 """
 
 from __future__ import annotations
@@ -66,9 +66,7 @@ class JointPolynomials(Element):
     damping: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
     lowest: int = eqx.field(static=True, default=1)
-
-    def may_be_endless(self, name: str) -> bool:
-        return False
+    unlimited = ()
 
     def shapes(self, model: Model) -> Shapes:
         return {

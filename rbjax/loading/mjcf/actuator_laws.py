@@ -12,13 +12,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rbjax.forces.actuators.activation import Activation, Filter, Integrator, Recruitment
+from rbjax.forces.actuators.activation import Activation, Filter, Integrator, Muscle, Recruitment
 from rbjax.forces.actuators.actuator import Active, Affine, ForceLaw, GainBias, Passive
 from rbjax.forces.actuators.dc_motor import DCMotor, Heat, LuGre, Windings
-from rbjax.forces.actuators.muscle import Muscle
 from rbjax.forces.actuators.pid import INPUTS, PID, Controller
-from rbjax.loading.mjcf.actuator_kinds import Bias, Dyn, Gain, is_circular
-from rbjax.loading.mjcf.fields import leaf
+from rbjax.loading.mjcf.fields import Bias, Dyn, Gain, is_circular, leaf
 from rbjax.loading.write.draft import text
 
 Table = dict[str, tuple[str, ...]]
@@ -51,7 +49,7 @@ def parameters(m: mujoco.MjModel, i: int, table: Table) -> SimpleNamespace:
 
 
 def attributes(table: Table, **given: Any) -> dict[str, str]:
-    """The attributes of an actuator with these parameters; zero for those that are not given."""
+    """The attributes of an actuator with these parameters; missing parameters are zero."""
     given = {k: x if np.isfinite(x) or k not in _LIMITS else 0.0 for k, x in given.items()}
 
     def entry(name: str) -> Any:
@@ -130,9 +128,9 @@ def _read_dc_motor(m: mujoco.MjModel, i: int) -> DCMotor:
     own, spec = parameters(m, i, _DC_MOTOR), int(m.actuator_ctrlspec[i])
     commanded = any((own.kp, own.ki, own.kv)) or np.isfinite(own.slew) or spec & 7
     names = ("resistance", "constant", "drive", "time_constant", "current_rate")
-    windings = (leaf(getattr(own, name)) for name in names)
+    windings: dict[str, Any] = {name: leaf(getattr(own, name)) for name in names}
     return DCMotor(
-        Windings(*windings, inductive=bool(own.time_constant > 0)),
+        Windings(**windings, inductive=bool(own.time_constant > 0)),
         leaf([own.amplitude, own.poles, own.phase]),
         _controller(m, i, own) if commanded else None,
         Heat(leaf([getattr(own, name) for name in _HEAT])) if own.RT > 0 else None,

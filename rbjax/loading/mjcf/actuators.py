@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from rbjax.forces import Element
-from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias
-from rbjax.forces.actuators.affine import from_columns, is_affine
+from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias, from_columns, is_affine
 from rbjax.forces.actuators.orientation_servo import OrientationServo
 from rbjax.forces.actuators.transmissions import (
     JointAxis,
@@ -24,10 +23,9 @@ from rbjax.forces.actuators.transmissions import (
     SliderCrank,
     Transmission,
 )
-from rbjax.loading.checks import refuse_nan
+from rbjax.loading.checks import check_finite
 from rbjax.loading.mjcf import actuator_laws as laws
-from rbjax.loading.mjcf.actuator_kinds import Gain, Trn, Wrap, is_off, what_is_left_out
-from rbjax.loading.mjcf.fields import Off, is_on, leaf
+from rbjax.loading.mjcf.fields import Gain, Off, Trn, Wrap, is_off, is_on, leaf, reason_left_out
 from rbjax.loading.write.draft import Draft, text
 
 _GROUP_OFF = 30  # the group of controls without an actuator, which the file disables
@@ -38,7 +36,7 @@ def actuator_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
     """Read the actuators that are enabled and supported, in the file's order."""
     found = tuple(_element(m, i) for i in _modelled(m))
     for element in found:
-        refuse_nan(element)
+        check_finite(element)
     return found
 
 
@@ -51,7 +49,7 @@ def key_states(m: mujoco.MjModel) -> np.ndarray:
 
 
 def _modelled(m: mujoco.MjModel) -> list[int]:
-    return [i for i in range(m.nactuator) if not (is_off(m, i) or what_is_left_out(m, i))]
+    return [i for i in range(m.nactuator) if not (is_off(m, i) or reason_left_out(m, i))]
 
 
 def _element(m: mujoco.MjModel, i: int) -> Element:
@@ -66,7 +64,7 @@ def _element(m: mujoco.MjModel, i: int) -> Element:
 
 
 def _forcerange(m: mujoco.MjModel, i: int) -> jax.Array:
-    """The force range of an actuator, within that of its tendon."""
+    """The force range of an actuator, clipped to the range of its tendon."""
     own = m.actuator_forcerange[i] if m.actuator_forcelimited[i] else np.array([-np.inf, np.inf])
     tendon = m.actuator_trnid[i, 0]
     if m.actuator_trntype[i] == Trn.TENDON and m.tendon_actfrclimited[tendon]:

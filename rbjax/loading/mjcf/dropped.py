@@ -1,20 +1,22 @@
-"""What a compiled MuJoCo model holds that rbjax leaves out, in words."""
+"""The features of a compiled MuJoCo model that rbjax leaves out, in words."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from rbjax.errors import listed
-from rbjax.loading.mjcf.actuator_kinds import is_at_joint, what_is_left_out
 from rbjax.loading.mjcf.constraints import equalities_are_on, is_loaded
+from rbjax.loading.mjcf.fields import Off, is_at_joint, is_on, reason_left_out
 
 _SHOWN = 4  # names listed before "and N more"
 #: the beginning of an entry about limits in the wrong order
 INVERTED = "joint limits whose lower end is above the upper one"
 #: the beginning of an entry about the root of a URDF
 FIXED = "fixed root link"
-#: the beginnings of entries about what may touch
+#: the beginnings of entries about contacts
 CONTACTS, COLLISION = "contacts (", "collision shapes"
 #: the beginning of an entry -> how to keep the feature
 _CURES = {
@@ -30,6 +32,12 @@ _CURES = {
 }
 
 
+def _named(what: str, m: mujoco.MjModel, kind: mujoco.mjtObj, which: Any) -> str:
+    """An entry with the names of the elements at some indices."""
+    names = [mujoco.mj_id2name(m, kind, int(i)) or f"#{i}" for i in which]
+    return f"{what} ({listed(names, _SHOWN)})"
+
+
 def dropped_features(
     m: mujoco.MjModel,
     *,
@@ -38,61 +46,44 @@ def dropped_features(
     constraints: bool = False,
 ) -> tuple[str, ...]:
     """One entry for each feature that changes the motion and is not modelled."""
-    off, bit, obj = m.opt.disableflags, mujoco.mjtDisableBit, mujoco.mjtObj
-
-    def enabled(flag) -> bool:
-        return not off & int(flag)
-
-    def names(kind, mask) -> str:
-        found = [mujoco.mj_id2name(m, kind, int(i)) or f"#{i}" for i in np.flatnonzero(mask)]
-        return listed(found, _SHOWN)
-
+    obj, solved = mujoco.mjtObj, Off.mjDSBL_CONSTRAINT
     out: list[str] = []
 
-    def note(what: str, mask, kind=None) -> None:
-        mask = np.atleast_1d(np.asarray(mask)).astype(bool)
-        if mask.any():
-            out.append(f"{what} ({names(kind, mask)})" if kind is not None else what)
+    def note(what: str, mask: Any, kind: mujoco.mjtObj) -> None:
+        which = np.flatnonzero(mask)
+        if len(which):
+            out.append(_named(what, m, kind, which))
 
-    joints_of_dofs = np.zeros(m.njnt, bool)
-    if m.nv:
-        joints_of_dofs[m.dof_jntid[m.dof_frictionloss > 0]] = True
-    solved = enabled(bit.mjDSBL_CONSTRAINT)
-    if solved and enabled(bit.mjDSBL_CONTACT) and _may_collide(m):
+    if is_on(m, solved, Off.mjDSBL_CONTACT) and _may_collide(m):
         out.append(f"{CONTACTS}{m.ngeom} geoms)")
     inverted = inverted_limits(m)
-    if solved and enabled(bit.mjDSBL_LIMIT) and not limits:
+    if is_on(m, solved, Off.mjDSBL_LIMIT) and not limits:
         note("joint limits", m.jnt_limited & ~inverted, obj.mjOBJ_JOINT)
     note(INVERTED, inverted, obj.mjOBJ_JOINT)
-    if solved and enabled(bit.mjDSBL_FRICTIONLOSS) and not friction:
-        note("joint friction loss", joints_of_dofs, obj.mjOBJ_JOINT)
+    if is_on(m, solved, Off.mjDSBL_FRICTIONLOSS) and not friction:
+        rubs = np.isin(np.arange(m.njnt), m.dof_jntid[m.dof_frictionloss > 0])
+        note("joint friction loss", rubs, obj.mjOBJ_JOINT)
     for why, which in _equalities_left_out(m, constraints=constraints).items():
         note(why, which, obj.mjOBJ_EQUALITY)
     note("tendons", [not tendon_is_supported(m, i) for i in range(m.ntendon)], obj.mjOBJ_TENDON)
-    if m.nflex:
-        note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
+    note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
-    left_out = [what_is_left_out(m, i) for i in range(m.nactuator)]
+    left_out = [reason_left_out(m, i) for i in range(m.nactuator)]
     for why in dict.fromkeys(filter(None, left_out)):
-        note(f"actuators: {why}", [why == what for what in left_out], obj.mjOBJ_ACTUATOR)
+        note(f"actuators: {why}", [why == reason for reason in left_out], obj.mjOBJ_ACTUATOR)
     extra = (m.actuator_damping != 0) | m.actuator_dampingpoly.any(-1) | (m.actuator_armature != 0)
-    at_joint = [is_at_joint(m, i) for i in range(m.nactuator)]
-    note("damping and armature of actuators at tendons", extra & ~np.array(at_joint, bool),
-         obj.mjOBJ_ACTUATOR)  # fmt: skip
-    note("plugins", m.nplugin)
-    return tuple(out)
+    at_joint = np.array([is_at_joint(m, i) for i in range(m.nactuator)], bool)
+    what = "damping and armature of actuators at tendons"
+    note(what, extra & ~at_joint, obj.mjOBJ_ACTUATOR)
+    return (*out, *["plugins"] * bool(m.nplugin))
 
 
 def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
     """One entry for the sensors and one for the cameras, which are not modelled."""
-    kinds = (("sensors", mujoco.mjtObj.mjOBJ_SENSOR, m.nsensor),
-             ("cameras", mujoco.mjtObj.mjOBJ_CAMERA, m.ncam))  # fmt: skip
-    return tuple(
-        f"{what} ({listed([mujoco.mj_id2name(m, kind, i) or f'#{i}' for i in range(n)], _SHOWN)})"
-        for what, kind, n in kinds
-        if n
-    )
+    obj = mujoco.mjtObj
+    kinds = (("sensors", obj.mjOBJ_SENSOR, m.nsensor), ("cameras", obj.mjOBJ_CAMERA, m.ncam))
+    return tuple(_named(what, m, kind, range(n)) for what, kind, n in kinds if n)
 
 
 def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
@@ -102,25 +93,24 @@ def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
 
 def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
     """One entry for each passive property of joints and tendons that is negative somewhere."""
-    out = []
-    joint, tendon = mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON
+    joint, tendon, dofs = mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON, m.dof_jntid
     fields = [
-        ("damping", m.dof_damping, joint), ("armature", m.dof_armature, joint),
-        ("friction loss", m.dof_frictionloss, joint), ("stiffness", m.jnt_stiffness, joint),
-        ("tendon damping", m.tendon_damping, tendon),
-        ("tendon stiffness", m.tendon_stiffness, tendon),
-    ]  # fmt: skip
-    for what, values, kind in fields:
-        below = np.flatnonzero(np.asarray(values) < 0)
-        if len(below):
-            by_dof = kind == joint and what != "stiffness"
-            which = dict.fromkeys((m.dof_jntid[below] if by_dof else below).tolist())
-            names = [mujoco.mj_id2name(m, kind, i) or f"#{i}" for i in which]
-            out.append(f"negative {what} ({listed(names, _SHOWN)})")
-    return tuple(out)
+        ("damping", m.dof_damping, joint, dofs),
+        ("armature", m.dof_armature, joint, dofs),
+        ("friction loss", m.dof_frictionloss, joint, dofs),
+        ("stiffness", m.jnt_stiffness, joint, np.arange(m.njnt)),
+        ("tendon damping", m.tendon_damping, tendon, np.arange(m.ntendon)),
+        ("tendon stiffness", m.tendon_stiffness, tendon, np.arange(m.ntendon)),
+    ]
+    below = ((what, kind, owners[values < 0]) for what, values, kind, owners in fields)
+    return tuple(
+        _named(f"negative {what}", m, kind, dict.fromkeys(which.tolist()))
+        for what, kind, which in below
+        if len(which)
+    )
 
 
-def cured(entry: str) -> str:
+def with_cure(entry: str) -> str:
     """The entry, followed by how to keep the feature, if that is possible."""
     return next((f"{entry}: {cure}" for start, cure in _CURES.items() if entry.startswith(start)),
                 entry)  # fmt: skip
@@ -142,22 +132,12 @@ def _equalities_left_out(m: mujoco.MjModel, *, constraints: bool) -> dict[str, n
     }
 
 
-def _tendons_that_act(m: mujoco.MjModel) -> np.ndarray:
-    """Which tendons do more than carry the forces of actuators."""
-    acts = m.tendon_limited.astype(bool)
-    for name in ("stiffness", "damping", "frictionloss", "armature"):
-        acts |= getattr(m, f"tendon_{name}") != 0
-    return acts | m.tendon_stiffnesspoly.any(-1) | m.tendon_dampingpoly.any(-1)
-
-
 def tendon_is_supported(m: mujoco.MjModel, i: int) -> bool:
-    """Whether tendon i only carries the forces of actuators, or is only a spring and a damper
+    """Whether tendon i only transmits the forces of actuators, or is only a spring and a damper
     between two sites."""
-    start, count = m.tendon_adr[i], m.tendon_num[i]
-    off, bit = m.opt.disableflags, mujoco.mjtDisableBit
-    constraints = not off & int(bit.mjDSBL_CONSTRAINT)
-    limited = m.tendon_limited[i] and constraints and not off & int(bit.mjDSBL_LIMIT)
-    rubs = constraints and not off & int(bit.mjDSBL_FRICTIONLOSS) and m.tendon_frictionloss[i]
+    start, count, solved = m.tendon_adr[i], m.tendon_num[i], Off.mjDSBL_CONSTRAINT
+    limited = m.tendon_limited[i] and is_on(m, solved, Off.mjDSBL_LIMIT)
+    rubs = m.tendon_frictionloss[i] and is_on(m, solved, Off.mjDSBL_FRICTIONLOSS)
     sites = m.wrap_type[start : start + count] == int(mujoco.mjtWrap.mjWRAP_SITE)
     polynomials = (*m.tendon_stiffnesspoly[i], *m.tendon_dampingpoly[i])
     pulls = any((m.tendon_stiffness[i], m.tendon_damping[i], *polynomials))

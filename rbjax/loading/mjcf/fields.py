@@ -1,4 +1,4 @@
-"""Fields of a compiled MuJoCo model: names, flags, numbers as leaves; MuJoCo's error messages."""
+"""Fields of a compiled MuJoCo model: names, flags, error messages, and the kinds of actuators."""
 
 from __future__ import annotations
 
@@ -56,3 +56,95 @@ def message_of(error: Exception) -> str:
     message = " ".join(str(error).split())
     fix = next((f"; {fix}" for key, fix in _FIXES.items() if key in message), "")
     return message + fix
+
+
+Trn, Dyn, Gain = map(members, (mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain))
+Bias, Wrap = map(members, (mujoco.mjtBias, mujoco.mjtWrap))
+_LAST_GROUP = 30  # of those that a file can disable
+_ACTIVATIONS = (Dyn.NONE, Dyn.INTEGRATOR, Dyn.FILTER, Dyn.FILTEREXACT, Dyn.MUSCLE)
+
+
+def is_off(m: mujoco.MjModel, i: int) -> bool:
+    """Whether the file switches actuator i off: all of them, or its group."""
+    group = int(m.actuator_group[i])
+    grouped = 0 <= group <= _LAST_GROUP and m.opt.disableactuator >> group & 1
+    return bool(grouped or not is_on(m, Off.mjDSBL_ACTUATION))
+
+
+def is_at_joint(m: mujoco.MjModel, i: int) -> bool:
+    """Whether actuator i drives a joint."""
+    return m.actuator_trntype[i] in (Trn.JOINT, Trn.JOINTINPARENT)
+
+
+def is_circular(m: mujoco.MjModel, i: int) -> bool:
+    """Whether actuator i is a position servo on an angle, whose setpoints lie on a circle."""
+    servo = m.actuator_gaintype[i] == Gain.PID or (
+        m.actuator_gaintype[i] == Gain.FIXED
+        and m.actuator_biastype[i] == Bias.AFFINE
+        and m.actuator_gainprm[i, 0] == -m.actuator_biasprm[i, 1]
+        and m.actuator_dyntype[i] != Dyn.MUSCLE
+    )
+    target, base = m.actuator_trnid[i]
+    if is_at_joint(m, i):
+        angle = m.jnt_type[target] == int(mujoco.mjtJoint.mjJNT_BALL)
+    else:
+        gear = m.actuator_gear[m.actuator_outadr[i]]
+        pose = m.actuator_trntype[i] == Trn.SITE and base >= 0
+        angle = pose and not gear[:3].any() and gear[3:].any()
+    return bool(servo and angle)
+
+
+def reason_left_out(m: mujoco.MjModel, i: int) -> str:
+    """The reason for which actuator i is left out; empty if it is supported."""
+    transmission, tendon = m.actuator_trntype[i], m.actuator_trnid[i, 0]
+    if is_off(m, i):
+        return ""
+    if m.actuator_delay[i]:
+        return "delays of controls"
+    if m.actuator_plugin[i] >= 0 or not _law_is_known(m, i):
+        return "laws of a plugin or callback"
+    if transmission == Trn.BODY:
+        return "adhesion, which needs contacts"
+    if transmission == Trn.TENDON:
+        if _wraps(m, tendon):
+            return "tendons that wrap around geoms"
+        several = (m.actuator_trntype == Trn.TENDON) & (m.actuator_trnid[:, 0] == tendon)
+        if m.tendon_actfrclimited[tendon] and several.sum() > 1:
+            return "several on a tendon that limits their sum"
+    return ""
+
+
+def reflected(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The armature and linear damping (nv,) of actuators at their joints, and their damping by
+    higher powers of the velocity (nv, n)."""
+    armature, damping = np.zeros(m.nv), np.zeros(m.nv)
+    polynomial = np.zeros_like(m.dof_dampingpoly)
+    for i in range(m.nactuator):
+        if is_at_joint(m, i):
+            square = m.actuator_gear[m.actuator_outadr[i], 0] ** 2
+            dofs = m.dof_jntid == m.actuator_trnid[i, 0]
+            armature[dofs] += m.actuator_armature[i] * square
+            damping[dofs] += m.actuator_damping[i] * square
+            polynomial[dofs] += m.actuator_dampingpoly[i] * square
+    return armature, damping, polynomial
+
+
+def _law_is_known(m: mujoco.MjModel, i: int) -> bool:
+    dyn, gain, bias = m.actuator_dyntype[i], m.actuator_gaintype[i], m.actuator_biastype[i]
+    if gain == Gain.PID:
+        return dyn in (Dyn.NONE, Dyn.PID) and bias == Bias.AFFINE
+    if gain == Gain.DCMOTOR:
+        return dyn == Dyn.DCMOTOR and bias == Bias.DCMOTOR
+    if gain == Gain.SO3:
+        return dyn in _ACTIVATIONS and bias == Bias.SO3
+    return (
+        dyn in _ACTIVATIONS
+        and gain in (Gain.FIXED, Gain.AFFINE, Gain.MUSCLE)
+        and bias in (Bias.NONE, Bias.AFFINE, Bias.MUSCLE)
+    )
+
+
+def _wraps(m: mujoco.MjModel, tendon: int) -> bool:
+    at = int(m.tendon_adr[tendon])
+    kinds = m.wrap_type[at : at + int(m.tendon_num[tendon])]
+    return bool(np.isin(kinds, (Wrap.SPHERE, Wrap.CYLINDER)).any())

@@ -27,16 +27,16 @@ _TURNED = (0.7, 0.1, 0.5, 0.5)
 
 @dataclass(frozen=True)
 class Inertial:
-    """Of a link, in its axes: mass kg, com (3,) m, inertia (3, 3) kg m^2 about the com."""
+    """The inertial of a link in its axes: mass kg, com (3,) m, inertia (3, 3) kg m^2 about com."""
 
     mass: float
     com: np.ndarray
     inertia: np.ndarray
 
     def oddity(self, *, jointed: bool) -> str:
-        """What no rigid body can have, in words; empty where all is well.
+        """The reason for which no rigid body has this inertial, in words; empty if one has.
 
-        A point mass is odd on a joint of its own, but not where it is welded to other mass.
+        A point mass is odd on a joint of its own, but not if it is welded to other mass.
         """
         moments = np.linalg.eigvalsh(self.inertia)
         excess = max(-moments[0], moments[2] - moments[0] - moments[1])
@@ -58,7 +58,7 @@ def add_placeholder(body: Any) -> None:
 
 
 def write_inertials(m: mujoco.MjModel, inertials: dict[str, Inertial], name: str) -> str:
-    """Put the links' inertials where the compiled model has placeholders.
+    """Write the links' inertials in place of the placeholders of the compiled model.
 
     Returns in words which moving links have inertials that no rigid body has.
     """
@@ -85,7 +85,7 @@ def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
-    """Refuse a joint that moves no mass at a generic pose: it has no finite acceleration."""
+    """Raise if a joint moves no mass at a generic pose: it has no finite acceleration."""
     M = mass_matrix(m)
     moved = np.abs(np.diag(M))
     still = np.flatnonzero(moved <= 1e-15 * moved.max(initial=0.0))

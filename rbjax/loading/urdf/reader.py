@@ -93,8 +93,10 @@ def read_urdf(
     text: str, name: str, *, floating_base: bool, shapes: Collection[str] | None = (),
     folder: Path = Path(),
 ) -> Urdf:  # fmt: skip
-    """The robot of a URDF, with the shapes of the links named in `shapes`, or, if that is
-    None, those of all links that are no meshes; `folder` is the file's.
+    """Read the robot of a URDF.
+
+    shapes: the links whose shapes are read; None for the shapes other than meshes of all links.
+    folder: the folder of the file.
 
     Raises:
         ModelError: the joints make no tree, or a number is missing or wrong.
@@ -144,8 +146,8 @@ def _free_ground(tree: Tree, inertials: dict[str, Inertial], name: str) -> None:
 
 
 def _from_the_ground(tree: Tree, *, floating_base: bool) -> list[Joint]:
-    """The joints, parents before children, from the ground on. What floats on a root at rest
-    floats on the ground."""
+    """List the joints from the ground on, parents before children. A link that floats on a root at
+    rest floats on the ground."""
     children, root = tree.children(), tree.root
     if root != GROUND and floating_base:
         children[GROUND] = [Joint("floating_base", "floating", GROUND, root)]

@@ -58,7 +58,7 @@ def is_urdf(text: str, name: str) -> bool:
 
 
 def _bodies(root: ET.Element) -> int:
-    """How many bodies a file has, including the copies of <replicate>."""
+    """The number of bodies of a file, with the copies of <replicate>."""
     if root.tag == "robot":
         return len(root.findall("link"))
     count, front = 0, [(root, 1)]
@@ -161,7 +161,7 @@ def _joint(element: ET.Element, links: dict[str, ET.Element], name: str) -> Join
 
 
 def _root(joints: list[Joint], links: set[str], name: str) -> str:
-    """The one link that is nobody's child."""
+    """The only link without a parent."""
     children: dict[str, list[str]] = {}
     below: set[str] = set()
     for joint in joints:

@@ -1,7 +1,7 @@
-"""Numbers of a model into the user's own file, of which all else stays as it is.
+"""Write the numbers of a model into the user's own file, and leave the rest of the file unchanged.
 
-Only attributes and elements of the XML are changed: MuJoCo's own writer would round every other
-number to six digits, and leave out comments.
+Only attributes and elements of the XML are changed: MuJoCo's writer would round every other number
+to six digits, and leave out comments.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
     and gear; gravity. Geometry, sensors, names, defaults and materials stay.
 
     Args:
-        model: that of the file, with other numbers.
+        model: the model of the file, with other numbers.
         source: the file, its text, or a bundled scene's name.
-        path: a file to write as well. Relative paths of meshes are those of the source, so it
-            belongs beside it.
+        path: a file to write as well. Relative paths of meshes stay, so it belongs into the folder
+            of the source.
 
     Returns:
         The text.
@@ -114,7 +114,7 @@ def _mjcf(model: Model, before: Model, given: str, compiled: mujoco.MjModel) -> 
             for key, at in (("armature", start), ("damping", start), ("stiffness", j)):
                 new, was = getattr(own, key)[at], getattr(was_own, key)[at]
                 if _differs(new, was):
-                    # what an actuator reflects is not the joint's own
+                    # without the share that actuators reflect
                     kept = getattr(compiled, f"{'jnt' if key == 'stiffness' else 'dof'}_{key}")[at]
                     further = joint.get(key, "").split()[1:]  # of a polynomial
                     joint.set(key, " ".join([text(kept + new - was), *further]))
@@ -133,7 +133,7 @@ def _parsed(given: str) -> ET.Element:
 
 
 def _changed_inertials(model: Model, before: Model) -> list[Any]:
-    """Mass, centre and inertia of each body, None where they are the file's."""
+    """Mass, centre and inertia of each body, None if they are unchanged."""
     found = []
     for b in range(model.nb):
         new, old = ([getattr(m.bodies, n)[b] for n in ("mass", "com", "inertia")]
@@ -225,7 +225,7 @@ def _child(element: ET.Element, tag: str) -> ET.Element:
 
 
 def _check(model: Model, again: Model, urdf: bool) -> None:
-    """`ModelError` where the written file says another number."""
+    """Raise `ModelError` if the written file has other numbers than the model."""
     wrong = []
     pairs = [("gravity", model.gravity, again.gravity)]
     pairs += [(f"bodies.{n}", getattr(model.bodies, n), getattr(again.bodies, n))

@@ -45,7 +45,7 @@ def differences(
         wrong = np.flatnonzero(~_close(np.asarray(a), np.asarray(b)))
         if len(wrong):
             named = sites if what.startswith("sites") else names
-            yield what, list(dict.fromkeys(named[i] for i in wrong))
+            yield what, list(dict.fromkeys(named[int(i)] for i in wrong))
     yield from _of_elements(model, again, written)
     yield from _of_constraints(model, again, constraints)
 
@@ -65,7 +65,8 @@ def _arrays(model: Model, sites: Array) -> Iterator[tuple[str, Any, Sequence[str
     held = [top.body_names[i] for i in kept]
     yield "bodies.position", bodies.position[kept], held
     yield "bodies.orientation", _turns(bodies.orientation[kept]), held
-    rows = {"armature": in_v, "damping": in_v, "reference": in_q, "springref": in_q}
+    rows: dict[str, Sequence[str]] = dict.fromkeys(("armature", "damping"), in_v)
+    rows |= dict.fromkeys(("reference", "springref"), in_q)
     rows |= dict.fromkeys(("stiffness", "forcerange", "range"), names)
     for name, labels in rows.items():
         yield f"joints.{name}", getattr(joints, name), labels

@@ -1,4 +1,4 @@
-"""The XML elements of an MJCF file that is being written, and notes on what it cannot express."""
+"""An MJCF file that is being written: its XML elements, and notes on what it leaves out."""
 
 from __future__ import annotations
 

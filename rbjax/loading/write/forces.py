@@ -1,5 +1,4 @@
-"""Force elements beside actuators as MJCF: what `force_joints`, `force_tendons` and `force_fluid`
-read, the other way round."""
+"""Force elements other than actuators as MJCF, the inverse of `rbjax.loading.mjcf.forces`."""
 
 from __future__ import annotations
 
@@ -30,10 +29,10 @@ _TERMS = 2  # of MJCF's polynomials, beyond the linear one
 
 
 def write_forces(draft: Draft) -> list[Element]:
-    """Write the elements; return them as they will be read, in that order."""
+    """Write the elements; return them as `load` will read them, in that order."""
     kinds = (JointPolynomials, JointLimits, JointFriction, GravityCompensation, PointSpring,
              InertiaBoxFluid, EllipsoidFluid)  # fmt: skip
-    # a subclass may do anything, so it is not taken for what it is made of
+    # a subclass may have other forces, so only the class itself is written
     sorted_out: dict[type, list] = {kind: [] for kind in kinds}
     for element in draft.model.forces:
         if type(element) in sorted_out:
@@ -153,8 +152,8 @@ def _write_lifted(draft: Draft, elements: list[GravityCompensation]) -> list[Ele
 
 
 def _driven_joints(model: Model, elements: list[GravityCompensation]) -> list[int] | None:
-    """The joints whose share actuators bear, if that and the passive share make up all of one
-    compensation, as they do in MuJoCo."""
+    """The joints whose compensation the actuators carry; None unless that and the passive share
+    make up one compensation, as MuJoCo needs."""
     everything = range(len(model.joint_names))
     shares = {x.actuated: list(map(model.joint, x.joints or everything)) for x in elements}
     joints = [j for share in shares.values() for j in share]

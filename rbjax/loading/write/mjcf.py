@@ -28,7 +28,7 @@ from rbjax.model import WORLD, Model
 
 _KINDS = {"free", "ball", "slide", "hinge"}
 _DEEPEST = 490  # of nested bodies: MuJoCo's reader takes no more than about 500 nested elements
-_LEAST = 2e-15  # kg or kg m^2: MuJoCo takes nothing below 1e-15 as the mass of what moves
+_LEAST = 2e-15  # kg or kg m^2: MuJoCo rejects a moving mass below 1e-15
 _ROUNDING = 1e-6  # part of a moment by which it may exceed the sum of the other two, and is lowered
 _DIAGONAL = 1e-15  # part of the moments below which a product of inertia is rounding
 _SHOWN = 8  # names listed before "and N more"
@@ -44,16 +44,16 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     Args:
         model: the robot; one, with known numbers (not a batch, not traced).
         path: a file to write as well.
-        strict: raise instead of warn about what the file cannot say.
+        strict: raise instead of warn about parts that the file cannot express.
 
     Returns:
         The text. It has no shapes: nothing to see, and nothing to touch. A comment at its head
-        names what the file says differently from the model, or does not say.
+            names the parts that differ from the model or are left out.
 
     Raises:
-        ModelError: numbers that MuJoCo refuses in a file, such as those of no rigid body.
+        ModelError: numbers that MuJoCo rejects in a file, such as impossible inertials.
         InputError: a batch of models, or a traced model.
-        UnsupportedFeature: with `strict=True`, the list of what the file cannot say.
+        UnsupportedFeature: with `strict=True`, the list of parts that the file cannot express.
 
     Example:
         >>> import rbjax as rb
@@ -63,8 +63,8 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
         >>> (again.bodies.mass / model.bodies.mass).tolist()
         [2.0]
     """
-    draft = drafted(model)
-    out = serialised(draft)
+    draft = make_draft(model)
+    out = serialize(draft)
     if draft.notes:
         message = f"write_mjcf: not in the file as in the model: {'; '.join(draft.notes)}"
         if strict:
@@ -75,8 +75,8 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     return out
 
 
-def drafted(model: Model) -> Draft:
-    """The file of a model before it is text, for those who add to it; its notes say what it lacks.
+def make_draft(model: Model) -> Draft:
+    """Build the file of a model before it is text; its notes name the parts that it lacks.
 
     Raises:
         As `write_mjcf`.
@@ -91,7 +91,7 @@ def drafted(model: Model) -> Draft:
     written = [*write_forces(draft), *write_actuators(draft)]
     constraints = write_constraints(draft)
     _write_keyframes(draft)
-    again = jax.tree.map(np.asarray, from_compiled(compiled(serialised(draft))))
+    again = jax.tree.map(np.asarray, from_compiled(compile_mjcf(serialize(draft))))
     for what, names in differences(draft, again, written, constraints):
         draft.note(what, names)
     return draft
@@ -195,8 +195,8 @@ def _bare(model: Model) -> set[int]:
 
 
 def _principal(inertia: Any, asked: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Principal moments and their axes: those that are asked for, if they are such axes; or else
-    those that are turned least."""
+    """Principal moments and their axes: the requested axes if they are principal, otherwise those
+    with the smallest rotation."""
     still = np.array([1.0, 0.0, 0.0, 0.0])
     exact = np.array([[float(text(x)) for x in row] for row in inertia])  # as decimals have it
     for quat in (still if asked is None else asked, still):
@@ -270,7 +270,7 @@ def _write_keyframes(draft: Draft) -> None:
         ET.SubElement(section, "key", {"name": name} | some)
 
 
-def serialised(draft: Draft) -> str:
+def serialize(draft: Draft) -> str:
     """The text of the file, its notes first."""
     root = ET.Element(draft.root.tag, draft.root.attrib)
     for note in draft.notes:
@@ -284,7 +284,7 @@ def serialised(draft: Draft) -> str:
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def compiled(mjcf: str) -> mujoco.MjModel:
+def compile_mjcf(mjcf: str) -> mujoco.MjModel:
     """MuJoCo's model of a file that is written here."""
     try:
         return mujoco.MjModel.from_xml_string(mjcf)

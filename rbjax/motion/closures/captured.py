@@ -55,7 +55,7 @@ class UnfitError(Exception):
 
 
 class Recipe:
-    """What makes a function from operands; equals another that makes an equal one."""
+    """A maker of a function from operands, equal to another that makes an equal function."""
 
     def __init__(self, f: Callable, reader: Reader) -> None:
         self.key, self.make = reader.read(f)
@@ -92,8 +92,8 @@ class Captured(eqx.Module):
 
 
 def with_captured(call: Callable[..., T], *functions: Any) -> T:
-    """call(*functions), each function as a pytree where it can be; the same within a program, where
-    nothing is compiled."""
+    """call(*functions), with each function as a pytree if it can be read; unchanged inside a
+    program."""
     if inside_jit():
         return call(*functions)
     tried = set()
@@ -110,8 +110,8 @@ def with_captured(call: Callable[..., T], *functions: Any) -> T:
 
 
 def captured(f: Callable) -> Callable:
-    """A function as a pytree, where all that it reads is known; else itself. A formulation is known
-    by its numbers already."""
+    """A function as a pytree if everything that it reads is found; otherwise the function. A
+    formulation is compared by its parameters already."""
     if isinstance(f, Formulation):
         return f
     for level in range(_levels.get(_site(f), FLOATS), OPAQUE):
@@ -144,7 +144,7 @@ def _say(function: str, how: str) -> None:
 
 
 def _site(f: Any) -> Any:
-    """A key that the functions of one place in the caller's code have in common."""
+    """A key that the functions from one place of the caller's code share."""
     while isinstance(f, functools.partial):
         f = f.func
     f = getattr(f, "__func__", f)

@@ -31,7 +31,7 @@ WRITING = frozenset({"STORE_GLOBAL", "DELETE_GLOBAL", "STORE_DEREF", "DELETE_DER
 
 
 class Names(NamedTuple):
-    """The names in a function's code, and those of the functions inside it.
+    """The names in a function's code and in the functions inside it.
 
     read: globals that it reads.
     every: all names.

@@ -1,10 +1,11 @@
-"""What a function can read, as a key and operands.
+"""The values that a function can read, as a key and operands.
 
-A function is its code and the values that the code can reach: defaults, cells, the globals that it
-names, and so on through what these hold. `Reader` walks them. Numbers become operands, and the
-function is made again with others in their places. All else is part of the key: by value, or by
-identity what does not change (modules, types and functions of libraries). What cannot be made again
-from its parts (a class, an instance, a module of the user) is in the key with all that it holds.
+A function is its code and the values that the code can reach: defaults, cells, globals by name, and
+so on through these values. `Reader` walks them. Numbers become operands, and the function is made
+again with other numbers in their places. The rest is part of the key: by value, or by identity for
+objects that do not change (modules, types and functions of libraries). An object that cannot be
+made again from its parts (a class, an instance, a module of the user) is in the key with all its
+parts.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ import numpy as np
 
 from rbjax.motion.closures.code_names import DEEP, HIDDEN, INSTALLED, Names, names_of, of_library
 
-#: what becomes operands: arrays and floats; arrays; nothing but tracers
+#: the values that become operands: arrays and floats; arrays; only tracers
 FLOATS, ARRAYS, TRACERS = range(3)
 ATOMS = frozenset({type(None), bool, int, str, bytes, range, type(...)})
-FIXED = (BuiltinFunctionType, np.ufunc, type(jax.jit(lambda: None)))  # known by identity
+FIXED = (BuiltinFunctionType, np.ufunc, type(jax.jit(lambda: None)))  # compared by identity
 LARGEST = 1 << 16  # bytes of a numpy array in a key
 MOST = 2_000  # objects that are read
 
@@ -47,12 +48,12 @@ Maker = Callable[[Sequence, dict[int, Any]], Any] | None
 
 
 class UnreadableError(Exception):
-    """Not all is known of what a function reads."""
+    """A function may read values that the reader cannot find."""
 
 
 class HiddenError(UnreadableError):
-    """A user's code reads variables or files that it does not name, so its result may change while
-    its key stays the same. Arguments: the name of the code, and the function by which it reads."""
+    """A user's code reads variables or files without naming them, so its result may change while
+    its key does not. Arguments: the name of the code, and the function by which it reads."""
 
 
 class Same:
@@ -78,9 +79,13 @@ PLACES = (GetSetDescriptorType, MemberDescriptorType, type(Names.read))
 
 
 class Reader:
-    """Reads a function and what it finds by the way, each as its key and what makes it; `operands`
-    are the numbers found. held: of parts of what cannot be made again. names: of the code that
-    reads."""
+    """A reader of a function and the values that it reaches, each as a key and a maker.
+
+    operands: the numbers that were found.
+
+    Arguments of `read`: held, for parts of objects that cannot be made again; names, the names in
+    the code that reads.
+    """
 
     def __init__(self, level: int) -> None:
         self.level = level
@@ -137,7 +142,7 @@ class Reader:
         return "operand", lambda operands, _: operands[i]
 
     def _of_numpy(self, x: Any, held: bool) -> tuple[Any, Maker]:
-        """Integers are most often indices, which a program is faster to know."""
+        """Read an array of numpy. Integers, most often indices, are part of the key."""
         if x.dtype.kind not in "biufc":
             raise UnreadableError
         if x.dtype.kind in "fc" and not held and self.level <= ARRAYS:
@@ -198,7 +203,7 @@ class Reader:
         make: Callable[[list], Any] = list,
         names: frozenset[str] = frozenset(),
     ) -> tuple[Any, Maker]:
-        """What is made of parts."""
+        """Read an object that is made of parts."""
         parts = list(parts)
         read = [self.read(x, held, names) for x in parts]
         key = (about, *(k for k, _ in read))
@@ -272,7 +277,7 @@ class Reader:
         return key, make
 
     def _module(self, module: ModuleType, names: frozenset[str]) -> tuple[Any, Maker]:
-        """Of a user's module, what the code names."""
+        """Read the attributes of a user's module that the code names."""
         if of_library(module.__name__):
             if module.__name__ == "numpy.random" or (module is np and "random" in names):
                 raise UnreadableError
@@ -292,7 +297,8 @@ class Reader:
             raise UnreadableError
 
     def _class(self, kind: type) -> tuple[Any, Maker]:
-        """A class by its identity, and a user's by what its methods read and its attributes are."""
+        """Read a class: its identity, and for a user's class its attributes and the values that its
+        methods read."""
         found: list[Any] = []
         bases = () if issubclass(kind, Enum) else kind.__mro__
         for base in bases:
@@ -306,7 +312,7 @@ class Reader:
         return self._parts(Same(kind), found, True)
 
     def _instance(self, x: Any) -> tuple[Any, Maker]:
-        """An object by its class and its state, where pickle would know it by these."""
+        """Read an object by its class and its state, if pickle would use only these."""
         kind = type(x)
         if of_library(kind.__module__) and kind.__hash__ not in (None, object.__hash__):
             return (kind, x), None
@@ -333,7 +339,8 @@ def _named_by_library(x: Any) -> bool:
 
 
 def _is_plain(x: Any) -> bool:
-    """Whether a pytree is its leaves and what compares by value: of these a model has many."""
+    """Whether a pytree consists of its leaves and of values that compare by value: of these a model
+    has many."""
     return type(x) in (list, tuple) or type(x).__module__.startswith("rbjax.")
 
 

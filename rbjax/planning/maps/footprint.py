@@ -1,15 +1,13 @@
-"""What a robot covers of the plane, and whether that is free of obstacles.
+"""The footprint of a robot in the plane, and its clearance from obstacles.
 
-A footprint is a union of discs that covers the robot's outline. A disc is free where the distance
-of its centre from obstacles exceeds its radius: one look into a `DistanceField` a disc.
+A footprint is a union of discs that covers the robot's outline. A disc is free if the distance of
+its centre from obstacles exceeds its radius: one lookup in a `DistanceField` for each disc.
 (Ziegler & Stiller, *Fast collision checking for intelligent vehicle motion planning*, IV 2010)
 """
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -17,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_number
+from rbjax.arguments import instance, integer, real_array, real_number
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, check_fields, floats
@@ -52,29 +50,27 @@ class Footprint(Record):
     def reach(self) -> jax.Array:
         """The largest distance () m of a covered point from the frame's origin."""
         square = (self.centers**2).sum(-1)
-        off = square > 0  # a disc at the origin has no direction
+        off = square > 0  # a norm has no derivative at zero
         far = jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
         return largest(far + self.radii)
 
     @classmethod
     def disc(cls, radius: float) -> Footprint:
-        """A disc around the frame's origin. radius: m."""
-        _lengths("disc", radius=radius)
-        return cls(jnp.zeros((1, 2)), jnp.full(1, float(radius)))
+        """Make a footprint of one disc around the frame's origin. radius: m."""
+        radius = real_number("Footprint.disc", "radius", radius, above=0.0)
+        return cls(jnp.zeros((1, 2)), jnp.full(1, radius))
 
     @classmethod
     def rectangle(cls, ahead: float, behind: float, width: float, discs: int = 4) -> Footprint:
-        """A rectangle from x = -behind to x = ahead, |y| <= width / 2, in m, under a row of discs.
+        """Cover a rectangle, -behind <= x <= ahead, |y| <= width / 2, in m, by a row of discs.
 
         The discs reach sqrt((length / discs)^2 + width^2) / 2 - width / 2 beyond its sides.
         """
-        for name, length in (("ahead", ahead), ("behind", behind)):
-            real_number("Footprint.rectangle", name, length, "a length", traced=True)
-        _lengths("rectangle", length=ahead + behind, width=width)
-        if not isinstance(discs, int) or discs < 1:
-            raise InputError(
-                f"Footprint.rectangle: discs is {discs!r}, expected a positive integer"
-            )
+        where = "Footprint.rectangle"
+        ahead, behind = (real_number(where, *x) for x in (("ahead", ahead), ("behind", behind)))
+        real_number(where, "length ahead + behind", ahead + behind, above=0.0)
+        width = real_number(where, "width", width, above=0.0)
+        discs = integer(where, "discs", discs, least=1)
         each = (ahead + behind) / discs
         x = -behind + each * (np.arange(discs) + 0.5)
         centers = np.column_stack([x, np.zeros(discs)])
@@ -82,7 +78,7 @@ class Footprint(Record):
 
     @classmethod
     def polygon(cls, vertices: Any, excess: float) -> Footprint:
-        """A simple polygon, convex or not, under discs that reach at most `excess` m beyond it.
+        """Cover a simple polygon, convex or not, by discs that reach at most `excess` m beyond it.
 
         vertices: (n, 2) m, in order. There are about 2 area / excess^2 discs.
 
@@ -91,15 +87,13 @@ class Footprint(Record):
             >>> bool(wedge.reach < 1.21)
             True
         """
-        corners = np.asarray(vertices, float)
+        corners = real_array("Footprint.polygon", "vertices", vertices, "an array (n, 2) in m")
         if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
             raise InputError(
                 f"Footprint.polygon: vertices have shape {corners.shape}, expected (n, 2), n >= 3"
             )
-        if not np.isfinite(corners).all():
-            raise InputError("Footprint.polygon: vertices are not finite, expected numbers in m")
-        _lengths("polygon", excess=excess)
-        # squares of a lattice whose centres are near enough to the polygon for it to touch them
+        excess = real_number("Footprint.polygon", "excess", excess, above=0.0)
+        # the squares of a lattice that may touch the polygon
         radius = excess / 2
         side = radius * math.sqrt(2)
         low, high = corners.min(0), corners.max(0)
@@ -107,17 +101,11 @@ class Footprint(Record):
         first = (low + high) / 2 - side * (n - 1) / 2
         steps = np.stack(np.meshgrid(*map(np.arange, n), indexing="ij"), -1).reshape(-1, 2)
         centers = first + side * steps
-        near = _apart(corners, centers) <= radius
+        near = _distances(corners, centers) <= radius
         return cls(jnp.asarray(centers[near]), jnp.full(int(near.sum()), radius))
 
 
-def _lengths(where: str, **lengths: Any) -> None:
-    for name, x in lengths.items():
-        if not (isinstance(x, (int, float, np.number)) and 0 < x < math.inf):
-            raise InputError(f"Footprint.{where}: {name} is {x!r}, expected a length above zero")
-
-
-def _apart(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _distances(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Distances (k,) of points (k, 2) from a polygon (n, 2); zero inside."""
     a, b = corners, np.roll(corners, -1, 0)
     edge = b - a
@@ -132,37 +120,25 @@ def _apart(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.where(crosses.sum(1) % 2 == 1, 0.0, distance)
 
 
-def _of_a_field(f: Callable) -> Callable:
-    """Refuse what is no field or no footprint."""
-
-    @functools.wraps(f)
-    def call(field: Any, poses: Any, footprint: Any) -> jax.Array:
-        for name, x, kind, maker in (
-            ("field", field, DistanceField, "OccupancyGrid.distance_field()"),
-            ("footprint", footprint, Footprint, "Footprint.rectangle(...)"),
-        ):
-            if not isinstance(x, kind):
-                raise InputError(
-                    f"{f.__name__}: {name} is {type(x).__name__}, expected a {kind.__name__}, as "
-                    f"{maker} makes it"
-                )
-        return f(field, poses, footprint)
-
-    return call
+def check_map(where: str, field: Any, footprint: Any) -> None:
+    """`InputError` unless these are a distance field and a footprint."""
+    made = "rb.planning.DistanceField, of OccupancyGrid.distance_field()"
+    instance(where, "field", field, DistanceField, made)
+    shape = "rb.planning.Footprint, such as Footprint.rectangle(...)"
+    instance(where, "footprint", footprint, Footprint, shape)
 
 
-def placed(poses: jax.Array, footprint: Footprint) -> jax.Array:
-    """The centres of discs (..., n, 2) m in the world."""
+def disc_centers(poses: jax.Array, footprint: Footprint) -> jax.Array:
+    """Centres of discs (..., n, 2) m in the world."""
     x, y, heading = (poses[..., k, None] for k in range(3))
     c, s = jnp.cos(heading), jnp.sin(heading)
     a, b = footprint.centers[:, 0], footprint.centers[:, 1]
     return jnp.stack([x + c * a - s * b, y + s * a + c * b], -1)
 
 
-@_of_a_field
 @takes(poses="planar_pose")
 def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.Array:
-    """The distance between footprint and obstacles, negative where they overlap; differentiable.
+    """Compute the distance of a footprint from obstacles, negative if they overlap; differentiable.
 
         min over discs of  d(center) - radius
 
@@ -183,17 +159,15 @@ def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> j
         >>> round(float(clearance(field, [1.0, 0.5, 0.0], Footprint.disc(0.2))), 6)
         0.3
     """
-    centers = placed(poses, footprint)
-    gaps = field.at(centers) - footprint.radii
-    return smallest(gaps)
+    check_map("clearance", field, footprint)
+    return smallest(field.at(disc_centers(poses, footprint)) - footprint.radii)
 
 
-@_of_a_field
 @takes(poses="planar_pose")
 def clear(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.Array:
-    """Whether a footprint is certainly free of obstacles.
+    """Test whether a footprint is certainly free of obstacles.
 
-    True only where every disc is free. It may be false where the exact clearance is less than
+    True only if every disc is free. It may be false if the exact clearance is less than
     resolution * sqrt(2).
 
     Args:
@@ -211,5 +185,5 @@ def clear(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.A
         >>> clear(field, [[1.0, 1.0, 0.0], [1.0, 0.1, 0.0]], Footprint.disc(0.2)).tolist()
         [True, False]
     """
-    centers = placed(poses, footprint)
-    return (field.below(centers) > footprint.radii).all(-1)
+    check_map("clear", field, footprint)
+    return (field.below(disc_centers(poses, footprint)) > footprint.radii).all(-1)

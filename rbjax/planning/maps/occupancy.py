@@ -1,4 +1,4 @@
-"""Maps of the plane: cells that are free or occupied, and the exact distance to what is occupied.
+"""Maps of the plane: cells that are free or occupied, and exact distances from obstacles.
 
 Cell (i, j) is the square of side h whose lower left corner is origin + h (i, j): x counts first.
 The signed distance d is positive in free space, negative in obstacles, and zero on the edges of
@@ -10,8 +10,8 @@ with a(k) = h max(|k| - 1/2, 0), the distance of a centre from a square k cells 
 is taken axis after axis (Felzenszwalb & Huttenlocher, Theory of Computing 8 (2012) 415).
 
 Between centres. d has slope one, so the bilinear interpolation `at` is within h / sqrt(2) of it,
-on either side, and is differentiable. `below` is never more than d, and at least d - h sqrt(2):
-what it calls free is free.
+on either side, and is differentiable. `below` is never more than d, and at least d - h sqrt(2), so
+tests with it are conservative.
 """
 
 from __future__ import annotations
@@ -33,8 +33,11 @@ from rbjax.planning.maps.ros_map import read
 class DistanceField(Record):
     """Signed distances from obstacles.
 
-    Fields: values (nx + 2, ny + 2) m, at the centres of a map's cells and of one ring of cells
-    around it, no larger than the map's diagonal; resolution () m; origin (2,) m, of the map.
+    Fields:
+        values: (nx + 2, ny + 2) m, at the centres of a map's cells and of one ring of cells around
+            it, at most the map's diagonal.
+        resolution: () m.
+        origin: (2,) m, of the map.
     """
 
     values: jax.Array
@@ -42,7 +45,7 @@ class DistanceField(Record):
     origin: jax.Array
 
     def at(self, points: jax.Array) -> jax.Array:
-        """The interpolated distance (...) m at points (..., 2) m.
+        """Interpolate the distance (...) m at points (..., 2) m.
 
         Beyond the map it falls with the distance from the ring.
         """
@@ -56,7 +59,7 @@ class DistanceField(Record):
         return (1 - a) * low + a * high - away
 
     def below(self, points: jax.Array) -> jax.Array:
-        """A lower bound (...) m of the distance at points (..., 2) m: from the nearest centre."""
+        """A lower bound (...) m of the distance at points (..., 2) m, by the nearest centre."""
         u, v, away = self._place(points)
         i, j = jnp.round(u), jnp.round(v)
         square = (u - i) ** 2 + (v - j) ** 2
@@ -65,7 +68,7 @@ class DistanceField(Record):
         return self.values[i.astype(int), j.astype(int)] - off - away
 
     def _place(self, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """The nearest place between the centres, in cells, and how far it is in m."""
+        """The nearest place between the centres, in cells, and its distance in m."""
         nx, ny = self.values.shape
         u, v = ((points[..., k] - self.origin[k]) / self.resolution + 0.5 for k in (0, 1))
         inside, also = jnp.clip(u, 0.0, nx - 1.0), jnp.clip(v, 0.0, ny - 1.0)
@@ -121,15 +124,16 @@ class OccupancyGrid(Record):
         return cls(*map(jnp.asarray, read(file, unknown)))
 
     def cell(self, points: jax.Array) -> jax.Array:
-        """The cells (..., 2) of points (..., 2) m; beyond the map, indices are out of its range."""
+        """Cells (..., 2) of points (..., 2) m; beyond the map, indices are out of its range."""
         return jnp.floor((points - self.origin) / self.resolution).astype(int)
 
     def center(self, cells: jax.Array) -> jax.Array:
-        """The centres (..., 2) m of cells (..., 2)."""
+        """Centres (..., 2) m of cells (..., 2)."""
         return self.origin + self.resolution * (cells + 0.5)
 
     def distance_field(self, closed: bool = True) -> DistanceField:
-        """The exact signed distances. closed: what is beyond the map counts as occupied.
+        """Compute the exact signed distances. closed: whether cells beyond the map count as
+        occupied.
 
         A pure function of `occupied`, for `jit` and `vmap`. It takes nx^2 ny operations. A map of
         known values keeps the result, so that several searches on it compute the field once.
@@ -172,7 +176,7 @@ _distance_field = compiled(_field, static_argnames=("closed",))
 
 
 def _distance(cells: jax.Array, dtype: Any) -> jax.Array:
-    """D of a set of cells, in cells, at all centres; infinite if there are none."""
+    """The distance D of a set of cells, in cells, at all centres; infinite for an empty set."""
     nx, ny = cells.shape
     j = jnp.arange(ny)
     before = jax.lax.cummax(jnp.where(cells, j, -jnp.inf).astype(dtype), axis=1)
@@ -184,5 +188,5 @@ def _distance(cells: jax.Array, dtype: Any) -> jax.Array:
 
 
 def _gap(k: jax.Array) -> jax.Array:
-    """From a centre to a square k cells away."""
+    """The distance of a centre from a square k cells away."""
     return jnp.maximum(k - 0.5, 0.0)

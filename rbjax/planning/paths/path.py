@@ -24,14 +24,14 @@ import numpy as np
 from rbjax.arguments import instance, integer, real_number, shown
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
-from rbjax.planning.maps.footprint import Footprint, placed
+from rbjax.planning.maps.footprint import Footprint, check_map, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
 
 #: the largest number of parts of a step that `clear_along` takes
 MOST_PARTS = 1_000_000
 
 
-def moved(heading: Any, steps: Any, xp: Any = jnp) -> tuple[Any, Any]:
+def displacements(heading: Any, steps: Any, xp: Any = jnp) -> tuple[Any, Any]:
     """Displacements (...) m in the world by steps (..., 3) from headings (...)."""
     a, b, phi = (steps[..., i] for i in range(3))
     c, s = xp.cos(heading + phi / 2), xp.sin(heading + phi / 2)
@@ -44,7 +44,7 @@ def chain(start: Any, steps: Any, xp: Any = jnp) -> Any:
     turned = xp.cumsum(steps[..., 2], -1)
     turned = xp.concatenate([xp.zeros_like(start[..., 2:]), turned], -1)
     headings = start[..., 2:] + turned
-    way = xp.stack(moved(headings[..., :-1], steps, xp), -1)
+    way = xp.stack(displacements(headings[..., :-1], steps, xp), -1)
     xy = xp.cumsum(xp.concatenate([start[..., None, :2], way], -2), -2)
     return xp.concatenate([xy, headings[..., None]], -1)
 
@@ -227,9 +227,8 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
         False
     """
     where = "clear_along"
-    instance(where, "field", field, DistanceField, "rb.planning.DistanceField")
+    check_map(where, field, footprint)
     instance(where, "path", path, Path, "rb.planning.Path")
-    instance(where, "footprint", footprint, Footprint, "rb.planning.Footprint")
     integer(where, "parts", parts, least=1)
     if parts > MOST_PARTS:
         raise InputError(f"{where}: parts is {shown(parts)}, expected at most {MOST_PARTS:,}")
@@ -237,13 +236,13 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
     share = (jnp.arange(parts) + 0.5) / parts
     steps = path.steps[..., None, :]
     some = share[:, None] * steps
-    x, y = moved(poses[..., 2], some)
+    x, y = displacements(poses[..., 2], some)
     there = jnp.stack([poses[..., 0] + x, poses[..., 1] + y, poses[..., 2] + some[..., 2]], -1)
     a, b = footprint.centers[:, 0], footprint.centers[:, 1]
     far = jnp.hypot(a, b)
     way = path.lengths[..., None] + jnp.abs(path.steps[..., 2:]) * far  # (..., n, discs)
     wide = footprint.radii + way[..., None, :] / (2 * parts)
-    return (field.below(placed(there, footprint)) > wide).all((-1, -2, -3))
+    return (field.below(disc_centers(there, footprint)) > wide).all((-1, -2, -3))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,21 +1,21 @@
-"""Smoother paths near a path, by its gradients: shorter, less bent, further from obstacles.
+"""Smoothing of a path by gradients: shorter, less bent, further from obstacles.
 
-Unknown are the lengths l_i and the curvatures k_i of the arcs; r is the turning radius, m the
+The unknowns are the lengths l_i and the curvatures k_i of the arcs; r is the turning radius, m the
 margin, d_ij the clearance of disc j after arc i:
 
     min   1/2 sum l_i^2 / (r e_i)  +  1/2 sum (k_i+1 - k_i)^2 r^3 w / e_i
           +  1/2 sum max(1 - d_ij / m, 0)^2 c e_i / r
     with  the end at the goal,   |k_i| <= 1 / r,   e_i / 4 <= |l_i| <= 4 e_i
 
-e_i is the first length of an arc. Differences of curvature count within a gear only; there is no
-price on the steering of a car that stands. Gears stay as they are, and so do steps that are no arcs
-(turning on the spot, sliding). Poses are integrated exactly from the start, so each iterate is a
-path that a robot can drive.
+e_i is the initial length of an arc. Differences of curvature count within a gear only; a standing
+car steers at no price. Gears do not change, nor do steps that are not arcs (turning on the spot,
+sliding). Poses are integrated exactly from the start, so each iterate is a path that a robot can
+drive.
 
-Gauss-Newton steps with a Levenberg-Marquardt damping and the linearised end as an equality. What a
-bound holds back is left out of the step. Then the end is restored by Newton's method. The step is
-taken only if the cost falls, the end is met, the bounds hold, and the whole path is clear of
-obstacles: so every iterate is feasible, and the worst result is the path that there was.
+Gauss-Newton steps with a Levenberg-Marquardt damping and the linearised end as an equality.
+Variables at active bounds are fixed in a step. Then Newton's method restores the end. A step is
+accepted only if the cost falls, the end is met, the bounds hold, and the whole path is clear of
+obstacles. So every iterate is feasible, and the worst result is the initial path.
 
 Source: Nocedal & Wright, *Numerical Optimization*, 10.3 and 18.3; Dolgov et al., IJRR 29 (2010)
 485, section 3, for the terms.
@@ -29,11 +29,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import instance, integer, real_number
 from rbjax.compiling import alone, compiled, wide_vectors
 from rbjax.errors import InputError
 from rbjax.model.record import Record
-from rbjax.planning.maps.footprint import Footprint, placed
+from rbjax.planning.maps.footprint import Footprint, check_map, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
 from rbjax.planning.paths.path import Path, chain, clear_along
 
@@ -43,9 +43,9 @@ FACTOR = 4.0  # of a length, at most
 
 
 class Smoothed(Record):
-    """A path and how it came about; leading axes are a batch.
+    """A smoothed path; leading axes are a batch.
 
-    Fields: path; steps_taken (...), how many steps made it better, 0 if it is as it was; cost
+    Fields: path; steps_taken (...), the number of accepted steps, 0 if the path is unchanged; cost
     (..., 2), before and after.
     """
 
@@ -55,7 +55,7 @@ class Smoothed(Record):
 
     @property
     def status(self) -> str:
-        """Of one path: "smoothed", or "as it was" if no step made it better."""
+        """Of one path: "smoothed", or "as it was" if no step was accepted."""
         return "smoothed" if int(self.steps_taken) else "as it was"
 
 
@@ -86,7 +86,7 @@ class _Problem(NamedTuple):
         jump = jnp.where(self.same, z[1, 1:] - z[1, :-1], 0.0)
         pace = jnp.where(self.same, self.unit[1:] + self.unit[:-1], 1.0) / 2
         jump = jump * jnp.sqrt(BENDING * self.radius / pace)
-        away = self.field.at(placed(poses[1:], self.footprint)) - self.footprint.radii
+        away = self.field.at(disc_centers(poses[1:], self.footprint)) - self.footprint.radii
         short = jnp.maximum(1 - away / self.margin, 0.0)
         short = jnp.where(self.arcs[:, None], math.sqrt(CLEARANCE) * share[:, None] * short, 0.0)
         length = jnp.where(self.arcs, share * z[0], 0.0)
@@ -106,7 +106,7 @@ class _Problem(NamedTuple):
 
 
 def _step(p: _Problem, z: jax.Array, damping: jax.Array) -> jax.Array:
-    """Where a damped step with the linearised end leads, within the limits."""
+    """The iterate after a damped step with the linearised end, within the limits."""
     (r, off), (J, A) = p.residuals(z), jax.jacfwd(p.residuals)(z)
     J, A = J.reshape(len(r), -1), A.reshape(3, -1)
     low, high = (x.ravel() for x in p.limits(z))
@@ -114,7 +114,7 @@ def _step(p: _Problem, z: jax.Array, damping: jax.Array) -> jax.Array:
     held = ((x <= low) & (g > 0)) | ((x >= high) & (g < 0)) | ~jnp.tile(p.arcs, 2)
     free = 1.0 - held.astype(x.dtype)
     H = free[:, None] * (J.T @ J) * free + jnp.diag(damping * free + (1 - free))
-    # the multipliers of the end; the scale keeps the matrix regular if nothing can move the end
+    # the multipliers of the end; the last term keeps the matrix regular if nothing moves the end
     A = A * free
     solved = jnp.linalg.solve(H, jnp.concatenate([A, (free * g)[None]]).T)
     S = A @ solved[:, :3]
@@ -125,7 +125,7 @@ def _step(p: _Problem, z: jax.Array, damping: jax.Array) -> jax.Array:
 
 
 def _restored(p: _Problem, z: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """The nearest z whose path ends at the goal, by variables that are off their limits."""
+    """The nearest z whose path ends at the goal, by changes of variables within their limits."""
 
     def end(x):
         return p.residuals(x.reshape(z.shape))[1]
@@ -153,12 +153,12 @@ def _smooth(
     same = arcs[1:] & arcs[:-1] & (a[1:] * a[:-1] > 0)
     p = _Problem(path, field, footprint, radius, margin, arcs, unit, same, goal)
     z = jnp.stack([jnp.ones_like(bend), jnp.clip(bend, -1.0, 1.0)])
-    # an end is met to rounding of as many additions as there are steps
+    # the rounding of as many additions as there are steps
     close = 64 * jnp.finfo(z.dtype).eps * (path.length + radius + jnp.abs(path.start).max())
-    gain = max(1e-6, 64 * float(jnp.finfo(z.dtype).eps))  # not only by rounding
+    gain = max(1e-6, 64 * float(jnp.finfo(z.dtype).eps))  # more than rounding
     first = p.cost(z)
 
-    def turn_of(carry, _):
+    def iteration(carry, _):
         z, cost, damping, taken = carry
         new = _step(p, z, damping)
         low, high = p.limits(z)
@@ -170,7 +170,7 @@ def _smooth(
         return (z, jnp.where(good, value, cost), damping, taken + good), None
 
     begin = z, first, jnp.full_like(first, 0.1), jnp.zeros((), int)
-    (z, cost, _, taken), _ = jax.lax.scan(turn_of, begin, length=iterations)
+    (z, cost, _, taken), _ = jax.lax.scan(iteration, begin, length=iterations)
     steps = jnp.where(taken > 0, p.steps(z), path.steps)
     return Smoothed(Path(path.start, steps), taken, jnp.stack([first, cost]))
 
@@ -187,22 +187,23 @@ def smooth(
     iterations: int = 30,
     parts: int = 4,
 ) -> Smoothed:
-    """A path with the same ends and gears that is shorter, bends more gently, and keeps away from
-    obstacles where it can.
+    """Smooth a path: the same ends and gears, but shorter, less bent, further from obstacles.
+
+    Use it after a search; `plan` does so for a car.
 
     Args:
-        path: one `Path` in steps that are short against obstacles, as `Path.split` makes them. The
-            number of steps stays. Use `jax.vmap` for many.
+        path: one `Path` in steps that are short compared with obstacles, by `Path.split`. The
+            number of steps does not change. Use `jax.vmap` for many.
         field: `OccupancyGrid.distance_field()`.
         footprint: `Footprint`.
         radius: the smallest turning radius () in m.
-        margin: the clearance () m that is wanted; None for four cells.
-        iterations: how many steps are tried.
-        parts: of each step of the path, for the test for obstacles.
+        margin: the desired clearance () m; None for four cells.
+        iterations: the number of steps to try.
+        parts: the parts of each step of the path in the test for obstacles.
 
     Returns:
         `Smoothed`. Its path is certainly clear and its curvature at most 1 / radius, or it is the
-        path that was given.
+        given path.
 
     Raises:
         InputError: wrong types, a batch, a radius or margin that is not above zero.
@@ -216,13 +217,8 @@ def smooth(
         >>> better.status, bool(better.path.length < bends.length)
         ('smoothed', True)
     """
-    for name, x, kind in (
-        ("path", path, Path), ("field", field, DistanceField), ("footprint", footprint, Footprint)
-    ):  # fmt: skip
-        if not isinstance(x, kind):
-            raise InputError(
-                f"smooth: {name} is {type(x).__name__}, expected rb.planning.{kind.__name__}"
-            )
+    instance("smooth", "path", path, Path, "rb.planning.Path")
+    check_map("smooth", field, footprint)
     if path.start.ndim != 1:
         raise InputError(
             f"smooth: got a batch of paths {path.start.shape[:-1]}, expected one; use jax.vmap"

@@ -22,7 +22,7 @@ import numpy as np
 from rbjax.arguments import real_array, real_number
 from rbjax.errors import InputError
 from rbjax.planning.maps.footprint import Footprint
-from rbjax.planning.paths.path import Path, moved
+from rbjax.planning.paths.path import Path, displacements
 
 HEADINGS = 72  # cells of a turn
 UNIT = 10  # the price of driving a cell's diagonal straight ahead
@@ -146,11 +146,11 @@ class Controls:
             )
         return whole.astype(int)
 
-    def moved(self, heading: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
+    def displacements(self, heading: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
         """Displacements (..., n) m by all controls from a heading (...), after a time t (...)."""
         heading, t = np.broadcast_arrays(heading, t)
         steps = t[..., None, None] / self.dt * self.steps
-        return moved(heading[..., None], steps, np)
+        return displacements(heading[..., None], steps, np)
 
 
 def car_controls(radius: float, least: float, backwards: bool) -> Controls:
@@ -227,7 +227,7 @@ class MotionTable:
         )
         moments = max(1, math.ceil(way.max() / spacing))
         times = controls.dt * (np.arange(moments) + 0.5) / moments
-        x, y = controls.moved(angles[:, None], times[None])  # (K, moments, n)
+        x, y = controls.displacements(angles[:, None], times[None])  # (K, moments, n)
         turned = angles[:, None, None] + controls.turn_rates * times[:, None]
         c, s = np.cos(turned)[..., None], np.sin(turned)[..., None]
         a, b = centers.T
@@ -236,7 +236,7 @@ class MotionTable:
         wide = np.tile(radii + way / (2 * moments), (1, moments))  # (n, moments * discs)
         return cls(
             angles,
-            np.stack(controls.moved(angles, controls.dt)),
+            np.stack(controls.displacements(angles, controls.dt)),
             turns,
             discs,
             np.broadcast_to(wide, discs.shape[1:]),

@@ -1,7 +1,7 @@
-"""How far a point must go around obstacles: a lower bound for every robot, from every place.
+"""The length of the way of a point around obstacles: a lower bound for every robot.
 
-Let a robot's origin keep a distance of at least r from obstacles. It stays in cells that hold a
-point with that distance: the passable ones. The shortest way within them bends only at corners of
+Let a robot's origin keep a distance of at least r from obstacles. It stays in cells that contain
+a point with that distance: the passable ones. The shortest way within them bends only at corners of
 cells, so the graph is that of corners. A straight piece of the way from one corner to another
 crosses passable cells. The chain of moves (1,0), (1,1), (2,1) (and those turned and mirrored) that
 follows it from below uses corners of those cells only. It is at most
@@ -9,7 +9,7 @@ follows it from below uses corners of those cells only. It is at most
     kappa = 1 / cos(phi / 2) = 1.0275,     phi = atan(1/2)
 
 times as long. So D / kappa, with D the shortest chain in the graph, is a lower bound of the way
-between two corners; between two points, after the distances from their corners are taken off.
+between two corners; between two points, after subtraction of the distances from their corners.
 
 The moves have lengths of at least one cell. Therefore all corners with D in [k, k + 1) cells are
 final after those below k: Dijkstra's algorithm by waves.
@@ -41,12 +41,13 @@ class HolonomicDistance:
         self.values = self.h * _from_corner(_touching(passable), at) / KAPPA
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """m (...) from places (...) m to the goal, at least; infinite where there is no way."""
+        """Lower bounds (...) m of the way from places (...) m to the goal; infinite if there is
+        none."""
         at, off = self._corner(x, y)
         return np.maximum(self.values[at] - off - self.off, 0.0)
 
     def _corner(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """The number of the nearest corner, and how far it is in m."""
+        """The number of the nearest corner, and its distance in m."""
         u, v = (x - self.origin[0]) / self.h, (y - self.origin[1]) / self.h
         i = np.clip(np.rint(u), 0, self.shape[0] - 1)
         j = np.clip(np.rint(v), 0, self.shape[1] - 1)
@@ -65,7 +66,7 @@ def _least(footprint: Footprint, h: float) -> float:
 
 
 def _touching(passable: np.ndarray) -> np.ndarray:
-    """Whether a corner (nx + 1, ny + 1) is one of a passable cell."""
+    """Whether each corner (nx + 1, ny + 1) belongs to a passable cell."""
     out = np.zeros((passable.shape[0] + 1, passable.shape[1] + 1), bool)
     for i in (slice(0, -1), slice(1, None)):
         for j in (slice(0, -1), slice(1, None)):
@@ -74,17 +75,17 @@ def _touching(passable: np.ndarray) -> np.ndarray:
 
 
 def _from_corner(open_: np.ndarray, at: int) -> np.ndarray:
-    """Shortest chains of moves, in cells, from a corner to all, row by row."""
-    rim = 2  # of the longest move: neighbours need no test of the map's edge
+    """Lengths, in cells, of the shortest chains of moves from a corner to all, row by row."""
+    rim = 2  # of the longest move, so that neighbours need no test of the map's edge
     wide = np.pad(open_, rim)
     ny = wide.shape[1]
     jumps = np.array([i * ny + j for i, j in MOVES])
     far = np.array([math.hypot(i, j) for i, j in MOVES])
-    distance = np.where(wide.ravel(), np.inf, -1.0)  # what is closed is never improved
+    distance = np.where(wide.ravel(), np.inf, -1.0)  # closed corners are never improved
     i, j = divmod(int(at), open_.shape[1])
     first = (i + rim) * ny + j + rim
     distance[first] = 0.0
-    shelves: list[list[np.ndarray]] = [[np.array([first])], [], [], []]  # the next whole distances
+    shelves: list[list[np.ndarray]] = [[np.array([first])], [], [], []]  # by integer distance
     level = 0
     while any(shelves):
         shelf = shelves.pop(0)

@@ -27,11 +27,11 @@ from rbjax.planning.search.wave_search import check_poses, check_problem
 
 NEVER = np.iinfo(np.int32).max
 SEARCHING, FOUND, EXHAUSTED = range(3)
-LEAST, MOST = 512, 65536  # nodes that are expanded at once
+LEAST, MOST = 512, 65536  # nodes expanded at once
 
 
 class _Problem(Record):
-    """What does not change. q searches, K headings, n controls, m discs of a motion."""
+    """The constant part. q searches, K headings, n controls, m discs of a motion."""
 
     distances: DistanceField
     start: jax.Array  # (q, 3)
@@ -66,8 +66,8 @@ class _Problem(Record):
 
 
 class _Nodes(Record):
-    """By age. Fields: x, y; search; cell; parent, a node; control; cost, -1 if the node won no cell
-    and is only in the goal set."""
+    """Nodes by age. Fields: x, y; search; cell; parent, a node; control; cost, -1 if the node won
+    no cell and is only in the goal set."""
 
     x: jax.Array
     y: jax.Array
@@ -79,10 +79,17 @@ class _Nodes(Record):
 
 
 class _Searches(Record):
-    """What changes. Fields: nodes, and how many; best (q, cells), the least cost of a cell's nodes
-    in OPEN, -1 once visited; first (q, cells), room to find the first node of a cell; sizes (w,),
-    how many nodes there were before the last waves; cost, of this wave; last, the greatest cost;
-    reached and at (q,), the first node in the goal set and its cost; status, visited (q,)."""
+    """The variable part.
+
+    Fields:
+        nodes, size: the nodes, and their number.
+        best: (q, cells), the least cost of a cell's nodes in OPEN, -1 once visited.
+        first: (q, cells), memory to find the first node of a cell.
+        sizes: (w,), the numbers of nodes before the last waves.
+        cost, last: of this wave, and the greatest.
+        reached, at: (q,), the first node in the goal set and its cost.
+        status, visited: (q,).
+    """
 
     nodes: _Nodes
     size: jax.Array
@@ -103,8 +110,8 @@ def _turned(angle: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _children(p: _Problem, s: _Searches, at: jax.Array) -> tuple[_Nodes, jax.Array, jax.Array]:
-    """The ends of motions from nodes `at`, by parent and then by control; whether they are on the
-    map, and whether the motions are free."""
+    """Ends of motions from nodes `at`, by parent and then by control; whether they are on the map,
+    and whether the motions are free."""
     n, old = p.turns.shape[0], jax.tree.map(lambda a: a[at], s.nodes)
     k, angle = old.cell % p.headings, p.start[old.search, 2][:, None]
     motion = k[:, None] * n + jnp.arange(n)
@@ -120,7 +127,7 @@ def _children(p: _Problem, s: _Searches, at: jax.Array) -> tuple[_Nodes, jax.Arr
 
 
 def _expand(p: _Problem, s: _Searches, at: jax.Array, valid: jax.Array) -> _Searches:
-    """Visits nodes `at` of the wave, where valid. An index out of range is dropped."""
+    """Visit nodes `at` of the wave that are valid. An index out of range is dropped."""
     searches = s.best.shape[0]
     here = jnp.where(valid, s.nodes.search[at], searches)
     best = s.best.at[here, s.nodes.cell[at]].set(-1, mode="drop")
@@ -156,9 +163,9 @@ def _expand(p: _Problem, s: _Searches, at: jax.Array, valid: jax.Array) -> _Sear
 
 
 def _wave(p: _Problem, s: _Searches, width: int) -> _Searches:
-    """Visits all nodes of a cost, those before the goal in searches that reach it.
+    """Visit all nodes of a cost, in searches that reach the goal only those before it.
 
-    width: how many nodes are expanded at once, in programs of constant shape.
+    width: the number of nodes that are expanded at once, in programs of constant shape.
     """
     looked = 4 * width  # nodes of the list, of which some belong to the wave
     slot = s.cost % s.sizes.shape[0]
@@ -213,16 +220,16 @@ def grid_dijkstra_many(
     max_count: int | None = None,
     nodes: int | None = None,
 ) -> list[Plan]:
-    """`grid_dijkstra` from many starts to as many goals on one map, all at once.
+    """Run `grid_dijkstra` from many starts to as many goals on one map, all at once.
 
-    Made for accelerators: on a CPU, one search after the other by `grid_dijkstra` is faster. It
+    Use it on accelerators: on a CPU, one search after the other by `grid_dijkstra` is faster. It
     takes 8 bytes a cell of each search and 28 bytes a node (36 in f64).
 
     Args:
         starts, goals: poses (q, 3): x and y in m, the heading in rad.
-        nodes: room for so many nodes of all searches together; None for a quarter of the cells.
-            Searches that are not finished when it is full have the status "count exhausted".
-        others: as `grid_dijkstra` takes them.
+        nodes: the largest number of nodes of all searches; None for a quarter of the cells.
+            Searches that are not finished by then have the status "count exhausted".
+        others: as for `grid_dijkstra`.
 
     Returns:
         A `Plan` for each.
@@ -257,13 +264,13 @@ def grid_dijkstra_many(
     dearest = int(controls.prices.max())
     width = min(MOST, max(LEAST, 64 * len(starts)), 2**30 // (len(table.turns) * dearest))
     room = grid.occupied.size * headings * len(starts) // 4 if nodes is None else nodes
-    searches = _begun(problem, bad[0] | bad[1], min(room, NEVER), dearest)
+    searches = _first_state(problem, bad[0] | bad[1], min(room, NEVER), dearest)
     run = jax.jit(_run, compiler_options=wide_vectors(), static_argnums=2, donate_argnums=1)
     return _plans(run(problem, searches, width), bad, table, starts, controls)
 
 
-def _begun(p: _Problem, bad: np.ndarray, room: int, dearest: int) -> _Searches:
-    """Before the first wave: the starts are the first nodes."""
+def _first_state(p: _Problem, bad: np.ndarray, room: int, dearest: int) -> _Searches:
+    """The state before the first wave: the starts are the first nodes."""
     q, zero = len(bad), jnp.zeros(len(bad), jnp.int32)
     search = jnp.arange(q, dtype=jnp.int32)
     x, y = p.start[:, 0], p.start[:, 1]

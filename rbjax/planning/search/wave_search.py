@@ -15,7 +15,7 @@ from rbjax.arguments import instance, integer, real_array
 from rbjax.errors import InputError
 from rbjax.planning.maps.footprint import Footprint, clear
 from rbjax.planning.maps.occupancy import DistanceField, OccupancyGrid
-from rbjax.planning.paths.path import Plan, moved
+from rbjax.planning.paths.path import Plan, displacements
 from rbjax.planning.search.controls import Controls, MotionTable
 
 Nodes = TypeVar("Nodes", bound=tuple)
@@ -89,7 +89,7 @@ class SweptMap:
         )
         parts = np.ceil(way.max(-1) / (self.h / 2)).astype(int)
         heads = starts[:, 2:] + np.cumsum(steps[..., 2], 1) - steps[..., 2]
-        dx, dy = moved(heads, steps, np)
+        dx, dy = displacements(heads, steps, np)
         x, y = (starts[:, i, None] + np.cumsum(d, 1) - d for i, d in ((0, dx), (1, dy)))
         # one row for each part of each step
         row = np.repeat(np.arange(parts.size), parts.ravel())
@@ -97,7 +97,7 @@ class SweptMap:
         share = (number + 0.5) / parts.ravel()[row]
         some = share[:, None] * steps.reshape(-1, 3)[row]
         heading = heads.ravel()[row]
-        sx, sy = moved(heading, some, np)
+        sx, sy = displacements(heading, some, np)
         heading = heading + some[:, 2]
         c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
         px = (x.ravel()[row] + sx)[:, None] + c * centers[:, 0] - s * centers[:, 1]

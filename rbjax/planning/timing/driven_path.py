@@ -30,8 +30,7 @@ from rbjax.model import State
 from rbjax.planning.paths.path import Path
 from rbjax.planning.timing.limits import Limits
 from rbjax.wheeled.kinematics.parameters import stack_lanes
-from rbjax.wheeled.models.robot_model import RobotModel
-from rbjax.wheeled.models.states import with_twist
+from rbjax.wheeled.models.robot_model import RobotModel, with_twist
 from rbjax.wheeled.motion.following import commands
 
 TURN = 0.5  # the cosine of the largest change of direction that is rounded: 60 degrees
@@ -41,8 +40,8 @@ RK4 = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6
 
 
 class Sides(NamedTuple):
-    """Coordinates q (n, nq), velocities by s' nu (n, nv), twists by s' (n, 3), and the torques'
-    A, B, C (n, drives), at one end of each step."""
+    """One end of each step: coordinates q (n, nq), velocities nu (n, nv) and twists (n, 3) by s',
+    and A, B, C (n, drives) of the torques."""
 
     q: jax.Array
     nu: jax.Array
@@ -53,9 +52,15 @@ class Sides(NamedTuple):
 
 
 class DrivenPath(NamedTuple):
-    """Of each of n steps: size (n,), its length ds; stops (n,), whether the robot stands before it;
-    turns (n, steerings) rad, how far it steers meanwhile; bends (n, steerings), db/ds; first, last:
-    `Sides` at its begin and end."""
+    """The steps of a path, as a robot drives them.
+
+    Fields:
+        size: (n,), lengths ds.
+        stops: (n,), whether the robot stands before the step.
+        turns: (n, steerings) rad, the steering while it stands.
+        bends: (n, steerings), db/ds.
+        first, last: `Sides` at the begin and at the end.
+    """
 
     size: jax.Array
     stops: jax.Array
@@ -66,8 +71,11 @@ class DrivenPath(NamedTuple):
 
 
 def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
-    """A step of the classical Runge-Kutta method; slope is a function of y and of the part of the
-    step that is done. Its stages are a loop, which makes a quarter of the program."""
+    """A step of the classical Runge-Kutta method. slope: a function of y and of the fraction of the
+    step.
+
+    Stages are scanned, which makes the compiled program four times smaller.
+    """
 
     def stage(carry, weights):
         k, total = carry
@@ -81,7 +89,7 @@ def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
 
 
 def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> jax.Array:
-    """The torques (drives,) at which v changes at rates (nv,) as the steerings turn."""
+    """Torques (drives,) with which v changes at rates (nv,) while the steerings turn."""
     drives = len(vehicle.robot.drives)
 
     def accelerations(tau):
@@ -97,8 +105,9 @@ def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> ja
     return most * (G.T @ jnp.linalg.solve(G @ G.T, short))
 
 
-def driven(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
-    """One path, as the robot drives it from where it stands straight. Steps of zeros stay."""
+def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
+    """The coordinates and torques along one path, from straight steerings. Zero steps have no
+    effect."""
     robot, steps = vehicle.robot, path.steps
     steerings, dtype = robot.layout.steerings, path.steps.dtype
     one = jnp.ones((), dtype)
@@ -161,7 +170,7 @@ def _norm(x: jax.Array) -> jax.Array:
 
 
 def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
-    """Rows (n, k), each that is not known replaced by the last known one, or else the first."""
+    """Rows (n, k), of which unknown ones are replaced by the last known one, or else the first."""
     at = jnp.where(known, jnp.arange(len(known)), -1)
     at = jax.lax.cummax(at)
     return rows[jnp.where(at < 0, jnp.argmax(known), at)]

@@ -28,7 +28,7 @@ FIRST = 0.1  # slack to begin with
 
 
 class _Point(NamedTuple):
-    """d (n,); y, s and l (m,) of rows; zl and zu (n,), multipliers of the box."""
+    """Fields: d (n,); y, s and l (m,), of the rows; zl and zu (n,), multipliers of the box."""
 
     d: jax.Array
     y: jax.Array
@@ -42,7 +42,7 @@ def solve(
     H: jax.Array, c: jax.Array, G: jax.Array, g: jax.Array, price: jax.Array,
     low: jax.Array, high: jax.Array, iterations: int,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """d (n,), within the box, and the multipliers (m,) of the rows.
+    """Solve the program: d (n,), within the box, and the multipliers (m,) of the rows.
 
     H: (n, n), positive semidefinite. price: (m,), above zero. low < high. Every iteration factors
     one matrix (n, n).
@@ -60,7 +60,7 @@ def solve(
         return _Point(d, y, s, *(x + b * dx for x, dx in zip(p[3:], step[3:], strict=True)))
 
     def longest(p: _Point, step: _Point) -> tuple[jax.Array, jax.Array]:
-        """The longest steps of d, y, s and of the multipliers with which all stays above zero."""
+        """The longest steps of d, y, s and of the multipliers that keep all of them positive."""
         rates = [
             (step.y, step.l), (step.s, -step.l), (step.d, step.zl), (-step.d, step.zu)
         ]  # fmt: skip
@@ -83,7 +83,7 @@ def solve(
         off = H @ p.d + c + G.T @ l - zl + zu
 
         def step(mu, ry, rs, rl, ru) -> _Point:
-            """ry ...: products of second order."""
+            """The Newton step of a barrier mu, with products of second order ry, rs, rl, ru."""
             ry, rs = mu - y * l - ry, mu - s * t - rs
             rl, ru = mu - yl * zl - rl, mu - yu * zu - ru
             part = (ry - l * rs / t) / w

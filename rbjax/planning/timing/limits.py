@@ -1,4 +1,4 @@
-"""What a robot's motors, wheels and steering can do, and a motion that stays within it."""
+"""Limits of motors, wheels and steering, and a motion in time."""
 
 from __future__ import annotations
 
@@ -22,9 +22,12 @@ def _number(default: float) -> Any:
 class Limits(Record):
     """Limits of a motion, each on the absolute value; infinity is no limit.
 
-    Fields: torque () N m, of every drive, or (drives,); speed () m/s, of the origin of the chassis;
-    turn_rate () rad/s, of the chassis; steering_rate () rad/s; steering () rad, the angle, by
-    default the largest on the path.
+    Fields:
+        torque: () N m, of every drive, or (drives,).
+        speed: () m/s, of the origin of the chassis.
+        turn_rate: () rad/s, of the chassis.
+        steering_rate: () rad/s.
+        steering: () rad, the angle; infinity for the largest on the path.
 
     Example:
         >>> Limits(torque=0.5, speed=1.0).torque.shape
@@ -49,17 +52,17 @@ class Limits(Record):
             if not isinstance(x, jax.core.Tracer) and not (np.asarray(x) > 0).all():
                 raise InputError(f"Limits({name}=...): got {x}, expected numbers above zero")
 
-    def may_be_endless(self, name: str) -> bool:
+    def may_be_infinite(self, name: str) -> bool:
         return name != "torque"
 
     def torques(self, vehicle: RobotModel) -> jax.Array:
-        """(drives,) N m."""
+        """The largest torques (drives,) N m."""
         return jnp.broadcast_to(self.torque, (len(vehicle.robot.drives),))
 
 
 def check_can_follow(where: str, vehicle: Any, limits: Any) -> None:
-    """Refuse what has no torques that a path needs: a vehicle that slips or has no inertia, motors
-    whose command is no torque, drives that cannot accelerate it in every way that it moves."""
+    """`InputError` for a robot without torques for every path: one that slips or has no inertia,
+    whose motors are not torque sources, or with fewer drives than free velocities."""
     if not isinstance(vehicle, Rolling):
         raise InputError(
             f"{where}: vehicle is {type(vehicle).__name__}, expected a robot that rolls and has "
@@ -122,17 +125,20 @@ class Timed(Record):
 
     @property
     def time(self) -> jax.Array:
-        """s (...) from the start to the end."""
+        """The time (...) s from the start to the end."""
         return self.ts[..., -1]
 
     @property
     def durations(self) -> jax.Array:
-        """s (..., n) of the intervals."""
+        """Durations (..., n) s of the intervals."""
         return self.ts[..., 1:] - self.ts[..., :-1]
 
     def sampled(self, steps: int) -> tuple[jax.Array, jax.Array]:
-        """Controls (steps, nu) for `wheeled.rollout`, and its dt: means over equal times, so every
-        torque has the same impulse. Of one motion; use `jax.vmap` for many."""
+        """Resample to controls (steps, nu) for `wheeled.rollout`, and its dt.
+
+        They are means over equal times, so every torque has the same impulse. Of one motion; use
+        `jax.vmap` for many.
+        """
         impulse = jnp.cumsum(self.durations[:, None] * self.controls, 0)
         impulse = jnp.concatenate([jnp.zeros_like(impulse[:1]), impulse])
         dt = self.time / steps

@@ -1,11 +1,11 @@
-"""Faster than the path allows: a plan made time-optimal by gradients through the dynamics.
+"""Time-optimal motions near a path, by gradients through the dynamics.
 
-From the fastest motion along a path (`time_scaling`), which a search on a map found, to one that
-leaves the path where that saves time. Its controls and durations are cut into intervals
-(`shooting`) and improved step by step (`sequential_program`). Then the motion is replayed in finer
-steps, and the result says what is left: the way to the goal, clearance, limits.
+The fastest motion along a path (`time_scaling`) is the first guess. Its controls and durations are
+resampled to intervals and improved step by step (`shooting`), so the motion may leave the path.
+Then it is replayed in finer steps, and the result has the residuals: distance to the goal,
+clearance, limits.
 
-What it gains on plans of `plan` (tests/planning/test_refinement.py; seconds of motion):
+Times of plans of `plan` (tests/planning/test_refinement.py), in s:
 
                                        along the path    refined
     a small car through a gap                    13.2       10.1
@@ -29,16 +29,15 @@ from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, cast_floats
-from rbjax.planning.maps.footprint import Footprint, placed
+from rbjax.planning.maps.footprint import Footprint, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
 from rbjax.planning.paths.path import Path
 from rbjax.planning.timing.driven_path import reach_of
 from rbjax.planning.timing.limits import Limits, Timed, check_can_follow
-from rbjax.planning.timing.sequential_program import optimised
-from rbjax.planning.timing.shooting import Shooting
+from rbjax.planning.timing.shooting import Shooting, optimise
 from rbjax.planning.timing.time_scaling import check_path, time_scaling
 from rbjax.wheeled import RobotModel
-from rbjax.wheeled.models.states import start
+from rbjax.wheeled.models.robot_model import start
 
 NEAR = 2e-3  # deviations in m, rad and of a limit that a feasible motion may have
 FINER = 4  # steps of the replay for one of the search
@@ -46,13 +45,16 @@ PLAIN = 0.05  # rad, that a robot may steer on any path
 
 
 class Residuals(Record):
-    """How well a motion does what it should, replayed in steps a quarter as long.
+    """The residuals of a motion, replayed in steps a quarter as long.
 
-    Fields, each (): distance m and turn rad, from the end to the goal; speed, of the largest of the
-    motion along the path, that is left at the end; torque, rate and angle, the largest of each in
-    its limits (rate: speed and turning rate; angle: steering); clearance m, the smallest, infinite
-    without a map; free, whether all poses are certainly free of obstacles; defect m, how far the
-    end is from where the coarser steps have it.
+    Fields, each ():
+        distance, turn: m and rad, from the end to the goal.
+        speed: at the end, over the largest of the motion along the path.
+        torque, rate, angle: the largest, over their limits (rate: of speed and turning rate; angle:
+            of steering).
+        clearance: m, the smallest; infinite without a map.
+        free: whether all poses are certainly free of obstacles.
+        defect: m, the distance between the ends of the replay and of the coarser steps.
     """
 
     distance: jax.Array
@@ -74,11 +76,14 @@ class Residuals(Record):
 
 
 class Refined(Record):
-    """A motion that is faster than its path allows, and how it came about.
+    """A motion that is faster than its path allows.
 
-    Fields: motion, a `Timed`; residuals, its `Residuals`; start_time () s, of the fastest motion
-    along the path; steps_taken (), how many steps made it better; ok (), whether there was a motion
-    along the path at all.
+    Fields:
+        motion: a `Timed`.
+        residuals: its `Residuals`.
+        start_time: () s, of the fastest motion along the path.
+        steps_taken: (), the number of accepted steps.
+        ok: (), whether a motion along the path exists.
     """
 
     motion: Timed
@@ -89,9 +94,12 @@ class Refined(Record):
 
     @property
     def status(self) -> str:
-        """Of one motion: "refined", or "as it was", if no step made it better; both are feasible
-        and no longer than `start_time`. "not converged": look at the residuals. "infeasible": the
-        limits do not even hold on the path."""
+        """The status of one motion.
+
+        "refined", or "as it was" if no step was accepted: feasible, and no longer than
+        `start_time`. "not converged": see the residuals. "infeasible": the limits do not hold even
+        on the path.
+        """
         if not bool(self.ok):
             return "infeasible"
         rounding = 64 * float(jnp.finfo(self.motion.time.dtype).eps)
@@ -114,33 +122,33 @@ def refine(
     iterations: int = 40,
     parts: int = 2,
 ) -> Refined:
-    """A faster motion than any along a path, with the same ends, within limits and off obstacles.
+    """Find a faster motion than any along a path, with the same ends, within limits, off obstacles.
 
-    It begins with `time_scaling`, and changes controls and durations by gradients through the
-    robot's dynamics. The motion may leave the path: it cuts corners where the map lets it, and may
-    reverse elsewhere. It is a local optimum near the path, or on the way to one.
+    The first guess is `time_scaling`; then controls and durations change by gradients through the
+    robot's dynamics. The motion may leave the path: it cuts corners if the map allows it, and may
+    reverse elsewhere. It is a local optimum near the path, or an iterate before one.
 
-    The time can be differentiated by limits and by numbers of the robot, in forward mode.
+    The time has derivatives by limits and by parameters of the robot, in forward mode.
 
     Args:
         vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
             starts at rest, its steerings and trailers straight, and ends at rest.
-        path: one `Path` of the chassis in short steps, as `Path.split` or `smooth` makes them; its
-            end is the goal. Use `jax.vmap` for many.
+        path: one `Path` of the chassis in short steps, by `Path.split` or `smooth`; its end is the
+            goal. Use `jax.vmap` for many.
         limits: `Limits`.
         field: `OccupancyGrid.distance_field()`, None for no obstacles.
-        footprint: of the chassis; trailers are not looked at.
-        margin: the clearance in m that is due where the motion along the path has as much; None for
-            one cell.
-        intervals: of constant controls.
-        iterations: how many steps are tried.
-        parts: Runge-Kutta steps of an interval. A caster turns within its trail, and needs steps
-            as short: 10 or so. `residuals.defect` says whether they are.
+        footprint: of the chassis. Trailers are not checked for collisions.
+        margin: the required clearance in m, or that of the motion along the path if it is less;
+            None for one cell.
+        intervals: the number of intervals of constant controls.
+        iterations: the number of steps to try.
+        parts: Runge-Kutta steps of an interval. A caster turns within its trail, so its steps
+            must be as short: about 10. `residuals.defect` is the error of the steps.
 
     Returns:
         `Refined`; its motion in `intervals` intervals. Replay `motion.sampled(steps)` by
-        `wheeled.rollout`. Torques and steering rates are within their limits exactly, the rest as
-        `Refined.residuals` says.
+        `wheeled.rollout`. Torques and steering rates are within their limits exactly, the rest up
+        to `Refined.residuals`.
 
     Raises:
         InputError: wrong types, a batch, a robot whose drives give no torques for a path.
@@ -210,7 +218,7 @@ def _refine(
         flat = s.states(w).reshape(intervals * parts, -1)
         due = jnp.clip(jax.vmap(s.clearances)(flat), sure, jnp.maximum(margin, sure))
         s = s._replace(due=due)
-    found = optimised(s, w, iterations)
+    found = optimise(s, w, iterations)
     z = jnp.concatenate([s.start[None], s.states(found.w)[:, -1]])
     return Refined(
         _as_motion(s, found.w, z), _residuals(s, found.w, z[-1]), motion.time, found.taken, first.ok
@@ -218,7 +226,7 @@ def _refine(
 
 
 def _speed_units(nv: int, speed: jax.Array, reach: jax.Array) -> jax.Array:
-    """The last of several free velocities is a turning rate."""
+    """Units of the free velocities. The last of several is a turning rate."""
     units = jnp.full(nv, speed)
     return units.at[-1].divide(reach) if nv > 1 else units
 
@@ -230,7 +238,7 @@ def _as_motion(s: Shooting, w: jax.Array, z: jax.Array) -> Timed:
 
 
 def _residuals(s: Shooting, w: jax.Array, coarse: jax.Array) -> Residuals:
-    """coarse: the last state, in the steps of the search."""
+    """The residuals of a replay. coarse: the last state, in the steps of the search."""
     z = s._replace(parts=FINER * s.parts).states(w)
     z = z.reshape(-1, z.shape[-1])
     end = z[-1]
@@ -245,7 +253,7 @@ def _residuals(s: Shooting, w: jax.Array, coarse: jax.Array) -> Residuals:
     if s.field is not None and s.footprint is not None:
         clearance = jax.vmap(s.clearances)(z)
         sure = clearance - s.field.resolution / math.sqrt(2)
-        below = s.field.below(placed(z[:, :3], s.footprint)) - s.footprint.radii
+        below = s.field.below(disc_centers(z[:, :3], s.footprint)) - s.footprint.radii
         clearance, free = smallest(clearance), (jnp.maximum(sure, below) > 0).all()
 
     def worst(x: jax.Array) -> jax.Array:

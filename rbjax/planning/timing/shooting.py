@@ -1,18 +1,24 @@
-"""A motion by its controls, and how all that it must satisfy changes with them.
+"""The shortest time by single shooting and steps of linearised programs: the Sl1QP method.
 
 n intervals have constant controls u_k, a torque for each drive and a rate for each steering, and
 durations h_k. States z = (coordinates, velocities) follow from the start by the classical
-Runge-Kutta method, a few steps an interval, so every motion here is one that the robot makes. What
-a motion must satisfy is a row of numbers,
+Runge-Kutta method, a few steps an interval. The constraints are
 
-    equal   (end - goal) and the velocities at the end             = 0
-    below   speeds and angles against their limits, and the        <= 0
-            clearance that is due minus the clearance of each disc
+    e   (end - goal) and the velocities at the end                 = 0
+    b   speeds and angles against their limits, and the required  <= 0
+        clearance minus the clearance of each disc
 
-whose derivatives by all controls are products of those of the intervals.
+Their derivatives by all controls are products of those of the intervals. With T the final time,
 
-Source: Bock & Plitt, *A multiple shooting algorithm for direct solution of optimal control
-problems*, IFAC 1984 (with one shot here); Betts, *Practical Methods for Optimal Control*, 3.
+    min   T / T_0 + p (|e|_1 + |max(b, 0)|_1)        controls and durations in their ranges
+
+Each iteration linearises e and b, solves the program of the step in a box, the trust region
+(`elastic_program`), and corrects its end by e at the new controls (a correction of second order).
+It accepts the step if the sum falls, and widens or narrows the box by the ratio of actual to
+predicted decrease. The last iterations minimise only the constraint violation.
+
+Source: Fletcher, *Practical Methods of Optimization*, 14.4; Nocedal & Wright, *Numerical
+Optimization*, 18.3, 18.5; Betts, *Practical Methods for Optimal Control*, 3.
 """
 
 from __future__ import annotations
@@ -23,21 +29,37 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.model import State
-from rbjax.planning.maps.footprint import Footprint, placed
+from rbjax.planning.maps.footprint import Footprint, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
+from rbjax.planning.timing import elastic_program
 from rbjax.planning.timing.driven_path import rk4
 from rbjax.planning.timing.limits import Limits
 from rbjax.wheeled.kinematics.parameters import stack_lanes
 from rbjax.wheeled.models.robot_model import RobotModel
 
+PRICE = 3.0  # p
+SHORTEST, LONGEST = 0.05, 4.0  # durations, of the first one
+INNER = 12  # iterations of a program
+CORRECTIONS = 3  # evaluations of a step, each corrected by the one before
+PROXIMAL = 0.3
+FIRST, LEAST = 0.3, 1e-6  # half a side of the trust region, of the ranges
+LAST, SMALL = 6, 1e-5  # last iterations, which only lower |e| + |b|, down to this
+
 
 class Shooting(NamedTuple):
-    """Fields: vehicle; limits, of finite steering; units (nu,), the largest controls; duration (),
-    the unit of durations, s; length () m, reach () m, which makes m of rad, and speeds (nv,), units
-    of deviations; start (nz,); goal (3,); field and footprint, or None; due (n parts, discs) m,
-    clearances; none without a map. Static: parts, the steps of an interval.
+    """A motion as a function of w (n, nu + 1), the controls and durations of intervals in their
+    units.
 
-    Unknown is w (n, nu + 1): controls and a duration, in these units.
+    Fields:
+        vehicle: the robot.
+        limits: with a finite steering angle.
+        units: (nu,), the largest controls.
+        duration: the unit of durations, s.
+        length, reach, speeds: units of deviations: m, the lever arm in m of a rad, and (nv,).
+        start, goal: (nz,) and (3,).
+        field, footprint: None without a map.
+        due: (n parts, discs) m, the required clearances.
+        parts: steps of an interval, static.
     """
 
     vehicle: RobotModel
@@ -56,7 +78,7 @@ class Shooting(NamedTuple):
 
     @property
     def tracked(self) -> int:
-        """How many coordinates matter; those of shafts act on nothing."""
+        """The number of coordinates that affect the motion: all but the angles of shafts."""
         return self.vehicle.robot.layout.casters.stop
 
     def state(self, z: jax.Array) -> State:
@@ -69,7 +91,7 @@ class Shooting(NamedTuple):
         return stack_lanes([*q[: self.tracked], *v], z.dtype)
 
     def over(self, z: jax.Array, w: jax.Array) -> jax.Array:
-        """The states (parts, nz) in an interval, the last at its end."""
+        """States (parts, nz) in an interval, the last at its end."""
         u, h = w[:-1] * self.units, w[-1] * self.duration / self.parts
 
         def step(z, _):
@@ -79,7 +101,7 @@ class Shooting(NamedTuple):
         return jax.lax.scan(step, z, length=self.parts)[1]
 
     def states(self, w: jax.Array) -> jax.Array:
-        """(n, parts, nz)."""
+        """States (n, parts, nz) in all intervals."""
 
         def interval(z, w):
             inside = self.over(z, w)
@@ -88,7 +110,7 @@ class Shooting(NamedTuple):
         return jax.lax.scan(interval, self.start, w)[1]
 
     def equal(self, z: jax.Array) -> jax.Array:
-        """What vanishes at the end (3 + nv,)."""
+        """The residuals e (3 + nv,) of the last state."""
         off = z[:3] - self.goal
         return jnp.concatenate(
             [off[:2] / self.length, off[2:3] * self.reach / self.length,
@@ -96,7 +118,7 @@ class Shooting(NamedTuple):
         )  # fmt: skip
 
     def below(self, z: jax.Array, due: jax.Array) -> jax.Array:
-        """What is at most zero in a state."""
+        """The rows b of a state."""
         x, y, turn = self.twist(z)
         square = x * x + y * y
         speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
@@ -108,23 +130,23 @@ class Shooting(NamedTuple):
         return jnp.concatenate([*rows, (due - self.clearances(z)) / self.length])
 
     def twist(self, z: jax.Array) -> jax.Array:
-        """Of the chassis (3,)."""
+        """The twist (3,) of the chassis."""
         now = self.vehicle.context(self.state(z))
         return stack_lanes(self.vehicle.full_velocities(now)[:3], z.dtype)
 
     def clearances(self, z: jax.Array) -> jax.Array:
-        """Of each disc, m."""
+        """Clearances of the discs, m."""
         assert self.field is not None and self.footprint is not None
-        return self.field.at(placed(z[:3], self.footprint)) - self.footprint.radii
+        return self.field.at(disc_centers(z[:3], self.footprint)) - self.footprint.radii
 
     def rows(self, w: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """What is zero, and what is at most zero: (3 + nv,) and (rows,)."""
+        """Evaluate e (3 + nv,) and b (rows,)."""
         z = self.states(w)
         flat = z.reshape(-1, z.shape[-1])
         return self.equal(flat[-1]), jax.vmap(self.below)(flat, self.due).ravel()
 
     def linear(self, w: jax.Array) -> tuple[tuple[jax.Array, jax.Array], ...]:
-        """`rows` with their derivatives: (equal, by w), (below, by w), w as a row."""
+        """Evaluate (e, de/dw) and (b, db/dw), with w as a row."""
         z = self.states(w)
         n, parts, nz = z.shape
         before = jnp.concatenate([self.start[None], z[:-1, -1]])
@@ -147,3 +169,70 @@ class Shooting(NamedTuple):
         )
         G = jnp.einsum("krz,kzw->krw", by_z, S)
         return (end, by_end @ S[-1]), (low.ravel(), G.reshape(-1, G.shape[-1]))
+
+
+class Iterate(NamedTuple):
+    """Fields: w (n, nu + 1); radius (), of the trust region; iterations_done and taken, numbers of
+    iterations and of accepted steps."""
+
+    w: jax.Array
+    radius: jax.Array
+    iterations_done: jax.Array
+    taken: jax.Array
+
+
+def optimise(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
+    """Minimise from controls w (n, nu + 1)."""
+    n = len(w)
+    one = jnp.ones_like(w)
+    lowest = (-one).at[:, -1].set(SHORTEST)
+    highest = one.at[:, -1].set(LONGEST)
+    H = PROXIMAL / n * jnp.eye(w.size, dtype=w.dtype)
+    by_time = jnp.zeros_like(w).at[:, -1].set(1 / n)
+
+    def penalty(equal, below):
+        return PRICE * (jnp.abs(equal).sum() + jnp.maximum(below, 0.0).sum())
+
+    def iteration(now: Iterate) -> Iterate:
+        w, first = now.w, now.iterations_done < iterations
+        cost = first * by_time
+        (e, E), (b, B) = s.linear(w)
+        low = jnp.maximum(lowest - w, -now.radius).ravel()
+        high = jnp.minimum(highest - w, now.radius).ravel()
+        G, g = jnp.concatenate([E, -E, B]), jnp.concatenate([-e, e, -b])
+        d, _ = elastic_program.solve(
+            H, cost.ravel(), G, g, jnp.full_like(g, PRICE), low, high, INNER
+        )
+        merit = (cost * w).sum() + penalty(e, b)
+        end = e + E @ d
+        foreseen = (cost.ravel() * (w.ravel() + d)).sum() + penalty(end, b + B @ d)
+        W = E * jnp.minimum(d - low, high - d)
+        S = W @ E.T
+        S = S + jnp.eye(len(e), dtype=w.dtype) * (1e-12 * jnp.trace(S) + jnp.finfo(w.dtype).tiny)
+
+        def corrected(d, _):
+            """A step, its merit, and the next step, corrected by the residual of the end."""
+            new = jnp.clip(w + d.reshape(w.shape), lowest, highest)
+            equal, below = s.rows(new)
+            value = (cost * new).sum() + penalty(equal, below)
+            after = jnp.clip(d - W.T @ jnp.linalg.solve(S, equal - end), low, high)
+            return after, (new, value)
+
+        _, (steps, merits) = jax.lax.scan(corrected, d, length=CORRECTIONS)
+        k = jnp.nanargmin(merits)
+        share = (merit - merits[k]) / jnp.maximum(merit - foreseen, jnp.finfo(w.dtype).tiny)
+        good = (merits[k] < merit) & (first | (merit > SMALL))
+        radius = jnp.where(share > 0.75, 2 * now.radius, now.radius)
+        radius = jnp.where(good & (share > 0.25), radius, now.radius / 3)
+        radius = jnp.minimum(radius, 1.0)
+        iterations_done = jnp.where(first & (radius < LEAST), iterations, now.iterations_done + 1)
+        radius = jnp.where(iterations_done == iterations, FIRST, radius)
+        return Iterate(jnp.where(good, steps[k], w), radius, iterations_done, now.taken + good)
+
+    def goes_on(now: Iterate):
+        return (now.iterations_done < iterations + LAST) & (now.radius > LEAST)
+
+    zero = jnp.zeros((), int)
+    w = jnp.clip(w, lowest, highest)
+    begin = Iterate(w, jnp.full((), FIRST, w.dtype), zero, zero)
+    return jax.lax.while_loop(goes_on, iteration, begin)

@@ -28,7 +28,7 @@ from rbjax.errors import InputError
 from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, cast_floats
 from rbjax.planning.paths.path import Path
-from rbjax.planning.timing.driven_path import DrivenPath, Sides, driven
+from rbjax.planning.timing.driven_path import DrivenPath, Sides, drive_along
 from rbjax.planning.timing.limits import Limits, Timed, check_can_follow
 from rbjax.wheeled import RobotModel
 
@@ -36,8 +36,8 @@ from rbjax.wheeled import RobotModel
 class TimeScaled(Record):
     """The fastest motion along a path.
 
-    Fields: motion, a `Timed` of 2 n intervals: before each step of the path, the robot stands and
-    steers there if it must, for no time elsewhere; ok (), whether there is such a motion.
+    Fields: motion, a `Timed` of 2 n intervals, standing and driving in turn, of which some have no
+    duration; ok (), whether such a motion exists.
     """
 
     motion: Timed
@@ -51,11 +51,11 @@ class TimeScaled(Record):
 
 
 def time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
-    """The time-optimal motion of a robot along a path, at rest at both ends.
+    """Compute the time-optimal motion of a robot along a path, at rest at both ends.
 
-    It stops where the path reverses or turns by more than 60 degrees, and steers there. Elsewhere
-    it rounds a corner between two steps within half of each. So make steps short, by `Path.split`:
-    a corner is rounded more closely then, and more slowly.
+    The robot stops and steers at reversals and at turns of more than 60 degrees. Elsewhere it
+    rounds a corner between two steps within half of each. In short steps (`Path.split`) a corner is
+    rounded more closely, and more slowly.
 
     Args:
         vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
@@ -65,10 +65,10 @@ def time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
             limit is infeasible at any speed.
 
     Returns:
-        `TimeScaled`. Its coordinates are those that the robot has on the path with its rounded
-        corners. Its controls, replayed without feedback, end off in proportion to the steps' length
-        (a cart after 16 s: 0.3 m with steps of 0.1 m, 4 cm with 0.02 m); `refine` ends at the goal.
-        Of trailers, none is asked for obstacles here.
+        `TimeScaled`. Its coordinates are those of the robot on the path with rounded corners. Its
+        controls, replayed without feedback, end off in proportion to the steps' length (a cart
+        after 16 s: 0.3 m with steps of 0.1 m, 4 cm with 0.02 m); `refine` ends at the goal.
+        Trailers are not checked for collisions.
 
     Raises:
         InputError: wrong types, a batch, a robot whose drives give no torques for a path.
@@ -91,7 +91,7 @@ def time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
 
 
 def check_path(where: str, path: Any) -> None:
-    """Refuse what is not one path."""
+    """`InputError` unless the argument is one path."""
     if not isinstance(path, Path):
         raise InputError(f"{where}: path is {type(path).__name__}, expected rbjax.planning.Path")
     if path.start.ndim != 1 or not path.steps.shape[0]:
@@ -104,7 +104,7 @@ def check_path(where: str, path: Any) -> None:
 def _time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     dtype = path.steps.dtype
     vehicle, limits = cast_floats((vehicle, limits), dtype)
-    p = driven(vehicle, limits, path)
+    p = drive_along(vehicle, limits, path)
     most = limits.torques(vehicle)
     caps = jnp.stack([_cap(p, side, limits) for side in (p.first, p.last)])
     zero = jnp.zeros((), dtype)
@@ -160,7 +160,7 @@ def _fastest(rates: jax.Array) -> jax.Array:
 
 
 def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
-    """The largest x (n,) by limits of rates at one end of the steps."""
+    """The largest x (n,) by limits of rates, at one end of the steps."""
     v = side.twist
     steer = _fastest(p.bends) / limits.steering_rate
     ways = [
@@ -170,7 +170,7 @@ def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
 
 
 def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
-    """The bounds of x in [0, cap] for which some u has a u + b x <= c."""
+    """The bounds of x in [0, cap] for which some u satisfies a u + b x <= c."""
     # row i bounds u from above, row j from below; a row without u, with a 1 for the other
     i, j, flat = a > 0, a < 0, a == 0
     eps = 64 * jnp.finfo(a.dtype).eps
@@ -191,7 +191,7 @@ def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
 
 
 def _timed(vehicle: RobotModel, p: DrivenPath, limits: Limits, x: jax.Array) -> Timed:
-    """The motion by s'^2 (n + 1,) between the steps."""
+    """The motion with s'^2 (n + 1,) between the steps."""
     n = len(p.size)
     speed = jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
     both = speed[1:] + speed[:-1]

@@ -90,6 +90,18 @@ class Point(NamedTuple):
     w: jax.Array
 
 
+class StageProblem(NamedTuple):
+    """The data of the stage equations."""
+
+    h: Any
+    t: jax.Array  # (s,)
+    y: jax.Array  # (s, n)
+    weights: Weights
+    start: Point
+    free_diagonal: jax.Array
+    read: tuple  # the closure of f
+
+
 class Stages(NamedTuple):
     """Rates (s, n), algebraic unknowns (s, m), and whether they were found; if not, the guess."""
 
@@ -109,29 +121,20 @@ def solve(
     start, free_diagonal = jax.lax.stop_gradient((start, equations.free_diagonal))
 
     @eqx.filter_custom_jvp
-    def root(h, t, y, weights, start, free_diagonal, read):
-        blocks = system.simplified(h, weights, start, free_diagonal, read)
-        return batch_first(
-            (system.iterated(blocks, h, t, y, weights, start, free_diagonal, read), blocks)
-        )
+    def root(problem):
+        blocks = system.invert_start(problem)
+        return batch_first((system.find_root(blocks, problem), blocks))
 
     @root.def_jvp
     def _(primals, tangents):
         found, blocks = root(*primals)  # with its own derivative: this rule
         x = found[:-1].reshape(s, -1)
-
-        def off(h, t, y, weights, start, free_diagonal, read):
-            del start, free_diagonal
-            return system.residual(x, h, t, y, weights, read)
-
-        _, change = eqx.filter_jvp(off, primals, tangents)
-        moved = -system.moved(x, change, blocks, *primals)
-        moved = jnp.append(moved, jnp.zeros_like(found[-1]))
+        _, change = eqx.filter_jvp(lambda problem: system.residual(x, problem), primals, tangents)
+        rate = jnp.append(-system.solve_linear(x, change, blocks, *primals), 0 * found[-1])
         # the solution does not depend on the blocks
-        still = jax.tree.map(jnp.zeros_like, blocks)
-        return (found, blocks), batch_first((moved, still))
+        return (found, blocks), batch_first((rate, jax.tree.map(jnp.zeros_like, blocks)))
 
-    found, _ = root(h, t, y, weights, start, free_diagonal, tuple(read))
+    found, _ = root(StageProblem(h, t, y, weights, start, free_diagonal, tuple(read)))
     x = found[:-1].reshape(s, -1)
     return Stages(x[:, :n], x[:, n:], found[-1] > 0)
 
@@ -143,8 +146,8 @@ def damp_error(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array)
     n, one = raw.size, weight(jnp.ones((), raw.dtype))
     system = System(equations.f, Sizes(n, 0, equations.depth, 0))
     slopes = system.slope(*start, ())[None]
-    off = system.weighted(matvec(slopes[0, :, :n], raw)[None], gamma_h, one)
-    change = -Factored(system.matrix(slopes, gamma_h, one), free_diagonal).solved(off)
+    residual = system.weighted(matvec(slopes[0, :, :n], raw)[None], gamma_h, one)
+    change = -Factored(system.matrix(slopes, gamma_h, one), free_diagonal).solved(residual)
     return raw + gamma_h * change[0, :n]
 
 
@@ -159,11 +162,15 @@ class System:
     def n(self) -> int:
         return self.sizes.n
 
-    def residual(self, x, h, t, y, weights, read) -> jax.Array:
-        """Evaluate the equations (s, n + m) at x = (rates, w), the last rows times (h A)^-p."""
+    def stages(self, x: jax.Array, at: StageProblem) -> tuple[jax.Array, ...]:
+        """Return t, y, rates and w of each stage, of x = (rates, w)."""
         k, w = x[:, : self.n], x[:, self.n :]
-        out = each(lambda *at: self.f(*at, *read), t, y + h * weighted_sums(weights.a, k), k, w)
-        return self.weighted(out, h, weights)
+        return at.t, at.y + at.h * weighted_sums(at.weights.a, k), k, w
+
+    def residual(self, x: jax.Array, at: StageProblem) -> jax.Array:
+        """Evaluate the equations (s, n + m) at x = (rates, w), the last rows times (h A)^-p."""
+        out = each(lambda *stage: self.f(*stage, *at.read), *self.stages(x, at))
+        return self.weighted(out, at.h, at.weights)
 
     def weighted(self, rows: jax.Array, h: Any, weights: Weights) -> jax.Array:
         """Multiply the last m of the rows (s, n + m, ...) by (h A)^-p."""
@@ -191,27 +198,25 @@ class System:
         at = jnp.concatenate([y, rate, w])
         return lambda d: jax.jvp(f, (at,), (d,))[1]
 
-    def simplified(self, h, weights, start: Point, free_diagonal, read) -> Blocks:
+    def invert_start(self, at: StageProblem) -> Blocks:
         """Invert the matrix of the start, for all stages, approximately."""
-        return simplified(self.push(*start, read), self.sizes, h, weights, free_diagonal)
+        push = self.push(*at.start, at.read)
+        return simplified(push, self.sizes, at.h, at.weights, at.free_diagonal)
 
-    def complement(
-        self, x, shared: Simplified, h, t, y, weights, free_diagonal, read
-    ) -> Complement:
+    def push_residual(self, x: jax.Array, at: StageProblem) -> Callable[[jax.Array], jax.Array]:
+        """Return the derivative of the residual at x along a change of x."""
+        return lambda d: jax.jvp(lambda x: self.residual(x, at), (x,), (d,))[1]
+
+    def complement(self, x: jax.Array, shared: Simplified, at: StageProblem) -> Complement:
         """Compute the Schur complement of the w of all stages, at x."""
+        near = rank_tolerance("stages", at.y.dtype)
+        push = self.push_residual(x, at)
+        return complement(push, shared.free, at.free_diagonal, len(at.y), self.n, near)
 
-        def push(d: jax.Array) -> jax.Array:
-            return jax.jvp(lambda x: self.residual(x, h, t, y, weights, read), (x,), (d,))[1]
-
-        near = rank_tolerance("stages", y.dtype)
-        return complement(push, shared.free, free_diagonal, len(y), self.n, near)
-
-    def slopes(self, x, h, t, y, weights, read) -> jax.Array:
-        """Compute the slopes at each stage."""
-        k, w = x[:, : self.n], x[:, self.n :]
-        return jax.vmap(lambda t, y, k, w: self.slope(t, y, k, w, read))(
-            t, y + h * weighted_sums(weights.a, k), k, w
-        )
+    def stage_matrix(self, x: jax.Array, at: StageProblem) -> Matrix:
+        """Compute the matrix at x."""
+        slopes = jax.vmap(lambda *stage: self.slope(*stage, at.read))(*self.stages(x, at))
+        return self.matrix(slopes, at.h, at.weights)
 
     def matrix(self, slopes: jax.Array, h: Any, weights: Weights) -> Matrix:
         """Assemble d residual / d (rates, w) from the slopes at the stages (s, n + m, 2 n + m)."""
@@ -229,47 +234,40 @@ class System:
             of_w[:, n:].reshape(s * m, s * m),
         )
 
-    def iterated(
-        self, blocks: Blocks, h, t, y, weights, start: Point, free_diagonal, read
-    ) -> jax.Array:
+    def find_root(self, blocks: Blocks, at: StageProblem) -> jax.Array:
         """Find the root. Returns it and 1, or the guess and 0, in one array."""
+        h, y, start = at.h, at.y, at.start
         s, n, size = len(y), self.n, jnp.maximum(1.0, jnp.abs(y).max())
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, n + len(start.w)))
-        shared = Simplified(self.sizes, *jax.lax.stop_gradient((h, weights, blocks)))
+        shared = Simplified(self.sizes, *jax.lax.stop_gradient((h, at.weights, blocks)))
 
         def chord(x: jax.Array, target: jax.Array, count: jax.Array) -> tuple:
-            return shared.solved(self.residual(x, h, t, y, weights, read)), target
+            return shared.solved(self.residual(x, at)), target
 
         def newton(x: jax.Array, target: jax.Array, count: jax.Array) -> tuple:
-            slopes = self.slopes(x, h, t, y, weights, read)
             near = rank_tolerance("stages", y.dtype)
-            matrix = Factored(self.matrix(slopes, h, weights), free_diagonal, near)
+            matrix = Factored(self.stage_matrix(x, at), at.free_diagonal, near)
             target = jnp.where(count < FREE, x[:, n:], target)
-            r = self.residual(x, h, t, y, weights, read)
-            return matrix.once(r, x[:, n:] - target), target
+            return matrix.once(self.residual(x, at), x[:, n:] - target), target
 
         def sweep(x: jax.Array, target: jax.Array, count: jax.Array) -> tuple:
             target = jnp.where(count < FREE, x[:, n:], target)
-            S = self.complement(x, shared, h, t, y, weights, free_diagonal, read)
-
-            def residual(x: jax.Array) -> jax.Array:
-                return self.residual(x, h, t, y, weights, read)
-
-            return x - S.sweep(residual, shared.free, x, target), target
+            S = self.complement(x, shared, at)
+            return x - S.sweep(lambda x: self.residual(x, at), shared.free, x, target), target
 
         def found(step: Callable, done: jax.Array, x: jax.Array, most: int) -> tuple:
-            """Whether x is settled, and x or the guess."""
+            """Iterate. Returns whether x converged, and x or the guess."""
 
-            def once(at: tuple) -> tuple:
-                x, target, before, count, _ = at
+            def once(carry: tuple) -> tuple:
+                x, target, before, count, _ = carry
                 dx, target = step(x, target, count)
                 x = x - dx
                 scale = jnp.maximum(size, jnp.abs(h * x[:, :n]).max())
                 now = jnp.abs(h * dx[:, :n]).max() / scale
-                return x, target, now, count + 1, settled(now, before, count)
+                return x, target, now, count + 1, is_rounding(now, before, count)
 
-            def more(at: tuple) -> jax.Array:
-                *_, before, count, done = at
+            def more(carry: tuple) -> jax.Array:
+                *_, before, count, done = carry
                 return ~done & (count < most) & ((count == 0) | jnp.isfinite(before))
 
             first = x, x[:, n:], jnp.full((), jnp.inf, y.dtype), jnp.array(0), done
@@ -277,7 +275,7 @@ class System:
             return done, jnp.where(done, x, guess)
 
         done, x = found(chord, jnp.array(False), guess, MAX_STEPS)
-        done, x = where_it_fits(
+        done, x = choose_by_memory(
             guess.size,
             lambda done, x: found(newton, done, x, FREE + HELD),
             lambda done, x: found(sweep, done, x, FREE + SWEEPS),
@@ -285,15 +283,12 @@ class System:
         )(done, x)
         return jnp.append(x, done.astype(y.dtype))
 
-    def moved(
-        self, x, change, blocks: Blocks, h, t, y, weights, start: Point, free_diagonal, read
+    def solve_linear(
+        self, x: jax.Array, change: jax.Array, blocks: Blocks, at: StageProblem
     ) -> jax.Array:
         """Solve for the change (s, n + m) of x that causes a change of the residual, by iteration
         with the matrix of the start; if that does not converge, with those of the stages."""
-        shared = Simplified(self.sizes, *jax.lax.stop_gradient((h, weights, blocks)))
-
-        def push(d: jax.Array) -> jax.Array:
-            return jax.jvp(lambda x: self.residual(x, h, t, y, weights, read), (x,), (d,))[1]
+        shared = Simplified(self.sizes, *jax.lax.stop_gradient((at.h, at.weights, blocks)))
 
         def back(d: jax.Array) -> jax.Array:
             return jax.linear_transpose(shared.solved, d)(d)[0]
@@ -303,38 +298,41 @@ class System:
 
         def by(nearly: Callable, transposed: bool) -> Callable:
             def solved(push: Callable, b: jax.Array) -> jax.Array:
-                found, done = refined(push, nearly, b, self.n)
+                found, done = solve_by_corrections(push, nearly, b, self.n)
 
                 def directly(_: tuple) -> tuple:
-                    matrix = self.matrix(self.slopes(x, h, t, y, weights, read), h, weights)
+                    matrix = self.stage_matrix(x, at)
                     matrix = matrix.transposed if transposed else matrix
-                    exact = Factored(
-                        matrix, free_diagonal, rank_tolerance("regularization", b.dtype)
-                    ).solved(b)
-                    return exact, jnp.array(True)
+                    eps = rank_tolerance("regularization", b.dtype)
+                    return Factored(matrix, at.free_diagonal, eps).solved(b), jnp.array(True)
 
                 def by_sweeps(_: tuple) -> tuple:
-                    S = self.complement(x, shared, h, t, y, weights, free_diagonal, read)
+                    S = self.complement(x, shared, at)
                     S = S._replace(transposed=transposed)
-                    exact, ok = swept(push, S, free_back if transposed else shared.free, b, self.n)
+                    exact, ok = solve_by_sweeps(
+                        push, S, free_back if transposed else shared.free, b, self.n
+                    )
                     return jnp.where(ok, exact, jnp.nan), jnp.array(True)
 
                 def once(f: Callable) -> Callable:
                     # a loop and not a branch: of a batch both branches would run
-                    return lambda *at: jax.lax.while_loop(lambda at: ~at[1], f, at)[0]
+                    return lambda *carry: jax.lax.while_loop(lambda x: ~x[1], f, carry)[0]
 
-                def given_up(found: jax.Array, done: jax.Array) -> jax.Array:
+                def fail(found: jax.Array, done: jax.Array) -> jax.Array:
                     return jnp.where(done, found, jnp.nan)
 
-                fitting = where_it_fits(x.size, once(directly), once(by_sweeps), given_up)
-                return fitting(found, done)
+                choose = choose_by_memory(x.size, once(directly), once(by_sweeps), fail)
+                return choose(found, done)
 
             return solved
 
+        push = self.push_residual(x, at)
         return jax.lax.custom_linear_solve(push, change, by(shared.solved, False), by(back, True))
 
 
-def where_it_fits(unknowns: int, f: Callable, smaller: Callable, otherwise: Callable) -> Callable:
+def choose_by_memory(
+    unknowns: int, f: Callable, smaller: Callable, otherwise: Callable
+) -> Callable:
     """Choose f, which needs a matrix of all unknowns; on a GPU without memory another function."""
     if unknowns <= COUPLED_UP_TO:
         return f
@@ -342,18 +340,22 @@ def where_it_fits(unknowns: int, f: Callable, smaller: Callable, otherwise: Call
     return lambda *args: jax.lax.platform_dependent(*args, cuda=on_gpu, default=f)
 
 
-def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
+def solve_by_corrections(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
     """Solve push(x) = b by corrections nearly(b - push(x)). Returns x and whether it converged."""
-    return corrected(lambda x: nearly(b - push(x)), b, n)
+    return add_corrections(lambda x: nearly(b - push(x)), b, n)
 
 
-def swept(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
+def solve_by_sweeps(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
     """Solve push(x) = b by sweeps. Returns x and whether it converged."""
     noise = SWEPT_NOISE[b.dtype.itemsize]
-    return corrected(lambda x: S.sweep(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n, noise)
+    return add_corrections(
+        lambda x: S.sweep(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n, noise
+    )
 
 
-def corrected(correction: Callable, b: jax.Array, n: int, noise: float = LINEAR_NOISE) -> tuple:
+def add_corrections(
+    correction: Callable, b: jax.Array, n: int, noise: float = LINEAR_NOISE
+) -> tuple:
     """Add corrections correction(x) to x, from 0, until the first n columns change by rounding.
     Returns x and whether it converged."""
     eps = float(jnp.finfo(b.dtype).eps)
@@ -364,7 +366,7 @@ def corrected(correction: Callable, b: jax.Array, n: int, noise: float = LINEAR_
         x = x + dx
         size = jnp.abs(x[:, :n]).max()
         now = jnp.abs(dx[:, :n]).max() / jnp.where(size > 0, size, 1.0)
-        return x, now, count + 1, settled(now, before, count, noise * eps)
+        return x, now, count + 1, is_rounding(now, before, count, noise * eps)
 
     def more(at: tuple) -> jax.Array:
         _, before, count, done = at
@@ -375,7 +377,7 @@ def corrected(correction: Callable, b: jax.Array, n: int, noise: float = LINEAR_
     return x, done
 
 
-def settled(
+def is_rounding(
     now: jax.Array, before: jax.Array, count: jax.Array, noise: float | None = None
 ) -> jax.Array:
     """Test whether corrections, relative to y, are rounding, which is `noise` at most."""

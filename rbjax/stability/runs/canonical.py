@@ -49,7 +49,7 @@ class Hamiltonian(eqx.Module):
 
 
 def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
-    """(q, p) with p = M(q) v, of a robot without ball or free joints.
+    """Convert a state to (q, p), p = M(q) v, of a robot without ball or free joints.
 
     Args:
         model: the robot.
@@ -76,7 +76,7 @@ def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
 
 
 def from_canonical(model: Model, y: tuple[jax.Array, jax.Array]) -> State:
-    """The state of (q, p).
+    """Convert (q, p) to a state.
 
     Raises:
         InputError: as `to_canonical`.

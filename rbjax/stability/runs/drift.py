@@ -37,8 +37,8 @@ from rbjax.dynamics import (
 from rbjax.errors import InputError
 from rbjax.forces import elastic_energy
 from rbjax.model import Model, State, Topology
-from rbjax.motion.term import motion, unit
-from rbjax.stability.methods import Solver, stepping
+from rbjax.motion.term import make_term, unit_quaternions
+from rbjax.stability.methods import Solver, fixed_step_solver
 
 BLOCKS = 64  # block means of a series, to which the slope is fitted
 SIGNIFICANT = 4.0  # standard errors beyond which a slope is a trend
@@ -147,7 +147,7 @@ def check_times(dt: Any, steps: int, dtype: Any) -> None:
         )
 
 
-def opened(
+def resolve_system(
     where: str, system: Any, y0: Any, solver: Any, args: Any
 ) -> tuple[diffrax.AbstractTerm, Any, Any]:
     """The term, its state and its arguments, of a robot or a term.
@@ -164,7 +164,7 @@ def opened(
                 f"{where}: y0 has q {jnp.shape(y0.q)} and v {jnp.shape(y0.v)}, expected "
                 f"({system.nq},) and ({system.nv},)"
             )
-        return *motion(system, y0, solver), system
+        return *make_term(system, y0, solver), system
     if not isinstance(system, diffrax.AbstractTerm):
         raise InputError(
             f"{where}: system is {type(system).__name__}, expected a Model or a term of diffrax"
@@ -270,7 +270,7 @@ class Invariants(eqx.Module):
     """
 
     def __call__(self, t: Any, y: State, model: Model) -> dict[str, jax.Array]:
-        q, v = unit(model.topology, y.q), y.v
+        q, v = unit_quaternions(model.topology, y.q), y.v
         energy = kinetic_energy(model, q, v) + potential_energy(model, q) + elastic_energy(model, q)
         about = centroidal_momentum(model, q, v)
         linear = about[3:]
@@ -339,8 +339,8 @@ def drift(
         False
     """
     every = steps_of_a_sample("drift", steps, samples)
-    one = stepping(solver)
-    term, y0, args = opened("drift", system, y0, one, args)
+    one = fixed_step_solver(solver)
+    term, y0, args = resolve_system("drift", system, y0, one, args)
     if keep is None and not isinstance(system, Model):
         raise InputError("drift: keep is None, expected (t, y, args) -> arrays for a term")
     keep = Invariants() if keep is None else keep

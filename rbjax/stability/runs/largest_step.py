@@ -27,7 +27,7 @@ from rbjax.motion.integrators import INTEGRATORS
 from rbjax.motion.rollout import rollout
 from rbjax.motion.simulate import simulate
 from rbjax.solvers.tableau import DOP853
-from rbjax.stability.methods import Solver, made, stepping
+from rbjax.stability.methods import Solver, fixed_step_solver, solver_of
 from rbjax.stability.runs.linearisation import at_rest
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
 from rbjax.stability.theory.oscillator import matrices_of_pair
@@ -54,7 +54,7 @@ SMALL, GROWN = 1e-9, 1e5  # a deviation, and the factor by which it grows if a s
 
 
 def stable_step(method: Method, matrices: Any) -> float:
-    """The largest step at which only modes grow that grow in the exact motion, by linear theory.
+    """Predict the largest step at which only modes grow that grow in the exact motion.
 
     Undamped vibrations are included. For them the limit of a method for y' = f is exact,
     `imaginary_limit` / |lambda|. It is 0 for methods like Heun's, with which every vibration grows,
@@ -82,7 +82,7 @@ def stable_step(method: Method, matrices: Any) -> float:
         True
     """
     A = _square(matrices)
-    solver = method if isinstance(method, Theory) else made(method)
+    solver = method if isinstance(method, Theory) else solver_of(method)
     if isinstance(solver, PAIRS):
         return min(_of_pair(solver, a) for a in A)
     phi = characteristic(solver)
@@ -99,7 +99,7 @@ def stable_step(method: Method, matrices: Any) -> float:
 
 
 def _square(matrices: Any) -> np.ndarray:
-    """A (T, 2 nv, 2 nv)."""
+    """Matrices (T, 2 nv, 2 nv) as an array."""
     expected = "an array (2 nv, 2 nv) or (T, 2 nv, 2 nv)"
     A = real_array("stable_step", "matrices", matrices, expected, finite=False)
     if A.ndim not in (2, 3) or A.shape[-1] != A.shape[-2] or A.shape[-1] % 2 or not A.size:
@@ -198,7 +198,7 @@ def measured_stable_step(
     near: float,
     steps: int = 2000,
 ) -> float:
-    """The largest step at which a small deviation from an equilibrium does not grow, measured.
+    """Measure the largest step at which a small deviation from an equilibrium does not grow.
 
     A motion starts at a deviation of 1e-9 and takes `steps` steps. The interval between a stable
     and an unstable step is bisected. A step is unstable if the deviation grows by 1e5, that is
@@ -238,7 +238,7 @@ def measured_stable_step(
                 f"measured_stable_step: integrator {run!r}, expected one of {list(INTEGRATORS)}"
             )
     else:
-        run = stepping(method)
+        run = fixed_step_solver(method)
     if not (0 < near < math.inf and steps >= 10):
         raise InputError(
             f"measured_stable_step: got near {near} s and {steps} steps, expected a positive time "

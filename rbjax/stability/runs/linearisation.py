@@ -16,13 +16,14 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
 from rbjax.motion.field import dynamics_of, free_motion
-from rbjax.motion.linearise import box_plus, linearise, linearised
+from rbjax.motion.linearise import box_plus, linearise, linearise_rates
 from rbjax.rank_tolerances import rank_tolerance
 
 
 @algorithm("state", "ctrl")
 def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> jax.Array:
-    """A (n, n), n = 2 nv + nx, of the linearised motion d/dt dx = A dx, at constant control.
+    """Compute A (n, n), n = 2 nv + nx, of the linearised motion d/dt dx = A dx, at constant
+    control.
 
     Args:
         model: the robot.
@@ -45,7 +46,7 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
         (2, 2)
     """
     dynamics = dynamics_of("state_matrix", model, free_motion, None)
-    return linearised(model, state, Inputs(ctrl), dynamics=dynamics)[1]
+    return linearise_rates(model, state, Inputs(ctrl), dynamics=dynamics)[1]
 
 
 class Reduced(NamedTuple):
@@ -62,7 +63,7 @@ class Reduced(NamedTuple):
 
 
 def reduced_linearisation(model: Model, state: State, ctrl: Any = None, dt: Any = None) -> Reduced:
-    """The motion linearised about an equilibrium, on the tangent space of the constraints:
+    """Linearise the motion about an equilibrium, on the tangent space of the constraints:
 
         d/dt dz = A dz + B du,     dx = T dz,     [g_q 0; g'_q g'_v] T = 0
 
@@ -127,7 +128,7 @@ def _tangent(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
 def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
     """The rates (nv + nx,) and A, with the constraints of the model."""
     dynamics = dynamics_of("state_matrix", model, free_motion, None)
-    return linearised(model, state, Inputs(ctrl), dynamics=dynamics)[:2]
+    return linearise_rates(model, state, Inputs(ctrl), dynamics=dynamics)[:2]
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
@@ -169,7 +170,8 @@ def _matrices(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array | None) 
 
 
 def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray:
-    """`state_matrix` (T, 2 nv, 2 nv) at states q (T, nq), v (T, nv); ctrl (nu,), (T, nu) or None.
+    """Compute `state_matrix` (T, 2 nv, 2 nv) at states q (T, nq), v (T, nv); ctrl (nu,), (T, nu) or
+    None.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -195,8 +197,8 @@ def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray
 
 
 def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50) -> State:
-    """The equilibrium near `state`: a state at rest without acceleration, at constant control, on
-    the constraints of the model.
+    """Find the equilibrium near `state`: a state at rest without acceleration, at constant control,
+    on the constraints of the model.
 
     Newton's method on a(q, 0, x) = 0, x' = 0, g(q) = 0; least squares if the equilibrium is not
     isolated.

@@ -24,12 +24,12 @@ from rbjax.arguments import integer, real_number
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.solvers import rkmk
-from rbjax.stability.methods import Solver, stepping
+from rbjax.stability.methods import Solver, fixed_step_solver
 from rbjax.stability.runs.drift import (
     as_floats,
     check_times,
     finite,
-    opened,
+    resolve_system,
     steps_of_a_sample,
 )
 
@@ -197,8 +197,8 @@ def _prepared(
     where: str, system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int
 ) -> tuple:
     """The term, the solver with loops that support tangents, the state and the arguments."""
-    solver = rkmk(4) if solver is None else stepping(solver)
-    term, y0, args = opened(where, system, y0, solver, args)
+    solver = rkmk(4) if solver is None else fixed_step_solver(solver)
+    term, y0, args = resolve_system(where, system, y0, solver, args)
     y0 = as_floats(where, y0)
     check_times(dt, steps, jnp.result_type(*jax.tree.leaves(y0)))
     if scan_kind(solver) is None:  # Runge-Kutta methods of diffrax

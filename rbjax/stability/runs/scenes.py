@@ -54,7 +54,7 @@ _ARM = """
 
 @dataclass(frozen=True)
 class Arm:
-    """Two links of 1 m, hanging along -z at q = 0.
+    """Two links of 1 m that hang along -z at q = 0.
 
     mass, kg; com, m from the hinge; inertia about the com, kg m^2 (a rod's if None); stiffness and
     damping of the joints, kp and kv of servos with target 0. gimbal: the first link is only a
@@ -76,7 +76,7 @@ class Arm:
         return rods if self.inertia is None else np.array(self.inertia)
 
     def model(self) -> Model:
-        """The robot. Arms differ only in their numbers."""
+        """The robot. Arms differ only in their parameters."""
         base = _base()
         about = np.zeros((2, 3, 3))
         about[:, 0, 0] = about[:, 1, 1] = self.about_com
@@ -234,7 +234,7 @@ class Truth(NamedTuple):
 
 
 def truth(scene: Scene) -> Truth:
-    """The motion of a scene, and the difference between two step sizes of the reference.
+    """Compute the motion of a scene, and the difference between two step sizes of the reference.
 
     max_k |r_k(h) - r_k(h / 2)|, of Dormand-Prince 8 at h = dt / refine.
 

@@ -27,10 +27,10 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
 from rbjax.motion.simulate import simulate
-from rbjax.motion.term import motion
+from rbjax.motion.term import make_term
 from rbjax.motion.trajectory import Trajectory
 from rbjax.solvers import AbstractGroupSolver, RigidBodySplitting
-from rbjax.stability.methods import Solver, made, stepping
+from rbjax.stability.methods import Solver, fixed_step_solver, solver_of
 from rbjax.stability.runs.drift import DONE, NO_ROOT, NOT_FINITE, long_run, trend
 from rbjax.stability.runs.scenes import (
     SAMPLES,
@@ -61,7 +61,7 @@ class Outcome(enum.Enum):
 
 
 class Verdict(NamedTuple):
-    """An outcome and its number.
+    """An outcome with its number.
 
     Fields: outcome; value: the largest error (holds, loses the motion), the time in s at which it
     ended (blows up, root not found, runs out of steps), the distance (leaves the manifold), or the
@@ -87,7 +87,7 @@ def verdict(
     size: float = 1.0,
     tolerance: float = 1e-3,
 ) -> Verdict:
-    """The outcome of a run.
+    """Judge the outcome of a run.
 
     max_k |x_k - r_k| while the state is sound; it is not if |x| > 1000 size.
 
@@ -212,7 +212,7 @@ def attempt(solver: Solver, scene: Scene, true: Truth | None = None) -> Verdict 
     """
     if jnp.result_type(float) != jnp.float64:
         raise InputError('attempt: f64 is off; jax.config.update("jax_enable_x64", True)')
-    one = made(solver)
+    one = solver_of(solver)
     if isinstance(one, RigidBodySplitting) and isinstance(scene.system, Arm):
         return None
     if scene.adaptive and not estimates(one):
@@ -248,14 +248,14 @@ class Run(NamedTuple):
 
 
 def _equally(solver: Any, scene: Scene, dtype: Any = np.float64) -> Run:
-    solver = stepping(solver)
+    solver = fixed_step_solver(solver)
     state = jax.tree.map(lambda x: jnp.asarray(x, dtype), scene.state)
     term: Any
     args: Any
     system = scene.system
     if isinstance(system, Arm):
         args = system.model()
-        term, state = motion(args, state, solver, Inputs(_hold))
+        term, state = make_term(args, state, solver, Inputs(_hold))
     else:
         inertia, weight = (jnp.asarray(x, dtype) for x in (system.inertia, system.weight))
         if isinstance(solver, AbstractGroupSolver):

@@ -24,7 +24,7 @@ from rbjax import solvers
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.rosenbrock import RosenbrockW, holds
-from rbjax.stability.methods import Solver, made, stepping
+from rbjax.stability.methods import Solver, fixed_step_solver, solver_of
 from rbjax.stability.theory import regions
 from rbjax.stability.theory.multistep_roots import Characteristic, Method, Theory, characteristic
 from rbjax.stability.theory.stability_function import StabilityFunction, butcher, stability_function
@@ -78,7 +78,7 @@ def order_by_conditions(solver: Method) -> int:
     """
     if isinstance(solver, Theory):
         return characteristic(solver).order
-    solver = made(solver)
+    solver = solver_of(solver)
     table = butcher(solver)
     if table is None:
         return _method(solver)[1].order
@@ -245,7 +245,7 @@ def measured_order(solver: Solver) -> MeasuredOrder:
         4.0
     """
     own = isinstance(solver, solvers.Tableau)  # its order is for vector fields
-    solver = stepping(solver)
+    solver = fixed_step_solver(solver)
     steps: list[int] = []
     errors: list[float] = []
     n = COARSEST

@@ -25,22 +25,22 @@ import numpy as np
 from rbjax import solvers
 from rbjax.arguments import flag, shown
 from rbjax.errors import InputError
-from rbjax.stability.methods import Solver, made
+from rbjax.stability.methods import Solver, solver_of
 from rbjax.stability.theory.polynomials import (
     DIGITS,
     EPS,
     PRINTED,
     Poly,
-    added,
-    common,
+    add,
     derivative,
-    divided,
+    divide,
     exact,
-    plus,
+    gcd,
+    multiply,
     poly,
     rational,
     roots,
-    times,
+    total,
     value,
 )
 from rbjax.stability.theory.stability_function import StabilityFunction, stability_function
@@ -50,7 +50,7 @@ RIM = 1e-14  # a root within this distance of the unit circle is on it
 
 @dataclass(frozen=True)
 class Characteristic:
-    """phi(zeta, z) = sum_m z^m c_m(zeta), exactly.
+    """A characteristic polynomial phi(zeta, z) = sum_m z^m c_m(zeta), in exact arithmetic.
 
     Field: by_power, c_0 = rho, c_1 = -sigma, ... each with the constant first;
     `multistep(rho, sigma)` makes one from two. Doubles become the simple fractions near them.
@@ -95,7 +95,7 @@ class Characteristic:
                 for m, p in enumerate(self.by_power[: n + 1])
                 for j, c in enumerate(p)
             ]
-            left, size = added(terms), added(map(abs, terms))
+            left, size = total(terms), total(map(abs, terms))
             if abs(left) > PRINTED * size:
                 return n, rational(left, 8 * EPS * size)
         raise AssertionError("zeta = exp(z) solves no polynomial")
@@ -114,9 +114,9 @@ class Characteristic:
     @functools.cached_property
     def spurious_roots(self) -> np.ndarray:
         """The roots of rho except zeta = 1, largest first, complex."""
-        rest = plus(self.rho, ())
+        rest = add(self.rho, ())
         while rest and value(rest, Fraction(1)) == 0:
-            rest = divided(rest, poly([-1, 1]))[0]
+            rest = divide(rest, poly([-1, 1]))[0]
         found = np.array([complex(r) for r in roots(rest)])
         return found[np.argsort(-np.abs(found), kind="stable")]
 
@@ -124,7 +124,7 @@ class Characteristic:
     def zero_stable(self) -> bool:
         """Dahlquist's root condition."""
         inside = max((float(abs(r)) for r in roots(self.rho)), default=0.0) <= 1 + RIM
-        double = roots(common(self.rho, derivative(self.rho)))
+        double = roots(gcd(self.rho, derivative(self.rho)))
         return inside and all(float(abs(r)) < 1 - RIM for r in double)
 
     def roots(self, z: Any) -> np.ndarray:
@@ -169,7 +169,7 @@ Method = Solver | StabilityFunction | Characteristic
 
 
 def multistep(rho: Any, sigma: Any) -> Characteristic:
-    """The linear multistep method of two polynomials, with exact coefficients.
+    """Make the linear multistep method of two polynomials, with exact coefficients.
 
     sum_j rho_j y_(n+j) = h sum_j sigma_j f_(n+j), j = 0 ... k from the oldest to the newest.
 
@@ -227,7 +227,8 @@ def _ordered(name: str, order: Any, least: int = 1) -> None:
 
 
 def adams(order: int, implicit: bool) -> Characteristic:
-    """Adams-Bashforth, or Adams-Moulton (`implicit`), with the rates at the last `order` times.
+    """Make Adams-Bashforth, or Adams-Moulton (`implicit`), with the rates at the last `order`
+    times.
 
     The implicit ones of order 1 and 2 are backward Euler and the trapezoidal rule. InputError below
     order 1.
@@ -247,7 +248,7 @@ def adams(order: int, implicit: bool) -> Characteristic:
         l = poly([1])
         for m in nodes:
             if m != j:
-                l = times(l, poly([Fraction(-m, j - m), Fraction(1, j - m)]))
+                l = multiply(l, poly([Fraction(-m, j - m), Fraction(1, j - m)]))
         whole = poly([0, *(c / (k + 1) for k, c in enumerate(l))])  # from steps - 1 to steps
         sigma[j] = value(whole, Fraction(steps)) - value(whole, Fraction(steps - 1))
     rho = poly([0] * (steps - 1) + [-1, 1])
@@ -255,7 +256,7 @@ def adams(order: int, implicit: bool) -> Characteristic:
 
 
 def backward_differentiation(order: int) -> Characteristic:
-    """BDF: sum_j (1/j) nabla^j y = h f, of any order from 1. Orders above 6 are unstable.
+    """Make BDF, sum_j (1/j) nabla^j y = h f, of any order from 1. Orders above 6 are unstable.
 
     InputError below order 1.
 
@@ -267,14 +268,14 @@ def backward_differentiation(order: int) -> Characteristic:
     _ordered("backward_differentiation", order)
     rho, difference = poly([]), poly([1])
     for j in range(1, order + 1):
-        difference = times(difference, poly([-1, 1]))
+        difference = multiply(difference, poly([-1, 1]))
         shifted = poly([0] * (order - j) + list(difference))
-        rho = plus(rho, shifted, Fraction(1, j))
+        rho = add(rho, shifted, Fraction(1, j))
     return Characteristic((rho, poly([0] * order + [-1])))
 
 
 def pece(order: int) -> Characteristic:
-    """PECE: predicts with Adams-Bashforth of order - 1, corrects with Adams-Moulton.
+    """Make PECE: predictor Adams-Bashforth of order - 1, corrector Adams-Moulton.
 
     InputError below order 2.
 
@@ -290,19 +291,19 @@ def pece(order: int) -> Characteristic:
     newest = corrector.by_power[1][k]  # -b_0
     older = poly(corrector.by_power[1][:k])
     at_predicted = poly([0] * (k - 1) + [newest])
-    twice = times(shift, poly(newest * c for c in predictor.sigma))
-    return Characteristic((corrector.rho, plus(older, at_predicted), twice))
+    twice = multiply(shift, poly(newest * c for c in predictor.sigma))
+    return Characteristic((corrector.rho, add(older, at_predicted), twice))
 
 
 def of_one_step(R: StabilityFunction) -> Characteristic:
-    """Q(z) zeta - P(z)."""
+    """The polynomial Q(z) zeta - P(z) of R = P / Q."""
     n = max(len(R.numerator), len(R.denominator))
     p, q = (tuple(x) + (Fraction(0),) * (n - len(x)) for x in (R.numerator, R.denominator))
     return Characteristic(tuple(poly([-a, b]) for a, b in zip(p, q, strict=True)))
 
 
 def characteristic(solver: Method) -> Characteristic:
-    """phi(zeta, z), whose roots are the growth factors of a method on y' = lambda y, exactly.
+    """Derive phi(zeta, z), whose roots are the growth factors of a method on y' = lambda y.
 
     Args:
         solver: a name of `rb.solvers.all()`, any multistep, Runge-Kutta or Rosenbrock solver of
@@ -327,7 +328,7 @@ def characteristic(solver: Method) -> Characteristic:
         return solver
     if isinstance(solver, StabilityFunction):
         return of_one_step(solver)
-    one = made(solver)
+    one = solver_of(solver)
     if isinstance(one, solvers.BDF):
         return backward_differentiation(one.formula_order)
     if isinstance(one, solvers.Adams):

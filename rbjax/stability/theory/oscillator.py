@@ -25,7 +25,7 @@ from rbjax.arguments import real_array, real_number
 from rbjax.errors import InputError
 from rbjax.solvers import Adams, GeneralizedAlpha
 from rbjax.solvers.multistep import AbstractMultistep
-from rbjax.stability.methods import stepping
+from rbjax.stability.methods import fixed_step_solver
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
 from rbjax.stability.theory.regions import imaginary_limit
 
@@ -99,7 +99,7 @@ def step_matrices(
 ) -> np.ndarray:
     """`_matrices` in f64, in any precision of the caller. The constants of a solver become numbers,
     so that all solvers of a kind share a program."""
-    one = stepping(solver)
+    one = fixed_step_solver(solver)
     if isinstance(one, NEEDS_PAST) or one.term_structure is not diffrax.AbstractTerm:
         raise InputError(
             f"stability: {type(one).__name__} does not step a linear equation from only a "

@@ -30,7 +30,7 @@ ONE: Poly = (Fraction(1),)
 
 
 def poly(coefficients: Iterable[Any]) -> Poly:
-    """Coefficients, constant first, without the zeros at the end.
+    """A polynomial of coefficients, constant first, without zeros at the end.
 
     >>> poly([1, 0.5, 0])
     (Fraction(1, 1), Fraction(1, 2))
@@ -42,7 +42,7 @@ def poly(coefficients: Iterable[Any]) -> Poly:
 
 
 def rational(x: Any, noise: Any = 0) -> Fraction:
-    """The simple fraction within `noise` (and two units in the last place) of x, if there is one.
+    """The simple fraction within `noise` (and two units in the last place) of x, if one exists.
 
     >>> rational(1 / 3)
     Fraction(1, 3)
@@ -72,19 +72,19 @@ def exact(coefficients: Iterable[Any], where: str) -> Poly:
         ) from error
 
 
-def added(terms: Iterable[Fraction]) -> Fraction:
+def total(terms: Iterable[Fraction]) -> Fraction:
     return sum(terms, Fraction(0))
 
 
-def plus(p: Poly, q: Poly, weight: Any = 1) -> Poly:
-    """p + weight q."""
+def add(p: Poly, q: Poly, weight: Any = 1) -> Poly:
+    """The sum p + weight q."""
     n = max(len(p), len(q))
     p, q = p + (Fraction(0),) * (n - len(p)), q + (Fraction(0),) * (n - len(q))
     return poly(a + weight * b for a, b in zip(p, q, strict=True))
 
 
-def times(p: Poly, q: Poly) -> Poly:
-    """p q."""
+def multiply(p: Poly, q: Poly) -> Poly:
+    """The product p q."""
     out = [Fraction(0)] * max(len(p) + len(q) - 1, 0)
     for i, a in enumerate(p):
         for j, b in enumerate(q):
@@ -97,7 +97,7 @@ def magnitude(p: Poly) -> Poly:
     return tuple(abs(c) for c in p)
 
 
-def cleaned(p: Poly, size: Poly) -> Poly:
+def clean(p: Poly, size: Poly) -> Poly:
     """p without coefficients that are rounding, or a printed last digit, relative to `size`."""
     return poly(0 if abs(c) <= PRINTED * s else c for c, s in zip(p, size, strict=False))
 
@@ -115,7 +115,7 @@ def value(p: Poly, x: Any) -> Any:
     return out
 
 
-def divided(p: Poly, q: Poly) -> tuple[Poly, Poly]:
+def divide(p: Poly, q: Poly) -> tuple[Poly, Poly]:
     """Quotient and remainder of p by q."""
     rest, out = list(p), [Fraction(0)] * max(len(p) - len(q) + 1, 0)
     for i in reversed(range(len(out))):
@@ -125,10 +125,10 @@ def divided(p: Poly, q: Poly) -> tuple[Poly, Poly]:
     return poly(out), poly(rest[: len(q) - 1])
 
 
-def common(p: Poly, q: Poly) -> Poly:
+def gcd(p: Poly, q: Poly) -> Poly:
     """The greatest common divisor, with leading coefficient one."""
     while q:
-        p, q = q, divided(p, q)[1]
+        p, q = q, divide(p, q)[1]
     return tuple(c / p[-1] for c in p)
 
 
@@ -139,7 +139,7 @@ def roots(p: Poly) -> list[mpmath.mpc]:
     [(-1+0j)]
     """
     if len(p) > 2:
-        p = divided(p, common(p, derivative(p)))[0]
+        p = divide(p, gcd(p, derivative(p)))[0]
     if len(p) < 2:
         return []
     with mpmath.workdps(DIGITS):
@@ -179,14 +179,14 @@ def chebyshev(n: int) -> tuple[Poly, Poly]:
     u: list[Poly] = [ZERO, ONE]
     for _ in range(2, n + 1):
         for series in (t, u):
-            series.append(plus(times(poly([0, 2]), series[-1]), series[-2], -1))
+            series.append(add(multiply(poly([0, 2]), series[-1]), series[-2], -1))
     return t[n], u[n]
 
 
-def written(p: Poly, x: str = "z") -> str:
+def to_text(p: Poly, x: str = "z") -> str:
     """The polynomial as a textbook prints it.
 
-    >>> written(poly([1, Fraction(-2, 3), Fraction(1, 6)]))
+    >>> to_text(poly([1, Fraction(-2, 3), Fraction(1, 6)]))
     '1 - 2z/3 + z^2/6'
     """
     out = ""

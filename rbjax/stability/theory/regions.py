@@ -29,15 +29,15 @@ from rbjax.errors import InputError
 from rbjax.stability.theory.multistep_roots import Characteristic
 from rbjax.stability.theory.polynomials import (
     Poly,
+    add,
     between,
     chebyshev,
     derivative,
-    divided,
-    plus,
+    divide,
+    multiply,
     poly,
     real_roots,
     roots,
-    times,
     value,
 )
 from rbjax.stability.theory.stability_function import StabilityFunction, modulus_excess
@@ -50,11 +50,11 @@ ONE_SQUARED = poly([1, 0, -1])  # 1 - c^2
 
 
 def real_limit(method: Method) -> float:
-    """The least x <= 0 such that the method is stable on [x, 0]; -inf, or 0 for none."""
+    """Find the least x <= 0 such that the method is stable on [x, 0]; -inf, or 0 for none."""
     method = _simplest(method)
     if isinstance(method, StabilityFunction):
         p, q = (_mirrored(x) for x in (method.numerator, method.denominator))
-        points = sorted({x for s in (1, -1) for x in real_roots(plus(p, q, s), low=0)})
+        points = sorted({x for s in (1, -1) for x in real_roots(add(p, q, s), low=0)})
         return 0.0 - _first_end(points, lambda x: abs(value(p, x)) <= abs(value(q, x)))
     if len(method.by_power) == 2:
         N, M, S = _curve(method)
@@ -70,7 +70,7 @@ def real_limit(method: Method) -> float:
 
 
 def imaginary_limit(method: Method) -> float:
-    """The largest y such that the method is stable on i [0, y]; inf, or 0 for none."""
+    """Find the largest y such that the method is stable on i [0, y]; inf, or 0 for none."""
     method = _simplest(method)
     if isinstance(method, StabilityFunction):
         excess = modulus_excess(method)
@@ -79,20 +79,22 @@ def imaginary_limit(method: Method) -> float:
     if len(method.by_power) == 2:
         N, M, S = _curve(method)
         # where the curve crosses the axis, or turns on it: (1 - c^2) M^2 / S^2 is stationary
-        turning = plus(times(_slope(M), S), times(ONE_SQUARED, times(M, derivative(S))), -1)
+        turning = add(multiply(_slope(M), S), multiply(ONE_SQUARED, multiply(M, derivative(S))), -1)
         found = [(c, value(M, c) / value(S, c)) for c in _inside(N or turning) if value(S, c)]
     else:
         # z = i sin(theta) x: the real part, and the imaginary one over sin(theta)
         (a, b, c), (d, e, f) = _on_circle(method)
-        minus = plus((), ONE_SQUARED, -1)
-        found = _common_roots((a, times(minus, e), times(minus, c)), (d, b, times(minus, f)))
+        minus = add((), ONE_SQUARED, -1)
+        found = _common_roots(
+            (a, multiply(minus, e), multiply(minus, c)), (d, b, multiply(minus, f))
+        )
     heights = (abs(float(x)) * math.sqrt(1 - c * c) for c, x in found)
     points = sorted({Fraction(y) for y in heights if y > 0})
     return _first_end(points, lambda y: bool(method.largest(Fraction(0), y) <= 1 + GROWN))
 
 
 def alpha_degrees(method: Method) -> float:
-    """The angle of A(alpha)-stability: 90 if A-stable, 0 if the real limit is finite."""
+    """Find the angle of A(alpha)-stability: 90 if A-stable, 0 if the real limit is finite."""
     method = _simplest(method)
     if real_limit(method) > -math.inf or not _bounded(method):
         return 0.0
@@ -100,7 +102,7 @@ def alpha_degrees(method: Method) -> float:
         return 90.0 if _A_stable(method) else _widest_ray(method)
     N, M, _ = _curve(method)
     # tan^2 alpha = (1 - c^2) M^2 / N^2 has its minimum at an end or where this vanishes:
-    stationary = plus(times(_slope(M), N), times(ONE_SQUARED, times(M, derivative(N))), -1)
+    stationary = add(multiply(_slope(M), N), multiply(ONE_SQUARED, multiply(M, derivative(N))), -1)
     angles = [90.0]
     for c in [*real_roots(stationary, -1, 1), *real_roots(M, -1, 1)]:
         n, m = value(N, c), value(M, c)
@@ -111,14 +113,14 @@ def alpha_degrees(method: Method) -> float:
 
 
 def stiff_stability(method: Method) -> float:
-    """D of stiff stability: the method is stable for Re z <= -D; inf if there is no such D."""
+    """Find D of stiff stability: stable for Re z <= -D; inf if there is no such D."""
     method = _simplest(method)
     if real_limit(method) > -math.inf or not _bounded(method):
         return math.inf
     if isinstance(method, StabilityFunction):
         return _least_shift(method)
     N, _, S = _curve(method)
-    turning = plus(times(derivative(N), S), times(N, derivative(S)), -1)
+    turning = add(multiply(derivative(N), S), multiply(N, derivative(S)), -1)
     ends = [c for c in (Fraction(-1), Fraction(1)) if value(S, c)]
     found = (-float(value(N, c) / value(S, c)) for c in [*ends, *real_roots(turning, -1, 1)])
     return max(0.0, *found)
@@ -135,7 +137,8 @@ def at_infinity(method: Method) -> float:
 
 
 def stability_region(method: Method, x: Any, y: Any) -> np.ndarray:
-    """The largest |zeta| (len(y), len(x)) on a grid x + i y of z; at most one means stable."""
+    """Compute the largest |zeta| (len(y), len(x)) on a grid x + i y of z; at most one means
+    stable."""
     _check(method)
     x = real_array("stability_region", "x", x, ndim=1)
     y = real_array("stability_region", "y", y, ndim=1)
@@ -151,7 +154,7 @@ def _check(method: Any) -> None:
 
 
 def _simplest(method: Method) -> Method:
-    """The stability function of a polynomial of one step."""
+    """The stability function, if the polynomial has one step."""
     if isinstance(method, StabilityFunction):
         return method
     if not isinstance(method, Characteristic):
@@ -201,7 +204,7 @@ def _shifted(R: StabilityFunction, D: Fraction) -> StabilityFunction:
     for p in (R.numerator, R.denominator):
         out: Poly = ()
         for c in reversed(p):
-            out = plus(times(out, poly([-D, 1])), poly([c]))
+            out = add(multiply(out, poly([-D, 1])), poly([c]))
         parts.append(out)
     return StabilityFunction(*parts)
 
@@ -236,16 +239,16 @@ def _curve(method: Characteristic) -> tuple[Poly, Poly, Poly]:
         ]:
             t, u = chebyshev(abs(i - j))
             if out_of == "s":
-                S = plus(S, t, a * b)
+                S = add(S, t, a * b)
             else:
-                N = plus(N, t, a * b)
-                M = plus(M, u, a * b * (1 if i > j else -1))
+                N = add(N, t, a * b)
+                M = add(M, u, a * b * (1 if i > j else -1))
     return N, M, S
 
 
 def _slope(M: Poly) -> Poly:
     """(1 - c^2) M' - c M: the derivative of sqrt(1 - c^2) M, times sqrt(1 - c^2)."""
-    return plus(times(ONE_SQUARED, derivative(M)), times(poly([0, 1]), M), -1)
+    return add(multiply(ONE_SQUARED, derivative(M)), multiply(poly([0, 1]), M), -1)
 
 
 def _on_circle(method: Characteristic) -> tuple[list[Poly], list[Poly]]:
@@ -254,7 +257,7 @@ def _on_circle(method: Characteristic) -> tuple[list[Poly], list[Poly]]:
     for p in method.by_power:
         parts: tuple[Poly, Poly] = ((), ())
         for j, a in enumerate(p):
-            parts = (plus(parts[0], chebyshev(j)[0], a), plus(parts[1], chebyshev(j)[1], a))
+            parts = (add(parts[0], chebyshev(j)[0], a), add(parts[1], chebyshev(j)[1], a))
         even.append(parts[0])
         odd.append(parts[1])
     return even, odd
@@ -264,10 +267,10 @@ def _common_roots(f: Sequence[Poly], g: Sequence[Poly]) -> list[tuple[Fraction, 
     """(c, x), |c| < 1, at which f_0 + f_1 x + f_2 x^2 and g_0 + ... vanish, polynomials in c."""
 
     def minor(i: int, j: int) -> Poly:
-        return plus(times(f[i], g[j]), times(f[j], g[i]), -1)
+        return add(multiply(f[i], g[j]), multiply(f[j], g[i]), -1)
 
     top, bottom = minor(0, 2), minor(2, 1)
-    resultant = plus(times(top, top), times(bottom, minor(1, 0)), -1)
+    resultant = add(multiply(top, top), multiply(bottom, minor(1, 0)), -1)
     return [(c, value(top, c) / value(bottom, c)) for c in _inside(resultant) if value(bottom, c)]
 
 
@@ -275,7 +278,7 @@ def _inside(p: Poly) -> list[Fraction]:
     """The roots strictly between -1 and 1: at the ends z is zero or infinite."""
     for end in (1, -1):
         while p and value(p, Fraction(end)) == 0:
-            p = divided(p, poly([-end, 1]))[0]
+            p = divide(p, poly([-end, 1]))[0]
     return real_roots(p, -1, 1)
 
 

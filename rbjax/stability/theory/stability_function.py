@@ -21,20 +21,20 @@ import numpy as np
 from rbjax import solvers
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
-from rbjax.stability.methods import Solver, made
+from rbjax.stability.methods import Solver, solver_of
 from rbjax.stability.theory.polynomials import (
     EPS,
     Poly,
-    added,
-    cleaned,
+    add,
+    clean,
     exact,
     magnitude,
-    plus,
+    multiply,
     poly,
     rational,
-    times,
+    to_text,
+    total,
     value,
-    written,
 )
 
 Coefficients = tuple[np.ndarray, np.ndarray]  # a, b
@@ -67,7 +67,7 @@ class StabilityFunction:
         return value(self.numerator, z) / value(self.denominator, z)
 
     def __str__(self) -> str:
-        return f"({written(self.numerator)}) / ({written(self.denominator)})"
+        return f"({to_text(self.numerator)}) / ({to_text(self.denominator)})"
 
     def radius(self, z: Any) -> np.ndarray:
         """|R(z)|."""
@@ -103,17 +103,17 @@ def _quotient(A: list[list[Fraction]], b: list[Fraction], sign: int) -> tuple[li
     power = [[Fraction(i == j) for j in range(s)] for i in range(s)]
     moments, traces = [Fraction(1)], [Fraction(0)]
     for _ in range(s):
-        moments.append(added(w * added(row) for w, row in zip(b, power, strict=True)))
+        moments.append(total(w * total(row) for w, row in zip(b, power, strict=True)))
         power = [
-            [added(x * y for x, y in zip(row, column, strict=True))
+            [total(x * y for x, y in zip(row, column, strict=True))
              for column in zip(*power, strict=True)]
             for row in A
         ]  # fmt: skip
-        traces.append(added(power[i][i] for i in range(s)))
+        traces.append(total(power[i][i] for i in range(s)))
     q = [Fraction(1)]
     for k in range(1, s + 1):
-        q.append(sign * added(traces[i] * q[k - i] for i in range(1, k + 1)) / k)
-    p = [added(q[j] * moments[k - j] for j in range(k + 1)) for k in range(s + 1)]
+        q.append(sign * total(traces[i] * q[k - i] for i in range(1, k + 1)) / k)
+    p = [total(q[j] * moments[k - j] for j in range(k + 1)) for k in range(s + 1)]
     return p, q
 
 
@@ -195,12 +195,12 @@ def stability_function(solver: Solver | StabilityFunction) -> StabilityFunction:
     """
     if isinstance(solver, StabilityFunction):
         return solver
-    solver = made(solver)
+    solver = solver_of(solver)
     if isinstance(solver, diffrax.HalfSolver):
         whole = stability_function(solver.solver)
         halved = (poly(c / 2**k for k, c in enumerate(p)) for p in
                   (whole.numerator, whole.denominator))  # fmt: skip
-        p, q = (times(x, x) for x in halved)
+        p, q = (multiply(x, x) for x in halved)
         return StabilityFunction(p, q)
     found = butcher(solver)
     if found is None:
@@ -216,7 +216,7 @@ def modulus_excess(R: StabilityFunction) -> Poly:
     """|P(i y)|^2 - |Q(i y)|^2 in w = y^2: negative where |R(i y)| < 1 (the E-polynomial)."""
     parts = [_squared(p) for p in (R.numerator, R.denominator)]
     sizes = [_squared(magnitude(p), signed=False) for p in (R.numerator, R.denominator)]
-    return cleaned(plus(parts[0], parts[1], -1), plus(*sizes))
+    return clean(add(parts[0], parts[1], -1), add(*sizes))
 
 
 def _squared(p: Poly, signed: bool = True) -> Poly:
@@ -224,4 +224,4 @@ def _squared(p: Poly, signed: bool = True) -> Poly:
     sign = -1 if signed else 1
     even = poly(sign**k * c for k, c in enumerate(p[::2]))
     odd = poly(sign**k * c for k, c in enumerate(p[1::2]))
-    return plus(times(even, even), times(poly([0, 1]), times(odd, odd)))
+    return add(multiply(even, even), multiply(poly([0, 1]), multiply(odd, odd)))

@@ -1,7 +1,7 @@
-"""Zero-phase low-pass filters and differentiation, with the cut-off that they state.
+"""Zero-phase low-pass filters, differentiation and interpolation of sampled signals.
 
-A filter that runs forward and backward has no delay, and the square of its amplitude. The cut-off
-here is that of the result: the frequency at which its amplitude is 1/sqrt(2).
+A filter that runs forward and backward has no delay, and the square of the amplitude of one pass.
+The cut-off is that of both passes: the frequency with an amplitude of 1/sqrt(2).
 
     even clock      Butterworth of order n, forward and backward: |H|^2 = 1 / (1 + w^(2n)), where
                     w = tan(pi f h) / tan(pi f_0 h), and w^(2n) = sqrt(2) - 1 at the cut-off;
@@ -10,8 +10,8 @@ here is that of the result: the frequency at which its amplitude is 1/sqrt(2).
     uneven clock    smoothing spline: min sum_k w_k (x_k - s(t_k))^2 + lambda int s''^2, which is a
                     zero-phase filter 1 / (1 + lambda h (2 pi f)^4), h the mean step;
                     derivatives are those of the spline
-White noise of standard deviation sigma leaves as noise of gain * sigma, where
-    gain^2 = mean over the frequencies up to Nyquist's of |H(f) D(f)|^2, D the difference.
+White noise of standard deviation sigma becomes noise of gain * sigma, with
+    gain^2 = mean of |H(f) D(f)|^2 over the frequencies up to Nyquist's, D the difference
 """
 
 from __future__ import annotations
@@ -21,26 +21,33 @@ from typing import Any
 
 import numpy as np
 from scipy import interpolate, signal
+from scipy.spatial.transform import Rotation, Slerp
 
-from rbjax.arguments import integer
+from rbjax.arguments import integer, real_array
 from rbjax.errors import InputError
+from rbjax.model import Model
 
-EVEN = 0.01  # steps may differ so much of their median on an even clock
-FLAT = 0.01  # the amplitude within the bandwidth
-DECAYED = 0.01  # what is left of the effect of an end
+EVEN = 0.01  # largest relative deviation of the steps of an even clock
+FLAT = 0.01  # largest deviation of the amplitude within the bandwidth
+DECAYED = 0.01  # the effect of an end of the signal that is negligible
 #: derivative -> weights of the samples k steps later, k = 1, 2, 3 (Fornberg 1988)
 DIFFERENCES = {1: np.array([3 / 4, -3 / 20, 1 / 60]), 2: np.array([3 / 2, -3 / 20, 1 / 90])}
-HALF_POWER = np.sqrt(2) - 1  # (f / f_0)^(2 n) where 1 / (1 + (f / f_0)^(2 n)) is 1 / sqrt(2)
+HALF_POWER = np.sqrt(2) - 1  # w^(2 n) at the cut-off
 
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """A filtered signal, or a derivative of it, and what was done to it.
+    """A filtered signal, or a derivative of it.
 
-    Fields: values, of the shape given; derivative, 0, 1 or 2; cutoff in Hz, where the amplitude is
-    1/sqrt(2) of the ideal one; bandwidth in Hz, up to which it is within 1 %; delay in s, always 0;
-    gain, the standard deviation of the result for white noise of 1; settled, a slice without the
-    samples that an end of the signal disturbs; method.
+    Fields:
+        values: of the shape of the signal.
+        derivative: 0, 1 or 2.
+        cutoff: in Hz, where the amplitude is 1/sqrt(2) of the ideal one.
+        bandwidth: in Hz, up to which the amplitude is within 1 % of the ideal one.
+        gain: standard deviation of the result for white noise of standard deviation 1.
+        settled: slice without the samples that an end of the signal distorts.
+        method: the filter in words.
+        delay: in s, always 0.
     """
 
     values: np.ndarray
@@ -54,13 +61,14 @@ class Filtered:
 
 
 def low_pass(t: Any, x: Any, cutoff: float, *, order: int = 4) -> Filtered:
-    """A signal without what is faster than the cut-off, without delay.
+    """Filter a signal by a zero-phase low-pass filter.
 
     Args:
-        t: (samples,) times in s: an even clock takes the Butterworth filter, another the spline.
+        t: (samples,) times in s; the Butterworth filter needs an even clock, others have the
+            spline.
         x: (samples,) or (samples, columns), without NaN.
         cutoff: in Hz, where the amplitude is 1/sqrt(2); below half the rate.
-        order: of the Butterworth filter, each way; the spline has none.
+        order: of one pass of the Butterworth filter.
 
     Returns:
         `Filtered`.
@@ -82,14 +90,12 @@ def low_pass(t: Any, x: Any, cutoff: float, *, order: int = 4) -> Filtered:
 
 
 def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int = 4) -> Filtered:
-    """The first or second derivative of a filtered signal, without delay.
+    """Differentiate a signal once or twice, with a zero-phase low-pass filter.
 
     Args:
-        t: (samples,) times in s: an even clock takes the Butterworth filter, another the spline.
-        x: (samples,) or (samples, columns), without NaN.
+        t, x, order: as in `low_pass`.
         cutoff: in Hz, of the filter; below half the rate.
         times: 1 or 2; 0 is `low_pass`.
-        order: of the Butterworth filter, each way; the spline has none.
 
     Returns:
         `Filtered`; its values in units of x per s or s^2.
@@ -114,15 +120,20 @@ def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int =
     t, x = _signal(where, t, x)
     steps = np.diff(t)
     h = float((t[-1] - t[0]) / len(steps))
-    number = isinstance(cutoff, (int, float, np.number)) and not isinstance(cutoff, bool)
-    if not number or not 0 < cutoff < 0.5 / h:
-        raise InputError(
-            f"{where}: cutoff is {cutoff} Hz, expected a number between 0 and {0.5 / h:g} Hz, half "
-            "the rate of the samples"
-        )
+    check_cutoff(where, "cutoff", cutoff, h)
     even = np.abs(steps - h).max() <= EVEN * h
     run = _butterworth if even else _spline
     return run(t, x, cutoff, times, order, h)
+
+
+def check_cutoff(where: str, name: str, cutoff: Any, step: float) -> None:
+    """`InputError` unless a cut-off in Hz is below the Nyquist frequency of a clock's step."""
+    number = isinstance(cutoff, (int, float, np.number)) and not isinstance(cutoff, bool)
+    if not number or not 0 < cutoff < 0.5 / step:
+        raise InputError(
+            f"{where}: {name} is {cutoff!r} Hz, expected a number between 0 and {0.5 / step:g} Hz, "
+            "half the rate of the samples"
+        )
 
 
 def _butterworth(
@@ -139,8 +150,8 @@ def _butterworth(
     def response(w: np.ndarray) -> np.ndarray:
         difference = np.ones_like(w)
         if times:
-            turned = np.outer(w * h, [1, 2, 3])
-            part = 2 * np.sin(turned) if times == 1 else 2 - 2 * np.cos(turned)
+            phase = np.outer(w * h, [1, 2, 3])
+            part = 2 * np.sin(phase) if times == 1 else 2 - 2 * np.cos(phase)
             difference = np.abs(part @ DIFFERENCES[times]) / h**times
         return np.abs(signal.freqz_sos(sos, w * h)[1]) ** 2 * difference
 
@@ -150,7 +161,7 @@ def _butterworth(
 
 
 def _differences(x: np.ndarray, times: int) -> np.ndarray:
-    """Central differences (samples, ...), the signal continued through its end points."""
+    """Central differences (samples, ...), with the signal reflected at its end points."""
     beyond = ((3, 3), *[(0, 0)] * (x.ndim - 1))
     x = np.pad(x, beyond, mode="reflect", reflect_type="odd")
     n, out = len(x) - 6, 0.0
@@ -164,7 +175,7 @@ def _spline(
     t: np.ndarray, x: np.ndarray, cutoff: float, times: int, order: int, h: float
 ) -> Filtered:
     stiffness = HALF_POWER / (2 * np.pi * cutoff) ** 4
-    weights = np.gradient(t) / h  # so that the cut-off is the same where samples are dense
+    weights = np.gradient(t) / h  # the cut-off is the same for dense and sparse samples
     smooth = interpolate.make_smoothing_spline(t, x, w=weights, lam=stiffness / h, axis=0)
 
     def response(w: np.ndarray) -> np.ndarray:
@@ -190,12 +201,10 @@ def _stated(
 
 
 def _signal(where: str, t: Any, x: Any) -> tuple[np.ndarray, np.ndarray]:
-    try:
-        t, x = np.asarray(t, float), np.asarray(x, float)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{where}: t is {type(t).__name__} and x {type(x).__name__}, expected arrays of numbers"
-        ) from error
+    t, x = (
+        real_array(where, n, a, "an array of numbers", finite=False)
+        for n, a in zip("tx", (t, x), strict=True)
+    )
     if t.ndim != 1 or x.ndim not in (1, 2) or len(t) != len(x) or len(t) < 6:
         raise InputError(
             f"{where}: t has shape {t.shape} and x {x.shape}, expected (samples,), and (samples,) "
@@ -210,3 +219,63 @@ def _signal(where: str, t: Any, x: Any) -> tuple[np.ndarray, np.ndarray]:
             "would spread it: leave that sample out (the clock may be uneven), or cut the signal"
         )
     return t, x
+
+
+#: tolerance of the length of a quaternion; least change of its entries in a rotation
+UNIT, MOVES = 1e-3, 0.1
+
+
+def quaternion_columns(sensor: str, values: np.ndarray, model: Model | None) -> tuple[int, ...]:
+    """Find the first columns of the quaternions (w, x, y, z) of a sensor. Without a model, any four
+    successive columns of q that move and have length 1 at every sample are a quaternion."""
+    if sensor.startswith("pose:"):
+        return (3,)
+    if sensor != "q":
+        return ()
+    if model is not None:
+        return model.topology.quaternion_starts
+    found: list[int] = []
+    k = 0
+    while k + 4 <= values.shape[1]:
+        four = values[:, k : k + 4]
+        four = four[~np.isnan(four).any(1)]
+        unit = len(four) > 1 and (np.abs(np.linalg.norm(four, axis=1) - 1) < UNIT).all()
+        if unit and np.ptp(four, axis=0).max() > MOVES:
+            found.append(k)
+            k += 4
+        else:
+            k += 1
+    return tuple(found)
+
+
+def interpolate_columns(
+    clock: np.ndarray, values: np.ndarray, t: np.ndarray, step: float, gap: float | None,
+    turns: tuple[int, ...],
+) -> np.ndarray:  # fmt: skip
+    """Interpolate columns (samples, columns) at times t, by cubic splines and slerp; nan if samples
+    are too far apart (`Recording.on_clock`). turns: the first columns of quaternions."""
+    measured = ~np.isnan(values)
+    out = np.full((len(t), values.shape[1]), np.nan)
+    longest = 3 * step if gap is None else gap
+    for j, arrived in enumerate(measured.T):
+        times = clock[arrived]
+        if len(times) < 2:
+            continue
+        after = np.clip(np.searchsorted(times, t, side="left"), 1, len(times) - 1)
+        before = after - 1
+        known = (times[after] - times[before] <= longest) | np.isin(t, times)
+        if gap is None:  # no sample was dropped in between
+            places = np.flatnonzero(arrived)
+            known &= (places[after] - places[before] == 1) | np.isin(t, times)
+        known &= (times[0] <= t) & (t <= times[-1])
+        out[known, j] = interpolate.CubicSpline(times, values[arrived, j])(t[known])
+    for k in turns:
+        four = slice(k, k + 4)
+        arrived, known = measured[:, four].all(1), ~np.isnan(out[:, four]).any(1)
+        out[:, four] = np.nan
+        if arrived.sum() < 2:
+            continue
+        samples = Rotation.from_quat(values[arrived, four], scalar_first=True)
+        at = np.clip(t[known], *clock[arrived][[0, -1]])
+        out[known, four] = Slerp(clock[arrived], samples)(at).as_quat(scalar_first=True)
+    return out

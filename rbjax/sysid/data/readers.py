@@ -1,34 +1,34 @@
-"""Readers: csv and npz files into a `Recording`.
+"""Readers of recordings from csv and npz files.
 
-A mapping says which column of the file is which sensor, joint and unit. Everything else of the file
-is not read. Sensors at several rates may share one table: a row in which all columns of a sensor
-are blank holds no sample of it.
+A mapping gives the sensor, joint and unit of each column that is read. Sensors at several rates may
+share one table: a row in which all columns of a sensor are blank has no sample of it.
 """
 
 from __future__ import annotations
 
 import csv
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from rbjax.arguments import choice, instance, real_number
 from rbjax.errors import InputError, RbjaxError, UnknownName, listed
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.data.units import OF_SENSORS, TIME, in_si
 
 
 class Column(NamedTuple):
-    """What a column of a file, or an array with several columns, measures.
+    """The meaning of a column of a file, or of an array with several columns.
 
     Fields:
         sensor: such as "q" or "gyro:imu".
-        joint: the joint's name, or one name a column of an array; the column's name if None.
+        joint: the joint's name, or a name for each column of an array; the column's name if None.
         unit, scale, sign: as in `Channel`.
         noise: standard deviation in SI; for all columns of a sensor, or for none.
-        time: the column with its clock; the file's clock if None.
+        time: the column with its clock; the clock of the file if None.
     """
 
     sensor: str
@@ -52,7 +52,7 @@ def read_csv(
     comment: str = "#",
     name: str | None = None,
 ) -> Recording:
-    """A recording from a table of text.
+    """Read a recording from a table of text.
 
     The header is the first line that contains all requested names; lines above it and comments are
     skipped. Blank cells and "nan" are samples that did not arrive. Each row must have as many cells
@@ -63,18 +63,17 @@ def read_csv(
         columns: name in the header -> `Column`, or its fields as a tuple: ("q", "elbow", "deg").
         time: name of the clock's column.
         time_unit: of the clock.
-        rate: in Hz: the clock is row / rate, and no column is read for it.
-        delimiter: between cells; found by itself if None.
+        rate: in Hz, for a file without a clock: the time is row / rate.
+        delimiter: between cells; detected if None.
         decimal: "." or ",".
-        comment: lines that start so are skipped.
+        comment: the beginning of lines that are skipped.
         name: of the recording; the file's if None.
 
     Returns:
         `Recording`.
 
     Raises:
-        InputError: no such file, no such columns, a cell that is no number, and all that `Channel`
-            and `Recording` refuse.
+        InputError: no such file, a cell that is not a number; as `Channel` and `Recording`.
         UnknownName: a name that is not in the header.
 
     Example:
@@ -88,7 +87,13 @@ def read_csv(
     """
     path = _file("read_csv", path)
     wanted = _columns("read_csv", columns)
-    _characters(delimiter, decimal, comment)
+    choice("decimal mark", decimal, (".", ","))
+    one = isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '\r\n"'
+    if not (delimiter is None or one):
+        raise InputError(
+            f'read_csv: delimiter is {delimiter!r}, expected one character such as ";", or None'
+        )
+    instance("read_csv", "comment", comment, str, 'a text such as "#"')
     clocks = _clocks("read_csv", wanted, time, time_unit, rate)
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -105,11 +110,7 @@ def read_csv(
         rows = _cells(path, lines, delimiter)
     except csv.Error as error:
         raise InputError(f"read_csv: {path.name} is not a table of cells: {error}") from error
-    header, body = _header(path, rows, [*wanted, *sorted(clocks)])
-    _whole(path, header, body, [*wanted, *sorted(clocks)])
-    table = {
-        n: _numbers(path, n, header.index(n), body, decimal) for n in (*wanted, *sorted(clocks))
-    }
+    table = _table(path, rows, [*wanted, *sorted(clocks)], decimal)
     return _recording(name or path.stem, "read_csv", table, wanted, time, time_unit, rate)
 
 
@@ -122,24 +123,24 @@ def read_npz(
     rate: float | None = None,
     name: str | None = None,
 ) -> Recording:
-    """A recording from the arrays of an npz file.
+    """Read a recording from the arrays of an npz file.
 
     Args:
         path: of the file.
         columns: name of an array -> `Column`, or its fields as a tuple. An array is (samples,), or
-            (samples, columns), where `joint` is the name of each column, or the name of an array
-            of the file that holds them. NaN is a sample that did not arrive.
+            (samples, columns) with `joint` the name of each column, or the name of an array of the
+            file that has them. NaN is a sample that did not arrive.
         time: name of the clock's array.
         time_unit: of the clock.
-        rate: in Hz: the clock is k / rate, and no array is read for it.
+        rate: in Hz, for a file without a clock: the time is k / rate.
         name: of the recording; the file's if None.
 
     Returns:
         `Recording`.
 
     Raises:
-        InputError: no such file, and all that `Channel` and `Recording` refuse.
-        UnknownName: a name that the file does not hold.
+        InputError: no such file; as `Channel` and `Recording`.
+        UnknownName: a name that is not in the file.
 
     Example:
         >>> import numpy as np, pathlib, tempfile
@@ -157,8 +158,7 @@ def read_npz(
         # `ZipFile` rejects an npy file
         with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as file:
             for n in (*wanted, *clocks):
-                if n not in file.files:
-                    raise UnknownName(f"array of {path.name}", n, file.files)
+                choice(f"array of {path.name}", n, file.files)
             table = {n: _array(path, n, file[n]) for n in (*wanted, *clocks)}
             for n, c in wanted.items():
                 if isinstance(c.joint, str) and c.joint in file.files:
@@ -182,6 +182,7 @@ def _recording(
     time_unit: str,
     rate: float | None,
 ) -> Recording:
+    """The recording of a table of numbers."""
     channels = {}
     for sensor in dict.fromkeys(c.sensor for c in wanted.values()):
         parts = [(n, c) for n, c in wanted.items() if c.sensor == sensor]
@@ -191,120 +192,142 @@ def _recording(
                 f"{where}: the columns of {sensor} have the clocks {', '.join(sorted(clocks))}, "
                 "expected one clock a sensor"
             )
-        values: list[np.ndarray] = []
         names: list[str] = []
-        noises: list[float | None] = []
+        each: list[Column] = []
         for n, c in parts:
-            x = table[n] if table[n].ndim > 1 else table[n][:, None]
+            count = 1 if table[n].ndim == 1 else table[n].shape[1]
+            own = [n] if count == 1 else [f"{n}[{k}]" for k in range(count)]
             if c.joint is not None:
                 own = [c.joint] if isinstance(c.joint, str) else list(c.joint)
-            else:
-                own = [n] if x.shape[1] == 1 else [f"{n}[{k}]" for k in range(x.shape[1])]
-            if len(own) != x.shape[1]:
+            if len(own) != count:
                 raise InputError(
-                    f"{where}: {n} has {x.shape[1]} columns, expected {len(own)}, one for each of "
+                    f"{where}: {n} has {count} columns, expected {len(own)}, one for each of "
                     f"{', '.join(own)}"
                 )
             names += own
-            values.append(x * (in_si(c.unit) * c.scale * c.sign))
-            noises += [c.noise] * len(own)
-        x = np.concatenate(values, 1)
-        clock = next(iter(clocks))
-        t = np.arange(len(x)) / rate if rate is not None else table[clock] * in_si(time_unit)
-        some = ~np.isnan(x).all(1)
-        if len(t) == len(x):
-            t, x = t[some], x[some]
-        if None in noises and any(x is not None for x in noises):
-            without = names[noises.index(None)]
+            each += [c] * count
+        noise: list[Any] = [c.noise for c in each]
+        if None in noise and any(sigma is not None for sigma in noise):
             raise InputError(
-                f"{where}: some columns of {sensor} state their noise and {without} does not, "
-                "expected noise of all columns of a sensor, or of none"
+                f"{where}: some columns of {sensor} state their noise and "
+                f"{names[noise.index(None)]} does not, expected noise of all columns of a sensor, "
+                "or of none"
             )
-        noise = None if None in noises else noises
+        x = np.column_stack([table[n] for n, _ in parts])
+        t = np.arange(len(x)) / rate if rate is not None else table[clocks.pop()] * in_si(time_unit)
+        if len(t) == len(x):
+            some = ~np.isnan(x).all(1)
+            t, x = t[some], x[some]
         try:
-            channels[sensor] = Channel(t, x, names, noise=noise, dropped="nan")
+            channels[sensor] = Channel(
+                t, x, names, [c.unit for c in each], [c.scale for c in each],
+                [c.sign for c in each], None if None in noise else noise, "nan",
+            )  # fmt: skip
         except InputError as error:
             raise InputError(f"{where}: {name}, sensor {sensor}: {error}") from error
     return Recording(name, channels)
 
 
 def _columns(where: str, columns: Mapping[str, Any]) -> dict[str, Column]:
+    """Check the columns, and return them as `Column`."""
     example = '{"angle": ("q", "elbow", "deg")}'
     if not isinstance(columns, Mapping) or not columns:
         raise InputError(f"{where}: columns is {columns!r}, expected a dict such as {example}")
     out = {}
-    for n, c in columns.items():
-        if not isinstance(c, tuple) or not 1 <= len(c) <= len(Column._fields):
+    for n, given in columns.items():
+        at = f"{where}: columns[{n!r}]"
+        if not isinstance(given, tuple) or not 1 <= len(given) <= len(Column._fields):
             raise InputError(
-                f"{where}: columns[{n!r}] is {c!r}, expected a Column or the fields of one "
+                f"{at} is {given!r}, expected a Column or the fields of one "
                 f"({', '.join(Column._fields)}), as in {example}"
             )
-        out[n] = Column(*c)
-        _check_column(f"{where}: columns[{n!r}]", out[n])
+        out[n] = c = Column(*given)
+        if not isinstance(c.sensor, str) or not c.sensor:
+            raise InputError(f'{at} has sensor {c.sensor!r}, expected a name such as "q"')
+        joints = [c.joint or ""] if isinstance(c.joint, str | None) else c.joint
+        if not isinstance(joints, (list, tuple)) or not all(isinstance(j, str) for j in joints):
+            raise InputError(
+                f"{at} has joint {c.joint!r}, expected a joint's name, or a list of them"
+            )
+        if not (c.time is None or isinstance(c.time, str)):
+            raise InputError(f"{at} has time {c.time!r}, expected the name of a column")
+        in_si(c.unit)
+        suited = OF_SENSORS.get(c.sensor.partition(":")[0])
+        if c.unit and suited is not None:
+            choice(f"unit of sensor {c.sensor}", c.unit, suited)
     return out
-
-
-def _check_column(where: str, c: Column) -> None:
-    if not isinstance(c.sensor, str) or not c.sensor:
-        raise InputError(f'{where} has sensor {c.sensor!r}, expected a name such as "q"')
-    joints = [c.joint] if isinstance(c.joint, str) or c.joint is None else c.joint
-    if not isinstance(joints, (list, tuple)) or not all(
-        isinstance(j, str) or c.joint is None for j in joints
-    ):
-        raise InputError(
-            f"{where} has joint {c.joint!r}, expected a joint's name, or a list of them"
-        )
-    numbers = {"scale": c.scale, "sign": c.sign, "noise": 1.0 if c.noise is None else c.noise}
-    for name, x in numbers.items():
-        if isinstance(x, bool) or not isinstance(x, (int, float, np.number)):
-            raise InputError(f"{where} has {name} {x!r}, expected a number")
-    if c.sign not in (1, -1) or not np.isfinite(c.scale) or not c.scale:
-        raise InputError(
-            f"{where} has scale {c.scale} and sign {c.sign}, expected a factor other than 0, and "
-            "1 or -1"
-        )
-    if not 0 < numbers["noise"] < np.inf:
-        raise InputError(f"{where} has noise {c.noise}, expected a standard deviation above 0")
-    if not (c.time is None or isinstance(c.time, str)):
-        raise InputError(f"{where} has time {c.time!r}, expected the name of a column")
-    in_si(c.unit)
-    suited = OF_SENSORS.get(c.sensor.partition(":")[0])
-    if c.unit and suited is not None and c.unit not in suited:
-        raise UnknownName(f"unit of sensor {c.sensor}", c.unit, suited)
 
 
 def _clocks(
     where: str, wanted: Mapping[str, Column], time: Any, time_unit: Any, rate: Any
 ) -> set[str]:
-    """Check time, time_unit and rate. Return the names of the clocks; none with a rate."""
-    if rate is None:
-        if not isinstance(time, str):
-            raise InputError(f"{where}: time is {time!r}, expected the name of the clock")
-        if time_unit not in TIME:
-            raise UnknownName("unit of time", time_unit, TIME)
-        return {c.time or time for c in wanted.values()}
-    number = isinstance(rate, (int, float, np.number)) and not isinstance(rate, bool)
-    if not number or not 0 < rate < np.inf:
-        raise InputError(f"{where}: rate is {rate!r}, expected a positive number of Hz")
-    return set()
+    """Check time, time_unit and rate, and return the names of the clocks; none with a rate."""
+    if rate is not None:
+        real_number(where, "rate", rate, "a positive number of Hz", above=0.0)
+        return set()
+    instance(where, "time", time, str, "the name of the clock")
+    choice("unit of time", time_unit, TIME)
+    return {c.time or time for c in wanted.values()}
 
 
-def _characters(delimiter: Any, decimal: Any, comment: Any) -> None:
-    one = delimiter is None or (isinstance(delimiter, str) and len(delimiter) == 1)
-    if not one or (delimiter is not None and delimiter in '\r\n"'):
+def _file(where: str, path: str | Path) -> Path:
+    """Check that a file exists, and return its path."""
+    try:
+        path = Path(path)
+        exists = path.is_file()
+    except (OSError, TypeError, ValueError) as error:
+        text = f"{str(path)[:60]!r} ({type(error).__name__})"
+        raise InputError(f"{where}: path is {text}, expected the path of a file") from error
+    if not exists:
+        others = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))
         raise InputError(
-            f'read_csv: delimiter is {delimiter!r}, expected one character such as ";", or None'
+            f"{where}: no file {path}; in {path.parent} there are: {listed(others, 8) or 'none'}"
         )
-    if decimal not in (".", ","):
-        raise InputError(f'read_csv: decimal is {decimal!r}, expected "." or ","')
-    if not isinstance(comment, str):
-        raise InputError(f'read_csv: comment is {comment!r}, expected a text such as "#"')
+    return path
 
 
-def _whole(
-    path: Path, header: Sequence[str], body: Sequence[tuple[int, list[str]]], names: Sequence[str]
-) -> None:
-    """`InputError` unless names of the header are unique, and rows as long as the header."""
+def _array(path: Path, name: str, x: np.ndarray) -> np.ndarray:
+    """Check an array of a file."""
+    if x.dtype.kind not in "biuf" or x.ndim not in (1, 2):
+        raise InputError(
+            f"read_npz: array {name} of {path.name} has dtype {x.dtype} and shape {x.shape}, "
+            "expected numbers, (samples,) or (samples, columns)"
+        )
+    return x.astype(float)
+
+
+def _cells(
+    path: Path, lines: Sequence[tuple[int, str]], delimiter: str | None
+) -> list[tuple[int, list[str]]]:
+    """The cells of each numbered line."""
+    if delimiter is None:
+        sample = "\n".join(line for _, line in lines[:20])
+        try:
+            delimiter = csv.Sniffer().sniff(sample, ",;\t|").delimiter
+        except csv.Error:  # the sniffer needs the same number on each line
+            delimiter = max(",;\t|", key=sample.count)
+        if delimiter not in sample:
+            delimiter = " "
+    parsed = csv.reader(
+        (x for _, x in lines), delimiter=delimiter, skipinitialspace=delimiter == " "
+    )
+    return [(n, [x.strip() for x in row]) for (n, _), row in zip(lines, parsed, strict=True)]
+
+
+def _table(
+    path: Path, rows: Sequence[tuple[int, list[str]]], names: Sequence[str], decimal: str
+) -> dict[str, np.ndarray]:
+    """The numbers in the columns of these names."""
+    head = [row for _, row in rows[:20]]
+    if not head:
+        raise InputError(f"read_csv: {path.name} has no rows, expected a header and numbers")
+    at = next((k for k, row in enumerate(head) if set(names) <= set(row)), None)
+    if at is None:
+        likeliest = max(head, key=lambda row: (len(set(names) & set(row)), -head.index(row)))
+        missing = next(n for n in names if n not in likeliest)
+        raise UnknownName(f"column of {path.name}", missing, likeliest)
+    last = max(i for i, cell in enumerate(head[at]) if cell)  # a line may end with a delimiter
+    header, body = head[at][: last + 1], rows[at + 1 :]
     for name in names:
         if header.count(name) > 1:
             raise InputError(
@@ -320,75 +343,15 @@ def _whole(
                 "as the header has; a decimal comma needs decimal = ',', and a sample that did not "
                 "arrive is a blank cell between delimiters"
             )
-
-
-def _file(where: str, path: str | Path) -> Path:
-    try:
-        path = Path(path)
-        there = path.is_file()
-    except (OSError, TypeError, ValueError) as error:
-        text = f"{str(path)[:60]!r} ({type(error).__name__})"
-        raise InputError(f"{where}: path is {text}, expected the path of a file") from error
-    if not there:
-        others = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))
-        raise InputError(
-            f"{where}: no file {path}; in {path.parent} there are: {listed(others, 8) or 'none'}"
-        )
-    return path
-
-
-def _array(path: Path, name: str, x: np.ndarray) -> np.ndarray:
-    if x.dtype.kind not in "biuf" or x.ndim not in (1, 2):
-        raise InputError(
-            f"read_npz: array {name} of {path.name} has dtype {x.dtype} and shape {x.shape}, "
-            "expected numbers, (samples,) or (samples, columns)"
-        )
-    return x.astype(float)
-
-
-def _cells(
-    path: Path, lines: Sequence[tuple[int, str]], delimiter: str | None
-) -> list[tuple[int, list[str]]]:
-    if delimiter is None:
-        sample = "\n".join(line for _, line in lines[:20])
-        try:
-            delimiter = csv.Sniffer().sniff(sample, ",;\t|").delimiter
-        except csv.Error:  # the sniffer wants the same number on each line
-            delimiter = max(",;\t|", key=sample.count)
-        if delimiter not in sample:
-            delimiter = " "
-    together = delimiter == " "
-    parsed = csv.reader((x for _, x in lines), delimiter=delimiter, skipinitialspace=together)
-    return [(n, [x.strip() for x in row]) for (n, _), row in zip(lines, parsed, strict=True)]
-
-
-def _header(
-    path: Path, rows: Sequence[tuple[int, list[str]]], names: Iterable[str]
-) -> tuple[list[str], Sequence[tuple[int, list[str]]]]:
-    """The names of the columns, and the rows below them."""
-    head = [row for _, row in rows[:20]]
-    for k, row in enumerate(head):
-        if set(names) <= set(row):
-            last = max(i for i, cell in enumerate(row) if cell)  # a line may end with a delimiter
-            return row[: last + 1], rows[k + 1 :]
-    if not head:
-        raise InputError(f"read_csv: {path.name} has no rows, expected a header and numbers")
-    likeliest = max(head, key=lambda row: (len(set(names) & set(row)), -head.index(row)))
-    missing = next(n for n in names if n not in likeliest)
-    raise UnknownName(f"column of {path.name}", missing, likeliest)
-
-
-def _numbers(
-    path: Path, name: str, at: int, body: Sequence[tuple[int, list[str]]], decimal: str
-) -> np.ndarray:
-    out = np.empty(len(body))
-    for k, (line, row) in enumerate(body):
-        cell = row[at] if at < len(row) else ""
-        try:
-            out[k] = float(cell.replace(decimal, ".")) if cell else np.nan
-        except ValueError as error:
-            raise InputError(
-                f"read_csv: {path.name}, line {line}, column {name}: got {cell!r}, expected a "
-                "number, or a blank cell where no sample arrived"
-            ) from error
-    return out
+    table = {name: np.full(len(body), np.nan) for name in names}
+    for name, out in table.items():
+        column = header.index(name)
+        for k, (line, row) in enumerate(body):
+            try:
+                out[k] = float(row[column].replace(decimal, ".") or "nan")
+            except ValueError as error:
+                raise InputError(
+                    f"read_csv: {path.name}, line {line}, column {name}: got {row[column]!r}, "
+                    "expected a number, or a blank cell where no sample arrived"
+                ) from error
+    return table

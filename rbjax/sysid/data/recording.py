@@ -1,12 +1,11 @@
-"""Recordings: what the sensors of a robot measured, each on its own clock.
+"""Recordings of the sensors of a robot, each on its own clock.
 
 A `Channel` is one sensor: a clock t (samples,) in s and values (samples, columns) in SI. Sensors
-run at different rates, clocks are irregular, samples are missing. A sample that did not arrive is
-NaN in `values`, and only there: what is computed from a channel leaves it out.
-A `Recording` holds the channels of one run by sensor:
+may have different rates, irregular clocks, and missing samples, which are NaN in `values`.
+A `Recording` has the channels of one run by sensor:
     q v a tau     of the joints: rad, rad/s, rad/s^2, N m (of slides m, m/s, m/s^2, N)
     current       of the motors of the joints, A
-    ctrl          commands, which hold until the next one
+    ctrl          commands, each of which holds until the next
     pose:NAME     of a body or a site: position in m and quaternion (w, x, y, z), in the world
     position:SITE, gyro:SITE, accelerometer:SITE, force:SITE, torque:SITE    3 numbers each
     other:NAME    anything else
@@ -21,13 +20,14 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import choice, instance, real_array
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
 from rbjax.sensors import kinds
-from rbjax.sysid.data.resampling import interpolated, quaternion_columns
+from rbjax.sysid.data.filtering import interpolate_columns, quaternion_columns
 from rbjax.sysid.data.units import in_si
 
-#: sensors of the joints -> what the model says of their number
+#: sensors of the joints -> the size of the model that is their number of columns
 JOINT_SENSORS = {"q": "nq", "v": "nv", "a": "nv", "tau": "nv", "current": "nv", "ctrl": "nu"}
 #: sensors of a body or a site -> number of columns
 PLACED_SENSORS = {"pose": 7, "position": 3, "gyro": 3, "accelerometer": 3, "force": 3, "torque": 3}
@@ -36,24 +36,24 @@ HELD = "ctrl"
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """What one sensor measured, on its own clock.
+    """The samples of one sensor, on its own clock.
 
     Args:
         t: (samples,) times in s; they increase.
         values: (samples, columns) or (samples,), in `unit`.
         names: of the columns: joints, actuators or axes; "0", "1", ... if None.
-        unit: of the values, one or one a column (`in_si`); the arrays are held in SI.
-        scale: a further factor, one or one a column: a torque constant in N m/A, a gear.
-        sign: 1 or -1, one or one a column: -1 where the sensor counts the other way.
-        noise: (columns,) standard deviation in SI, where it is known; in the columns of a
-            quaternion that of the rotation, in rad.
-        dropped: (samples,) or (samples, columns), true for a sample that did not arrive; or "nan":
-            those that are NaN.
+        unit: of the values, one or one a column (`in_si`); they are converted to SI.
+        scale: a further factor, one or one a column, such as a torque constant in N m/A or a gear.
+        sign: 1, or -1 for a sensor of the opposite sign; one, or one a column.
+        noise: (columns,) standard deviation in SI, if it is known; in the columns of a quaternion
+            that of the rotation, in rad.
+        dropped: (samples,) or (samples, columns), true for a sample that did not arrive; or "nan"
+            for the samples that are NaN.
 
     Raises:
-        InputError: wrong lengths; a clock that stands still or goes back; a value that is not
-            finite and is not called dropped.
-        UnknownName: a unit that is not known.
+        InputError: wrong lengths; a clock that does not increase; a value that is neither finite
+            nor dropped.
+        UnknownName: an unknown unit.
 
     Example:
         >>> import numpy as np
@@ -120,7 +120,7 @@ class Channel:
 
     @property
     def arrived(self) -> np.ndarray:
-        """(samples, columns), false for samples that did not arrive."""
+        """Whether each sample (samples, columns) arrived."""
         return ~np.isnan(self.values)
 
     @property
@@ -129,36 +129,38 @@ class Channel:
         return float(np.median(np.diff(self.t)))
 
     def drop(self, dropped: Any) -> Channel:
-        """The channel without these samples: (samples,) or (samples, columns) of bool."""
-        return self._with(self.t, self.values, ~self.arrived | _mask(dropped, self.values.shape))
+        """Mark samples, (samples,) or (samples, columns) of bool, as not arrived."""
+        mask = ~self.arrived | _mask(dropped, self.values.shape)
+        return self.replace(self.t, np.where(mask, np.nan, self.values))
 
-    def _with(self, t: Any, values: Any, dropped: Any = "nan") -> Channel:
-        return Channel(t, values, self.names, noise=self.noise, dropped=dropped)
+    def replace(self, t: Any, values: Any) -> Channel:
+        """Replace clock and values, in SI; NaN is a sample that did not arrive."""
+        return Channel(t, values, self.names, noise=self.noise, dropped="nan")
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The channels of one run, by sensor; all clocks count from the same instant.
+    """The channels of one run, by sensor, with clocks that have the same origin.
 
     Args:
         name: of the run.
         channels: sensor -> `Channel`; the sensors are listed in `rbjax.sysid.data.recording`.
-        source: the recording that this is a piece of; its own name if "".
+        source: the recording of which this is a segment; its own name if "".
         initial_state: the state at the first instant, if it is known exactly, such as rest at a
             known configuration; `identify` estimates it if None. If the channel v has no sample
             except its first one, the first readings of q and v are the known state.
 
     Raises:
-        InputError: no channels, or clocks without a common stretch of time; an initial_state that
-            is not a `State`.
-        UnknownName: a sensor that is not known.
+        InputError: no channels, or clocks without a common time; an initial_state that is not a
+            `State`.
+        UnknownName: an unknown sensor.
 
     Example:
         >>> import numpy as np
         >>> from rbjax.sysid import Channel, Recording
         >>> t = np.linspace(0.0, 1.0, 101)
         >>> run = Recording("swing", {"q": Channel(t, np.sin(t), ("hinge",))})
-        >>> run.piece(0.2, 0.5).channels["q"].values.shape
+        >>> run.segment(0.2, 0.5).channels["q"].values.shape
         (31, 1)
     """
 
@@ -168,27 +170,18 @@ class Recording:
     initial_state: State | None = None
 
     def __post_init__(self) -> None:
-        if not (self.initial_state is None or isinstance(self.initial_state, State)):
-            raise InputError(
-                f"Recording {self.name}: initial_state is {type(self.initial_state).__name__}, "
-                "expected a State, such as State(q, v), or None to have it estimated"
-            )
-        if not isinstance(self.name, str) or not isinstance(self.channels, Mapping):
-            raise InputError(
-                f"Recording: name is {type(self.name).__name__} and channels "
-                f"{type(self.channels).__name__}, expected a str and a dict sensor -> Channel"
-            )
+        where = f"Recording {self.name}"
+        fix = "a State, such as State(q, v), or None to have it estimated"
+        instance(where, "initial_state", self.initial_state, State | None, fix)
+        instance("Recording", "name", self.name, str, "a str")
+        instance(where, "channels", self.channels, Mapping, "a dict sensor -> Channel")
         object.__setattr__(self, "channels", dict(self.channels))
         object.__setattr__(self, "source", self.source or self.name)
         if not self.channels:
             raise InputError(f"Recording {self.name}: no channels, expected at least one sensor")
         for sensor, channel in self.channels.items():
             kind, _, where = str(sensor).partition(":")
-            if not isinstance(channel, Channel):
-                raise InputError(
-                    f"Recording {self.name}: channel {sensor} is {type(channel).__name__}, "
-                    "expected a Channel"
-                )
+            instance(f"Recording {self.name}", f"channel {sensor}", channel, Channel, "a Channel")
             added = kinds()
             known = [*JOINT_SENSORS, *(k for k, of in added.items() if not of.placed)]
             placed = [*PLACED_SENSORS, *(k for k, of in added.items() if of.placed), "other"]
@@ -221,13 +214,11 @@ class Recording:
         return bool(arrived[0].all() and not arrived[1:].any())
 
     def __getitem__(self, sensor: str) -> Channel:
-        if sensor not in self.channels:
-            raise UnknownName(f"channel of recording {self.name}", sensor, self.channels)
-        return self.channels[sensor]
+        return self.channels[choice(f"channel of recording {self.name}", sensor, self.channels)]
 
     @property
     def start(self) -> float:
-        """The time in s from which on all channels have samples."""
+        """The time in s from which all channels have samples."""
         return max(float(c.t[0]) for c in self.channels.values())
 
     @property
@@ -236,7 +227,7 @@ class Recording:
         return min(float(c.t[-1]) for c in self.channels.values())
 
     def check_model(self, model: Model) -> None:
-        """`InputError` or `UnknownName` unless the channels suit the model.
+        """Raise `InputError` or `UnknownName` unless the channels suit the model.
 
         A channel of the joints has a column for each coordinate of the model (nq, nv or nu), or
         columns named after joints (actuators) of the model, with one coordinate each.
@@ -261,19 +252,18 @@ class Recording:
     def on_clock(
         self, t: Any, *, gap: float | None = None, model: Model | None = None
     ) -> Recording:
-        """All channels at the same times.
+        """Resample all channels at the same times.
 
         Commands hold their last value. Attitudes, of poses and of ball and free joints in q, are
-        interpolated by slerp. All other columns are cubic splines through the samples that arrived,
-        with an error of order step^4. A value between two samples that are too far apart is NaN, as
-        is a value next to a dropped sample (`gap`).
+        interpolated by slerp, other columns by cubic splines with an error of order step^4. A value
+        is NaN if its samples are too far apart or dropped (`gap`).
 
         Args:
             t: (samples,) times in s, within every channel's clock.
-            gap: the longest interval in s that is bridged, dropped samples included. If None:
+            gap: the longest interval in s that is interpolated, over dropped samples too. None:
                 3 median steps of the clock, and no dropped sample.
-            model: the robot, whose topology determines which columns of q are quaternions. If
-                None: any four neighbouring columns that move and have length 1 at every sample.
+            model: the robot, which determines the quaternions of q. None: any four successive
+                columns that move and have length 1 at every sample.
 
         Raises:
             InputError: times outside of a channel's clock.
@@ -286,21 +276,21 @@ class Recording:
                     f"expected (samples,) times that increase, from {c.t[0]:g} to {c.t[-1]:g} s, "
                     f"where channel {sensor} has samples"
                 )
-        moved = {}
+        channels = {}
         for sensor, c in self.channels.items():
             if sensor == HELD:
                 values = c.values[np.searchsorted(c.t, t, side="right") - 1]
             else:
                 turns = quaternion_columns(sensor, c.values, model)
-                values = interpolated(c.t, c.values, t, c.step, gap, turns)
-            moved[sensor] = c._with(t, values)
-        return dataclasses.replace(self, channels=moved)
+                values = interpolate_columns(c.t, c.values, t, c.step, gap, turns)
+            channels[sensor] = c.replace(t, values)
+        return dataclasses.replace(self, channels=channels)
 
-    def piece(self, t0: float, t1: float) -> Recording:
-        """The samples from t0 to t1 in s; the command that holds at t0 is moved to t0.
+    def segment(self, t0: float, t1: float) -> Recording:
+        """Select the samples from t0 to t1 in s; the command that holds at t0 is moved to t0.
 
         Raises:
-            InputError: a stretch in which a channel has fewer than two samples.
+            InputError: a channel with fewer than two samples in that time.
         """
         cut = {}
         for sensor, c in self.channels.items():
@@ -311,43 +301,39 @@ class Recording:
                 t, values = np.append(t0, t), np.vstack([c.values[before[-1]], values])
             if len(t) < 2:
                 raise InputError(
-                    f"Recording {self.name}.piece: channel {sensor} has {len(t)} samples from "
+                    f"Recording {self.name}.segment: channel {sensor} has {len(t)} samples from "
                     f"{t0:g} to {t1:g} s, expected at least 2; the recording is from "
                     f"{self.start:g} to {self.end:g} s"
                 )
-            cut[sensor] = c._with(t, values)
+            cut[sensor] = c.replace(t, values)
         first = self.initial_state if t0 <= self.start else None
         return Recording(f"{self.name}[{t0:g}:{t1:g}]", cut, self.source, first)
 
-    def pieces(self, seconds: float) -> list[Recording]:
-        """Pieces of this length, one after the other; a shorter rest at the end is left out."""
+    def segments(self, seconds: float) -> list[Recording]:
+        """Cut into successive segments of this length, without a shorter rest at the end."""
         given: Any = seconds
         number = isinstance(given, (int, float, np.number)) and seconds > 0
         count = int((self.end - self.start) / seconds + 1e-9) if number else 0
         if count < 1:
             raise InputError(
-                f"Recording {self.name}.pieces: seconds is {seconds}, expected a positive length "
+                f"Recording {self.name}.segments: seconds is {seconds}, expected a positive length "
                 f"of at most {self.end - self.start:g} s"
             )
         starts = [self.start + seconds * k for k in range(count)]
-        return [self.piece(t0, t0 + seconds) for t0 in starts]
+        return [self.segment(t0, t0 + seconds) for t0 in starts]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.channels)
 
 
 def _floats(name: str, x: Any) -> np.ndarray:
-    try:
-        return np.array(x, np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"Channel: {name} is {type(x).__name__}, expected an array of numbers with rows of "
-            "equal length"
-        ) from error
+    fix = "an array of numbers with rows of equal length"
+    return real_array("Channel", name, x, fix, finite=False)
 
 
-def _one_a_column(name: str, x: Any, columns: int) -> np.ndarray:
-    x = _floats(name, x)
+def _one_a_column(name: str, given: Any, columns: int) -> np.ndarray:
+    """One number other than 0 for each column."""
+    x = np.array(np.nan) if np.asarray(given).dtype == bool else _floats(name, given)
     if x.shape not in ((), (1,), (columns,)) or not np.isfinite(x).all() or (x == 0).any():
         raise InputError(
             f"Channel: {name} is {x.tolist()}, expected one number other than 0, or {columns}, one "
@@ -383,6 +369,6 @@ def _check_clock(t: np.ndarray) -> None:
         )
 
 
-def says_its_noise(runs: Sequence[Recording], sensor: str) -> bool:
+def noise_is_stated(runs: Sequence[Recording], sensor: str) -> bool:
     """Whether every recording states the noise of a sensor."""
     return all(run[sensor].noise is not None for run in runs)

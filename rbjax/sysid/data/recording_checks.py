@@ -1,12 +1,12 @@
-"""`findings`: what is odd in a recording, in sentences that name channel, column and sample.
+"""`findings`: probable mistakes of a recording, by channel, column and sample.
 
-    gap        the clock jumps: samples are missing
+    gap        samples are missing: the clock jumps
     dropped    samples are marked as not arrived
     still      a column never moves
-    stuck      a column stops while the others of its sensor move: a sensor died
-    outliers   samples far from their neighbours: a Hampel filter
-    velocity   v is not the rate of q: a flipped sign, swapped joints, another unit, another clock
-Findings are no errors: whoever fits decides. `Channel.drop` takes outliers out.
+    stuck      a column stops while other columns of its sensor move: a dead sensor
+    outliers   samples far from their neighbours, by a Hampel filter
+    velocity   v is not the rate of q: a flipped sign, swapped joints, another unit or clock
+`Channel.drop` removes outliers.
 """
 
 from __future__ import annotations
@@ -17,20 +17,27 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import integrate, ndimage
 
-from rbjax.errors import InputError
+from rbjax.arguments import instance
 from rbjax.sysid.data.recording import HELD, Channel, Recording
 
 GAP = 3.0  # median steps of the clock
-WINDOW = 7  # samples of the Hampel filter: three outliers in a row are still found
+WINDOW = 7  # samples of the Hampel filter, which finds up to three successive outliers
 FAR = 8.0  # robust standard deviations: 1e-15 of normal noise
-LONG = 0.1  # share of a recording during which a column that is stuck does not change
-SLOPE = 0.05  # v over the rate of q may differ so much from 1
+LONG = 0.1  # least share of a recording in which a stuck column is constant
+SLOPE = 0.05  # largest deviation from 1 of v over the rate of q
 LAG = 0.05  # share of a recording over which positions are compared with integrated velocities
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One oddity: its kind, the channel, the column, the samples, and a sentence."""
+    """A probable mistake of a recording.
+
+    Fields:
+        kind: "gap", "dropped", "still", "stuck", "outliers" or "velocity".
+        channel, column: where it is.
+        samples: their indices.
+        sentence: the finding in words.
+    """
 
     kind: str
     channel: str
@@ -43,13 +50,13 @@ class Finding:
 
 
 def findings(recording: Recording) -> list[Finding]:
-    """What is odd in a recording.
+    """Find probable mistakes of a recording, before it is fitted.
 
     Args:
         recording: any `Recording`.
 
     Returns:
-        `Finding`s, channel by channel; none if all is well.
+        `Finding`s, channel by channel.
 
     Source: Hampel 1974 (outliers: |x_i - median| > 8 * 1.4826 MAD over 7 neighbours).
 
@@ -62,21 +69,18 @@ def findings(recording: Recording) -> list[Finding]:
         >>> print(findings(run)[0])
         swing: channel q: knee never moves: all 100 samples are 0
     """
-    if not isinstance(recording, Recording):
-        raise InputError(
-            f"findings: recording is {type(recording).__name__}, expected one Recording"
-        )
+    instance("findings", "recording", recording, Recording, "one Recording")
     found: list[Finding] = []
     for sensor, channel in recording.channels.items():
-        found += _of_clock(recording.name, sensor, channel)
-        found += _of_columns(recording.name, sensor, channel)
-    return [*found, *_of_velocities(recording)]
+        found += _check_clock(recording.name, sensor, channel)
+        found += _check_columns(recording.name, sensor, channel)
+    return [*found, *_check_velocities(recording)]
 
 
-def _of_clock(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
+def _check_clock(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
     steps = np.diff(c.t)
     jumps = np.flatnonzero(steps > GAP * c.step)
-    if len(jumps) and sensor != HELD:  # commands may come when they change
+    if len(jumps) and sensor != HELD:  # commands may be logged only when they change
         i = jumps[steps[jumps].argmax()]
         yield Finding(
             "gap", sensor, "", jumps + 1,
@@ -86,15 +90,15 @@ def _of_clock(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _of_columns(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
+def _check_columns(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
     spans = [float(np.ptp(_known(x))) for x in c.values.T]
     for j, column in enumerate(c.names):
-        at, says = np.flatnonzero(c.arrived[:, j]), f"{name}: channel {sensor}: {column}"
+        at, start = np.flatnonzero(c.arrived[:, j]), f"{name}: channel {sensor}: {column}"
         lost = np.flatnonzero(~c.arrived[:, j])
         if len(lost):
             yield Finding(
                 "dropped", sensor, column, lost,
-                f"{says} has {_counted(lost, 'sample')} that did not arrive, of {len(c.t)}; the "
+                f"{start} has {_counted(lost, 'sample')} that did not arrive, of {len(c.t)}; the "
                 f"first is sample {lost[0]} (t = {c.t[lost[0]]:.6g} s)",
             )  # fmt: skip
         if not len(at):
@@ -103,7 +107,7 @@ def _of_columns(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
         if spans[j] == 0:
             yield Finding(
                 "still", sensor, column, at,
-                f"{says} never moves: all {len(x)} samples are {x[0]:.6g}",
+                f"{start} never moves: all {len(x)} samples are {x[0]:.6g}",
             )  # fmt: skip
             continue
         if sensor == HELD:
@@ -115,7 +119,7 @@ def _of_columns(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
             if any(np.ptp(_known(c.values[rows, k])) > LONG * spans[k] for k in others):
                 yield Finding(
                     "stuck", sensor, column, at[first : last + 1],
-                    f"{says} stays at {x[first]:.6g} from sample {at[first]} to {at[last]} "
+                    f"{start} stays at {x[first]:.6g} from sample {at[first]} to {at[last]} "
                     f"(t = {c.t[at[first]]:.6g} to {c.t[at[last]]:.6g} s), while other columns "
                     "move: is the sensor dead?",
                 )  # fmt: skip
@@ -126,16 +130,16 @@ def _of_columns(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
             i = far[(away[far] / scale[far]).argmax()]
             yield Finding(
                 "outliers", sensor, column, at[far],
-                f"{says} has {_counted(far, 'outlier')}; the farthest is sample {at[i]} "
+                f"{start} has {_counted(far, 'outlier')}; the farthest is sample {at[i]} "
                 f"(t = {c.t[at[i]]:.6g} s): {x[i]:.6g}, away from its neighbours by "
                 f"{away[i] / scale[i]:.3g} times their scatter",
             )  # fmt: skip
 
 
 def hampel(x: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """How far each sample is from the median of its neighbours, and the scatter around it."""
+    """Compute the distance of each sample from the median of its neighbours, and their scatter."""
     away = np.abs(x - ndimage.median_filter(x, WINDOW, mode="nearest"))
-    # the scatter of the neighbours, so that fast motion is none, and that of the whole channel
+    # the larger of the scatter of the neighbours, for fast motion, and that of the whole channel
     window = np.lib.stride_tricks.sliding_window_view(np.pad(x, WINDOW // 2, "edge"), WINDOW)
     local = np.median(np.abs(window - np.median(window, 1, keepdims=True)), 1)
     steps = np.abs(np.diff(x))
@@ -143,8 +147,8 @@ def hampel(x: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
     return away, np.maximum(1.4826 * np.maximum(local, np.median(away)), max(noise, usual))
 
 
-def _of_velocities(recording: Recording) -> Iterator[Finding]:
-    """Changes of q over a lag beside the integral of v over the same lag."""
+def _check_velocities(recording: Recording) -> Iterator[Finding]:
+    """Compare changes of q over a lag with the integral of v over the same lag."""
     if not {"q", "v"} <= recording.channels.keys():
         return
     q, v = recording["q"], recording["v"]
@@ -171,22 +175,22 @@ def _of_velocities(recording: Recording) -> Iterator[Finding]:
         likeness = [abs(moved[i] @ d) / np.sqrt(power * (d @ d) or 1.0) for d in turned]
         slope = float(moved[i] @ turned[i]) / power  # of v on the rate of q
         best = int(np.argmax(likeness))
-        says = f"{recording.name}: channel v: {n} is "
+        text = f"{recording.name}: channel v: {n} is "
         if likeness[best] > 0.9 and likeness[i] < 0.7:
-            says += f"not the rate of its q; that of {names[best]} is: are these joints swapped?"
+            text += f"not the rate of its q; that of {names[best]} is: are these joints swapped?"
         elif likeness[i] > 0.9 and abs(slope + 1) < SLOPE:
-            says += "minus the rate of its q: one of the two has the wrong sign"
+            text += "minus the rate of its q: one of the two has the wrong sign"
         elif likeness[i] > 0.9 and abs(slope - 1) > SLOPE:
-            says += f"{slope:.4g} times the rate of its q: wrong units, sign or clock?"
+            text += f"{slope:.4g} times the rate of its q: wrong units, sign or clock?"
         elif likeness[i] <= 0.9:
-            says += f"not the rate of its q (correlation {likeness[i]:.2f})"
+            text += f"not the rate of its q (correlation {likeness[i]:.2f})"
         else:
             continue
-        yield Finding("velocity", "v", n, np.arange(0), says)
+        yield Finding("velocity", "v", n, np.arange(0), text)
 
 
 def _longest_pause(x: np.ndarray) -> tuple[int, int]:
-    """First and last sample of the longest run of equal values."""
+    """The first and last index of the longest run of equal values."""
     starts = np.flatnonzero(np.append(True, np.diff(x) != 0))
     lengths = np.diff(np.append(starts, len(x)))
     k = int(lengths.argmax())
@@ -194,6 +198,7 @@ def _longest_pause(x: np.ndarray) -> tuple[int, int]:
 
 
 def _known(x: np.ndarray) -> np.ndarray:
+    """The samples that are not nan; a zero if there are none."""
     known = x[~np.isnan(x)]
     return known if len(known) else np.zeros(1)
 

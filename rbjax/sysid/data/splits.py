@@ -1,4 +1,4 @@
-"""`split`: recordings to fit, to choose between models, and to judge the result."""
+"""`split`: random division of recordings for training, validation and test."""
 
 from __future__ import annotations
 
@@ -29,17 +29,16 @@ def split(
     *,
     seed: int = 0,
 ) -> Split:
-    """Recordings to fit, to choose between models, and to judge the result, drawn at random.
+    """Divide recordings at random: to fit, to choose between models, and to judge the result.
 
-    Pieces of one recording stay together: neighbours in time are alike, and a score on them would
-    flatter.
+    Segments of one recording stay together, since errors on neighbouring times are too small.
 
     Args:
         recordings: the runs.
         train: share of the runs.
         validation: share of the runs; may be 0.
         test: share of the runs; may be 0.
-        seed: the same seed draws the same split.
+        seed: of the random numbers.
 
     Returns:
         `Split`, each in the order given. Each share above 0 gets at least one run.
@@ -68,8 +67,8 @@ def split(
     if len(sources) < used.sum():
         raise InputError(
             f"split: {len(sources)} recordings ({', '.join(sources)}) for {used.sum()} parts, "
-            "expected at least one for each; pieces of one recording stay together, so cut a "
-            "single one by time with `piece`"
+            "expected at least one for each; segments of one recording stay together, so cut a "
+            "single one by time with `segment`"
         )
     ends = np.round(np.cumsum(shares) * len(sources)).astype(int)
     counts = np.maximum(np.diff(ends, prepend=0), used)

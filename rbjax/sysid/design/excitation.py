@@ -1,6 +1,6 @@
-"""Motions that excite a robot: finite Fourier series, and splines from rest to rest.
+"""Excitation motions: finite Fourier series, and splines from rest to rest.
 
-Both give q, v and a in closed form at any times, differentiable by their coefficients:
+Both are closed forms of q, v and a, differentiable by their coefficients:
     Fourier  q = q0 + sum_k a_k/(w k) sin(w k t) - b_k/(w k) cos(w k t),  w = 2 pi / period
     Spline   q = sum_i c_i B_i(t), B-splines of degree 5 on a clamped even knot vector; the first
              and the last three c are equal, so the motion starts and ends at rest, v = a = 0
@@ -15,14 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.errors import InputError
 
 DEGREE = 5  # of the splines: the acceleration is smooth
 
 
 class Motion(NamedTuple):
-    """q, v, a, each (samples, n), in rad, rad/s, rad/s^2 (of slides m, ...)."""
+    """q, v and a (samples, n), in rad, rad/s, rad/s^2 (for slides m, ...)."""
 
     q: jax.Array
     v: jax.Array
@@ -30,7 +30,7 @@ class Motion(NamedTuple):
 
 
 def _seconds(x: Any) -> Any:
-    """A number as a float; other values stay, for `_check_time` to reject."""
+    """Convert a number to float; `_check_time` rejects other values."""
     return float(x) if isinstance(x, (int, float, np.number)) else x
 
 
@@ -76,7 +76,7 @@ class Fourier(eqx.Module):
         _check_time("Fourier", "period", self.period)
 
     def __call__(self, t: jax.Array) -> Motion:
-        """The motion at times t (samples,) in s."""
+        """Compute the motion at times t (samples,) in s."""
         w = 2 * np.pi / self.period * np.arange(1, self.a.shape[1] + 1)
         phase = jnp.asarray(t)[:, None] * w
         s, c = jnp.sin(phase), jnp.cos(phase)
@@ -92,7 +92,7 @@ class Fourier(eqx.Module):
     def random(
         cls, key: jax.Array, q0: jax.Array, harmonics: int, period: float, speed: float = 0.1
     ) -> Fourier:
-        """Normal coefficients, whose velocity is about `speed` in rad/s."""
+        """Draw normal coefficients, with a velocity of about `speed` in rad/s."""
         q0 = _random("Fourier.random", key, q0, speed)
         integer("Fourier.random", "harmonics", harmonics, least=1)
         shape = (2, len(q0), harmonics)
@@ -104,8 +104,7 @@ class Spline(eqx.Module):
     """A quintic B-spline for each joint that starts and ends at rest.
 
     Args:
-        points: (n, m) control points, m of at least 3: the first is where the motion starts, the
-            last where it ends.
+        points: (n, m) control points, m of at least 3, from the start to the end of the motion.
         duration: in s.
 
     Raises:
@@ -135,7 +134,7 @@ class Spline(eqx.Module):
         _check_time("Spline", "duration", self.duration)
 
     def __call__(self, t: jax.Array) -> Motion:
-        """The motion at times t (samples,) in s, from 0 to the duration."""
+        """Compute the motion at times t (samples,) in s, from 0 to the duration."""
         c = jnp.concatenate([self.points[:, :1]] * 2 + [self.points] + [self.points[:, -1:]] * 2, 1)
         inner = np.linspace(0, self.duration, c.shape[1] - DEGREE + 1)
         knots = np.concatenate([[0.0] * DEGREE, inner, [self.duration] * DEGREE])
@@ -150,7 +149,8 @@ class Spline(eqx.Module):
     def random(
         cls, key: jax.Array, q0: jax.Array, points: int, duration: float, size: float = 0.1
     ) -> Spline:
-        """From q0 and back, by control points that are about `size` in rad away."""
+        """Draw a motion from q0 and back, with control points at distances of about `size` in
+        rad."""
         q0 = _random("Spline.random", key, q0, size)
         integer("Spline.random", "points", points, least=3)
         away = size * jax.random.normal(key, (len(q0), points))
@@ -158,7 +158,7 @@ class Spline(eqx.Module):
 
 
 def _basis(knots: np.ndarray, degree: int, t: jax.Array) -> jax.Array:
-    """(samples, functions): Cox and de Boor's recursion; 0/0 is 0 there."""
+    """The B-splines (samples, functions), by Cox and de Boor's recursion with 0/0 = 0."""
     t = t[:, None]
     ends = (knots[1:] == knots[-1]) & (knots[:-1] < knots[-1])  # the last interval is closed
     B = ((knots[:-1] <= t) & ((t < knots[1:]) | (ends & (t <= knots[1:])))).astype(t.dtype)
@@ -171,7 +171,7 @@ def _basis(knots: np.ndarray, degree: int, t: jax.Array) -> jax.Array:
 
 
 def _random(where: str, key: Any, q0: Any, size: Any) -> jax.Array:
-    """q0 as an array; all three are checked."""
+    """Check key, q0 and size, and return q0 as an array."""
     if not jnp.issubdtype(getattr(key, "dtype", float), jax.dtypes.prng_key) and np.shape(key) != (
         2,
     ):
@@ -179,9 +179,7 @@ def _random(where: str, key: Any, q0: Any, size: Any) -> jax.Array:
     _check_numbers(where, "q0", q0)
     if np.ndim(q0) != 1:
         raise InputError(f"{where}: q0 has shape {np.shape(q0)}, expected (n,)")
-    number = isinstance(size, (int, float, np.number)) and not isinstance(size, bool)
-    if not number or not np.isfinite(size):
-        raise InputError(f"{where}: the size of the motion is {size!r}, expected a finite number")
+    real_number(where, "the size of the motion", size, "a finite number")
     return jnp.asarray(q0, float)
 
 
@@ -189,16 +187,9 @@ def _check_numbers(where: str, name: str, x: Any) -> None:
     """`InputError` unless x is an array of finite numbers, or traced."""
     if isinstance(x, jax.core.Tracer):
         return
-    if x is None or isinstance(x, str):
-        raise InputError(f"{where}: {name} is {x!r}, expected an array of numbers")
-    if not isinstance(x, (jax.Array, np.ndarray, list, tuple, int, float)):
-        return  # a placeholder of JAX or equinox for an array
-    try:
-        finite = np.isfinite(np.asarray(x, float)).all()
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: {name} is {x!r}, expected an array of numbers") from error
-    if not finite:
-        raise InputError(f"{where}: {name} has numbers that are not finite, expected finite ones")
+    # other classes are placeholders of JAX or equinox for an array
+    if x is None or isinstance(x, (jax.Array, np.ndarray, str, list, tuple, int, float)):
+        real_array(where, name, x, "an array of finite numbers")
 
 
 def _check_time(where: str, name: str, seconds: Any) -> None:

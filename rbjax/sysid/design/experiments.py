@@ -1,16 +1,14 @@
-"""`design_experiment`: the motion that says most of the unknowns, within the limits of the robot.
+"""`design_experiment`: optimal excitation within the limits of the robot.
 
     min over the coefficients of  loss(F),   F = F_known + J^T J,   subject to  g(q, v, a) <= 0
-J (rows, n) is what the samples of the motion say of the n unknowns: a regressor over the torque's
-noise, or the Jacobian of a simulated motion. Its columns should be in units in which the unknowns
-are of order one. F_known is the information of experiments already made: what comes out is then
-the best next one.
+J (rows, n) are the derivatives of the measurements by the n unknowns, over their noise: a
+regressor, or the Jacobian of a simulated motion. F_known is the information of earlier experiments.
     D   -log det F / n        the volume of the confidence ellipsoid; independent of units
     A   log trace F^-1        the mean variance
     E   -log lambda_min(F)    the worst direction
-    condition   log sqrt(lambda_max / lambda_min), that of J
-Limits are held by an augmented Lagrangian over sampled times, with BFGS inside, and are checked on
-ten times as many samples at the end.
+    condition   log sqrt(lambda_max / lambda_min), of J
+The limits are satisfied at sampled times by an augmented Lagrangian with BFGS, and are checked on
+ten times as many samples.
 """
 
 from __future__ import annotations
@@ -27,16 +25,16 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import cho_solve
 
-from rbjax.arguments import integer
+from rbjax.arguments import choice, instance, integer, real_array
 from rbjax.dynamics import inverse_dynamics
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.sysid.design.excitation import Fourier, Spline
 
-FINE = 10  # samples of the check at the end for each one of the optimisation
-MARGIN = 1e-3  # of a limit, for what the augmented Lagrangian leaves
-GROWTH = 4.0  # of the penalty where violations do not fall fast enough
+FINE = 10  # samples of the check for each sample of the optimisation
+MARGIN = 1e-3  # of a limit, for the tolerance of the augmented Lagrangian
+GROWTH = 4.0  # of the penalty, if violations do not decrease fast enough
 
 
 def _d(F: jax.Array) -> jax.Array:
@@ -57,23 +55,23 @@ def _condition(F: jax.Array) -> jax.Array:
     return 0.5 * jnp.log(values[-1] / values[0])
 
 
-#: criterion -> what is minimised, a function of the information (n, n)
+#: criterion -> loss, a function of the information (n, n)
 CRITERIA: dict[str, Callable[[jax.Array], jax.Array]] = {
     "D": _d, "A": _a, "E": _e, "condition": _condition,
 }  # fmt: skip
 
 
 class MotionLimits(eqx.Module):
-    """What a motion may not exceed; each is a number a joint, or one for all.
+    """Limits of a motion, each one number for all joints or a number for each joint.
 
     Args:
         low: position in rad or m, with `high`.
         high: position, above `low`.
-        speed: of either sign, in rad/s or m/s.
-        acceleration: of either sign, in rad/s^2 or m/s^2.
-        torque: of either sign, in N m or N, with `model`.
-        model: whose `inverse_dynamics` gives the torque.
-        own: g(q, v, a) <= 0 of one sample, (nv,) each, to an array of order one.
+        speed: absolute, in rad/s or m/s.
+        acceleration: absolute, in rad/s^2 or m/s^2.
+        torque: absolute, in N m or N, with `model`.
+        model: for the torque, by inverse dynamics.
+        own: g(q, v, a) <= 0 of one sample, (nv,) each, an array of order one.
 
     Example:
         >>> import jax.numpy as jnp
@@ -98,15 +96,10 @@ class MotionLimits(eqx.Module):
         if (self.torque is None) != (self.model is None):
             raise InputError("MotionLimits: only one of torque and model is given, expected both")
         for name in ("low", "high", "speed", "acceleration", "torque"):
-            x = getattr(self, name)
-            if x is not None and np.asarray(x).dtype.kind not in "biuf":
-                raise InputError(f"MotionLimits: {name} is {x!r}, expected numbers, or None")
-        if not (self.model is None or isinstance(self.model, Model)):
-            raise InputError(
-                f"MotionLimits: model is {type(self.model).__name__}, expected a Model (rbjax.load)"
-            )
-        if not (self.own is None or callable(self.own)):
-            raise InputError(f"MotionLimits: own is {self.own!r}, expected a function of q, v, a")
+            if getattr(self, name) is not None:
+                real_array("MotionLimits", name, getattr(self, name), "numbers, or None")
+        instance("MotionLimits", "model", self.model, Model | None, "a Model (rbjax.load)")
+        instance("MotionLimits", "own", self.own, Callable | None, "a function of q, v, a")
         span = () if self.low is None else np.asarray(self.high) - np.asarray(self.low)
         for name, x in (("high - low", span), ("speed", self.speed), ("torque", self.torque),
                         ("acceleration", self.acceleration)):  # fmt: skip
@@ -114,7 +107,7 @@ class MotionLimits(eqx.Module):
                 raise InputError(f"MotionLimits: {name} is {x}, expected positive numbers")
 
     def __call__(self, q: jax.Array, v: jax.Array, a: jax.Array) -> dict[str, jax.Array]:
-        """By name, numbers that are at most 0 where the limit holds; 0.1 is 10 % beyond."""
+        """Compute g by name, at most 0 within the limit; 0.1 is 10 % beyond it."""
         out = {}
         if self.low is not None:
             low, span = jnp.asarray(self.low), jnp.asarray(self.high) - jnp.asarray(self.low)
@@ -135,9 +128,13 @@ class MotionLimits(eqx.Module):
 class Experiment:
     """The result of `design_experiment`.
 
-    Fields: motion; criterion; value and start_value, of what is minimised; information (n, n), with
-    that of the experiments before; worst, limit -> the largest value of g on the fine grid; ok,
-    whether all limits hold there; sentence.
+    Fields:
+        motion: the optimal motion.
+        criterion: its name.
+        value, start_value: of the loss.
+        information: (n, n), with that of the earlier experiments.
+        worst: limit -> the largest g at the times of the check.
+        times: the number of these times.
     """
 
     motion: Any
@@ -146,8 +143,21 @@ class Experiment:
     start_value: float
     information: np.ndarray
     worst: Mapping[str, float]
-    success: bool
-    sentence: str
+    times: int
+
+    @property
+    def success(self) -> bool:
+        """Whether all limits hold."""
+        return all(w <= 0 for w in self.worst.values())
+
+    def summary(self) -> str:
+        """The change of the loss, and the limits that do not hold, in a sentence."""
+        text = f"the {self.criterion} criterion goes from {self.start_value:.4g} to "
+        text += f"{self.value:.4g}; "
+        if self.success:
+            return text + f"all limits hold at {self.times} times"
+        broken = [f"{n} by {100 * w:.2g} %" for n, w in self.worst.items() if w > 0]
+        return text + "limits are broken: " + ", ".join(broken)
 
 
 def design_experiment(
@@ -162,23 +172,24 @@ def design_experiment(
     steps: int = 60,
     progress: bool = True,
 ) -> Experiment:
-    """The motion that says most of the unknowns.
+    """Design the motion with the most information on the unknowns, within limits.
 
     Args:
         start: a first motion, such as `Fourier.random(...)`, whose information has full rank.
-        information: (q, v, a), (samples, n) each, to J (rows, unknowns), rows divided by the noise
-            and columns in units in which the unknowns are of order one. Written with jax.numpy.
-        limits: `MotionLimits`; None: there are none, and the motion may grow without end.
+        information: (q, v, a), (samples, n) each, to J (rows, unknowns), written with jax.numpy.
+            Rows are divided by the noise, and columns are in units in which the unknowns are of
+            order one.
+        limits: `MotionLimits`; None: no limits.
         criterion: "D", "A", "E" or "condition".
-        known: (unknowns, unknowns), the information of experiments already made.
-        samples: times at which the motion is looked at.
+        known: (unknowns, unknowns), the information of earlier experiments.
+        samples: times of the optimisation.
         rounds: of the augmented Lagrangian; up to twice as many until all limits hold.
         steps: of BFGS in a round.
         progress: show a line on a terminal.
 
     Returns:
-        `Experiment`: the best motion found that holds all limits. If the start holds them, so does
-        the result; else `success` may be false.
+        `Experiment`, the best motion within all limits. If the start violates them, `success` may
+        be false.
 
     Raises:
         InputError: a start without full rank; wrong shapes.
@@ -198,25 +209,15 @@ def design_experiment(
         >>> found.success, found.value < found.start_value
         (True, True)
     """
-    if criterion not in CRITERIA:
-        raise UnknownName("criterion", criterion, CRITERIA)
+    choice("criterion", criterion, CRITERIA)
     for name, number in (("samples", samples), ("rounds", rounds), ("steps", steps)):
         integer("design_experiment", name, number, least=1)
-    if not isinstance(start, (Fourier, Spline)):
-        raise InputError(
-            f"design_experiment: start is {type(start).__name__}, expected a motion: Fourier or "
-            "Spline"
-        )
-    if not callable(information):
-        raise InputError(
-            f"design_experiment: information is {type(information).__name__}, expected a function "
-            "(q, v, a) -> J (rows, unknowns)"
-        )
-    if not (limits is None or isinstance(limits, MotionLimits)):
-        raise InputError(
-            f"design_experiment: limits is {type(limits).__name__}, expected MotionLimits"
-        )
+    where = "design_experiment"
+    instance(where, "start", start, (Fourier, Spline), "a motion: Fourier or Spline")
+    fix = "a function (q, v, a) -> J (rows, unknowns)"
+    instance(where, "information", information, Callable, fix)
     limits = MotionLimits() if limits is None else limits
+    instance(where, "limits", limits, MotionLimits, "MotionLimits")
     _check_joints(start, limits)
     times, fine = _times(start, samples), _times(start, FINE * samples)
     flat: jax.Array
@@ -266,26 +267,22 @@ def design_experiment(
             excess = excess_of(x)
             held = x if excess <= 0 else None
             if held is None and best is not None:
-                held = _on_the_way(best[1], x, excess_of)
+                held = _last_within(best[1], x, excess_of)
                 value = loss(information_of(held))
             if held is not None and (best is None or float(value) < best[0]):
                 best = float(value), held
             multipliers = jnp.maximum(multipliers + penalty * (g + margin), 0)
             beyond = float(jnp.maximum(g + margin, 0).max())
             penalty *= GROWTH if beyond > 0.25 * last else 1.0
-            margin = max(margin, MARGIN + excess - float(g.max()))  # what lies between two samples
+            margin = max(margin, MARGIN + excess - float(g.max()))  # for times between the samples
             last = beyond
     if best is not None:
         x = best[1]
     worst = {name: float(w) for name, w in worst_of(x).items()}
     after = information_of(x)
     value, start_value = float(loss(after)), float(loss(jnp.asarray(before)))
-    broken = {name: w for name, w in worst.items() if w > 0}
-    sentence = f"the {criterion} criterion goes from {start_value:.4g} to {value:.4g}; "
-    sentence += f"all limits hold at {len(fine)} times" if not broken else "limits are broken: "
-    sentence += ", ".join(f"{name} by {100 * w:.2g} %" for name, w in broken.items())
     return Experiment(
-        unravel(x), criterion, value, start_value, np.asarray(after), worst, not broken, sentence
+        unravel(x), criterion, value, start_value, np.asarray(after), worst, len(fine)
     )
 
 
@@ -302,10 +299,10 @@ def _check_joints(start: Fourier | Spline, limits: MotionLimits) -> None:
             )
 
 
-def _on_the_way(
+def _last_within(
     inside: jax.Array, outside: jax.Array, excess_of: Callable[[jax.Array], float]
 ) -> jax.Array:
-    """A point within all limits between one that is and one that is not, by bisection."""
+    """Find a point within all limits between one inside and one outside, by bisection."""
     low, high = 0.0, 1.0
     for _ in range(10):
         mid = 0.5 * (low + high)
@@ -315,7 +312,7 @@ def _on_the_way(
 
 
 def _times(motion: Fourier | Spline, samples: int) -> jax.Array:
-    """One period without its end, which is its start; or from rest to rest."""
+    """The times of one period without its end, or from rest to rest."""
     last = not isinstance(motion, Fourier)
     return jnp.asarray(np.linspace(0, motion.duration, samples, endpoint=last), float)
 
@@ -342,9 +339,8 @@ def _start_information(
     rank = int(np.linalg.matrix_rank(F / np.outer(lengths, lengths), hermitian=True))
     if rank < n:
         raise InputError(
-            f"design_experiment: the start says something of {rank} combinations of {n} unknowns, "
-            "expected "
-            "all of them: start from a random motion, take base parameters as unknowns, or give "
-            "`known` information"
+            f"design_experiment: the start identifies {rank} combinations of {n} unknowns, "
+            "expected all of them: start from a random motion, take base parameters as unknowns, "
+            "or give `known` information"
         )
     return F

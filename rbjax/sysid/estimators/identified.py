@@ -1,63 +1,68 @@
-"""`Identified`: what recordings say of a robot."""
+"""The result of `identify`, with its file and its validation, and `free_run`, the simulation of
+recordings with no fit except of initial states."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import UnknownName
+from rbjax.arguments import choice, instance
+from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.sysid.arguments import recordings_of
+from rbjax.sysid.arguments import check_options, floats, recordings_of, setup_of
 from rbjax.sysid.data.recording import HELD, Recording
-from rbjax.sysid.estimators.fit_file import write_fit
-from rbjax.sysid.estimators.free_running import free_run
+from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.estimators.verdict import Verdict, without_outliers
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.runs import default_grid, make_batch
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError
-from rbjax.sysid.simulation.traces import Traces, rms_of
+from rbjax.sysid.simulation.traces import Traces, make_traces, rms_of
 from rbjax.sysid.statistics.comparisons import HeldOut, held_out
 from rbjax.sysid.statistics.fit_statistics import FitStatistics
 from rbjax.sysid.statistics.intervals import Estimates
-from rbjax.sysid.statistics.precision import in_double
+from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.statistics.rank import Combinations
+from rbjax.sysid.status import FitStatus, HasStatus
 
 
 class Options(NamedTuple):
     """The options of a fit, as the arguments of `identify`."""
 
     grid: Grid | None = None
-    pieces: float | None = None
-    shooting: float | None = None
-    starts: bool | None = None
+    segments: float | None = None
+    multiple_shooting: float | None = None
+    estimate_initial_state: bool | None = None
     loss: str = "squares"
-    steps: int = 100
+    max_evaluations: int = 100
     restarts: int = 4
 
 
 @dataclass(frozen=True)
-class Identified:
+class Identified(HasStatus):
     """The result of an identification.
 
     Fields:
-        setup: with the estimated numbers.
+        setup: with the estimated parameters.
         values, guess: the estimates and the first guess, by name.
-        identifiable: the combinations of the unknowns that the data identify; `found.summary()`.
+        identifiable: the combinations of the unknowns that the data identify.
         estimates: values, covariance and intervals.
-        recordings: those that were fitted.
+        recordings: the recordings that were fitted.
         traces: recorded and simulated values.
         evaluations: of the residual.
-        success, message: whether the fit converged.
+        status: a `FitStatus`; `success` is whether the fit converged.
         grid: of the simulation.
         error: the simulation error, in float64.
-        noisy: whether the noise of all channels is known.
+        noise_known: whether the noise of all channels is stated or estimated.
         statistics: of the residuals.
         verdict: whether the fit is good, and each check that fails.
-        notes: sentences on what was done by default, such as other starts and shorter steps.
+        notes: sentences on default choices, such as other starts and shorter steps.
         options: of the fit.
     """
 
@@ -69,11 +74,10 @@ class Identified:
     recordings: tuple[Recording, ...]
     traces: Traces
     evaluations: int
-    success: bool
-    message: str
+    status: FitStatus
     grid: Grid
     error: SimulationError
-    noisy: bool
+    noise_known: bool
     statistics: FitStatistics
     verdict: Verdict
     notes: tuple[str, ...]
@@ -81,109 +85,222 @@ class Identified:
 
     @property
     def model(self) -> Model:
-        """The model with the found numbers."""
+        """The model with the estimated parameters."""
         return self.setup.model
 
     def summary(self) -> str:
-        """Whether the fit converged and is good, what was done by default, and each number with
-        its 95 % interval, one sentence a line."""
-        first = [f"{self.message} in {self.evaluations} evaluations", self.verdict.sentence]
-        names = range(len(self.values))
-        return "\n".join([*first, *self.notes, *(self.estimates.sentences()[k] for k in names)])
+        """One sentence a line: how the fit ended, the verdict, the notes, and the 95 % interval of
+        each unknown."""
+        first = [f"{self.status.text} in {self.evaluations} evaluations", self.verdict.summary()]
+        return "\n".join([*first, *self.notes, *self.estimates.sentences()[: len(self.values)]])
 
     @property
     def rms(self) -> dict[str, np.ndarray]:
-        """By sensor, the error of the simulation, one number a column."""
+        """The root mean square of the residual (n,) by sensor."""
         return rms_of(self.traces)
 
     def save(self, path: str | Path) -> None:
-        """Writes values, intervals and errors as JSON; `identify(..., resume=path)` goes on."""
+        """Write values, intervals and errors as JSON; `identify(..., resume=path)` continues."""
         intervals = {name: self.estimates.interval(name) for name in self.values}
         write_fit(
-            path, list(self.values), self.estimates.values, ok=self.success, message=self.message,
-            guess=self.guess, evaluations=self.evaluations,
+            path, list(self.values), self.estimates.values, success=self.success,
+            status=self.status.text, guess=self.guess, evaluations=self.evaluations,
             sigma={n: x.sigma if np.isfinite(x.sigma) else None for n, x in intervals.items()},
             rms={sensor: rms.tolist() for sensor, rms in self.rms.items()},
         )  # fmt: skip
 
     @in_double
-    def _in_double(self) -> Setup:
-        """The set-up with the estimates in float64."""
+    def simulated(
+        self, recordings: Sequence[Recording], *, estimate_initial_state: bool | None = None
+    ) -> Traces:
+        """Simulate other recordings with the estimates.
+
+        Args:
+            recordings: such as those of a validation.
+            estimate_initial_state: whether each motion starts from the initial state that fits it
+                best (`free_run`), or from the first samples. None: as in the fit.
+        """
+        recordings = recordings_of("simulated", recordings)
+        if estimate_initial_state is None:
+            estimate_initial_state = self.options.estimate_initial_state
         of = self.error
         p = jnp.asarray(self.estimates.values[: of.shared])
-        found: Setup = of.unknowns.write(of.setup, p)
-        return found
-
-    @in_double
-    def simulated(self, recordings: Sequence[Recording], *, starts: bool | None = None) -> Traces:
-        """Simulate other recordings from their first samples or, with `starts`, from the initial
-        states that fit them best (`free_run`). None: as in the fit."""
-        recordings = recordings_of("simulated", recordings)
-        if starts is None and self.options.starts is not None:
-            starts = self.options.starts
-        setup = self._in_double()
-        columns = {sensor: setup.columns(sensor) for sensor in self.rms}
-        sigma = {sensor: columns[sensor].noise(rms) for sensor, rms in self.rms.items()}
+        setup: Setup = of.unknowns.write(of.setup, p)
+        sigma = {sensor: setup.columns(sensor).noise(rms) for sensor, rms in self.rms.items()}
         noise = {sensor: np.where(rms > 0, rms, 1.0) for sensor, rms in sigma.items()}
-        return free_run(setup, recordings, grid=self.grid, starts=starts, noise=noise)
+        return free_run(
+            setup, recordings, grid=self.grid, estimate_initial_state=estimate_initial_state,
+            noise=noise,
+        )  # fmt: skip
 
     @property
-    def judged(self) -> str:
-        """The sensor by whose error the fit is judged: "q", or where only its start was recorded
-        the first that was and that an unknown moves."""
+    def judged_sensor(self) -> str:
+        """The sensor whose error judges the fit: "q", or the first sensor on which an unknown has
+        an effect if only the start of q was recorded."""
         sensors = next(iter(self.traces.values()))
         if sensors["q"].measured:
             return "q"
-        still = self.unmoved
+        still = self.insensitive_sensors
         return next((s for s in sensors if sensors[s].measured and s not in still), "q")
 
     @property
     @in_double
-    def unmoved(self) -> tuple[str, ...]:
-        """Sensors whose readings no unknown changes: they contain no information on them."""
-        still = self.error.unmoved(self.estimates.values)
+    def insensitive_sensors(self) -> tuple[str, ...]:
+        """The sensors whose readings depend on no unknown, so that they have no information."""
+        still = self.error.insensitive(self.estimates.values)
         seen = self.traces.values()
         return tuple(s for s in still if any(sensors[s].measured for sensors in seen))
 
     @property
-    def left_out(self) -> tuple[str, ...]:
-        """Channels that were recorded and not fitted, as the set-up has no such sensor."""
+    def unused_channels(self) -> tuple[str, ...]:
+        """The channels that were recorded and not fitted, as the set-up has no such sensor."""
         recorded = dict.fromkeys(channel for run in self.recordings for channel in run)
         return tuple(s for s in recorded if s not in self.error.runs.values and s != HELD)
 
-    def on(
+    def validate(
         self,
         recordings: Sequence[Recording],
         *,
-        starts: bool | None = None,
+        estimate_initial_state: bool | None = None,
         sensor: str | None = None,
     ) -> HeldOut:
-        """The verdict on recordings that the fit never saw, simulated as `simulated` does, by the
-        error of a sensor (None: `judged`); without outliers if the fit is robust (loss="huber").
+        """Judge the model by recordings that were not fitted.
+
+        Args:
+            recordings: simulated as `simulated` does. Outliers are left out if loss="huber".
+            estimate_initial_state: as in `simulated`.
+            sensor: whose error counts; `judged_sensor` if None.
 
         Raises:
             InputError: a recording that was fitted.
             UnknownName: a sensor that was not fitted.
         """
-        recordings = recordings_of("on", recordings)
-        sensor = self.judged if sensor is None else sensor
-        if sensor not in self.rms:
-            raise UnknownName("sensor", sensor, self.rms)
-        seen, unseen = self.traces, self.simulated(recordings, starts=starts)
+        recordings = recordings_of("validate", recordings)
+        sensor = self.judged_sensor if sensor is None else sensor
+        choice("sensor", sensor, self.rms)
+        seen = self.traces
+        unseen = self.simulated(recordings, estimate_initial_state=estimate_initial_state)
         if self.options.loss == "huber":
             seen, unseen = (without_outliers(x)[0] for x in (seen, unseen))
         return held_out(
             {name: sensors[sensor].residual for name, sensors in seen.items()},
             {name: sensors[sensor].residual for name, sensors in unseen.items()},
             measured={name: sensors[sensor].recorded for name, sensors in unseen.items()},
-            noise=_stated(recordings, sensor),
+            noise=_stated_noise(recordings, sensor),
             unit=self.setup.unit(sensor),
         )
 
 
-def _stated(recordings: Sequence[Recording], sensor: str) -> float | None:
-    """The stated noise of a sensor, the root mean square of its columns; None if it is not."""
+@in_double
+def free_run(
+    model: Model | Setup,
+    recordings: Sequence[Recording],
+    *,
+    grid: Grid | None = None,
+    estimate_initial_state: bool | None = False,
+    noise: Mapping[str, np.ndarray] | None = None,
+) -> Traces:
+    """Simulate recordings with a model, to compare it with them or with another model.
+
+    Args:
+        model: the robot, or a `Setup`.
+        recordings: with channels "q", perhaps "v" and "ctrl".
+        grid: as in `identify`.
+        estimate_initial_state: whether each motion starts from the initial state that fits the
+            whole recording best (least squares), instead of the first readings, which are noisy.
+            None: unless the recordings have an `initial_state`.
+        noise: sensor -> standard deviation (n,), which weighs that fit; None for the stated noise,
+            or 1.
+
+    Returns:
+        Recording -> sensor -> `Trace`, with `residual`.
+
+    Raises:
+        InputError: recordings that do not suit the model; noise without a recorded sensor.
+
+    Example:
+        >>> import rbjax as rb, numpy as np
+        >>> from rbjax.sysid import Channel, Recording, free_run
+        >>> model, t = rb.load("pendulum"), np.arange(51) * 0.01
+        >>> still = Channel(t, np.zeros(51))
+        >>> hangs = Recording("hangs", {"q": still, "v": still})
+        >>> float(abs(free_run(model, [hangs])["hangs"]["q"].residual).max())
+        0.0
+    """
+    setup = cast(setup_of("free_run", model), np.float64)
+    recordings = recordings_of("free_run", recordings)
+    check_options("free_run", estimate_initial_state=estimate_initial_state)
+    grid = default_grid(recordings, setup) if grid is None else grid
+    data = make_batch(setup, recordings, grid)
+    if noise is not None:
+        weights = {s: (w > 0) / _noise_of(noise, s, w) for s, w in data.weights.items()}
+        data = data._replace(weights=weights)
+    none = Unknowns({}, (), ())
+    of = SimulationError(setup, none, data, grid, estimate_initial_state=estimate_initial_state)
+    x = minimise(of, np.zeros(of.size)).x if of.own else np.zeros(0)
+    return make_traces(setup, of, x, recordings)
+
+
+def _noise_of(noise: Any, sensor: str, weights: Any) -> np.ndarray:
+    """Check the standard deviations of a sensor."""
+    if not isinstance(noise, Mapping) or sensor not in noise:
+        raise InputError(
+            f"free_run: noise has no sensor {sensor}, expected a dict with the standard deviations "
+            "of each sensor that was recorded"
+        )
+    sigma = floats("free_run", f"noise[{sensor!r}]", noise[sensor], "standard deviations")
+    if sigma.shape not in ((), weights.shape[-1:]) or not (sigma > 0).all():
+        raise InputError(
+            f"free_run: noise[{sensor!r}] is {sigma.tolist()}, expected one number above 0, or "
+            f"{weights.shape[-1]}, one a column"
+        )
+    return sigma
+
+
+def _stated_noise(recordings: Sequence[Recording], sensor: str) -> float | None:
+    """The root mean square of the stated noise of a sensor's columns; None if it is not stated."""
     noise = [run[sensor].noise for run in recordings if sensor in run.channels]
     if not noise or any(sigma is None for sigma in noise):
         return None
     return float(np.sqrt(np.mean(np.concatenate(noise) ** 2)))
+
+
+def write_fit(path: str | Path, names: Sequence[str], x: np.ndarray, **more: Any) -> None:
+    """Write a fit as JSON: the unknowns `names`, corrections of initial states, and `more`. The
+    file is replaced at once, so that a write that is interrupted does not damage it."""
+    values = dict(zip(names, map(float, x), strict=False))
+    corrections = np.asarray(x[len(names) :]).tolist()
+    path = Path(path)
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps({"values": values, "starts": corrections, **more}, indent=1))
+    part.replace(path)
+
+
+def read_fit(fit: str | Path | Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+    """Read x from a file of `write_fit`, or from values by name.
+
+    Raises:
+        InputError: no such file, or a fit of other unknowns.
+    """
+    fix = "the file of a fit, or a dict name -> value"
+    instance("identify", "resume", fit, (str, Path, Mapping), fix)
+    values: Any = fit
+    where, corrections = "resume", []
+    if not isinstance(fit, Mapping):
+        where = str(fit)
+        try:
+            held = json.loads(Path(fit).read_text(encoding="utf-8"))
+            values, corrections = held["values"], held["starts"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(
+                f"identify: cannot go on from {fit} ({error!r}), expected a file that a fit wrote"
+            ) from error
+    if list(values) != list(names):
+        other = sorted(set(values) ^ set(names))
+        raise InputError(
+            f"identify: {where} is a fit of {len(values)} parameters, expected the same "
+            f"{len(names)} in the same order; only one of the two has: {', '.join(other) or 'none'}"
+        )
+    return floats(
+        "identify", where, [*values.values(), *corrections], "a fit of finite numbers", finite=True
+    )

@@ -1,11 +1,11 @@
 """Nonlinear least squares with bounds and a weak prior: the minimiser of all estimators.
 
     min f(x) + w D(x, x_0),     f = |r(x)|^2, or -2 log p with the scores r
-D is a convex divergence that is infinite for impossible x (`divergence`): it is the barrier, the
-metric of the step length, and the prior. Each step minimises the linearised residual plus D and a
-second divergence from the current x (proximal Gauss-Newton). The Jacobian enters as the triangular
-factor R of [J r]. The weight of the prior is reduced in stages. The last steps have no prior: they
-remove its bias in the identifiable directions.
+D is a convex divergence that is infinite outside of the bounds (`divergence`): it is the barrier,
+the metric of the step length, and the prior. Each step minimises the linearised residual plus D and
+a second divergence from the current x (proximal Gauss-Newton). The Jacobian enters as the
+triangular factor R of [J r]. The weight of the prior is reduced in stages, and the last steps have
+no prior, which removes its bias in the identifiable directions.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
+from rbjax.sysid.status import FitStatus, HasStatus
 
 #: weights of the prior, relative to the largest curvature of |r|^2, of successive minimisations
 PRIOR_WEIGHTS = (1e-4, 1e-7, 1e-10)
@@ -25,12 +26,12 @@ PRIOR_WEIGHTS = (1e-4, 1e-7, 1e-10)
 SMALL = 1e-18
 #: the damping of the first step, and the largest one with which a search may end
 CALM = 1e-6
-#: the divergence of a step that changes no number by more than 5e-8 of its size. The residual of
-#: exact data is rounding, so the share of it that a step removes has no meaning
+#: the divergence of a step that changes every entry by less than 5e-8 of its size. It ends a search
+#: on exact data, whose residual is rounding, so that its relative decrease is arbitrary
 ROUNDING = 1e-15
-#: slopes from here on are those of a motion that ran away
+#: derivatives above this are those of a motion that diverged
 HUGE = 1e100
-#: Newton's steps of one convex problem
+#: Newton steps of one convex problem
 NEWTON = 60
 
 
@@ -38,8 +39,8 @@ class Tolerances(NamedTuple):
     """When a search ends, by the decrease of the cost that the next step is expected to give.
 
     Fields:
-        flat: the expected decrease that ends the last stage: less than noise can tell.
-        coarse: the one that ends a stage before the last.
+        flat: the expected decrease that ends the last stage, below what noise can resolve.
+        coarse: the expected decrease that ends an earlier stage.
         optimal: x is a minimum if the Gauss-Newton step is expected to decrease the cost by less.
         relative: whether these are fractions of the cost, which then is |r|^2.
         calm: the largest damping with which a search may end.
@@ -57,8 +58,8 @@ OF_SQUARES = Tolerances(flat=1e-8, coarse=1e-2, optimal=1e-7, relative=True)
 
 
 class Objective(Protocol):
-    """What is minimised: the cost, inf where it is not finite; the triangle R (p + 1, p + 1) with
-    R^T R = [J r]^T [J r]; and D. Half of the cost's gradient is J^T r."""
+    """The cost, inf if it is not finite; R (p + 1, p + 1) with R^T R = [J r]^T [J r], where
+    J^T r is half of the cost's gradient; and D."""
 
     def cost(self, x: np.ndarray, /) -> float: ...
 
@@ -68,56 +69,22 @@ class Objective(Protocol):
 
 
 @dataclass(frozen=True)
-class Minimum:
-    """The end of a minimisation.
-
-    Fields:
-        x: (p,).
-        triangle: (p + 1, p + 1), R of [J r] at x.
-        cost: at x.
-        evaluations: of the cost.
-        success: whether x is a minimum by the scaled gradient.
-        message: "converged", "stalled: ...", "not converged ...", or why the first guess is
-            invalid.
-    """
+class Minimum(HasStatus):
+    """The end of a minimisation at x (p,), with R of [J r] and the cost there. `CONVERGED` means
+    that x is a minimum by the scaled gradient."""
 
     x: np.ndarray
     triangle: np.ndarray
     cost: float
     evaluations: int
-    success: bool
-    message: str
+    status: FitStatus
 
 
 def minimise(
-    objective: Objective,
-    start: np.ndarray,
-    prior: np.ndarray | None = None,
-    *,
-    triangle: np.ndarray | None = None,
-    prior_weights: tuple[float, ...] = PRIOR_WEIGHTS,
-    max_evaluations: int = 100,
-    tolerances: Tolerances = OF_SQUARES,
-    watch: Callable[[int, float, np.ndarray], None] = lambda evaluation, cost, x: None,
+    objective: Objective, start: np.ndarray, prior: np.ndarray | None = None, **options: Any
 ) -> Minimum:
-    """Find the minimum near a start.
-
-    Args:
-        objective: the cost and its derivative.
-        start: (p,).
-        prior: x_0; the start if None.
-        triangle: R at the start, if it is known.
-        prior_weights: w of the stages.
-        max_evaluations: of the cost, in all stages together.
-        tolerances: when the search ends.
-        watch: called with the number of evaluations, the cost and x, for progress.
-
-    Source: Nielsen, *Damping parameter in Marquardt's method*, IMM-REP-1999-05 (the damping).
-    """
-    steps = search(
-        objective.divergence, start, prior, triangle=triangle, prior_weights=prior_weights,
-        max_evaluations=max_evaluations, tolerances=tolerances, watch=watch,
-    )  # fmt: skip
+    """Find the minimum of an objective near a start, with the arguments of `search`."""
+    steps = search(objective.divergence, start, prior, **options)
     request = next(steps)
     while not isinstance(request, Minimum):
         x = request.x
@@ -126,7 +93,7 @@ def minimise(
 
 
 class Request(NamedTuple):
-    """What a search needs next: the cost at x, or the triangle there."""
+    """The next request of a search: the cost at x, or the triangle at x."""
 
     x: np.ndarray
     slopes: bool
@@ -143,8 +110,21 @@ def search(
     tolerances: Tolerances = OF_SQUARES,
     watch: Callable[[int, float, np.ndarray], None] = lambda evaluation, cost, x: None,
 ) -> Generator[Request | Minimum, Any, None]:
-    """Run `minimise` as a generator of requests, so that many searches can be answered as one
-    batch. The last value that it yields is the minimum."""
+    """Minimise as a generator of requests, so that many searches can be answered as one batch. Its
+    last value is the minimum.
+
+    Args:
+        D: (x, x0) -> divergence.
+        start: (p,).
+        prior: x_0; the start if None.
+        triangle: R at the start, if it is known.
+        prior_weights: w of the stages.
+        max_evaluations: of the cost, in all stages together.
+        tolerances: when the search ends.
+        watch: called with the number of evaluations, the cost and x, for progress.
+
+    Source: Nielsen, *Damping parameter in Marquardt's method*, IMM-REP-1999-05 (the damping).
+    """
     x = np.array(start, float)
     prior = x if prior is None else np.asarray(prior, float)
     count = 0
@@ -159,16 +139,12 @@ def search(
     R = (yield Request(x, True)) if triangle is None else triangle
     ended, factor = False, metric_factor(D, x)
     if not _has_squares(R):
-        message = "the motion of the first guess is not finite"
-        yield Minimum(x, R, np.inf, count, False, message)
+        yield Minimum(x, R, np.inf, count, FitStatus.NOT_FINITE)
         return
     now = float(R[:, -1] @ R[:, -1]) if tolerances.relative else (yield from cost(x))
-    if not np.isfinite(now):
-        yield Minimum(x, R, now, count, False, "the cost of the first guess is not finite")
-        return
-    if factor is None:
-        message = "the first guess is at the border of what is possible"
-        yield Minimum(x, R, now, count, False, message)
+    if not np.isfinite(now) or factor is None:
+        invalid = FitStatus.INFEASIBLE if np.isfinite(now) else FitStatus.NOT_FINITE
+        yield Minimum(x, R, now, count, invalid)
         return
     damping = CALM
     for w in prior_weights:  # a weaker prior starts with the damping of the last
@@ -182,16 +158,15 @@ def search(
             expected = _expected_decrease(R, trial - x, now, tolerances) + pull
             scale = now if tolerances.relative else 1.0
             calm = damping <= tolerances.calm and expected < enough * scale
-            if calm and not last:  # the next stage's first step does what this one would
+            if calm and not last:  # the first step of the next stage replaces this one
                 break
             after = yield from cost(trial)
             gain = (now - after + pull) / max(expected, 1e-300)
-            # a point whose slopes have no squares, or whose metric has no factor, is rejected: no
-            # step could begin there
+            # a point without a finite Jacobian and metric is rejected: no step could begin there
             root = metric_factor(D, trial) if gain > 0 else None
-            there = np.array(np.nan) if root is None else (yield Request(trial, True))
-            if root is not None and _has_squares(there):
-                x, now, R, factor = trial, after, there, root
+            slopes = np.array(np.nan) if root is None else (yield Request(trial, True))
+            if root is not None and _has_squares(slopes):
+                x, now, R, factor = trial, after, slopes, root
                 damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
                 ended = calm or (near and damping <= CALM)
             else:
@@ -202,26 +177,22 @@ def search(
         after = np.inf
         if np.isfinite(D(trial, x).value):
             after = yield from cost(trial)
-        # the first step removes the prior's bias; of squares, what later ones change by less than
-        # this is rounding, or hidden by noise
+        # the first step removes the prior's bias; if later ones change the squares by less than
+        # this, it is rounding, or below the noise
         hidden = tolerances.relative and after > now / 10
         if k and hidden:
             break
         root = metric_factor(D, trial) if after < now else None
-        there = np.array(np.nan) if root is None else (yield Request(trial, True))
-        if root is None or not _has_squares(there):
+        slopes = np.array(np.nan) if root is None else (yield Request(trial, True))
+        if root is None or not _has_squares(slopes):
             break
-        x, now, R, factor = trial, after, there, root
+        x, now, R, factor = trial, after, slopes, root
         if hidden:
             break
-    success = _is_minimum(D, x, R, prior_weights[-1], now, tolerances)
-    if success:
-        message = "converged"
-    elif ended:
-        message = f"stalled: no step lowers the error, but its slope is not 0 ({count} evaluations)"
-    else:
-        message = f"not converged in {count} evaluations"
-    yield Minimum(x, R, now, count, success, message)
+    status = FitStatus.STUCK if ended else FitStatus.BUDGET
+    if _is_minimum(D, x, R, prior_weights[-1], now, tolerances):
+        status = FitStatus.CONVERGED
+    yield Minimum(x, R, now, count, status)
 
 
 def _largest_curvature(factor: np.ndarray, R: np.ndarray) -> float:
@@ -241,9 +212,8 @@ def _expected_decrease(
 def _is_minimum(
     D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float, tolerances: Tolerances
 ) -> bool:
-    """Whether the Gauss-Newton step, within what is possible, expects no decrease that noise could
-    tell, or is no longer than rounding: a gradient that is 0 on the scale of the columns and the
-    residual. The prior has no part in it."""
+    """Whether the Gauss-Newton step within the bounds is as short as rounding, or is expected to
+    decrease the cost by less than noise can resolve. The prior is left out."""
     factor = metric_factor(D, x)
     if factor is None:
         return False
@@ -262,14 +232,15 @@ def _is_minimum(
 
 
 def _has_squares(R: np.ndarray) -> bool:
-    """Whether slopes and their squares are finite."""
+    """Whether the derivatives and their squares are finite."""
     return bool((np.abs(R) < HUGE).all())
 
 
 def metric_factor(
     D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray
 ) -> np.ndarray | None:
-    """The Cholesky factor of the metric at x; None if rounding leaves none, as for a thin body."""
+    """Factorise the metric at x by Cholesky; None if it is not positive definite by rounding, as
+    for a thin body."""
     curvature = D(x, x).curvature
     if not np.isfinite(curvature).all():
         return None
@@ -318,10 +289,11 @@ def regularised_step(
 
 
 def identifiable_step(R: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """The shortest Gauss-Newton step in the identifiable directions; L L^T is the metric."""
+    """Compute the shortest Gauss-Newton step in the identifiable directions; L L^T is the
+    metric."""
     tolerance = rank_tolerance("unknowns", R.dtype)
     A = np.linalg.solve(L, R[:, :-1].T).T
-    moves = A.any(0)  # rounding of the decomposition must not move what nothing depends on
+    moves = A.any(0)  # rounding must not change entries on which no residual depends
     U, s, Vt = np.linalg.svd(A[:, moves], full_matrices=False)
     kept = s > tolerance * s.max(initial=0.0)
     z = np.zeros(A.shape[1])

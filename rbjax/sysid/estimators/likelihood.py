@@ -1,8 +1,8 @@
-"""The likelihood of recordings where noise drives the motion, with its slopes and information.
+"""The likelihood of recordings of a motion with process noise, with its gradient and information.
 
     l(p) = sum over samples of  z^T S^-1 z + log det 2 pi S         (twice the negative logarithm)
-z and S are the innovations of an extended Kalman filter (`motion/kalman`), and their covariance.
-With S = L L^T, its slope and Fisher's information are those of least squares with the rows
+z and S are the innovations of an extended Kalman filter (`rb.estimation`), and their covariance.
+With S = L L^T, its gradient and Fisher's information are those of least squares with the rows
 
     J = [L^-1 dz;  L^-1 dS L^-T / sqrt 2],      r = [L^-1 z;  (1 - L^-1 z z^T L^-T) / sqrt 2],
     dl = 2 J^T r,    F = J^T J
@@ -28,25 +28,31 @@ from rbjax.estimation.state_space import StateSpace
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field, dynamics_of, free_motion
-from rbjax.motion.integrators import advanced, integrator_of
+from rbjax.motion.integrators import advance_state, integrator_of
 from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.runs import run_of
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.runs import make_run
 from rbjax.sysid.simulation.setup import Grid, Setup
-from rbjax.sysid.simulation.simulation_error import began, triangle_of
+from rbjax.sysid.simulation.simulation_error import state_of_readings, triangle_of
 from rbjax.sysid.statistics.fit_statistics import Column, Rows
 
-#: a sample may be this part of a period off the instants of the grid
+#: largest distance of a sample from an instant of the grid, in periods
 OFF = 1e-2
 DRIVES = ("torque", "acceleration")
 
 
 class Series(NamedTuple):
-    """One run, or a batch of them, on the instants of a grid: the first readings, as a state; speed
-    (nv,), how far the first one may be off where it was not read; commands (N, n); readings "q"
-    (N + 1, nq) and perhaps "v" (N + 1, nv); and which of them arrived, (N + 1, rows)."""
+    """One run, or a batch of runs, at the instants of a grid.
+
+    Fields:
+        start: the first readings as a state.
+        speed: (nv,) standard deviation of the first velocity if it was not read.
+        commands: (N, n).
+        readings: "q" (N + 1, nq) and perhaps "v" (N + 1, nv).
+        arrived: (N + 1, rows), whether each reading arrived.
+    """
 
     start: State
     speed: jax.Array
@@ -56,16 +62,16 @@ class Series(NamedTuple):
 
 
 class Levels(NamedTuple):
-    """Standard deviations: drive (nv,), of a torque in N m (or an acceleration in rad/s^2) that is
-    held for a period; reading (rows,), of the sensors, rad and rad/s."""
+    """Standard deviations: `drive` (nv,) of a torque in N m, or an acceleration in rad/s^2, that is
+    constant for a period; `reading` (rows,) of the sensors in rad and rad/s."""
 
     drive: Any
     reading: Any
 
 
 class Likelihood:
-    """l(x) of a batch of runs; x (n + levels,) holds the numbers of the unknowns and the logarithms
-    of those noise levels that are sought. `drives` and `reads` say which, (nv,) and (rows,)."""
+    """l(x) of a batch of runs. x (n + levels,) are the unknowns and the logarithms of the unknown
+    noise levels, which are given by `drives` (nv,) and `reads` (rows,)."""
 
     def __init__(
         self, setup: Setup, unknowns: Unknowns, series: Series, grid: Grid, *, levels: Levels,
@@ -94,9 +100,11 @@ class Likelihood:
                 inputs = Inputs(ctrl, w if drive == "torque" else None)
 
                 def once(i: Any, x: State) -> State:
-                    return advanced(integrator, Field(model, dynamics, h), t + i * h, x, inputs, h)
+                    return advance_state(
+                        integrator, Field(model, dynamics, h), t + i * h, x, inputs, h
+                    )
 
-                # a loop of known length, which has a derivative in both modes
+                # a loop of constant length has a derivative in both modes
                 x = once(0, x)
                 if count > 1:
                     x = jax.lax.scan(lambda x, i: (once(i, x), None), x, jnp.arange(1, count))[0]
@@ -120,14 +128,14 @@ class Likelihood:
         def filtered(x: jax.Array, s: Series) -> KalmanFiltered:
             now, level, nv = unknowns.write(setup, x[:n]), self.levels_of(x), setup.model.nv
             R = level.reading**2
-            start = began(now, s.start, "v" in s.readings)
+            start = state_of_readings(now, s.start, "v" in s.readings)
             hinges = setup.model.nq == nv
             P = [R[:nv] / now.sensors["q"].scale ** 2 if hinges else R[:nv], s.speed**2]
             if "v" in s.readings:
                 read = s.arrived[0, nv:]
                 P[1] = jnp.where(read, R[nv:] / now.sensors["v"].scale ** 2, P[1])
             P.append(jnp.zeros(setup.model.nx, R.dtype))
-            # the first readings are the first state, so they are not used again
+            # the first readings are the initial state, so they are not used again
             there = s.arrived.at[0].set(False)
             times = grid.period * jnp.arange(s.commands.shape[0])
             inputs = (times.astype(R.dtype), s.commands)
@@ -145,21 +153,19 @@ class Likelihood:
                 return jax.jvp(pair, (x,), (e,))
 
             (z, S), slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(x.size, dtype=x.dtype))
-            found = jax.vmap(_scored, (0, 0, 1, 1))(z, S, *slopes)
+            found = jax.vmap(_score_rows, (0, 0, 1, 1))(z, S, *slopes)
             return tuple(a.reshape(-1, *a.shape[2:]) for a in found)  # type: ignore[return-value]
 
         def value(x: jax.Array, s: Series) -> jax.Array:
             return -2 * filtered(x, s).log_likelihood
 
-        self.space = space
-        self.value = value  # of one run, traced
+        self.space, self.value, self.rows = space, value, rows  # of one run, traced
         self._filtered = jax.jit(jax.vmap(filtered, (None, 0)))
         self._values = jax.jit(jax.vmap(value, (None, 0)))
         self._rows = jax.jit(jax.vmap(rows, (None, 0)))
-        self.rows = rows  # of one run, traced
 
     def levels_of(self, x: Any) -> Levels:
-        """The noise levels at x."""
+        """Compute the noise levels at x."""
         n, k = self.shared, self.drives.size
         drive, reading = (jnp.asarray(a) for a in self.levels)
         return Levels(
@@ -168,23 +174,23 @@ class Likelihood:
         )
 
     def cost(self, x: np.ndarray) -> float:
-        """l, inf where it is not finite."""
+        """Compute l, or inf if it is not finite."""
         found = float(np.sum(self._values(jnp.asarray(x), self.series)))
         return found if np.isfinite(found) else np.inf
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
-        """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
+        """Compute R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
         J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
         return triangle_of(np.concatenate([J.reshape(-1, self.size), r.reshape(-1, 1)], 1))
 
     def columns(self, x: np.ndarray, scale: np.ndarray) -> list[Column]:
-        """Rows of the score by column, as input of `fit_statistics`, for the numbers x / scale. The
-        rows of sensors (i, j) and (j, i) are equal, so they are combined into one."""
+        """Compute the rows of the score by column, as input of `fit_statistics`, with x in units of
+        `scale`. The equal rows of sensors (i, j) and (j, i) are one row."""
         J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
         runs = J.shape[0]
-        there = np.array(self.series.arrived)
-        there[:, 0] = False  # the initial state is made from these
-        times, m = there.shape[1:]
+        arrived = np.array(self.series.arrived)
+        arrived[:, 0] = False  # the initial state
+        times, m = arrived.shape[1:]
         J, r = J.reshape(runs, times, -1, self.size) / scale, r.reshape(runs, times, -1)
         place, which = np.arange(times), np.arange(self.size)
         found = []
@@ -198,27 +204,28 @@ class Likelihood:
             if i > j:
                 continue
             double = np.sqrt(2.0) if i < j else 1.0
+            both = arrived[:, :, i] & arrived[:, :, j]
             found.append(Column(
                 f"row {i}" if c < m else f"variance {i},{j}",
-                [rows(k, c, double, there[k, :, i] & there[k, :, j]) for k in range(runs)], True,
+                [rows(k, c, double, both[k]) for k in range(runs)], True,
             ))  # fmt: skip
         return found
 
     def filtered(self, x: np.ndarray, series: Series | None = None) -> KalmanFiltered:
-        """The result of the filter for each run."""
+        """Filter each run."""
         return self._filtered(jnp.asarray(x), self.series if series is None else series)
 
     def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
-        """That of the unknowns, and of the logarithms as free numbers."""
+        """The divergence of the unknowns, with the logarithms as free numbers."""
         n = self.shared
         first = self.unknowns.divergence(x[:n], x0[:n])
         return Divergence.joined([first, Divergence.free(x[n:], x0[n:], 1.0)])
 
 
-def _scored(
+def _score_rows(
     z: jax.Array, S: jax.Array, dz: jax.Array, dS: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """J (m + m m, n) and r (m + m m,) of one sample; dz (n, m), dS (n, m, m)."""
+    """The rows J (m + m m, n) and r (m + m m,) of one sample; dz (n, m), dS (n, m, m)."""
     L = jnp.linalg.cholesky(S)
     half = functools.partial(solve_triangular, L, lower=True)
     e = half(z)
@@ -228,13 +235,13 @@ def _scored(
     return J, jnp.concatenate([e, off / jnp.sqrt(2.0)])
 
 
-def series_of(setup: Setup, recordings: Sequence[Recording], grid: Grid) -> Series:
-    """Recordings on the instants of a grid, filled up to the longest.
+def make_series(setup: Setup, recordings: Sequence[Recording], grid: Grid) -> Series:
+    """Convert recordings to readings at the instants of a grid, padded to the longest.
 
     Raises:
-        InputError: samples between the instants; attitudes of which a part did not arrive.
+        InputError: samples between the instants.
     """
-    found = [_series(setup, run, grid) for run in recordings]
+    found = [_series_of_run(setup, run, grid) for run in recordings]
     longest = max(s.commands.shape[0] for s in found)
 
     def filled(a: Any, length: int) -> Any:
@@ -257,8 +264,8 @@ def series_of(setup: Setup, recordings: Sequence[Recording], grid: Grid) -> Seri
     return jax.tree.map(lambda *a: jnp.stack([jnp.asarray(x) for x in a]), *each)
 
 
-def _series(setup: Setup, recording: Recording, grid: Grid) -> Series:
-    run, model = run_of(setup, recording, grid), setup.model
+def _series_of_run(setup: Setup, recording: Recording, grid: Grid) -> Series:
+    run, model = make_run(setup, recording, grid), setup.model
     count, T = run.commands.shape[0], grid.period
     readings, arrived = {}, []
     for sensor, first in (("q", run.start.q), ("v", run.start.v)):
@@ -286,14 +293,15 @@ def _series(setup: Setup, recording: Recording, grid: Grid) -> Series:
         seen[k] = there
         readings[sensor] = values.astype(np.asarray(run.start.q).dtype)
         arrived.append(seen)
+    speed = _largest_speeds(setup, readings["q"], arrived[0], T)
     return Series(
-        run.start, jnp.asarray(_fastest(setup, readings["q"], arrived[0], T), run.start.q.dtype),
+        run.start, jnp.asarray(speed, run.start.q.dtype),
         run.commands, readings, np.concatenate(arrived, 1),
     )  # fmt: skip
 
 
-def _fastest(setup: Setup, q: np.ndarray, there: np.ndarray, T: float) -> np.ndarray:
-    """(nv,) the largest speeds between two samples of q."""
+def _largest_speeds(setup: Setup, q: np.ndarray, there: np.ndarray, T: float) -> np.ndarray:
+    """The largest speeds (nv,) between two samples of q."""
     at = np.flatnonzero(there.all(1))
     if len(at) < 2:
         return np.ones(setup.model.nv)

@@ -1,7 +1,7 @@
-"""`many_starts`: a fit from many first guesses at once, for errors with many minima.
+"""`many_starts`: `identify` from many first guesses, for errors with many minima.
 
-Guesses are moved side by side by a few damped Gauss-Newton steps, all their motions and slopes one
-batch. The best go on until they converge. Those that end at one motion lie in one basin.
+A few damped Gauss-Newton steps improve all guesses, with their motions and Jacobians in one batch.
+The best continue until they converge. Guesses that end at the same motion are in one basin.
 """
 
 from __future__ import annotations
@@ -14,20 +14,18 @@ from typing import Any
 import jax
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import integer, real_number
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
-from rbjax.sysid.arguments import check_how, floats, recordings_of, setup_of
+from rbjax.sysid.arguments import check_options, floats, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
-from rbjax.sysid.estimators.fits import Fits
 from rbjax.sysid.estimators.identification import identify
-from rbjax.sysid.estimators.identified import Identified
+from rbjax.sysid.estimators.identified import Identified, Options
 from rbjax.sysid.estimators.least_squares import Minimum, Request, search
-from rbjax.sysid.estimators.step_length import start_grid
-from rbjax.sysid.parameters.guesses import drawn
-from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
-from rbjax.sysid.simulation.runs import batch_of
+from rbjax.sysid.estimators.staged_fit import StagedFit
+from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
+from rbjax.sysid.parameters.unknowns import Parametrisation
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import (
     Programs,
@@ -35,50 +33,70 @@ from rbjax.sysid.simulation.simulation_error import (
     sum_of_squares,
 )
 from rbjax.sysid.statistics.precision import cast, in_double
+from rbjax.sysid.status import FitStatus
 
-#: prior weights of a guess: of all for a few steps, and of the best until they converge
+#: prior weights of the first steps of all guesses, and of the best until they converge
 SHORT, LONG = (1e-4,), (1e-4, 1e-7)
-#: motions that are as near as this share of what was recorded are one
+#: motions are the same if they differ by less than this share of the recordings
 ONE_MOTION = 1e-2
-#: bytes of slopes of a batch; more guesses are several batches
+#: bytes of the Jacobians of a batch; more guesses are several batches
 MEMORY = 2**28
 
 
 @dataclass(frozen=True, eq=False)
 class Basin:
-    """Where several guesses end: values by name, cost |r|^2, and starts, the guesses by number."""
+    """A minimum that several guesses reach.
+
+    Fields:
+        values: by name.
+        cost: |r|^2.
+        guesses: their indices, the best first.
+    """
 
     values: dict[str, float]
     cost: float
-    starts: tuple[int, ...]
+    guesses: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class ManyStarts:
-    """What came of many guesses.
+    """The result of `many_starts`.
 
-    Fields: best, the fit that went on from the best; basins of those guesses that converged, the
-    best first; won, the number of the guess; guesses (K, n); costs (K,) |r|^2 after the first few
-    steps, inf where a motion was not finite.
+    Fields:
+        best: the fit from the best minimum.
+        basins: the minima that were found, the best first.
+        best_guess: the index of the guess that led to the best minimum.
+        guesses: (K, n).
+        costs: (K,) |r|^2 after the first few steps, inf if a motion is not finite.
     """
 
     best: Identified
     basins: tuple[Basin, ...]
-    won: int
+    best_guess: int
     guesses: np.ndarray
     costs: np.ndarray
 
     def summary(self) -> str:
-        """A sentence."""
+        """The number of basins and of guesses that reach them, in a sentence."""
         first = self.basins[0]
-        went = sum(len(b.starts) for b in self.basins)
-        said = (
-            f"of {len(self.guesses)} guesses the best {went} end in {len(self.basins)} basins; "
-            f"{len(first.starts)} in the best one, guess {self.won} first"
+        finalists = sum(len(b.guesses) for b in self.basins)
+        text = (
+            f"of {len(self.guesses)} guesses the best {finalists} end in {len(self.basins)} "
+            f"basins; {len(first.guesses)} in the best one, guess {self.best_guess} first"
         )
         if len(self.basins) == 1:
-            return said
-        return f"{said}; the next one has {self.basins[1].cost / first.cost:.3g} times its squares"
+            return text
+        return f"{text}; the next one has {self.basins[1].cost / first.cost:.3g} times its squares"
+
+    @property
+    def status(self) -> FitStatus:
+        """The status of the best fit."""
+        return self.best.status
+
+    @property
+    def success(self) -> bool:
+        """Whether the best fit converged."""
+        return self.best.success
 
 
 @in_double
@@ -93,31 +111,31 @@ def many_starts(
     first_steps: int = 8,
     finalists: int = 4,
     grid: Grid | None = None,
-    starts: bool | None = None,
+    estimate_initial_state: bool | None = None,
     loss: str = "squares",
     progress: bool = False,
     **more: Any,
 ) -> ManyStarts:
-    """`identify` from many first guesses: for motions whose error has many minima.
+    """Fit from many first guesses, for motions whose error has many minima.
 
     Args:
-        model, recordings, unknowns, grid, starts, loss, progress: as in `identify`.
-        guesses: how many are drawn, the model's own among them; or an array (K, n) of them, in the
-            order of the unknowns.
-        spread: how far they are drawn: positive numbers by factors up to e^spread, free ones up to
-            spread times their scale, bodies as far in the logarithm of their inertia; bounded ones
-            anywhere in their bounds.
-        seed: of the drawing.
+        model, recordings, unknowns, grid, estimate_initial_state, loss, progress: as in `identify`.
+        guesses: the number of guesses, the first of which is the model's; or an array (K, n), in
+            the order of the unknowns.
+        spread: of the guesses: positive numbers by factors up to e^spread, free ones up to spread
+            times their scale, bodies as much in the logarithm of their inertia; bounded ones
+            anywhere within their bounds.
+        seed: of the random guesses.
         first_steps: evaluations of each guess before the best are chosen.
-        finalists: how many go on.
-        more: what else `identify` takes, for the fit of the best.
+        finalists: the number of guesses that continue.
+        more: other arguments of `identify`, for the fit from the best.
 
     Returns:
-        `ManyStarts`. What the data leave open stays as near to the model as in `identify`.
+        `ManyStarts`. Directions that are not identifiable stay near the model, as in `identify`.
 
     Raises:
-        InputError: as `identify`; guesses of a wrong shape or that are not possible; an unknown of
-            a kind that cannot be drawn; no guess whose motion is finite.
+        InputError: as `identify`; guesses of a wrong shape or outside of their range; an unknown
+            of a kind that cannot be drawn; no guess whose motion is finite.
 
     Source: Rinnooy Kan & Timmer, *Stochastic global optimization methods*, Math. Programming 39,
     1987 (multistart).
@@ -139,27 +157,20 @@ def many_starts(
     given, runs = setup_of("many_starts", model), recordings_of("many_starts", recordings)
     setup = cast(given, np.float64)
     sought = Unknowns.of("many_starts", unknowns, setup)
-    check_how("many_starts", loss, starts)
+    check_options("many_starts", loss, estimate_initial_state)
     for name, count in (("first_steps", first_steps), ("finalists", finalists)):
         integer("many_starts", name, count, least=1)
     integer("many_starts", "seed", seed, least=0)
-    spread_of = floats("many_starts", "spread", spread, "a number above 0")
-    if spread_of.shape != () or not 0 < spread_of < np.inf:
-        raise InputError(f"many_starts: spread is {spread!r}, expected a number above 0")
+    spread = real_number("many_starts", "spread", spread, "a number above 0", above=0.0)
     points = _guesses(guesses, sought, setup, spread, seed)
-    grid, chosen = start_grid(setup, sought, runs, grid)
-    if chosen:
-        fits = Fits(
-            setup, sought, runs, grid, starts=starts, loss=loss, steps=100, save=None,
-            say=lambda text: None,
-        )  # fmt: skip
-        fits.stepped()
-        grid = fits.grid
-    of = SimulationError(setup, sought, batch_of(setup, runs, grid), grid, starts=starts, loss=loss)
-    beginnings = [np.append(p, np.zeros(of.size - len(p))) for p in points]
+    options = Options(grid=grid, estimate_initial_state=estimate_initial_state, loss=loss)
+    stages = StagedFit(setup, sought, runs, options)
+    stages.shorten_steps()
+    of, grid = stages.error(runs), stages.grid
+    starts = [np.append(p, np.zeros(of.size - len(p))) for p in points]
     with progress_line("many_starts", progress) as say:
         say(f"{len(points)} guesses")
-        first = together(of, beginnings, prior_weights=SHORT, max_evaluations=first_steps)
+        first = search_together(of, starts, prior_weights=SHORT, max_evaluations=first_steps)
         costs = np.array([least.cost for least in first])
         if not np.isfinite(costs).any():
             raise InputError(
@@ -168,21 +179,23 @@ def many_starts(
             )
         order = [int(k) for k in np.argsort(costs)[:finalists] if np.isfinite(costs[k])]
         say(f"the best {len(order)} go on")
-        ends = together(of, [first[k].x for k in order], prior_weights=LONG, max_evaluations=100)
+        finalists_x = [first[k].x for k in order]
+        ends = search_together(of, finalists_x, prior_weights=LONG, max_evaluations=100)
     basins = _basins(of, dict(zip(order, ends, strict=True)))
     best = identify(
-        given, runs, unknowns, resume=basins[0].values, starts=starts, loss=loss,
-        grid=grid._replace(substeps=0) if chosen else grid, progress=progress, **more,
+        given, runs, unknowns, resume=basins[0].values, loss=loss, progress=progress,
+        estimate_initial_state=estimate_initial_state,
+        grid=grid._replace(substeps=0) if stages.checks_steps else grid, **more,
     )  # fmt: skip
-    return ManyStarts(best, basins, basins[0].starts[0], points, costs)
+    return ManyStarts(best, basins, basins[0].guesses[0], points, costs)
 
 
-def together(of: SimulationError, beginnings: Sequence[np.ndarray], **how: Any) -> list[Minimum]:
-    """Search from each x; the requests of all searches are answered as one batch."""
-    searches = [search(of.divergence, x, **how) for x in beginnings]
+def search_together(of: SimulationError, starts: Sequence[np.ndarray], **how: Any) -> list[Minimum]:
+    """Search from each start, with the requests of all searches answered as one batch."""
+    searches = [search(of.divergence, x, **how) for x in starts]
     asked: list[Request | Minimum] = [next(one) for one in searches]
     residuals, slopes = _batched(of.programs)
-    each = of.runs.commands.shape[0] * of.by_run(beginnings[0]).shape[-1]
+    each = of.runs.commands.shape[0] * of.by_run(starts[0]).shape[-1]
     rows = sum(int(np.prod(w.shape[1:])) for w in of.runs.weights.values())
     width = int(np.clip(MEMORY // (8 * rows * each), 1, len(searches)))
 
@@ -205,7 +218,7 @@ def together(of: SimulationError, beginnings: Sequence[np.ndarray], **how: Any) 
             return [a for a in asked if isinstance(a, Minimum)]
         steep = {i: a for i, a in waiting.items() if a.slopes}
         flat = {i: a for i, a in waiting.items() if not a.slopes}
-        found = answers(steep, slopes, lambda out: of.assembled(*out))
+        found = answers(steep, slopes, lambda out: of.assemble(*out))
         found |= answers(flat, residuals, sum_of_squares)
         for i in waiting:
             asked[i] = searches[i].send(found[i])
@@ -213,7 +226,7 @@ def together(of: SimulationError, beginnings: Sequence[np.ndarray], **how: Any) 
 
 @functools.lru_cache(maxsize=4)
 def _batched(one: Programs) -> tuple[Callable, Callable]:
-    """Residuals and slopes of several x (K, runs, n + l) of the same runs."""
+    """The programs of residuals and slopes for several x (K, runs, n + l) of the same runs."""
     f, g = (jax.jit(jax.vmap(f, (0, None))) for f in (one.residuals, one.slopes))
     return f, g
 
@@ -222,7 +235,7 @@ def _guesses(given: Any, sought: Unknowns, setup: Setup, spread: float, seed: in
     n = sum(sought.sizes)
     if np.ndim(given) == 0:
         integer("many_starts", "guesses", given, least=1)
-        return drawn(sought, setup, int(given), spread, seed)
+        return draw_guesses(sought, setup, int(given), spread, seed)
     points = floats("many_starts", "guesses", given, "a number, or an array (K, n)")
     if points.ndim != 2 or points.shape[1] != n or not len(points):
         raise InputError(
@@ -237,7 +250,7 @@ def _guesses(given: Any, sought: Unknowns, setup: Setup, spread: float, seed: in
 
 
 def _basins(of: SimulationError, ends: dict[int, Minimum]) -> tuple[Basin, ...]:
-    """Ends that have the same motion, the best first."""
+    """The minima with different motions, the best first."""
     size = 0.0
     for sensor, values in of.runs.values.items():
         spread = np.asarray(of.runs.weights[sensor] * (values - values.mean((0, 1))))

@@ -1,11 +1,11 @@
-"""`prediction_error`: numbers of a set-up where noise drives the motion.
+"""`prediction_error`: maximum likelihood of parameters of a motion with process noise.
 
     min over p, Q, R of  sum over samples of  z^T S^-1 z + log det S
-z is what a sample is off from its prediction by all samples before it, S its covariance, both by a
-Kalman filter (`likelihood`). A push that nobody measured moves a robot off the motion
-that `identify` simulates, and never back: its error grows, hangs together over the whole recording
-and is no white noise, so estimates scatter far more than their intervals say. A prediction over one
-sample forgets the push. How large pushes and noise are is found with the numbers.
+z is the difference of a sample and its prediction from all samples before it, S its covariance,
+both by a Kalman filter (`likelihood`). An unmeasured push changes all of the later motion, so the
+simulation error of `identify` is correlated over the whole recording, and its intervals are too
+narrow. The error of a prediction over one sample is not. The covariances Q and R of pushes and
+sensors are estimated too.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import choice, integer
 from rbjax.dynamics import mass_matrix
 from rbjax.dynamics.algorithms.manifold import difference
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.estimation.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.model import Model
 from rbjax.progress import progress_line
@@ -29,41 +29,42 @@ from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.least_squares import Tolerances, minimise
-from rbjax.sysid.estimators.likelihood import DRIVES, Levels, Likelihood, Series, series_of
-from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
-from rbjax.sysid.simulation.runs import ordered
+from rbjax.sysid.estimators.likelihood import DRIVES, Levels, Likelihood, Series, make_series
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Parametrisation
+from rbjax.sysid.simulation.runs import order_columns
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.statistics.comparisons import HeldOut, held_out
 from rbjax.sysid.statistics.fit_statistics import FitStatistics, fit_statistics
 from rbjax.sysid.statistics.intervals import Estimates
 from rbjax.sysid.statistics.precision import cast, in_double
-from rbjax.sysid.statistics.rank import Combinations, beside_others, combinations
+from rbjax.sysid.statistics.rank import Combinations, combinations, project_out_others
+from rbjax.sysid.status import FitStatus, HasStatus
 
-#: weight of the guess relative to the largest curvature; the last steps are without it
+#: weight of the prior relative to the largest curvature, except in the last steps
 PRIOR_WEIGHT = 1e-10
-#: decreases of -2 log p: one that ends the search is a step of about 3e-5 standard deviations, that
-#: of a maximum a hundredth of one
+#: decreases of -2 log p: 1e-9 is a step of 3e-5 standard deviations, 1e-4 a hundredth of one
 OF_LIKELIHOOD = Tolerances(flat=1e-9, coarse=1e-9, optimal=1e-4, relative=False, calm=1e-3)
-#: first guesses of the drive, as parts of what moves the recording
+#: first guesses of the drive, relative to the torque of the recorded motion
 TRIALS = 10.0 ** np.arange(-4, 2)
 
 
 @dataclass(frozen=True, eq=False)
-class Predicted:
-    """The result of an identification with process noise.
+class Predicted(HasStatus):
+    """The result of `prediction_error`.
 
     Fields:
-        setup: with the estimated numbers.
+        setup: with the estimated parameters.
         values, guess: the estimates and the first guess, by name.
-        identifiable: the combinations of the unknowns that the data identify; `found.summary()`.
-        estimates: of values and noise levels, with covariance and intervals.
+        identifiable: the combinations of the unknowns that the data identify.
+        estimates: of unknowns and noise levels, with covariance and intervals.
         levels: of the noise: `drive` (nv,) N m (or rad/s^2) and `reading` (rows,).
-        recordings: those that were fitted.
+        recordings: the recordings that were fitted.
         log_likelihood: the maximum.
         evaluations: of the likelihood.
-        success, message: whether the fit converged.
+        status: a `FitStatus`; `success` is whether the search converged.
         grid: of the filter.
-        likelihood, x: the likelihood, and the point that maximises it.
+        likelihood, x: the likelihood, and its maximum.
         first: the set-up with the first guess, in float64.
         statistics: of the innovations.
     """
@@ -77,8 +78,7 @@ class Predicted:
     recordings: tuple[Recording, ...]
     log_likelihood: float
     evaluations: int
-    success: bool
-    message: str
+    status: FitStatus
     grid: Grid
     likelihood: Likelihood
     x: np.ndarray
@@ -87,25 +87,28 @@ class Predicted:
 
     @property
     def model(self) -> Model:
-        """The model with the found numbers."""
+        """The model with the estimated parameters."""
         return self.setup.model
+
+    def summary(self) -> str:
+        """How the search ended, and the 95 % interval of each estimate, one sentence a line."""
+        first = f"{self.status.text} in {self.evaluations} evaluations"
+        return "\n".join([first, *self.estimates.sentences()])
 
     @in_double
     def innovations(self, recordings: Sequence[Recording] | None = None) -> dict[str, np.ndarray]:
-        """By recording, what one-step predictions are off (samples, rows), nan where nothing was
-        measured; of those that were fitted if None."""
-        names, series, f = self._filtered(recordings)
-        there = np.asarray(series.arrived)
-        z = np.where(there, np.asarray(f.innovation), np.nan)
-        z[:, 0] = np.nan  # of which the first state was made
+        """Compute the errors of one-step predictions (samples, rows) by recording, nan for samples
+        that did not arrive; of the fitted recordings if None."""
+        names, series, f = self._filter(recordings)
+        z = np.where(np.asarray(series.arrived), np.asarray(f.innovation), np.nan)
+        z[:, 0] = np.nan  # the initial state
         return dict(zip(names, z, strict=True))
 
     @in_double
     def whitened(self, recordings: Sequence[Recording] | None = None) -> dict[str, np.ndarray]:
-        """`innovations` over their standard deviations, L^-1 z: white, of variance 1, if the model
-        is true (`whiteness`)."""
+        """Compute L^-1 z of the innovations, which are white and of variance 1 for a true model."""
         off = self.innovations(recordings)
-        S = np.asarray(self._filtered(recordings)[2].innovation_covariance)
+        S = np.asarray(self._filter(recordings)[2].innovation_covariance)
         each = np.linalg.solve(np.linalg.cholesky(S), np.nan_to_num(list(off.values()))[..., None])
         return {
             name: np.where(np.isnan(z), np.nan, e[..., 0])
@@ -114,15 +117,15 @@ class Predicted:
 
     @in_double
     def smoothed(self, recordings: Sequence[Recording] | None = None) -> dict[str, Smoothed]:
-        """By recording, the states (samples, ...) at the instants of the grid that all samples
-        together say, and their covariances."""
-        names, _, f = self._filtered(recordings)
+        """Compute smoothed states (samples, ...) at the instants of the grid, with covariances, by
+        recording."""
+        names, _, f = self._filter(recordings)
         space = self.likelihood.space(cast(self.setup, np.float64))
         found = jax.jit(jax.vmap(lambda f: kalman_smoother(space, f)))(f)
         return {name: jax.tree.map(lambda a: a[k], found) for k, name in enumerate(names)}  # noqa: B023
 
-    def on(self, recordings: Sequence[Recording]) -> HeldOut:
-        """The verdict on recordings that the fit never saw: one-step predictions of q there.
+    def validate(self, recordings: Sequence[Recording]) -> HeldOut:
+        """Judge the model by one-step predictions of q on recordings that were not fitted.
 
         Raises:
             InputError: a recording that was fitted.
@@ -134,12 +137,12 @@ class Predicted:
             {name: z[:, :nv] for name, z in unseen.items()},
         )
 
-    def _filtered(
+    def _filter(
         self, recordings: Sequence[Recording] | None
     ) -> tuple[list[str], Series, KalmanFiltered]:
         runs = self.recordings if recordings is None else recordings_of("Predicted", recordings)
         of = self.likelihood
-        series = of.series if recordings is None else series_of(self.first, runs, self.grid)
+        series = of.series if recordings is None else make_series(self.first, runs, self.grid)
         return [run.name for run in runs], series, of.filtered(self.x, series)
 
 
@@ -152,33 +155,35 @@ def prediction_error(
     grid: Grid | None = None,
     drive: str = "torque",
     driven: Sequence[str] | None = None,
-    steps: int = 60,
+    max_evaluations: int = 60,
     progress: bool = False,
 ) -> Predicted:
-    """Numbers of a model by maximum likelihood, where pushes that nobody measured move the robot.
+    """Estimate parameters by maximum likelihood, if unmeasured pushes act on the robot.
+
+    Use it if the residuals of `identify` are correlated because of process noise. All is computed
+    in float64.
 
     Args:
-        model: the robot with first guesses; a `Setup`; or what `identify` found, to start from.
-        recordings: with channels "q", perhaps "v" and "ctrl", whose samples lie at the instants of
-            the grid. A channel that says its noise has it; that of others is found, and so is
-            that of configurations with attitudes, in rad. Say it where it is known: fast sensors
-            tell little of it.
+        model: the robot with first guesses; a `Setup`; or a result of `identify`, to start from.
+        recordings: with channels "q", perhaps "v" and "ctrl", and samples at the instants of the
+            grid. Noise that a channel does not state is estimated, and so is that of attitudes, in
+            rad. State it if it is known, since fast sensors contain little information on it.
         unknowns: as for `identify`.
-        grid: how motion is integrated; steps of RK4 at the fastest clock if None.
-        drive: "torque" or "acceleration": what the noise is, normal, new in each period of the grid
-            and held over it. Its standard deviation is found for each coordinate.
-        driven: joints that noise drives; all if None.
-        steps: evaluations at most.
+        grid: of the integration; steps of RK4 at the fastest clock if None.
+        drive: "torque" or "acceleration": the kind of process noise. It is normal, independent in
+            each period of the grid and constant over it, with an estimated standard deviation for
+            each coordinate.
+        driven: joints with process noise; all if None.
+        max_evaluations: of the likelihood.
         progress: whether a line shows the progress.
 
     Returns:
-        `Predicted`. Intervals follow Fisher's information, or the sandwich form if the innovations
-        are correlated in time (`fit_statistics`): in the limit of many samples, 95 % of them
-        contain the truth. All is computed in float64, as in `identify`.
+        `Predicted`. Intervals follow Fisher's information, or a sandwich estimate if the
+        innovations are correlated in time.
 
     Raises:
         InputError: recordings that do not suit the model or the grid; a set-up with delays.
-        UnknownName: an unknown names no leaf or body; no such joint.
+        UnknownName: no such drive, leaf, body or joint.
 
     Source: Ljung, *System Identification*, 2nd ed., 7.4 and 9.4; Astrom, Automatica 16(5), 1980.
 
@@ -202,17 +207,16 @@ def prediction_error(
     setup, grid = _setup(model, grid)
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     runs = recordings_of(where, recordings)
-    integer(where, "steps", steps, least=1)
-    if drive not in DRIVES:
-        raise InputError(f"{where}: drive is {drive!r}, expected one of {DRIVES}")
+    integer(where, "max_evaluations", max_evaluations, least=1)
+    choice("drive", drive, DRIVES)
     sought = Unknowns.of(where, unknowns, setup)
     if grid is None:
         clocks = [run[s] for run in runs for s in ("q", "v", "ctrl") if s in run.channels]
         grid = Grid(min((c.step for c in clocks), default=1.0))
-    series = series_of(setup, runs, grid)
+    series = make_series(setup, runs, grid)
     levels, reads = _first_levels(setup, runs, series)
     drives = _driven(where, setup.model, driven)
-    levels = levels._replace(drive=np.where(drives, _moving(setup, series, grid, drive), 0.0))
+    levels = levels._replace(drive=np.where(drives, _moving_drive(setup, series, grid, drive), 0.0))
     of = Likelihood(
         setup, sought, series, grid, levels=levels, drives=drives, reads=reads, drive=drive
     )
@@ -225,30 +229,30 @@ def prediction_error(
         trials[:, n : n + k] += np.log(TRIALS)[:, None]
         x = min(trials, key=of.cost) if k else start
         best = minimise(
-            of, x, prior_weights=(PRIOR_WEIGHT,), max_evaluations=steps, tolerances=OF_LIKELIHOOD,
-            watch=lambda k, value, x: say(
-                f"evaluation {k} of at most {steps}, -2 log p {value:.6g}"
+            of, x, prior_weights=(PRIOR_WEIGHT,), max_evaluations=max_evaluations,
+            tolerances=OF_LIKELIHOOD, watch=lambda k, value, x: say(
+                f"evaluation {k} of at most {max_evaluations}, -2 log p {value:.6g}"
             ),
         )  # fmt: skip
     x = best.x
     names = [*sought.names, *_level_names(setup.model, of, drive)]
     scale = np.concatenate([np.ones(n), np.exp(x[n:])])  # d log s = d s / s
     bounds = sought.limits(setup) | dict.fromkeys(names[n:], (0.0, np.inf))
-    said = fit_statistics(
+    statistics = fit_statistics(
         names, np.concatenate([x[:n], scale[n:]]), of.columns(x, scale), bounds=bounds
     )
     found = cast(sought.write(setup, jnp.asarray(x[:n])), dtype)
     values, first = (dict(zip(sought.names, map(float, p), strict=True)) for p in (x[:n], guess))
     return Predicted(
-        found, values, first, combinations(beside_others(best.triangle, n), sought.names),
-        said.estimates,
+        found, values, first, combinations(project_out_others(best.triangle, n), sought.names),
+        statistics.estimates,
         Levels(*(np.asarray(a) for a in of.levels_of(x))), tuple(runs), -best.cost / 2,
-        best.evaluations + len(TRIALS), best.success, best.message, grid, of, x, setup, said,
+        best.evaluations + len(TRIALS), best.status, grid, of, x, setup, statistics,
     )  # fmt: skip
 
 
 def _setup(model: Any, grid: Grid | None) -> tuple[Setup, Grid | None]:
-    """The set-up and the grid to start from; sensors and controls without delay."""
+    """The set-up and the grid to start from. Sensors and controls must have no delay."""
     if isinstance(model, Identified):
         model, grid = model.setup, model.grid if grid is None else grid
     setup = setup_of("prediction_error", model)
@@ -270,30 +274,28 @@ def _setup(model: Any, grid: Grid | None) -> tuple[Setup, Grid | None]:
 
 
 def _driven(where: str, model: Model, joints: Sequence[str] | None) -> np.ndarray:
-    """(nv,) whether noise drives a coordinate."""
+    """Whether each coordinate (nv,) has process noise."""
     if joints is None:
         return np.ones(model.nv, bool)
     found = np.zeros(model.nv, bool)
     for name in names_of(where, "driven", [joints] if isinstance(joints, str) else joints):
-        if name not in model.joint_names:
-            raise UnknownName("joint", name, model.joint_names)
-        found[model.v_slice(name)] = True
+        found[model.v_slice(choice("joint", name, model.joint_names))] = True
     return found
 
 
 def _first_levels(
     setup: Setup, runs: Sequence[Recording], series: Series
 ) -> tuple[Levels, np.ndarray]:
-    """Noise of the sensors (rows,): as said, or from third differences, of which smooth motion has
-    little; and which of them are sought."""
+    """The noise of the sensors (rows,), stated or estimated from third differences, and whether it
+    is unknown."""
     model = setup.model
     minus = jax.vmap(lambda a, b: difference(model, a, b))
     sigma, sought = [], []
     for j, sensor in enumerate(series.readings):
-        channels = [ordered(model, run)[sensor] for run in runs]
-        said = [c.noise for c in channels if c.noise is not None and c.noise.size == model.nv]
-        if len(said) == len(runs):
-            sigma.append(np.max(said, 0))
+        channels = [order_columns(model, run)[sensor] for run in runs]
+        stated = [c.noise for c in channels if c.noise is not None and c.noise.size == model.nv]
+        if len(stated) == len(runs):
+            sigma.append(np.max(stated, 0))
             sought.append(np.zeros(model.nv, bool))
             continue
         there = np.asarray(series.arrived)[:, :, j * model.nv : (j + 1) * model.nv]
@@ -310,9 +312,9 @@ def _first_levels(
     return Levels(np.zeros(model.nv), np.concatenate(sigma)), np.concatenate(sought)
 
 
-def _moving(setup: Setup, series: Series, grid: Grid, drive: str) -> np.ndarray:
-    """(nv,) about what it takes to move the robot as recorded: the largest speed in a twentieth of
-    a second or in five periods, against the inertia of the first configuration."""
+def _moving_drive(setup: Setup, series: Series, grid: Grid, drive: str) -> np.ndarray:
+    """An estimate of the torque (nv,) of the recorded motion: for the largest speed within a
+    twentieth of a second or five periods, with the inertia of the first configuration."""
     model = setup.model
     rate = np.asarray(series.speed).max(0) / max(0.05, 5 * grid.period)
     if drive == "acceleration":
@@ -322,7 +324,7 @@ def _moving(setup: Setup, series: Series, grid: Grid, drive: str) -> np.ndarray:
 
 
 def _level_names(model: Model, of: Likelihood, drive: str) -> list[str]:
-    """Of the noise levels that are sought."""
+    """The names of the unknown noise levels."""
     single = len(model.joint_names) == model.nv
     where = list(model.joint_names) if single else list(map(str, range(model.nv)))
     driving = [f"{drive} noise[{where[i]}]" for i in of.drives]

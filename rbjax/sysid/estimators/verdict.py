@@ -1,4 +1,4 @@
-"""`Verdict`: whether a fit is good, from the data that it was fitted to."""
+"""The verdict on a fit, by the recordings that were fitted."""
 
 from __future__ import annotations
 
@@ -10,59 +10,80 @@ import numpy as np
 
 from rbjax.sensors.columns import root_mean_square
 from rbjax.sysid.data.recording import HELD, Recording
-from rbjax.sysid.simulation.runs import ordered
+from rbjax.sysid.simulation.runs import order_columns
 from rbjax.sysid.simulation.setup import Setup
-from rbjax.sysid.simulation.traces import FEW, Trace, Traces, together
+from rbjax.sysid.simulation.traces import FEW, Trace, Traces, residuals_of
 from rbjax.sysid.statistics.comparisons import EXPLAINED, NOISY
-from rbjax.sysid.statistics.variance import explained, varies
+from rbjax.sysid.statistics.residual_tests import explained, varies
+from rbjax.sysid.status import FitStatus
 
 #: residuals above this many times the roughness of the recordings are not noise
 ROUGH = 3.0
-#: a fit that explains more than this share of the variance counts as being at the right minimum
+#: a fit with a larger R2 counts as being at the right minimum
 CLOSE = 0.999
 #: residuals below this share of the spread are rounding, or the error of integration
 TINY = 1e-5
-#: residuals beyond so many robust standard deviations are outliers; normal noise has 1 in 16,000
+#: residuals above so many robust standard deviations are outliers; 1 in 16,000 of normal noise
 OUTLIER = 4.0
-#: and more of them than this share are not outliers, but a model that is wrong
+#: with more outliers than this share, the model is wrong
 MOST = 0.2
-#: standard deviation of normal noise over the median of its size
+#: standard deviation of normal noise over the median of its absolute value
 NORMAL = 1.4826
-#: a sensor whose values spread by no more than so many times their noise shows no motion
+#: a sensor whose standard deviation is at most so many times its noise has no motion
 STILL = 2.0
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a fit is good.
+    """The verdict on a fit.
 
     Fields:
-        good: whether all checks pass.
-        failed: a sentence for each check that does not.
-        r_squared: the share of variance explained, by sensor; nan if the sensor is constant.
-        noise_ratio: by sensor with stated noise, the largest of its columns' errors over it.
-        sentence: the verdict in words.
-        constant: the columns, by sensor, that never change in any recording.
-        outliers: with loss="huber", the share of outliers by sensor. They count in no other field.
+        failed: a sentence for each check that failed; none if the fit is good.
+        r_squared: the share of the variance that is explained, by sensor; nan for a constant one.
+        noise_ratio: the error of the worst column over its stated noise, by sensor with such.
+        constant: the columns that are constant in all recordings, by sensor.
+        outliers: with loss="huber", the share of outliers by sensor. No other field counts them.
     """
 
-    good: bool
     failed: tuple[str, ...]
     r_squared: dict[str, float]
     noise_ratio: dict[str, float]
-    sentence: str
     constant: dict[str, tuple[str, ...]]
     outliers: dict[str, float]
 
+    @property
+    def success(self) -> bool:
+        """Whether all checks pass."""
+        return not self.failed
 
-def judged(
-    converged: bool, message: str, seen: Traces, recordings: Sequence[Recording],
-    coloured: Sequence[str], *, robust: bool = False,
+    def summary(self) -> str:
+        """The verdict in a sentence, with the checks that failed."""
+        if self.failed:
+            return "the fit is poor: " + "; ".join(self.failed)
+        worst = float(np.nanmin([*self.r_squared.values()]))
+        text = f"the fit is good: it explains {100 * worst:.5g} % of the variance, and what "
+        text += "remains is noise"
+        if self.constant:
+            text += (
+                f"; {_list_columns(self.constant)} constant, which no model of a motion can explain"
+            )
+        if any(self.outliers.values()):
+            parts = [f"{100 * x:.2g} % of {sensor}" for sensor, x in self.outliers.items() if x]
+            text += f"; outliers do not count ({', '.join(parts)})"
+        return text
+
+
+def judge(
+    status: FitStatus, seen: Traces, recordings: Sequence[Recording], coloured: Sequence[str], *,
+    robust: bool = False,
 ) -> Verdict:  # fmt: skip
-    """The verdict on a fit: it has converged, the recordings move, it explains 99 % of the variance
-    of each sensor, errs by at most 1.5 times the stated noise, and leaves residuals that are
-    white. `robust`, of loss="huber": all of that without outliers, of which a fifth is too many."""
-    failed = [] if converged else [f"the fit is {message}"]
+    """Judge a fit. A good one has converged, explains 99 % of the variance of each sensor, has
+    errors of at most 1.5 times the stated noise, and white residuals.
+
+    coloured: the columns whose residuals are not white. robust: without outliers, of which a fifth
+    of the samples is too many.
+    """
+    failed = [] if status == FitStatus.CONVERGED else [f"the fit is {status.text}"]
     seen, outliers = without_outliers(seen) if robust else (seen, {})
     for sensor, share in outliers.items():
         if share > MOST:
@@ -76,7 +97,7 @@ def judged(
         failed.append(f"no sensor has {FEW} samples, which are too few to judge the fit")
     elif np.isnan([*shares.values()]).all():
         failed.append(
-            f"nothing moves ({_listed(constant)} constant in all recordings), so the recordings "
+            f"nothing moves ({_list_columns(constant)} constant in all recordings), so they "
             "cannot identify a model of a motion; record one that moves each joint"
         )
     for sensor, share in shares.items():
@@ -96,32 +117,23 @@ def judged(
             f"the residual is not white ({', '.join(coloured)}), so the model lacks something, and "
             "intervals may miss the truth"
         )
-    says = "the fit is poor: " + "; ".join(failed) if failed else "the fit is good"
-    if not failed:
-        worst = float(np.nanmin([*shares.values()]))
-        says += f": it explains {100 * worst:.5g} % of the variance, and what remains is noise"
-        if constant:
-            says += f"; {_listed(constant)} constant, which no model of a motion can explain"
-        if any(outliers.values()):
-            parts = [f"{100 * x:.2g} % of {sensor}" for sensor, x in outliers.items() if x]
-            says += f"; outliers do not count ({', '.join(parts)})"
-    return Verdict(not failed, tuple(failed), shares, ratios, says, constant, outliers)
+    return Verdict(tuple(failed), shares, ratios, constant, outliers)
 
 
-def _listed(constant: dict[str, tuple[str, ...]]) -> str:
-    """Columns that are constant, and the verb."""
+def _list_columns(constant: dict[str, tuple[str, ...]]) -> str:
+    """Columns by sensor, and "is" or "are"."""
     count = sum(map(len, constant.values()))
     words = "; ".join(f"{sensor} of {', '.join(names)}" for sensor, names in constant.items())
     return f"{words} {'is' if count == 1 else 'are'}"
 
 
 def _traces_of(seen: Traces, sensor: str) -> list[Trace]:
-    """The traces of a sensor that have samples enough to judge a motion."""
+    """The traces of a sensor with enough samples of a motion."""
     return [sensors[sensor] for sensors in seen.values() if sensors[sensor].measured]
 
 
 def constant_columns(seen: Traces) -> dict[str, tuple[str, ...]]:
-    """By sensor, the names of the columns that were recorded and never change."""
+    """Find the names of the columns that are constant in all recordings, by sensor."""
     found = {}
     for sensor in next(iter(seen.values())):
         every = _traces_of(seen, sensor)
@@ -138,8 +150,8 @@ def constant_columns(seen: Traces) -> dict[str, tuple[str, ...]]:
 
 
 def _is_still(every: Sequence[Trace], recordings: Sequence[Recording], sensor: str) -> bool:
-    """Whether all columns of a sensor spread by no more than their noise, which is stated, or as
-    large as third differences show."""
+    """Whether no column of a sensor varies by much more than its noise, which is stated or
+    estimated from third differences."""
     for trace in every:
         noise = roughness(trace.recorded)
         stated = [run[sensor].noise for run in recordings]
@@ -153,15 +165,15 @@ def _is_still(every: Sequence[Trace], recordings: Sequence[Recording], sensor: s
 
 
 def without_outliers(seen: Traces) -> tuple[Traces, dict[str, float]]:
-    """The traces without the samples whose residuals are outliers beside the median size of their
-    column's, and the share of these samples by sensor."""
+    """Leave out the samples whose residuals are outliers, by the median of their column. Also
+    return the share of these samples by sensor."""
     found: dict[str, dict[str, Trace]] = {name: dict(sensors) for name, sensors in seen.items()}
     shares = {}
     for sensor in next(iter(seen.values())):
         if not _traces_of(seen, sensor):
             continue
         with warnings.catch_warnings(action="ignore"):  # of columns without samples
-            scale = NORMAL * np.nanmedian(np.abs(together(seen, sensor)), 0)
+            scale = NORMAL * np.nanmedian(np.abs(residuals_of(seen, sensor)), 0)
         out, count = 0, 0
         for name, sensors in seen.items():
             trace = sensors[sensor]
@@ -176,7 +188,8 @@ def without_outliers(seen: Traces) -> tuple[Traces, dict[str, float]]:
 
 
 def explained_by(seen: Traces) -> dict[str, float]:
-    """By sensor with samples enough, 1 - sum r^2 / sum (y - mean)^2; nan if it is constant."""
+    """Compute R2 = 1 - sum r^2 / sum (y - mean)^2 by sensor with enough samples; nan if it is
+    constant."""
     found = {}
     for sensor in next(iter(seen.values())):
         every = _traces_of(seen, sensor)
@@ -186,14 +199,14 @@ def explained_by(seen: Traces) -> dict[str, float]:
 
 
 def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, float]:
-    """By sensor whose noise is stated, the largest error of a column over its noise."""
+    """Compute the error of the worst column over its noise, by sensor whose noise is stated."""
     found = {}
     for sensor in explained_by(seen):
         stated = [run[sensor].noise for run in recordings]
         if any(noise is None for noise in stated):
             continue
         columns = next(iter(seen.values()))[sensor].columns
-        rms = columns.noise(root_mean_square(together(seen, sensor)))
+        rms = columns.noise(root_mean_square(residuals_of(seen, sensor)))
         noise = np.max([np.broadcast_to(s, rms.shape) for s in stated], 0)
         found[sensor] = float(np.nanmax(rms / noise))
     return found
@@ -202,9 +215,9 @@ def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, flo
 def is_poor(
     seen: Traces, recordings: Sequence[Recording], setup: Setup, *, robust: bool = False
 ) -> str:
-    """Why a fit may be at a wrong minimum, "" if nothing says so: R2 below 0.99, or below 0.999
-    with errors above the noise, which is stated or, for joints, as large as third differences of
-    the samples show. `robust`: without outliers."""
+    """Give the reason why a fit may be at a wrong minimum, or "": R2 below 0.99, or below 0.999
+    with errors above the noise, which is stated or, for joints, estimated from third differences.
+    robust: without outliers."""
     if robust:
         seen, outliers = without_outliers(seen)
         for sensor, share in outliers.items():
@@ -222,9 +235,11 @@ def is_poor(
     for sensor in doubted:
         if sensor not in ("q", "v") or setup.columns(sensor).turns:
             continue
-        error = root_mean_square(together(seen, sensor))
+        error = root_mean_square(residuals_of(seen, sensor))
         recorded = np.concatenate([s[sensor].recorded for s in seen.values()])
-        rough = np.max([roughness(ordered(setup.model, r)[sensor].values) for r in recordings], 0)
+        rough = np.max(
+            [roughness(order_columns(setup.model, r)[sensor].values) for r in recordings], 0
+        )
         floor = TINY * np.nanstd(recorded, 0)
         over = np.nanmax(error / np.maximum(ROUGH * rough, np.maximum(floor, 1e-300)))
         if over > 1:
@@ -233,7 +248,7 @@ def is_poor(
 
 
 def roughness(values: np.ndarray) -> np.ndarray:
-    """(n,) standard deviation of white noise, estimated from third differences."""
+    """Estimate the standard deviation (n,) of white noise from third differences."""
     rough = np.diff(values, n=3, axis=0)
     some = (~np.isnan(rough)).sum(0) > 3
     found = np.full(values.shape[1], np.inf)

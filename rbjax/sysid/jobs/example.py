@@ -1,4 +1,4 @@
-"""A job that works: a robot, recordings whose truth is known, and the configuration."""
+"""A complete example of a job: a robot, recordings with known parameters, and the configuration."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ ROBOT = """<mujoco model="arm">
   <actuator><motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/></actuator>
 </mujoco>
 """
-#: what is unknown in the example, and its true value
+#: the unknowns of the example, and their true values
 TRUTH = {"fore mass": 0.62, "damping[0]": 0.12, "damping[1]": 0.08}
 CONFIGURATION = """# rbjax identify identify.toml
 model = "arm.xml"                  # MJCF, URDF, or a bundled scene's name
 
 [recordings]
 fit = ["run1.csv", "run2.csv"]     # csv or npz
-held_out = ["run3.csv"]            # never fitted: the verdict is about these
+held_out = ["run3.csv"]            # not fitted, for the verdict
 time = "t"
 time_unit = "s"
 
-[columns]                          # name in the files -> what it measures
+[columns]                          # name in the files -> sensor, joint and unit
 "shoulder angle" = { sensor = "q", joint = "shoulder", unit = "deg" }
 "elbow angle" = { sensor = "q", joint = "elbow", unit = "deg", sign = -1 }
 "shoulder torque" = { sensor = "ctrl", joint = "shoulder", unit = "N m" }
 "elbow torque" = { sensor = "ctrl", joint = "elbow", unit = "N m" }
 
-[unknowns]                         # name -> numbers of the model, or of all of it: inertia = "fore"
+[unknowns]                         # name -> entries of a leaf; or inertia = "fore"
 "fore mass" = { leaf = "bodies.mass", index = "fore", positive = true }
 damping = { leaf = "joints.damping", positive = true }
 
 [options]
-starts = true                      # the first sample is noisy, so the start is sought, too
+estimate_initial_state = true      # the first samples are noisy
 
 [output]
 folder = "found"
@@ -59,7 +59,8 @@ STEP, COUNT, NOISE = 0.01, 200, 2e-3  # s, samples, rad
 
 
 def write_example(folder: str | Path) -> Path:
-    """A robot, three recordings and identify.toml in a folder; returns the last."""
+    """Write a robot, three recordings and identify.toml into a folder; return the path of the
+    last."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "arm.xml").write_text(ROBOT)

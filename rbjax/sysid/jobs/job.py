@@ -1,7 +1,7 @@
-"""A job of identification as a TOML file: robot, recordings, unknowns, and where results go.
+"""Identification jobs that are described by a TOML file.
 
-`docs/job_files.md` lists the tables and keys, `rbjax.sysid.jobs.keys` holds them. Paths are
-relative to the file, and results lie within its folder.
+`docs/job_files.md` lists the tables and keys. Paths are relative to the file, and results are
+written within its folder.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName, UnsupportedFeature, listed
+from rbjax.arguments import choice
+from rbjax.errors import InputError, UnsupportedFeature, listed
 from rbjax.loading import load, scenes, write_back, write_mjcf
 from rbjax.model import Model
 from rbjax.sensors import Currents
@@ -24,12 +25,12 @@ from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identification import identify
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.multi_start import many_starts
-from rbjax.sysid.jobs.keys import KEYS, NEEDED, check, short
-from rbjax.sysid.jobs.places import check_joints, place_of
+from rbjax.sysid.jobs.keys import KEYS, NEEDED, check, check_joints, index_of, shorten
 from rbjax.sysid.judgement.diagnosis import Diagnosis, diagnose
 from rbjax.sysid.judgement.report_page import report
-from rbjax.sysid.parameters.unknowns import Inertia, Parametrisation, Tilt, Unknown, Unknowns
-from rbjax.sysid.simulation.runs import grid_of
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Inertia, Parametrisation, Tilt, Unknown
+from rbjax.sysid.simulation.runs import default_grid
 from rbjax.sysid.simulation.setup import PD, Grid, Setup
 from rbjax.sysid.statistics.comparisons import HeldOut
 
@@ -40,10 +41,10 @@ class Results:
 
     Fields:
         found: the fit.
-        verdict: on recordings that were held out; None if there are none.
+        verdict: on the held-out recordings; None without such.
         diagnosis: of the recordings and the fit.
         files: content -> path.
-        notes: sentences about these.
+        notes: sentences on the files.
     """
 
     found: Identified
@@ -55,7 +56,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Job:
-    """A job of identification, read from its file; `run` runs it."""
+    """An identification job, read from its file."""
 
     source: str
     setup: Setup
@@ -73,11 +74,11 @@ class Job:
 
         Args:
             path: of the file.
-            folder: of the results, at any place; the folder of [output] if None.
+            folder: of the results; the folder of [output] if None.
 
         Raises:
             InputError: no such file, not TOML, a value of the wrong kind, recordings that do not
-                fit the robot; the message names the table and key.
+                suit the robot; the message names the table and key.
             UnknownName: a table, key, unit, sensor, joint, body or leaf that does not exist.
         """
         path = Path(path)
@@ -131,11 +132,11 @@ class Job:
         report(found, page, held_out=self.held_out, diagnosis=diagnosis, title=title)
         robot, note = self._robot(found.model)
         files = {"report": page, "fit": saved, "robot": robot}
-        verdict = found.on(self.held_out) if self.held_out else None
+        verdict = found.validate(self.held_out) if self.held_out else None
         return Results(found, verdict, diagnosis, files, (note,) if note else ())
 
     def _robot(self, model: Model) -> tuple[Path, str]:
-        """The user's file with the found numbers; a new one where that cannot say them, and why."""
+        """Write the estimates into the user's file, or into a new one with the reason."""
         own = Path(self.source)
         path = self.folder / (f"{own.stem}-found{own.suffix or '.xml'}")
         try:
@@ -143,7 +144,7 @@ class Job:
         except (InputError, UnsupportedFeature, ValueError) as error:
             path = path.with_suffix(".xml")
             write_mjcf(model, path)
-            return path, f"{own.name} cannot say the found numbers, so {path.name} is new: {error}"
+            return path, f"{own.name} cannot hold the estimates, so {path.name} is new: {error}"
         return path, ""
 
 
@@ -155,7 +156,7 @@ def _toml(path: Path) -> dict[str, Any]:
             f"identify: no file {path} ({error.strerror}); `rbjax identify --example FOLDER` "
             "writes one that works"
         ) from error
-    except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, an integer that is too long
+    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, an integer too long
         reason = str(error)[:200]
         raise InputError(f"identify: {path} is not a TOML file: {reason}") from error
 
@@ -166,14 +167,14 @@ def _folder(path: Path, given: Mapping[str, Any]) -> Path:
     at = path.parent.resolve()
     if not (at / name).resolve().is_relative_to(at):
         raise InputError(
-            f"identify: [output] folder is {short(name)}, which lies outside of {at}, expected a "
+            f"identify: [output] folder is {shorten(name)}, which lies outside of {at}, expected a "
             "folder within it; `rbjax identify FILE --out FOLDER` writes elsewhere"
         )
     return path.parent / name
 
 
 def _controlled(model: Model, given: Mapping[str, Any]) -> Setup:
-    """The set-up with the controller and delay of a file."""
+    """Make the set-up with the controller and delay of a file."""
     servo = None
     if "kp" in given or "kd" in given:
         if not model.nu:
@@ -198,7 +199,7 @@ def _controlled(model: Model, given: Mapping[str, Any]) -> Setup:
 
 
 def _with_sensors(setup: Setup, given: Mapping[str, Any], columns: Mapping[str, Column]) -> Setup:
-    """The set-up with every sensor of the columns: each one is fitted."""
+    """Add every sensor of the columns to the set-up."""
     options = given.get("sensors", {})
     for sensor in dict.fromkeys(c.sensor for c in columns.values()):
         if sensor in ("q", "v", "ctrl"):
@@ -229,8 +230,8 @@ def _grid(
     setup: Setup, controller: Mapping[str, Any], options: dict[str, Any],
     runs: Mapping[str, list[Recording]],
 ) -> Grid | None:  # fmt: skip
-    """The grid that period, substeps and the delay ask for; None for the default of `identify`.
-    Unless the file has substeps, `identify` checks the steps with half their length."""
+    """The grid of period, substeps and delay; None for the default of `identify`. Without substeps,
+    `identify` checks the length of the steps."""
     substeps, period = options.pop("substeps", None), options.pop("period", None)
     if substeps is None and period is None and setup.delay is None:
         return None
@@ -246,7 +247,7 @@ def _grid(
                 "recording"
             )
     seconds = None if period is None else float(period)
-    grid = grid_of(runs["fit"], setup, longest=longest, period=seconds)
+    grid = default_grid(runs["fit"], setup, longest=longest, period=seconds)
     if grid.period >= shortest:
         raise InputError(
             f"identify: [options] period is {grid.period:g} s, expected less than {shortest:g} s, "
@@ -271,7 +272,7 @@ def _read(
             found.append(read_npz(at / name, wanted, **how))
         else:
             raise InputError(
-                f"identify: recording {short(name)}, expected a file .csv, .txt or .npz"
+                f"identify: recording {shorten(name)}, expected a file .csv, .txt or .npz"
             )
     return found
 
@@ -280,7 +281,7 @@ def _unknown(setup: Setup, name: str, line: Mapping[str, Any]) -> Parametrisatio
     kinds = [key for key in ("leaf", "inertia", "tilt") if key in line]
     if len(kinds) != 1:
         raise InputError(
-            f"identify: unknown {name} is {short(line)}, expected one of leaf, inertia and tilt, "
+            f"identify: unknown {name} is {shorten(line)}, expected one of leaf, inertia and tilt, "
             f"as in {NEEDED['unknowns']}, or {name} = {{inertia = "
             f'"{setup.model.body_names[-1]}"}}'
         )
@@ -293,17 +294,15 @@ def _unknown(setup: Setup, name: str, line: Mapping[str, Any]) -> Parametrisatio
             )
         if kinds[0] == "tilt":
             return Tilt()
-        if line["inertia"] not in setup.model.body_names:
-            raise UnknownName("body", line["inertia"], setup.model.body_names)
-        return Inertia(line["inertia"])
+        return Inertia(choice("body", line["inertia"], setup.model.body_names))
     how = dict(line)
-    if "bounds" in how:
-        how["bounds"] = tuple(map(float, how["bounds"]))
+    for key in how.keys() & {"bounds", "prior"}:
+        how[key] = tuple(map(float, how[key]))
     if "positive" in how and "bounds" in how:
         raise InputError(
             f"identify: unknown {name} has positive and bounds, expected one of them: "
             "bounds = [0.0, inf] is positive"
         )
     if "index" in how:
-        how["index"] = place_of(setup, how["leaf"], how["index"])
+        how["index"] = index_of(setup, how["leaf"], how["index"])
     return Unknown(**how)

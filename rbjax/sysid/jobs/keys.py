@@ -1,34 +1,24 @@
-"""The keys of a job file: the meaning and the valid values of each.
-
-`docs/job_files.md` has the same tables; a test compares the two.
-"""
+"""The keys of a job file, and its names: joints of columns, entries in the indices of unknowns."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
+import numpy as np
+
+from rbjax.arguments import choice
 from rbjax.errors import InputError, UnknownName
-from rbjax.sysid.data.units import TIME, UNITS
+from rbjax.model import Model
+from rbjax.sysid.data.readers import Column
+from rbjax.sysid.data.recording import HELD, JOINT_SENSORS, Recording
+from rbjax.sysid.data.units import MOVES, TIME, UNITS
+from rbjax.sysid.parameters.unknowns import leaf_of
+from rbjax.sysid.simulation.setup import Setup
 
-#: characters of a value that a message repeats
+#: the largest number of characters of a value in a message
 SHOWN = 60
-
-
-class Key(NamedTuple):
-    """A key of a table.
-
-    kind: of its value, a name of `KINDS`.
-    default: "" if the key is needed, or has no value if it is left out.
-    unit: of its value.
-    means: its meaning.
-    """
-
-    kind: str
-    default: str
-    unit: str
-    means: str
 
 
 def _number(x: Any) -> bool:
@@ -82,86 +72,44 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "unit": (lambda x: isinstance(x, str), 'a unit in quotes, such as "deg"'),
     "index": (_index, "an integer, a name in quotes, or a list of them"),
     "bounds": (_bounds, "two numbers [low, high], low below high; -inf and inf for no bound"),
+    "prior": (
+        lambda x: _list(_number)(x) and len(x) == 2 and x[1] > 0,
+        "two numbers [mean, standard deviation], the latter above 0",
+    ),
     "loss": (lambda x: x in ("squares", "huber"), '"squares" or "huber"'),
     "decimal": (lambda x: x in (".", ","), '"." or ","'),
     "character": (lambda x: isinstance(x, str) and len(x) == 1, "one character in quotes"),
 }
 
-OF_IDENTIFY = "the default of `identify`"
-#: table -> key -> `Key`; "" is the head of the file; each line of "columns" and "unknowns" has keys
-KEYS: dict[str, dict[str, Key]] = {
+#: table -> key -> kind of its value. "" is the head of the file; each line of "columns" and of
+#: "unknowns" has keys. `docs/job_files.md` has units, defaults and meanings.
+KEYS: dict[str, dict[str, str]] = {
     "": {
-        "model": Key("text", "", "", "MJCF or URDF file, or the name of a bundled scene"),
-        "floating_base": Key(
-            "yes", "false, with a warning if the root has a mass", "",
-            "whether a URDF's root link is free",
-        ),
-        "friction": Key("yes", "false", "", "whether the file's friction loss is simulated"),
-        "limits": Key("yes", "false", "", "whether the file's joint limits are simulated"),
-        "motors": Key("yes", "false", "", "whether joints without an actuator get a motor"),
+        "model": "text", "floating_base": "yes", "friction": "yes", "limits": "yes",
+        "motors": "yes",
     },
     "recordings": {
-        "fit": Key("texts", "", "", "csv, txt or npz files that are fitted"),
-        "held_out": Key("texts", "none", "", "files that are not fitted, for the verdict"),
-        "time": Key("text", '"t"', "", "name of the column, or array, with the clock"),
-        "time_unit": Key("unit", '"s"', "", "unit of the clock: s, ms, us, ns or min"),
-        "rate": Key("positive", "", "Hz", "sampling rate, if the files have no clock"),
-        "delimiter": Key("character", "detected", "", "between the cells of csv and txt files"),
-        "decimal": Key("decimal", '"."', "", "decimal mark of csv and txt files"),
-        "comment": Key("character", '"#"', "", "first character of lines that are skipped"),
+        "fit": "texts", "held_out": "texts", "time": "text", "time_unit": "unit",
+        "rate": "positive", "delimiter": "character", "decimal": "decimal", "comment": "character",
     },
     "columns": {
-        "sensor": Key("text", "", "", "what is measured: a sensor of the table above"),
-        "joint": Key("texts", "the column's name", "", "the joint, or for `ctrl` the actuator; a "
-                     "list for an array with several columns, or the name of an array that holds "
-                     "the names"),
-        "unit": Key("unit", '""', "", "unit of the numbers in the file; SI if empty"),
-        "scale": Key("factor", "1", "", "a further factor: a gear ratio, a torque constant"),
-        "sign": Key("sign", "1", "", "-1 if the sensor has the opposite positive direction"),
-        "noise": Key("positive", "estimated", "SI", "standard deviation; for all columns of a "
-                     "sensor or for none"),
-        "time": Key("text", "the time column of [recordings]", "", "the column's own clock"),
+        "sensor": "text", "joint": "texts", "unit": "unit", "scale": "factor", "sign": "sign",
+        "noise": "positive", "time": "text",
     },
     "unknowns": {
-        "leaf": Key("text", "", "", 'array of the set-up, such as "bodies.mass"'),
-        "index": Key("index", "all", "", "entries of the leaf: integers from 0, or names"),
-        "positive": Key("yes", "false", "", "whether the numbers are above 0"),
-        "bounds": Key("bounds", "none", "SI", "[low, high], neither of which is reached"),
-        "scale": Key("positive", "1", "SI", "a large change of numbers that are neither "
-                     "positive nor bounded"),
-        "inertia": Key("text", "", "", "instead of leaf: the body whose ten inertial parameters "
-                       "are estimated"),
-        "tilt": Key("true", "", "", "instead of leaf: the direction of gravity is estimated"),
+        "leaf": "text", "index": "index", "positive": "yes", "bounds": "bounds",
+        "scale": "positive", "prior": "prior", "inertia": "text", "tilt": "true",
     },
     "controller": {
-        "kp": Key("numbers", "0", "N m/rad", "ctrl = kp (command - q) - kd v; one, or one for each "
-                  "actuator"),
-        "kd": Key("numbers", "0", "N m s/rad", "as kp"),
-        "delay": Key("not negative", "none", "s", "from a command to its action; can be unknown"),
-        "longest_delay": Key("positive", "3 delays", "s", "upper limit of an unknown delay"),
+        "kp": "numbers", "kd": "numbers", "delay": "not negative", "longest_delay": "positive",
     },
-    "sensors": {
-        "current": Key("positives", "", "N m/A", "torque constant at each joint, if `current` is a "
-                       "sensor"),
-    },
+    "sensors": {"current": "positives"},
     "options": {
-        "starts": Key("yes", OF_IDENTIFY, "", "whether initial states are estimated"),
-        "pieces": Key("positive", "none", "s", "length of pieces that are fitted first"),
-        "shooting": Key("positive", "none", "s", "length of the segments of multiple shooting, for "
-                        "a long or chaotic motion"),
-        "many_starts": Key("count", "none", "", "number of first guesses of `many_starts`"),
-        "restarts": Key("integer", OF_IDENTIFY, "", "largest number of other starts, if the fit is "
-                        "poor"),
-        "loss": Key("loss", OF_IDENTIFY, "", '"huber" reduces the weight of outliers'),
-        "steps": Key("count", OF_IDENTIFY, "", "largest number of evaluations of the residual, of "
-                     "each fit"),
-        "period": Key("positive", "the finest clock", "s", "time for which a command is held"),
-        "substeps": Key("count", "by a check", "", "steps of integration in a period; the check "
-                        "halves them until the numbers do not change"),
+        "estimate_initial_state": "yes", "segments": "positive", "multiple_shooting": "positive",
+        "many_starts": "count", "restarts": "integer", "loss": "loss", "max_evaluations": "count",
+        "period": "positive", "substeps": "count",
     },
-    "output": {
-        "folder": Key("text", "the file's name", "", "within the file's folder, for the results"),
-    },
+    "output": {"folder": "text"},
 }  # fmt: skip
 #: needed tables and keys -> an example
 NEEDED = {
@@ -174,12 +122,11 @@ NEEDED = {
 
 
 def check(given: Mapping[str, Any]) -> None:
-    """`InputError` or `UnknownName` unless the tables and keys are those of `KEYS`, and each value
+    """Raise `InputError` or `UnknownName` unless the tables and keys are in `KEYS`, and each value
     is of its kind."""
     heads, tables = KEYS[""], [table for table in KEYS if table]
     for key in given:
-        if key not in heads and key not in tables:
-            raise UnknownName("key of the configuration", key, [*heads, *tables])
+        choice("key of the configuration", key, [*heads, *tables])
     for key, example in NEEDED.items():
         if key not in given or given[key] == {}:
             raise InputError(f"identify: the configuration has no {key}, expected {example}")
@@ -187,44 +134,188 @@ def check(given: Mapping[str, Any]) -> None:
     for table in tables:
         inside = given.get(table, {})
         if not isinstance(inside, dict):
-            raise InputError(f"identify: {table} is {short(inside)}, expected a table [{table}]")
+            raise InputError(f"identify: {table} is {shorten(inside)}, expected a table [{table}]")
         if table not in ("columns", "unknowns"):
             _values(table, inside, f"[{table}]")
             continue
         for name, line in inside.items():
             if not _text(name):
-                raise InputError(f"identify: [{table}] has the name {short(name)}, expected a text")
+                raise InputError(
+                    f"identify: [{table}] has the name {shorten(name)}, expected a text"
+                )
             if not isinstance(line, dict):
                 raise InputError(
-                    f"identify: [{table}] {name} is {short(line)}, expected {NEEDED[table]}"
+                    f"identify: [{table}] {name} is {shorten(line)}, expected {NEEDED[table]}"
                 )
             _values(table, line, f"[{table}] {name}")
     if not given["recordings"].get("fit"):
         raise InputError(f"identify: [recordings] has no fit, expected {NEEDED['recordings']}")
-    unit = given["recordings"].get("time_unit", "s")
-    if unit not in TIME:
-        raise UnknownName("unit of time", unit, TIME)
+    choice("unit of time", given["recordings"].get("time_unit", "s"), TIME)
 
 
 def _values(table: str, given: Mapping[str, Any], where: str) -> None:
     for key, value in given.items():
-        if key not in KEYS[table]:
-            raise UnknownName(f"key of {where or 'the configuration'}", key, KEYS[table])
-        fits, expected = KINDS[KEYS[table][key].kind]
+        choice(f"key of {where or 'the configuration'}", key, KEYS[table])
+        fits, expected = KINDS[KEYS[table][key]]
         if not fits(value):
-            if key == "held_out" and value == []:
+            if key in ("held_out", "fit") and value == []:  # `check` names a missing fit
                 continue
-            if key == "fit" and value == []:
-                continue  # named as missing
             at = f"{where} {key}".strip()
-            raise InputError(f"identify: {at} is {short(value)}, expected {expected}")
-        if KEYS[table][key].kind == "unit" and value not in UNITS:
-            raise UnknownName(f"unit of {where}", value, UNITS)
+            raise InputError(f"identify: {at} is {shorten(value)}, expected {expected}")
+        if KEYS[table][key] == "unit":
+            choice(f"unit of {where}", value, UNITS)
 
 
-def short(value: Any) -> str:
-    """A value for a message."""
+def shorten(value: Any) -> str:
+    """Shorten a value for a message."""
     if isinstance(value, int) and abs(value) > 10**SHOWN:
         return f"an integer of {int(math.log10(abs(value))) + 1} digits"
     text = repr(value)
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
+
+
+def check_joints(model: Model, run: Recording, columns: Mapping[str, Column]) -> None:
+    """Raise `UnknownName` or `InputError` unless each column of a joint's sensor names a joint (for
+    `ctrl` an actuator), or one array has all columns in the order of the model."""
+    for sensor in JOINT_SENSORS:
+        if sensor not in run.channels:
+            continue
+        channel, size = run[sensor], getattr(model, JOINT_SENSORS[sensor])
+        kind = "actuator" if sensor == HELD else "joint"
+        known = model.actuator_names if sensor == HELD else model.joint_names
+        named = [n for n, c in columns.items() if c.sensor == sensor]
+        whole = len(named) == 1 and columns[named[0]].joint is None
+        if whole and len(channel.names) == size:
+            continue  # all of them, in the order of the model
+        for name in channel.names:
+            if name not in known:
+                fix = UnknownName(f"{kind} of a column of sensor {sensor}", name, known)
+                if whole or any(columns[n].joint is None for n in named):
+                    raise InputError(
+                        f"identify: {fix}; give joint = ... in the column's line, or an array with "
+                        f"all {size} in the order of the model"
+                    )
+                raise fix
+        _check_units(model, sensor, named, columns)
+
+
+def _check_units(
+    model: Model, sensor: str, named: Sequence[str], columns: Mapping[str, Column]
+) -> None:
+    """Raise `UnknownName` for an angle's unit of a slide, or a length's unit of a hinge."""
+    turning, sliding = MOVES.get(sensor, ((), ()))
+    for column in (columns[n] for n in named):
+        joint = column.joint
+        if not isinstance(joint, str) or joint not in model.joint_names:
+            continue
+        kind = model.topology.joint_kinds[model.joint_names.index(joint)]
+        suited = {"hinge": turning, "slide": sliding}.get(kind, ())
+        if column.unit and suited:
+            choice(f"unit of the {kind} {joint} in sensor {sensor}", column.unit, suited)
+
+
+def index_of(setup: Setup, leaf: str, index: Any) -> Any:
+    """Convert an index of a job file to an index of numpy.
+
+    An integer or a name is an entry of the first axis (of a joint with several coordinates, all
+    its entries). A list of integers, or of names, is several entries. A list of a name or a list,
+    followed by integers, is an index on each axis: ["fore", 2], [["upper", "fore"], 2].
+    """
+    value = np.asarray(leaf_of(setup, leaf))
+    if isinstance(index, list):
+        first, rest = index[0], index[1:]
+        places = isinstance(first, (list, str)) and bool(rest)
+        places = places and all(not isinstance(x, str) for x in rest)
+        if places:
+            if len(index) > value.ndim:
+                raise InputError(
+                    f"identify: index of {leaf} is {shorten(index)}, a place on {len(index)} axes, "
+                    f"expected one on {value.ndim}: {leaf} has shape {value.shape}"
+                )
+            found = _rows(setup, leaf, value, first), *(_plain(leaf, x) for x in rest)
+            return _checked(leaf, value, found)
+        rows = [_rows(setup, leaf, value, x) for x in index]
+        return _checked(leaf, value, np.concatenate([np.atleast_1d(x) for x in rows]))
+    return _checked(leaf, value, _rows(setup, leaf, value, index))
+
+
+def _rows(setup: Setup, leaf: str, value: np.ndarray, index: Any) -> Any:
+    """The entries of the first axis."""
+    if isinstance(index, list):
+        return np.concatenate([np.atleast_1d(_rows(setup, leaf, value, x)) for x in index])
+    if not isinstance(index, str):
+        return index
+    names = _names(setup, leaf, value)
+    if not names:
+        raise InputError(
+            f"identify: index of {leaf} is {index!r}, but its entries have no names; expected "
+            f"integers from 0 to {len(value) - 1 if value.ndim else 0}"
+        )
+    places = [k for k, name in enumerate(names) if name == index]
+    if not places:
+        raise UnknownName(f"index of {leaf}", index, list(dict.fromkeys(names)))
+    return places[0] if len(places) == 1 else np.array(places)
+
+
+def _plain(leaf: str, index: Any) -> Any:
+    if isinstance(index, list) and not all(isinstance(x, int) for x in index):
+        raise InputError(
+            f"identify: index of {leaf} has {shorten(index)} on a later axis, expected integers; "
+            "only the first axis has names"
+        )
+    return np.array(index) if isinstance(index, list) else index
+
+
+def _checked(leaf: str, value: np.ndarray, found: Any) -> Any:
+    try:
+        chosen = np.arange(value.size).reshape(value.shape)[found]
+    except IndexError as error:
+        raise InputError(
+            f"identify: index of {leaf}: {error}; {leaf} has shape {value.shape}"
+        ) from error
+    if not chosen.size or len(np.unique(chosen)) < chosen.size:
+        raise InputError(
+            f"identify: index of {leaf} has {'no entry' if not chosen.size else 'an entry twice'}, "
+            "expected different entries"
+        )
+    return found
+
+
+def _names(setup: Setup, leaf: str, value: np.ndarray) -> Sequence[str]:
+    """The names of the entries of the first axis of a leaf, a joint's for each of its
+    coordinates."""
+    model = setup.model
+    parts = leaf.removeprefix("model.").split(".")
+    kind, size = parts[0], len(value) if value.ndim else 0
+    found: Sequence[str] = ()
+    if kind == "bodies":
+        found = model.body_names
+    elif kind in ("actuators", "controller"):
+        found = model.actuator_names
+    elif kind == "sites":
+        found = model.site_names
+    elif kind == "forces" and len(parts) > 2:
+        element = model.forces[int(parts[1])]
+        found = _coordinates(model, getattr(element, "joints", None) or (), size)
+    elif kind in ("joints", "readings") or (kind == "sensors" and parts[1] in JOINT_SENSORS):
+        found = _coordinates(model, model.joint_names, size)
+    elif kind == "sensors" and size == 3:
+        found = "x", "y", "z"
+    return found if len(found) == size else ()
+
+
+def _coordinates(model: Model, joints: Sequence[Any], size: int) -> list[str]:
+    """The names of joints, repeated for each of their entries: one a joint, one a velocity, or one
+    a configuration coordinate."""
+    if not all(isinstance(j, (str, int)) for j in joints):
+        return []
+    names = [j if isinstance(j, str) else model.joint_names[j] for j in joints]
+    for count in (
+        lambda n: 1,
+        lambda n: model.v_slice(n).stop - model.v_slice(n).start,
+        lambda n: model.q_slice(n).stop - model.q_slice(n).start,
+    ):
+        found = [n for n in names for _ in range(count(n))]
+        if len(found) == size:
+            return found
+    return []

@@ -1,52 +1,65 @@
-"""`diagnose`: what is wrong with the data, from the motion that the model expects.
+"""`diagnose`: mistakes of the recordings, by comparison with simulated motions.
 
-Each cause is a hypothesis with its mend: turn a sign, swap two columns, stretch a clock, leave out
-samples. A mend that explains the data is worth a fit to the mended data; a cause is named if that
-fit errs at most half as much as the one without. The error is that of all columns, each over its
-own spread:
+Each hypothesis has a correction: change a sign, swap two columns, stretch a clock, leave out
+samples. The most promising corrections are verified by a fit to the corrected data. A cause is
+reported if that fit has at most half of the error of the fit without the correction, with the error
 
     e^2 = mean over columns of  mean (simulated - recorded)^2 / var(recorded)
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage, optimize
 
-from rbjax.arguments import integer
+from rbjax.arguments import instance, integer
 from rbjax.progress import Say, progress_line
-from rbjax.sysid.arguments import check_kind
-from rbjax.sysid.data.corrections import Lost, Mend, flip, stretch, swap, without
 from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.data.recording_checks import FAR, hampel
-from rbjax.sysid.estimators.fits import FIRST_WEIGHTS
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.least_squares import minimise
-from rbjax.sysid.judgement.clocks import rate_of
-from rbjax.sysid.simulation.runs import Run, batch, ordered, run_of
-from rbjax.sysid.simulation.traces import FEW, Trace, Traces, traces
+from rbjax.sysid.estimators.staged_fit import FIRST_WEIGHTS
+from rbjax.sysid.judgement.corrections import (
+    Correction,
+    Lost,
+    drop_samples,
+    estimate_clock_rate,
+    flip,
+    stretch,
+    swap,
+)
+from rbjax.sysid.simulation.runs import Run, make_run, order_columns, stack_runs
+from rbjax.sysid.simulation.traces import FEW, Trace, Traces, make_traces
 from rbjax.sysid.statistics.precision import in_double
 
-BETTER = 0.5  # error with a mend over that without, at which the cause is named
-SUSPECT = 0.3  # error of a column over its spread from which on its sign and place are doubted
-TRIED = 3  # mends that are worth a fit, the best of all
-NEAR, SLOW = 0.01, 2e-3  # a clock's rate is sought so near to the first one; the least named
-#: share of a recording during which a dead sensor stands still, within a part of the motion that
-#: is expected there, which must be much of the whole
+BETTER = 0.5  # largest ratio of the errors with and without a correction
+SUSPECT = 0.3  # least relative error of a column whose sign and place are tested
+TRIED = 3  # corrections that are verified by a fit
+NEAR, SLOW = 0.01, 2e-3  # range of a refined clock rate; least rate that is reported
+#: of a dead sensor: least share of a recording in which it is still, its largest scatter relative
+#: to the expected motion, and the least part of the expected motion in that time
 DEAD, QUIET, MUCH = 0.1, 0.02, 0.2
-REPEATS = 3  # of mending and fitting again
+REPEATS = 3  # of correcting and fitting
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One thing that is wrong: its kind ("sign", "swap", "clock", "outliers" or "dead"), the
-    channels and columns, the error before and after its mend, and a sentence."""
+    """One mistake of the recordings.
+
+    Fields:
+        kind: "sign", "swap", "clock", "outliers" or "dead".
+        channels, columns: where it is.
+        before, after: the error without and with the correction.
+        sentence: the cause in words.
+    """
 
     kind: str
     channels: tuple[str, ...]
@@ -59,30 +72,40 @@ class Cause:
         return self.sentence
 
 
+class Hypothesis(NamedTuple):
+    """A possible mistake of the recordings, and its correction."""
+
+    kind: str
+    channels: tuple[str, ...]
+    columns: tuple[str, ...]
+    correction: Correction
+    words: str
+
+
 @dataclass(frozen=True)
 class Diagnosis:
-    """Causes, those that explain most first; and the recordings with all of them mended."""
+    """The causes, the most effective first, and the recordings with all corrections."""
 
     causes: tuple[Cause, ...]
     recordings: tuple[Recording, ...]
 
     def summary(self) -> str:
-        """A sentence for each cause."""
+        """The causes, one sentence a line."""
         none = "no flipped sign, swapped joint, wrong clock, outlier or dead sensor explains the "
         return "\n".join(map(str, self.causes)) or none + "error"
 
 
 @in_double
-def diagnose(found: Identified, *, steps: int = 15, progress: bool = False) -> Diagnosis:
-    """Find what is wrong with the data of a fit.
+def diagnose(found: Identified, *, max_evaluations: int = 15, progress: bool = False) -> Diagnosis:
+    """Find mistakes of the recordings of a poor fit, such as a wrong sign, and correct them.
 
     Args:
-        found: what `identify` gave; its first guess must explain most of the motion.
-        steps: evaluations at most of each fit that tries a mend.
+        found: the result of `identify`, whose first guess must explain most of the motion.
+        max_evaluations: of each fit that verifies a correction.
         progress: whether a line shows the progress.
 
     Returns:
-        `Diagnosis`: fit its recordings, or correct the log.
+        `Diagnosis`, with corrected recordings to fit.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -96,60 +119,62 @@ def diagnose(found: Identified, *, steps: int = 15, progress: bool = False) -> D
         >>> [(cause.kind, cause.channels) for cause in diagnose(found).causes]
         [('sign', ('v',))]
     """
-    check_kind("diagnose", "found", found, Identified, "the result of `identify`")
-    integer("diagnose", "steps", steps, least=1)
+    instance("diagnose", "found", found, Identified, "Identified: the result of `identify`")
+    integer("diagnose", "max_evaluations", max_evaluations, least=1)
     with progress_line("diagnose", progress) as say:
-        return _Bench(found, steps, say).diagnosis()
+        return _Trials(found, max_evaluations, say).diagnosis()
 
 
-class _Bench:
-    """Trials of mends with one compiled simulation."""
+class _Trials:
+    """Trials of corrections with one compiled simulation."""
 
-    def __init__(self, found: Identified, steps: int, say: Say):
-        self.found, self.steps, self.say = found, steps, say
+    def __init__(self, found: Identified, max_evaluations: int, say: Say):
+        self.found, self.max_evaluations, self.say = found, max_evaluations, say
         self.model, self.setup = found.error.setup.model, found.error.setup
         self.guess = np.array([*found.guess.values()])
-        self.longest = [self.run_of(ordered(self.model, run)) for run in found.recordings]
+        self.make_run = functools.partial(make_run, self.setup, grid=found.grid)
+        self.longest = [self.make_run(order_columns(self.model, run)) for run in found.recordings]
 
     def diagnosis(self) -> Diagnosis:
-        runs = [ordered(self.model, run) for run in self.found.recordings]
+        """Correct the recordings until no hypothesis reduces the error by half."""
+        runs = [order_columns(self.model, run) for run in self.found.recordings]
         x = np.array([*self.found.values.values()])
         x = min((x, self.guess), key=lambda y: self.error(runs, y))
-        runs, x, causes = self.mended(runs, x)
-        runs, x, lost = self.left_out(runs, x)
+        runs, x, causes = self.correct(runs, x)
+        runs, x, lost = self.drop_bad_samples(runs, x)
         if lost:
-            runs, x, more = self.mended(runs, x)
+            runs, x, more = self.correct(runs, x)
             lost += more
         causes = sorted(causes + lost, key=lambda c: c.after / max(c.before, 1e-300))
         return Diagnosis(tuple(causes), tuple(runs))
 
-    def mended(
+    def correct(
         self, runs: list[Recording], x: np.ndarray
     ) -> tuple[list[Recording], np.ndarray, list[Cause]]:
-        """Signs, places and clocks, as long as another mend explains much more."""
+        """Correct signs, places and clocks, as long as a correction reduces the error by half."""
         causes: list[Cause] = []
         for _ in range(REPEATS):
             best = self.best(runs, x, self.error(runs, x))
             if best is None:
                 break
-            cause, mend, x = best
+            cause, correction, x = best
             causes.append(cause)
-            runs = [mend(run) for run in runs]
+            runs = [correction(run) for run in runs]
         return runs, x, causes
 
-    def left_out(
+    def drop_bad_samples(
         self, runs: list[Recording], x: np.ndarray
     ) -> tuple[list[Recording], np.ndarray, list[Cause]]:
-        """Samples that are no measurement; a better fit shows more of them."""
+        """Drop samples of dead sensors and outliers; a better fit may reveal more of them."""
         causes: list[Cause] = []
-        for kind, seen_by in (("dead", self.dead), ("outliers", self.outliers)):
+        for kind, seen_by in (("dead", self.find_dead), ("outliers", self.find_outliers)):
             shares: dict[tuple[str, str, int, str], float] = {}
             before, lost = self.error(runs, x), seen_by(runs, x)
             for _ in range(REPEATS):
                 if not lost:
                     break
-                runs = without(runs, lost)
-                x = self.fitted(runs, x)
+                runs = drop_samples(runs, lost)
+                x = self.fit(runs, x)
                 for at, rows in lost.items():
                     shares[at] = shares.get(at, 0.0) + 100 * float(rows.mean())
                 lost = seen_by(runs, x)
@@ -162,52 +187,48 @@ class _Bench:
 
     def best(
         self, runs: list[Recording], x: np.ndarray, before: float
-    ) -> tuple[Cause, Mend, np.ndarray] | None:
-        """The mend after which a fit errs least, if it is a cause. Worth a fit are those after
-        which the same numbers err least beside before: at numbers that were fitted to wrong data
-        every mend is a change for the worse, and the first guess errs more."""
-        tried = []
+    ) -> tuple[Cause, Correction, np.ndarray] | None:
+        """The correction with the least error of a fit, if it is a cause. Corrections are ranked by
+        the ratio of the errors with and without them at the same parameters, the first guess or
+        the fit."""
+        tried, fitted = [], []
         at = (self.guess, x)
-        unmended = [max(self.error(runs, y), 1e-300) for y in at]
-        for kind, channels, columns, mend, words in self.hypotheses(runs, x):
-            self.say(words)
-            mended = [mend(run) for run in runs]
-            shares = [self.error(mended, y) / e for y, e in zip(at, unmended, strict=True)]
+        uncorrected = [max(self.error(runs, y), 1e-300) for y in at]
+        for one in self.hypotheses(runs, x):
+            self.say(one.words)
+            corrected = [one.correction(run) for run in runs]
+            shares = [self.error(corrected, y) / e for y, e in zip(at, uncorrected, strict=True)]
             shares = [np.inf if np.isnan(share) else share for share in shares]  # inf / inf
-            if not np.allclose(shares, 1.0, rtol=1e-6):  # of two commands that are alike
-                k = int(np.argmin(shares))
-                tried.append((shares[k], k, kind, channels, columns, mend, words))
-        tried.sort(key=lambda one: one[0])
-        fitted = []
-        for _, k, kind, channels, columns, mend, words in tried[:TRIED]:
-            self.say(f"fit: {words}")
-            mended = [mend(run) for run in runs]
-            y = self.fitted(mended, at[k])
-            helps = kind == "clock" and self.error(mended, y) < before
-            for rate in self.rate(runs, y) if helps else ():  # one, or none that is still seen
-                mend, words = self.clock(runs, y, rate)
-                mended = [mend(run) for run in runs]
-                y = self.fitted(mended, y)
-            fitted.append((self.error(mended, y), kind, channels, columns, mend, words, y))
+            if not np.allclose(shares, 1.0, rtol=1e-6):  # as for two equal commands
+                tried.append((min(shares), at[int(np.argmin(shares))], one))
+        for _, y, one in sorted(tried, key=lambda trial: trial[0])[:TRIED]:
+            self.say(f"fit: {one.words}")
+            corrected = [one.correction(run) for run in runs]
+            y = self.fit(corrected, y)
+            helps = one.kind == "clock" and self.error(corrected, y) < before
+            for rate in self.clock_rates(runs, y) if helps else ():
+                one = self.refine_clock(runs, y, rate)
+                corrected = [one.correction(run) for run in runs]
+                y = self.fit(corrected, y)
+            fitted.append((self.error(corrected, y), one, y))
         if not fitted:
             return None
-        after, kind, channels, columns, mend, words, y = min(fitted, key=lambda one: one[0])
+        after, (kind, channels, columns, correction, words), y = min(fitted, key=lambda fit: fit[0])
         if not after <= BETTER * before:
             return None
-        words += f": with this mended the error falls from {_percent(before)} to {_percent(after)}"
-        return Cause(kind, channels, columns, before, after, words), mend, y
+        words += f": with this corrected the error falls from {100 * before:.3g} % to "
+        words += f"{100 * after:.3g} %"
+        return Cause(kind, channels, columns, before, after, words), correction, y
 
-    def hypotheses(
-        self, runs: list[Recording], x: np.ndarray
-    ) -> Iterator[tuple[str, tuple[str, ...], tuple[str, ...], Mend, str]]:
-        """Kind, channels, columns, mend and words of what could be wrong."""
+    def hypotheses(self, runs: list[Recording], x: np.ndarray) -> Iterator[Hypothesis]:
+        """The possible mistakes of columns with large errors."""
         seen = self.traces(runs, self.guess)
         first = next(iter(seen.values()))
         doubted: dict[str, list[int]] = {}
         for sensor, errors in _by_column(seen).items():
             doubted[sensor] = np.flatnonzero(errors > SUSPECT).tolist()
         names = first["q"].names
-        several = len(names) == self.model.nv  # no attitudes, whose numbers have no sign
+        several = len(names) == self.model.nv  # columns of attitudes have no sign
         if HELD in runs[0].channels:
             columns = len(runs[0][HELD].names)
             one_each = columns == len(names) == self.model.nv
@@ -220,72 +241,67 @@ class _Bench:
             where = " and ".join(group)
             among = sorted({*itertools.chain.from_iterable(doubted[s] for s in group)})
             for i in among:
-                yield "sign", group, (columns_of[i],), flip(group, i), (
-                    f"the sign of {columns_of[i]} in channel {where} is wrong"
-                )  # fmt: skip
+                words = f"the sign of {columns_of[i]} in channel {where} is wrong"
+                yield Hypothesis("sign", group, (columns_of[i],), flip(group, i), words)
             for i, j in itertools.combinations(among, 2):
                 pair = columns_of[i], columns_of[j]
-                yield "swap", group, pair, swap(group, i, j), (
-                    f"{pair[0]} and {pair[1]} are swapped in channel {where}"
-                )  # fmt: skip
+                words = f"{pair[0]} and {pair[1]} are swapped in channel {where}"
+                yield Hypothesis("swap", group, pair, swap(group, i, j), words)
         sensors = tuple(s for s in first if s in doubted)
-        for rate in self.rate(runs, x):
-            yield "clock", sensors, (), stretch(rate), _of_clock(sensors, rate)
+        for rate in self.clock_rates(runs, x):
+            yield _clock_hypothesis(sensors, rate)
 
-    def rate(self, runs: Sequence[Recording], x: np.ndarray) -> list[float]:
-        """The rate of the sensors' clock, none if it is right. Numbers that were fitted to a wrong
-        clock hide it, so the first guess is asked as well."""
+    def clock_rates(self, runs: Sequence[Recording], x: np.ndarray) -> list[float]:
+        """The rate of the sensors' clock, or no rate if it is right. Parameters that were fitted to
+        a wrong clock may hide it, so the first guess is used too."""
 
         def error(rate: float) -> float:
-            mended = [stretch(rate)(run) for run in runs]
-            return min(self.error(mended, y) for y in (self.guess, x))
+            corrected = [stretch(rate)(run) for run in runs]
+            return min(self.error(corrected, y) for y in (self.guess, x))
 
-        rates = {rate_of(self.traces(runs, y)) for y in (self.guess, x)}
+        rates = {estimate_clock_rate(self.traces(runs, y)) for y in (self.guess, x)}
         return sorted((r for r in rates if abs(r) >= SLOW), key=error)[:1]
 
-    def clock(self, runs: Sequence[Recording], x: np.ndarray, rate: float) -> tuple[Mend, str]:
-        """The rate near to one at which the fit errs least: parameters can hide a part of a wrong
-        one."""
+    def refine_clock(self, runs: Sequence[Recording], x: np.ndarray, rate: float) -> Hypothesis:
+        """Refine a clock rate by the least error of a fit."""
 
         def square(rate: float) -> float:  # of the error: nearly a parabola
-            mended = [stretch(rate)(run) for run in runs]
-            return self.error(mended, self.fitted(mended, x)) ** 2
+            corrected = [stretch(rate)(run) for run in runs]
+            return self.error(corrected, self.fit(corrected, x)) ** 2
 
         found = optimize.minimize_scalar(
             square, bounds=(rate - NEAR, rate + NEAR), method="bounded",
             options={"xatol": SLOW / 40},
         )  # fmt: skip
         sensors = tuple(_by_column(self.traces(runs, x)))
-        return stretch(found.x), _of_clock(sensors, found.x)
+        return _clock_hypothesis(sensors, found.x)
 
     def traces(self, runs: Sequence[Recording], x: np.ndarray) -> Traces:
-        of = self.found.error.on(self.batched(runs))
-        return traces(self.setup, of, np.append(x, np.zeros(of.size - len(x))), runs)
+        """The traces of recordings at x."""
+        of = self.found.error.on(self.make_batch(runs))
+        return make_traces(self.setup, of, np.append(x, np.zeros(of.size - len(x))), runs)
 
     def error(self, runs: Sequence[Recording], x: np.ndarray) -> float:
+        """The error e of recordings at x; inf if it is not finite."""
         errors = np.concatenate([*_by_column(self.traces(runs, x)).values()])
         found = float(np.sqrt(np.nanmean(errors**2)))
         return found if np.isfinite(found) else np.inf
 
-    def fitted(self, runs: Sequence[Recording], x: np.ndarray) -> np.ndarray:
-        """x of a short fit, every column weighed by its spread: numbers, and corrections of
-        starts."""
-        of = self.found.error.on(self.batched(runs))
+    def fit(self, runs: Sequence[Recording], x: np.ndarray) -> np.ndarray:
+        """Fit recordings in few steps from x, each column weighted by its spread."""
+        of = self.found.error.on(self.make_batch(runs))
         n = len(self.guess)
         rest = np.zeros(of.size - n)
         least = minimise(
             of, np.append(x[:n], rest), np.append(self.guess, rest), prior_weights=FIRST_WEIGHTS,
-            max_evaluations=self.steps,
+            max_evaluations=self.max_evaluations,
         )  # fmt: skip
         return least.x
 
-    def run_of(self, run: Recording) -> Run:
-        return run_of(self.setup, run, self.found.grid)
-
-    def batched(self, runs: Sequence[Recording]) -> Run:
-        """The runs as one, of the shape of those that were fitted, every column weighed by its
-        spread."""
-        both = batch([*map(self.run_of, runs), *self.longest])
+    def make_batch(self, runs: Sequence[Recording]) -> Run:
+        """Convert recordings to a batch of the shape of those that were fitted, each column
+        weighted by its spread."""
+        both = stack_runs([*map(self.make_run, runs), *self.longest])
         data: Run = jax.tree.map(lambda a: a[: len(runs)], both)
         weights = {}
         for sensor, values in data.values.items():
@@ -295,9 +311,9 @@ class _Bench:
             weights[sensor] = jnp.asarray(there / spread, values.dtype)
         return data._replace(weights=weights)
 
-    def dead(self, runs: Sequence[Recording], x: np.ndarray) -> Lost:
-        """Samples that stand still for long while the first guess moves, and that no fit
-        explains."""
+    def find_dead(self, runs: Sequence[Recording], x: np.ndarray) -> Lost:
+        """Find samples that are still for long while the first guess moves, and that the fit does
+        not explain."""
         lost: Lost = {}
         seen, fitted = self.traces(runs, self.guess), self.traces(runs, x)
         for run, sensor, trace in _each(seen):
@@ -320,8 +336,8 @@ class _Bench:
                     lost[run, sensor, j, column] = rows
         return lost
 
-    def outliers(self, runs: Sequence[Recording], x: np.ndarray) -> Lost:
-        """Samples whose residuals are far from those of their neighbours."""
+    def find_outliers(self, runs: Sequence[Recording], x: np.ndarray) -> Lost:
+        """Find samples whose residuals are far from those of their neighbours."""
         lost: Lost = {}
         for run, sensor, trace in _each(self.traces(runs, x)):
             for j, column in enumerate(trace.names):
@@ -344,15 +360,14 @@ WORDS = {
 }
 
 
-def _of_clock(sensors: tuple[str, ...], rate: float) -> str:
-    return (
-        f"the clock of {' and '.join(sensors)} is {abs(100 * rate):.3g} % too "
-        f"{'fast' if rate < 0 else 'slow'} beside that of the commands"
-    )
+def _clock_hypothesis(sensors: tuple[str, ...], rate: float) -> Hypothesis:
+    words = f"the clock of {' and '.join(sensors)} is {abs(100 * rate):.3g} % too "
+    words += f"{'fast' if rate < 0 else 'slow'} compared with that of the commands"
+    return Hypothesis("clock", sensors, (), stretch(rate), words)
 
 
 def _each(seen: Traces) -> Iterator[tuple[str, str, Trace]]:
-    """Run, sensor and trace of all sensors with enough samples."""
+    """Iterate over run, sensor and trace of all sensors with enough samples."""
     for run, sensors in seen.items():
         for sensor, trace in sensors.items():
             if trace.measured:
@@ -360,7 +375,7 @@ def _each(seen: Traces) -> Iterator[tuple[str, str, Trace]]:
 
 
 def _by_column(seen: Traces) -> dict[str, np.ndarray]:
-    """By sensor with enough samples, the error of each column over its spread."""
+    """The error of each column over its spread, by sensor with enough samples."""
     out: dict[str, np.ndarray] = {}
     for sensor in next(iter(seen.values())):
         recorded = np.concatenate([sensors[sensor].recorded for sensors in seen.values()])
@@ -371,19 +386,15 @@ def _by_column(seen: Traces) -> dict[str, np.ndarray]:
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
-    """Standard deviations of columns; of those that stand still, the largest of all."""
+    """The standard deviations of columns; for constant columns, the largest of all."""
     some = (~np.isnan(values)).sum(0) > 1
     spread = np.array([np.nanstd(x) if yes else 0.0 for x, yes in zip(values.T, some, strict=True)])
     return np.where(spread > 1e-9 * max(spread.max(), 1e-300), spread, spread.max() or 1.0)
 
 
 def _scatter(x: np.ndarray, window: int) -> np.ndarray:
-    """The standard deviation around each sample; that of samples that did not arrive is inf."""
+    """The standard deviation in a window around each sample; inf if it did not arrive."""
     known = np.nan_to_num(x - np.nanmean(x), nan=0.0)
     mean = ndimage.uniform_filter1d(known, window)
     variance = ndimage.uniform_filter1d(known**2, window) - mean**2
     return np.where(np.isnan(x), np.inf, np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _percent(error: float) -> str:
-    return f"{100 * error:.3g} %"

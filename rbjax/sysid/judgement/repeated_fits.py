@@ -1,10 +1,9 @@
-"""Monte Carlo of a fit: the same experiment many times over, with other noise.
+"""`monte_carlo`: repetitions of a fit to simulated recordings with random noise.
 
     recorded_k = reading(motion(p_found)) + noise_k,        p_k = identify(guess, recorded_k)
-Each repetition is a whole call of `identify` with its options: from the user's first guess, with
-its own initial states, weights, intervals, and other starts if the fit is poor. The scatter of p_k
-is the error of the fit; the fit's covariance approximates it. Intervals are right if a share
-`level` of them contains p_found.
+Each repetition is a complete `identify` with the options of the fit, from the first guess. The
+standard deviation of p_k is approximated by the covariance of the fit, and a share `level` of the
+intervals should contain p_found.
 """
 
 from __future__ import annotations
@@ -17,31 +16,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import instance, integer
 from rbjax.errors import InputError
 from rbjax.progress import progress_line
-from rbjax.sysid.arguments import check_kind
-from rbjax.sysid.data.recording import Channel, Recording
-from rbjax.sysid.estimators.identification import fitted
+from rbjax.sysid.data.recording import Recording
+from rbjax.sysid.estimators.identification import fit_in_stages
 from rbjax.sysid.estimators.identified import Identified
-from rbjax.sysid.simulation.runs import ordered, start_of
+from rbjax.sysid.simulation.runs import order_columns, start_time
 from rbjax.sysid.simulation.traces import Trace
 from rbjax.sysid.statistics.precision import in_double
 
 
 @dataclass(frozen=True, eq=False)
 class MonteCarlo:
-    """Repetitions of an experiment.
+    """The result of `monte_carlo`.
 
     Fields:
         names: (n,) of the unknowns.
         truth: (n,) values of the simulation.
         values: (k, n) estimates.
         sigma: (k, n) standard deviations, as estimated by each repetition.
-        inside: (k, n), whether its intervals contain the truth.
-        level: the nominal share of intervals that do.
-        seen: (n,), whether the data identify an unknown by itself; otherwise its interval is
-            infinite.
+        inside: (k, n), whether its intervals contain the true value.
+        level: the nominal share of such intervals.
+        identifiable: (n,), whether the data identify an unknown by itself; otherwise its interval
+            is infinite.
         failed: the number of repetitions that did not converge.
         good: the number of repetitions whose verdict is good.
     """
@@ -52,24 +50,24 @@ class MonteCarlo:
     sigma: np.ndarray
     inside: np.ndarray
     level: float
-    seen: np.ndarray
+    identifiable: np.ndarray
     failed: int
     good: int = 0
 
     @property
     def coverage(self) -> float:
-        """The share of intervals that hold the truth, of all unknowns that the data show."""
-        return float(self.inside[:, self.seen].mean())
+        """The share of intervals that contain the true value, of all identifiable unknowns."""
+        return float(self.inside[:, self.identifiable].mean())
 
     @property
     def by_name(self) -> dict[str, float]:
-        """The share for each unknown that the data show."""
-        pairs = zip(self.names, self.seen, self.inside.mean(0), strict=True)
-        return {name: float(share) for name, seen, share in pairs if seen}
+        """The share for each identifiable unknown."""
+        pairs = zip(self.names, self.identifiable, self.inside.mean(0), strict=True)
+        return {name: float(share) for name, known, share in pairs if known}
 
     @property
     def scatter(self) -> np.ndarray:
-        """(n,) standard deviations of the values."""
+        """The standard deviations (n,) of the estimates."""
         return np.asarray(self.values.std(0, ddof=1))
 
 
@@ -82,11 +80,11 @@ def monte_carlo(
     seed: int = 0,
     progress: bool = False,
 ) -> MonteCarlo:
-    """Repeats the experiment of a fit with simulated noise, and fits each repetition.
+    """Repeat the experiment of a fit with random noise, to test its confidence intervals.
 
     Args:
-        found: a fit, from `identify`.
-        repetitions: how many, 2 or more.
+        found: the result of `identify`.
+        repetitions: 2 or more.
         level: of the intervals.
         seed: of the noise, which is independent. For loss="squares" it is normal, with the standard
             deviation that each channel states, or of the fit's residuals. For "huber" it is drawn
@@ -116,47 +114,48 @@ def monte_carlo(
         >>> again.values.shape
         (20, 1)
     """
-    check_kind("monte_carlo", "found", found, Identified, "the result of `identify`")
+    instance("monte_carlo", "found", found, Identified, "Identified: the result of `identify`")
     integer("monte_carlo", "repetitions", repetitions, least=2)
     integer("monte_carlo", "seed", seed, least=0)
     if not isinstance(level, (int, float)) or not 0 < level < 1:
         raise InputError(f"monte_carlo: level is {level}, expected a number between 0 and 1")
-    of, said = found.error, found.estimates
-    if not found.noisy:
+    of, estimates = found.error, found.estimates
+    if not found.noise_known:
         raise InputError(
-            "monte_carlo: the fit has no noise, expected channels that say theirs, or residuals "
+            "monte_carlo: the fit has no noise, expected channels that state theirs, or residuals "
             "from which it is estimated"
         )
     how = found.options._replace(grid=found.grid)
     n = of.shared
-    truth, names = said.values[:n], said.names[:n]
+    truth, names = estimates.values[:n], estimates.names[:n]
     rng = np.random.default_rng(seed)
-    seen = np.isfinite(said.sigma[:n])
+    known = np.isfinite(estimates.sigma[:n])
     values, sigma, inside, failed, good = [], [], [], 0, 0
     with progress_line("monte_carlo", progress) as say:
         for k in range(repetitions):
             say(f"{k} of {repetitions} repetitions")
-            runs = [_repeated(found, j, rng) for j in range(len(found.recordings))]
-            one = fitted(of.setup, of.unknowns, runs, how)
+            runs = [_repeat_recording(found, j, rng) for j in range(len(found.recordings))]
+            one = fit_in_stages(of.setup, of.unknowns, runs, how)
             failed += not one.success
-            good += one.verdict.good
+            good += one.verdict.success
             spans = [one.estimates.interval(name, level) for name in names]
             values.append([*one.values.values()])
             sigma.append([x.sigma for x in spans])
             inside.append([x.low <= y <= x.high for x, y in zip(spans, truth, strict=True)])
     return MonteCarlo(
-        names, truth, np.array(values), np.array(sigma), np.array(inside), level, seen, failed, good
+        names, truth, np.array(values), np.array(sigma), np.array(inside), level, known, failed,
+        good,
     )  # fmt: skip
 
 
-def _repeated(found: Identified, j: int, rng: np.random.Generator) -> Recording:
-    """Recording j with the readings of the simulation at the estimates, and other noise."""
+def _repeat_recording(found: Identified, j: int, rng: np.random.Generator) -> Recording:
+    """Recording j with the readings of the simulation at the estimates, and new noise."""
     recording, of = found.recordings[j], found.error
     traces = found.traces[recording.name]
-    first = found.options.starts is False or (
+    first = found.options.estimate_initial_state is False or (
         recording.start_is_known and recording.initial_state is None
     )  # its first readings are the state
-    begins = start_of(found.setup, recording)
+    begins = start_time(found.setup, recording)
     channels = dict(recording.channels)
     for sensor, trace in traces.items():
         columns = trace.columns
@@ -164,23 +163,23 @@ def _repeated(found: Identified, j: int, rng: np.random.Generator) -> Recording:
         weights = np.asarray(of.runs.weights[sensor])[j][: len(trace.t)]
         if of.loss == "huber" and trace.measured:
             pool = [t[sensor] for t in found.traces.values()]
-            noise = _drawn(pool, len(trace.t), rng)
+            noise = _draw_residuals(pool, len(trace.t), rng)
         else:
             w = np.asarray(columns.weights(jnp.asarray(weights)))
             noise = np.where(w > 0, 1 / np.where(w > 0, w, 1.0), 0.0) * rng.normal(size=w.shape)
         if first and sensor in ("q", "v"):
             noise[0] = 0.0
         seen = np.asarray(jax.vmap(columns.plus)(jnp.asarray(trace.simulated), jnp.asarray(noise)))
-        old = ordered(found.setup.model, recording)[sensor]
+        old = order_columns(found.setup.model, recording)[sensor]
         whole = np.full(old.values.shape, np.nan)
         at = int(np.searchsorted(old.t, begins - 1e-9))
         whole[at : at + len(seen)] = np.where(there, seen, np.nan)
-        channels[sensor] = Channel(old.t, whole, old.names, noise=old.noise, dropped="nan")
+        channels[sensor] = old.replace(old.t, whole)
     return dataclasses.replace(recording, channels=channels)
 
 
-def _drawn(pool: Sequence[Trace], count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, columns): recorded minus simulated values of random samples, drawn by column."""
+def _draw_residuals(pool: Sequence[Trace], count: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw recorded minus simulated values (count, columns) of random samples, by column."""
     off = []
     for trace in pool:
         there = ~np.isnan(trace.recorded).any(1)

@@ -1,26 +1,32 @@
-"""`report`: one HTML file that shows what a fit found, and how far it can be trusted."""
+"""`report`: an HTML page with the estimates, the residuals and the verdicts of a fit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import io
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.errors import InputError
 from rbjax.html_page import element, listed, page, picture, table
-from rbjax.sysid.arguments import check_kind, recordings_of
+from rbjax.style import BLUE, INK, ORANGE, RED, STYLE
+from rbjax.sysid.arguments import recordings_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.data.recording_checks import findings
 from rbjax.sysid.estimators.identified import Identified
-from rbjax.sysid.judgement import report_pictures as pictures
 from rbjax.sysid.judgement.diagnosis import Diagnosis
 from rbjax.sysid.simulation.traces import Trace
 from rbjax.sysid.statistics.comparisons import HeldOut
-from rbjax.sysid.statistics.whiteness_tests import Whiteness, whiteness
+from rbjax.sysid.statistics.residual_tests import Whiteness, whiteness
 
-#: pictures show so many recordings, those with the largest errors
-SHOWN = 3
+Axes = Any
+SHOWN = 3  # pictures, of the recordings with the largest errors
+COLUMNS = 12  # of a sensor that are shown
+POINTS = 1500  # dots of a recording
 MANY = 60  # parameters of a correlation matrix with names
 
 
@@ -32,13 +38,13 @@ def report(
     diagnosis: Diagnosis | None = None,
     title: str = "Identification",
 ) -> Path:
-    """One HTML file with the fit, its residuals, intervals, correlations and the verdict.
+    """Write an HTML page with the fit, its residuals, intervals, correlations and the verdict.
 
     Args:
-        found: what `identify` gave.
-        path: of the file.
-        held_out: recordings that the fit never saw, for the verdict.
-        diagnosis: what `diagnose` gave.
+        found: the result of `identify`.
+        path: of the page.
+        held_out: recordings that were not fitted, for the verdict.
+        diagnosis: the result of `diagnose`.
         title: of the page.
 
     Returns:
@@ -59,22 +65,23 @@ def report(
         >>> "Residuals" in path.read_text()
         True
     """
-    check_kind("report", "found", found, Identified, "the result of `identify`")
+    instance("report", "found", found, Identified, "Identified: the result of `identify`")
     if diagnosis is not None:
-        check_kind("report", "diagnosis", diagnosis, Diagnosis, "the result of `diagnose`")
+        fix = "Diagnosis: the result of `diagnose`"
+        instance("report", "diagnosis", diagnosis, Diagnosis, fix)
     if not isinstance(path, (str, Path)):
         raise InputError(f"report: path is {type(path).__name__}, expected a str or a Path")
     path = Path(path)
     if not path.parent.is_dir():
         raise InputError(f"report: path is {path}, but there is no folder {path.parent}; make it")
     unseen = recordings_of("report", held_out, empty=True)
-    verdict = found.on(unseen) if unseen else None
+    verdict = found.validate(unseen) if unseen else None
     body = [*_summary(found), *_causes(diagnosis), *_fit(found), *_residuals(found)]
-    body += [*_parameters(found), *_shown(found)]
+    body += [*_parameters(found), *_identifiable(found)]
     if verdict is not None:
         body += _held_out(found, verdict, unseen)
     body += _data(found)
-    lead = _capital(verdict.sentence) if verdict else "No recording was held out to judge the fit."
+    lead = _capital(verdict.summary()) if verdict else "No recording was held out to judge the fit."
     footer = "Units are SI: rad, m, kg, N, s. Intervals hold if residuals are white. rbjax"
     path.write_text(page(title, lead, body, footer), encoding="utf-8")
     return path
@@ -90,24 +97,24 @@ def _summary(found: Identified) -> list[str]:
     rows = [
         ("recordings", ", ".join(found.traces)),
         ("samples", f"{samples:,}"),
-        ("fit", f"{found.message}, {found.evaluations} evaluations"),
-        ("numbers sought", words),
+        ("fit", f"{found.status.text}, {found.evaluations} evaluations"),
+        ("unknowns", words),
     ]
     for sensor, rms in found.rms.items():
         if any(sensors[sensor].measured for sensors in found.traces.values()):
             rows.append((f"error of {sensor}, RMS", f"{_span(rms)} {found.setup.unit(sensor)}"))
-    if found.unmoved:
-        rows.append(("sensors that no unknown moves", ", ".join(found.unmoved)))
-    if found.left_out:
-        rows.append(("channels that were not fitted", ", ".join(found.left_out)))
+    if found.insensitive_sensors:
+        rows.append(("sensors without an unknown", ", ".join(found.insensitive_sensors)))
+    if found.unused_channels:
+        rows.append(("channels that were not fitted", ", ".join(found.unused_channels)))
     return [element("h2", "Summary"), table(("", ""), rows)]
 
 
 def _causes(diagnosis: Diagnosis | None) -> list[str]:
     if diagnosis is None:
         return []
-    said = [_capital(line) for line in diagnosis.summary().splitlines()]
-    return [element("h2", "What is wrong with the data"), listed(said)]
+    causes = [_capital(line) for line in diagnosis.summary().splitlines()]
+    return [element("h2", "Mistakes of the data"), listed(causes)]
 
 
 def _fit(found: Identified) -> list[str]:
@@ -115,33 +122,33 @@ def _fit(found: Identified) -> list[str]:
     for name in _worst(found)[:SHOWN]:
         for sensor, trace in found.traces[name].items():
             if trace.measured:
-                said = f"{name}: {sensor}, recorded (dots) and simulated (line)"
-                body.append(picture(pictures.fit(trace, sensor), said))
+                caption = f"{name}: {sensor}, recorded (dots) and simulated (line)"
+                body.append(picture(draw_fit(trace, sensor), caption))
     return body
 
 
 def _residuals(found: Identified) -> list[str]:
     name = _worst(found)[0]
-    judged = found.judged
+    judged = found.judged_sensor
     trace = found.traces[name][judged]
     body = [
         element("h2", "Residuals"),
         picture(
-            pictures.residuals(trace, judged),
-            f"{name}: simulated less recorded {judged}; and its correlation with itself, which "
-            "stays within the band if it is white",
+            draw_residuals(trace, judged),
+            f"{name}: simulated minus recorded {judged}; and its autocorrelation, which is within "
+            "the band if the residual is white",
         ),
     ]
     rows = []
     for run, sensors in found.traces.items():
         for column, test in _tests(sensors[judged]).items():
             rms = np.sqrt(np.nanmean(column_of(sensors[judged], column) ** 2))
-            rows.append((run, column, f"{rms:.3g}", _capital(test.sentence)))
+            rows.append((run, column, f"{rms:.3g}", _capital(test.summary())))
     return [*body, table(("recording", "column", "RMS", "whiteness"), rows)]
 
 
 def _tests(trace: Trace) -> dict[str, Whiteness]:
-    """By column, where there are residuals to test."""
+    """The tests of the columns that have enough residuals."""
     found = {}
     for name in trace.names:
         r = column_of(trace, name)
@@ -151,7 +158,7 @@ def _tests(trace: Trace) -> dict[str, Whiteness]:
 
 
 def column_of(trace: Trace, name: str) -> np.ndarray:
-    """The residual of a column where something was recorded."""
+    """Select the residual of a column without the samples that are nan."""
     r = trace.residual[:, trace.names.index(name)] if name in trace.names else np.zeros(0)
     return r[~np.isnan(r)]
 
@@ -163,54 +170,56 @@ def _parameters(found: Identified) -> list[str]:
         known = np.isfinite(x.sigma)
         rows.append((
             name, f"{found.guess[name]:.5g}", f"{value:.5g}",
-            f"{x.low:.5g} to {x.high:.5g}" if known else "these data do not say it",
+            f"{x.low:.5g} to {x.high:.5g}" if known else "not identifiable",
             f"{x.sigma:.2g}" if known else "",
         ))  # fmt: skip
     return [
         element("h2", "Parameters"),
         picture(
-            pictures.intervals(found),
-            "Found values with 95 % intervals, beside the first guesses (rings)",
+            draw_intervals(found),
+            "Estimates with 95 % intervals, and the first guesses (rings)",
         ),
-        table(("parameter", "first guess", "found", "95 % interval", "sigma"), rows),
+        table(("parameter", "first guess", "estimate", "95 % interval", "sigma"), rows),
     ]
 
 
-def _shown(found: Identified) -> list[str]:
+def _identifiable(found: Identified) -> list[str]:
     body = [
-        element("h2", "What the data show"),
+        element("h2", "Identifiable combinations"),
         listed(found.identifiable.summary().splitlines()[1:]),
     ]
     if 1 < len(found.values) <= MANY:
-        said = "Correlation of the estimates: pairs near 1 or -1 can hardly be told apart"
-        body.append(picture(pictures.correlation(found), said))
+        caption = "Correlation of the estimates: pairs near 1 or -1 are hardly distinguishable"
+        body.append(picture(draw_correlation(found), caption))
     return body
 
 
 def _held_out(found: Identified, verdict: HeldOut, unseen: Sequence[Recording]) -> list[str]:
     worst = max(verdict.by_recording, key=lambda name: verdict.by_recording[name])
-    trace = found.simulated([run for run in unseen if run.name == worst])[worst][found.judged]
+    trace = found.simulated([run for run in unseen if run.name == worst])[worst][
+        found.judged_sensor
+    ]
     return [
-        element("h2", "Recordings that the fit never saw"),
-        element("p", _capital(verdict.sentence) + "."),
+        element("h2", "Recordings that were not fitted"),
+        element("p", _capital(verdict.summary()) + "."),
         table(("recording", "RMS"), [(n, f"{x:.3g}") for n, x in verdict.by_recording.items()]),
         picture(
-            pictures.fit(trace, found.judged),
-            f"{worst}: {found.judged}, recorded (dots) and simulated (line)",
+            draw_fit(trace, found.judged_sensor),
+            f"{worst}: {found.judged_sensor}, recorded (dots) and simulated (line)",
         ),
     ]
 
 
 def _data(found: Identified) -> list[str]:
-    said = [str(x) for run in found.recordings for x in findings(run)]
-    if not said:
-        return [element("h2", "Data"), element("p", "Nothing is odd in the recordings.")]
-    return [element("h2", "Data"), listed([_capital(s) for s in said])]
+    sentences = [_capital(str(x)) for run in found.recordings for x in findings(run)]
+    if not sentences:
+        return [element("h2", "Data"), element("p", "No mistakes were found in the recordings.")]
+    return [element("h2", "Data"), listed(sentences)]
 
 
 def _worst(found: Identified) -> list[str]:
-    """Recordings, the largest error first."""
-    traces = {name: sensors[found.judged] for name, sensors in found.traces.items()}
+    """The recordings, the largest error first."""
+    traces = {name: sensors[found.judged_sensor] for name, sensors in found.traces.items()}
     rms = {name: np.nanmean(trace.residual**2) for name, trace in traces.items()}
     return sorted(rms, key=lambda name: -rms[name])
 
@@ -222,3 +231,127 @@ def _span(rms: np.ndarray) -> str:
 
 def _capital(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:]
+
+
+def _styled(draw: Callable[..., bytes]) -> Callable[..., bytes]:
+    """Draw a picture in the style of rbjax."""
+
+    @functools.wraps(draw)
+    def drawn(*args: Any) -> bytes:
+        from matplotlib import rc_context
+
+        with rc_context(STYLE):
+            return draw(*args)
+
+    return drawn
+
+
+@_styled
+def draw_fit(trace: Trace, sensor: str) -> bytes:
+    """Draw recorded and simulated values, a panel for each column."""
+
+    def draw(ax: Axes, k: int) -> None:
+        some = slice(None, None, max(1, len(trace.t) // POINTS))
+        ax.plot(trace.t[some], trace.recorded[some, k], ".", ms=3.5, color=ORANGE, alpha=0.7)
+        ax.plot(trace.t, trace.simulated[:, k], color=BLUE, lw=1.1)
+        ax.set_title(trace.names[k])
+
+    return _panels(len(trace.names), draw, f"{sensor}")
+
+
+@_styled
+def draw_residuals(trace: Trace, sensor: str) -> bytes:
+    """Draw the residual over time and its autocorrelation, a row for each column."""
+    n = min(len(trace.names), COLUMNS // 2)
+    figure, axes = _figure(n, 2, 1.5 * n + 0.6, widths=(2.6, 1))
+    for k, (left, right) in enumerate(axes):
+        r = trace.residual[:, k]
+        known = ~np.isnan(r)
+        left.plot(trace.t[known], r[known], lw=0.6, color=BLUE)
+        left.set_title(f"{trace.names[k]}, {sensor}")
+        if known.sum() < 10 or np.ptp(r[known]) == 0:
+            continue
+        rho = whiteness(r[known]).correlation
+        band = 1.96 / np.sqrt(known.sum())
+        right.axhspan(-band, band, color=BLUE, alpha=0.15, lw=0)
+        right.vlines(np.arange(1, len(rho) + 1), 0, rho, color=INK, lw=1.6)
+        right.set_ylim(min(-0.3, rho.min() * 1.1), max(0.3, min(1.05, rho.max() * 1.2)))
+    axes[-1][0].set_xlabel("time [s]")
+    axes[-1][1].set_xlabel("lag [samples]")
+    return _png(figure)
+
+
+@_styled
+def draw_intervals(found: Identified) -> bytes:
+    """Draw estimates with intervals and first guesses, a panel for each unknown."""
+    groups: dict[str, list[str]] = {}
+    for name in found.values:
+        groups.setdefault(name.split("[")[0].split(".")[0], []).append(name)
+    shown = list(groups.items())[:COLUMNS]
+
+    def draw(ax: Axes, k: int) -> None:
+        label, names = shown[k]
+        for at, name in enumerate(names):
+            x = found.estimates.interval(name)
+            if np.isfinite(x.sigma):
+                ax.vlines(at, x.low, x.high, color=BLUE, lw=2.2, alpha=0.5)
+            ax.plot(at, found.values[name], "o", ms=5, color=BLUE if np.isfinite(x.sigma) else RED)
+            ax.plot(at, found.guess[name], "o", ms=7, mfc="none", mec=ORANGE, mew=1.3)
+        ticks = [n.removeprefix(label).strip(".[]") for n in names]
+        ax.set_xticks(range(len(names)), ticks, rotation=0 if len(names) < 8 else 60, fontsize=8)
+        ax.set_xlim(-0.6, len(names) - 0.4)
+        ax.margins(y=0.15)
+        ax.grid(axis="x", visible=False)
+        ax.set_title(label)
+
+    return _panels(len(shown), draw, "", shared=False)
+
+
+@_styled
+def draw_correlation(found: Identified) -> bytes:
+    """Draw the correlation matrix of the estimates, without initial states."""
+    n = len(found.values)
+    figure, axes = _figure(1, 1, min(7.5, 2.5 + 0.16 * n), width=min(8.5, 3.5 + 0.16 * n))
+    ax = axes[0][0]
+    image = ax.imshow(found.estimates.correlation[:n, :n], cmap="RdBu_r", vmin=-1, vmax=1)
+    small = 8 if n <= 25 else 5.5
+    ax.set_xticks(range(n), list(found.values), rotation=90, fontsize=small)
+    ax.set_yticks(range(n), list(found.values), fontsize=small)
+    ax.grid(visible=False)
+    figure.colorbar(image, shrink=0.8)
+    return _png(figure)
+
+
+def _panels(count: int, draw: Any, label: str, shared: bool = True) -> bytes:
+    """Draw small panels, up to three in a row."""
+    count = min(count, COLUMNS)
+    across = min(count, 3)
+    down = -(-count // across)
+    figure, axes = _figure(down, across, 2.2 * down + 0.4)
+    flat = [ax for row in axes for ax in row]
+    for k, ax in enumerate(flat):
+        if k >= count:
+            ax.set_visible(False)
+            continue
+        draw(ax, k)
+        if shared and k >= count - across:
+            ax.set_xlabel("time [s]")
+        if label and k % across == 0:
+            ax.set_ylabel(label)
+    return _png(figure)
+
+
+def _figure(
+    down: int, across: int, height: float, *, width: float = 9.5, widths: Any = None
+) -> tuple[Any, list[list[Axes]]]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained", dpi=110)
+    axes = figure.subplots(down, across, squeeze=False, width_ratios=widths)
+    return figure, [list(row) for row in axes]
+
+
+def _png(figure: Any) -> bytes:
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=110)
+    return file.getvalue()

@@ -1,29 +1,20 @@
 """The unknown parameters of a model: their names, coordinates, bounds and first guesses."""
 
-from rbjax.sysid.parameters.inertia_metric import (
-    log_determinant_divergence,
-    prior_residual,
-)
 from rbjax.sysid.parameters.log_cholesky import (
     from_log_cholesky,
     inertial_parameters_of,
     log_cholesky_parameters,
+    log_determinant_divergence,
     model_log_cholesky,
     nearest_pseudo_inertia,
+    prior_residual,
     pseudo_inertia_of,
     to_log_cholesky,
     with_inertial_parameters,
 )
 
 __all__ = [
-    "to_log_cholesky",
-    "from_log_cholesky",
-    "log_cholesky_parameters",
-    "pseudo_inertia_of",
-    "inertial_parameters_of",
-    "nearest_pseudo_inertia",
-    "with_inertial_parameters",
-    "model_log_cholesky",
-    "log_determinant_divergence",
-    "prior_residual",
-]
+    "from_log_cholesky", "inertial_parameters_of", "log_cholesky_parameters",
+    "log_determinant_divergence", "model_log_cholesky", "nearest_pseudo_inertia",
+    "prior_residual", "pseudo_inertia_of", "to_log_cholesky", "with_inertial_parameters",
+]  # fmt: skip

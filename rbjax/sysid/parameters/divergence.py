@@ -1,6 +1,6 @@
-"""Divergences: how far numbers are from a guess, where what is impossible is infinitely far.
+"""Divergences: distances of parameters from a guess, infinite outside of their range.
 
-D(p, p0) is convex in p and the Bregman divergence of -log det, of numbers and of matrices:
+D(p, p0) is convex in p, the Bregman divergence of -log det of numbers and of matrices:
 
     positive    sum p / p0 - log(p / p0) - 1
     inertia     tr(P0^-1 P) - log det(P0^-1 P) - 4,   P the pseudo-inertia
@@ -17,14 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: a body thinner than this, beside the guess, counts as impossible: rounding would make it so
+#: a body thinner than this, relative to the guess, counts as impossible, because of rounding
 BORDER = 1e-7
 
 
 @dataclass(frozen=True)
 class Divergence:
-    """D >= 0, infinite where p is impossible; its slope (n,) and its curvature (n, n), each made
-    when it is asked for. The curvature depends on p only."""
+    """D >= 0, infinite if p is impossible, with its gradient (n,) and Hessian (n, n), which are
+    computed when they are first read. The Hessian depends on p only."""
 
     value: float
     sloped: Callable[[], np.ndarray]
@@ -45,7 +45,7 @@ class Divergence:
         return cls(np.inf, lambda: np.full(n, np.nan), lambda: np.full((n, n), np.nan))
 
     @classmethod
-    @np.errstate(over="ignore")  # a trial step may be of any size; the value is then inf
+    @np.errstate(over="ignore")  # the value of a long trial step is inf
     def free(cls, p: np.ndarray, p0: np.ndarray, scale: float) -> Divergence:
         """sum ((p - p0) / scale)^2 / 2"""
         off = (p - p0) / scale
@@ -64,7 +64,7 @@ class Divergence:
     def bounded(
         cls, p: np.ndarray, p0: np.ndarray, low: float, high: float, scale: float
     ) -> Divergence:
-        """The divergence of the distances to both bounds; an infinite bound has none."""
+        """The sum of the divergences of the distances to the finite bounds."""
         sides = []
         if low > -np.inf:
             sides.append(cls.positive(p - low, p0 - low))
@@ -75,8 +75,8 @@ class Divergence:
     @classmethod
     @np.errstate(over="ignore")
     def definite(cls, P: np.ndarray, P0: np.ndarray, along: np.ndarray) -> Divergence:
-        """The sum of tr(P0^-1 P) - log det(P0^-1 P) - 4 over P (k, 4, 4), each linear in n numbers
-        of its own, along = dP/dp (n, 4, 4)."""
+        """The sum of tr(P0^-1 P) - log det(P0^-1 P) - 4 over P (k, 4, 4), each linear in its own n
+        parameters, along = dP/dp (n, 4, 4)."""
         k, n = len(P), len(along)
         flat = along.reshape(n, -1)
         try:
@@ -101,7 +101,7 @@ class Divergence:
 
     @classmethod
     def joined(cls, parts: Sequence[Divergence]) -> Divergence:
-        """That of several vectors, one after the other."""
+        """The divergence of several vectors, one after the other."""
         return cls(
             sum(part.value for part in parts),
             lambda: np.concatenate([part.slope for part in parts]),
@@ -109,7 +109,7 @@ class Divergence:
         )
 
     def through(self, A: np.ndarray) -> Divergence:
-        """That of x, where p = A x + b."""
+        """The divergence as a function of x, with p = A x + b."""
         return Divergence(self.value, lambda: A.T @ self.slope, lambda: A.T @ self.curvature @ A)
 
     def __add__(self, other: Divergence) -> Divergence:
@@ -121,7 +121,7 @@ class Divergence:
 
 
 def _excess(x: np.ndarray) -> np.ndarray:
-    """x - log(1 + x), which is x^2 / 2 where x is small, without cancellation."""
+    """x - log(1 + x), for small x by its series, which has no cancellation."""
     near = np.abs(x) < 1e-3
     y = np.where(near, x, 0.0)  # the series of a large x overflows
     series = y * y * (1 / 2 - y * (1 / 3 - y * (1 / 4 - y / 5)))
@@ -130,7 +130,7 @@ def _excess(x: np.ndarray) -> np.ndarray:
 
 
 def _diagonal(blocks: list[np.ndarray]) -> np.ndarray:
-    """A matrix of square blocks (scipy's takes ten times as long)."""
+    """A block-diagonal matrix; scipy's function takes ten times as long."""
     ends = np.cumsum([len(block) for block in blocks])
     found = np.zeros((ends[-1], ends[-1]))
     for end, block in zip(ends, blocks, strict=True):

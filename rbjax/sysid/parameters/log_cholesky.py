@@ -1,7 +1,7 @@
-"""Log-Cholesky coordinates of a body's inertia: ten free numbers, each choice of which is a body.
+"""Log-Cholesky coordinates of inertias, and their log-determinant divergence.
 
-A body can exist if its pseudo-inertia P (4, 4) is positive definite (`rbjax.spatial`). Its upper
-Cholesky factor has a positive diagonal, of which the logarithms are free:
+An inertia is physically consistent if its pseudo-inertia P (4, 4) is positive definite
+(`rbjax.spatial`). Its upper Cholesky factor has a positive diagonal, whose logarithms are free:
 
     P = [[S, h], [h^T, m]] = U U^T,   U = e^a [[e^d1, s12, s13, t1],
                                                [0, e^d2, s23, t2],
@@ -9,11 +9,15 @@ Cholesky factor has a positive diagonal, of which the logarithms are free:
                                                [0, 0, 0, 1]]
     theta = (a, d1, d2, d3, s12, s23, s13, t1, t2, t3)
 
-So m = e^(2a), and t is the centre of mass. The ten inertial parameters of a body are everywhere
+So m = e^(2a), and t is the centre of mass. The ten inertial parameters of a body are
 
     phi = (m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz),   h = m c,  I about the frame's origin,
 
-as in `rbjax.inertial_parameters`. Rucker & Wensing, IEEE RA-L 7(2), 2022.
+as in `rbjax.inertial_parameters` (Rucker & Wensing, IEEE RA-L 7(2), 2022). The divergence of two
+inertias is the same in every frame and unit, with lambda the eigenvalues of Q^-1 P (Lee, Wensing &
+Park, IEEE T-RO 36(3), 2020):
+
+    d(P||Q) = tr(Q^-1 P) - log det(Q^-1 P) - 4 = sum(lambda - 1 - log lambda)
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.dynamics import inertial_parameters
 from rbjax.dynamics.arguments import check_array, check_model, shape_of
 from rbjax.errors import InputError
@@ -33,13 +38,14 @@ from rbjax.spatial import from_pseudo_inertia
 
 PARAMETERS = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """The ten inertial parameters of a body, in their order."""
+_UPPER_ENTRIES = np.triu_indices(4, 1)
 
 
 @takes(phi="inertial")
 def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
-    """P (..., 4, 4) from the ten inertial parameters; linear.
+    """Compute the pseudo-inertia P (..., 4, 4) from the ten inertial parameters.
 
-        P = [[tr(I)/2 1 - I, h], [h^T, m]]
+        P = [[tr(I)/2 1 - I, h], [h^T, m]],   linear in phi
 
     Args:
         phi: (..., 10) in the body's frame, kg, kg m, kg m^2.
@@ -61,7 +67,7 @@ def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
 
 @takes(P="matrix4")
 def inertial_parameters_of(P: jax.Array) -> jax.Array:
-    """phi (..., 10) from a pseudo-inertia P (..., 4, 4): the inverse of `pseudo_inertia_of`.
+    """Compute phi (..., 10) from P (..., 4, 4): the inverse of `pseudo_inertia_of`.
 
     Example:
         >>> import jax.numpy as jnp
@@ -75,7 +81,7 @@ def inertial_parameters_of(P: jax.Array) -> jax.Array:
 
 @takes(theta="inertial")
 def from_log_cholesky(theta: jax.Array) -> jax.Array:
-    """The pseudo-inertia P (..., 4, 4) of log-Cholesky coordinates: always positive definite.
+    """Compute P (..., 4, 4) from log-Cholesky coordinates; it is always positive definite.
 
         P = U U^T
 
@@ -96,7 +102,7 @@ def from_log_cholesky(theta: jax.Array) -> jax.Array:
 
 @takes(theta="inertial")
 def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
-    """phi (..., 10) of log-Cholesky coordinates; its Jacobian is `jax.jacfwd` of this.
+    """Compute phi (..., 10) from log-Cholesky coordinates.
 
     Args:
         theta: (..., 10), any numbers.
@@ -113,16 +119,16 @@ def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
 
 
 def to_log_cholesky(P: jax.Array) -> jax.Array:
-    """The log-Cholesky coordinates of a pseudo-inertia: the inverse of `from_log_cholesky`.
+    """Compute log-Cholesky coordinates of a pseudo-inertia: the inverse of `from_log_cholesky`.
 
     Args:
         P: (..., 4, 4) symmetric and positive definite.
 
     Returns:
-        theta (..., 10); within traced code nan where P is not positive definite.
+        theta (..., 10); in traced code nan if P is not positive definite.
 
     Raises:
-        InputError: P is known and not positive definite: no body has these numbers.
+        InputError: P is not traced and not positive definite, so no body has this inertia.
 
     Source: Rucker & Wensing 2022.
 
@@ -162,7 +168,7 @@ def _to_log_cholesky(P: jax.Array) -> jax.Array:
 
 @takes(theta="inertial")
 def upper_factor(theta: jax.Array) -> jax.Array:
-    """U (..., 4, 4), upper triangular with a positive diagonal, with P = U U^T."""
+    """Compute the upper triangular U (..., 4, 4) with a positive diagonal and P = U U^T."""
     a, d1, d2, d3, s12, s23, s13, t1, t2, t3 = entries(theta)
     o, one = jnp.zeros_like(a), jnp.ones_like(a)
     e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
@@ -171,14 +177,16 @@ def upper_factor(theta: jax.Array) -> jax.Array:
 
 
 def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
-    """The nearest pseudo-inertia whose eigenvalues are at least `margin` times the largest.
+    """Project to the nearest P whose eigenvalues are at least `margin` times the largest.
+
+    Use it to repair an inertia of a file that no body can have.
 
     Args:
         P: (..., 4, 4) symmetric.
         margin: above 0.
 
     Returns:
-        (..., 4, 4), nearest to P in the Frobenius norm; P itself where it satisfies this.
+        (..., 4, 4), nearest to P in the Frobenius norm; P itself if it satisfies this.
 
     Source: Higham, Linear Algebra Appl. 103, 1988.
 
@@ -189,8 +197,7 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
         (4, 4)
     """
     where = "nearest_pseudo_inertia"
-    if isinstance(margin, bool) or not isinstance(margin, (int, float)) or not margin > 0:
-        raise InputError(f"{where}: margin is {margin!r}, expected a number above 0")
+    real_number(where, "margin", margin, "a number above 0", above=0.0)
     shape = shape_of(where, "P", P)
     if shape[-2:] != (4, 4):
         raise InputError(f"{where}: P has shape {shape}, expected (..., 4, 4)")
@@ -202,7 +209,7 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
 
 
 def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
-    """The model whose bodies have these inertial parameters: the inverse of `inertial_parameters`.
+    """Set the inertial parameters of a model's bodies: the inverse of `rb.inertial_parameters`.
 
     Args:
         model: the robot.
@@ -231,7 +238,7 @@ def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
 
 
 def model_log_cholesky(model: Model) -> jax.Array:
-    """The log-Cholesky coordinates (nb, 10) of a model's bodies.
+    """Compute the log-Cholesky coordinates (nb, 10) of a model's bodies.
 
     Raises:
         InputError: a body cannot exist; the message names it.
@@ -262,3 +269,68 @@ def _check_bodies(names: Sequence[str], theta: np.ndarray) -> None:
 
 parameter_jacobian = jax.jit(jax.vmap(jax.jacfwd(log_cholesky_parameters)))
 """d phi / d theta (n, 10, 10) of n bodies."""
+
+
+def log_determinant_divergence(P: jax.Array, Q: jax.Array) -> jax.Array:
+    """Compute the divergence d(P||Q) (...) of two pseudo-inertias; 0 if they are equal.
+
+        tr(Q^-1 P) - log det(Q^-1 P) - 4
+
+    Args:
+        P: (..., 4, 4) positive definite.
+        Q: (..., 4, 4) positive definite, such as that of the CAD model.
+
+    Raises:
+        InputError: a matrix that is not traced and not positive definite.
+
+    Source: Lee, Wensing & Park 2020, eq. 21.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid.parameters import log_determinant_divergence
+        >>> round(float(log_determinant_divergence(2 * jnp.eye(4), jnp.eye(4))), 4)
+        1.2274
+    """
+    r = prior_residual(to_log_cholesky(P), to_log_cholesky(Q))
+    return (r * r).sum(-1)
+
+
+@takes(theta="inertial", prior="inertial")
+def prior_residual(theta: jax.Array, prior: jax.Array) -> jax.Array:
+    """Compute smooth residuals r (..., 10) with |r|^2 = d(P(theta)||P(prior)), for least squares.
+
+        r = (B_ij for i < j, sign(x) sqrt(e^(2x) - 1 - 2x)),   B = V^-1 U,  B_ii = e^x,
+        with the upper factors P = U U^T and Q = V V^T
+
+    Args:
+        theta: (..., 10) log-Cholesky coordinates.
+        prior: (..., 10) the coordinates of the CAD model.
+
+    Source: the divergence of Lee, Wensing & Park 2020, in the coordinates of Rucker & Wensing 2022.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid.parameters import prior_residual
+        >>> prior_residual(jnp.zeros(10), jnp.zeros(10)).tolist()
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    """
+    theta, prior = jnp.broadcast_arrays(theta, prior)
+    B = jax.scipy.linalg.solve_triangular(upper_factor(prior), upper_factor(theta))
+    step = theta - prior
+    a, d = step[..., 0], step[..., 1:4]
+    diagonal = scalar_residual(jnp.concatenate([a[..., None], a[..., None] + d], -1))
+    return jnp.concatenate([diagonal, B[..., *_UPPER_ENTRIES]], -1)
+
+
+def scalar_residual(x: jax.Array) -> jax.Array:
+    """Compute r with r^2 = e^(2x) - 1 - 2x, the divergence of two positive numbers with the
+    quotient e^(2x). Near 0, r ~ sqrt(2) x."""
+    y = 2 * x
+    small = jnp.abs(y) < 0.05
+    far = jnp.where(small, 1.0, y)
+    # 2 (e^y - 1 - y) / y^2; for small y its series, whose last term is below 1e-16
+    quotient = 2 * (jnp.expm1(far) - far) / far**2
+    series = jnp.zeros_like(y)
+    for k in range(11, 2, -1):
+        series = (1 + series) * y / k
+    return x * jnp.sqrt(2 * jnp.where(small, 1 + series, quotient))

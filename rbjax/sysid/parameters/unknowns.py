@@ -1,10 +1,9 @@
-"""Unknowns: which numbers of a set-up are sought, and what they can be.
+"""Unknowns: the parameters of a set-up that are estimated, and their ranges.
 
-An unknown reads and writes n physical numbers p of a pytree (a `Model`, or a `Setup` around it).
-What p can be is said by a convex divergence D(p, p0): the distance from a guess, infinite where p
-is impossible (`divergence`). So one term is the barrier of an estimator, the length of its steps,
-and the prior that decides what the data leave open. Motion is nearly linear in p, and what data
-leave open is a plane in p.
+An unknown reads and writes n physical parameters p of a pytree (a `Model`, or a `Setup` around it).
+A convex divergence D(p, p0) is the distance from a guess, infinite outside of the range of p
+(`divergence`). It serves an estimator as barrier, metric of the step length, and prior in the
+directions that the data do not identify. Motion is nearly linear in p.
 """
 
 from __future__ import annotations
@@ -14,11 +13,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName
+from rbjax.arguments import choice
+from rbjax.errors import UnknownName
 from rbjax.model import Model
 from rbjax.spatial.mass import from_pseudo_inertia, pseudo_inertia
 from rbjax.sysid.parameters.divergence import Divergence
@@ -27,37 +28,31 @@ from rbjax.sysid.parameters.log_cholesky import (
     inertial_parameters_of,
     pseudo_inertia_of,
 )
-from rbjax.sysid.parameters.setup_leaves import leaf_of as leaf_of
-from rbjax.sysid.parameters.setup_leaves import put, with_leaf
 
 
 @runtime_checkable
 class Parametrisation(Protocol):
-    """n physical numbers of a set-up. `read` and `write` are traced."""
+    """n physical parameters of a set-up. `read` and `write` are traced."""
 
     def names(self, label: str, target: Any) -> list[str]:
-        """A name for each number."""
-        ...
+        """The name of each parameter."""
 
     def read(self, target: Any) -> jax.Array:
-        """p (n,) as it stands in the set-up."""
-        ...
+        """Read p (n,) from the set-up."""
 
     def write(self, target: Any, p: jax.Array) -> Any:
-        """The set-up with p."""
-        ...
+        """Write p into the set-up."""
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         """D(p, p0), convex in p, with its derivatives."""
-        ...
 
 
 class Scalars:
-    """Numbers that are free, positive or bounded, each by itself."""
+    """Parameters that are free, positive or bounded independently of each other."""
 
-    positive: bool
-    bounds: tuple[float, float] | None
-    scale: float
+    positive: bool = False
+    bounds: tuple[float, float] | None = None
+    scale: float = 1.0
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         if self.bounds is not None:
@@ -69,15 +64,16 @@ class Scalars:
 
 @dataclass(frozen=True)
 class Unknown(Scalars):
-    """Numbers of one leaf.
+    """Unknown entries of one leaf of a model or a set-up.
 
     Args:
-        leaf: its dotted name, such as "bodies.mass" or "forces.0.coulomb"; in a `Setup` a leaf of
-            its model needs no "model." before it.
-        index: which of its numbers; all if left out.
+        leaf: its dotted name, such as "bodies.mass" or "forces.0.coulomb". In a `Setup`, the
+            prefix "model." may be left out.
+        index: of the entries; all if left out.
         positive: whether they are above zero.
-        bounds: least and largest possible value, neither of which is reached.
-        scale: of free numbers: what is a large change.
+        bounds: lower and upper bound, which are not reached.
+        scale: a large change of free parameters.
+        prior: mean and standard deviation of a normal prior of each entry; None: no prior.
 
     Example:
         >>> import rbjax as rb
@@ -91,6 +87,7 @@ class Unknown(Scalars):
     positive: bool = False
     bounds: tuple[float, float] | None = None
     scale: float = 1.0
+    prior: tuple[float, float] | None = None
 
     def names(self, label: str, target: Any) -> list[str]:
         shape = np.asarray(leaf_of(target, self.leaf))[self.index].shape
@@ -109,15 +106,17 @@ class Unknown(Scalars):
 
 @functools.cache
 def _pseudo_slopes() -> np.ndarray:
-    """The pseudo-inertia's slopes (10, 4, 4) in the ten parameters: it is linear in them."""
+    """dP/dphi (10, 4, 4) of the pseudo-inertia, which is linear in the ten parameters."""
     with jax.ensure_compile_time_eval():  # the first call may be within a traced program
         return np.asarray(pseudo_inertia_of(np.eye(10)))
 
 
 @dataclass(frozen=True)
 class Inertia:
-    """The ten inertial parameters of a body: m, h = m c, and I about the origin of its frame, in
-    the order m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz. A body of some density has them.
+    """Unknown inertia of a body: its ten inertial parameters.
+
+    These are m, h = m c, and I about the origin of the body's frame, in the order
+    m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz. Estimates are physically consistent.
 
     Args:
         body: name or index.
@@ -141,7 +140,7 @@ class Inertia:
         return with_leaf(target, "bodies", bodies.replace(**new))
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        """Of one body, or the sum of several that follow each other, ten numbers each."""
+        """The divergence of one body, or the sum over several, ten parameters each."""
         slopes = _pseudo_slopes()
         P, P0 = (np.tensordot(x.reshape(-1, 10), slopes, 1) for x in (p, p0))
         return Divergence.definite(P, P0, slopes)
@@ -150,19 +149,17 @@ class Inertia:
         model: Model = getattr(target, "model", target)
         if isinstance(self.body, int):
             return model.bodies, self.body
-        if self.body not in model.body_names:
-            raise UnknownName("body", self.body, model.body_names)
-        return model.bodies, model.body_names.index(self.body)
+        return model.bodies, model.body_names.index(choice("body", self.body, model.body_names))
 
 
 @dataclass(frozen=True)
 class Shared:
-    """One number, or row of numbers, that several leaves have in common: left leg = right leg.
+    """Unknown parameters that several leaves have in common, as a left and a right leg.
 
     Args:
-        members: unknowns of equal size; the first says what is possible.
-        factors: what the number is multiplied by for each member; ones if None. A mirrored
-            offset has -1.
+        members: unknowns of equal size; the range is that of the first.
+        factors: of the common value, one for each member, such as -1 for a mirrored offset; ones if
+            None.
     """
 
     members: tuple[Unknown, ...]
@@ -189,9 +186,14 @@ class Shared:
 
 @dataclass(frozen=True)
 class FixedTotal:
-    """Positive numbers of a leaf whose sum is known, such as masses of a robot that was weighed.
+    """Unknown positive entries of a leaf with a known sum, such as masses of a weighed robot.
 
-    The sought numbers are all but the last, which is what remains.
+    The last entry follows from the others.
+
+    Args:
+        leaf: its dotted name.
+        index: of the entries.
+        total: their sum.
     """
 
     leaf: str
@@ -217,13 +219,12 @@ class FixedTotal:
 
 @dataclass(frozen=True)
 class Tilt(Scalars):
-    """The direction of gravity in the axes of the world, in rad: a base that is not level.
+    """Unknown direction of gravity, for a base that is not level.
 
-    gravity = g (sin a, -cos a sin b, -cos a cos b); both angles are zero where it points to -z.
+    gravity = g (sin a, -cos a sin b, -cos a cos b) in the world frame, with angles a, b in rad;
+    both are zero if gravity points to -z.
     """
 
-    positive = False
-    bounds = None
     scale = 0.1
 
     def names(self, label: str, target: Any) -> list[str]:
@@ -242,10 +243,10 @@ class Tilt(Scalars):
 
 @dataclass(frozen=True)
 class Derived(Scalars):
-    """Numbers from which a function makes leaves: the density of links, the radius of a wheel.
+    """Unknown parameters of a function that writes leaves, such as a density or a wheel's radius.
 
     Args:
-        start: first guess (n,).
+        start: (n,), first guess.
         into: (set-up, p (n,)) -> set-up, traced.
         positive, bounds, scale: as in `Unknown`.
     """
@@ -267,85 +268,52 @@ class Derived(Scalars):
         return self.into(target, p)
 
 
-@dataclass(frozen=True)
-class Unknowns:
-    """Several unknowns by name, their numbers as one vector p in the order of the names."""
+def put(array: Any, index: Any, new: Any) -> jax.Array:
+    """Replace an entry of an array, by numpy in a hundredth of the time unless it is traced."""
+    if any(isinstance(x, jax.core.Tracer) for x in (array, new)):
+        return jnp.asarray(array).at[index].set(new)
+    out = np.array(array)
+    out[index] = new
+    return jnp.asarray(out)
 
-    members: Mapping[str, Parametrisation]
-    sizes: tuple[int, ...]
-    names: tuple[str, ...]
 
-    @classmethod
-    def of(cls, where: str, members: Mapping[str, Parametrisation], target: Any) -> Unknowns:
-        """Checked against the set-up that they are read from."""
-        fine = isinstance(members, Mapping) and members
-        if not fine or not all(isinstance(u, Parametrisation) for u in members.values()):
-            raise InputError(
-                f"{where}: unknowns is {members!r}, expected a dict name -> Unknown, Inertia, "
-                'Shared, FixedTotal, Tilt or Derived, such as {"mass": Unknown("bodies.mass", 0)}'
-            )
-        sizes, names = [], []
-        for label, u in members.items():
-            try:
-                called = u.names(label, target)  # numpy's indexing refuses what is not there
-                p = np.asarray(u.read(target))
-            except (IndexError, TypeError) as error:
-                raise InputError(f"{where}: {label} is {u!r}, but {error}") from error
-            if not np.isfinite(u.divergence(p, p).value):
-                raise InputError(
-                    f"{where}: {label} is {p.tolist()}, expected a first guess within its range: "
-                    "positive where positive=True, between the bounds, an inertia that a body can "
-                    "have"
-                )
-            sizes.append(p.size)
-            names += called
-        return cls(dict(members), tuple(sizes), tuple(names))
+def leaf_of(target: Any, leaf: str) -> Any:
+    """Find an array of floating-point numbers in a pytree by its dotted name."""
+    try:
+        value = functools.reduce(_child, _parts(target, leaf), target)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        value = None
+    numeric = eqx.is_array(value) or isinstance(value, float)
+    if not numeric or not jnp.issubdtype(jnp.result_type(value), jnp.floating):
+        paths = jax.tree_util.tree_flatten_with_path(target)[0]
+        keys = (jax.tree_util.keystr(p, simple=True, separator=".") for p, _ in paths)
+        known = [key.removeprefix("model.") for key in keys]
+        raise UnknownName(f"leaf of {type(target).__name__}", leaf, known)
+    return value
 
-    def read(self, target: Any) -> jax.Array:
-        """p of all."""
-        if not self.members:
-            return jnp.zeros(0)
-        return jnp.concatenate([u.read(target) for u in self.members.values()])
 
-    def limits(self, target: Any) -> dict[str, tuple[float, float]]:
-        """name -> (low, high) of the numbers that have limits, each by itself."""
-        found: dict[str, tuple[float, float]] = {}
-        for label, u in self.members.items():
-            low, high = getattr(u, "bounds", None) or (-np.inf, np.inf)
-            if getattr(u, "positive", False):
-                low = max(low, 0.0)
-            if low > -np.inf or high < np.inf:
-                found |= dict.fromkeys(u.names(label, target), (low, high))
-        return found
+def with_leaf(target: Any, leaf: str, new: Any) -> Any:
+    """Replace the array with a dotted name in a pytree. A `Model` updates its derived values."""
+    return _with(target, _parts(target, leaf), new)
 
-    def write(self, target: Any, p: jax.Array) -> Any:
-        """The set-up with p."""
-        for u, x in zip(self.members.values(), self._split(p), strict=True):
-            target = u.write(target, x)
-        return target
 
-    def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        """The sum of all."""
-        if not self.sizes:
-            return Divergence.free(p, p0, 1.0)
-        parts, end = [], 0
-        for u, size in self._joined:
-            own = slice(end, end + size)
-            parts.append(u.divergence(p[own], p0[own]))
-            end += size
-        return Divergence.joined(parts)
+def _parts(target: Any, leaf: str) -> list[str]:
+    parts = leaf.split(".")
+    inside = isinstance(getattr(target, "model", None), Model) and not hasattr(target, parts[0])
+    return ["model", *parts] if inside else parts
 
-    @functools.cached_property
-    def _joined(self) -> list[tuple[Parametrisation, int]]:
-        """The unknowns with their sizes, bodies that follow each other as one: their divergence
-        takes as long as that of one."""
-        found: list[tuple[Parametrisation, int]] = []
-        for u, size in zip(self.members.values(), self.sizes, strict=True):
-            if isinstance(u, Inertia) and found and isinstance(found[-1][0], Inertia):
-                found[-1] = u, found[-1][1] + size
-            else:
-                found.append((u, size))
-        return found
 
-    def _split(self, x: jax.Array) -> list[jax.Array]:
-        return jnp.split(x, np.cumsum(self.sizes)[:-1]) if self.sizes else []
+def _child(value: Any, part: str) -> Any:
+    if isinstance(value, Mapping):
+        return value[part]
+    return value[int(part)] if isinstance(value, (tuple, list)) else getattr(value, part)
+
+
+def _with(value: Any, parts: list[str], new: Any) -> Any:
+    if not parts:
+        return new
+    part, rest = parts[0], parts[1:]
+    child = _with(_child(value, part), rest, new)
+    if isinstance(value, Model):
+        return value.replace(**{part: child})
+    return eqx.tree_at(lambda x: _child(x, part), value, child, is_leaf=lambda x: x is None)

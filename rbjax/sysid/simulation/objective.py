@@ -1,9 +1,8 @@
 """`squares`: the squared simulation error and its gradient, for optimisers that take no Jacobian.
 
     c(x) = |r(x)|^2,     dc/dx = 2 J^T r
-Forward mode simulates a motion and its rate for each number of x, all side by side. Reverse mode
-simulates once and goes back once, however many numbers there are. It wins where numbers outgrow
-the lanes of the machine; so do a network's weights.
+Forward mode simulates the motion and a tangent for each entry of x, all in one batch. Reverse mode
+takes one simulation and one backward pass for any number of entries, such as a network's weights.
 """
 
 from __future__ import annotations
@@ -17,32 +16,37 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.dynamics.tracing.devices import memory_share
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.sysid.arguments import check_how, recordings_of, setup_of
+from rbjax.sysid.arguments import check_options, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
-from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
-from rbjax.sysid.simulation.programs import kept
-from rbjax.sysid.simulation.runs import Run, batch_of, grid_of
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.parameters.unknowns import Parametrisation
+from rbjax.sysid.simulation.programs import get_cached
+from rbjax.sysid.simulation.runs import Run, default_grid, make_batch
 from rbjax.sysid.simulation.setup import Grid, Setup
-from rbjax.sysid.simulation.simulation_error import SimulationError, programs
+from rbjax.sysid.simulation.simulation_error import SimulationError, make_programs
 
-#: forward derivatives of a full vector that take as long as one reverse derivative of it
+#: time of a reverse derivative over that of a forward derivative
 #: (benchmarks/results/cpu-gradient-modes-*.json)
 REVERSE_COSTS = 4.5
 #: bytes of a processor's vector
 VECTOR = 64
-#: samples side by side that fill a GPU: an estimate
+#: samples that fill a GPU: an estimate
 GPU_THREADS = 16_384
 
 
 @dataclass(frozen=True, eq=False)
 class Squares:
-    """c(x) = |r(x)|^2 of recordings.
+    """The objective c(x) = |r(x)|^2 of recordings.
 
-    Fields: x (n + runs l,), the first guess: numbers of the unknowns in the order of names, then,
-    where starts are sought, corrections of each run's; names; mode, "forward" or "reverse".
+    Fields:
+        x: (n + runs l,), the first guess: the unknowns in the order of `names`, then the
+            corrections of each run's initial state, if these are estimated.
+        names: (n,) of the unknowns.
+        mode: "forward" or "reverse".
     """
 
     x: np.ndarray
@@ -53,11 +57,11 @@ class Squares:
     _both: Callable[[jax.Array, Run], tuple[jax.Array, jax.Array]]
 
     def value(self, x: Any) -> jax.Array:
-        """c(x)"""
+        """Compute c(x)."""
         return self._value(self._of.by_run(jnp.asarray(x)), self._of.runs)
 
     def value_and_grad(self, x: Any) -> tuple[jax.Array, jax.Array]:
-        """c(x) and its gradient, of the shape of x."""
+        """Compute c(x) and its gradient, of the shape of x."""
         n = self._of.shared
         c, g = self._both(self._of.by_run(jnp.asarray(x)), self._of.runs)
         return c, jnp.concatenate([g[:, :n].sum(0), g[:, n:].ravel()])
@@ -69,24 +73,25 @@ def squares(
     unknowns: Mapping[str, Parametrisation],
     *,
     grid: Grid | None = None,
-    starts: bool | None = None,
+    estimate_initial_state: bool | None = None,
     loss: str = "squares",
     mode: str | None = None,
     memory: float | None = None,
 ) -> Squares:
-    """The squared error that `identify` makes small, and its gradient.
+    """Make the objective of `identify`, the squared simulation error, with its gradient.
+
+    Use it with an optimiser of your own, or to fit many parameters such as a network's weights.
 
     Args:
-        model, recordings, unknowns, grid, starts, loss: as in `identify`.
-        mode: "forward" or "reverse"; the one that is faster for so many numbers and runs if None.
-        memory: bytes in which reverse mode may keep states, for all runs; the fewer, the more steps
-            run twice. None: an eighth of the memory of the devices. It keeps every k-th state of N
-            a run and holds k more, so 2 sqrt(N) at least.
+        model, recordings, unknowns, grid, estimate_initial_state, loss: as in `identify`.
+        mode: "forward" or "reverse"; None for the faster one.
+        memory: bytes for the states that reverse mode saves, for all runs; with less memory more
+            steps are computed twice. None: an eighth of the memory of the devices. At least
+            2 sqrt(N) states of a run of N periods are saved.
 
     Returns:
-        `Squares`, in the dtype of the model: it uses no tolerances that would need the float64 of
-        `identify`. The numbers are physical, without limits: change variables (such as p = exp(y))
-        if an optimiser could leave their range.
+        `Squares`, in the dtype of the model. The unknowns have no bounds here: change variables
+        (such as p = exp(y)) if an optimiser could leave their range.
 
     Raises:
         InputError: as `identify`; a mode of another name; memory that is not positive.
@@ -98,37 +103,45 @@ def squares(
         >>> from rbjax.sysid import Channel, Recording, Unknown, squares
         >>> model, t = rb.load("pendulum"), np.arange(51) * 0.01
         >>> swing = Recording("swing", {"q": Channel(t, 0.1 * np.cos(3 * t)[:, None])})
-        >>> error = squares(model, swing, {"mass": Unknown("bodies.mass", 0)}, starts=False)
+        >>> mass = {"mass": Unknown("bodies.mass", 0)}
+        >>> error = squares(model, swing, mass, estimate_initial_state=False)
         >>> value, slope = error.value_and_grad(error.x)
         >>> slope.shape
         (1,)
     """
     setup, runs = setup_of("squares", model), recordings_of("squares", recordings)
-    check_how("squares", loss, starts)
+    check_options("squares", loss, estimate_initial_state)
     if not (mode is None or mode in ("forward", "reverse")):
         raise InputError(f'squares: mode is {mode!r}, expected "forward", "reverse" or None')
-    number = isinstance(memory, (int, float)) and not isinstance(memory, bool)
-    if memory is not None and not (number and memory > 0):
-        raise InputError(f"squares: memory is {memory!r}, expected a positive number of bytes")
+    if memory is not None:
+        real_number("squares", "memory", memory, "a positive number of bytes", above=0.0)
     sought = Unknowns.of("squares", unknowns, setup)
-    grid = grid_of(runs, setup) if grid is None else grid
-    of = SimulationError(setup, sought, batch_of(setup, runs, grid), grid, starts=starts, loss=loss)
+    grid = default_grid(runs, setup) if grid is None else grid
+    of = SimulationError(
+        setup,
+        sought,
+        make_batch(setup, runs, grid),
+        grid,
+        estimate_initial_state=estimate_initial_state,
+        loss=loss,
+    )
     mode = mode or faster(of.shared + of.own, of.count, setup.model.gravity.dtype.itemsize)
     budget = memory_share() if memory is None else memory
     keep = _keep(setup, of.runs, grid, budget) if mode == "reverse" else None
-    value, both = kept(_programs, setup, sought, grid, of.own, loss, keep)
+    value, both = get_cached(_make_programs, setup, sought, grid, of.own, loss, keep)
     x = np.append(np.asarray(sought.read(setup)), np.zeros(of.size - of.shared))
     return Squares(x, sought.names, mode, of, value, both)
 
 
 def faster(numbers: int, runs: int, itemsize: int) -> str:
-    """The mode that is faster for so many numbers of each run, by how many samples run at once.
+    """Choose the faster mode for so many unknowns of each run, by the number of samples in
+    parallel.
 
     >>> faster(2, 64, 8), faster(55, 64, 8), faster(2, 1, 8)
     ('forward', 'reverse', 'reverse')
     """
     on_cpu = jax.default_backend() == "cpu"
-    if on_cpu and runs == 1:  # one motion needs no vector, its rates do
+    if on_cpu and runs == 1:  # one motion is not vectorised, its tangents are
         return "forward" if numbers == 1 else "reverse"
     at_once = VECTOR // itemsize if on_cpu else GPU_THREADS
     forward, reverse = (math.ceil(samples / at_once) for samples in (numbers * runs, runs))
@@ -136,23 +149,23 @@ def faster(numbers: int, runs: int, itemsize: int) -> str:
 
 
 def _keep(setup: Setup, runs: Run, grid: Grid, memory: float) -> int:
-    """Each how many states reverse mode keeps one."""
+    """The k of which reverse mode saves every k-th state."""
     count, periods = runs.commands.shape[:2]
     late = (grid.longest_delay + 2) * setup.model.nu if grid.longest_delay else 0
     numbers = sum(x.shape[-1] for x in jax.tree.leaves(runs.start)) + late
     each = count * numbers * setup.model.gravity.dtype.itemsize
-    most = math.isqrt(periods)  # more would hold more than it saves
+    most = math.isqrt(periods)  # a larger k needs more memory for the states between
     return next((k for k in range(1, most) if periods / k * each <= memory), max(most, 1))
 
 
-def _programs(
+def _make_programs(
     setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str, keep: int | None
 ) -> tuple[Callable, Callable]:
-    """c of all runs, and c with its gradient by each run's numbers, of (runs, n + l)."""
-    one = kept(programs, setup, unknowns, grid, own, loss, keep)
+    """The programs of c, and of c with its gradient (runs, n + l) by each run's entries."""
+    one = get_cached(make_programs, setup, unknowns, grid, own, loss, keep)
 
     def cost(x: jax.Array, run: Run) -> jax.Array:
-        return (one.compared(*one.path(x, run), run) ** 2).sum()
+        return (one.compare(*one.simulate(x, run), run) ** 2).sum()
 
     def value(x: jax.Array, runs: Run) -> jax.Array:
         return jax.vmap(cost)(x, runs).sum()

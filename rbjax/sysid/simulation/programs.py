@@ -1,7 +1,7 @@
-"""Programs that simulate, kept from one call to the next, so that none is compiled twice.
+"""A cache of compiled programs that simulate set-ups.
 
-A program holds all numbers of a set-up as constants but those that are sought, which makes it fast.
-So two set-ups have one program where they differ only in what is sought.
+All numbers of a set-up except the unknowns are constants of its program, which makes it fast. So
+two set-ups share a program if they differ only in the values of the unknowns.
 """
 
 from __future__ import annotations
@@ -15,45 +15,45 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.sysid.parameters.unknowns import Unknowns
+from rbjax.sysid.parameters.unknown_vector import Unknowns
 
-#: programs that are kept; the one that was not asked for longest goes first
-KEPT = 16
-#: numbers that differ by so many roundings were computed alike
+#: programs in the cache; the one that was not used for longest is removed first
+CAPACITY = 16
+#: numbers that differ by at most so many roundings count as equal
 ROUNDINGS = 4
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _Entry:
     make: Callable[..., Any]
     setup: Any
     unknowns: Unknowns
     how: tuple[Any, ...]
     made: Any
 
-    def serves(self, make: Callable, setup: Any, unknowns: Unknowns, how: tuple) -> bool:
+    def matches(self, make: Callable, setup: Any, unknowns: Unknowns, how: tuple) -> bool:
         if self.make is not make:
             return False
         same = _same((self.how, self.unknowns.names), (how, unknowns.names))
         members = [tuple(u.members.items()) for u in (self.unknowns, unknowns)]
-        return same and _same(*members) and _alike(self.setup, setup, unknowns)
+        return same and _same(*members) and _differ_in_unknowns(self.setup, setup, unknowns)
 
 
-_kept: list[_Kept] = []
+_cache: list[_Entry] = []
 
 
-def kept(make: Callable[..., Any], setup: Any, unknowns: Unknowns, *how: Any) -> Any:
-    """make(setup, unknowns, *how), or what it made of a set-up that differs only in what is sought.
+def get_cached(make: Callable[..., Any], setup: Any, unknowns: Unknowns, *how: Any) -> Any:
+    """make(setup, unknowns, *how), from the cache if the set-up differs only in the unknowns.
 
-    Functions, such as those of `Derived`, are the same only if they are one object.
+    Functions, such as those of `Derived`, are equal only if they are the same object.
     """
-    for k, old in enumerate(_kept):
-        if old.serves(make, setup, unknowns, how):
-            _kept.append(_kept.pop(k))
+    for k, old in enumerate(_cache):
+        if old.matches(make, setup, unknowns, how):
+            _cache.append(_cache.pop(k))
             return old.made
     made = make(setup, unknowns, *how)
-    _kept.append(_Kept(make, setup, unknowns, how, made))
-    del _kept[:-KEPT]
+    _cache.append(_Entry(make, setup, unknowns, how, made))
+    del _cache[:-CAPACITY]
     return made
 
 
@@ -77,8 +77,8 @@ def _same(a: Any, b: Any) -> bool:
         return False
 
 
-def _alike(a: Any, b: Any, unknowns: Unknowns) -> bool:
-    """Whether two set-ups are equal except for the unknown numbers."""
+def _differ_in_unknowns(a: Any, b: Any, unknowns: Unknowns) -> bool:
+    """Whether two set-ups are equal, or differ only in the unknown numbers."""
     x, y = jax.tree.leaves(a), jax.tree.leaves(b)
     kinds: list[Any] = [jax.tree.structure(s) for s in (a, b)]
     if kinds[0] != kinds[1] or not all(map(_same_kind, x, y)):
@@ -86,7 +86,7 @@ def _alike(a: Any, b: Any, unknowns: Unknowns) -> bool:
     if all(map(_equal, x, y)):
         return True
     guess = np.asarray(unknowns.read(b))
-    # at zero, factors of p would not be seen
+    # not at zero, where a factor p of another number would have no effect
     p = jnp.asarray(np.where(guess == 0, 1e-3, 1.01 * guess), guess.dtype)
     return all(map(_equal, *(jax.tree.leaves(unknowns.write(s, p)) for s in (a, b))))
 

@@ -1,7 +1,7 @@
-"""Recordings as arrays: what a simulation needs to repeat a run, and what to compare it with.
+"""Recordings as arrays on the grid of a simulation.
 
-Runs of different length are filled up to one shape, with weight 0, so that all of them are one
-batch and one program.
+Runs of different lengths are padded with samples of weight 0, so that all of them are one batch and
+one program.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import instance, integer, real_number
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.integrators import integrator_of
@@ -23,10 +23,10 @@ from rbjax.sysid.simulation.setup import Grid, Setup
 
 
 class Run(NamedTuple):
-    """One run, or a batch of them.
+    """One run, or a batch of runs.
 
     Fields:
-        start: the first readings as a state; with `exact` 1, the given initial state.
+        start: the first readings as a state; if `exact` is 1, the given initial state.
         commands: (N, n).
         times: by sensor, (T,) in s after the start.
         values: by sensor, (T, n).
@@ -45,11 +45,8 @@ class Run(NamedTuple):
 
 
 def _check_grid(setup: Setup, grid: Grid) -> None:
-    if not isinstance(grid, Grid):
-        raise InputError(f"identify: grid is {type(grid).__name__}, expected a Grid(period)")
-    period = grid.period
-    if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
-        raise InputError(f"identify: grid has period {period!r}, expected seconds above 0")
+    instance("identify", "grid", grid, Grid, "a Grid(period)")
+    period = real_number("identify", "period of the grid", grid.period, "seconds above 0", above=0)
     integrator_of("identify", grid.integrator)
     integer("identify", "substeps of the grid", grid.substeps, least=1)
     integer("identify", "longest_delay of the grid", grid.longest_delay, least=0)
@@ -62,11 +59,11 @@ def _check_grid(setup: Setup, grid: Grid) -> None:
         )
 
 
-def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
-    """A recording on the grid of a simulation."""
+def make_run(setup: Setup, run: Recording, grid: Grid) -> Run:
+    """Convert a recording to arrays on the grid of a simulation."""
     _check_grid(setup, grid)
     model, dtype = setup.model, setup.model.gravity.dtype
-    run = ordered(model, run)
+    run = order_columns(model, run)
     measured = [s for s in setup.sensors if s in run.channels]
     if "q" not in measured:
         raise InputError(
@@ -75,7 +72,7 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
         )
     _check_columns(setup, run, measured)
     channels = {s: run[s] for s in (*measured, HELD) if s in run.channels}
-    start = start_of(setup, run)
+    start = start_time(setup, run)
     # the last command holds for one more step of its channel
     end = min(c.t[-1] + (c.step if s == HELD else 0.0) for s, c in channels.items())
     count = int((end - start) / grid.period + 1e-6)
@@ -84,7 +81,7 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
             f"identify: recording {run.name} lasts {end - start:g} s, expected at least a period "
             f"of {grid.period:g} s"
         )
-    # what shows forces at the last instant sees the command that begins there
+    # sensors of forces at the last instant depend on the command that begins there
     periods = count if {*measured} <= {"q", "v"} else count + 1
     if "ctrl" in run.channels:
         instants = start + grid.period * (np.arange(periods) + 1e-6)  # after a command has changed
@@ -101,31 +98,31 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
         times[sensor] = channel.t[inside] - start
         values[sensor] = np.where(arrived, np.nan_to_num(channel.values[inside]), 0.0)
         weights[sensor] = arrived / sigma
-    said = run.initial_state
-    q, v = _start(model, run, start) if said is None else _said(model, run, said)
+    given = run.initial_state
+    q, v = _first_readings(model, run, start) if given is None else _check_state(model, run, given)
     x = None if model.nx == 0 else model.default_state().x
-    if said is not None and model.nx and said.x is not None:
-        x = said.x
-    start_at: Any = (q, v, x)
+    if given is not None and model.nx and given.x is not None:
+        x = given.x
+    first: Any = (q, v, x)
     found = Run(
-        State(*start_at), commands, times, values, weights,
-        np.array(float(run.start_is_known)), np.array(float(said is not None)),
+        State(*first), commands, times, values, weights,
+        np.array(float(run.start_is_known)), np.array(float(given is not None)),
     )  # fmt: skip
-    # in numpy first: every shape of an operation of JAX is a program to compile
+    # by numpy: JAX compiles each operation for every shape
     return jax.tree.map(lambda a: jnp.asarray(np.asarray(a, dtype)), found)
 
 
-def start_of(setup: Setup, run: Recording) -> float:
-    """The time in s at which the simulation of a recording starts: the first sample of q after the
-    beginning of all channels."""
+def start_time(setup: Setup, run: Recording) -> float:
+    """Find the time in s at which the simulation of a recording starts: the first sample of q after
+    the beginning of all channels."""
     used = [c for s, c in run.channels.items() if s in setup.sensors or s == HELD]
     start = max(float(c.t[0]) for c in used)
     later = run["q"].t[run["q"].t >= start - 1e-9]
     return max(start, float(later[0])) if len(later) else start
 
 
-def ordered(model: Model, run: Recording) -> Recording:
-    """The recording with the columns of joints and actuators in the order of the model."""
+def order_columns(model: Model, run: Recording) -> Recording:
+    """Order the columns of joints and actuators as in the model."""
     run.check_model(model)
     channels = dict(run.channels)
     for sensor, due in JOINT_SENSORS.items():
@@ -134,7 +131,7 @@ def ordered(model: Model, run: Recording) -> Recording:
         channel, size = channels[sensor], getattr(model, due)
         names = model.actuator_names if sensor == HELD else model.joint_names
         if len(channel.names) != size and sensor not in (HELD, "q"):
-            channel = channels[sensor] = _among_all(model, channel)
+            channel = channels[sensor] = _add_unmeasured(model, channel)
         if len(channel.names) != size:
             raise InputError(
                 f"identify: channel {sensor} of recording {run.name} has {len(channel.names)} "
@@ -150,8 +147,8 @@ def ordered(model: Model, run: Recording) -> Recording:
     return dataclasses.replace(run, channels=channels)
 
 
-def _among_all(model: Model, channel: Channel) -> Channel:
-    """The channel of some joints as one of all velocity coordinates, the others not measured."""
+def _add_unmeasured(model: Model, channel: Channel) -> Channel:
+    """Add the velocity coordinates that were not measured to the channel of some joints."""
     slices = [model.v_slice(name) for name in channel.names]
     if any(at.stop - at.start != 1 for at in slices):
         return channel
@@ -176,8 +173,8 @@ def _check_columns(setup: Setup, run: Recording, measured: Sequence[str]) -> Non
             )
 
 
-def _said(model: Model, run: Recording, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """q and v of a recording's initial state, checked."""
+def _check_state(model: Model, run: Recording, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Check the initial state of a recording, and return its q and v."""
     for name, x, size in (("q", state.q, model.nq), ("v", state.v, model.nv)):
         if np.shape(x) != (size,) or not np.isfinite(np.asarray(x)).all():
             raise InputError(
@@ -187,8 +184,8 @@ def _said(model: Model, run: Recording, state: State) -> tuple[np.ndarray, np.nd
     return np.asarray(state.q), np.asarray(state.v)
 
 
-def _start(model: Model, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
-    """The first readings of q and v; where v was not recorded, the slope of those of q."""
+def _first_readings(model: Model, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
+    """The first readings of q and v; without a channel v, the slope of q."""
 
     def first(sensor: str) -> np.ndarray:
         channel = run[sensor]
@@ -214,8 +211,8 @@ def _start(model: Model, run: Recording, start: float) -> tuple[np.ndarray, np.n
     return q, np.polyfit(channel.t[few] - channel.t[k], channel.values[few], 2)[1]
 
 
-def batch(runs: Sequence[Run]) -> Run:
-    """Several runs in one, each filled up to the longest."""
+def stack_runs(runs: Sequence[Run]) -> Run:
+    """Stack runs into a batch, each padded to the longest."""
     sensors = {tuple(sorted(e.values)) for e in runs}
     if len(sensors) > 1:
         raise InputError(
@@ -223,36 +220,33 @@ def batch(runs: Sequence[Run]) -> Run:
             "leave out what only some have"
         )
 
-    def stacked(arrays: Sequence[Any], last: bool) -> Any:
+    def stack(arrays: Sequence[Any], mode: Any) -> Any:
         longest = max(a.shape[0] for a in arrays)
+        ends = [[(0, longest - a.shape[0])] + [(0, 0)] * (a.ndim - 1) for a in arrays]
+        padded = [np.pad(a, end, mode=mode) for a, end in zip(arrays, ends, strict=True)]
+        return jnp.asarray(np.stack(padded))
 
-        def filled(a: Any) -> Any:
-            rows = [(0, longest - a.shape[0])] + [(0, 0)] * (a.ndim - 1)
-            return np.pad(a, rows, mode="edge") if last else np.pad(a, rows)
-
-        return jnp.asarray(np.stack([filled(a) for a in arrays]))
-
-    def each(field: str, last: bool) -> dict[str, Any]:
+    def each(field: str, mode: str) -> dict[str, Any]:
         first = getattr(runs[0], field)
-        return {s: stacked([getattr(e, field)[s] for e in runs], last) for s in first}
+        return {s: stack([getattr(e, field)[s] for e in runs], mode) for s in first}
 
     return Run(
         jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *(e.start for e in runs)),
-        stacked([e.commands for e in runs], True),
-        each("times", True), each("values", False), each("weights", False),
+        stack([e.commands for e in runs], "edge"),
+        each("times", "edge"), each("values", "constant"), each("weights", "constant"),
         *(jnp.asarray(np.stack([getattr(e, f) for e in runs])) for f in ("known", "exact")),
     )  # fmt: skip
 
 
-def grid_of(
+def default_grid(
     runs: Sequence[Recording], setup: Setup | None = None, *, longest: float | None = None,
     period: float | None = None,
 ) -> Grid:  # fmt: skip
-    """The finest clock of all channels, unless a period is given: commands may come when they
-    change, seconds apart. A delay may last up to `longest` s; None: three times the one of the
-    set-up, or three periods."""
+    """Make the grid with the period of the finest clock, since commands may be logged only when
+    they change. A delay may last up to `longest` s; None: three times that of the set-up, or three
+    periods."""
     step = min(channel.step for run in runs for channel in run.channels.values())
-    # clocks that differ by rounding have one program
+    # rounded, so that clocks which differ by rounding share a program
     period = float(f"{step:.12g}") if period is None else period
     if setup is None or setup.delay is None:
         return Grid(period)
@@ -262,5 +256,6 @@ def grid_of(
     return Grid(period, longest_delay=periods)
 
 
-def batch_of(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:
-    return batch([run_of(setup, run, grid) for run in runs])
+def make_batch(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:
+    """Convert recordings to a batch of runs."""
+    return stack_runs([make_run(setup, run, grid) for run in runs])

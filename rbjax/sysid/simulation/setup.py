@@ -1,11 +1,10 @@
-"""What a recording would have read: the motion of a set-up under its commands, and its sensors.
+"""Simulation of a set-up: a model with its sensors, a controller and a delay, under commands.
 
     u_k = controller(t_k, readings_k, command_k)   acts from t_k + delay to t_(k+1) + delay
     x'  = f(model, x, u),     reading(t) = scale * h(t - delay, x, u) + bias
-Commands come with a period and are held. A delay of any length is continuous and differentiable:
-the period in which a command takes over is integrated in two parts. Between two instants of the
-grid the motion is a cubic through both states (Hermite); states of force elements are linear
-between them. h is the ideal sensor (`rbjax.sensors`).
+Commands are held for a period. The motion is differentiable by the delay: the period in which a
+new command begins to act is integrated in two parts. Between two instants of the grid the motion is
+Hermite's cubic; states of force elements are linear. h is the ideal sensor (`rbjax.sensors`).
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import threads, wanted
+from rbjax.compiler import kernels_available, threads
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.model import Model, State
 from rbjax.model.links import with_constants
@@ -26,14 +25,14 @@ from rbjax.model.record import Record
 from rbjax.motion.integrators import Integrator
 from rbjax.motion.step import step
 from rbjax.sensors import Columns, Context, Sensor, sensor_of
-from rbjax.sysid.simulation.segments import in_segments
+from rbjax.sysid.simulation.parallel_in_time import simulate_windows
 
-#: (t, reading, command (n,)) -> ctrl (nu,), called once for each command
+#: (t, reading, command (n,)) -> ctrl (nu,), called once a command
 Controller = Callable[[Any, State, jax.Array], jax.Array]
 
 
 class Calibration(Record):
-    """reading = scale * value(t - delay) + bias, a number for each channel; delay in s."""
+    """reading = scale * value(t - delay) + bias; bias and scale (columns,), delay in s."""
 
     bias: jax.Array
     scale: jax.Array
@@ -46,8 +45,9 @@ class Calibration(Record):
 
 
 class PD(Record):
-    """A servo that runs once a command: ctrl = kp (command - q) - kd v, of the readings; kp, kd
-    (nu,). Its joints are those of the model, in order."""
+    """A servo, evaluated once a command: ctrl = kp (command - q) - kd v, with q and v as read.
+
+    kp, kd: (nu,), of the joints of the model in their order."""
 
     kp: jax.Array
     kd: jax.Array
@@ -57,11 +57,14 @@ class PD(Record):
 
 
 class Setup(Record):
-    """All of an experiment that has numbers, so all that can be unknown.
+    """A model with its sensors, controller and delay. Each of their parameters can be unknown.
 
-    Fields: model; sensors by name: "q" (nq channels), "v" (nv), and those of `with_sensors`;
-    controller, None where commands are the controls; delay of the controls in s, None for none;
-    readings, the ideal sensors of names that are not registered.
+    Fields:
+        model: the robot.
+        sensors: by name; "q" (nq columns), "v" (nv), and those of `with_sensors`.
+        controller: None if the commands are the controls.
+        delay: of the controls in s; None for no delay.
+        readings: the ideal sensors whose names are not registered.
 
     Example:
         >>> import rbjax as rb
@@ -78,7 +81,7 @@ class Setup(Record):
 
     @classmethod
     def of(cls, model: Model, controller: Controller | None = None, delay: Any = None) -> Setup:
-        """With ideal sensors."""
+        """The set-up of a model with ideal sensors of q and v."""
         sensors = {"q": Calibration.ideal(model.nq), "v": Calibration.ideal(model.nv)}
         return cls(model, sensors, controller, None if delay is None else jnp.asarray(delay))
 
@@ -124,14 +127,14 @@ class Setup(Record):
 
 
 class Grid(NamedTuple):
-    """How motion is integrated.
+    """The steps of integration.
 
     Fields:
-        period: seconds a command is held.
-        substeps: steps of integration in it. 0, in `identify` and `many_starts`: as many as the
-            recordings need, by a check with steps of half the length.
+        period: the time in s for which a command is held.
+        substeps: steps in a period. 0, in `identify` and `many_starts`: as many as the recordings
+            need, by a check with steps of half the length.
         integrator: as in `rollout`.
-        longest_delay: periods that a command may be late, 0 for none.
+        longest_delay: the largest delay of a command in periods; 0 for no delay.
     """
 
     period: float
@@ -142,7 +145,7 @@ class Grid(NamedTuple):
 
 class Path(NamedTuple):
     """A motion: the states (N + 1, ...) at the instants of N commands and one period later, and the
-    controls (N, nu) that were asked for at these instants."""
+    controls (N, nu) before their delay."""
 
     q: jax.Array
     v: jax.Array
@@ -150,134 +153,135 @@ class Path(NamedTuple):
     ctrls: jax.Array
 
 
-def motion(
+def simulate_motion(
     made: Callable[[jax.Array], Setup], p: jax.Array, start: State, commands: jax.Array, grid: Grid,
     *, keep: int | None = None, count: int = 1,
 ) -> Path:  # fmt: skip
-    """The motion of the set-up made(p) under commands (N, n). Numbers that p does not change stay
-    known, which the program needs to be fast. keep: a reverse derivative keeps every keep-th state
-    and simulates again what lies between; None: it keeps all that each period computes. count: of
-    segments that are simulated side by side; more than one have no reverse derivative."""
-    states, ctrls = stepped(lambda p: ready(made(p)), p, start, commands, grid, keep, count)
+    """Simulate the set-up made(p) under commands (N, n).
+
+    Args:
+        made: p -> set-up. Numbers that do not depend on p are constants of the program.
+        keep: in reverse mode, every keep-th state is saved and the states between are computed
+            again; None: all values of each period are saved.
+        count: windows of time that are simulated in parallel; several have no reverse mode.
+    """
+    states, ctrls = simulate_states(
+        lambda p: prepare_setup(made(p)), p, start, commands, grid, keep, count
+    )
     return Path(states.q, states.v, states.x, commands if ctrls is None else ctrls)
 
 
-def stepped(
+def simulate_states(
     made: Callable[[Any], Setup], p: Any, start: State, commands: jax.Array, grid: Grid,
     keep: int | None = None, count: int = 1,
 ) -> tuple[State, jax.Array | None]:  # fmt: skip
-    """`moved` of the set-up made(p), a thread a sample or a segment of it."""
+    """Simulate the states, a thread a sample or a window of it; and the controls, None if they are
+    the commands."""
+
+    def with_start(start: State, after: State) -> State:
+        return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after)
+
+    def whole(p: Any, start: State, commands: jax.Array) -> Any:
+        setup = made(p)
+        carry = first_carry(setup, start, commands, grid)
+        after, ctrls = scan_periods(period_step(setup, grid), carry, commands, keep)
+        return with_start(start, after), ctrls
+
     if count == 1 or keep is not None:
-        run = threads(lambda p, start, commands: moved(made(p), start, commands, grid, keep))
-        return run(p, start, commands)
+        return threads(whole)(p, start, commands)
 
-    def segment(p: Any, begins: Any, commands: jax.Array) -> Any:
-        once = period(made(p), grid)
-        (_, *carry), shown = jax.lax.scan(once, begins, commands)
-        return tuple(carry), shown
+    def window(p: Any, first: Any, commands: jax.Array) -> Any:
+        (_, *carry), found = jax.lax.scan(period_step(made(p), grid), first, commands)
+        return tuple(carry), found
 
-    def one(p: Any, begins: Any, commands: jax.Array) -> Any:
-        return threads(segment)(p, (begins[0], *begins[1]), commands)
+    def one(p: Any, first: Any, commands: jax.Array) -> Any:
+        return threads(window)(p, (first[0], *first[1]), commands)
 
-    first = beginning(made(p), start, commands, grid)[1:]
-    after, ctrls = in_segments(one, p, first, commands, count)
-    return _begun(start, after), ctrls
+    first = first_carry(made(p), start, commands, grid)[1:]
+    after, ctrls = simulate_windows(one, p, first, commands, count)
+    return with_start(start, after), ctrls
 
 
-def ready(setup: Setup) -> Setup:
-    """The set-up as programs of threads are shortest: the numbers of its links made before the
-    steps, and equal limbs a loop. A derivative of steps then takes half as long to compile."""
+def prepare_setup(setup: Setup) -> Setup:
+    """Prepare a set-up for short programs: constants of links are computed before the steps, and
+    equal limbs are a loop. The derivative of a step then takes half the time to compile."""
     model = setup.model
-    if not wanted():
+    if not kernels_available():
         return setup
     if model.driver == "auto":
         model = model.replace(driver="limbs")
     return setup.replace(model=with_constants(model, model.gravity.dtype))
 
 
-def moved(
-    setup: Setup, start: State, commands: jax.Array, grid: Grid, keep: int | None
-) -> tuple[State, jax.Array | None]:
-    """The states, and the controls where these are not the commands."""
-    carry = beginning(setup, start, commands, grid)
-    after, ctrls = _swept(period(setup, grid), carry, commands, keep)
-    return _begun(start, after), ctrls
-
-
-def _begun(start: State, after: State) -> State:
-    """The states of a motion, of which the start is the first."""
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after)
-
-
-def beginning(setup: Setup, start: State, commands: jax.Array, grid: Grid) -> tuple[Any, ...]:
-    """What the first period starts from: its place, the state and, where controls come late, those
-    that wait."""
+def first_carry(setup: Setup, start: State, commands: jax.Array, grid: Grid) -> tuple[Any, ...]:
+    """Make the carry of the first period: its index, the state and, with a delay, the controls that
+    do not yet act."""
     zero = jnp.zeros((), int)
-    if not _is_late(setup, grid):
+    if not _has_delay(setup, grid):
         return zero, start
-    ctrl = jax.eval_shape(functools.partial(_asked, setup, grid), zero, start, commands[0])
+    ctrl = jax.eval_shape(functools.partial(_controls, setup, grid), zero, start, commands[0])
     return zero, start, jnp.zeros((grid.longest_delay + 2, *ctrl.shape), ctrl.dtype)
 
 
-def _is_late(setup: Setup, grid: Grid) -> bool:
+def _has_delay(setup: Setup, grid: Grid) -> bool:
     return setup.delay is not None and grid.longest_delay > 0
 
 
-def _asked(setup: Setup, grid: Grid, k: Any, state: State, command: jax.Array) -> jax.Array:
-    """The controls that the command of a period asks for."""
+def _controls(setup: Setup, grid: Grid, k: Any, state: State, command: jax.Array) -> jax.Array:
+    """The controls of the command of period k."""
     if setup.controller is None:
         return command
     read = [s.scale * x + s.bias for s, x in ((setup.sensors[i], getattr(state, i)) for i in "qv")]
     return setup.controller(k * grid.period, State(*read), command)
 
 
-def period(setup: Setup, grid: Grid) -> Callable[[Any, jax.Array], Any]:
-    """A period as a step of `scan`: (what it starts from, its command) -> what the next one starts
-    from, and the state there with the controls, where these are not the commands."""
+def period_step(setup: Setup, grid: Grid) -> Callable[[Any, jax.Array], Any]:
+    """Make a period as a step of `scan`: (carry, command) -> carry, and the state at its end with
+    the controls, None if they are the commands."""
     model, T, n = setup.model, grid.period, grid.substeps
-    asked = functools.partial(_asked, setup, grid)
+    controls = functools.partial(_controls, setup, grid)
 
-    def advanced(state: State, ctrl: jax.Array, h: Any, t: Any) -> State:
+    def advance(state: State, ctrl: jax.Array, h: Any, t: Any) -> State:
         return step(model, state, ctrl, h, t=t, integrator=grid.integrator)
 
-    def kept(ctrl: jax.Array) -> jax.Array | None:
+    def computed(ctrl: jax.Array) -> jax.Array | None:
         return None if setup.controller is None else ctrl
 
-    def at_once(carry: Any, command: jax.Array) -> Any:
+    def without_delay(carry: Any, command: jax.Array) -> Any:
         k, state = carry
-        now, h = asked(k, state, command), jnp.asarray(T / n, state.q.dtype)
+        ctrl, h = controls(k, state, command), jnp.asarray(T / n, state.q.dtype)
 
         def once(i: Any, s: State) -> State:
-            return advanced(s, now, h, k * T + i * h)
+            return advance(s, ctrl, h, k * T + i * h)
 
         state = once(0, state) if n == 1 else jax.lax.fori_loop(0, n, once, state)
-        return (k + 1, state), (state, kept(now))
+        return (k + 1, state), (state, computed(ctrl))
 
-    def late(carry: Any, command: jax.Array) -> Any:
+    def with_delay(carry: Any, command: jax.Array) -> Any:
         k, state, queue = carry
-        now = asked(k, state, command)
-        fresh = jnp.broadcast_to(now, queue.shape)  # before the first one acts, the first one
-        queue = jnp.where(k == 0, fresh, jnp.concatenate([now[None], queue[:-1]]))
+        ctrl = controls(k, state, command)
+        fresh = jnp.broadcast_to(ctrl, queue.shape)  # the first command acts before its delay, too
+        queue = jnp.where(k == 0, fresh, jnp.concatenate([ctrl[None], queue[:-1]]))
         delay = jnp.clip(setup.delay, 0.0, grid.longest_delay * T)
-        # the last whole period counts as a full one, so that a delay at its end has a derivative
+        # a delay of whole periods counts as one period more and a rest of T, to be differentiable
         whole = jnp.clip(jnp.ceil(delay / T).astype(int) - 1, 0)
         rest = delay - whole * T
         before, after = queue[whole + 1], queue[whole]
 
-        def once(i: Any, s: State) -> State:  # the old command's steps, then the new one's
+        def once(i: Any, s: State) -> State:  # n steps of the old command, n of the new one
             old = i < n
             h = jnp.where(old, rest, T - rest) / n
             t = k * T + jnp.where(old, i * h, rest + (i - n) * h)
-            return advanced(s, jnp.where(old, before, after), h, t)
+            return advance(s, jnp.where(old, before, after), h, t)
 
         state = jax.lax.fori_loop(0, 2 * n, once, state)
-        return (k + 1, state, queue), (state, kept(now))
+        return (k + 1, state, queue), (state, computed(ctrl))
 
-    return late if _is_late(setup, grid) else at_once
+    return with_delay if _has_delay(setup, grid) else without_delay
 
 
-def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) -> Any:
-    """What is there after each command. A reverse derivative keeps every keep-th carry."""
+def scan_periods(once: Callable, carry: Any, commands: jax.Array, keep: int | None) -> Any:
+    """Scan a step over the commands. In reverse mode every keep-th carry is saved."""
     if keep is None:
         return jax.lax.scan(once, carry, commands)[1]
     again = jax.checkpoint(once, prevent_cse=False)
@@ -298,31 +302,33 @@ def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) ->
     return jax.tree.map(lambda *x: jnp.concatenate(x), *found)
 
 
-def reading(setup: Setup, path: Path, grid: Grid, kind: str, times: jax.Array) -> jax.Array:
-    """What a sensor reads (T, n) at times (T,) after the start."""
-    sensor, shows = setup.sensors[kind], setup.sensor(kind)
-    read = jax.vmap(lambda t: shows(_context(setup, path, grid, t)))(times - sensor.delay)
-    return sensor.scale * read + sensor.bias
+def read_sensor(setup: Setup, path: Path, grid: Grid, kind: str, times: jax.Array) -> jax.Array:
+    """Compute the readings (T, n) of a sensor at times (T,) after the start."""
+    calibration, sensor = setup.sensors[kind], setup.sensor(kind)
+    delayed = times - calibration.delay
+    read = jax.vmap(lambda t: sensor(_context_at(setup, path, grid, t)))(delayed)
+    return calibration.scale * read + calibration.bias
 
 
-def _context(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
-    """An instant between two of the grid. A sample within a thousandth of a period before a command
-    sees it."""
+def _context_at(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
+    """The context of a sensor at time t. A command acts on samples up to a thousandth of a period
+    before it."""
     T, last = grid.period, path.q.shape[0] - 2
-    delayed = setup.delay is not None and grid.longest_delay > 0
-    late = jnp.clip(setup.delay, 0.0, grid.longest_delay * T) if delayed else 0.0
+    late: Any = 0.0
+    if _has_delay(setup, grid):
+        late = jnp.clip(setup.delay, 0.0, grid.longest_delay * T)
     ctrl = path.ctrls[jnp.clip(jnp.floor((t - late) / T + 1e-3).astype(int), 0, last)]
-    state = _between(setup.model, path, T, t)
+    state = interpolate_state(setup.model, path, T, t)
     return Context.of(setup.model, t, state, ctrl, T / grid.substeps)
 
 
-def _between(model: Model, path: Path, T: float, t: Any) -> State:
-    """The state at a time, from the cubic of the interval in which it lies."""
+def interpolate_state(model: Model, path: Path, T: float, t: Any) -> State:
+    """Interpolate the state at time t by Hermite's cubic."""
     last = path.q.shape[0] - 2
     k = jnp.clip(jnp.floor(t / T + 1e-9).astype(int), 0, last)
     s = jnp.clip(t / T - k, 0.0, 1.0)
     q0, q1, v0, v1 = path.q[k], path.q[k + 1], path.v[k], path.v[k + 1]
-    adds = model.nq == model.nv  # without attitudes XLA makes one pass of all this
+    adds = model.nq == model.nv  # without attitudes XLA fuses all of this
     d = q1 - q0 if adds else difference(model, q0, q1)
     a, b = T * v0 - d, d - T * v1
     along = s * d + s * (1 - s) * ((1 - s) * a + s * b)

@@ -1,16 +1,16 @@
-"""The simulation error: sensors of simulated motions less what was recorded, with its Jacobian.
+"""The simulation error: readings of simulated motions minus recorded values, with its Jacobian.
 
     r(p, s) = weights (reading(motion(p, start (+) s)) (-) recorded)
-for all runs as one batch. p is shared; each run has its own correction s of its start where that
-is sought. The Jacobian is in forward mode, every direction a sample of the batch; a direction may
-hold a number of each part of a robot that moves by itself (`islands`).
+All runs are one batch. p is common to them; each run has a correction s of its initial state, if
+that is estimated. The Jacobian is computed in forward mode, each direction a sample of the batch
+(`jacobian_colouring`).
 """
 
 from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 import jax
@@ -22,58 +22,64 @@ from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.model import State
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.islands import Directions, directions
-from rbjax.sysid.simulation.programs import kept
+from rbjax.sysid.parameters.unknown_vector import Unknowns
+from rbjax.sysid.simulation.equal_parts import equal_parts, simulate_parts
+from rbjax.sysid.simulation.jacobian_colouring import Colouring, colour_jacobian
+from rbjax.sysid.simulation.parallel_in_time import count_windows
+from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run
-from rbjax.sysid.simulation.segments import segments
-from rbjax.sysid.simulation.setup import Grid, Path, Setup, reading
-from rbjax.sysid.simulation.side_by_side import equal_parts, motion_of_parts
+from rbjax.sysid.simulation.setup import Grid, Path, Setup, read_sensor
+from rbjax.sysid.statistics.fit_statistics import Column, Rows
 
-#: with loss="huber" residuals above this many sigma count by their size, not by its square
+#: with loss="huber" the cost of a residual above this many sigma grows linearly
 HUBER = 1.345
 #: columns that LAPACK's QR takes at a time
 BLOCK = 64
 
 
 class Programs(NamedTuple):
-    """What is simulated: of one run, traced, `path` (x, run) -> set-up, motion and `compared`
-    (set-up, motion, run) -> residual; of a batch, compiled, `readings`, `residuals`, `slopes`. The
-    slopes are those along `directions`, of the sensors that a run has; None: along each number."""
+    """The programs of a set-up.
 
-    path: Callable[[jax.Array, Run], tuple[Setup, Path]]
-    compared: Callable[[Setup, Path, Run], jax.Array]
+    Fields:
+        simulate: (x, run) -> set-up and motion of one run, traced.
+        compare: (set-up, motion, run) -> residual of one run, traced.
+        readings, residuals, slopes: of a batch, compiled. The slopes are along the seeds of
+        `colour`,
+            or along each unknown.
+        colour: sensors of the runs -> `Colouring`, or None.
+    """
+
+    simulate: Callable[[jax.Array, Run], tuple[Setup, Path]]
+    compare: Callable[[Setup, Path, Run], jax.Array]
     readings: Callable[[jax.Array, Run], dict[str, jax.Array]]
     residuals: Callable[[jax.Array, Run], jax.Array]
     slopes: Callable[[jax.Array, Run], tuple[jax.Array, jax.Array]]
-    directions: Callable[[frozenset[str]], Directions | None]
+    colour: Callable[[frozenset[str]], Colouring | None]
 
 
-def programs(
+def make_programs(
     setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str, keep: int | None = None
 ) -> Programs:
-    """The programs of a set-up, with `own` corrections of each run's start; keep as in `motion`."""
+    """Make the programs of a set-up with `own` corrections of each initial state; keep as in
+    `simulate_motion`."""
     n, parts = sum(unknowns.sizes), equal_parts(setup)
 
-    def path(x: jax.Array, run: Run, count: int = 1) -> tuple[Setup, Path]:
-        """The set-up with the numbers, and its motion, in so many segments side by side."""
+    def simulate(x: jax.Array, run: Run, count: int = 1) -> tuple[Setup, Path]:
         p, s = x[:n], x[n:]
         made = functools.partial(unknowns.write, setup)
         now = made(p)
-        start = began(now, run.start, "v" in run.values)
+        start = state_of_readings(now, run.start, "v" in run.values)
         start = jax.tree.map(lambda a, b: jnp.where(run.exact > 0, a, b), run.start, start)
         if own:
             dq, dv = jnp.split(jnp.where(run.known > 0, 0.0, s), 2)
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
-        return now, motion_of_parts(
-            parts, made, p, start, run.commands, grid, keep=keep, count=count
-        )
+        path = simulate_parts(parts, made, p, start, run.commands, grid, keep=keep, count=count)
+        return now, path
 
     def read(now: Setup, path: Path, run: Run) -> dict[str, jax.Array]:
-        return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
+        return {k: read_sensor(now, path, grid, k, run.times[k]) for k in run.values}
 
-    def compared(now: Setup, path: Path, run: Run) -> jax.Array:
-        """The residual of one run."""
+    def compare(now: Setup, path: Path, run: Run) -> jax.Array:
         parts = []
         for kind, seen in read(now, path, run).items():
             columns = setup.columns(kind)
@@ -88,83 +94,90 @@ def programs(
         return r
 
     def simulated(x: jax.Array, runs: Run) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """Residuals and readings, for which one program is enough."""
+        """Residuals and readings, by one program."""
 
         def each(x: jax.Array, run: Run) -> tuple[jax.Array, dict[str, jax.Array]]:
-            now, path_ = path(x, run, count_of(runs, 1))
-            return compared(now, path_, run), read(now, path_, run)
+            now, path = simulate(x, run, windows_of(runs, 1))
+            return compare(now, path, run), read(now, path, run)
 
         return jax.vmap(each)(x, runs)
 
     def sloped(x: jax.Array, runs: Run) -> tuple[jax.Array, jax.Array]:
-        some = along_which(frozenset(runs.values))
-        seeds = np.eye(n + own) if some is None else some.seeds
-        count = count_of(runs, len(seeds))
+        coloured = colour(frozenset(runs.values))
+        seeds = np.eye(n + own) if coloured is None else coloured.seeds
+        count = windows_of(runs, len(seeds))
 
         def each(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
             def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
-                return jax.jvp(lambda x: compared(*path(x, run, count), run), (x,), (e,))
+                return jax.jvp(lambda x: compare(*simulate(x, run, count), run), (x,), (e,))
 
             return jax.vmap(along, out_axes=(None, 1))(jnp.asarray(seeds, x.dtype))
 
         return jax.vmap(each)(x, runs)
 
-    def count_of(runs: Run, each: int) -> int:
-        """Segments of the motions of runs, each along so many directions."""
-        runs_, periods = runs.commands.shape[:2]
-        return segments(periods, runs_ * each * len(parts or [0]))
+    def windows_of(runs: Run, directions: int) -> int:
+        batch, periods = runs.commands.shape[:2]
+        return count_windows(periods, batch * directions * len(parts or [0]))
 
     @functools.cache
-    def along_which(sensors: frozenset[str]) -> Directions | None:
-        return directions(setup, unknowns, own, sensors)
+    def colour(sensors: frozenset[str]) -> Colouring | None:
+        return colour_jacobian(setup, unknowns, own, sensors)
 
     both, along_all = jax.jit(simulated), jax.jit(sloped)
 
     def slopes(x: jax.Array, runs: Run) -> tuple[jax.Array, jax.Array]:
-        along_which(frozenset(runs.values))  # before the trace, where it takes a tenth of the time
+        colour(frozenset(runs.values))  # takes ten times as long while a program is traced
         found: tuple[jax.Array, jax.Array] = along_all(x, runs)
         return found
 
     return Programs(
-        path, compared, lambda *x: both(*x)[1], lambda *x: both(*x)[0], slopes, along_which
+        simulate, compare, lambda *x: both(*x)[1], lambda *x: both(*x)[0], slopes, colour
     )
 
 
 class SimulationError:
     """The residual of a batch of runs.
 
-    x (n + runs l,) holds the numbers p of the unknowns (n,) and, where starts are sought, l = 2 nv
-    corrections for each run.
+    x: (n + runs l,), the unknowns p (n,) and l = 2 nv corrections of each initial state, or l = 0.
     """
 
     def __init__(
         self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
-        starts: bool | None = None, loss: str = "squares",
+        estimate_initial_state: bool | None = None, loss: str = "squares",
     ):  # fmt: skip
         self.setup, self.unknowns, self.grid, self.loss = setup, unknowns, grid, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
-        self.all_starts = starts is True  # even initial states that the recordings give
-        self.runs = self._opened(runs)
-        if starts is None:
-            starts = not np.asarray(runs.known).all()
-        self.own = 2 * setup.model.nv if starts else 0
-        self.programs: Programs = kept(programs, setup, unknowns, grid, self.own, loss)
+        self.all_starts = (
+            estimate_initial_state is True
+        )  # even initial states that the recordings give
+        self.runs = self._mark_known(runs)
+        if estimate_initial_state is None:
+            estimate_initial_state = not np.asarray(runs.known).all()
+        self.own = 2 * setup.model.nv if estimate_initial_state else 0
+        self.programs: Programs = get_cached(make_programs, setup, unknowns, grid, self.own, loss)
+        self._last: tuple[np.ndarray, Any] | None = None
 
     @property
     def size(self) -> int:
-        """Numbers of x."""
+        """The number of entries of x."""
         return self.shared + self.count * self.own
 
+    @property
+    def samples(self) -> int:
+        """The number of residuals with a weight; an attitude has three."""
+        weights = jax.tree.map(np.asarray, self.runs.weights)
+        return sum(int((self.setup.columns(s).weights(w) > 0).sum()) for s, w in weights.items())
+
     def by_run(self, x: Any) -> Any:
-        """x as (runs, n + l), in numpy where x is: no program to compile."""
+        """x as (runs, n + l), in numpy if x is, which compiles nothing."""
         xp: Any = np if isinstance(x, np.ndarray) else jnp
         own = xp.reshape(x[self.shared :], (self.count, self.own))
         p = xp.broadcast_to(xp.asarray(x[: self.shared]), (self.count, self.shared))
         return xp.concatenate([p, own], -1)
 
     def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
-        """That of the unknowns, and of the starts' corrections as free numbers."""
+        """The divergence of the unknowns, with the corrections as free numbers."""
         n = self.shared
         first = self.unknowns.divergence(x[:n], x0[:n])
         return Divergence.joined([first, Divergence.free(x[n:], x0[n:], 1.0)])
@@ -172,76 +185,128 @@ class SimulationError:
     def on(self, runs: Run) -> SimulationError:
         """The simulation error of other runs."""
         other = copy.copy(self)
-        other.runs, other.count = self._opened(runs), runs.commands.shape[0]
+        other.runs, other.count, other._last = self._mark_known(runs), runs.commands.shape[0], None
         return other
 
-    def _opened(self, runs: Run) -> Run:
+    def _mark_known(self, runs: Run) -> Run:
         known = jnp.zeros_like(runs.known) if self.all_starts else runs.known
-        shape = runs.commands.shape[:1]  # of a run made by hand, one number for all
+        shape = runs.commands.shape[:1]  # a run made by hand has one number for all
         return runs._replace(
             known=jnp.broadcast_to(known, shape), exact=jnp.broadcast_to(runs.exact, shape)
         )
 
     def readings(self, x: np.ndarray) -> dict[str, jax.Array]:
-        """By sensor (runs, T, n)."""
+        """The simulated readings (runs, T, n) by sensor."""
         return self.programs.readings(self.by_run(x), self.runs)
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """(runs, rows)"""
+        """r (runs, rows)."""
         return np.asarray(self.programs.residuals(self.by_run(x), self.runs))
 
     def cost(self, x: np.ndarray) -> float:
-        """|r|^2."""
-        return sum_of_squares(self.residuals(x))
+        """|r|^2, with that of the priors."""
+        priors = self.unknowns.prior_rows(x[: self.shared])[:, -1]
+        return sum_of_squares(self.residuals(x)) + float(priors @ priors)
 
     @property
-    def directions(self) -> Directions | None:
-        """Those of the programs' slopes."""
-        return self.programs.directions(frozenset(self.runs.values))
+    def colouring(self) -> Colouring | None:
+        """The colouring of the Jacobian."""
+        return self.programs.colour(frozenset(self.runs.values))
+
+    def _seeded_slopes(self, x: np.ndarray) -> Any:
+        """r (runs, rows) and its derivatives along the seeds. The last ones are kept, since the
+        statistics of a fit need those of its last step."""
+        if self._last is None or not np.array_equal(self._last[0], x):
+            found = self.programs.slopes(self.by_run(x), self.runs)
+            self._last = np.array(x), jax.tree.map(np.asarray, found)
+        return self._last[1]
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """r (runs, rows) and J (runs, rows, n + l), the sensors' rows in the order of their
-        names."""
-        r, J = map(np.asarray, self.programs.slopes(self.by_run(x), self.runs))
-        some = self.directions
-        return r, J if some is None else some.whole(J, self._times)
+        """r (runs, rows) and J (runs, rows, n + l). The rows of the sensors are in the order of
+        their names."""
+        r, J = self._seeded_slopes(x)
+        coloured = self.colouring
+        return r, J if coloured is None else coloured.expand(J, self._times)
 
     @property
     def _times(self) -> dict[str, int]:
-        """How many times each sensor is read."""
+        """The number of times of each sensor."""
         return {k: values.shape[1] for k, values in self.runs.values.items()}
 
-    def unmoved(self, x: np.ndarray) -> tuple[str, ...]:
-        """The sensors that no unknown moves."""
-        J = np.abs(self.slopes(x)[1][:, :, : self.shared])
-        found, at = [], 0
+    def rows_of(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """The rows (runs, rows, ...) of each sensor, (runs, T, columns, ...)."""
+        found, at = {}, 0
         for sensor in sorted(self.runs.values):
             T, n = self.runs.values[sensor].shape[1:]
-            rows = T * (n - len(self.setup.columns(sensor).turns))
-            least = rank_tolerance("unknown without effect", J.dtype) * J.max()
-            if not J[:, at : at + rows].max() > least:
-                found.append(sensor)
-            at += rows
-        return tuple(found)
+            d = n - len(self.setup.columns(sensor).turns)  # a quaternion has three residuals
+            found[sensor] = rows[:, at : at + T * d].reshape(len(rows), T, d, *rows.shape[2:])
+            at += T * d
+        return found
+
+    def insensitive(self, x: np.ndarray) -> tuple[str, ...]:
+        """The sensors whose readings depend on no unknown."""
+        J = np.abs(self.slopes(x)[1][:, :, : self.shared])
+        least = rank_tolerance("unknown without effect", J.dtype) * J.max()
+        return tuple(s for s, rows in self.rows_of(J).items() if not rows.max() > least)
+
+    def columns(self, x: np.ndarray, stated: Collection[str]) -> list[Column]:
+        """Residuals and Jacobian at x by column, as input of `fit_statistics`. stated: the sensors
+        whose noise is stated."""
+        residuals, slopes = map(self.rows_of, self.slopes(x))
+        n, l = self.shared, self.own
+        which = [np.r_[0:n, n + k * l : n + (k + 1) * l] for k in range(self.count)]
+        clocks = {s: np.asarray(t) for s, t in self.runs.times.items()}
+        step = min(_median_step(t) for t in clocks.values())
+        found = []
+        for sensor, r in residuals.items():
+            weights: Any = np.asarray(self.runs.weights[sensor])
+            measured = np.asarray(self.setup.columns(sensor).weights(weights)) > 0
+            place = np.rint(clocks[sensor] / step).astype(int)
+            for c in range(r.shape[2]):
+                runs = []
+                for k in range(self.count):
+                    rows = measured[k, :, c]
+                    off, J = r[k, rows, c], slopes[sensor][k, rows, c]
+                    psi, inside = off, np.ones(len(off), bool)
+                    if self.loss == "huber":  # beyond its knee the residual is sign sqrt(2 rho)
+                        inside = np.abs(off) < HUBER
+                        psi = np.where(inside, off, HUBER * np.sign(off))
+                        J = J * np.where(inside, 1.0, np.abs(off) / HUBER)[:, None]
+                    runs.append(Rows(J, psi, inside, place[k][rows], which[k]))
+                if any(len(rows.psi) for rows in runs):
+                    found.append(Column(f"{sensor}[{c}]", runs, sensor in stated))
+        priors, none = self.unknowns.prior_rows(x[:n]), np.zeros(0, int)
+        if len(priors):
+            J, ones = np.pad(priors[:, :n], ((0, 0), (0, l))), np.ones(len(priors))
+            rest = [Rows(J[:0], none, none, none, at) for at in which[1:]]
+            first = Rows(J, priors[:, -1], ones, np.arange(len(priors)), which[0])
+            found.append(Column("prior", [first, *rest], True))
+        return found
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
-        """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
-        return self.assembled(*self.programs.slopes(self.by_run(x), self.runs))
+        """R (size + 1, size + 1) with R^T R = [J r]^T [J r], with the rows of the priors."""
+        R, n = self.assemble(*self._seeded_slopes(x)), self.shared
+        priors = self.unknowns.prior_rows(x[:n])
+        if not len(priors):
+            return R
+        wide = np.zeros((len(priors), self.size + 1))
+        wide[:, :n], wide[:, -1] = priors[:, :n], priors[:, -1]
+        return triangle_of(np.concatenate([R, wide]))
 
-    def assembled(self, r: Any, J: Any) -> np.ndarray:
-        """R of the residuals (runs, rows) and their slopes along the programs' directions."""
-        n, some = self.shared + self.own, self.directions
+    def assemble(self, r: Any, J: Any) -> np.ndarray:
+        """R of the residuals (runs, rows) and their derivatives along the seeds."""
+        n, coloured = self.shared + self.own, self.colouring
         both = np.concatenate([np.asarray(J), np.asarray(r)[..., None]], -1)
         parts: list[tuple[Any, np.ndarray]] = [(slice(None), np.arange(n))]
         weights = np.eye(n)
-        if some is not None:
-            parts, weights = some.parts(self._times), some.weights
+        if coloured is not None:
+            parts, weights = coloured.blocks(self._times), coloured.weights
         blocks = []
-        for rows, which in parts:  # a run's own numbers must not be mixed with another's
+        for rows, which in parts:
             by = weights[:, which]
             used = np.flatnonzero(by.any(1))
             each_run: Any = range(self.count) if self.own else [slice(None)]
-            for k in each_run:
+            for k in each_run:  # corrections of different runs have different columns
                 # `take` copies several times faster than an index does
                 those = both[k] if isinstance(rows, slice) else np.take(both[k], rows, -2)
                 if len(used) < len(weights):
@@ -249,12 +314,12 @@ class SimulationError:
                 R = triangle_of(those.reshape(-1, those.shape[-1]))
                 wide = np.zeros((R.shape[0], n + 1), R.dtype)
                 wide[:, which], wide[:, -1] = R[:, :-1] @ by[used], R[:, -1]
-                blocks.append(self.widened(wide, k) if self.own else wide)
+                blocks.append(self.widen(wide, k) if self.own else wide)
         one = len(blocks) == 1 and len(blocks[0]) == self.size + 1
         return blocks[0] if one else triangle_of(np.concatenate(blocks))
 
-    def widened(self, rows: np.ndarray, k: int) -> np.ndarray:
-        """Rows [J r] of run k by its own numbers, as rows by all of x."""
+    def widen(self, rows: np.ndarray, k: int) -> np.ndarray:
+        """Rows [J r] of run k with columns of x for its own n + l."""
         p, l = self.shared, self.own
         wide = np.zeros((rows.shape[0], self.size + 1), rows.dtype)
         wide[:, :p], wide[:, -1] = rows[:, :p], rows[:, -1]
@@ -262,8 +327,9 @@ class SimulationError:
         return wide
 
 
-def began(setup: Setup, first: State, v_was_read: bool) -> State:
-    """The state of which the first readings are; a v that was not read is the slope of q's."""
+def state_of_readings(setup: Setup, first: State, v_was_read: bool) -> State:
+    """Compute the state from its readings; a v that was not read is the slope of the readings of
+    q."""
     q, v = setup.sensors["q"], setup.sensors["v"]
     speed = first.v
     if v_was_read:
@@ -274,7 +340,7 @@ def began(setup: Setup, first: State, v_was_read: bool) -> State:
 
 
 def sum_of_squares(r: np.ndarray) -> float:
-    """|r|^2, inf where it is not finite: a motion that went to infinity."""
+    """|r|^2; inf if it is not finite, as for a motion that diverges."""
     r = np.asarray(r).ravel()
     with np.errstate(over="ignore"):
         total = float(r @ r)
@@ -282,13 +348,19 @@ def sum_of_squares(r: np.ndarray) -> float:
 
 
 def triangle_of(rows: np.ndarray) -> np.ndarray:
-    """R of rows [J r], nan where one is not finite."""
+    """Compute R of the QR factorisation of rows [J r]; nan if one is not finite."""
     n = rows.shape[1]
     if not np.isfinite(rows).all():
         return np.full((n, n), np.nan, rows.dtype)
-    (factorised,) = get_lapack_funcs(("geqrf",), (rows,))
+    (factorise,) = get_lapack_funcs(("geqrf",), (rows,))
     # LAPACK's columns and block size: half of the time of `np.linalg.qr`
-    columns, _, _, _ = factorised(np.array(rows, order="F"), lwork=BLOCK * n, overwrite_a=True)
+    columns, _, _, _ = factorise(np.array(rows, order="F"), lwork=BLOCK * n, overwrite_a=True)
     R: Any = np.triu(columns[:n])
     missing = n - R.shape[0]
     return R if missing <= 0 else np.pad(R, ((0, missing), (0, 0)))
+
+
+def _median_step(times: np.ndarray) -> float:
+    """The median step of clocks (runs, T), which are padded with their last time."""
+    steps = np.diff(times, axis=-1)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf

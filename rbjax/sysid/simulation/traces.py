@@ -1,4 +1,4 @@
-"""What was recorded beside what a fit simulates, by recording and sensor."""
+"""Traces: recorded and simulated values, by recording and sensor."""
 
 from __future__ import annotations
 
@@ -11,19 +11,23 @@ import numpy as np
 from rbjax.model import Model
 from rbjax.sensors.columns import Columns, root_mean_square
 from rbjax.sysid.data.recording import JOINT_SENSORS, Recording
-from rbjax.sysid.simulation.runs import ordered
+from rbjax.sysid.simulation.runs import order_columns
 from rbjax.sysid.simulation.setup import Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError
 
-#: fewer samples say nothing of a motion
+#: the least number of samples of a motion
 FEW = 10
 
 
 class Trace(NamedTuple):
-    """One sensor of one recording.
+    """Recorded and simulated values of one sensor in one recording.
 
-    Fields: names of the columns (n,); t (T,) in s after the start; recorded (T, n), nan where
-    nothing arrived; simulated (T, n); both in SI; turns, where quaternions begin.
+    Fields:
+        names: (n,) of the columns.
+        t: (T,) s after the start.
+        recorded: (T, n) in SI, nan for samples that did not arrive.
+        simulated: (T, n) in SI.
+        turns: the first columns of quaternions.
     """
 
     names: tuple[str, ...]
@@ -34,18 +38,17 @@ class Trace(NamedTuple):
 
     @property
     def residual(self) -> np.ndarray:
-        """Simulated less recorded (T, n); of quaternions twice that, which is in rad."""
+        """Simulated minus recorded values (T, n); twice that for quaternions, in rad."""
         return self.columns.residual(self.recorded, self.simulated)
 
     @property
     def columns(self) -> Columns:
-        """The columns, with the attitudes among them."""
+        """The columns with their attitudes."""
         return Columns(len(self.names), self.turns)
 
     @property
     def measured(self) -> bool:
-        """Whether every column that was recorded has samples enough for a motion, not only its
-        start."""
+        """Whether every recorded column has at least `FEW` samples, and not only its start."""
         count = (~np.isnan(self.recorded)).sum(0)
         return bool(count.any() and count[count > 0].min() >= FEW)
 
@@ -53,24 +56,24 @@ class Trace(NamedTuple):
 Traces = Mapping[str, Mapping[str, Trace]]  # by recording, by sensor
 
 
-def traces(
+def make_traces(
     setup: Setup, of: SimulationError, x: np.ndarray, recordings: Sequence[Recording]
 ) -> dict[str, dict[str, Trace]]:
-    """The traces of the runs of `of`, which are those of the recordings, at x."""
+    """Make the traces of recordings, whose runs are those of the simulation error `of`, at x."""
     data, read = jax.tree.map(np.asarray, (of.runs, of.readings(x)))
     found: dict[str, dict[str, Trace]] = {}
     for k, run in enumerate(recordings):
-        channels = ordered(setup.model, run).channels
+        channels = order_columns(setup.model, run).channels
         found[run.name] = {}
         for sensor in data.values:
             there = data.weights[sensor][k] > 0
-            T = int(np.flatnonzero(there.any(1))[-1]) + 1  # what follows fills the batch up
+            T = int(np.flatnonzero(there.any(1))[-1]) + 1  # the rest is padding
             values = data.values[sensor][k]
             recorded = np.where(there, values, np.nan)[:T]
             simulated = read[sensor][k][:T]
             columns, names = setup.columns(sensor), channels[sensor].names
             found[run.name][sensor] = Trace(
-                _names(setup.model, names) if sensor in JOINT_SENSORS else names,
+                _joint_names(setup.model, names) if sensor in JOINT_SENSORS else names,
                 data.times[sensor][k][:T], columns.aligned(recorded, simulated),
                 simulated, columns.turns,
             )  # fmt: skip
@@ -78,17 +81,17 @@ def traces(
 
 
 def rms_of(found: Traces) -> dict[str, np.ndarray]:
-    """By sensor, the residual's root mean square over all recordings, one number a column."""
+    """Compute the root mean square of the residual (n,) over all recordings, by sensor."""
     sensors: Iterable[str] = next(iter(found.values()))
-    return {sensor: root_mean_square(together(found, sensor)) for sensor in sensors}
+    return {sensor: root_mean_square(residuals_of(found, sensor)) for sensor in sensors}
 
 
-def together(found: Traces, sensor: str) -> np.ndarray:
-    """A sensor's residuals in all recordings (samples, n)."""
+def residuals_of(found: Traces, sensor: str) -> np.ndarray:
+    """Join the residuals (samples, n) of a sensor in all recordings."""
     return np.concatenate([sensors[sensor].residual for sensors in found.values()])
 
 
-def _names(model: Model, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Columns that have only numbers are those of the joints, where each has one."""
+def _joint_names(model: Model, names: tuple[str, ...]) -> tuple[str, ...]:
+    """The joints' names for columns that are only numbered, if each joint has one column."""
     plain = names == tuple(map(str, range(len(names))))
     return tuple(model.joint_names) if plain and len(model.joint_names) == len(names) else names

@@ -1,4 +1,4 @@
-"""Which model the data need: scores on data that no fit saw, and tests of one term more."""
+"""Comparison of models: errors on held-out data, and F tests of nested models."""
 
 from __future__ import annotations
 
@@ -9,27 +9,29 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from rbjax.arguments import instance, real_number
 from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats
-from rbjax.sysid.statistics.variance import explained
-from rbjax.sysid.statistics.whiteness_tests import whiteness
+from rbjax.sysid.statistics.residual_tests import ALPHA, explained, whiteness
 
-HOLDS, WEAK = 1.25, 2.0  # error on unseen data over that on fitted data
-EXPLAINED = 0.99  # the least share of variance that a good model explains
+HOLDS, WEAK = 1.25, 2.0  # ratio of the errors on unseen and on fitted data
+EXPLAINED = 0.99  # the least R2 of a good model
 NOISY = 1.5  # the largest error of a good model, over the noise
 TESTED = 20  # the least number of samples of a column for a test of whiteness
 ROUNDING = 1e-6  # an error below this share of the spread is not tested for whiteness
-ALPHA = 0.01  # a p value below it is significant
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A model on data that the fit never saw.
+    """The errors of a model on data that were not fitted.
 
-    Fields: rms on unseen and rms_fitted on fitted data; ratio of the two; by_recording, the rms of
-    each unseen one; r_squared, the share of variance explained, nan if unknown or if nothing
-    varies; holds, whether all checks pass; failed, a sentence for each check that does not;
-    sentence.
+    Fields:
+        rms, rms_fitted: on unseen and on fitted data.
+        ratio: of the two.
+        by_recording: the rms on each unseen recording.
+        r_squared: the share of the variance explained; nan if it is unknown or nothing varies.
+        failed: a sentence for each check that failed.
+        text: the sentence of `summary`.
     """
 
     rms: float
@@ -37,9 +39,17 @@ class HeldOut:
     ratio: float
     by_recording: dict[str, float]
     r_squared: float
-    holds: bool
-    sentence: str
-    failed: tuple[str, ...] = ()
+    failed: tuple[str, ...]
+    text: str
+
+    @property
+    def success(self) -> bool:
+        """Whether all checks pass."""
+        return not self.failed
+
+    def summary(self) -> str:
+        """The verdict in a sentence, with the checks that failed."""
+        return self.text
 
 
 def held_out(
@@ -50,19 +60,19 @@ def held_out(
     noise: float | None = None,
     unit: str = "",
 ) -> HeldOut:
-    """The verdict on a model from its residuals on recordings that were not fitted.
+    """Judge a model by its residuals on recordings that were not fitted.
 
-    The model holds if it explains 99 % of the variance (with `measured`), and its error is at most
-    1.25 times the error on fitted data, at most 1.5 times the noise (with `noise`), and white
-    (columns of 20 samples or more). Checks for which data are missing are left out.
+    The model holds if R2 is at least 99 % (with `measured`), and its error is at most 1.25 times
+    the error on fitted data, at most 1.5 times the noise (with `noise`), and white (columns of 20
+    samples or more). Checks without data are left out.
 
     Args:
         fitted: recording -> residuals, an array of any shape; nan is left out.
         unseen: recording -> residuals.
-        measured: recording -> (samples,) or (samples, columns), what the unseen residuals belong
-            to, for the share of variance that is explained: 1 - sum r^2 / sum (y - mean)^2.
+        measured: recording -> values of the shape of the unseen residuals, for
+            R2 = 1 - sum r^2 / sum (y - mean)^2.
         noise: standard deviation of the sensor, if it is known.
-        unit: of the residuals, for the sentence.
+        unit: of the residuals, for `summary()`.
 
     Returns:
         `HeldOut`.
@@ -73,7 +83,7 @@ def held_out(
     Example:
         >>> import numpy as np
         >>> from rbjax.sysid.statistics import held_out
-        >>> print(held_out({"a": [1.0, -1.0]}, {"b": [3.0, -3.0]}, unit="mrad").sentence)
+        >>> print(held_out({"a": [1.0, -1.0]}, {"b": [3.0, -3.0]}, unit="mrad").summary())
         the model fails: on 1 recording outside of the fit its error is 3 mrad RMS, 3 times the
         error on fitted data; failed: the error is 3 times the error on fitted data, above 1.25
     """
@@ -86,10 +96,9 @@ def held_out(
                 f"held_out: measured of {wrong[0]} is missing or of another shape than its "
                 "residuals, expected one value for each"
             )
-    if noise is not None and not (_is_number(noise) and noise > 0):
-        raise InputError(f"held_out: noise is {noise!r}, expected a number above 0, or None")
-    if not isinstance(unit, str):
-        raise InputError(f"held_out: unit is {unit!r}, expected a str")
+    if noise is not None:
+        real_number("held_out", "noise", noise, "a number above 0, or None", above=0.0)
+    instance("held_out", "unit", unit, str, "a str")
     both = sorted(set(fitted) & set(unseen))
     if both or not fitted or not unseen:
         raise InputError(
@@ -132,33 +141,28 @@ def held_out(
             weak = False
     spread = None if measured is None else _rms([y - np.nanmean(y, 0) for y in _arrays(measured)])
     if spread is None or rms > ROUNDING * spread:
-        test = colour(list(_arrays(unseen)))
-        if test is not None and not test[0]:
-            failed.append(f"the residual is not white (Ljung-Box p = {test[1]:.1g})")
+        p = whiteness_p_value(list(_arrays(unseen)))
+        if p is not None and p < ALPHA:
+            failed.append(f"the residual is not white (Ljung-Box p = {p:.1g})")
     says = "fails" if not weak else "is weaker" if failed else "holds"
     if still and weak:
         says = "is not tested"
     sentence = f"the model {says}: {sentence}"
     if failed:
         sentence += f"; failed: {'; '.join(failed)}"
-    return HeldOut(
-        rms, rms_fitted, float(ratio), each, float(r_squared), not failed, sentence, tuple(failed)
-    )
+    return HeldOut(rms, rms_fitted, float(ratio), each, float(r_squared), tuple(failed), sentence)
 
 
-def colour(residuals: Sequence[np.ndarray]) -> tuple[bool, float] | None:
-    """Whether residuals, (samples,) or (samples, columns) each, are white, and the p value:
-    Bonferroni's bound of the Ljung-Box tests of all columns. None if all are too short to test."""
+def whiteness_p_value(residuals: Sequence[np.ndarray]) -> float | None:
+    """Bonferroni's p value of the Ljung-Box tests of all columns, (samples,) or (samples, columns)
+    each; None if all are too short to test."""
     p = []
     for r in residuals:
         for x in r.reshape(len(r), -1).T:
             x = x[~np.isnan(x)]
             if len(x) >= TESTED and np.ptp(x) > 0:
                 p.append(whiteness(x).p_value)
-    if not p:
-        return None
-    found = min(min(p) * len(p), 1.0)
-    return found >= ALPHA, found
+    return min(min(p) * len(p), 1.0) if p else None
 
 
 def _columns(x: np.ndarray) -> np.ndarray:
@@ -171,7 +175,7 @@ def _arrays(given: Mapping[str, Any]) -> Iterator[np.ndarray]:
 
 
 class Scored(NamedTuple):
-    """A fitted model: name, weighted sum of squared residuals, number of parameters."""
+    """A fitted model with its weighted sum of squared residuals and its number of parameters."""
 
     name: str
     squares: float
@@ -180,31 +184,46 @@ class Scored(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two nested models on the same data.
+    """The comparison of two nested models on the same data.
 
-    Fields: F and p_value, of the F test; aic and bic, those of the larger model less those of the
-    smaller; earned, whether the larger one is needed; sentence.
+    Fields:
+        smaller, larger: their names.
+        F, p_value: of the F test.
+        aic, bic: of the larger model minus those of the smaller.
     """
 
+    smaller: str
+    larger: str
     F: float
     p_value: float
     aic: float
     bic: float
-    earned: bool
-    sentence: str
+
+    @property
+    def significant(self) -> bool:
+        """Whether the data need the larger model: p is below 1 %, and BIC falls."""
+        return self.p_value < ALPHA and self.bic < 0
+
+    def summary(self) -> str:
+        """The result in a sentence."""
+        needed = "is needed" if self.significant else "is not needed"
+        change = "falls" if self.bic < 0 else "grows"
+        return (
+            f"{self.larger} {needed} in place of {self.smaller}: F = {self.F:.3g}, "
+            f"p = {self.p_value:.1g}, BIC {change} by {abs(self.bic):.0f}"
+        )
 
 
 def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
-    """Whether the terms that a larger model has more earn their place.
+    """Test whether data need the additional terms of a larger model.
 
         F = ((Q_0 - Q_1) / (p_1 - p_0)) / (Q_1 / (n - p_1))
         AIC = n log(Q/n) + 2 p        BIC = n log(Q/n) + p log n
-    They do if chance gives such an F in less than 1 % of cases, and BIC falls.
 
     Args:
         smaller: the model without the terms.
         larger: the model with them; the smaller one is a case of it.
-        samples: n. If residuals are not white, the effective number: `whiteness` gives it.
+        samples: n; if residuals are not white, the effective number of `whiteness`.
 
     Returns:
         `Comparison`.
@@ -218,8 +237,8 @@ def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
     Example:
         >>> from rbjax.sysid.statistics import Scored, compare
         >>> plain, rubbed = Scored("viscous", 10.0, 3), Scored("viscous + Coulomb", 4.0, 4)
-        >>> print(compare(plain, rubbed, 100).sentence)
-        viscous + Coulomb earns its place beside viscous: F = 144, p = 8e-21, BIC falls by 87
+        >>> print(compare(plain, rubbed, 100).summary())
+        viscous + Coulomb is needed in place of viscous: F = 144, p = 8e-21, BIC falls by 87
     """
     for name, model in (("smaller", smaller), ("larger", larger)):
         fine = isinstance(model, Scored) and all(_is_number(x) for x in model[1:])
@@ -250,12 +269,7 @@ def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
     p = float(stats.f.sf(F, more, left))
     fall = samples * np.log(smaller.squares / rest)
     aic, bic = float(2 * more - fall), float(more * np.log(samples) - fall)
-    earned = p < ALPHA and bic < 0
-    sentence = (
-        f"{larger.name} {'earns' if earned else 'does not earn'} its place beside {smaller.name}: "
-        f"F = {F:.3g}, p = {p:.1g}, BIC {'falls' if bic < 0 else 'grows'} by {abs(bic):.0f}"
-    )
-    return Comparison(float(F), p, aic, bic, earned, sentence)
+    return Comparison(smaller.name, larger.name, float(F), p, aic, bic)
 
 
 def _is_number(x: Any) -> bool:
@@ -265,10 +279,7 @@ def _is_number(x: Any) -> bool:
 
 
 def _checked(name: str, given: Any) -> dict[str, np.ndarray]:
-    if not isinstance(given, Mapping):
-        raise InputError(
-            f"held_out: {name} is {type(given).__name__}, expected a dict recording -> residuals"
-        )
+    instance("held_out", name, given, Mapping, "a dict recording -> residuals")
     return {
         run: np.atleast_1d(floats("held_out", f"{name}[{run!r}]", x)) for run, x in given.items()
     }

@@ -1,4 +1,4 @@
-"""The covariance of fitted numbers, the same for every estimator with residuals and slopes.
+"""The covariance of estimates, for every estimator with residuals and a Jacobian.
 
 A fit minimises the sum over rows of rho(r); psi = rho' / 2 is r for squares, and clipped for
 "huber". With rows of several columns c (a sensor's axis), each weighted by 1 / sigma_c,
@@ -6,15 +6,14 @@ A fit minimises the sum over rows of rho(r); psi = rho' / 2 is r for squares, an
     H = sum_c a_c J_c^T J_c,        a_c = mean psi'_c,        cov = H^-1 M H^-1
     M = sum_c s_c^2 J_c^T J_c,      s_c^2 = sum psi_c^2 / (m_c - h_c)       if psi is white
     M = sum_|l|<=L (1 - |l| / (L + 1)) sum_t g_t g_(t+l)^T    if not
-where g_t are scores of the innovations of psi, whose sum is that of J_c^T psi_c (`_scores`).
-h_c is the number of fitted numbers that the column determines (the trace of the hat matrix). So
-intervals follow the residuals, whether the noise is stated, estimated or wrong. m_c is the number
-of rows of the residual; an attitude has three.
+where g_t are the scores of the innovations of psi (`_scores`), m_c is the number of rows of a
+column (an attitude has three columns), and h_c is the number of estimates that the column
+determines (the trace of the hat matrix). So intervals follow the residuals, even if the stated
+noise is wrong.
 
 Source: Huber, *Robust Statistics*, 6.3 and 7.6; White, Econometrica 48(4), 1980; Newey & West,
 Econometrica 55(3), 1987; Andrews, Econometrica 59(3), 1991; Andrews & Monahan, Econometrica 60(4),
-1992 (scores are made nearly white before the window); Kendall, Biometrika 41, 1954 (the bias of
-the correlation of residuals).
+1992 (prewhitening of the scores); Kendall, Biometrika 41, 1954 (bias of the correlation).
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ import numpy as np
 from scipy import signal
 
 from rbjax.sysid.statistics.intervals import Estimates, decomposed, estimates, tolerance_for
-from rbjax.sysid.statistics.whiteness_tests import ALPHA, meat_of, whiteness
+from rbjax.sysid.statistics.residual_tests import ALPHA, long_run_covariance, whiteness
 
-#: with fewer degrees of freedom a column's noise is not estimated
+#: with fewer degrees of freedom, the noise of a column is not estimated
 FEW = 5.0
-#: with fewer samples whiteness is not tested
+#: with fewer samples, whiteness is not tested
 SHORT = 20
 #: the largest correlation of neighbours
 STEADY = 0.985
@@ -40,11 +39,12 @@ STEADY = 0.985
 class Rows(NamedTuple):
     """Rows of one column in one run.
 
-    J: (m, k), the slopes by the numbers `which`.
-    psi: (m,), the residual, clipped for "huber".
-    inside: (m,), psi': 1, or 0 if clipped.
-    place: (m,), the index of the sample in the run.
-    which: (k,), indices of x.
+    Fields:
+        J: (m, k), derivatives by the entries `which` of x.
+        psi: (m,), the residual, clipped for "huber".
+        inside: (m,), psi': 1, or 0 if clipped.
+        place: (m,), the index of the sample in the run.
+        which: (k,), indices of x.
     """
 
     J: np.ndarray
@@ -55,7 +55,7 @@ class Rows(NamedTuple):
 
 
 class Column(NamedTuple):
-    """All rows of one column: its name; a `Rows` for each run; whether its noise is stated."""
+    """All rows of one column, and whether its noise is stated."""
 
     name: str
     runs: Sequence[Rows]
@@ -64,66 +64,69 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FitStatistics:
-    """Statistics of a fit from its residuals and slopes.
+    """Statistics of a fit from its residuals and its Jacobian.
 
     Fields:
         estimates: values, covariance and intervals.
-        scale: by column, the standard deviation of the residual over the one that weighted it.
+        scale: the standard deviation of the weighted residual, by column.
         rows: the number of residuals.
-        white: whether the residuals of all columns are white.
         coloured: the columns whose residuals are not white.
-        effective: the share of samples that are independent of the others.
+        effective: the share of samples that are independent.
     """
 
     estimates: Estimates
     scale: dict[str, float]
     rows: int
-    white: bool
     coloured: tuple[str, ...]
     effective: float
+
+    @property
+    def white(self) -> bool:
+        """Whether the residuals of all columns are white."""
+        return not self.coloured
 
 
 def fit_statistics(
     names: Sequence[str], x: np.ndarray, columns: Sequence[Column],
     bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> FitStatistics:  # fmt: skip
-    """Covariance and intervals of the fitted numbers x (n,)."""
+    """Compute covariance and intervals of the estimates x (n,)."""
     shares = [_mean([r.inside for r in column.runs]) for column in columns]
     R = _slopes(columns, shares, len(x))
     flat = estimates(names, x, R, 1.0, bounds=bounds)
     lengths, s, V, _ = decomposed(R, tolerance_for(R))
     half = V / s / lengths[:, None]  # half half^T = H^-1
-    turned = [[rows.J @ half[rows.which] for rows in column.runs] for column in columns]
+    scaled = [[rows.J @ half[rows.which] for rows in column.runs] for column in columns]
     rank = half.shape[1]
     counts = np.array([sum(len(rows.psi) for rows in column.runs) for column in columns])
     squares = np.array([sum(float(rows.psi @ rows.psi) for rows in c.runs) for c in columns])
     hats = np.array([
-        a * sum(float((G**2).sum()) for G in each) for a, each in zip(shares, turned, strict=True)
+        a * sum(float((G**2).sum()) for G in each) for a, each in zip(shares, scaled, strict=True)
     ])  # fmt: skip
     dof = np.maximum(counts - hats, 0.0)
     pooled = squares.sum() / max(dof.sum(), 1.0)
     stated = np.array([column.stated for column in columns])
     alone = np.where(dof > 0, squares / np.where(dof > 0, dof, 1.0), 0.0)
     variance = np.where(dof >= FEW, alone, np.where(stated, 1.0, pooled))
-    coloured, effective = _colours(columns)
+    coloured, effective = _test_whiteness(columns)
     if coloured:
         rho = _correlations(columns, hats, counts)
-        meat = meat_of(_scores(columns, turned, rho))
-        steady = max(r for c, r in zip(columns, rho, strict=True) if c.name in coloured)
-        effective = min(effective, (1 - steady) / (1 + steady))
-        # of the samples that are independent, as many as there are numbers are used up
+        meat = long_run_covariance(_scores(columns, scaled, rho))
+        largest = max(r for c, r in zip(columns, rho, strict=True) if c.name in coloured)
+        effective = min(effective, (1 - largest) / (1 + largest))
+        # each estimate takes one of the independent samples
         free = max(effective * dof.sum() - rank, 2.0)
         meat = meat * (counts.sum() / max(counts.sum() - rank, 1))
     else:
         meat, free = np.zeros((rank, rank)), max(float(dof.sum()), 1.0)
-        for s2, each in zip(variance, turned, strict=True):
+        for s2, each in zip(variance, scaled, strict=True):
             for G in each:
                 meat += s2 * G.T @ G
-    said = Estimates(
+    found = Estimates(
         flat.names, flat.values, half @ meat @ half.T, flat.free, free, flat.bounds, flat.lengths
     )
     scale = {c.name: float(np.sqrt(s2)) for c, s2 in zip(columns, variance, strict=True)}
-    return FitStatistics(said, scale, int(counts.sum()), not coloured, coloured, effective)
+    return FitStatistics(found, scale, int(counts.sum()), coloured, effective)
 
 
 def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.ndarray:
@@ -142,12 +145,12 @@ def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.nd
 
 
 def _mean(parts: Sequence[np.ndarray]) -> float:
-    """The mean of all entries, at least 1e-3: a mean of 0 would leave no slope."""
+    """The mean of all entries, at least 1e-3, since a mean of 0 would make H singular."""
     count = sum(len(x) for x in parts)
     return max(sum(float(x.sum()) for x in parts) / max(count, 1), 1e-3)
 
 
-def _colours(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
+def _test_whiteness(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
     """The columns whose residuals are correlated in time, and the smallest share of independent
     samples among them."""
     tests = []
@@ -161,8 +164,8 @@ def _colours(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
 
 
 def _correlations(columns: Sequence[Column], hats: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """By column, the correlation of neighbours in the noise. That of residuals is smaller, as the
-    h numbers that a column determines follow slow noise: by (h + (h + 2) rho) / n at most."""
+    """The correlation of successive noise by column. That of the residuals is smaller by at most
+    (h + (h + 2) rho) / n, since the h estimates that a column determines follow slow noise."""
     found = np.zeros(len(columns))
     for c, column in enumerate(columns):
         power = sum(float(rows.psi @ rows.psi) for rows in column.runs)
@@ -174,16 +177,16 @@ def _correlations(columns: Sequence[Column], hats: np.ndarray, counts: np.ndarra
 
 
 def _scores(
-    columns: Sequence[Column], turned: Sequence[Sequence[np.ndarray]], rho: np.ndarray
+    columns: Sequence[Column], scaled: Sequence[Sequence[np.ndarray]], rho: np.ndarray
 ) -> list[np.ndarray]:
-    """By run (samples, rank), the sum of all columns at each sample, of which the whole sum is that
-    of J^T psi. psi is a process of first order with innovations e, so that each e counts with what
-    it does to all later psi:  sum_t G_t psi_t = sum_s v_s e_s,  v_s = sum_(t>=s) rho^(t-s) G_t."""
+    """The scores (samples, rank) of each run, whose sum is that of J^T psi. psi is a first-order
+    process with innovations e, and each e counts with its effect on all later psi:
+    sum_t G_t psi_t = sum_s v_s e_s,  v_s = sum_(t>=s) rho^(t-s) G_t."""
     found = []
     for k in range(len(columns[0].runs)):
         length = max((int(c.runs[k].place.max(initial=-1)) for c in columns), default=-1) + 1
-        g = np.zeros((max(length, 1), turned[0][k].shape[1]))
-        for column, each, r in zip(columns, turned, rho, strict=True):
+        g = np.zeros((max(length, 1), scaled[0][k].shape[1]))
+        for column, each, r in zip(columns, scaled, rho, strict=True):
             rows, G = column.runs[k], each[k]
             if not len(rows.psi):
                 continue

@@ -1,12 +1,12 @@
-"""What data say of parameters: information, covariance, intervals, and what they do not say.
+"""Covariance and confidence intervals of estimates.
 
 With residuals r(p) = y - f(p) of independent noise of variance S, and J = df/dp, in the limit of
 small noise (and exactly for a linear f):
     information  F = J^T S^-1 J        covariance of the best estimate, the Cramer-Rao bound, F^-1
 A combination c(p) with gradient g has the variance g^T F^-1 g if g has no part in the null space of
-J. If it has one, no amount of such data says anything of c, and its interval is infinite.
+J. Otherwise c is not identifiable, and its interval is infinite.
 Intervals of positive and bounded parameters are symmetric in log(p - low), or in the logit, so they
-never leave the bounds.
+stay within the bounds.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ import jax
 import numpy as np
 from scipy import linalg, special, stats
 
-from rbjax.errors import InputError, UnknownName
+from rbjax.arguments import choice, instance, real_number
+from rbjax.errors import InputError
 from rbjax.rank_tolerances import rank_tolerance as tolerance_of
 from rbjax.sysid.arguments import floats, names_of
 
-SEEN = 1e-5  # share of a gradient in the null space that is rounding
+NULL_SHARE = 1e-5  # share of a gradient in the null space that is rounding
 
 
 class Interval(NamedTuple):
@@ -37,12 +38,16 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Parameters with what the data say of them.
+    """Estimates with their covariance.
 
-    Fields: names; values (n,); covariance (n, n), within what the data show; free (n, k), columns
-    of length 1, the directions of which the data say nothing; dof, of the noise's estimate, inf if
-    the noise is known; bounds, name -> (low, high). For another covariance use
-    `dataclasses.replace`.
+    Fields:
+        names: (n,) of the parameters.
+        values: (n,).
+        covariance: (n, n), in the identifiable directions.
+        free: (n, k), columns of length 1, the directions that are not identifiable.
+        dof: degrees of freedom of the estimated noise; inf if the noise is known.
+        bounds: name -> (low, high).
+        lengths: (n,) of the columns of J, which scale the parameters.
     """
 
     names: tuple[str, ...]
@@ -51,7 +56,7 @@ class Estimates:
     free: np.ndarray
     dof: float = np.inf
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    lengths: np.ndarray | None = None  # of the columns of J, which scale the parameters
+    lengths: np.ndarray | None = None
 
     def interval(
         self,
@@ -59,20 +64,20 @@ class Estimates:
         level: float = 0.95,
         bounds: tuple[float, float] | None = None,
     ) -> Interval:
-        """The confidence interval of a parameter or of any combination of parameters.
+        """Compute the confidence interval of a parameter or of a combination of parameters.
 
         Args:
-            of: a name; name -> coefficient, a sum; or a function of the dict name -> value, written
-                with jax.numpy, such as `lambda p: p["b"] / p["m"]` (delta method).
-            level: the share of experiments whose interval holds the truth.
-            bounds: of the combination; a parameter's own if None.
+            of: a name; a sum as name -> coefficient; or a function of the dict name -> value,
+                written with jax.numpy, such as `lambda p: p["b"] / p["m"]` (delta method).
+            level: the share of experiments whose interval contains the true value.
+            bounds: of the combination; those of the parameter if None.
 
         Returns:
-            `Interval`: Student's with `dof`; from bound to bound, with sigma inf, if the data do
-            not show the combination.
+            `Interval`, by Student's t with `dof`; from bound to bound, with sigma inf, if the
+            combination is not identifiable.
 
         Raises:
-            UnknownName: a name that is none of the parameters'.
+            UnknownName: no such parameter.
             InputError: a level outside of (0, 1).
         """
         if not 0 < level < 1:
@@ -81,7 +86,7 @@ class Estimates:
         if bounds is None:
             bounds = self.bounds.get(of, (-np.inf, np.inf)) if isinstance(of, str) else None
         low, high = bounds or (-np.inf, np.inf)
-        if not self._shows(gradient):
+        if not self._identifies(gradient):
             return Interval(value, np.inf, low, high)
         sigma = float(np.sqrt(max(gradient @ self.covariance @ gradient, 0.0)))
         half = float(stats.t.ppf(0.5 + level / 2, self.dof)) * sigma
@@ -89,31 +94,31 @@ class Estimates:
 
     @property
     def sigma(self) -> np.ndarray:
-        """(n,) standard deviations; inf where the data say nothing of a parameter."""
+        """Standard deviations (n,); inf for a parameter that is not identifiable."""
         return np.array([self.interval(n).sigma for n in self.names])
 
     @property
     def correlation(self) -> np.ndarray:
-        """(n, n) correlations, within what the data show."""
+        """Correlations (n, n), in the identifiable directions."""
         sigma = np.sqrt(np.diag(self.covariance))
         sigma[sigma == 0] = 1.0
         return self.covariance / np.outer(sigma, sigma)
 
     def sentences(self, level: float = 0.95) -> list[str]:
-        """A sentence for each parameter, and one for each direction that stays free."""
-        said = []
+        """Write a sentence for each parameter, and one for each unidentifiable direction."""
+        lines = []
         for n in self.names:
             x = self.interval(n, level)
             if np.isinf(x.sigma):
-                said.append(f"{n}: these data do not say it")
+                lines.append(f"{n}: these data do not identify it")
             else:
-                said.append(f"{n} = {x.value:.6g}, {level:.0%} from {x.low:.6g} to {x.high:.6g}")
+                lines.append(f"{n} = {x.value:.6g}, {level:.0%} from {x.low:.6g} to {x.high:.6g}")
         for direction in self.free.T:
             parts = [
                 f"{x:+.3g} {n}" for n, x in zip(self.names, direction, strict=True) if abs(x) > 1e-6
             ]
-            said.append(f"free: a change along ({', '.join(parts)}) leaves the data as they are")
-        return said
+            lines.append(f"free: a change along ({', '.join(parts)}) leaves the data as they are")
+        return lines
 
     def _combination(self, of: Any) -> tuple[float, np.ndarray]:
         if isinstance(of, str):
@@ -121,21 +126,20 @@ class Estimates:
         if isinstance(of, Mapping):
             gradient = np.zeros(len(self.names))
             for name, coefficient in of.items():
-                if name not in self.names:
-                    raise UnknownName("parameter", name, self.names)
+                choice("parameter", name, self.names)
                 gradient[self.names.index(name)] = coefficient
             return float(gradient @ self.values), gradient
         at = dict(zip(self.names, map(float, self.values), strict=True))
         value, slopes = jax.value_and_grad(of)(at)
         return float(value), np.array([float(slopes[n]) for n in self.names])
 
-    def _shows(self, gradient: np.ndarray) -> bool:
+    def _identifies(self, gradient: np.ndarray) -> bool:
         if not self.free.size:
             return True
         lengths = np.ones(len(self.names)) if self.lengths is None else self.lengths
         null = linalg.orth(self.free * lengths[:, None])
         scaled = gradient / lengths
-        return bool(linalg.norm(null.T @ scaled) <= SEEN * linalg.norm(scaled))
+        return bool(linalg.norm(null.T @ scaled) <= NULL_SHARE * linalg.norm(scaled))
 
 
 def estimates(
@@ -149,22 +153,21 @@ def estimates(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     rank_tolerance: float | None = None,
 ) -> Estimates:
-    """Covariance and intervals of the parameters of a least-squares fit.
+    """Compute the covariance of the parameters of a least-squares fit, for their intervals.
 
-    cov = (J^T S^-1 J)^-1, where S is the noise's variance, or s^2 = r^T r / (m - rank) if unknown.
+    cov = (J^T S^-1 J)^-1, with S the variance of the noise, or s^2 = r^T r / (m - rank) if unknown.
 
     Args:
         names: n of them.
         values: (n,) estimates.
         jacobian: (m, n), of what is measured, at the estimates.
-        noise: standard deviation of each row, (m,) or one number. If None, one number for all
-            rows is estimated from `residual`; for several sensors use `noise_by_channel`.
-        residual: (m,), only where the noise is unknown.
-        dof: of the noise's estimate, if `noise` is one: m - n, or what `noise_by_channel` says; inf
-            if None.
-        bounds: name -> (low, high), of positive parameters (0, inf).
-        rank_tolerance: a singular value below this, relative to the largest one, is zero, for
-            columns scaled to length 1. None: 1e-9 for a Jacobian in float64, 1e-4 in float32.
+        noise: standard deviation of each row, (m,) or one number. None: one number for all rows is
+            estimated from `residual`.
+        residual: (m,), if the noise is unknown.
+        dof: degrees of freedom of `noise` if it is an estimate, such as m - n; inf if None.
+        bounds: name -> (low, high); of positive parameters (0, inf).
+        rank_tolerance: relative singular value that counts as zero, for columns of unit length.
+            None: 1e-9 for a Jacobian in float64, 1e-4 in float32.
 
     Returns:
         `Estimates`.
@@ -184,28 +187,28 @@ def estimates(
     """
     names, values = names_of("estimates", "names", names), floats("estimates", "values", values)
     rank_tolerance = tolerance_for(jacobian) if rank_tolerance is None else rank_tolerance
-    J = checked_rows("estimates", "jacobian", jacobian, 2)
+    J = _rows("jacobian", jacobian, 2)
     m, n = J.shape
     if not len(names) == len(set(names)) == n == values.size:
         raise InputError(
             f"estimates: {len(names)} names and {values.size} values, expected {n} different ones, "
             "as the jacobian has columns"
         )
-    if not (bounds is None or isinstance(bounds, Mapping)):
-        raise InputError(f"estimates: bounds is {bounds!r}, expected a dict name -> (low, high)")
-    unknown = set(bounds or {}) - set(names)
-    if unknown:
-        raise UnknownName("parameter", min(unknown), names)
+    instance("estimates", "bounds", bounds, Mapping | None, "a dict name -> (low, high)")
     for name, limits in (bounds or {}).items():
+        choice("parameter", name, names)
         low_high = floats("estimates", f"bounds of {name}", limits, "(low, high)")
         if low_high.shape != (2,) or not low_high[0] < low_high[1]:
             raise InputError(f"estimates: bounds of {name} are {limits!r}, expected low < high")
-    _check_positive("rank_tolerance", rank_tolerance, below=1.0)
-    _check_positive("dof", np.inf if dof is None else dof)
+    real_number(
+        "estimates", "rank_tolerance", rank_tolerance, "a number above 0, at most 1", above=0.0,
+        most=1.0,
+    )  # fmt: skip
+    real_number("estimates", "dof", np.inf if dof is None else dof, above=0.0, finite=False)
     if noise is None:
         if residual is None:
             raise InputError("estimates: neither noise nor residual, expected one of them")
-        r = checked_rows("estimates", "residual", residual, 1, m)
+        r = _rows("residual", residual, 1, m)
         rank = decomposed(J, rank_tolerance)[2].shape[1]
         if m <= rank:
             raise InputError(
@@ -213,7 +216,13 @@ def estimates(
                 "expected more samples, or the noise"
             )
         noise, dof = max(np.sqrt(r @ r / (m - rank)), np.finfo(float).tiny), m - rank
-    sigma = _deviations("estimates", noise, m)
+    sigma = floats("estimates", "noise", noise, "standard deviations")
+    if sigma.shape not in ((), (m,)) or not (np.isfinite(sigma) & (sigma > 0)).all():
+        raise InputError(
+            f"estimates: noise has shape {sigma.shape}, expected one positive standard deviation, "
+            f"or {m}, one a row"
+        )
+    sigma = np.broadcast_to(sigma, (m,))
     lengths, s, V, null = decomposed(J / sigma[:, None], rank_tolerance)
     half = V / s / lengths[:, None]
     free = null / lengths[:, None]
@@ -225,19 +234,14 @@ def estimates(
     )  # fmt: skip
 
 
-def _check_positive(name: str, x: Any, below: float = np.inf) -> None:
-    if isinstance(x, bool) or not isinstance(x, (int, float, np.number)) or not 0 < x <= below:
-        end = "" if below == np.inf else f", at most {below:g}"
-        raise InputError(f"estimates: {name} is {x!r}, expected a number above 0{end}")
-
-
 def tolerance_for(jacobian: Any) -> float:
-    """The rank tolerance of a Jacobian's dtype."""
+    """Choose the rank tolerance of a Jacobian's dtype."""
     return tolerance_of("unknowns", jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
 
 
 def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
-    """Lengths of the columns, singular values, right vectors and null space of J / lengths."""
+    """Compute the lengths of the columns, and singular values, right vectors and null space of J /
+    lengths."""
     lengths = linalg.norm(J, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)
     scaled = J / lengths
@@ -248,8 +252,8 @@ def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
 
 
 def _within(x: float, half: float, low: float, high: float) -> tuple[float, float]:
-    """x -+ half, to first order, on a scale that ends at the bounds."""
-    if not low < x < high:  # on a bound there is no such scale
+    """The interval x -+ half, to first order, on a scale that is infinite at the bounds."""
+    if not low < x < high:  # the scale is undefined on a bound
         return max(x - half, low), min(x + half, high)
     if np.isinf(low) and np.isinf(high):
         return x - half, x + half
@@ -266,22 +270,10 @@ def _within(x: float, half: float, low: float, high: float) -> tuple[float, floa
     return low + span * float(special.expit(u - du)), low + span * float(special.expit(u + du))
 
 
-def checked_rows(where: str, name: str, x: Any, ndim: int, rows: int | None = None) -> np.ndarray:
-    x = floats(where, name, x)
+def _rows(name: str, x: Any, ndim: int, rows: int | None = None) -> np.ndarray:
+    """A finite array of some axes, with a row for each measurement."""
+    x = floats("estimates", name, x, finite=True)
     if x.ndim != ndim or x.size == 0 or (rows is not None and len(x) != rows):
-        due = "(m, n)" if ndim == 2 else "(m,)" if rows is None else f"({rows},)"
-        raise InputError(f"{where}: {name} has shape {x.shape}, expected {due}")
-    if not np.isfinite(x).all():
-        at = np.argwhere(~np.isfinite(x))[0].tolist()
-        raise InputError(f"{where}: {name}{at} is {x[tuple(at)]}, expected finite values")
+        due = "(m, n)" if ndim == 2 else f"({rows},)"
+        raise InputError(f"estimates: {name} has shape {x.shape}, expected {due}")
     return x
-
-
-def _deviations(where: str, noise: Any, rows: int) -> np.ndarray:
-    sigma = floats(where, "noise", noise, "standard deviations")
-    if sigma.shape not in ((), (rows,)) or not (np.isfinite(sigma) & (sigma > 0)).all():
-        raise InputError(
-            f"{where}: noise has shape {sigma.shape}, expected one positive standard deviation, "
-            f"or {rows}, one a row"
-        )
-    return np.broadcast_to(sigma, (rows,))

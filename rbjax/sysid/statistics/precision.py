@@ -1,8 +1,7 @@
-"""The precision of identification, float64 for any caller.
+"""The precision of identification: float64.
 
-Rank, covariance and convergence compare singular values and decreases that lie 9 decades apart;
-float32, JAX's default, has 7. So an estimator computes in float64 inside `jax.enable_x64`, and
-returns the model in its own dtype.
+Rank, covariance and convergence compare singular values that lie 9 decades apart; float32, JAX's
+default, has 7. So an estimator computes in float64, and returns the model in its own dtype.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ R = TypeVar("R")
 
 
 def in_double(f: Callable[P, R]) -> Callable[P, R]:
-    """The function, with float64 as JAX's default float."""
+    """Run a function with float64 as the default float of JAX."""
 
     @functools.wraps(f)
     def run(*args: P.args, **options: P.kwargs) -> R:
@@ -31,7 +30,7 @@ def in_double(f: Callable[P, R]) -> Callable[P, R]:
 
 
 def cast(tree: Any, dtype: Any) -> Any:
-    """The pytree with its floating-point arrays in a dtype."""
+    """Convert the floating-point arrays of a pytree to a dtype."""
 
     def one(x: Any) -> Any:
         old = getattr(x, "dtype", None)

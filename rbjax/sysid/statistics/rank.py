@@ -1,15 +1,15 @@
-"""What can be found: the combinations of parameters that a Jacobian shows, in words.
+"""Identifiable combinations of parameters, by the rank of a Jacobian.
 
-J (m, n) says how m measurements change with n parameters. With its columns scaled to unit length,
+J (m, n) are the derivatives of m measurements by n parameters. With columns scaled to unit length,
 J D^-1 = U S V^T, r singular values are above the tolerance. Then r columns span the others,
 
     J_dropped = J_kept K,   J pi = J_kept beta,   beta = pi_kept + K pi_dropped,
 
-and beta, the base parameters, can be found; the n - r directions pi_kept = -K pi_dropped cannot. A
-parameter can be found by itself if its row of K is zero. The columns kept are the first that are
-independent, in the order given (reduced row echelon form of the rows V_r^T). So parameters are
-grouped into earlier ones, which gives the groupings of the textbooks. Gautier, J. Robotic Systems
-8(4), 1991; Khalil & Dombre, *Modeling, Identification and Control of Robots*, ch. 9 and 12.
+and beta, the base parameters, are identifiable; the n - r directions pi_kept = -K pi_dropped are
+not. A parameter is identifiable by itself if its row of K is zero. The kept columns are the first
+independent ones in the order given (reduced row echelon form of V_r^T), so parameters are grouped
+into earlier ones, as in textbooks. Gautier, J. Robotic Systems 8(4), 1991; Khalil & Dombre,
+*Modeling, Identification and Control of Robots*, ch. 9 and 12.
 """
 
 from __future__ import annotations
@@ -22,23 +22,27 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from rbjax.errors import InputError, UnknownName, listed
+from rbjax.arguments import choice
+from rbjax.errors import InputError, listed
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.arguments import floats, names_of
 
-#: A column smaller than this many rounding errors of the largest belongs to what moves nothing.
+#: A column smaller than this many rounding errors of the largest has no effect.
 NOTHING = 500
-#: A column whose part outside of the columns kept is smaller than this waits for the others.
+#: A column whose part outside of the span of kept columns is smaller is kept only at the end.
 CLEAR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Combinations:
-    """The combinations of parameters that can be found.
+    """The combinations of parameters that are identifiable.
 
-    Fields: names of the n parameters; singular_values of J with columns of unit length, descending;
-    tolerance, relative to the largest, below which they count as 0; kept and dropped, the columns
-    (places in names); K (r, n - r) with beta = pi[kept] + K pi[dropped].
+    Fields:
+        names: (n,) of the parameters.
+        singular_values: of J with columns of unit length, descending.
+        tolerance: relative to the largest, below which they count as 0.
+        kept, dropped: indices of the r base parameters and of the others.
+        K: (r, n - r) with beta = pi[kept] + K pi[dropped].
     """
 
     names: tuple[str, ...]
@@ -50,13 +54,13 @@ class Combinations:
 
     @property
     def rank(self) -> int:
-        """How many combinations can be found."""
+        """The number of identifiable combinations."""
         return len(self.kept)
 
     @property
     def gap(self) -> tuple[float, float]:
-        """The smallest singular value that counts and the largest that does not, over the largest;
-        the rank is sure where they lie decades apart."""
+        """The smallest singular value above the tolerance and the largest below it, relative to the
+        largest of all. The rank is certain if they lie decades apart."""
         s, r = self.singular_values, self.rank
         if not r:
             return 0.0, 0.0
@@ -64,24 +68,24 @@ class Combinations:
 
     @property
     def condition(self) -> float:
-        """The condition number of the columns kept to r dimensions, all of unit length."""
+        """The condition number of the Jacobian restricted to r dimensions."""
         return 1 / self.gap[0] if self.rank else np.inf
 
     @cached_property
     def hidden(self) -> tuple[str, ...]:
-        """Parameters that move nothing."""
+        """The parameters that have no effect on the measurements."""
         silent = ~np.any(self.K, axis=0, keepdims=True)[0]
         return tuple(self.names[j] for j, x in zip(self.dropped, silent, strict=True) if x)
 
     @cached_property
     def single(self) -> tuple[str, ...]:
-        """Parameters that can be found by themselves."""
+        """The parameters that are identifiable by themselves."""
         single = ~np.any(self.K, axis=1, keepdims=True)[:, 0]
         return tuple(self.names[j] for j, x in zip(self.kept, single, strict=True) if x)
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """B (r, n) with beta = B pi."""
+        """B (r, n), with beta = B pi."""
         B = np.zeros((self.rank, len(self.names)))
         B[np.arange(self.rank), list(self.kept)] = 1.0
         B[:, list(self.dropped)] = self.K
@@ -89,18 +93,18 @@ class Combinations:
 
     @cached_property
     def free_directions(self) -> np.ndarray:
-        """N (n, n - r): changes of the parameters that change no measurement."""
+        """N (n, n - r), the changes of the parameters that change no measurement."""
         N = np.zeros((len(self.names), len(self.dropped)))
         N[list(self.dropped), np.arange(len(self.dropped))] = 1.0
         N[list(self.kept)] = -self.K
         return N
 
     def combine(self, values: Any) -> np.ndarray:
-        """beta (r,) of parameters (n,)."""
+        """Compute beta (r,) of parameters (n,)."""
         return self.matrix @ np.asarray(values, float)
 
     def term(self, k: int, digits: int = 4) -> str:
-        """Combination k as a sum, such as "link1.Izz + joint1.armature - 0.25 link2.m"."""
+        """Write combination k as a sum, such as "link1.Izz + joint1.armature - 0.25 link2.m"."""
         parts = [self.names[self.kept[k]]]
         for j, x in zip(self.dropped, self.K[k], strict=True):
             if x:
@@ -110,34 +114,34 @@ class Combinations:
         return " ".join(parts)
 
     def terms(self, digits: int = 4) -> tuple[str, ...]:
-        """All combinations as sums."""
+        """Write all combinations as sums."""
         return tuple(self.term(k, digits) for k in range(self.rank))
 
     def summary(self, digits: int = 4) -> str:
-        """What can be found and what cannot, one sentence a line."""
+        """The identifiable and the unidentifiable parameters, one sentence a line."""
         n, (least, most) = len(self.names), self.gap
         kinds = len(self.single), self.rank - len(self.single), len(self.hidden)
         lines = [
-            f"{self.rank} of {n} can be found: {kinds[0]} by themselves and {kinds[1]} as "
-            f"combinations; {kinds[2]} never show. Singular values that count end at "
-            f"{least:.2g} of the largest; the next is {most:.2g}."
+            f"{self.rank} of {n} are identifiable: {kinds[0]} by themselves and {kinds[1]} as "
+            f"combinations; {kinds[2]} have no effect. The smallest singular value above the "
+            f"tolerance is {least:.2g} of the largest; the next is {most:.2g}."
         ]
         if self.single:
-            lines.append(f"Found by themselves: {', '.join(self.single)}.")
+            lines.append(f"Identifiable by themselves: {', '.join(self.single)}.")
         for k in range(self.rank):
             if self.K[k].any():
                 partners = int((self.K[k] != 0).sum())
                 rest = "neither by itself" if partners == 1 else "none of them by itself"
-                lines.append(f"{self.term(k, digits)} is found; {rest}.")
+                lines.append(f"{self.term(k, digits)} is identifiable; {rest}.")
         if self.hidden:
-            lines.append(f"Never show: {', '.join(self.hidden)}.")
+            lines.append(f"Without effect: {', '.join(self.hidden)}.")
         return "\n".join(lines)
 
 
 def combinations(
     J: Any, names: Sequence[str], *, tolerance: float | None = None, first: Sequence[str] = ()
 ) -> Combinations:
-    """The combinations of parameters that a Jacobian shows.
+    """Find the combinations of parameters that a Jacobian identifies.
 
     Args:
         J: (..., n) derivatives of measurements by parameters; leading axes count measurements.
@@ -145,7 +149,7 @@ def combinations(
         names: (n,) of the parameters. Earlier ones are kept, later ones are grouped into them.
         tolerance: of singular values, relative to the largest, with columns of unit length; None
             for 1e-9 in float64 and 1e-4 in float32.
-        first: names that come before the others, where the data allow that they are kept.
+        first: names that are kept before the others, if they are independent.
 
     Returns:
         `Combinations`.
@@ -162,9 +166,9 @@ def combinations(
         >>> t = np.linspace(0.0, 1.0, 9)
         >>> seen = combinations(np.stack([t, 2 * t, t**2, 0 * t], 1), ["a", "b", "c", "d"])
         >>> print("\\n".join(seen.summary().splitlines()[1:]))
-        Found by themselves: c.
-        a + 2 b is found; neither by itself.
-        Never show: d.
+        Identifiable by themselves: c.
+        a + 2 b is identifiable; neither by itself.
+        Without effect: d.
     """
     names = names_of("combinations", "names", names)
     first = names_of("combinations", "first", first)
@@ -185,8 +189,7 @@ def combinations(
     if not (isinstance(tolerance, (int, float, np.number)) and 0 < tolerance < 1):
         raise InputError(f"combinations: tolerance is {tolerance!r}, expected between 0 and 1")
     for name in first:
-        if name not in names:
-            raise UnknownName("parameter", name, names)
+        choice("parameter", name, names)
     J = J.reshape(-1, len(names))
     if not np.isfinite(J).all():
         i, j = np.argwhere(~np.isfinite(J))[0]
@@ -206,15 +209,15 @@ def combinations(
     K = np.zeros((rank, len(dropped)))
     if rank and dropped:
         K = scipy.linalg.solve(Vt[:rank, list(kept)], Vt[:rank, list(dropped)])
-        # what rounding, and singular values up to the tolerance, leave of an exact zero
+        # a smaller entry is zero up to rounding and the singular values below the tolerance
         K = np.where(np.abs(K) > max(tolerance * s[0] / s[rank - 1], 1e-12), K, 0.0)
         K = K * (scale[list(dropped)] / scale[list(kept), None])
     return Combinations(names, s, float(tolerance), kept, dropped, K)
 
 
-def beside_others(R: np.ndarray, n: int) -> np.ndarray:
-    """Slopes of the first n numbers of a triangular R (m, size + 1) of [J r], without their part in
-    the span of the other numbers' slopes, such as those of initial states and noise levels."""
+def project_out_others(R: np.ndarray, n: int) -> np.ndarray:
+    """Compute the derivatives by the first n entries of x, of a triangular R (m, size + 1) of [J
+    r], without their part in the span of those by the other entries, such as initial states."""
     first, others = R[:, :n], R[:, n:-1]
     if not others.shape[1]:
         return first
@@ -226,10 +229,10 @@ def beside_others(R: np.ndarray, n: int) -> np.ndarray:
 
 
 def _independent(rows: np.ndarray, order: Sequence[int]) -> tuple[int, ...]:
-    """As many columns as there are orthonormal rows, independent, the first in order that are.
+    """Choose independent columns, the first in order, as many as there are orthonormal rows.
 
-    A first pass takes columns whose part outside of those taken is clearly there. If too few are,
-    the largest parts of the others follow, one by one.
+    The first pass takes columns with a clear part outside of the span of those taken. If these are
+    too few, the columns with the largest such parts follow.
     """
     rank = len(rows)
     kept: list[int] = []

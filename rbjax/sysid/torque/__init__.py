@@ -1,63 +1,24 @@
 """Identification from torques, which are linear in the inertial parameters."""
 
-from rbjax.sysid.torque.base_combinations import (
-    base_parameters,
-    random_motions,
-)
-from rbjax.sysid.torque.consistency import (
-    Consistent,
-    consistent,
-)
-from rbjax.sysid.torque.encoder_zeros import (
-    WithZeros,
-    regress_with_zeros,
-    zeros_of,
-)
-from rbjax.sysid.torque.regression import (
-    METHODS,
-    Regression,
-    regress,
-)
+from rbjax.sysid.torque.consistency import Consistent, consistent
+from rbjax.sysid.torque.encoder_zeros import WithZeros, regress_with_zeros, zeros_of
+from rbjax.sysid.torque.equations import Equations, Regression, equations
+from rbjax.sysid.torque.regression import METHODS, regress
 from rbjax.sysid.torque.regressors import (
     JOINT_TERMS,
+    base_parameters,
     observation_matrix,
     parameter_names,
     parameter_values,
+    random_motions,
     regressor,
 )
-from rbjax.sysid.torque.rows import (
-    TorqueRows,
-    torque_rows,
-)
-from rbjax.sysid.torque.selection import (
-    Selected,
-    select,
-)
-from rbjax.sysid.torque.stacking import (
-    Equations,
-    equations,
-)
+from rbjax.sysid.torque.rows import TorqueRows, torque_rows
+from rbjax.sysid.torque.selection import Selected, select
 
 __all__ = [
-    "regressor",
-    "JOINT_TERMS",
-    "observation_matrix",
-    "parameter_names",
-    "parameter_values",
-    "equations",
-    "Equations",
-    "regress",
-    "METHODS",
-    "Regression",
-    "consistent",
-    "Consistent",
-    "torque_rows",
-    "TorqueRows",
-    "regress_with_zeros",
-    "WithZeros",
-    "zeros_of",
-    "base_parameters",
-    "random_motions",
-    "select",
-    "Selected",
-]
+    "Consistent", "Equations", "JOINT_TERMS", "METHODS", "Regression", "Selected", "TorqueRows",
+    "WithZeros", "base_parameters", "consistent", "equations", "observation_matrix",
+    "parameter_names", "parameter_values", "random_motions", "regress", "regress_with_zeros",
+    "regressor", "select", "torque_rows", "zeros_of",
+]  # fmt: skip

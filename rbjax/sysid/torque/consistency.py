@@ -1,16 +1,18 @@
-"""Bodies that can exist: least squares in log-Cholesky coordinates, with the CAD model as a prior.
+"""Physically consistent inertias from torques: least squares in log-Cholesky coordinates, with the
+CAD model as a prior.
 
     min over theta, x   |(tau - W pi) / s|^2 + (2 / w^2) sum over bodies of d(P(theta)||P_CAD)
 
 pi stacks the inertial parameters phi(theta) of all bodies and the joints' numbers x, of which
-armature and friction are positive (by their logarithms). Every theta is a body (`log_cholesky`), so
-no constraint is needed. d is the log-determinant divergence (`inertia_metric`), about half the
-square of the relative deviation, of which w is the standard deviation. With w = 1 (100 %) the prior
-moves what the data determine well by a small part of its standard error, and decides what they
-leave open. Rucker & Wensing, IEEE RA-L 7(2), 2022; Lee, Wensing & Park, IEEE T-RO 36(3), 2020.
+armature and friction are positive (by their logarithms). Every theta is physically consistent, so
+no constraint is needed. d is the log-determinant divergence (`log_cholesky`), about half the square
+of the relative deviation, and w the standard deviation of the latter. With w = 1 (100 %) the prior
+determines the directions that the data do not identify, and changes the others by a small part of
+their standard error. Rucker & Wensing, IEEE RA-L 7(2), 2022; Lee, Wensing & Park, IEEE T-RO 36(3),
+2020.
 
 The data enter by the triangular factor of [W, tau], so a step costs the same for any number of
-samples. The Jacobian is exact, the prior a sum of squares (`prior_residual`).
+samples.
 """
 
 from __future__ import annotations
@@ -30,21 +32,24 @@ from rbjax.arguments import integer
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.sysid.parameters.inertia_metric import prior_residual, scalar_residual
+from rbjax.sysid.arguments import floats
 from rbjax.sysid.parameters.log_cholesky import (
     log_cholesky_parameters,
     model_log_cholesky,
     parameter_jacobian,
+    prior_residual,
+    scalar_residual,
     with_inertial_parameters,
 )
 from rbjax.sysid.statistics.rank import Combinations
-from rbjax.sysid.torque.regression import Regression, weighted
+from rbjax.sysid.status import FitStatus, HasStatus
+from rbjax.sysid.torque.equations import Regression, equations
+from rbjax.sysid.torque.regression import weighted
 from rbjax.sysid.torque.regressors import joint_coordinates, parameter_names, parameter_values
-from rbjax.sysid.torque.stacking import equations
 
 Array = np.ndarray
 POSITIVE = ("armature", "viscous", "coulomb", "gear_loss")
-#: Noise that is estimated is at least this times the size of its torque: it may be rounding only.
+#: The least estimate of the noise, relative to the torque, in case that it is only rounding.
 LEAST_NOISE = 1e-7
 
 _prior = jax.jit(prior_residual)
@@ -54,14 +59,20 @@ _scalar_slope = jax.jit(jax.vmap(jax.grad(scalar_residual)))
 
 
 @dataclass(frozen=True, eq=False)
-class Consistent:
-    """Parameters that a robot can have.
+class Consistent(HasStatus):
+    """The result of `consistent`.
 
-    Fields: model with them (Coulomb friction, bias and gear losses are only in values); names and
-    values (p,); covariance (p, p), of data and prior; noise (N, k) standard deviations that were
-    used; residual (N, k); divergence (nb,) of each body from its prior; combinations that the data
-    show; linear, the weighted least squares that it began with; steps; success, whether it
-    converged.
+    Fields:
+        model: with the estimates, except Coulomb friction, bias and gear losses.
+        names, values: (p,) of the parameters.
+        covariance: (p, p), of data and prior.
+        noise: (N, k) standard deviations that were used.
+        residual: (N, k), tau - W pi.
+        divergence: (nb,) of each body from its prior.
+        combinations: the base parameters.
+        linear: the weighted least squares from which the search starts.
+        steps: evaluations.
+        status: a `FitStatus`; `success` is whether the search converged.
     """
 
     model: Model
@@ -74,11 +85,11 @@ class Consistent:
     combinations: Combinations
     linear: Regression
     steps: int
-    success: bool
+    status: FitStatus
 
     @property
     def errors(self) -> Array:
-        """Standard deviations (p,); large where neither the data nor the prior say much."""
+        """Standard deviations (p,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
@@ -88,12 +99,12 @@ class Consistent:
 
     @property
     def base_covariance(self) -> Array:
-        """(r, r), of beta."""
+        """The covariance (r, r) of beta."""
         B = self.combinations.matrix
         return B @ self.covariance @ B.T
 
     def intervals(self, level: float = 0.95) -> Array:
-        """(r, 2) limits between which each base parameter lies with this probability."""
+        """Compute the confidence intervals (r, 2) of the base parameters."""
         if not 0 < level < 1:
             raise InputError(f"intervals: level is {level}, expected between 0 and 1")
         half = scipy.stats.t.ppf((1 + level) / 2, self.linear.dof)
@@ -113,13 +124,15 @@ def consistent(
     lengths: Sequence[int] | None = None,
     max_steps: int = 300,
 ) -> Consistent:
-    """Fit inertias that bodies can have, and positive armature and friction, to torques.
+    """Fit physically consistent inertias, and positive armature and friction, to torques.
+
+    Use it in place of `regress` to simulate with the estimates.
 
     Args:
-        model: the robot; its inertias are the prior and the start, and so are its armature and
-            damping where they are above 0.
-        W: (N, k, p) observation matrix with these joint terms, or rows of a balance.
-        tau: (N, k) torques, or impulses or work.
+        model: the robot; its inertias, and its armature and damping if they are above 0, are the
+            prior and the start.
+        W: (N, k, p) observation matrix with these joint terms.
+        tau: (N, k) torques.
         joint_terms: of W's columns.
         noise: standard deviation of tau: a number, (k,) or (N, k); None for that of the residuals
             of weighted least squares. After a robust regression noise / sqrt(weights) keeps its
@@ -132,7 +145,7 @@ def consistent(
         `Consistent`.
 
     Raises:
-        InputError: as `regress`; a body of the model that cannot exist, by name.
+        InputError: as `regress`; a body of the model whose inertia is not consistent, by name.
 
     Source: Rucker & Wensing 2022; Lee, Wensing & Park 2020.
 
@@ -151,10 +164,7 @@ def consistent(
     names = parameter_names(model, joint_terms)
     integer(where, "max_steps", max_steps, least=1)
     eq = equations(W, tau, names, noise=noise, base=base, lengths=lengths)
-    try:
-        spread = np.asarray(spread, float)
-    except (TypeError, ValueError):
-        spread = np.array(np.nan)
+    spread = floats(where, "spread", spread, "a number above 0, such as 0.3 for 30 %")
     if spread.shape not in ((), (model.nb,)) or not ((spread > 0) & np.isfinite(spread)).all():
         raise InputError(
             f"{where}: spread is {spread}, expected a number above 0, such as 0.3 for 30 %, or "
@@ -169,10 +179,9 @@ def consistent(
     whole = np.concatenate([eq.W, eq.tau[..., None]], 2) / sd[..., None]
     R = scipy.linalg.qr(whole.reshape(-1, len(names) + 1), mode="r")[0][: len(names) + 1]
     problem = _Problem(model, joint_terms, R[:, :-1], R[:, -1], spread, linear)
-    # Not `minimise`: its steps solve normal equations, which square the condition. The prior's rows
-    # are of size 1 and the data's of 1 / noise, so at a noise of 1e-6 the prior is lost in rounding
-    # (301 evaluations and not converged, where these steps by SVD take 17).
-    with np.errstate(over="ignore", invalid="ignore"):  # of trial steps, which are refused
+    # not `minimise`, whose normal equations square the condition: with a noise of 1e-6 the rows of
+    # the prior, of size 1, would be lost in the rounding of those of the data
+    with np.errstate(over="ignore", invalid="ignore"):  # of trial steps, which are rejected
         found = scipy.optimize.least_squares(
             problem.residual, problem.start, problem.jacobian, x_scale="jac",
             ftol=1e-14, xtol=1e-14, gtol=1e-14, max_nfev=max_steps,
@@ -180,7 +189,7 @@ def consistent(
     values, slopes = problem.parameters(found.x), problem.slopes(found.x)
     bread = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
     prior = found.jac[len(problem.R) :]
-    # the data's part of the sandwich's middle; linear.covariance follows the residuals
+    # the data's part of the middle of the sandwich; linear.covariance follows the residuals
     data = eq.combinations.matrix @ slopes
     X = (eq.X / sd[..., None]).reshape(-1, eq.combinations.rank)
     data = X.T @ X @ data
@@ -188,14 +197,14 @@ def consistent(
     covariance = slopes @ bread @ meat @ bread @ slopes.T
     divergence = (np.asarray(_prior(problem.bodies(found.x), problem.prior)) ** 2).sum(1)
     return Consistent(
-        _changed(model, values, joint_terms), names, values, covariance, sd,
+        _write_parameters(model, values, joint_terms), names, values, covariance, sd,
         eq.tau - eq.W @ values, divergence, eq.combinations, linear, int(found.nfev),
-        bool(found.status > 0),
+        FitStatus.of(bool(found.status > 0)),
     )  # fmt: skip
 
 
 class _Problem:
-    """Residuals and Jacobian of x = (theta of the bodies, numbers of joints)."""
+    """Residuals and Jacobian of x = (theta of the bodies, parameters of joints)."""
 
     def __init__(
         self, model: Model, joint_terms: Sequence[str], R: Array, y: Array, spread: Array,
@@ -203,12 +212,13 @@ class _Problem:
     ) -> None:  # fmt: skip
         self.R, self.y, self.nb = R, y, model.nb
         self.prior = np.asarray(model_log_cholesky(model))
-        self.pull = np.broadcast_to(np.sqrt(2) / spread, (model.nb,))
+        self.weight = np.broadcast_to(np.sqrt(2) / spread, (model.nb,))
         each = joint_coordinates(model).size
         self.positive = np.repeat([term in POSITIVE for term in joint_terms], each).astype(bool)
         values = np.asarray(parameter_values(model, joint_terms))
         known = values[10 * model.nb :]
-        # where the model says 0 there is no prior; linear least squares gives the start
+        # a joint parameter that is 0 in the model has no prior, and starts from linear least
+        # squares
         self.known = self.positive & (known > 0)
         guess = linear.parameters(values)[10 * model.nb :]
         size = np.linalg.norm(R[:, 10 * model.nb :], axis=0)
@@ -219,32 +229,32 @@ class _Problem:
         self.start = np.concatenate([self.prior.ravel(), logs])
 
     def bodies(self, x: Array) -> Array:
-        """theta (nb, 10)."""
+        """The part theta (nb, 10) of x."""
         return x[: 10 * self.nb].reshape(-1, 10)
 
     def parameters(self, x: Array) -> Array:
-        """pi (p,)."""
+        """Compute pi (p,)."""
         phi, z = np.asarray(log_cholesky_parameters(self.bodies(x))), x[10 * self.nb :]
         return np.concatenate([phi.ravel(), np.where(self.positive, np.exp(z), z)])
 
     def slopes(self, x: Array) -> Array:
-        """d pi / d x (p, p)."""
+        """Compute d pi / d x (p, p)."""
         z = x[10 * self.nb :]
         joints = np.diag(np.where(self.positive, np.exp(z), 1.0))
         return scipy.linalg.block_diag(*np.asarray(parameter_jacobian(self.bodies(x))), joints)
 
     def residual(self, x: Array) -> Array:
-        """Data, prior of bodies, prior of joints."""
-        bodies = np.asarray(_prior(self.bodies(x), self.prior)) * self.pull[:, None]
+        """Compute the residuals of data, prior of bodies, prior of joints."""
+        bodies = np.asarray(_prior(self.bodies(x), self.prior)) * self.weight[:, None]
         off = (x - self.start)[10 * self.nb :][self.known] / 2  # logarithm of a ratio, halved
-        joints = np.asarray(_scalar(off)) * self.pull.min()
+        joints = np.asarray(_scalar(off)) * self.weight.min()
         return np.concatenate([self.R @ self.parameters(x) - self.y, bodies.ravel(), joints])
 
     def jacobian(self, x: Array) -> Array:
-        """Its derivative."""
-        each = np.asarray(_prior_jacobian(self.bodies(x), self.prior)) * self.pull[:, None, None]
+        """Compute the Jacobian of `residual`."""
+        each = np.asarray(_prior_jacobian(self.bodies(x), self.prior)) * self.weight[:, None, None]
         off = (x - self.start)[10 * self.nb :][self.known] / 2
-        slope = np.asarray(_scalar_slope(off)) / 2 * self.pull.min()
+        slope = np.asarray(_scalar_slope(off)) / 2 * self.weight.min()
         joints = np.zeros((off.size, x.size))
         joints[np.arange(off.size), 10 * self.nb + np.flatnonzero(self.known)] = slope
         bodies = np.zeros((10 * self.nb, x.size))
@@ -252,8 +262,8 @@ class _Problem:
         return np.concatenate([self.R @ self.slopes(x), bodies, joints])
 
 
-def _changed(model: Model, values: Array, joint_terms: Sequence[str]) -> Model:
-    """The model with these parameters; those that are leaves of it."""
+def _write_parameters(model: Model, values: Array, joint_terms: Sequence[str]) -> Model:
+    """Write the parameters that are leaves of a model."""
     model = with_inertial_parameters(model, jnp.asarray(values[: 10 * model.nb]))
     at, joints = joint_coordinates(model), model.joints
     for k, term in enumerate(joint_terms):

@@ -1,15 +1,14 @@
-"""Where the zero of an encoder is, in each recording: found with the parameters.
+"""The zeros of incremental encoders in each recording, estimated with the parameters.
 
     min over pi, z_1, ..., z_R  of  sum over recordings  |tau - W(z_r) pi|^2 / s^2 + |z_r|^2 / w^2
 
-Encoders that count from where they stood when they were switched on have another zero in each
-recording: dry friction holds an arm anywhere within F / (m g r) of the vertical, a few hundredths
-of a radian. The torque of gravity that this makes is an error of constant sign, which spoils the
-friction and the inertias. w says how far zeros may be off; it decides where the data cannot: a zero
-that all recordings share looks like a centre of mass off the link, or like a tilted base. Each step
-is a linear regression on pi and the change of all z (Gauss-Newton), so the intervals of pi know
-that the zeros were found too. Zeros of 0.1 rad are right to second order, 5 mrad; rows that are
-made again at these zeros (`torque_rows`) do better.
+Incremental encoders have another zero in each recording. Dry friction holds an arm anywhere within
+F / (m g r) of the vertical, a few hundredths of a radian, and the error of the gravity torque
+biases friction and inertias. w is the standard deviation of the zeros, a prior that is needed,
+since a common zero of all recordings is equivalent to a shifted centre of mass or a tilted base.
+Each step is a linear regression on pi and the changes of all z (Gauss-Newton), so the intervals of
+pi account for the estimated zeros. A zero of 0.1 rad has an error of second order, 5 mrad;
+`torque_rows` at the estimated zeros reduces it.
 """
 
 from __future__ import annotations
@@ -20,24 +19,31 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import integer, real_number
 from rbjax.errors import InputError
-from rbjax.sysid.torque.regression import Regression, regress
+from rbjax.sysid.arguments import floats
+from rbjax.sysid.status import FitStatus, HasStatus
+from rbjax.sysid.torque.equations import Regression
+from rbjax.sysid.torque.regression import regress
 from rbjax.sysid.torque.rows import TorqueRows
 
 Array = np.ndarray
-DONE = 1e-9  # rad or m that zeros still move
-LEAST = 3  # steps; in the first one the parameters may be 0, so zeros have no effect
+DONE = 1e-9  # change of the zeros in rad or m that ends the steps
+LEAST = 3  # steps; in the first one the parameters may be 0, so that zeros have no effect
 
 
 @dataclass(frozen=True, eq=False)
-class WithZeros:
-    """A regression and the zeros of each recording.
+class WithZeros(HasStatus):
+    """The result of `regress_with_zeros`.
 
-    Fields: regression, of the parameters and of the last changes of the zeros, its residual that of
-    the data and the zeros; parameters (p,), those of the prior where the data say nothing; zeros,
-    name of the recording -> (nv,) rad or m; noise (nv,) standard deviation of the torques; squares,
-    the weighted sum of squares of the data; steps; success, whether it converged.
+    Fields:
+        regression: of the parameters and of the last changes of the zeros.
+        parameters: (p,), those of the prior in unidentifiable directions.
+        zeros: name of the recording -> (nv,) rad or m.
+        noise: (nv,) standard deviation of the torques.
+        squares: the weighted sum of squares of the data.
+        steps: linear regressions.
+        status: a `FitStatus`; `success` is whether the steps converged.
     """
 
     regression: Regression
@@ -46,7 +52,7 @@ class WithZeros:
     noise: Array
     squares: float
     steps: int
-    success: bool
+    status: FitStatus
 
 
 def regress_with_zeros(
@@ -57,11 +63,11 @@ def regress_with_zeros(
     noise: Any = None,
     max_steps: int = 30,
 ) -> WithZeros:
-    """Base parameters and the zeros of the encoders of each recording, together.
+    """Fit base parameters and the zeros of the encoders in each recording to torques.
 
     Args:
         rows: the equations of each recording.
-        prior: (p,) parameters that stay where the data say nothing; 0 if None.
+        prior: (p,) parameters in unidentifiable directions; 0 if None.
         spread: w in rad or m, the standard deviation of zeros.
         noise: standard deviation of the torques, a number or (nv,); that of the residuals if None.
         max_steps: linear regressions.
@@ -90,7 +96,7 @@ def regress_with_zeros(
     """
     where = "regress_with_zeros"
     rows = _checked(where, rows)
-    _check_spread(where, spread)
+    real_number(where, "spread", spread, "a positive angle or length", above=0.0)
     integer(where, "max_steps", max_steps, least=1)
     names, tau = rows[0].names, np.concatenate([r.tau for r in rows])
     p, (N, k) = len(names), tau.shape
@@ -120,29 +126,29 @@ def regress_with_zeros(
     sd = np.broadcast_to(np.asarray(sd, float), (k,))
     squares = float(((off / sd) ** 2).sum())
     done = step >= LEAST and moved <= DONE
-    return WithZeros(found, parameters, by_name, sd, squares, step, done)
+    return WithZeros(found, parameters, by_name, sd, squares, step, FitStatus.of(done))
 
 
 def _augmented(rows: Sequence[TorqueRows], zeros: Array, parameters: Array) -> tuple[Array, Array]:
-    """Columns of the parameters and of the changes of all zeros, with a row a recording that pulls
-    its zeros to 0; and the right side of these rows."""
+    """The columns of the parameters and of the changes of all zeros, with a row of the prior for
+    each recording; and the right side of the rows of the prior."""
     blocks, (runs, k) = [], zeros.shape
     for i, (r, z) in enumerate(zip(rows, zeros, strict=True)):
         moved = np.zeros((*r.tau.shape, runs, k))
         moved[:, :, i] = np.einsum("nkpz,p->nkz", r.slopes, parameters)
         blocks.append(np.concatenate([r.at(z), moved.reshape(*r.tau.shape, -1)], 2))
-    pulls = np.zeros((runs, k, blocks[0].shape[2]))
-    pulls[:, :, -runs * k :] = np.eye(runs * k).reshape(runs, k, -1)
-    return np.concatenate([*blocks, pulls]), -zeros
+    priors = np.zeros((runs, k, blocks[0].shape[2]))
+    priors[:, :, -runs * k :] = np.eye(runs * k).reshape(runs, k, -1)
+    return np.concatenate([*blocks, priors]), -zeros
 
 
 def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: float = 0.05) -> Array:
-    """The zeros (nv,) of one recording, for given parameters: of one that was not fitted.
+    """Estimate the zeros (nv,) of a recording that was not fitted, with given parameters.
 
-    z = argmin |(tau - W(z) pi) / s|^2 + |z|^2 / w^2, which is linear.
+    z = argmin |(tau - W(z) pi) / s|^2 + |z|^2 / w^2, linear least squares
 
     Args:
-        rows: its equations, or those of its first seconds.
+        rows: the equations of the recording, or of its first seconds.
         parameters: (p,).
         noise: s, standard deviation of the torques, a number or (nv,).
         spread: w in rad or m.
@@ -161,7 +167,7 @@ def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: flo
     """
     where = "zeros_of"
     (rows,) = _checked(where, [rows])
-    _check_spread(where, spread)
+    real_number(where, "spread", spread, "a positive angle or length", above=0.0)
     parameters = _numbers(where, "parameters", parameters, (len(rows.names),))
     sd = np.broadcast_to(_noise(where, noise, rows.tau.shape[1]), rows.tau.shape[1:])
     J = np.einsum("nkpz,p->nkz", rows.slopes, parameters) / sd[:, None]
@@ -172,11 +178,6 @@ def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: flo
     return rows.zeros + np.linalg.lstsq(J, off, rcond=None)[0]
 
 
-def _check_spread(where: str, spread: Any) -> None:
-    if not isinstance(spread, (int, float, np.number)) or not 0 < spread < np.inf:
-        raise InputError(f"{where}: spread is {spread!r}, expected a positive angle or length")
-
-
 def _noise(where: str, noise: Any, k: int) -> Array:
     x = _numbers(where, "noise", noise, (), (k,))
     if not (x > 0).all():
@@ -185,10 +186,7 @@ def _noise(where: str, noise: Any, k: int) -> Array:
 
 
 def _numbers(where: str, name: str, x: Any, *shapes: tuple[int, ...]) -> Array:
-    try:
-        x = np.asarray(x, float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: {name} is {type(x).__name__}, expected numbers") from error
+    x = floats(where, name, x, "numbers")
     if x.shape not in shapes or not np.isfinite(x).all():
         raise InputError(
             f"{where}: {name} has shape {x.shape}, expected {' or '.join(map(str, shapes))}, finite"

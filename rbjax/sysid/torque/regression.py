@@ -1,18 +1,18 @@
 """Linear regression of torques on base parameters: tau = W pi + e.
 
-With X the columns of W that are kept (`rank`), beta the base parameters, S the noise's covariance:
+With X the kept columns of W, beta the base parameters, and S the covariance of the noise:
 
     ordinary      beta = (X^T X)^-1 X^T tau
     weighted      beta = (X^T S^-1 X)^-1 X^T S^-1 tau,   covariance (X^T S^-1 X)^-1
-    robust        weighted, with weights psi(u) / u of the residuals u = e / s, again and again
+    robust        iteratively weighted, with weights psi(u) / u of the residuals u = e / s
     instrumental  beta = (Z^T X)^-1 Z^T tau
 
-Noise in q, v and a makes X itself noisy, and the first three biased (towards zero, mostly);
-instruments Z are columns without that noise, such as those of the simulated motion. Gautier 1997
-(weights); Huber & Ronchetti, *Robust Statistics*, 2009, ch. 7; Janot, Vandanjon & Gautier, IEEE
-Trans. Control Systems Technology 22(1), 2014 (instruments).
+Noise in q, v and a makes X noisy, and the first three biased, mostly towards zero. Instruments Z
+are columns without that noise, such as those of the simulated motion. Gautier 1997 (weights); Huber
+& Ronchetti, *Robust Statistics*, 2009, ch. 7; Janot, Vandanjon & Gautier, IEEE Trans. Control
+Systems Technology 22(1), 2014 (instruments).
 
-An estimator is a function of an `Equations` that returns a `Regression`; `METHODS` names them.
+An estimator of `METHODS` is a function of `Equations` that returns a `Regression`.
 """
 
 from __future__ import annotations
@@ -20,86 +20,28 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.linalg
 import scipy.stats
 
-from rbjax.arguments import integer
-from rbjax.errors import InputError, UnknownName
+from rbjax.arguments import choice, integer
+from rbjax.errors import InputError
 from rbjax.sysid.statistics.rank import Combinations
-from rbjax.sysid.statistics.whiteness_tests import meat_of
-from rbjax.sysid.torque.regression_statistics import (
+from rbjax.sysid.statistics.residual_tests import long_run_covariance
+from rbjax.sysid.status import FitStatus
+from rbjax.sysid.torque.equations import (
     ROUNDING,
+    Equations,
+    Regression,
+    equations,
     negligible,
     statistics_of,
     with_statistics,
 )
-from rbjax.sysid.torque.stacking import Equations, equations
 
 Array = np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Regression:
-    """The result of a regression.
-
-    Fields:
-        combinations: the combinations that are the r base parameters.
-        beta: (r,), their values.
-        covariance: (r, r), by `fit_statistics`: for independent noise if the residuals are white,
-            otherwise for noise with the correlation of the residuals.
-        noise: (k,) standard deviation of each channel.
-        residual: (N, k), tau - W pi.
-        weights: (N, k), below 1 if a robust method reduces the weight of a sample.
-        dof: degrees of freedom of Student's t; infinite if the noise was given and the residuals
-            agree with it.
-        steps: number of iterations.
-        success: whether they converged.
-        white: whether the residuals of each channel are independent in time.
-    """
-
-    combinations: Combinations
-    beta: Array
-    covariance: Array
-    noise: Array
-    residual: Array
-    weights: Array
-    dof: float
-    steps: int = 1
-    success: bool = True
-    white: bool = True
-
-    @property
-    def errors(self) -> Array:
-        """Standard deviations (r,) of beta."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def intervals(self, level: float = 0.95) -> Array:
-        """(r, 2) limits between which each base parameter lies with this probability."""
-        if not 0 < level < 1:
-            raise InputError(f"intervals: level is {level}, expected between 0 and 1")
-        half = scipy.stats.t.ppf((1 + level) / 2, self.dof) * self.errors
-        return np.stack([self.beta - half, self.beta + half], 1)
-
-    def parameters(self, prior: Any) -> Array:
-        """All parameters (p,): those of `prior` that are dropped stay, the others follow from beta.
-
-        Inertias among them may be none that a body can have; `consistent` finds such.
-        """
-        c = self.combinations
-        out = np.array(prior, float)
-        if out.shape != (len(c.names),):
-            raise InputError(f"parameters: prior has shape {out.shape}, expected ({len(c.names)},)")
-        out[list(c.kept)] = self.beta - c.K @ out[list(c.dropped)]
-        return out
-
-    def summary(self, level: float = 0.95) -> str:
-        """Each base parameter with its interval, one a line."""
-        rows = zip(self.combinations.terms(), self.beta, self.intervals(level), strict=True)
-        return "\n".join(f"{term} = {x:.5g} ({low:.5g} to {up:.5g})" for term, x, (low, up) in rows)
 
 
 def regress(
@@ -113,7 +55,10 @@ def regress(
     lengths: Sequence[int] | None = None,
     **options: Any,
 ) -> Regression:
-    """Fit base parameters to torques.
+    """Fit base parameters to measured torques by linear regression.
+
+    Use it if positions, velocities, accelerations and torques are measured; `torque_rows` filters
+    them. `consistent` fits inertias that are physically consistent.
 
     Args:
         W: (N, k, p) observation matrix of k channels, or (N, p) of one.
@@ -121,8 +66,8 @@ def regress(
         names: (p,) of the columns.
         method: "ordinary", "weighted", "robust" or "instrumental": the keys of `METHODS`.
         noise: standard deviation of tau if it is known: a number, (k,) or (N, k); inf for a torque
-            that does not count.
-        base: the combinations to fit; None for those that W shows.
+            without weight.
+        base: the combinations to fit; None for those that W identifies.
         lengths: number of samples of each recording in W, N in all. Noise is not correlated between
             recordings. None: one recording. Samples are in the order of time.
         options: of the method. robust: loss ("huber", "bisquare"), max_steps. instrumental:
@@ -130,7 +75,7 @@ def regress(
             max_steps.
 
     Returns:
-        `Regression`. `success` is false where iterations did not converge.
+        `Regression`. `success` is false if the iterations did not converge.
 
     Raises:
         UnknownName: no such method. InputError: shapes that do not match, values that are not
@@ -147,12 +92,10 @@ def regress(
         >>> found.beta.round(6).tolist()
         [2.0, -1.0]
     """
-    if method not in METHODS:
-        raise UnknownName("regression method", method, METHODS)
+    choice("regression method", method, METHODS)
     known = inspect.signature(METHODS[method]).parameters
     for option in options:
-        if option not in list(known)[1:]:
-            raise UnknownName(f"option of method {method}", option, list(known)[1:])
+        choice(f"option of method {method}", option, list(known)[1:])
     if method == "instrumental" and "instruments" not in options:
         raise InputError(
             "regress: method instrumental without instruments, expected an array (N, k, p) like W, "
@@ -163,7 +106,7 @@ def regress(
 
 
 def ordinary(eq: Equations) -> Regression:
-    """Every torque counts alike. Without known noise all channels are taken to have the same."""
+    """Ordinary least squares. Noise that is not given is estimated as equal in all channels."""
     fitted, (N, k) = eq.fit(1.0), eq.tau.shape
     beta, covariance = fitted.beta, fitted.covariance
     residual = eq.tau - eq.X @ beta
@@ -187,7 +130,7 @@ def ordinary(eq: Equations) -> Regression:
 
 
 def weighted(eq: Equations) -> Regression:
-    """Each torque counts by its noise: known, or that of its channel's residuals."""
+    """Least squares weighted by the noise, which is given or that of each channel's residuals."""
     sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
     return with_statistics(eq, _weighted(eq, sd), np.broadcast_to(sd, eq.tau.shape))
 
@@ -195,20 +138,19 @@ def weighted(eq: Equations) -> Regression:
 def _noise_of_channels(eq: Equations) -> Array:
     beta = eq.fit(1.0).beta
     noise = _floor(eq, np.sqrt(((eq.tau - eq.X @ beta) ** 2).mean(0)))
-    for _ in range(3):  # the noise of a channel and the weights by it settle at once
+    for _ in range(3):  # noise and weights converge fast
         noise = _floor(eq, _weighted(eq, noise).noise)
     return noise
 
 
 def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regression:
-    """Weights psi(u) / u take the pull of outliers away: iteratively reweighted least squares.
+    """Iteratively reweighted least squares, which reduces the weight of outliers to psi(u) / u.
 
-    "huber" bounds the pull of a sample; "bisquare" starts there and then ignores samples farther
-    than 4.7 standard deviations. Each channel's scale is the median of |u| / 0.6745. The covariance
-    is Huber's: that of weighted least squares times mean psi^2 / (mean psi')^2.
+    "huber" bounds the influence of a sample; "bisquare" starts from that fit and ignores samples
+    farther than 4.7 standard deviations. The scale of a channel is the median of |u| / 0.6745. The
+    covariance is that of weighted least squares times mean psi^2 / (mean psi')^2 (Huber).
     """
-    if loss not in LOSSES:
-        raise UnknownName("loss", loss, LOSSES)
+    choice("loss", loss, LOSSES)
     integer("robust", "max_steps", max_steps, least=1)
     sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
     found, done, step = _weighted(eq, sd), False, 0
@@ -236,7 +178,8 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
     size = np.sqrt((size**2).sum(0) / np.maximum(counted.sum(0), 1))
     found = Regression(
         eq.combinations, found.beta, spread * eq.fit(scale).covariance,
-        size, found.residual, w, float(counted.sum() - found.beta.size), step, done,
+        size, found.residual, w, float(counted.sum() - found.beta.size), step,
+        FitStatus.of(done),
     )  # fmt: skip
     return with_statistics(eq, found, scale, psi, slope)
 
@@ -249,17 +192,17 @@ def instrumental(
     max_steps: int = 20,
     tolerance: float = 1e-3,
 ) -> Regression:
-    """Instruments Z that are free of the noise in X: no bias.
+    """Instrumental variables Z without the noise in X, which give estimates without its bias.
 
     `instruments` is an array (N, k, p) like W, or a function of the last `Regression` that returns
-    it, such as the observation matrix of the motion simulated with its parameters; then the
-    estimate is repeated from `start` (None: weighted least squares) until no base parameter moves
-    by more than `tolerance` standard deviations.
+    it, such as the observation matrix of a motion simulated with its parameters. Then the estimate
+    is repeated from `start` (None: weighted least squares) until no base parameter changes by more
+    than `tolerance` standard deviations.
     """
     integer("instrumental", "max_steps", max_steps, least=1)
     found, (N, k) = weighted(eq) if start is None else start, eq.tau.shape
     count = int(eq.counted.sum())
-    steps = max_steps if callable(instruments) else 3  # noise of channels settles at once
+    steps = max_steps if callable(instruments) else 3  # the noise of channels converges fast
     for step in range(1, steps + 1):
         Z = np.asarray(instruments(found) if callable(instruments) else instruments, float)
         if Z.shape != eq.W.shape or not np.isfinite(Z).all():
@@ -290,20 +233,25 @@ def instrumental(
         moved = (np.abs(beta - found.beta) / np.sqrt(covariance.diagonal())).max()
         found = Regression(
             eq.combinations, beta, covariance, noise, residual, np.ones((N, k)), dof, step,
-            bool(moved < tolerance) or not callable(instruments),
+            FitStatus.of(bool(moved < tolerance) or not callable(instruments)),
         )  # fmt: skip
         if callable(instruments) and found.success:
             break
-    said = statistics_of(eq, found.residual / sd, np.ones((N, k)), np.broadcast_to(sd, (N, k)))
-    if said.white or negligible(eq, found.residual):
+    statistics = statistics_of(
+        eq, found.residual / sd, np.ones((N, k)), np.broadcast_to(sd, (N, k))
+    )
+    if statistics.white or negligible(eq, found.residual):
         return found
     scores = np.split(
         np.einsum("nkr,nk->nr", Zs.reshape(N, k, -1), found.residual / sd),
         np.cumsum(eq.lengths)[:-1],
     )
     bread = scipy.linalg.inv(Zs.T @ X)
-    covariance = bread @ meat_of(scores) @ bread.T * (count / (count - found.beta.size))
-    return dataclasses.replace(found, covariance=covariance, dof=said.estimates.dof, white=False)
+    covariance = bread @ long_run_covariance(scores) @ bread.T
+    covariance = covariance * (count / (count - found.beta.size))
+    return dataclasses.replace(
+        found, covariance=covariance, dof=statistics.estimates.dof, white=False
+    )
 
 
 def _huber(u: Array, c: float = 1.345) -> tuple[Array, Array, Array]:
@@ -320,8 +268,8 @@ def _weight(psi: Array, u: Array) -> Array:
     return np.where(u == 0, 1.0, psi / np.where(u == 0, 1.0, u))
 
 
-#: loss -> weight psi(u) / u, psi and psi' of residuals u in standard deviations; tuned to 95 % of
-#: the efficiency of least squares where the noise is normal
+#: loss -> weight psi(u) / u, psi and psi' of residuals u in standard deviations, with 95 % of the
+#: efficiency of least squares for normal noise
 LOSSES: dict[str, Callable[[Array], tuple[Array, Array, Array]]] = {
     "huber": _huber,
     "bisquare": _bisquare,
@@ -339,7 +287,7 @@ METHODS: dict[str, Callable[..., Regression]] = {
 def _weighted(eq: Equations, noise: Array) -> Regression:
     fitted = eq.fit(noise)
     residual = eq.tau - eq.X @ fitted.beta
-    # each channel's degrees of freedom: its samples less what it gave to the parameters
+    # degrees of freedom of each channel: its samples less its leverage
     count = eq.counted.sum(0)
     free = np.maximum(count - fitted.leverage, 1e-3 * np.maximum(count, 1))
     found = np.sqrt((np.where(eq.counted, residual, 0.0) ** 2).sum(0) / free)
@@ -349,19 +297,19 @@ def _weighted(eq: Equations, noise: Array) -> Regression:
 
 
 def _stacked(eq: Equations, noise: Any) -> tuple[Array, Array]:
-    """X (N k, r) and tau (N k,), both over the noise."""
+    """X (N k, r) and tau (N k,), divided by the noise."""
     sd = np.broadcast_to(noise, eq.tau.shape)
     return (eq.X / sd[..., None]).reshape(eq.tau.size, -1), (eq.tau / sd).ravel()
 
 
 def _floor(eq: Equations, noise: Array) -> Array:
-    """Noise of channels, not below rounding."""
+    """The noise of channels, at least that of rounding."""
     size = np.sqrt((eq.tau**2).mean(0))
     return np.maximum(noise, ROUNDING * max(size.max(), np.finfo(float).tiny / ROUNDING))
 
 
 def _scale(eq: Equations, residual: Array) -> Array:
-    """The scale of each sample's noise: as known, or robust, of its channel."""
+    """The scale of each sample's noise: as given, or a robust estimate for its channel."""
     if eq.noise is not None:
         return eq.noise
     each = np.median(np.abs(residual), axis=0) / 0.6745

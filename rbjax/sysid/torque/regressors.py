@@ -1,4 +1,4 @@
-"""The regressor: torques are linear in the parameters of bodies and joints.
+"""The regressor of inverse dynamics, and the base parameters of a robot.
 
     tau = Y(q, v, a) pi
 
@@ -8,10 +8,15 @@ each joint coordinate i:
     armature J_i a_i,  viscous d_i v_i,  coulomb F_i tanh(v_i / v_0),  bias b_i
     gear_loss mu_i |tau_i| tanh(v_i / v_0)
 
-tau (nv,) is what the motors give: it moves the bodies and overcomes the friction. A gear loses a
-share mu of the torque that it transmits (`forces.GearLoss`); that column takes the measured torque.
-Samples one below the other form the observation matrix. Khalil & Dombre, *Modeling, Identification
-and Control of Robots*, ch. 12; Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
+tau (nv,) is the torque of the motors, with friction. A gear loses a share mu of the torque that it
+transmits (`forces.GearLoss`), so that column contains the measured torque. The regressors of all
+samples form the observation matrix. Khalil & Dombre, *Modeling, Identification and Control of
+Robots*, ch. 12; Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
+
+The rank of the observation matrix of random motions is structural. Its independent combinations are
+the base parameters (Gautier & Khalil, IEEE Trans. Robotics and Automation 6(3), 1990). With a free
+base, the six equations of the base determine them all (Ayusawa, Venture & Nakamura, IJRR 33(3),
+2014).
 """
 
 from __future__ import annotations
@@ -24,12 +29,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import choice, integer, real_number
 from rbjax.dynamics import inertial_parameters, inertial_regressor
-from rbjax.dynamics.arguments import SHAPES, check_array, check_model, shape_of
-from rbjax.errors import InputError, UnknownName
+from rbjax.dynamics.arguments import SHAPES, check_array, check_model, check_moves, shape_of
+from rbjax.errors import InputError
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model
 from rbjax.sysid.parameters.log_cholesky import PARAMETERS
+from rbjax.sysid.statistics.rank import Combinations, combinations
 
 
 def _sign(v: jax.Array, v_0: float) -> jax.Array:
@@ -56,10 +63,10 @@ def regressor(
     smoothing: float = 0.0,
     tau: jax.Array | None = None,
 ) -> jax.Array:
-    """Y(q, v, a) (nv, p) with tau = Y pi, the columns in the order of `parameter_names`.
+    """Compute the regressor Y(q, v, a) (nv, p) with tau = Y pi.
 
     Args:
-        model: the robot; of its numbers only kinematics and gravity matter.
+        model: the robot, of which only kinematics and gravity are used.
         q: (nq,) configuration.
         v: (nv,) velocity.
         a: (nv,) acceleration.
@@ -71,7 +78,7 @@ def regressor(
         tau: (nv,) measured torques, which "gear_loss" needs.
 
     Returns:
-        (nv, 10 nb + columns of joints).
+        (nv, 10 nb + columns of joints), the columns in the order of `parameter_names`.
 
     Raises:
         UnknownName: a joint term that does not exist. InputError: wrong arrays; a negative
@@ -114,14 +121,14 @@ def observation_matrix(
     smoothing: float = 0.0,
     tau: jax.Array | None = None,
 ) -> jax.Array:
-    """W (n, rows, p): the regressor at each of n samples of a motion.
+    """Compute the observation matrix W (n, rows, p): the regressor at n samples of a motion.
 
     Args:
         model: the robot.
         q: (n, nq) configurations.
         v: (n, nv) velocities.
         a: (n, nv) accelerations.
-        rows: the torques that are measured, as joint names or places in v; None for all.
+        rows: the measured torques, as joint names or indices of v; None for all.
         joint_terms: as for `regressor`.
         smoothing: as for `regressor`.
         tau: (n, nv) measured torques, which "gear_loss" needs.
@@ -159,9 +166,9 @@ def observation_matrix(
 
 
 def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str, ...]:
-    """The columns of `regressor`: "body.m", "body.hx", ..., "body.Izz", "joint.armature", ...
+    """Name the columns of `regressor`: "body.m", "body.hx", ..., "body.Izz", "joint.armature", ...
 
-    Coordinate k of a ball joint is "joint.armature[k]".
+    The coordinates of a ball joint are "joint.armature[k]".
 
     Example:
         >>> import rbjax as rb
@@ -188,9 +195,9 @@ def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str,
 
 
 def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array:
-    """pi (p,) of a model, in the order of `parameter_names`: inertial parameters, armature, viscous
-    damping of its joints; 0 for Coulomb friction, bias and gear losses, which are no leaves of
-    joints.
+    """Read pi (p,) from a model, in the order of `parameter_names`.
+
+    Coulomb friction, bias and gear losses are 0, since they are not leaves of joints.
 
     Example:
         >>> import rbjax as rb
@@ -209,13 +216,14 @@ def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array
 
 
 def joint_coordinates(model: Model) -> np.ndarray:
-    """The places in v of all joints but the free ones: those that may have a motor and friction."""
+    """Find the indices of v of all joints except free joints, which have no motor and no
+    friction."""
     top = model.topology
     return np.array([i for i, k in enumerate(top.dofs) if top.joint_kinds[k.joint] != "free"], int)
 
 
 def coordinate_rows(model: Model, rows: Sequence[int | str] | slice | None) -> np.ndarray:
-    """Places in v from joint names, places, or a slice."""
+    """Convert joint names, indices of v, or a slice to indices of v."""
     if rows is None or isinstance(rows, slice):
         return np.arange(model.nv)[rows if rows is not None else slice(None)]
     if isinstance(rows, str) or not isinstance(rows, Iterable):
@@ -244,12 +252,96 @@ def _check_terms(where: str, terms: Any, smoothing: float = 0.0) -> None:
         )
     terms = list(terms)
     for term in terms:
-        if not isinstance(term, str) or term not in JOINT_TERMS:
-            raise UnknownName("joint term", term, JOINT_TERMS)
+        choice("joint term", term, JOINT_TERMS)
     if len(set(terms)) < len(terms):
         raise InputError(f"{where}: joint_terms is {list(terms)}, expected none twice")
-    number = isinstance(smoothing, (int, float)) and not isinstance(smoothing, bool)
-    if not number or not 0 <= smoothing < np.inf:
-        raise InputError(
-            f"{where}: smoothing is {smoothing!r}, expected a speed in rad/s or m/s, 0 or more"
-        )
+    real_number(where, "smoothing", smoothing, "a speed in rad/s or m/s, 0 or more", least=0.0)
+
+
+def base_parameters(
+    model: Model,
+    q: jax.Array | None = None,
+    v: jax.Array | None = None,
+    a: jax.Array | None = None,
+    *,
+    rows: Sequence[int | str] | slice | None = None,
+    joint_terms: Sequence[str] = (),
+    first: Sequence[str] = (),
+    samples: int | None = None,
+    seed: int = 0,
+    tolerance: float | None = None,
+    smoothing: float = 0.0,
+) -> Combinations:
+    """Find the base parameters of a robot: the combinations that torques identify.
+
+        tau = Y pi = Y_kept beta,   beta = pi_kept + K pi_dropped
+
+    Args:
+        model: the robot; gravity matters, masses do not.
+        q: (n, nq) configurations; None for random motions.
+        v: (n, nv) velocities.
+        a: (n, nv) accelerations.
+        rows: the measured torques, as joint names or indices of v; None for all. The first six of a
+            free base are its wrench.
+        joint_terms: of "armature", "viscous", "coulomb", "bias".
+        first: names that are kept before others, such as "joint1.armature" before "link1.Izz".
+        samples: of random motions; None for enough.
+        seed: of random motions.
+        tolerance: of singular values, as for `combinations`.
+        smoothing: of Coulomb friction, as for `regressor`.
+
+    Returns:
+        `Combinations`: rank, kept and dropped parameters, K, and `summary()`.
+
+    Raises:
+        InputError: a model without joints; q, v and a not all given; wrong shapes.
+
+    Source: Gautier 1991.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.sysid.torque import base_parameters
+        >>> base = base_parameters(rb.load("double_pendulum"), joint_terms=["armature"])
+        >>> base.rank
+        7
+        >>> base.terms()[2]
+        'upper.Iyy + lower.m + shoulder.armature'
+    """
+    where = "base_parameters"
+    check_model(where, model)
+    check_moves(where, model)
+    names = parameter_names(model, joint_terms)
+    if q is None and v is None and a is None:
+        if samples is None:  # twice as many equations as columns, from the fewest rows
+            samples = 20 + 2 * len(names) // min(model.nv, 6)
+        q, v, a = map(jnp.asarray, random_motions(model, samples, seed=seed))
+    if q is None or v is None or a is None:
+        raise InputError(f"{where}: expected all of q, v and a, or none for random motions")
+    W = observation_matrix(model, q, v, a, rows=rows, joint_terms=joint_terms, smoothing=smoothing)
+    return combinations(W, names, tolerance=tolerance, first=first)
+
+
+def random_motions(
+    model: Model, samples: int, *, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Draw random q (samples, nq), v and a (samples, nv).
+
+    Coordinates are uniform within 3 (rad, m) of the default, attitudes uniform, velocities and
+    accelerations normal with standard deviation 2.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.sysid.torque import random_motions
+        >>> q, v, a = random_motions(rb.load("free_body"), 5)
+        >>> q.shape, a.shape
+        ((5, 7), (5, 6))
+    """
+    check_model("random_motions", model)
+    integer("random_motions", "samples", samples, least=1)
+    rng = np.random.default_rng(seed)
+    q = np.asarray(model.joints.reference) + rng.uniform(-3.0, 3.0, (samples, model.nq))
+    for start in model.topology.quaternion_starts:
+        turn = rng.normal(size=(samples, 4))
+        q[:, start : start + 4] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    v, a = rng.normal(scale=2.0, size=(2, samples, model.nv))
+    return q, v, a

@@ -1,13 +1,11 @@
-"""The linear equations of one recording, both sides behind the same zero-phase filter.
+"""The linear equations of one recording, with the same zero-phase filter on both sides.
 
     F[tau] = F[Y(q, v, a)] pi + F[dY/dq pi] z
 
-The torque is linear in pi, so a linear filter F may act on every column and on the torque: what
-the filter takes away is taken from both, and friction, whose columns have steps, is not distorted.
-Then the equations are decimated to the bandwidth of the filter. z (nq,) are the zeros of the
-encoders, q = q_read + z. The equations are linearised at the given zeros; the derivatives with
-respect to z are computed when they are first read. A gap splits a recording: each stretch without a
-gap is filtered separately. All is computed in float64.
+The torque is linear in pi, so a linear filter F may act on every column and on the torque, without
+a distortion of friction, whose columns have steps. Then the equations are decimated to the
+bandwidth of the filter. z (nq,) are the zeros of the encoders, q = q_read + z, about which the
+equations are linearised. Each stretch of a recording without a gap is filtered separately.
 Source: Gautier, ICRA 1997 (parallel filtering and decimation).
 """
 
@@ -24,10 +22,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import choice, instance
 from rbjax.dynamics.arguments import check_model
-from rbjax.errors import InputError, UnknownName, listed
+from rbjax.errors import InputError, listed
 from rbjax.model import Model
-from rbjax.sysid.data.filtering import differentiate, low_pass
+from rbjax.sysid.arguments import floats
+from rbjax.sysid.data.filtering import check_cutoff, differentiate, low_pass
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.torque.regressors import (
@@ -38,8 +38,8 @@ from rbjax.sysid.torque.regressors import (
 )
 
 Array = np.ndarray
-KEPT = 0.8  # Nyquist's frequency of the decimated equations is the cut-off over this
-FILLED = 1000  # samples are filled up to a multiple of it
+BAND = 0.8  # the cut-off over the Nyquist frequency of the decimated equations
+PADDED = 1000  # samples are padded to a multiple of it, so that similar motions share a program
 BRIDGED = 0.25  # periods of signal_cutoff that a spline bridges
 
 
@@ -49,11 +49,11 @@ class TorqueRows:
 
     Fields:
         name: of the recording.
-        t: (N,) s; a gap of the recording is a gap here.
+        t: (N,) s, with the gaps of the recording.
         W: (N, nv, p).
         tau: (N, nv) N m or N.
         names: (p,) of the columns.
-        zeros: (nv,) rad or m, at which W holds.
+        zeros: (nv,) rad or m, of the encoders in W.
         cutoff: in Hz.
         slopes_of: the function that computes `slopes`.
     """
@@ -69,35 +69,34 @@ class TorqueRows:
 
     @functools.cached_property
     def slopes(self) -> Array:
-        """(N, nv, p, nv), dW/dz; computed when first read."""
+        """dW/dz (N, nv, p, nv), which is computed when it is first read."""
         return self.slopes_of()
 
     def at(self, zeros: Any) -> Array:
-        """W (N, nv, p) at other zeros, to first order."""
+        """Compute W (N, nv, p) at other zeros, to first order."""
         change = np.asarray(zeros, float) - self.zeros
         return self.W + self.slopes @ change if change.any() else self.W
 
     def residual(self, parameters: Any, zeros: Any = None) -> Array:
-        """tau - W pi (N, nv)."""
+        """Compute tau - W pi (N, nv)."""
         W = self.W if zeros is None else self.at(zeros)
         return self.tau - W @ np.asarray(parameters, float)
 
     def only(self, names: Sequence[str]) -> TorqueRows:
-        """The equations with these columns only: a model with fewer terms."""
+        """Select columns, for a model with fewer terms."""
         for name in names:
-            if name not in self.names:
-                raise UnknownName("column", name, self.names)
+            choice("column", name, self.names)
         at = [self.names.index(name) for name in names]
         return dataclasses.replace(
             self, W=self.W[:, :, at], names=tuple(names), slopes_of=lambda: self.slopes[:, :, at]
         )
 
-    def piece(self, start: float = -np.inf, end: float = np.inf) -> TorqueRows:
-        """The equations of the times from start to end, in s."""
+    def segment(self, start: float = -np.inf, end: float = np.inf) -> TorqueRows:
+        """Select the equations from start to end in s."""
         keep = (start <= self.t) & (self.t <= end)
         if not keep.any():
             raise InputError(
-                f"TorqueRows.piece: no equation of {self.name} lies from {start:g} to {end:g} s, "
+                f"TorqueRows.segment: no equation of {self.name} lies from {start:g} to {end:g} s, "
                 f"expected times within {self.t[0]:g} to {self.t[-1]:g} s"
             )
         cut = {k: getattr(self, k)[keep] for k in ("t", "W", "tau")}
@@ -115,7 +114,7 @@ def torque_rows(
     smoothing: float = 0.0,
     zeros: Any = None,
 ) -> TorqueRows:
-    """Compute the filtered equations of a recording of hinges and slides.
+    """Compute the filtered equations of a recording of hinges and slides, for `regress`.
 
     Args:
         model: the robot; only its kinematics and gravity are used.
@@ -156,11 +155,8 @@ def torque_rows(
             f"{where}: the model has {model.nq} positions and {model.nv} velocities, expected "
             "hinges and slides only"
         )
-    if not isinstance(recording, Recording):
-        raise InputError(
-            f"{where}: recording is {type(recording).__name__}, expected one Recording; call it "
-            "for each of several"
-        )
+    fix = "one Recording; call it for each of several"
+    instance(where, "recording", recording, Recording, fix)
     recording.check_model(model)
     names = parameter_names(model, joint_terms)
     z = _zeros(where, model, zeros)
@@ -173,7 +169,7 @@ def torque_rows(
     both = both.on_clock(t, gap=max(3 * h, BRIDGED / smooth) * (1 + 1e-9))
     seen = np.concatenate([both["q"].values, both["tau"].values], 1)
     stretches = _stretches(~np.isnan(seen).any(1))
-    step = max(1, int(KEPT / (2 * cutoff * h) * (1 + 1e-6)))
+    step = max(1, int(BAND / (2 * cutoff * h) * (1 + 1e-6)))
     first = _disturbed(h, cutoff, smooth)
     usable = [s for s in stretches if s.stop - s.start >= 2 * first + step + 1]
     if not usable:
@@ -198,7 +194,13 @@ def torque_rows(
             found.append(flat[first : len(flat) - first : step].reshape(-1, *x.shape[1:]))
         return np.concatenate(found)
 
-    columns = _Columns.of(model, z, together, joint_terms, smoothing)
+    n = len(together[0])
+    motion = [jnp.asarray(np.pad(x, ((0, -n % PADDED), (0, 0)), mode="edge")) for x in together]
+    double, at = cast(model, jnp.float64), jnp.asarray(z)
+    how: dict[str, Any] = {
+        "terms": tuple(joint_terms), "smoothing": float(smoothing),
+        "functions": tuple(JOINT_TERMS[term] for term in joint_terms),
+    }  # fmt: skip
     times, torque = (
         np.concatenate([x[s] for s in usable]) for x in (t, both["tau"].values)
     )  # fmt: skip
@@ -206,54 +208,20 @@ def torque_rows(
         [np.arange(a + first, b - first, step) for a, b in itertools.pairwise(ends)]
     )
 
+    @in_double
     def slopes() -> Array:
-        """One direction of z at a time: only its decimated rows are kept."""
-        return np.stack([filtered(columns.slope(e)) for e in np.eye(z.size)], -1)
+        """dW/dz, one direction of z at a time, to keep only its decimated rows."""
+        each = (_slope(double, at, jnp.asarray(e), motion, **how) for e in np.eye(z.size))
+        return np.stack([filtered(np.asarray(x)[:n]) for x in each], -1)
 
+    W = np.asarray(_matrix(double, at, motion, **how))[:n]
     return TorqueRows(
-        recording.name, times[kept], filtered(columns.values()), filtered(torque), names, z,
+        recording.name, times[kept], filtered(W), filtered(torque), names, z,
         float(cutoff), slopes,
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """W of a motion, and its derivative along a direction of the zeros. Samples are padded, so that
-    motions of similar length share a program."""
-
-    model: Model
-    zeros: jax.Array
-    motion: list[jax.Array]
-    samples: int
-    terms: tuple[str, ...]
-    smoothing: float
-
-    @classmethod
-    def of(
-        cls, model: Model, zeros: Array, motion: list[Array], terms: Sequence[str], smoothing: float
-    ) -> _Columns:
-        n = len(motion[0])
-        filled = [jnp.asarray(np.pad(x, ((0, -n % FILLED), (0, 0)), mode="edge")) for x in motion]
-        double = cast(model, jnp.float64)
-        return cls(double, jnp.asarray(zeros), filled, n, tuple(terms), float(smoothing))
-
-    def values(self) -> Array:
-        return self._of(_matrix)
-
-    @in_double
-    def slope(self, direction: Array) -> Array:
-        return self._of(_slope, jnp.asarray(direction))
-
-    def _of(self, f: Callable[..., jax.Array], *direction: jax.Array) -> Array:
-        functions = tuple(JOINT_TERMS[term] for term in self.terms)
-        found = f(
-            self.model, self.zeros, *direction, self.motion, terms=self.terms,
-            smoothing=self.smoothing, functions=functions,
-        )  # fmt: skip
-        return np.asarray(found)[: self.samples]
-
-
-#: `functions`: those of the terms, so that a redefined term is compiled again
+#: `functions` of the terms are static, so that a redefined term is compiled again
 _static = functools.partial(jax.jit, static_argnames=("terms", "smoothing", "functions"))
 
 
@@ -280,16 +248,15 @@ def _slope(
 
 
 def _zeros(where: str, model: Model, zeros: Any) -> Array:
-    z = np.zeros(model.nv) if zeros is None else np.asarray(zeros)
-    if z.shape != (model.nv,) or z.dtype.kind not in "biuf" or not np.isfinite(z).all():
-        raise InputError(
-            f"{where}: zeros is {zeros!r}, expected ({model.nv},) finite numbers in rad or m"
-        )
-    return z.astype(float)
+    fix = f"({model.nv},) finite numbers in rad or m"
+    z = floats(where, "zeros", np.zeros(model.nv) if zeros is None else zeros, fix, finite=True)
+    if z.shape != (model.nv,):
+        raise InputError(f"{where}: zeros is {zeros!r}, expected {fix}")
+    return z
 
 
 def _in_order(where: str, model: Model, recording: Recording, sensor: str) -> Channel:
-    """The channel with a column for each joint of the model, in its order."""
+    """Order the columns of a channel as the joints of the model."""
     channel, names = recording[sensor], model.joint_names
     if len(channel.names) != model.nv:
         missing = [n for n in names if n not in channel.names]
@@ -305,14 +272,9 @@ def _in_order(where: str, model: Model, recording: Recording, sensor: str) -> Ch
 
 def _cutoffs(where: str, cutoff: Any, signal_cutoff: Any, h: float) -> float:
     """Check both cut-offs, and return the cut-off of the signals."""
-    for name, f in (("cutoff", cutoff), ("signal_cutoff", signal_cutoff)):
-        if name == "signal_cutoff" and f is None:
-            continue
-        if not isinstance(f, (int, float, np.number)) or not 0 < f < 0.5 / h:
-            raise InputError(
-                f"{where}: {name} is {f!r} Hz, expected a number between 0 and {0.5 / h:g} Hz, "
-                "half the rate of the samples"
-            )
+    check_cutoff(where, "cutoff", cutoff, h)
+    if signal_cutoff is not None:
+        check_cutoff(where, "signal_cutoff", signal_cutoff, h)
     return float(min(8 * cutoff, 0.4 / h) if signal_cutoff is None else signal_cutoff)
 
 

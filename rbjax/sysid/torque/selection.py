@@ -1,4 +1,4 @@
-"""`select`: of nested linear models, the one whose terms all earn their place."""
+"""`select`: selection among nested linear models by F tests."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.sysid.statistics.comparisons import Comparison, Scored, compare
-from rbjax.sysid.torque.regression import Regression, regress
-from rbjax.sysid.torque.regression_statistics import ROUNDING
+from rbjax.sysid.torque.equations import ROUNDING, Regression
+from rbjax.sysid.torque.regression import regress
 
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """The model that the data need.
+    """The result of `select`.
 
-    Fields: name; regression, its fit; comparisons, one for each model after the first, in order.
+    Fields:
+        name: of the selected model.
+        regression: its fit.
+        comparisons: one for each model after the first, in order.
     """
 
     name: str
@@ -27,23 +30,23 @@ class Selected:
 
 
 def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Selected:
-    """Fit nested models from the smallest to the largest, and keep each that earns its place.
+    """Fit nested models from the smallest to the largest, and select the one that the data need.
 
-    Each is compared with the last one kept (`compare`). All are fitted and compared with the same
-    noise of each channel, from weighted least squares of the largest model, so that a larger model
-    never fits worse.
+    Each model is compared with the last one that was needed (`compare`). All have the same noise of
+    each channel, from weighted least squares of the largest model, so a larger model never fits
+    worse.
 
     Args:
-        candidates: name -> (W, names), observation matrix (N, k, p) and names of its columns; each
-            model is a case of all that come after it. If errors of neighbours in time are alike,
-            one row of W should be the mean over a stretch as long as they are.
-        tau: (N, k), what is measured.
+        candidates: name -> (W, names), observation matrix (N, k, p) and names of its columns. Each
+            model is a special case of all later ones. If successive errors are correlated, a row of
+            W should be the mean over a time as long as the correlation.
+        tau: (N, k), measured torques.
 
     Returns:
         `Selected`.
 
     Raises:
-        InputError: no candidates, and what `regress` and `compare` refuse.
+        InputError: no candidates; as `regress` and `compare`.
 
     Source: Seber & Wild, *Nonlinear Regression*, 5.3.
 
@@ -69,15 +72,14 @@ def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Sel
             )
     largest = [*candidates.values()][-1]
     last = regress(largest[0], tau, largest[1])
-    least = ROUNDING * max(float(np.abs(last.residual).max()), float(np.max(np.abs(tau))), 1e-300)
-    sigma = np.maximum(last.noise, least)
+    sigma = np.maximum(last.noise, ROUNDING * max(float(np.abs(tau).max()), 1e-300))
     fits = {name: regress(W, tau, names, noise=sigma) for name, (W, names) in candidates.items()}
     samples = last.residual.size
 
     def scored(name: str) -> Scored:
         fit = fits[name]
         squares = float(((fit.residual / sigma) ** 2).sum())
-        # of exact torques all that is left is rounding, in which no model is better
+        # the residual of exact torques is rounding, by which no model is better
         return Scored(name, max(squares, 1.0), fit.combinations.rank)
 
     kept, *others = fits
@@ -85,5 +87,5 @@ def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Sel
     for name in others:
         if fits[name].combinations.rank > fits[kept].combinations.rank:
             comparisons.append(compare(scored(kept), scored(name), samples))
-            kept = name if comparisons[-1].earned else kept
+            kept = name if comparisons[-1].significant else kept
     return Selected(kept, fits[kept], tuple(comparisons))

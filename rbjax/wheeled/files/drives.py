@@ -1,11 +1,10 @@
-"""What drives the wheels of a robot from a file: the file's actuators, or a user's motors.
+"""The drives of a robot file: the file's actuators, or a user's motors.
 
 An actuator on hinges has arms r, gain k and bias b (MuJoCo, *Computation*, actuation):
 
     tau_j = r_j f,   f = k u + b_0 + b_1 l + b_2 l',   l' = sum r_j v_j
     b = 0              a `TorqueSource` with the split k r
     b = (0, 0, -k)     a `SpeedServo` of gain k with the split r, its limit the force range
-so a control means what it means in the file.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from rbjax.wheeled.files.wheels import FileWheel, LeftOut
 from rbjax.wheeled.robot.motors import Motor, SpeedServo, TorqueSource
 from rbjax.wheeled.robot.robot import Drive
 
-#: what to drive: names or patterns, a tuple of them behind one differential; with motors or without
+#: the wheels of a drive: a name or pattern, or a tuple of them behind one differential
 Driven = str | tuple[str, ...]
 _FIX = "give drives={'a wheel': a Motor, ('left', 'right'): a Motor on a differential}"
 
@@ -31,12 +30,11 @@ _FIX = "give drives={'a wheel': a Motor, ('left', 'right'): a Motor on a differe
 def drives_of(
     roles: Roles, wheels: Sequence[FileWheel], given: Any, out: LeftOut
 ) -> tuple[Drive, ...]:
-    """Drives in the order of `given`, or of the file's actuators.
-
-    Where the file has no actuators on wheels, each has a torque, but those of casters.
+    """Make drives in the order of `given`, or of the file's actuators. If the file has no actuators
+    on wheels, each has a torque, except casters.
 
     Raises:
-        InputError: an actuator without such a law, several on one wheel, no motors.
+        InputError: an actuator of another law, several on one wheel, no motors.
     """
     if given is None:
         made = [
@@ -95,7 +93,7 @@ def _of_actuator(
 
 
 def _of_user(roles: Roles, wheels: Sequence[FileWheel], given: Any) -> list[Drive]:
-    """A drive for each wheel that a name or pattern stands for, and one for each tuple."""
+    """Make a drive for each wheel of a name or pattern, and one for each tuple."""
     pairs: Iterable[tuple[Any, Motor]]
     if isinstance(given, Mapping):
         pairs = given.items()
@@ -109,7 +107,7 @@ def _of_user(roles: Roles, wheels: Sequence[FileWheel], given: Any) -> list[Driv
         if isinstance(names, str):
             made += [Drive((i,), motor, [wheels[i].sense]) for i in numbers]
         else:
-            # all turn the robot the way in which the first does
+            # all turn in the direction of the first
             first = wheels[numbers[0]].ahead
             signs = [math.copysign(1.0, wheels[i].ahead @ first) for i in numbers]
             made.append(Drive(tuple(numbers), motor, np.array(signs) / len(signs)))

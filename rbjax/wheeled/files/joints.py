@@ -1,6 +1,6 @@
-"""Which joints of a robot file are wheels, steerings, casters and hitches; all others are held.
+"""The joints of a robot file that are wheels, steerings, casters and hitches; all others are held.
 
-A wheel hangs from the chassis or a trailer, below at most one steering or caster:
+A wheel is below the chassis or a trailer, and at most one steering or caster:
 
     chassis [- hitch - trailer]* [- steering | - caster] - wheel
 """
@@ -21,7 +21,7 @@ Patterns = str | Iterable[str]
 
 @dataclass(frozen=True)
 class Roles:
-    """Numbers of joints. steerings: those of each `Steering` together; hitches: parents first."""
+    """Indices of joints. steerings: one tuple for each `Steering`. hitches: parents first."""
 
     rest: AtRest
     wheels: tuple[int, ...]
@@ -31,28 +31,28 @@ class Roles:
 
     @property
     def turntables(self) -> tuple[int, ...]:
-        """All steerings and casters."""
+        """The joints of steerings and casters."""
         return (*(j for group in self.steerings for j in group), *self.casters)
 
     def name(self, j: int) -> str:
         return self.rest.joint_names[j]
 
     def body(self, j: int) -> int:
-        """The number of the body that a joint hangs from: 0 the chassis, k trailer k."""
+        """Return the index of the body above a joint: 0 the chassis, k trailer k."""
         found = [k for k, h in enumerate(self.hitches, start=1) if h in self.rest.above(j)]
         return max(found, default=0)
 
     def turntable(self, wheel: int) -> int | None:
-        """The steering or caster that carries a wheel."""
+        """Return the steering or caster of a wheel, or None."""
         above = self.rest.above(wheel)
         return next((j for j in self.turntables if j in above), None)
 
     def steered(self, j: int) -> int:
-        """The number of the wheel that a steering or caster carries."""
+        """Return the index of the wheel of a steering or caster."""
         return next(i for i, wheel in enumerate(self.wheels) if j in self.rest.above(wheel))
 
     def wheels_named(self, what: str, patterns: Patterns) -> list[int]:
-        """The joints of wheels by names or patterns; of patterns, those that are wheels."""
+        """Find the joints of wheels by names or patterns."""
         found = [j for j in hinges(self.rest, what, patterns) if j in self.wheels]
         if patterns and not found:
             named = ", ".join(repr(self.name(j)) for j in self.wheels)
@@ -62,7 +62,7 @@ class Roles:
         return found
 
     def bodies(self, k: int) -> set[int]:
-        """The file's bodies of the chassis or of trailer k, with all on it but further trailers."""
+        """Return the file's bodies of the chassis or of trailer k, without further trailers."""
         root = self.rest.tree(self.rest.root(self.wheels[0]))
         own = set(self.rest.behind(self.hitches[k - 1]) if k else root)
         for hitch in self.hitches:
@@ -78,10 +78,10 @@ def roles(
     casters: Patterns,
     trailers: Patterns,
 ) -> Roles:
-    """The joints by names or patterns.
+    """Find the joints by names or patterns.
 
     Raises:
-        UnknownName, InputError: no such joint, no hinge, twice, or not in this order.
+        UnknownName, InputError: no such joint, not a hinge, named twice, or not in this order.
     """
     groups: list[tuple[int, ...]] = []
     for given in [steerings] if isinstance(steerings, str) else steerings:
@@ -108,7 +108,7 @@ def roles(
 
 
 def hinges(rest: AtRest, what: str, patterns: Patterns) -> list[int]:
-    """The numbers of hinges by names or glob patterns, in the order in which they are given."""
+    """Find the indices of hinges by names or glob patterns, in the given order."""
     names = rest.joint_names
     given = [patterns] if isinstance(patterns, str) else patterns
     if not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
@@ -138,7 +138,7 @@ def hinges(rest: AtRest, what: str, patterns: Patterns) -> list[int]:
 
 
 def check_upright(roles: Roles, j: int, what: str, tolerance: float) -> float:
-    """The sine of the angle at which a steering, caster or hitch leans, which must be small."""
+    """Return the sine of the lean of a steering, caster or hitch; raise if it is large."""
     tilt = float(np.hypot(*roles.rest.axis(j)[:2]))
     if tilt > tolerance:
         raise InputError(
@@ -178,7 +178,7 @@ def _check_tree(roles: Roles) -> None:
 
 
 def _listed(rest: AtRest, above: int | None = None) -> str:
-    """Hinges, all or those below a joint."""
+    """List the hinges, all or those below a joint, as text."""
     found = [
         repr(name)
         for j, name in enumerate(rest.joint_names)

@@ -1,17 +1,18 @@
-"""A wheeled robot from a robot file: MJCF or URDF, with the names of its wheels' joints.
+"""`from_file`: a wheeled robot from an MJCF or URDF file with the names of its wheels' joints.
 
-The file is held at one configuration, at which its wheels stand on level ground.
+The file is held at one configuration, at which its wheels stand on level ground. A body of the
+robot is the composite of the file's bodies on it,
 
-    file_joints    which joints are wheels, steerings, casters, hitches
-    file_wheels    wheels: places, radii, inertias
-    file_bodies    chassis and trailers: frames, masses
-    file_drives    the file's actuators, or a user's motors
+    m = sum m_i,   m c = sum m_i c_i,   I_z = sum I_zi + m_i |c_i - c|^2
+less the masses and inertias of its wheels.
+(Featherstone, *Rigid Body Dynamics Algorithms*, 2.13)
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -20,13 +21,15 @@ import numpy as np
 
 from rbjax.errors import InputError, UnsupportedFeature, listed
 from rbjax.loading.at_rest import at_rest
-from rbjax.wheeled.files.bodies import View, bodies_of, clean, view_of
 from rbjax.wheeled.files.drives import drives_of
-from rbjax.wheeled.files.joints import Patterns, Roles, roles
+from rbjax.wheeled.files.joints import Patterns, Roles, check_upright, roles
 from rbjax.wheeled.files.wheels import FileWheel, LeftOut, file_wheels
-from rbjax.wheeled.robot.robot import Robot, Steering, Wheel
+from rbjax.wheeled.robot.robot import Body, Robot, Steering, Wheel
 
-_SHOWN = 12  # of what is left out
+#: the number of approximations that a message lists
+_SHOWN = 12
+#: smaller lengths, m, and angles, rad, are rounding errors of the file's frames
+_ROUNDING = 1e-12
 
 
 def from_file(
@@ -47,17 +50,17 @@ def from_file(
     tolerance: float = 0.01,
     strict: bool = False,
 ) -> Robot:
-    """A wheeled robot from an MJCF or URDF file whose wheel joints are named.
+    """Read a wheeled robot from an MJCF or URDF file whose wheel joints are named.
 
-    Names are those of hinges of the file, or glob patterns such as "*_wheel". All joints that are
-    not named are held. The ground is level and touches all wheels.
+    Names are names of hinges, or glob patterns such as "*_wheel". All other joints are held. The
+    ground is level and touches all wheels.
 
-    Signs are the file's: a wheel's rate, the torque on it, the control of its drive and its angle
-    in q are those of its joint. Its heading is where it rolls at a positive rate, so it is pi for a
-    wheel whose axle points to the right; only a caster's wheel turns at a positive rate where it
-    rolls ahead of its pivot. Angles of steerings, trailers and casters are positive to the left
-    whatever the file's axis; those of steerings and trailers are zero at the configuration that is
-    held. Each wheel's `shaft` is the name of its joint.
+    A wheel's rate, torque, control and angle in q have the sign of its joint. Its heading is the
+    direction in which it rolls at a positive rate, so it is pi for a wheel whose axle points to the
+    right. A caster's wheel turns at a positive rate if it rolls ahead of its pivot. Angles of
+    steerings, trailers and casters are positive to the left for any axis of the file; those of
+    steerings and trailers are zero at the held configuration. Each wheel's `shaft` is the name of
+    its joint.
 
     Args:
         source: what `rbjax.load` takes.
@@ -67,37 +70,36 @@ def from_file(
         casters: vertical hinges of casters.
         trailers: vertical hinges at which trailers are coupled.
         skids: wheels that may slide sideways, or True for all of a skid-steer robot. It turns on
-            the axis through their middle. Steered wheels, casters and rollers among them do not.
+            the axis through their middle. Steered wheels, casters and rollers do not skid.
         rollers: wheels of free rollers, with the angle of the rollers' axes from the heading to the
             left, rad.
-        drives: what turns the wheels: names; a tuple of names for wheels behind one differential;
-            or a mapping of these to motors. None: the file's torque and speed actuators on wheels;
-            if it has none, a torque on each wheel that is no caster's.
+        drives: names of driven wheels; a tuple of names for wheels behind one differential; or a
+            mapping of these to motors. None: the file's torque and speed actuators on wheels; if it
+            has none, a torque on each wheel except casters.
         shafts: names of shafts, with the wheels that turn together on each.
         radius: m, of all wheels or by name. None: the farthest point from the axle of each wheel's
             shapes, collision shapes if there are any.
         lag: s, of all steerings, see `Steering`.
         q: the configuration: None, that of the file; a keyframe's name; values of joints by name;
             or (nq,).
-        frame: a body or site whose x axis is ahead, and above whose origin the chassis' frame lies
-            on the ground. None: the body on which all else hangs.
-        tolerance: angles in rad, and heights as parts of the largest radius, up to which the ground
-            is level, axles lie and steerings stand.
-        strict: raise instead of warning about what the robot leaves out of the file.
+        frame: a body or site whose x axis is ahead, and below whose origin the chassis' frame lies
+            on the ground. None: the root body.
+        tolerance: the largest angles of axles and steerings from the horizontal and vertical, rad,
+            and the largest differences of height, as parts of the largest radius.
+        strict: raise instead of warning about approximations.
 
     Returns:
-        `Robot`. What it cannot have and approximates is listed in a warning: wheels that are not
-        even about their axles; steered wheels whose centre, or centre of mass with the knuckle, is
-        off the axis of the steering; friction losses and springs. Not taken: ranges of joints,
-        limits of controls and of the forces on joints, actuators of steerings.
+        `Robot`. A warning lists the approximations: wheels that are not balanced about their axles;
+        steered wheels whose centre, or centre of mass with the knuckle, is off the axis of the
+        steering; friction losses and springs. Ranges of joints, limits of controls and of forces on
+        joints, and actuators of steerings are not read.
 
     Raises:
         ModelError: the source cannot be read.
-        UnknownName: no hinge has a name; the message lists them.
-        InputError: a joint that is no hinge, a steering without its wheel, an axle that leans, a
-            wheel without a shape, wheels that do not stand on one plane, an actuator without a law
-            here.
-        UnsupportedFeature: with `strict=True`, the list of what would be left out.
+        UnknownName: no hinge has a given name; the message lists them.
+        InputError: a joint that is not a hinge, a steering without its wheel, an axle that leans, a
+            wheel without a shape, wheels that are not on one plane, an actuator of another law.
+        UnsupportedFeature: with `strict=True`, the list of approximations.
 
     Example:
         >>> import rbjax as rb
@@ -149,6 +151,95 @@ def from_file(
     return jax.tree.map(lambda x: jnp.asarray(x, float), robot)
 
 
+@dataclass(frozen=True)
+class View:
+    """The frames of the chassis and of trailers, with parallel axes: origins on the ground, and
+    the rotation turn (3, 3) from their axes to the world's."""
+
+    roles: Roles
+    origins: tuple[np.ndarray, ...]
+    turn: np.ndarray
+
+    def seen(self, point: np.ndarray, k: int) -> np.ndarray:
+        """Express a point of the world in the frame of a body."""
+        return self.turn.T @ (point - self.origins[k])
+
+    def angle(self, ahead: np.ndarray) -> float:
+        """Compute the heading of a direction."""
+        x, y, _ = self.turn.T @ ahead
+        angle = float(np.arctan2(clean(y), x))
+        return np.pi if angle == -np.pi else angle
+
+
+def view_of(named: Roles, found: Sequence[FileWheel], frame: str | None, tolerance: float) -> View:
+    rest = named.rest
+    name = rest.body_name(rest.root(named.wheels[0])) if frame is None else frame
+    origin, axes = rest.frame(name)
+    x, y = axes[:2, 0]
+    length = float(np.hypot(x, y))
+    if length < 0.5:
+        raise InputError(
+            f"from_file: the x axis of {name!r} is {np.degrees(np.arccos(length)):.3g} degrees "
+            "from the horizontal, expected that it points ahead; give frame, a body or site whose "
+            "x axis does"
+        )
+    c, s = x / length, y / length
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    ground = float(np.mean([w.bottom for w in found]))
+    origins = [np.array([*origin[:2], ground])]
+    for k, hitch in enumerate(named.hitches, start=1):
+        check_upright(named, hitch, "trailer", tolerance)
+        places = [w.place for w in found if named.body(w.joint) == k and w.kind != "caster"]
+        if not places:
+            raise InputError(
+                f"from_file: the trailer behind {named.name(hitch)!r} has none of the wheels; name "
+                "them, or leave the joint out to hold it"
+            )
+        # on its axle, straight behind the coupling
+        seen, coupling = (turn.T @ p for p in (np.mean(places, 0), rest.anchor(hitch)))
+        at = turn @ np.array([seen[0], coupling[1], 0.0])
+        origins.append(np.array([*at[:2], ground]))
+    return View(named, tuple(origins), turn)
+
+
+def bodies_of(view: View, found: Sequence[FileWheel], out: LeftOut) -> list[Body]:
+    """Compute the chassis and the trailers, without their wheels."""
+    named = view.roles
+    rest, made = named.rest, []
+    forks = {b for j in named.casters for b in rest.behind(j)}
+    for k in range(len(view.origins)):
+        own = named.bodies(k)
+        whole = rest.composite(own)
+        rigid = rest.composite(own - forks)
+        mine = [w for w in found if named.body(w.joint) == k]
+        less = [w for w in mine if w.kind != "caster"]
+        com = view.seen(rigid.com, k)[:2]
+        mass = rigid.mass - sum(w.mass for w in less)
+        moment = rigid.mass * com - sum(w.mass * view.seen(w.place, k)[:2] for w in less)
+        inertia = rigid.inertia[2, 2] + rigid.mass * com @ com
+        for w in less:
+            p = view.seen(w.place, k)[:2]
+            inertia -= w.yaw_inertia + w.mass * p @ p
+        centre = moment / mass if mass > 0 else np.zeros(2)
+        numbers: dict[str, Any] = {
+            "mass": mass, "inertia": inertia - mass * centre @ centre, "com": clean(centre),
+            "height": float(view.seen(whole.com, k)[2]),
+        }  # fmt: skip
+        if k:
+            hitch = named.hitches[k - 1]
+            out.resisting(named, hitch)
+            coupling, ahead = rest.anchor(hitch), named.body(hitch)
+            numbers |= {"hitch": clean(view.seen(coupling, ahead)[:2]), "ahead": ahead,
+                        "drawbar": float(view.seen(coupling, k)[0])}  # fmt: skip
+        made.append(Body(**numbers))
+    return made
+
+
+def clean(x: Any) -> Any:
+    """Set values within rounding errors to zero."""
+    return np.where(np.abs(x) < _ROUNDING, 0.0, x)
+
+
 def _by_wheel(named: Roles, what: str, given: Mapping[str, float]) -> dict[int, float]:
     """Parameters by joints, of numbers by names."""
     pairs = _mapping(what, given).items()
@@ -168,12 +259,12 @@ def _wheel(view: View, w: FileWheel, roller: float, skids: bool, shaft: str) -> 
     numbers |= {"position": clean(view.seen(w.place, k)[:2]), "roller": roller}
     if w.kind != "caster":
         numbers["heading"] = view.angle(w.ahead)
-    skids = skids and w.kind == "fixed"  # steered wheels and rollers hold it as they do
+    skids = skids and w.kind == "fixed"  # steered wheels and rollers do not skid
     return Wheel(**numbers, kind=w.kind, body=k, shaft=shaft, skids=skids)
 
 
 def _gravity(view: View) -> tuple[float, np.ndarray]:
-    """Its size, and the slope on which the level ground of the file is."""
+    """Compute the size of gravity, and the slope of the level ground of the file."""
     g = view.turn.T @ view.roles.rest.gravity
     if g[2] > 0 or (g[2] == 0 and g.any()):
         raise InputError(
@@ -183,7 +274,7 @@ def _gravity(view: View) -> tuple[float, np.ndarray]:
 
 
 def _check_shafts(robot: Robot) -> None:
-    """Refuse wheels that turn together in opposite directions."""
+    """Raise `InputError` if wheels on one shaft turn in opposite directions."""
     for i, shaft in enumerate(robot.layout.shaft):
         first = robot.wheels[robot.layout.setters[shaft]]
         wheel = robot.wheels[i]

@@ -1,12 +1,8 @@
-"""The numbers of a robot's wheels as a file has them: places, radii, inertias.
+"""The wheels of a robot file: places, radii, inertias.
 
-A wheel's axle points along a; up is z. The wheel rolls towards its heading at a positive rate of
-its joint:
-
-    heading = a x z,    radius: the farthest point of its shapes from the axle
-    inertia about the axle, with armature;    yaw_inertia about the vertical through its place
-A steered wheel has its place on the axis of its steering, and the mass of all that turns with it; a
-caster has its pivot's, and the mass of its fork.
+The heading of a wheel is a x z, with a along its axle and z up. A steered wheel has its place on
+the axis of its steering, and the mass of all bodies that turn with it. A caster has its place on
+the axis of its pivot, and the mass with its fork.
 """
 
 from __future__ import annotations
@@ -18,12 +14,11 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.loading.at_rest import AtRest, Composite
-from rbjax.loading.round_shapes import Round
+from rbjax.loading.at_rest import AtRest, Composite, Round
 from rbjax.wheeled.files.joints import Roles, check_upright
 
 UP = np.array([0.0, 0.0, 1.0])
-#: relative differences below this are rounding of the file's numbers
+#: relative differences below this are rounding errors of the file
 ROUNDING = 1e-6
 
 
@@ -31,9 +26,9 @@ ROUNDING = 1e-6
 class FileWheel:
     """A wheel in world axes, in m and kg.
 
-    Fields: joint; kind; place (3,), on the axle's height; ahead (3,), its heading, of a caster
-    where it rolls; radius, inertia, mass, yaw_inertia, trail, behind, damping, as `Wheel` has
-    them; sense, -1 of a caster that rolls ahead of its pivot at negative rates of its joint.
+    place: (3,) at the height of the axle. ahead: (3,) the heading, or the direction in which a
+    caster rolls. sense: -1 for a caster that rolls ahead at negative rates of its joint, else 1.
+    The other fields are those of `Wheel`.
     """
 
     joint: int
@@ -56,18 +51,18 @@ class FileWheel:
 
 @dataclass
 class LeftOut:
-    """What a file holds and the robot does not, in words."""
+    """Descriptions of the parts of a file that the robot does not have."""
 
     found: list[str] = field(default_factory=list)
 
     def add(self, what: str, size: float, scale: float, unit: str = "mm") -> None:
-        """Note a size that is more than rounding."""
+        """Note a size that is larger than rounding errors."""
         if abs(size) > ROUNDING * scale:
             factor = {"mm": 1e3, "": 1.0, "degrees": np.degrees(1.0)}[unit]
             self.found.append(f"{what} {abs(size) * factor:.3g} {unit}".rstrip())
 
     def resisting(self, roles: Roles, j: int, *, damps: bool = False) -> None:
-        """Note what resists the motion of a hinge, but damping where the robot has it."""
+        """Note the friction and springs of a hinge, and its damping unless `damps`."""
         if roles.rest.damping(j) and not damps:
             self.found.append(f"{roles.name(j)}: damping")
         self.found += [f"{roles.name(j)}: {what}" for what in roles.rest.resisting(j)]
@@ -76,10 +71,11 @@ class LeftOut:
 def file_wheels(
     roles: Roles, radius: Any, rollers: Mapping[int, float], tolerance: float, out: LeftOut
 ) -> list[FileWheel]:
-    """All wheels; `radius` a number, or numbers by joint; `rollers` by joint.
+    """Read all wheels, with a radius or radii by joint, and the angles of rollers by joint.
 
     Raises:
-        InputError: a wheel that has no shape, stands on no plane with the others, or leans.
+        InputError: a wheel without a shape, that leans, or that is not on one plane with the
+            others.
     """
     shapes = roles.rest.round_shapes(roles.wheels)
     wheels = [
@@ -138,7 +134,7 @@ def _steered(
     roles: Roles, j: int, table: int, ahead: np.ndarray, centre: np.ndarray,
     numbers: dict[str, float], tolerance: float, out: LeftOut,
 ) -> FileWheel:  # fmt: skip
-    """A wheel on the axis of its steering, with all that is steered."""
+    """Read a steered wheel."""
     place, whole = _pivot(roles, table, "steering", centre, tolerance, out)
     size, name = numbers["radius"], roles.name(table)
     off = _off(centre, place, UP)
@@ -152,7 +148,7 @@ def _caster(
     roles: Roles, j: int, table: int, ahead: np.ndarray, centre: np.ndarray,
     numbers: dict[str, float], tolerance: float, out: LeftOut,
 ) -> FileWheel:  # fmt: skip
-    """A wheel behind its pivot, with its fork."""
+    """Read a caster."""
     place, whole = _pivot(roles, table, "caster", centre, tolerance, out)
     size, name = numbers["radius"], roles.name(table)
     out.resisting(roles, table)
@@ -180,8 +176,8 @@ def _caster(
 def _pivot(
     roles: Roles, table: int, what: str, centre: np.ndarray, tolerance: float, out: LeftOut
 ) -> tuple[np.ndarray, Composite]:
-    """The place of a steering or caster, at the height of its wheel's centre, and all that turns
-    with it."""
+    """Return the place of a steering or caster, at the height of its wheel's centre, and the
+    composite body that turns with it."""
     leaning = check_upright(roles, table, what, tolerance)
     out.add(f"{roles.name(table)}: an axis that leans by", leaning, 1.0, "degrees")
     place = roles.rest.anchor(table)
@@ -190,7 +186,7 @@ def _pivot(
 
 
 def _size(roles: Roles, j: int, found: Round | None, radius: Any) -> Round:
-    """The radius of a wheel, as found or as given, and its centre on the axle."""
+    """Return the given radius of a wheel, or that of its shape, and its centre on the axle."""
     given = radius.get(j) if isinstance(radius, Mapping) else radius
     if given is not None:
         if not (isinstance(given, (int, float)) and 0 < given < np.inf):
@@ -221,5 +217,5 @@ def _note_unbalance(
 
 
 def _off(point: np.ndarray, anchor: np.ndarray, axis: np.ndarray) -> float:
-    """The distance of a point from a line."""
+    """Compute the distance of a point from a line."""
     return float(np.linalg.norm(np.cross(axis, point - anchor)))

@@ -1,28 +1,22 @@
-"""A wheeled robot as an MJCF file that drives: its bodies, wheels that touch a plane, and motors.
+"""`write_mjcf`: a wheeled robot on a plane as an MJCF file.
 
-The bodies and joints are those of `full_model(robot, "free")`, in the same order. To them come
+The bodies and joints are those of `full_model(robot, "free")`, in the same order. Added are
 
-    wheel i      a shape about its centre that touches the plane "ground" and nothing else
-    drive j      an actuator: its motor's law, on the axle of its wheel, or on the fixed tendon
+    wheel i      a shape about its centre that touches only the plane "ground"
+    drive j      an actuator with the motor's law, on the axle of its wheel, or on the fixed tendon
                  W = sum split_i phi'_i of a differential
-    steering j   an actuator: a servo of the rate, with the gain k = inertia / steering_time,
+    steering j   a servo of the rate, with the gain k = inertia / steering_time,
                      k (u - b')             without a lag
                      k ((u - b) / lag - b') with one
-    linkage      Ackermann's geometry as MuJoCo's polynomial of degree 4
-    shafts       wheels on one shaft, and the rotor of a differential, by equalities
-    resistance   of rolling, as friction loss of axles, under the loads at rest
+    linkage      Ackermann's geometry as a polynomial of degree 4
+    shafts       wheels on one shaft, and the rotor of a differential, as equalities
+    resistance   rolling resistance as friction loss of axles, at the loads at rest
 
-so ctrl is the robot's u. Where our wheels roll, MuJoCo's contacts yield. With solref = (T, 1) and
-solimp = d, and b = 2 / (d T), a wheel
-
-    sinks in      by g (1 - d) T^2 under the weight; half of it shortens the radius it rolls on
-    creeps        at f R / b under a traction f; R falls as (1 - d) / impratio
-    slides        at J' v / b: the rows ask for J v' = -b J v and leave out J' v; in a curve this is
-                  speed * turning rate / b across the wheel, whatever the friction and the impratio
-
-All three go to zero with T, which must be at least twice the timestep. A trailer's hinge carries
-moments of pitch and roll, so its axles' loads are those of one stiff body on soft ground; `loads`
-has a coupling without moments.
+MuJoCo's contacts are soft. With solref = (T, 1), solimp = d and b = 2 / (d T), a wheel sinks by
+g (1 - d) T^2 under the weight, creeps at f R / b under a traction f, where R falls as
+(1 - d) / impratio, and slides at J' v / b, because its rows ask for J v' = -b J v: speed * turning
+rate / b across the wheel in a curve. All three vanish as T -> 0. T is at least twice the timestep.
+A trailer's hinge carries moments of pitch and roll; the coupling of `forces` carries none.
 """
 
 from __future__ import annotations
@@ -41,17 +35,17 @@ from rbjax.arguments import choice, real_number
 from rbjax.constraints import Gear, JointPolynomial
 from rbjax.errors import InputError, UnsupportedFeature
 from rbjax.loading.write.draft import Draft, text
-from rbjax.loading.write.mjcf import compiled, drafted, serialised
+from rbjax.loading.write.mjcf import compile_mjcf, make_draft, serialize
 from rbjax.model import Model
 from rbjax.wheeled.kinematics.parameters import Parameters, parameters_of
-from rbjax.wheeled.models.loads import wheel_loads
+from rbjax.wheeled.models.forces import wheel_loads
 from rbjax.wheeled.multibody.full_model import full_model, knuckle_joint, wheel_joint
 from rbjax.wheeled.multibody.wheel_rows import linked
 from rbjax.wheeled.robot.motors import DCMotor, Motor, SpeedServo, TorqueSource
 from rbjax.wheeled.robot.robot import Robot
 
 SHAPES = ("ellipsoid", "cylinder", "sphere")
-#: of MJCF's <option>; of MuJoCo's own ones, the pyramidal cone creeps more across than along
+#: MJCF's <option>; the pyramidal cone, MuJoCo's default, creeps more across than along
 OPTION = {"integrator": "implicitfast", "cone": "elliptic", "impratio": 10.0}
 _DEGREE = 4  # of MJCF's polynomials
 _NODES = 33  # where they are fitted
@@ -71,23 +65,23 @@ def write_mjcf(
     steering_time: float = 0.01,
     **option: Any,
 ) -> str:
-    """A robot on a plane as an MJCF file, for MuJoCo and MJX; its controls are those of the robot.
+    """Write a robot on a plane as an MJCF file, for MuJoCo and MJX, with the robot's controls.
 
-    At qpos0 all wheels just touch. The start of a motion in MuJoCo needs the velocities of all
-    joints: `full_model_state` gives them.
+    At qpos0 all wheels just touch. `full_model_state` computes the velocities of all joints, for
+    the start of a motion.
 
     Args:
         robot: `Robot`, with known numbers; without rollers.
         path: a file to write as well.
         wheel: "ellipsoid" touches in one point; "cylinder" in two or more, which scrub as the robot
-            turns; "sphere" in one, even where it leans far.
-        width: of a wheel, for each of its radius.
+            turns; "sphere" in one, even if it leans far.
+        width: the width of a wheel divided by its radius.
         friction: the coefficient of sliding friction.
-        solref, solimp: MuJoCo's softness of contacts, and of equalities.
+        solref, solimp: MuJoCo's softness of contacts and of equalities.
         steering_range: rad, the stop of a steering with Ackermann's linkage, to which the
-            polynomial is fitted; a comment in the file says how well.
-        steering_time: s, in which the servos of steerings follow; with the explicit integrators
-            "Euler" and "RK4" no less than the timestep.
+            polynomial is fitted; a comment in the file has the error.
+        steering_time: s, the time constant of the servos of steerings; with the explicit
+            integrators "Euler" and "RK4" at least the timestep.
         option: attributes of MJCF's <option>, such as timestep, integrator, cone, impratio.
 
     Returns:
@@ -96,7 +90,7 @@ def write_mjcf(
     Raises:
         UnsupportedFeature: wheels with rollers; a motor that MJCF does not have.
         UnknownName: no such shape. InputError: numbers out of range, or traced; a wheel or caster
-            without inertia. ModelError: what MuJoCo refuses.
+            without inertia. ModelError: MuJoCo rejects the file.
 
     Source: MuJoCo, *Computation*, solver parameters.
 
@@ -114,7 +108,7 @@ def write_mjcf(
     full = full_model(robot, "free")
     rigid = [row for row in full.constraints if isinstance(row, Gear)]
     linkages, error = _linkages(n, float(steering_range))
-    draft = drafted(full.replace(constraints=(*rigid, *linkages)))
+    draft = make_draft(full.replace(constraints=(*rigid, *linkages)))
     touch = {"solref": text(solref), "solimp": text(solimp)}
     for key, value in (OPTION | option).items():
         draft.option.set(key, value if isinstance(value, str) else text(value))
@@ -125,8 +119,8 @@ def write_mjcf(
     lost = [note for note in draft.notes if not note.startswith(_HARMLESS)]
     if linkages:
         draft.note(f"Ackermann's linkage within {error:.1g} rad")
-    out = serialised(draft)
-    compiled(out)
+    out = serialize(draft)
+    compile_mjcf(out)
     if lost:
         warnings.warn(f"wheeled.write_mjcf: {'; '.join(lost)}", stacklevel=2)
     if path is not None:
@@ -155,7 +149,7 @@ def _check(robot: Any, wheel: str, **positive: Any) -> None:
 
 
 def _linkages(n: Parameters, reach: float) -> tuple[list[JointPolynomial], float]:
-    """The angle of each wheel of a steering of several by that of the column; the largest error."""
+    """Fit the angles of wheels of a linkage by the column's angle. Return the largest error too."""
     out, worst = [], 0.0
     nodes = reach * np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     powers = nodes[:, None] ** np.arange(1, _DEGREE + 1)
@@ -172,11 +166,11 @@ def _linkages(n: Parameters, reach: float) -> tuple[list[JointPolynomial], float
 def _write_ground(
     draft: Draft, n: Parameters, shape: str, width: float, touch: dict[str, str]
 ) -> None:
-    """The plane, the shapes of wheels, and of bodies to look at."""
+    """Write the plane, the shapes of wheels, and visible boxes of bodies."""
     default = ET.Element("default")
     draft.root.insert(2, default)  # behind compiler and option
     ET.SubElement(default, "equality", solref=touch["solref"], solimp=touch["solimp"])
-    # wheels touch the ground only, and their own numbers count
+    # wheels touch only the ground, with their own parameters
     ways = {"contype": "1", "conaffinity": "0", "priority": "1", "rgba": "0.15 0.15 0.15 1"}
     axle = {"zaxis": "0 1 0"} if shape == "cylinder" else {}
     ET.SubElement(ET.SubElement(default, "default", {"class": "wheel"}), "geom",
@@ -206,7 +200,7 @@ def _write_ground(
 
 
 def _write_drives(draft: Draft, n: Parameters) -> None:
-    """One actuator a drive, in the place of those of the full model."""
+    """Write one actuator for each drive, and delete those of the full model."""
     draft.actuator.clear()
     for j, drive in enumerate(n.robot.drives):
         name, axles = f"drive_{j}", [wheel_joint(i) for i in drive.wheels]
@@ -226,14 +220,14 @@ def _write_drives(draft: Draft, n: Parameters) -> None:
 
 
 def _write_cage(draft: Draft, name: str, axles: list[str], split: np.ndarray) -> None:
-    """The tendon sum split_i phi_i."""
+    """Write the tendon sum split_i phi_i."""
     cage = ET.SubElement(draft.tendon, "fixed", name=name)
     for axle, share in zip(axles, split, strict=True):
         ET.SubElement(cage, "joint", joint=axle, coef=text(share))
 
 
 def _law(draft: Draft, motor: Motor, name: str) -> dict[str, str]:
-    """A motor's torque as gain u + bias Omega, within its limits."""
+    """Return the attributes of a motor: its torque as gain u + bias Omega, and its limits."""
     limits: dict[str, str] = {}
     if type(motor) not in (TorqueSource, SpeedServo, DCMotor):
         raise UnsupportedFeature(
@@ -258,7 +252,7 @@ def _law(draft: Draft, motor: Motor, name: str) -> dict[str, str]:
 
 
 def _affine(gain: Any, by_length: Any, by_rate: Any) -> dict[str, str]:
-    """The force gain u + by_length l + by_rate l'."""
+    """Return the attributes of the force gain u + by_length l + by_rate l'."""
     law = {"gainprm": text(gain)}
     if by_length or by_rate:
         terms = " ".join(map(text, (0.0, by_length, by_rate)))
@@ -267,12 +261,12 @@ def _affine(gain: Any, by_length: Any, by_rate: Any) -> dict[str, str]:
 
 
 def _own(x: Any) -> Any:
-    """A number in its own precision, of which the file has the shortest decimals."""
+    """Return a number in its own precision, which `text` writes with the fewest decimals."""
     return np.asarray(x)[()]
 
 
 def _write_steerings(draft: Draft, n: Parameters, reach: float, time: float) -> None:
-    """A servo of the rate of each steering."""
+    """Write a servo of the rate of each steering."""
     model: Model = draft.model
     for j, steering in enumerate(n.robot.steerings):
         name = f"steering_{j}"
@@ -289,7 +283,7 @@ def _write_steerings(draft: Draft, n: Parameters, reach: float, time: float) -> 
 
 
 def _write_resistance(draft: Draft, n: Parameters) -> None:
-    """Damping of axles; rolling resistance as their friction under the loads at rest."""
+    """Write the damping of axles, and rolling resistance as friction at the loads at rest."""
     for i, given in enumerate(n.robot.wheels):
         if _own(given.damping):
             joint = draft.joints[draft.model.joint(wheel_joint(i))]

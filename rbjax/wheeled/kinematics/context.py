@@ -1,4 +1,4 @@
-"""A wheeled robot at an instant, and the rates of its coordinates."""
+"""The state of a wheeled robot as lanes, and the rates of its coordinates."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from rbjax.wheeled.kinematics.velocities import Shape, caster_rates, shape_along
 
 @dataclass(frozen=True)
 class RobotContext:
-    """Coordinates, velocities, tyre states and controls as lanes.
+    """Parameters, coordinates, velocities, tyre states and controls as lanes.
 
-    What depends on the angles is computed once.
+    Functions of the angles are computed once.
     """
 
     n: Parameters
@@ -26,7 +26,7 @@ class RobotContext:
     u: list[Lane]
 
     def with_velocities(self, v: list[Lane], x: list[Lane]) -> RobotContext:
-        """At the same coordinates, with other velocities and tyre states."""
+        """Return a copy with other velocities and tyre states."""
         out = replace(self, v=v, x=x)
         known = ("pose", "directions", "shape")
         vars(out).update({name: found for name, found in vars(self).items() if name in known})
@@ -39,7 +39,7 @@ class RobotContext:
 
     @functools.cached_property
     def directions(self) -> list[Pair]:
-        """Those of trailers, steerings and casters."""
+        """The directions of trailers, steerings and casters."""
         return fusion_barrier([direction(a) for a in angles_of(self)])
 
     @functools.cached_property
@@ -48,7 +48,7 @@ class RobotContext:
         return shape_along(self.n, self.directions)
 
     def bodies(self) -> list[tuple[Pair, Pair]]:
-        """Of each body its origin, on the ground, and its direction."""
+        """Compute the origin of each body, on the ground, and its direction."""
         n = self.n
         out = [((self.q[0], self.q[1]), self.pose)]
         for k, body in enumerate(n.bodies[1:], start=1):
@@ -60,14 +60,14 @@ class RobotContext:
         return out
 
     def shape_with_rate(self, w: Sequence[Lane]) -> Shape:
-        """The shape with its rate at full velocities w."""
+        """Compute the shape with its rate at full velocities w."""
         rates = angle_rates(self, w)
         return shape_along(
             self.n, [with_rate(e, rate) for e, rate in zip(self.directions, rates, strict=True)]
         )
 
     def shape_with_two_rates(self, w: Sequence[Lane]) -> Shape:
-        """The shape with its first and second rate, where the angles turn evenly."""
+        """Compute the shape with its first and second rate at constant rates of the angles."""
         rates = angle_rates(self, w)
         return shape_along(
             self.n,
@@ -77,13 +77,13 @@ class RobotContext:
 
 
 def angles_of(now: RobotContext) -> list[Lane]:
-    """The angles on which the shape depends."""
+    """Return the angles on which the shape depends."""
     n = now.n
     return now.q[3 : n.layout.casters.stop]
 
 
 def steering_rates(now: RobotContext) -> list[Lane]:
-    """b' of each steering."""
+    """Compute the rate b' of each steering."""
     n = now.n
     out = []
     first = len(n.robot.drives)
@@ -97,14 +97,14 @@ def steering_rates(now: RobotContext) -> list[Lane]:
 
 
 def coordinate_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
-    """q' by the full velocities."""
+    """Compute q' by the full velocities."""
     n = now.n
     x, y = rotate((w[0], w[1]), now.pose)
     return [x, y, w[2], *angle_rates(now, w), *w[2 + len(n.bodies) :]]
 
 
 def angle_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
-    """The rates of the angles on which the shape depends."""
+    """Compute the rates of the angles on which the shape depends."""
     n = now.n
     trailers = list(w[3 : 2 + len(n.bodies)])
     casters = []

@@ -1,11 +1,10 @@
 """Poses of a robot from the angles of its wheels, which roll or slip.
 
-    u = S (J S)^+ phi'           the twist at which the wheels would roll, by the rates of shafts
+    u = S (J S)^+ phi'           the twist of rolling wheels, by the rates of shafts
     V = u, or V = slip(u)        the twist of the robot
-    pose' = pose * exp(V dt)     exact if V is constant from one sample to the next
+    pose' = pose * exp(V dt)     exact if V is constant between two samples
 with S a basis of the twists that the wheels allow at the steering angles, and J the derivative of
-the shafts' rates by the twist. There is no dynamics: motions are assumed to be so slow that the
-forces on the ground balance at each instant.
+the shafts' rates by the twist. Motions are assumed to be quasi-static.
 """
 
 from __future__ import annotations
@@ -17,30 +16,31 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import matmat, matvec
-from rbjax.model.record import Record, check_fields, check_number, floats
+from rbjax.model.record import Record
+from rbjax.wheeled.fields import check_ranges, number
 from rbjax.wheeled.kinematics.parameters import indices, parameters_of, stack_lanes
-from rbjax.wheeled.kinematics.velocities import rolling_velocities, shaft_speed
+from rbjax.wheeled.kinematics.velocities import drive_speeds, rolling_velocities
 from rbjax.wheeled.kinematics.velocities import shape_of as shape_of_robot
 from rbjax.wheeled.robot.robot import Robot
 
 
 class HeadingSlip(Record):
-    """The twist of a robot that slips, by the twist u at which its wheels would roll.
+    """The twist of a robot that slips, by the twist u of rolling wheels.
 
         (vx, vy, arm w) = C z,      s = |(ux, uy)|,   psi = atan2(uy, ux)
         z = (arm uw,  s, s cos psi, s sin psi, ..., s sin K psi,
              (s / speed - 1) s (1, cos psi, ..., sin J psi))
     The balance of dry friction depends on the direction of motion and not on its speed, so V is
-    homogeneous in u. The last terms are what departs from that. With K = 1 and without them V is
-    linear in u but for the term s. A pattern that comes back at each of n evenly spaced wheels,
-    forwards and backwards, has the harmonics 2 n - 1 and 2 n + 1: 5 and 7 of three wheels.
+    homogeneous in u, except for the last terms. The pattern of n evenly spaced wheels has the
+    harmonics 2 n - 1 and 2 n + 1: 5 and 7 for three wheels.
 
     Fields: coefficients C (3, terms); arm (), m, the size of the robot; speed (), m/s. Static:
-    harmonics K, 1 or more; faster J, those that change with the speed, -1 for none.
+    harmonics K, 1 or more; faster J, the harmonics that change with the speed, -1 for none.
 
     Example:
         >>> import rbjax as rb
@@ -50,16 +50,15 @@ class HeadingSlip(Record):
         [0.07, 0.0, 0.7]
     """
 
-    coefficients: jax.Array = eqx.field(converter=floats)
-    arm: jax.Array = eqx.field(converter=floats)
-    speed: jax.Array = eqx.field(converter=floats, default=0.1)
+    coefficients: jax.Array = number()
+    arm: jax.Array = number()
+    speed: jax.Array = number(default=0.1)
     harmonics: int = eqx.field(static=True, default=1)
     faster: int = eqx.field(static=True, default=-1)
 
     def __check_init__(self) -> None:
-        check_fields(self)
-        check_number(self, "arm", positive=True)
-        check_number(self, "speed", positive=True)
+        above = {"arm": 0.0, "speed": 0.0}
+        check_ranges(self, tables=("coefficients",), above=above)
         K, J = self.harmonics, self.faster
         if not (isinstance(K, int) and isinstance(J, int) and K >= 1 and J >= -1):
             raise InputError(
@@ -75,13 +74,13 @@ class HeadingSlip(Record):
 
     @classmethod
     def none(cls, arm: Any, harmonics: int = 1, faster: int = -1, speed: Any = 0.1) -> HeadingSlip:
-        """Wheels that roll: V = u."""
+        """Make the slip of rolling wheels, V = u."""
         terms = 1 + (2 * harmonics + 1) + (2 * faster + 1 if faster >= 0 else 0)
         C = jnp.zeros((3, terms)).at[jnp.arange(3), jnp.array([2, 3, 0])].set(1.0)
         return cls(C, arm, speed, harmonics, faster)
 
     def terms(self, twist: Any) -> jax.Array:
-        """z (..., terms) of twists u (..., 3)."""
+        """Compute z (..., terms) of twists u (..., 3)."""
         u = jnp.asarray(twist)
         s = _length(u[..., :2])
         some = jnp.where(s > 0, s, 1.0)
@@ -97,21 +96,20 @@ class HeadingSlip(Record):
         return jnp.stack(out, -1)
 
     def columns(self, twist: Any) -> jax.Array:
-        """d(vx, vy, arm w) / d coefficients.ravel(), (..., 3, 3 terms): what `regress` needs."""
+        """Compute d(vx, vy, arm w) / d coefficients.ravel(), (..., 3, 3 terms), for regression."""
         z = self.terms(twist)
         wide = jnp.eye(3, dtype=z.dtype)[:, :, None] * z[..., None, None, :]
         return wide.reshape(*z.shape[:-1], 3, -1)
 
     def __call__(self, twist: Any) -> jax.Array:
-        """V (..., 3) of u (..., 3)."""
+        """Compute V (..., 3) of u (..., 3)."""
         V = self.terms(twist) @ self.coefficients.T
         return V.at[..., 2].divide(self.arm)
 
 
 def rolled_twists(robot: Robot, rates: Any, steering: Any = None) -> jax.Array:
-    """The twists (..., 3) at which wheels would roll, by the rates of the drives' shafts.
-
-    Rates that no twist has, as four wheels may show, are met in the sense of least squares.
+    """Compute the twists (..., 3) of rolling wheels by the rates of the drives' shafts, in least
+    squares.
 
     Args:
         robot: one whose drives determine its motion: at least `arrangement.mobility` of them.
@@ -142,8 +140,7 @@ def rolled_twists(robot: Robot, rates: Any, steering: Any = None) -> jax.Array:
 
 
 def _check_robot(where: str, robot: Any, steering: Any) -> None:
-    if not isinstance(robot, Robot):
-        raise InputError(f"{where}: robot is {type(robot).__name__}, expected a Robot")
+    instance(where, "robot", robot, Robot, "a Robot")
     if len(robot.drives) < robot.arrangement.mobility:
         raise InputError(
             f"{where}: the wheels leave {robot.arrangement.mobility} velocities free and "
@@ -172,12 +169,7 @@ def _rolled(robot: Robot, rates: jax.Array, steering: jax.Array) -> jax.Array:
             w = rolling_velocities(
                 n, shape_of_robot(n, q[3 : robot.layout.casters.stop]), list(free)
             )
-            shafts = w[2 + len(n.bodies) :]
-            speeds = [
-                shaft_speed(n, drive.wheels, split, shafts)
-                for drive, split in zip(robot.drives, n.splits, strict=True)
-            ]
-            return stack_lanes([*w[:3], *speeds], rates.dtype)
+            return stack_lanes([*w[:3], *drive_speeds(n, n.shaft_rates(w))], rates.dtype)
 
         S = jax.jacfwd(by_free)(jnp.zeros(nv, rates.dtype))
         return matvec(matmat(S[:3], jnp.linalg.pinv(S[3:])), rates)
@@ -200,7 +192,7 @@ def odometry(
     *,
     steering: Any = None,
 ) -> jax.Array:
-    """The poses of a robot from the angles of its wheels, as encoders measure them.
+    """Compute the poses of a robot from the angles of its wheels, as encoders measure them.
 
     Args:
         robot: one whose drives determine its motion, such as a differential drive, a car, a
@@ -244,7 +236,7 @@ def odometry(
 
 
 def _times(where: str, t: Any, rising: bool) -> jax.Array:
-    """At least two times, which do not decrease or, if `rising`, increase."""
+    """Return at least two times, which do not decrease or, if `rising`, increase."""
     (count,) = shape_of(where, "t", t)[:1] or (0,)
     t = check_array(where, "t", t, (max(count, 2),))
     if not isinstance(t, jax.core.Tracer):
@@ -283,9 +275,9 @@ def _poses(
 
 
 def mean_twists(t: Any, poses: Any) -> jax.Array:
-    """The constant twists (T - 1, 3), in the robot's axes, that lead from each pose to the next.
+    """Compute the constant twists (T - 1, 3), in the robot's axes, from each pose to the next.
 
-    The inverse of `odometry`: what a camera saw, to be compared with what wheels did.
+    The inverse of `odometry`, for poses measured by a camera.
 
     Args:
         t: (T,) s, increasing.
@@ -315,7 +307,7 @@ def _turned(angle: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def _chord(angle: jax.Array) -> jax.Array:
-    """The chord of an arc over its length, sin(a / 2) / (a / 2)."""
+    """Compute the chord of an arc over its length, sin(a / 2) / (a / 2)."""
     return jnp.sinc(angle / (2 * jnp.pi))
 
 

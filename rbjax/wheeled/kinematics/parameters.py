@@ -1,4 +1,4 @@
-"""The numbers of a robot as lanes, in the form in which the equations use them."""
+"""The parameters of a robot as lanes, in the form that the equations use."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BodyParameters:
-    """A body with its wheels: mass; moment (2,) = mass com; inertia about its origin."""
+    """A body with its wheels: mass, first moment (mass com), inertia about its origin."""
 
     ahead: int | None
     mass: Lane
@@ -50,13 +50,13 @@ class WheelParameters:
 
 @dataclass(frozen=True)
 class Parameters:
-    """What the equations need of a robot."""
+    """The parameters of a robot."""
 
     robot: Any
     dtype: Any
     layout: Layout
     bodies: tuple[BodyParameters, ...]
-    #: of each caster, what its centre of mass off the pivot adds: a moment without mass or inertia
+    #: of each caster, the first moment of its centre of mass about the pivot
     forks: tuple[BodyParameters, ...]
     wheels: tuple[WheelParameters, ...]
     #: inertias of shafts, without those of motors, and their damping
@@ -72,43 +72,47 @@ class Parameters:
     resistance: Any
 
     def ahead(self, k: int) -> int:
-        """The body that pulls trailer k."""
+        """Return the index of the body that pulls trailer k."""
         ahead = self.bodies[k].ahead
         assert ahead is not None
         return ahead
 
     @property
     def rigid(self) -> tuple[BodyParameters, ...]:
-        """Bodies and forks, in the order of twists of `velocities.motion`."""
+        """The bodies and forks, in the order of `inertial_motion`."""
         return (*self.bodies, *self.forks)
 
     def lane(self, x: Any) -> Lane:
-        """A number of a part."""
+        """Convert a number of a part to a lane."""
         return scalar(x, self.dtype)
+
+    def shaft_rates(self, w: Sequence[Lane]) -> Sequence[Lane]:
+        """Return the rates of shafts among the full velocities w."""
+        return w[2 + len(self.bodies) :]
 
 
 def stack_lanes(lanes: Sequence[Lane], dtype: Any) -> jax.Array:
-    """Lanes as an array (n,)."""
+    """Stack lanes to an array (n,)."""
     return jnp.stack([jnp.asarray(x, dtype) for x in lanes]) if len(lanes) else jnp.zeros(0, dtype)
 
 
 def indices(s: slice) -> range:
-    """The numbers of coordinates of a slice of `Layout`."""
+    """Return the indices of a slice of `Layout`."""
     return range(s.start, s.stop)
 
 
 def with_lanes(part: Any, dtype: Any) -> Any:
-    """A motor or a tyre whose numbers are lanes."""
+    """Convert the numbers of a motor or tyre to lanes."""
     return jax.tree.map(lambda x: lane_of_leaf(x, dtype), part)
 
 
 def lane_of_leaf(x: Any, dtype: Any) -> Any:
-    """A number as a lane; an array of several as it is, for tyre laws compute with both axes."""
+    """Convert a number to a lane; an array, with one number for each axis, stays an array."""
     return table(x, dtype) if jnp.ndim(x) else scalar(jnp.asarray(x), dtype)
 
 
 def parameters_of(robot: Robot, dtype: Any) -> Parameters:
-    """The lanes of a robot. What is known while tracing is a literal."""
+    """Convert the numbers of a robot to lanes; those known while tracing become literals."""
     layout = robot.layout
 
     def number(x: Any) -> Lane:

@@ -1,6 +1,6 @@
-"""Motion in the plane on lanes: points, twists, directions, and rates of change beside values.
+"""Planar kinematics on lanes: twists, directions, and dual numbers.
 
-A body's twist is (x, y, w): the velocity of its origin in m/s along its own axes, and its turning
+A twist is (x, y, w): the velocity of a body's origin in m/s along its own axes, and its turning
 rate in rad/s. A point and a direction are pairs of lanes in the body's axes.
 """
 
@@ -15,51 +15,50 @@ import jax.numpy as jnp
 from rbjax.lanes import Lane, Lanes, add, is_literal, mul, neg, sincos, sub
 
 Pair = tuple[Lane, Lane]
-#: a cosine or sine of a known angle below this is rounding of a right angle
+#: cosines and sines of constant angles below this are rounded to zero
 SNAP = 1e-15
 
 
 class Twist(Lanes):
-    """x, y, w."""
+    """A planar twist (x, y, w)."""
 
     __slots__ = ()
 
     def at(self, p: Pair) -> Pair:
-        """The velocity of the body's point p."""
+        """Compute the velocity of the body's point p."""
         x, y, w = self
         return sub(x, mul(w, p[1])), add(y, mul(w, p[0]))
 
 
 def dot(a: Pair, b: Pair) -> Lane:
-    """a . b."""
+    """Compute a . b."""
     return add(mul(a[0], b[0]), mul(a[1], b[1]))
 
 
 def cross(a: Pair, b: Pair) -> Lane:
-    """a x b, along the vertical."""
+    """Compute a x b, along the vertical."""
     return sub(mul(a[0], b[1]), mul(a[1], b[0]))
 
 
 def left(e: Pair) -> Pair:
-    """A direction, turned to the left by a right angle."""
+    """Rotate a direction to the left by a right angle."""
     return neg(e[1]), e[0]
 
 
 def rotate(a: Pair, e: Pair) -> Pair:
-    """A vector turned by the angle of the direction e."""
+    """Rotate a vector by the angle of the direction e."""
     return sub(mul(a[0], e[0]), mul(a[1], e[1])), add(mul(a[0], e[1]), mul(a[1], e[0]))
 
 
 def rotate_back(a: Pair, e: Pair) -> Pair:
-    """A vector in axes that are turned by the angle of the direction e."""
+    """Express a vector in axes rotated by the angle of the direction e."""
     return rotate(a, (e[0], neg(e[1])))
 
 
 class Dual:
-    """A lane with its rate of change, d/dt. The functions of lanes take it for a lane.
+    """A dual number: a lane with its rate of change. A lane without a rate is constant.
 
-    Where it meets lanes without a rate they are constant. A rate that is a structural zero stays
-    one. A value and a rate may be `Dual` themselves, for second rates.
+    Structural zeros of rates are kept. Value and rate may be `Dual` themselves, for second rates.
     """
 
     __slots__ = ("rate", "value")
@@ -96,22 +95,22 @@ class Dual:
 
 
 def duals(values: Sequence[Lane], rates: Sequence[Lane]) -> list[Dual]:
-    """Lanes with their rates."""
+    """Make dual numbers of lanes and their rates."""
     return [Dual(a, b) for a, b in zip(values, rates, strict=True)]
 
 
 def value_of(a: Lane) -> Lane:
-    """A lane without its rate."""
+    """Return the value of a dual number or lane."""
     return a.value if isinstance(a, Dual) else a
 
 
 def rate_of(a: Lane) -> Lane:
-    """The rate of a lane; a structural zero if it has none."""
+    """Return the rate of a dual number; a structural zero for a lane."""
     return a.rate if isinstance(a, Dual) else 0.0
 
 
 def inverse(a: Lane) -> Lane:
-    """1 / a."""
+    """Compute 1 / a."""
     if isinstance(a, Dual):
         b = inverse(a.value)
         return Dual(b, neg(mul(mul(b, b), a.rate)))
@@ -119,7 +118,7 @@ def inverse(a: Lane) -> Lane:
 
 
 def inverse_root(a: Lane) -> Lane:
-    """1 / sqrt(a)."""
+    """Compute 1 / sqrt(a)."""
     if isinstance(a, Dual):
         b = inverse_root(a.value)
         return Dual(b, mul(mul(mul(b, mul(b, b)), a.rate), -0.5))
@@ -127,7 +126,7 @@ def inverse_root(a: Lane) -> Lane:
 
 
 def direction(angle: Lane) -> Pair:
-    """The cosine and sine of an angle."""
+    """Compute the cosine and sine of an angle."""
     if isinstance(angle, Dual):
         return with_rate(direction(angle.value), angle.rate)
     if is_literal(angle):
@@ -137,5 +136,5 @@ def direction(angle: Lane) -> Pair:
 
 
 def with_rate(e: Pair, rate: Lane) -> Pair:
-    """A direction with its rate, where its angle has this one."""
+    """Make the dual direction of an angle with a rate."""
     return Dual(e[0], neg(mul(e[1], rate))), Dual(e[1], mul(e[0], rate))

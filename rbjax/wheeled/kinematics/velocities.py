@@ -1,7 +1,7 @@
-"""How a robot's velocities follow from each other: twists of bodies, rates of wheels, rows.
+"""Velocity kinematics of wheeled robots: twists of bodies, rates of wheels, rolling constraints.
 
-Everything is linear in the velocities, and depends on the shape: the angles of trailers, steerings
-and casters. A shape of `Dual` lanes gives rates too, so the same functions serve accelerations.
+All maps are linear in the velocities. They depend on the shape: the angles of trailers, steerings
+and casters. With a shape of `Dual` lanes the same functions compute rates of change.
 
     contact of a wheel      u = v(p),       p its centre, e its direction, n to its left
     rolling                 r phi' = e . u + tan(roller) n . u
@@ -14,7 +14,6 @@ and casters. A shape of `Dual` lanes gives rates too, so the same functions serv
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, neg, sub, total
@@ -35,21 +34,21 @@ from rbjax.wheeled.robot.arrangement import Leader
 
 
 class Shape(NamedTuple):
-    """Directions that depend on the coordinates: of trailers against the body ahead, and of wheels
-    in their bodies."""
+    """The directions of trailers against the body ahead, of wheels in their bodies, and the places
+    and directions of leaders."""
 
     trailers: tuple[Pair, ...]
     wheels: tuple[Pair, ...]
-    leaders: tuple[tuple[Pair, Pair], ...]  # place and direction
+    leaders: tuple[tuple[Pair, Pair], ...]
 
 
 def shape_of(n: Parameters, angles: Sequence[Lane]) -> Shape:
-    """The shape at the angles of trailers, steerings and casters."""
+    """Compute the shape by the angles of trailers, steerings and casters."""
     return shape_along(n, [direction(angle) for angle in angles])
 
 
 def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
-    """The shape at the directions of trailers, steerings and casters."""
+    """Compute the shape by the directions of trailers, steerings and casters."""
     layout = n.layout
     of = dict(enumerate(directions, start=3))
     trailers = tuple(of[i] for i in indices(layout.trailers))
@@ -76,7 +75,7 @@ def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
 
 
 def place_of(n: Parameters, leader: Leader) -> Pair:
-    """The place of a row that leads: of a steering of several wheels, their middle."""
+    """Compute the place of a leader: of a steering of several wheels, their middle."""
     if leader.what == "skidding":
         return n.turn_center, 0.0
     if leader.what == "wheel":
@@ -88,7 +87,7 @@ def place_of(n: Parameters, leader: Leader) -> Pair:
 
 
 def _steered(n: Parameters, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
-    """Directions of the wheels of one steering whose angle has the direction e."""
+    """Compute the directions of the wheels of a steering whose angle has the direction e."""
     if len(wheels) == 1:
         return {wheels[0]: rotate(e, n.wheels[wheels[0]].heading)}
     # Ackermann: each rolls along its velocity as all turn about one point of the fixed axle
@@ -115,10 +114,11 @@ def _steering_of(n: Parameters, wheel: int) -> int:
 
 
 def chassis_twist(n: Parameters, shape: Shape, free: Sequence[Lane]) -> Twist:
-    """The twist of the chassis by the velocities that its wheels leave free.
+    """Compute the twist of the chassis by the free velocities.
 
-    No row leads: free is the twist. One leads: the velocity along its wheel, at the point of its
-    axle next to the origin, and the turning rate. Two lead: the speed at the second wheel.
+    Without a leading wheel they are the twist. With one they are the velocity along this wheel, at
+    the point of its axle nearest to the origin, and the turning rate. With two leading wheels it is
+    the speed at the second.
     """
     if not shape.leaders:
         return Twist(*free)
@@ -133,10 +133,8 @@ def chassis_twist(n: Parameters, shape: Shape, free: Sequence[Lane]) -> Twist:
 
 
 def _about_one_center(n: Parameters, shape: Shape) -> Twist:
-    """The twist whose rows of both leaders vanish, of about unit speed at the second.
-
-    It is the cross product of the rows, so it is regular at any steering.
-    """
+    """Compute the twist in which both leading wheels roll, of about unit speed at the second: the
+    cross product of their rows, which is regular at any steering."""
     (p, e), (q, f) = shape.leaders
     i, j = dot(e, p), dot(f, q)
     apart = sub(q[0], p[0]), sub(q[1], p[1])
@@ -149,7 +147,7 @@ def _about_one_center(n: Parameters, shape: Shape) -> Twist:
 
 
 def free_velocities(n: Parameters, shape: Shape, V: Twist) -> list[Lane]:
-    """The free velocities of a twist that the wheels allow: the inverse of `chassis_twist`."""
+    """Project a twist onto the free velocities: the inverse of `chassis_twist`."""
     if not shape.leaders:
         return list(V)
     if len(shape.leaders) == 1:
@@ -160,7 +158,7 @@ def free_velocities(n: Parameters, shape: Shape, V: Twist) -> list[Lane]:
 
 
 def rolling_velocities(n: Parameters, shape: Shape, free: Sequence[Lane]) -> list[Lane]:
-    """The full velocities w by the free ones, where no wheel slides."""
+    """Compute the full velocities w = S nu by the free velocities nu of rolling wheels."""
     V = chassis_twist(n, shape, free)
     twists, rates = [V], []
     for k, wheel in enumerate(n.robot.arrangement.trailing, start=1):
@@ -175,12 +173,12 @@ def rolling_velocities(n: Parameters, shape: Shape, free: Sequence[Lane]) -> lis
 
 
 def _behind(n: Parameters, k: int, v: Pair, w: Lane) -> Twist:
-    """The twist of a trailer by the velocity of its coupling, in its axes, and its turning rate."""
+    """Compute the twist of a trailer by its coupling's velocity, in its axes, and turning rate."""
     return Twist(v[0], sub(v[1], mul(w, n.bodies[k].drawbar)), w)
 
 
 def twists_of(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Twist]:
-    """The twists of all bodies by the full velocities."""
+    """Compute the twists of all bodies by the full velocities."""
     twists = [Twist(*w[:3])]
     for k in range(1, len(n.bodies)):
         ahead = twists[n.ahead(k)]
@@ -190,7 +188,7 @@ def twists_of(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Twist]:
 
 
 def contact_velocity(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -> Pair:
-    """The velocity of a wheel's centre along its direction and to its left."""
+    """Compute the velocity of a wheel's centre along its direction and to its left."""
     wheel = n.wheels[i]
     u = twists[wheel.body].at(wheel.position)
     e = shape.wheels[i]
@@ -198,7 +196,7 @@ def contact_velocity(n: Parameters, shape: Shape, twists: Sequence[Twist], i: in
 
 
 def rolling_rate(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -> Lane:
-    """The rate of a wheel that rolls."""
+    """Compute the rate of a wheel that rolls."""
     along, across = contact_velocity(n, shape, twists, i)
     if n.wheels[i].kind == "rollers":
         along = add(along, mul(n.wheels[i].slant, across))
@@ -206,7 +204,7 @@ def rolling_rate(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -
 
 
 def caster_rates(n: Parameters, shape: Shape, twists: Sequence[Twist]) -> list[Lane]:
-    """The rates of casters against their bodies."""
+    """Compute the rates of casters against their bodies."""
     out = []
     for i in n.layout.caster_wheels:
         across = contact_velocity(n, shape, twists, i)[1]
@@ -214,57 +212,52 @@ def caster_rates(n: Parameters, shape: Shape, twists: Sequence[Twist]) -> list[L
     return out
 
 
-@dataclass(frozen=True)
-class Motion:
-    """What carries inertia: twists of bodies and forks, and rates with the inertias that turn at
-    them."""
+class Motion(NamedTuple):
+    """The velocities of all inertias.
+
+    twists: of bodies and forks, in their own axes. turns: pairs of an inertia and its rate.
+    """
 
     twists: list[Twist]
-    turns: list[tuple[Lane, Lane]]  # inertia, rate
+    turns: list[tuple[Lane, Lane]]
 
 
-def inertial_motion(n: Parameters, shape: Shape, w: Sequence[Lane]) -> Motion:
-    """All that moves, by the full velocities."""
-    twists = twists_of(n, shape, w)
-    rates = w[2 + len(n.bodies) :]
+def inertial_motion(
+    n: Parameters, shape: Shape, w: Sequence[Lane], casters: Sequence[Lane] | None = None
+) -> Motion:
+    """Compute the velocities of all inertias by the full velocities, and by the rates of casters if
+    they are independent."""
+    twists, rates = twists_of(n, shape, w), n.shaft_rates(w)
     turns = list(zip(n.shafts, rates, strict=True))
-    for drive, motor, split in zip(n.robot.drives, n.motors, n.splits, strict=True):
-        if not is_zero(motor.inertia):
-            turns.append((motor.inertia, shaft_speed(n, drive.wheels, split, rates)))
-    forks = fork_twists(n, shape, twists, caster_rates(n, shape, twists))
-    for i, fork in zip(n.layout.caster_wheels, forks, strict=True):
+    rotors = [j for j, motor in enumerate(n.motors) if not is_zero(motor.inertia)]
+    speeds = drive_speeds(n, rates) if rotors else []
+    turns += [(n.motors[j].inertia, speeds[j]) for j in rotors]
+    casters = caster_rates(n, shape, twists) if casters is None else casters
+    forks = []
+    for i, rate in zip(n.layout.caster_wheels, casters, strict=True):
+        along, across = contact_velocity(n, shape, twists, i)
+        forks.append(Twist(along, across, add(rate, twists[n.wheels[i].body][2])))
         if not is_zero(n.wheels[i].yaw_inertia):
-            turns.append((n.wheels[i].yaw_inertia, fork[2]))
+            turns.append((n.wheels[i].yaw_inertia, forks[-1][2]))
     return Motion([*twists, *forks], turns)
 
 
-def fork_twists(
-    n: Parameters, shape: Shape, twists: Sequence[Twist], rates: Sequence[Lane]
-) -> list[Twist]:
-    """The twists of casters' forks at their pivots, in their own axes, by the rates of casters."""
-    out = []
-    for i, rate in zip(n.layout.caster_wheels, rates, strict=True):
-        along, across = contact_velocity(n, shape, twists, i)
-        out.append(Twist(along, across, add(rate, twists[n.wheels[i].body][2])))
-    return out
-
-
-def shaft_speed(
-    n: Parameters, wheels: Sequence[int], split: Sequence[Lane], rates: Sequence[Lane]
-) -> Lane:
-    """The speed of a drive: W = sum split_i phi'_i."""
-    return total(
-        mul(share, rates[n.wheels[i].shaft]) for i, share in zip(wheels, split, strict=True)
-    )
+def drive_speeds(n: Parameters, rates: Sequence[Lane]) -> list[Lane]:
+    """Compute the speeds of the drives, W = sum split_i phi'_i, by the rates of shafts."""
+    return [
+        total(mul(share, rates[n.wheels[i].shaft]) for i, share in zip(x.wheels, s, strict=True))
+        for x, s in zip(n.robot.drives, n.splits, strict=True)
+    ]
 
 
 def constraint_rates(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
-    """What vanishes where wheels roll: rates of rows that lead, of trailers', of shafts."""
+    """Compute A w, zero for rolling wheels: the lateral velocities of leading wheels and of
+    trailers, and the slip of shafts, m/s."""
     twists = twists_of(n, shape, w)
     out = [dot(left(e), twists[0].at(p)) for p, e in shape.leaders]
     for wheel in n.robot.arrangement.trailing:
         out.append(contact_velocity(n, shape, twists, wheel)[1])
-    rates = w[2 + len(n.bodies) :]
+    rates = n.shaft_rates(w)
     for shaft, i in enumerate(n.layout.setters):
         r = n.wheels[i].radius
         out.append(sub(mul(r, rolling_rate(n, shape, twists, i)), mul(r, rates[shaft])))

@@ -1,8 +1,7 @@
-"""The fidelity of all bodies and all wheels' rows: nothing is reduced, multipliers are solved for.
+"""Fidelity of the multibody model of all parts: multipliers hold the wheels on the ground.
 
-    M a + b = tau + G^T l,     G a = -(...),     of `full_model`
-It uses only the multibody dynamics and the constraints of this package, so it checks the
-reduced fidelities (`rolling`), and its multipliers are the forces of the ground on the wheels.
+It uses only the multibody dynamics and the constraints of this package, so it checks the reduced
+fidelities (`rolling`). Its multipliers are the forces of the ground on the wheels.
 """
 
 from __future__ import annotations
@@ -14,19 +13,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import choice, instance
 from rbjax.constraints import Formulation
 from rbjax.constraints.equations.constrained_motion import constrained_motion
-from rbjax.constraints.equations.projection import projected
-from rbjax.dynamics.arguments import check_array
-from rbjax.errors import InputError, UnknownName
+from rbjax.constraints.equations.projection import project_state
 from rbjax.lanes import Lane, add, mul, sub
 from rbjax.model import Model, State
 from rbjax.wheeled.kinematics.context import RobotContext, coordinate_rates, steering_rates
 from rbjax.wheeled.kinematics.parameters import indices, stack_lanes
-from rbjax.wheeled.kinematics.planar import Pair, direction, rotate_back
-from rbjax.wheeled.kinematics.velocities import shaft_speed
-from rbjax.wheeled.models.robot_model import RobotModel, torques_at_rest_loads
-from rbjax.wheeled.models.states import check_state, check_vehicle
+from rbjax.wheeled.kinematics.planar import Pair, direction, rotate, rotate_back
+from rbjax.wheeled.kinematics.velocities import drive_speeds
+from rbjax.wheeled.models.forces import shaft_torques, wheel_loads
+from rbjax.wheeled.models.robot_model import RobotModel, check_state_and_controls
 from rbjax.wheeled.multibody.full_model import (
     BASES,
     contact_ways,
@@ -38,12 +36,12 @@ from rbjax.wheeled.multibody.wheel_rows import linked
 
 
 class Constrained(RobotModel):
-    """A multibody model of all parts, its wheels held by rows: v = w, the full velocities.
+    """The multibody model of all parts, whose wheels are constraints: v = w, the full velocities.
 
         M a + b = tau + G^T l,   G a = -(G' v + ...)
 
-    Rates are taken where the velocities obey the rows: `full` puts them there by the least change
-    in the norm of the mass matrix, and `project` does so to the state after a step.
+    `full_velocities` and `project` project the velocities on the constraints, by the least change
+    in the norm of the mass matrix.
 
     Fields: robot. Static: formulation, one of `rbjax.constraints.formulations`.
 
@@ -65,11 +63,8 @@ class Constrained(RobotModel):
     name: ClassVar[str] = "constrained"
 
     def __check_init__(self) -> None:
-        if not isinstance(self.formulation, Formulation):
-            raise InputError(
-                f"Constrained: formulation is {type(self.formulation).__name__}, expected one of "
-                "rbjax.constraints.formulations(), such as Formulation()"
-            )
+        public = "one of rbjax.constraints.formulations(), such as Formulation()"
+        instance("Constrained", "formulation", self.formulation, Formulation, public)
 
     @property
     def nv(self) -> int:
@@ -77,10 +72,9 @@ class Constrained(RobotModel):
 
     def full_velocities(self, now: RobotContext) -> list[Lane]:
         model, state = full_state(now, now.v)
-        return robot_velocities(now, model, projected(model, 0.0, state, positions=False).v)
+        return robot_velocities(now, model, project_state(model, 0.0, state, positions=False).v)
 
     def project(self, now: RobotContext) -> list[Lane]:
-        """v put on the rows, after a step."""
         return self.full_velocities(now)
 
     def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
@@ -95,12 +89,16 @@ class Constrained(RobotModel):
         a[0], a[1] = add(a[0], mul(w[2], w[1])), sub(a[1], mul(w[2], w[0]))
         return a
 
-    def wheel_forces(self, now: RobotContext) -> list[Pair]:
-        """The force of the ground on each wheel, ahead and to the left of it, in N.
+    def wheel_forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
+        forces = zip(self.axle_forces(now), now.shape.wheels, strict=True)
+        return wheel_loads(now.n), [rotate(f, e) for f, e in forces]
 
-        Rows of wheels on one axle are redundant: of all forces that do, those of the least norm, in
-        the measure of `rbjax.constraints.multipliers`. Of wheels on one shaft the first rolls, and
-        has their force. What keeps skidding wheels on their axis is `skidding_force`.
+    def axle_forces(self, now: RobotContext) -> list[Pair]:
+        """Compute the force of the ground on each wheel, ahead and to the left of it, N.
+
+        The rows of wheels on one axle are redundant, and the forces are those of the least norm
+        (`rbjax.constraints.multipliers`). Of several wheels on one shaft the first rolls, and has
+        their whole force. `skidding_force` holds skidding wheels on their axis.
         """
         n = now.n
         out, l, at = [], self._multipliers(now), 0
@@ -115,7 +113,7 @@ class Constrained(RobotModel):
         return out
 
     def skidding_force(self, now: RobotContext) -> Lane:
-        """The force to the left on the axis on which skidding wheels turn, N; 0 if none skids."""
+        """Compute the force to the left on the axis of skidding wheels, N; 0 if none skids."""
         n = now.n
         if not any(leader.what == "skidding" for leader in n.robot.arrangement.leaders):
             return 0.0
@@ -128,7 +126,8 @@ class Constrained(RobotModel):
 
 
 def full_state(now: RobotContext, w: Sequence[Lane]) -> tuple[Model, State]:
-    """The multibody model, its steerings turning as they do now, and its state at velocities w."""
+    """Make the multibody model with the present rates of steerings, and its state at velocities
+    w."""
     n = now.n
     layout, rates = n.layout, coordinate_rates(now, w)
     steering = steering_rates(now)
@@ -150,10 +149,9 @@ def full_state(now: RobotContext, w: Sequence[Lane]) -> tuple[Model, State]:
             if name not in q:
                 slope, _, q[name] = linked(n, j, i, now.q[layout.steerings.start + j])
                 v[name] = mul(slope, steering[j])
-    shafts = slice(layout.shafts.start, layout.shafts.stop)
-    for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
-        turned_by = [shaft_speed(n, drive.wheels, split, x[shafts]) for x in (now.q, rates)]
-        q[f"motor_{j}"], v[f"motor_{j}"] = turned_by
+    angles, speeds = (drive_speeds(n, x[layout.shafts]) for x in (now.q, rates))
+    for j in range(len(n.robot.drives)):
+        q[f"motor_{j}"], v[f"motor_{j}"] = angles[j], speeds[j]
     others = model.joint_names[1:]
     return model, State(
         stack_lanes([*now.q[:3], *(q[name] for name in others)], n.dtype),
@@ -162,14 +160,14 @@ def full_state(now: RobotContext, w: Sequence[Lane]) -> tuple[Model, State]:
 
 
 def full_model_state(
-    vehicle: RobotModel, state: State, controls: Any = None, base: str = "planar"
+    model: RobotModel, state: State, ctrl: Any = None, base: str = "planar"
 ) -> State:
-    """The state of `full_model(robot, base)` in which a vehicle moves as it does.
+    """Convert a state of a robot to a state of its multibody model, `full_model(robot, base)`.
 
     Args:
-        vehicle: `at(robot, fidelity)`.
+        model: `at(robot, fidelity)`.
         state: q (nq,), v (nv,).
-        controls: (nu,); those of steerings say how fast these turn. None: zeros.
+        ctrl: (nu,), of which those of steerings determine their rates; zeros if None.
         base: "planar", "free" or "slides".
 
     Returns:
@@ -187,15 +185,11 @@ def full_model_state(
         >>> full.q.shape, [round(x, 3) for x in full.v[6:8].tolist()]
         ((11,), [5.0, 5.0])
     """
-    check_vehicle("full_model_state", vehicle)
-    if base not in BASES:
-        raise UnknownName("base", base, BASES)
-    state = check_state("full_model_state", vehicle, state)
-    given = jnp.zeros(vehicle.nu) if controls is None else controls
-    u = check_array("full_model_state", "controls", given, (vehicle.nu,)).astype(state.q.dtype)
-    now = vehicle.context(state, u)
+    choice("base", base, BASES)
+    state, u = check_state_and_controls("full_model_state", model, state, ctrl)
+    now = model.context(state, u)
     n = now.n
-    full = full_state(now, vehicle.full_velocities(now))[1]
+    full = full_state(now, model.full_velocities(now))[1]
     if base != "free":
         return full
     turn = direction(0.5 * full.q[2])
@@ -208,7 +202,7 @@ def full_model_state(
 
 
 def robot_velocities(now: RobotContext, model: Model, v: Any) -> list[Lane]:
-    """Those of the robot, of velocities of the multibody model: the chassis' in its own axes."""
+    """Convert velocities of the multibody model to full velocities of the robot."""
     n = now.n
     trailers = [f"hitch_{k}" for k in range(1, len(n.bodies))]
     axles = [wheel_joint(i) for i in n.layout.setters]
@@ -217,9 +211,9 @@ def robot_velocities(now: RobotContext, model: Model, v: Any) -> list[Lane]:
 
 
 def torques(now: RobotContext, model: Model, w: Sequence[Lane]) -> jax.Array:
-    """Generalized forces (nv,) of drives and of rolling resistance, at the axles of shafts."""
+    """Compute the generalized forces (nv,) of drives and of rolling resistance."""
     n = now.n
     out: list[Lane] = [0.0] * model.nv
-    for i, torque in zip(n.layout.setters, torques_at_rest_loads(now, w), strict=True):
+    for i, torque in zip(n.layout.setters, shaft_torques(now, w), strict=True):
         out[model.v_slice(wheel_joint(i)).start] = torque
     return stack_lanes(out, n.dtype)

@@ -1,14 +1,13 @@
-"""Newton-Euler equations of a wheeled robot, projected on any velocities.
+"""Newton-Euler equations of a wheeled robot, projected on any velocities; energies.
 
-With twists V_k = J_k nu of the bodies and rates r_i = j_i nu of what turns by itself,
+With twists V_k = J_k nu of the bodies and rates r_i = j_i nu of the rotors,
 
     M = sum J_k^T M_k J_k + sum I_i j_i^T j_i
     f = sum J_k^T (F_k - M_k V_k' - C_k) + sum j_i^T (t_i - I_i r_i')      at nu' = 0
     M nu' = f
 
-M_k and C_k are those of a body about its own origin, in its own axes: m, the moment m c, the
-inertia, and w x (momentum). This is the principle of virtual power (Jourdain; Kane): wrenches are
-separated into what drives and what constrains by J^T, twists by J.
+M_k is the inertia of a body about its own origin, in its own axes, and C_k = w x (momentum). This
+is the principle of virtual power (Jourdain; Kane).
 (Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8, the kinematical approach)
 """
 
@@ -20,10 +19,18 @@ from typing import NamedTuple
 from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, ldlt, mul, neg, sub, total
 from rbjax.wheeled.kinematics.context import RobotContext
 from rbjax.wheeled.kinematics.parameters import BodyParameters, Parameters
-from rbjax.wheeled.kinematics.planar import Twist, cross, rate_of, rotate_back, value_of
+from rbjax.wheeled.kinematics.planar import (
+    Twist,
+    cross,
+    dot,
+    rate_of,
+    rotate,
+    rotate_back,
+    value_of,
+)
 from rbjax.wheeled.kinematics.velocities import Motion, Shape, inertial_motion
 
-#: nu and a shape to full velocities
+#: (parameters, shape, nu) -> full velocities
 Velocities = Callable[[Parameters, Shape, Sequence[Lane]], list[Lane]]
 
 
@@ -32,7 +39,7 @@ Damper = tuple[Lane, Sequence[Lane]]
 
 
 class Equations(NamedTuple):
-    """M (rows of lanes) and f (lanes); the full velocities of unit velocities nu, by column."""
+    """M, by row, and f; the full velocities of unit velocities nu, by column."""
 
     M: list[list[Lane]]
     f: list[Lane]
@@ -40,11 +47,11 @@ class Equations(NamedTuple):
 
     @property
     def accelerations(self) -> list[Lane]:
-        """nu' of M nu' = f."""
+        """The solution nu' of M nu' = f."""
         return ldlt(self.M).solve(self.f)
 
     def damped(self, dampers: Sequence[Damper], h: Lane) -> list[Lane]:
-        """nu' of (M + h D) nu' = f, where D = sum c d d^T of the dampers."""
+        """Solve (M + h D) nu' = f, with D = sum c d d^T of the dampers."""
         M = [list(row) for row in self.M]
         for c, d in dampers:
             moved = [inner(d, column) for column in self.columns]
@@ -55,7 +62,7 @@ class Equations(NamedTuple):
 
 
 def momentum(body: BodyParameters, V: Twist) -> Twist:
-    """Linear momentum, and angular momentum about the origin."""
+    """Compute the linear momentum, and the angular momentum about the origin."""
     (x, y, w), (a, b) = V, body.moment
     return Twist(
         sub(mul(body.mass, x), mul(w, b)),
@@ -65,7 +72,7 @@ def momentum(body: BodyParameters, V: Twist) -> Twist:
 
 
 def _gyroscopic(body: BodyParameters, V: Twist) -> Twist:
-    """w x p, and v x p about the origin: what F takes beside M_k V'."""
+    """Compute the gyroscopic wrench: w x p, and v x p about the origin."""
     p, w = momentum(body, V), V[2]
     return Twist(neg(mul(w, p[1])), mul(w, p[0]), cross((V[0], V[1]), (p[0], p[1])))
 
@@ -87,7 +94,7 @@ def gravity_wrenches(now: RobotContext) -> list[Twist]:
 
 
 def columns_of(n: Parameters, shape: Shape, velocities: Velocities, size: int) -> list[list[Lane]]:
-    """Full velocities of unit velocities nu: the columns of the basis."""
+    """Compute the full velocities of unit velocities nu: the columns of the basis S."""
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
     return [velocities(n, shape, unit) for unit in units]
 
@@ -97,18 +104,21 @@ def projected_equations(
     w: Sequence[Lane],
     velocities: Velocities,
     nu: Sequence[Lane],
-    forces: Sequence[Twist],
     torques: Sequence[Lane],
+    forces: Sequence[Twist] | None = None,
 ) -> Equations:
-    """M and f for velocities nu.
+    """Project the equations on velocities nu.
 
     Args:
-        w: the full velocities, at which trailers, steerings and casters turn.
-        velocities: full velocities by nu.
-        forces: on each body and fork, in its axes, the moment about its origin.
+        now: the coordinates and the rates of steerings.
+        w: the full velocities.
+        velocities: the map from nu to full velocities.
+        nu: the velocities.
         torques: on each shaft.
+        forces: on each body and fork, in its axes, the moment about its origin; gravity if None.
     """
     n = now.n
+    forces = gravity_wrenches(now) if forces is None else forces
     columns = columns_of(n, now.shape, velocities, len(nu))
     parts = [inertial_motion(n, now.shape, column) for column in columns]
     moves, gains = motion_and_rate(n, now.shape_with_rate(w), velocities, nu)
@@ -144,24 +154,18 @@ def projected_equations(
 def motion_and_rate(
     n: Parameters, shape: Shape, velocities: Velocities, nu: Sequence[Lane]
 ) -> tuple[Motion, Motion]:
-    """The motion at nu, and its rate at nu' = 0, by the shape with its rate."""
+    """Compute the motion at nu, and its rate at nu' = 0, by the shape with its rate."""
     both = inertial_motion(n, shape, velocities(n, shape, nu))
-    now = Motion(
-        [Twist(*map(value_of, V)) for V in both.twists],
-        [(i, value_of(rate)) for i, rate in both.turns],
+    now, rate = (
+        Motion([Twist(*map(part, V)) for V in both.twists], [(i, part(x)) for i, x in both.turns])
+        for part in (value_of, rate_of)
     )
-    then = Motion(
-        [Twist(*map(rate_of, V)) for V in both.twists],
-        [(i, rate_of(rate)) for i, rate in both.turns],
-    )
-    return now, then
+    return now, rate
 
 
 def _steering_torques(now: RobotContext, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
-    """What bodies feel as their steered wheels turn faster about the vertical, at b'' = 0.
-
-    Wheels that turn by the angle b itself turn evenly; those of Ackermann's geometry do not.
-    """
+    """Compute the reaction moments on bodies of wheels that accelerate about the vertical at
+    b'' = 0, by Ackermann's geometry: pairs of a body and a moment."""
     n = now.n
     uneven = [
         i
@@ -179,3 +183,27 @@ def _steering_torques(now: RobotContext, w: Sequence[Lane]) -> list[tuple[int, L
         twice = tuple(rate_of(rate_of(x)) for x in e)
         out.append((n.wheels[i].body, mul(n.wheels[i].yaw_inertia, cross(here, twice))))
     return out
+
+
+def kinetic_energy(
+    n: Parameters, shape: Shape, w: Sequence[Lane], casters: Sequence[Lane] | None = None
+) -> Lane:
+    """Compute the kinetic energy of bodies, wheels and motors (`inertial_motion`)."""
+    parts = inertial_motion(n, shape, w, casters)
+    bodies = total(
+        inner(V, momentum(body, V)) for body, V in zip(n.rigid, parts.twists, strict=True)
+    )
+    return mul(0.5, add(bodies, total(mul(i, mul(rate, rate)) for i, rate in parts.turns)))
+
+
+def potential_energy(now: RobotContext) -> Lane:
+    """Compute the potential energy of the centres of mass on the slope."""
+    n, poses, energy = now.n, now.bodies(), 0.0
+    for body, (origin, e) in zip(n.bodies, poses, strict=True):
+        fall = add(mul(body.mass, dot(n.downhill, origin)), dot(n.downhill, rotate(body.moment, e)))
+        energy = sub(energy, fall)
+    for i, fork in zip(n.layout.caster_wheels, n.forks, strict=True):
+        _, e = poses[n.wheels[i].body]
+        moment = rotate(fork.moment, rotate(now.shape.wheels[i], e))
+        energy = sub(energy, dot(n.downhill, moment))
+    return energy

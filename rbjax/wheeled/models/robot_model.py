@@ -1,32 +1,39 @@
-"""A wheeled robot at one fidelity: what its velocities are, and how they change.
+"""A wheeled robot at one fidelity: the interface, states, rates and contacts.
 
-All fidelities of a robot have the same coordinates q (`Robot`) and the same controls u: one number
-a drive, then one a steering. They differ in v: nothing, the velocities that the wheels leave free,
-or all velocities; and in x, states of tyres.
+All fidelities of a robot have the same coordinates q and controls u (`Robot`). They differ in v:
+nothing, the velocities that the wheels leave free, or all velocities; and in x, the states of
+tyres.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import instance
+from rbjax.compiling import compiled
+from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
-from rbjax.lanes import Lane, add, inner, mul, neg, sub, total
+from rbjax.lanes import Lane
 from rbjax.model import State
 from rbjax.model.record import Record
 from rbjax.wheeled.kinematics.context import RobotContext, coordinate_rates
-from rbjax.wheeled.kinematics.parameters import Parameters, parameters_of, stack_lanes
-from rbjax.wheeled.kinematics.planar import dot, rotate
-from rbjax.wheeled.kinematics.velocities import Shape, inertial_motion, shaft_speed
-from rbjax.wheeled.models.equations import Damper, momentum
-from rbjax.wheeled.models.loads import resisting_torques, wheel_loads
+from rbjax.wheeled.kinematics.parameters import parameters_of, stack_lanes
+from rbjax.wheeled.kinematics.planar import Pair, Twist
+from rbjax.wheeled.kinematics.velocities import (
+    contact_velocity,
+    free_velocities,
+    rolling_velocities,
+    twists_of,
+)
 from rbjax.wheeled.robot.robot import Robot
 
 
 class RobotModel(Record):
-    """A robot at one fidelity. Subclasses say what v is, and how it changes.
+    """A robot at one fidelity. Subclasses define v and its rate.
 
     Fields: robot.
     """
@@ -35,11 +42,8 @@ class RobotModel(Record):
     name: ClassVar[str] = ""
 
     def __check_init__(self) -> None:
-        if not isinstance(self.robot, Robot):
-            raise InputError(
-                f"{type(self).__name__}: robot is {type(self.robot).__name__}, expected a Robot, "
-                "such as rbjax.wheeled.kinds()['differential_drive'].make()"
-            )
+        public = "a Robot, such as rbjax.wheeled.kinds()['differential_drive'].make()"
+        instance(type(self).__name__, "robot", self.robot, Robot, public)
 
     @property
     def nq(self) -> int:
@@ -61,40 +65,43 @@ class RobotModel(Record):
         """The number of controls."""
         return self.robot.nu
 
-    # what a fidelity is
-
     def full_velocities(self, now: RobotContext) -> list[Lane]:
-        """The full velocities w."""
-        raise NotImplementedError(f"{type(self).__name__} has no method full")
+        """Compute the full velocities w."""
+        raise NotImplementedError(f"{type(self).__name__} has no method full_velocities")
 
     def accelerations(self, now: RobotContext) -> list[Lane]:
-        """v'."""
+        """Compute v'."""
         raise NotImplementedError(f"{type(self).__name__} has no method accelerations")
 
     def damped_accelerations(self, now: RobotContext, h: Lane) -> list[Lane]:
-        """The mean of v' over a step h that takes what damps at its end; v' where nothing does."""
+        """Compute the mean of v' over a step h with damping forces evaluated at its end."""
         return self.accelerations(now)
 
     def tyre_rates(self, now: RobotContext) -> list[Lane]:
-        """x'."""
+        """Compute x'."""
         return []
 
     def project(self, now: RobotContext) -> list[Lane]:
-        """v after a step, put back on what it must satisfy."""
+        """Project v after a step on the constraints of velocities."""
         return now.v
 
     def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
-        """v by full velocities that the fidelity allows."""
+        """Compute v by full velocities w that the wheels allow."""
         raise NotImplementedError(f"{type(self).__name__} has no method start_velocities")
 
-    # what all share
+    def wheel_forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
+        """Compute the loads of wheels and the forces on them in the axes of their bodies, N."""
+        raise InputError(
+            f"contacts: the fidelity is {self.name!r}, which has no forces of wheels; expected "
+            "'slipping' or 'constrained'"
+        )
 
     def coordinate_rates(self, now: RobotContext) -> list[Lane]:
-        """q'."""
+        """Compute q'."""
         return coordinate_rates(now, self.full_velocities(now))
 
     def rates(self, now: RobotContext) -> tuple[list[Lane], list[Lane], list[Lane]]:
-        """q', v', x'."""
+        """Compute q', v', x'."""
         rates = self.coordinate_rates(now)
         return rates, self.accelerations(now), self.tyre_rates(now)
 
@@ -102,76 +109,181 @@ class RobotModel(Record):
         """Convert the parameters, a state and controls, zeros if None, to lanes."""
         dtype = state.q.dtype
         given = jnp.zeros(self.nu, dtype) if u is None else u
-        sizes = ((state.q, self.nq), (state.v, self.nv), (state.x, self.nx), (given, self.nu))
+        sizes: Any = ((state.q, self.nq), (state.v, self.nv), (state.x, self.nx), (given, self.nu))
         lanes = ([x[i] for i in range(size)] for x, size in sizes)
         return RobotContext(parameters_of(self.robot, dtype), *lanes)
 
 
-def shaft_torques(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
-    """The torques of the drives and of damping on each shaft."""
-    n = now.n
-    rates = w[2 + len(n.bodies) :]
-    out = [neg(mul(c, rate)) for c, rate in zip(n.damping, rates, strict=True)]
-    for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
-        torque = n.motors[j].torque(now.u[j], shaft_speed(n, drive.wheels, split, rates))
-        for i, share in zip(drive.wheels, split, strict=True):
-            shaft = n.wheels[i].shaft
-            out[shaft] = add(out[shaft], mul(share, torque))
-    return out
-
-
-def motor_dampers(now: RobotContext, w: Sequence[Lane]) -> list[Damper]:
-    """How the torques of drives and of damping oppose the speeds of shafts."""
-    n = now.n
-    first, rates = 2 + len(n.bodies), w[2 + len(n.bodies) :]
-    units = [[1.0 if k == first + i else 0.0 for k in range(len(w))] for i in range(len(rates))]
-    out: list[Damper] = list(zip(n.damping, units, strict=True))
-    for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
-        c = n.motors[j].damping(now.u[j], shaft_speed(n, drive.wheels, split, rates))
-        row: list[Lane] = [0.0] * len(w)
-        for i, share in zip(drive.wheels, split, strict=True):
-            at = first + n.wheels[i].shaft
-            row[at] = add(row[at], share)
-        out.append((c, row))
-    return out
-
-
-def torques_at_rest_loads(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
-    """The torques of drives and of rolling resistance on each shaft, with the loads at rest."""
-    n = now.n
-    driving = shaft_torques(now, w)
-    if n.resistance is None:
-        return driving
-    resisting = resisting_torques(n, w, wheel_loads(n))
-    return [add(a, b) for a, b in zip(driving, resisting, strict=True)]
-
-
-def kinetic_energy(n: Parameters, shape: Shape, w: Sequence[Lane]) -> Lane:
-    """T of all bodies, wheels and motors."""
-    parts = inertial_motion(n, shape, w)
-    bodies = total(
-        inner(V, momentum(body, V)) for body, V in zip(n.rigid, parts.twists, strict=True)
-    )
-    return 0.5 * add(bodies, total(mul(i, mul(rate, rate)) for i, rate in parts.turns))
-
-
-def potential_energy(now: RobotContext) -> Lane:
-    """The energy of the centres of mass on the slope."""
-    n = now.n
-    poses, energy = now.bodies(), 0.0
-    for body, (origin, e) in zip(n.bodies, poses, strict=True):
-        moment = rotate(body.moment, e)
-        fall = dot(n.downhill, origin)
-        energy = sub(energy, add(mul(body.mass, fall), dot(n.downhill, moment)))
-    for i, fork in zip(n.layout.caster_wheels, n.forks, strict=True):
-        _, e = poses[n.wheels[i].body]
-        moment = rotate(fork.moment, rotate(now.shape.wheels[i], e))
-        energy = sub(energy, dot(n.downhill, moment))
-    return energy
-
-
 def as_state(q: Sequence[Lane], v: Sequence[Lane], x: Sequence[Lane], dtype: Any) -> State:
-    """Lanes as arrays."""
-    return State(
-        stack_lanes(q, dtype), stack_lanes(v, dtype), stack_lanes(x, dtype) if len(x) else None
-    )
+    """Stack lanes to a state."""
+    tyres = stack_lanes(x, dtype) if len(x) else None
+    return State(stack_lanes(q, dtype), stack_lanes(v, dtype), tyres)
+
+
+def check_robot_model(where: str, model: Any) -> None:
+    """Raise `InputError` unless the model is a robot at a fidelity."""
+    public = 'a robot at a fidelity, as rbjax.wheeled.at(robot, "kinematical") gives it'
+    instance(where, "model", model, RobotModel, public)
+
+
+def check_state(where: str, model: RobotModel, state: Any, batch: tuple[int, ...] = ()) -> State:
+    """Return the state with floating arrays of the model's sizes, in one dtype."""
+    instance(where, "state", state, State, "a State, as rbjax.wheeled.start(model) gives it")
+    sizes = {"q": model.nq, "v": model.nv, "x": model.nx}
+    found = {}
+    for name, n in sizes.items():
+        value = getattr(state, name)
+        if value is None:
+            if not n or name == "x":  # set below, in the dtype of the others
+                continue
+            value = jnp.zeros((*batch, n))
+        found[name] = check_array(where, f"state.{name}", value, (*batch, n))
+    dtype = jnp.result_type(*found.values())
+    found = {name: x.astype(dtype) for name, x in found.items()}
+    x = found.get("x", jnp.zeros((*batch, model.nx), dtype)) if model.nx else None
+    return State(found["q"], found["v"], x)
+
+
+def check_state_and_controls(
+    where: str, model: Any, state: Any, ctrl: Any
+) -> tuple[State, jax.Array]:
+    """Check a model, a state and controls, zeros if None, and return them in one dtype."""
+    check_robot_model(where, model)
+    state = check_state(where, model, state)
+    given = jnp.zeros(model.nu) if ctrl is None else ctrl
+    return state, check_array(where, "ctrl", given, (model.nu,)).astype(state.q.dtype)
+
+
+def start(model: RobotModel, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0, 0.0)) -> State:
+    """Make a state of a robot in which no wheel slides: trailers straight, steering ahead.
+
+    The twist is projected onto those that the wheels allow. A wheel starts at the speed at which it
+    rolls.
+
+    Args:
+        model: `at(robot, fidelity)`.
+        pose: (3,), x and y in m, the heading in rad.
+        twist: (3,), vx and vy in m/s in the chassis' axes, the turning rate in rad/s.
+
+    Returns:
+        `State`.
+
+    Raises:
+        InputError: wrong types or shapes, values that are not finite.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax import wheeled
+        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> [round(x, 6) for x in wheeled.start(cart, twist=[0.5, 0.0, 0.2]).v.tolist()]
+        [0.5, 0.2]
+    """
+    check_robot_model("start", model)
+    pose = check_array("start", "pose", pose, (3,))
+    twist = check_array("start", "twist", twist, (3,))
+    dtype = jnp.result_type(pose, twist)
+    q = jnp.concatenate([pose, jnp.zeros(model.nq - 3)]).astype(dtype)
+    return with_twist(model, q, twist.astype(dtype))
+
+
+def with_twist(model: RobotModel, q: jax.Array, twist: jax.Array) -> State:
+    """Make the state at coordinates q (nq,) whose chassis has the allowed part of a twist (3,)."""
+    now = model.context(State(q, jnp.zeros(model.nv, q.dtype), jnp.zeros(model.nx, q.dtype)))
+    V = Twist(*(twist[i] for i in range(3)))
+    w = rolling_velocities(now.n, now.shape, free_velocities(now.n, now.shape, V))
+    return as_state(now.q, model.start_velocities(now, w), now.x, q.dtype)
+
+
+def rates(model: RobotModel, state: State, ctrl: Any) -> State:
+    """Compute the rate of a state: q', v' and x'.
+
+    Args:
+        model: `at(robot, fidelity)`.
+        state: q (nq,), v (nv,), x (nx,).
+        ctrl: (nu,), one for each drive, in the unit of its motor, then one for each steering.
+
+    Returns:
+        `State` of rates.
+
+    Raises:
+        InputError: wrong types or shapes, values that are not finite.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax import wheeled
+        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> rate = wheeled.rates(cart, wheeled.start(cart), jnp.array([0.3, 0.3]))
+        >>> bool(rate.v[0] > 0)
+        True
+    """
+    return _rates(model, *check_state_and_controls("rates", model, state, ctrl))
+
+
+@compiled
+def _rates(model: RobotModel, state: State, u: jax.Array) -> State:
+    return as_state(*model.rates(model.context(state, u)), state.q.dtype)
+
+
+class Contacts(NamedTuple):
+    """The contacts of n wheels with the ground.
+
+    Fields:
+        loads: (n,) N.
+        forces: (n, 2) N on the wheel, along x and y of its body.
+        sliding: (n, 2) m/s, the velocity of the contact over the ground, along the wheel and to its
+            left.
+    """
+
+    loads: jax.Array
+    forces: jax.Array
+    sliding: jax.Array
+
+    @property
+    def lifts(self) -> jax.Array:
+        """Whether the load of a wheel is negative (n,): it would lift, and the motion is not
+        valid."""
+        return self.loads < 0
+
+
+def contacts(model: RobotModel, state: State, ctrl: Any) -> Contacts:
+    """Compute the loads, forces and sliding velocities of all wheels.
+
+    At the fidelity "constrained" the loads are those at rest, and the forces are the multipliers of
+    rolling constraints.
+
+    Args:
+        model: `at(robot, "slipping")` or `at(robot, "constrained")`.
+        state: q (nq,), v (nv,), x (nx,).
+        ctrl: (nu,).
+
+    Returns:
+        `Contacts`.
+
+    Raises:
+        InputError: wrong types or shapes, values that are not finite, another fidelity.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax import wheeled
+        >>> car = wheeled.at(wheeled.kinds()["car"].make(), "slipping")
+        >>> found = wheeled.contacts(car, wheeled.start(car), jnp.zeros(2))
+        >>> round(float(found.loads.sum()) / 9.81), bool(found.lifts.any())
+        (1180, False)
+    """
+    return _contacts(model, *check_state_and_controls("contacts", model, state, ctrl))
+
+
+@compiled
+def _contacts(model: RobotModel, state: State, u: jax.Array) -> Contacts:
+    now = model.context(state, u)
+    n, shape, dtype = now.n, now.shape, state.q.dtype
+    loads, forces = model.wheel_forces(now)
+    w = model.full_velocities(now)
+    twists, rates = twists_of(n, shape, w), n.shaft_rates(w)
+    sliding = []
+    for i, wheel in enumerate(n.wheels):
+        along, across = contact_velocity(n, shape, twists, i)
+        free = wheel.kind == "caster"
+        sliding.append((along - wheel.radius * rates[wheel.shaft], 0.0 if free else across))
+    pairs = (jnp.stack([stack_lanes(x, dtype) for x in rows]) for rows in (forces, sliding))
+    return Contacts(stack_lanes(loads, dtype), *pairs)

@@ -1,36 +1,45 @@
 """Fidelities whose wheels roll and do not slide sideways.
 
-    kinematic          v is empty: wheel speeds say all
+    kinematic          v is empty: the speeds of the motors determine the motion
     kinematical        v = nu, the free velocities: twists are separated, w = S nu
     dynamical          v = nu: multipliers are eliminated from the equations of all velocities
-    quasi_velocities   v = nu: the Boltzmann-Hamel equations (quasi_velocities.py)
-The last three are equal. The second is the cheapest.
+    quasi_velocities   v = nu: the Boltzmann-Hamel equations
+The last three have the same motion. "kinematical" is the cheapest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
-from rbjax.lanes import Lane, inner, ldlt, mul, neg, sub, total
-from rbjax.wheeled.kinematics.context import RobotContext
-from rbjax.wheeled.kinematics.parameters import Parameters
-from rbjax.wheeled.kinematics.planar import Twist, duals, rate_of
+import jax
+import jax.numpy as jnp
+
+from rbjax.lanes import Lane, add, inner, ldlt, mul, neg, sub, total
+from rbjax.wheeled.kinematics.context import RobotContext, angle_rates, angles_of
+from rbjax.wheeled.kinematics.parameters import Parameters, stack_lanes
+from rbjax.wheeled.kinematics.planar import Twist, cross, duals, rate_of, value_of
 from rbjax.wheeled.kinematics.velocities import (
     Shape,
+    caster_rates,
     chassis_twist,
     constraint_rates,
+    drive_speeds,
     free_velocities,
     rolling_velocities,
-    shaft_speed,
+    shape_of,
+    twists_of,
 )
 from rbjax.wheeled.models.equations import (
     Equations,
     columns_of,
-    gravity_wrenches,
+    kinetic_energy,
+    potential_energy,
     projected_equations,
 )
-from rbjax.wheeled.models.robot_model import RobotModel, motor_dampers, torques_at_rest_loads
+from rbjax.wheeled.models.forces import motor_dampers, shaft_torques
+from rbjax.wheeled.models.robot_model import RobotModel
 
 
 class Kinematic(RobotModel):
@@ -52,18 +61,9 @@ class Kinematic(RobotModel):
         return 0
 
     def full_velocities(self, now: RobotContext) -> list[Lane]:
-        n = now.n
-        shape = now.shape
-        size = n.robot.arrangement.mobility
-        columns = []
-        for w in columns_of(n, shape, rolling_velocities, size):
-            rates = w[2 + len(n.bodies) :]
-            columns.append(
-                [
-                    shaft_speed(n, drive.wheels, split, rates)
-                    for drive, split in zip(n.robot.drives, n.splits, strict=True)
-                ]
-            )
+        n, shape = now.n, now.shape
+        units = columns_of(n, shape, rolling_velocities, n.robot.arrangement.mobility)
+        columns = [drive_speeds(n, n.shaft_rates(w)) for w in units]
         speeds = [motor.free_speed(u) for motor, u in zip(n.motors, now.u, strict=False)]
         M = [[inner(x, y) for y in columns] for x in columns]
         f = [inner(x, speeds) for x in columns]
@@ -84,26 +84,18 @@ class Rolling(RobotModel):
         return self.robot.arrangement.mobility
 
     def full_velocities(self, now: RobotContext) -> list[Lane]:
-        n = now.n
-        return rolling_velocities(n, now.shape, now.v)
+        return rolling_velocities(now.n, now.shape, now.v)
 
     def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
-        n = now.n
-        return free_velocities(n, now.shape, Twist(*w[:3]))
+        return free_velocities(now.n, now.shape, Twist(*w[:3]))
 
     def ground_forces(self, now: RobotContext) -> list[Lane]:
-        """What the ground must do so that wheels roll, M w' - f: by the full velocities, the force
-        (2,) on the robot in the chassis' axes, N, moments, and torques on shafts, N m."""
-        n = now.n
+        """Compute M w' - f, by which the ground makes wheels roll: the force (2,) on the robot in
+        the chassis' axes, N, moments, and torques on shafts, N m."""
         w = self.full_velocities(now)
-        turning = now.shape_with_rate(w)
-        rate = [
-            rate_of(x)
-            for x in rolling_velocities(n, turning, duals(now.v, self.accelerations(now)))
-        ]
-        M, f, _ = projected_equations(now, w, identity, w,
-            gravity_wrenches(now), torques_at_rest_loads(now, w),
-        )  # fmt: skip
+        nu = duals(now.v, self.accelerations(now))
+        rate = [rate_of(x) for x in rolling_velocities(now.n, now.shape_with_rate(w), nu)]
+        M, f, _ = projected_equations(now, w, identity, w, shaft_torques(now, w))
         return [sub(inner(row, rate), x) for row, x in zip(M, f, strict=True)]
 
 
@@ -131,9 +123,7 @@ class Kinematical(Rolling):
         return self._equations(now, w).damped(motor_dampers(now, w), h)
 
     def _equations(self, now: RobotContext, w: list[Lane]) -> Equations:
-        return projected_equations(now, w, rolling_velocities, now.v,
-            gravity_wrenches(now), torques_at_rest_loads(now, w),
-        )  # fmt: skip
+        return projected_equations(now, w, rolling_velocities, now.v, shaft_torques(now, w))
 
 
 class Dynamical(Rolling):
@@ -141,7 +131,7 @@ class Dynamical(Rolling):
 
         M w' = f + A^T l,   A w' = -A' w,   l = -(A M^-1 A^T)^-1 (A M^-1 f + A' w)
 
-    v' = nu' are the free ones of w'. (Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
+    nu' are the free velocities of w'. (Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
 
     Example:
         >>> import rbjax as rb
@@ -153,12 +143,9 @@ class Dynamical(Rolling):
     name: ClassVar[str] = "dynamical"
 
     def accelerations(self, now: RobotContext) -> list[Lane]:
-        n = now.n
-        w = self.full_velocities(now)
-        shape, moved = now.shape, now.shape_with_rate(w)
-        M, f, _ = projected_equations(now, w, identity, w,
-            gravity_wrenches(now), torques_at_rest_loads(now, w),
-        )  # fmt: skip
+        n, shape, w = now.n, now.shape, self.full_velocities(now)
+        moved = now.shape_with_rate(w)
+        M, f, _ = projected_equations(now, w, identity, w, shaft_torques(now, w))
         factors = ldlt(M)
         free = factors.solve(f)
         units = columns_of(n, shape, identity, len(w))
@@ -170,11 +157,11 @@ class Dynamical(Rolling):
             [total(mul(c[i], x) for c, x in zip(A, lifted[j], strict=True)) for j in range(size)]
             for i in range(size)
         ]
-        short = [
+        right = [
             sub(neg(bias[i]), total(mul(c[i], x) for c, x in zip(A, free, strict=True)))
             for i in range(size)
         ]
-        l = ldlt(K).solve(short)
+        l = ldlt(K).solve(right)
         rate = [
             total([x, *(mul(lifted[i][k], l[i]) for i in range(size))]) for k, x in enumerate(free)
         ]
@@ -184,5 +171,104 @@ class Dynamical(Rolling):
         return free_velocities(n, shape, V)
 
 
+class QuasiVelocities(Rolling):
+    """Dynamics by the Boltzmann-Hamel equations, from energies. For comparison: it is the slowest.
+
+    The quasi-velocities w are the chassis' twist (vx, vy, w), and the rates of trailers, shafts and
+    casters; s are the angles of trailers and casters. With the kinetic energy T(s, w) and
+    p = dT/dw, on the Lie group of the plane,
+
+        p_x' - w p_y = Q_x,   p_y' + w p_x = Q_y,   p_w' + vx p_y - vy p_x = Q_w
+        p_s' - dT/ds = Q_s,   p_shaft' = Q_shaft
+
+    The rolling velocities are w = S nu, and S^T times these equations gives nu'.
+
+    Source: Hamel 1904; Neimark & Fufaev, *Dynamics of Nonholonomic Systems*, ch. 3; Olguín Díaz,
+    *3D Motion of Rigid Bodies*, ch. 7, 8.
+
+    Example:
+        >>> import rbjax as rb
+        >>> robot = rb.wheeled.kinds()["differential_drive"].make()
+        >>> rb.wheeled.at(robot, "quasi_velocities").nv
+        2
+    """
+
+    name: ClassVar[str] = "quasi_velocities"
+
+    def accelerations(self, now: RobotContext) -> list[Lane]:
+        n, dtype, free = now.n, now.n.dtype, self.full_velocities(now)
+        s, ds = (stack_lanes(x, dtype) for x in (angles_of(now), angle_rates(now, free)))
+        nu = stack_lanes(now.v, dtype)
+
+        def quasi(s: jax.Array, nu: jax.Array) -> jax.Array:
+            shape = shape_of(n, list(s))
+            w = rolling_velocities(n, shape, list(nu))
+            return stack_lanes([*w, *caster_rates(n, shape, twists_of(n, shape, w))], dtype)
+
+        def energy(s: jax.Array, w: jax.Array) -> jax.Array:
+            return jnp.asarray(_kinetic_energy(n, list(s), list(ds), list(w)), dtype)
+
+        w, turning = jax.jvp(lambda s: quasi(s, nu), (s,), (ds,))
+        impulse = jax.grad(energy, 1)
+        p, by_angles = impulse(s, w), jax.grad(energy)(s, w)
+
+        def impulse_rate(rate: jax.Array) -> jax.Array:
+            """p' by w'."""
+            return jax.jvp(impulse, (s, w), (ds, rate))[1]
+
+        carried = jnp.stack([-w[2] * p[1], w[2] * p[0], w[0] * p[1] - w[1] * p[0]])
+        Q = self._forces(now, s, free).at[:3].add(-carried)
+        k, casters = len(n.bodies) - 1, len(n.layout.caster_wheels)
+        Q = Q.at[3 : 3 + k].add(by_angles[:k])
+        Q = Q.at[len(w) - casters :].add(by_angles[len(s) - casters :])
+        back = jax.vjp(lambda nu: quasi(s, nu), nu)[1]
+        f = back(Q - impulse_rate(turning))[0]
+        zero = impulse_rate(jnp.zeros_like(w))
+
+        def column(unit: jax.Array) -> jax.Array:
+            moved = jax.jvp(lambda nu: quasi(s, nu), (nu,), (unit,))[1]
+            return back(impulse_rate(moved) - zero)[0]
+
+        size = range(len(nu))
+        columns = [column(unit) for unit in jnp.eye(len(nu), dtype=dtype)]
+        M = [[columns[j][i] for j in size] for i in size]
+        return ldlt(M).solve([f[i] for i in size])
+
+    def _forces(self, now: RobotContext, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
+        """Compute Q: minus the gradient of the potential energy, and the torques on shafts."""
+        n, dtype = now.n, now.n.dtype
+
+        def potential(pose: jax.Array, s: jax.Array) -> jax.Array:
+            q = [*pose, *s, *now.q[n.layout.shafts.start :]]
+            return jnp.asarray(potential_energy(replace(now, q=q)), dtype)
+
+        by_pose, by_angles = jax.grad(potential, (0, 1))(stack_lanes(now.q[:3], dtype), s)
+        c, si = now.pose
+        x, y = c * by_pose[0] + si * by_pose[1], c * by_pose[1] - si * by_pose[0]
+        k, casters = len(n.bodies) - 1, len(n.layout.caster_wheels)
+        torques = stack_lanes(shaft_torques(now, free), dtype)
+        return jnp.concatenate(
+            [-jnp.stack([x, y, by_pose[2]]), -by_angles[:k], torques,
+             -by_angles[len(s) - casters :]],
+        )  # fmt: skip
+
+
+def _kinetic_energy(
+    n: Parameters, angles: Sequence[Lane], rates: Sequence[Lane], w: Sequence[Lane]
+) -> Lane:
+    """Compute T, with the rotation of steered wheels about the vertical."""
+    shape, first = shape_of(n, angles), len(w) - len(n.layout.caster_wheels)
+    energy, yaw = kinetic_energy(n, shape, w[:first], w[first:]), w[2]
+    moved = shape_of(n, duals(angles, rates))
+    for i in (i for steering in n.robot.steerings for i in steering.wheels):
+        e = moved.wheels[i]
+        rate = cross((value_of(e[0]), value_of(e[1])), (rate_of(e[0]), rate_of(e[1])))
+        # the inertia of the body includes that of the wheel
+        more = add(mul(2.0, mul(yaw, rate)), mul(rate, rate))
+        energy = add(energy, mul(0.5, mul(n.wheels[i].yaw_inertia, more)))
+    return energy
+
+
 def identity(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
+    """Return w, as full velocities by themselves."""
     return list(w)

@@ -1,16 +1,15 @@
-"""Wheels that slip: the contact's force is a law of tyres, and all velocities are free.
+"""Fidelity whose wheels slip: contacts obey a tyre law, and all velocities are free.
 
     M w' = f + sum J_i^T N_i mu_i(slip of wheel i),     shafts: - r N mu along the wheel
 
-A wheel with rollers passes only the force along their axis. A caster swivels without resistance,
-so only the force along it is passed. Loads are those of `loads`, with their transfer. The ground
-holds a wheel that would lift: a load below zero says that the motion is not that of a robot on all
-wheels (`forces`).
+A wheel with rollers transmits only the force along their axes, and a caster, which swivels without
+resistance, only the force along it. A negative load means that the wheel would lift, and the motion
+is not valid.
 
-Where wheels are light, contacts are stiff: a wheel's slip decays at about (N C / v) (1 / m +
-r^2 / I), with C the slope of the law and v the speed, or `smooth_speed` near rest. An explicit step
-must be shorter than two of these times; `simulate` finds it. "linearly_implicit_euler" of `rollout`
-has no such limit: it takes the contacts as dampers, of the secant of their law.
+The slip of a light wheel decays at about (N C / v) (1 / m + r^2 / I), with the slope C of the law
+and the speed v, or `smooth_speed` near rest. An explicit step must be shorter than two of these
+times. "linearly_implicit_euler" of `rollout` has no such limit: contacts are dampers, with the
+secants of their laws, at the end of the step.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ from rbjax.wheeled.models.equations import (
     gravity_wrenches,
     projected_equations,
 )
-from rbjax.wheeled.models.loads import resisting_torques, wheel_loads
-from rbjax.wheeled.models.robot_model import RobotModel, motor_dampers, shaft_torques
+from rbjax.wheeled.models.forces import motor_dampers, shaft_torques, wheel_loads
+from rbjax.wheeled.models.robot_model import RobotModel
 from rbjax.wheeled.models.rolling import identity
 from rbjax.wheeled.tyres.laws import Fiala
 from rbjax.wheeled.tyres.tyre import Tyre
@@ -108,38 +107,32 @@ class Slipping(RobotModel):
         return w
 
     def contacts(self, now: RobotContext) -> tuple[list[Pair], list[Lane]]:
-        """The traction of each wheel for each newton of load, along its heading and to its left;
-        the rates of the states of tyres."""
-        n = now.n
-        shape = now.shape
-        twists = twists_of(n, shape, now.v)
-        rates = now.v[2 + len(n.bodies) :]
-        out, states, taken = [], [], 0
-        for i, (wheel, law) in enumerate(zip(n.wheels, self.tyres, strict=True)):
+        """Compute the traction of each wheel for each newton of load, along its heading and to its
+        left, and the rates of tyre states."""
+        n, used = now.n, 0
+        out, states = [], []
+        for wheel, law, (along, across, roll) in zip(
+            n.wheels, self.tyres, _contact_velocities(now, now.v), strict=True
+        ):
             tyre = with_lanes(law, n.dtype)
-            along, across = contact_velocity(n, shape, twists, i)
-            roll = mul(wheel.radius, rates[wheel.shaft])
-            slides = _slides(wheel, along, across, roll)
+            slides = _sliding(wheel, along, across, roll)
             if wheel.kind == "caster":
-                out.append((_one_way(tyre, slides[0], roll), 0.0))
+                out.append((_traction(tyre, slides[0], roll), 0.0))
             elif wheel.kind == "rollers":
-                pull, c = _one_way(tyre, slides[0], roll), _cosine(wheel)
+                pull, c = _traction(tyre, slides[0], roll), _cosine(wheel)
                 out.append((mul(pull, c), mul(pull, mul(c, wheel.slant))))
             else:
-                z = now.x[taken : taken + tyre.size]
-                taken += tyre.size
+                z = now.x[used : used + tyre.size]
+                used += tyre.size
                 pull, rate = tyre.response(along, across, roll, z)
                 out.append(pull)
                 states.extend(rate)
         return out, states
 
-    def forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
-        """The loads of wheels, N, and the forces on them, N, along x and y of their bodies."""
-        n = now.n
-        shape = now.shape
+    def wheel_forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
         pulls, _ = self.contacts(now)
-        pulls = [rotate(pull, e) for pull, e in zip(pulls, shape.wheels, strict=True)]
-        loads = wheel_loads(n, pulls)
+        pulls = [rotate(pull, e) for pull, e in zip(pulls, now.shape.wheels, strict=True)]
+        loads = wheel_loads(now.n, pulls)
         return loads, [
             (mul(load, x), mul(load, y)) for load, (x, y) in zip(loads, pulls, strict=True)
         ]
@@ -153,57 +146,54 @@ class Slipping(RobotModel):
         return equations.damped(dampers, h)
 
     def _equations(self, now: RobotContext) -> tuple[Equations, list[Lane]]:
-        """The equations, and the loads of wheels."""
+        """Compute the equations of motion, and the loads of wheels."""
         n = now.n
-        shape = now.shape
-        loads, forces = self.forces(now)
-        pulls = gravity_wrenches(now)
-        torques = shaft_torques(now, now.v)
-        if n.resistance is not None:
-            resisting = resisting_torques(n, now.v, loads)
-            torques = [add(a, b) for a, b in zip(torques, resisting, strict=True)]
-        for wheel, e, force in zip(n.wheels, shape.wheels, forces, strict=True):
-            pulls[wheel.body] = pulls[wheel.body] + Twist(*force, cross(wheel.position, force))
+        loads, forces = self.wheel_forces(now)
+        wrenches, torques = gravity_wrenches(now), shaft_torques(now, now.v, loads)
+        for wheel, e, force in zip(n.wheels, now.shape.wheels, forces, strict=True):
+            moment = cross(wheel.position, force)
+            wrenches[wheel.body] = wrenches[wheel.body] + Twist(*force, moment)
             braking = neg(mul(wheel.radius, add(mul(force[0], e[0]), mul(force[1], e[1]))))
             torques[wheel.shaft] = add(torques[wheel.shaft], braking)
-        return projected_equations(now, now.v, identity, now.v, pulls, torques), loads
+        return projected_equations(now, now.v, identity, now.v, torques, wrenches), loads
 
     def _contact_dampers(self, now: RobotContext, loads: Sequence[Lane], h: Lane) -> list[Damper]:
-        """How the forces of the ground oppose the velocities at which contacts slide."""
+        """Compute the dampers of the sliding velocities of contacts."""
         n = now.n
-        units = columns_of(n, now.shape, identity, self.nv)
-        columns = [self._all_slides(now, unit) for unit in units]
+
+        def sliding(w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
+            velocities = _contact_velocities(now, w)
+            return [_sliding(wheel, *u) for wheel, u in zip(n.wheels, velocities, strict=True)]
+
+        columns = [sliding(unit) for unit in columns_of(n, now.shape, identity, self.nv)]
+        rates = n.shaft_rates(now.v)
         out: list[Damper] = []
-        for i, slides in enumerate(self._all_slides(now, now.v)):
+        for i, slides in enumerate(sliding(now.v)):
             wheel = n.wheels[i]
-            roll = mul(wheel.radius, now.v[2 + len(n.bodies) + wheel.shaft])
-            across = slides[1] if len(slides) > 1 else 0.0
+            roll, across = mul(wheel.radius, rates[wheel.shaft]), (*slides, 0.0)[1]
             found = with_lanes(self.tyres[i], n.dtype).damping(slides[0], across, roll, h)
             load = jnp.maximum(loads[i], 0.0)
             for k in range(len(slides)):
                 out.append((mul(load, found[k]), [column[i][k] for column in columns]))
         return out
 
-    def _all_slides(self, now: RobotContext, w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
-        """The velocities at which each contact slides, at full velocities w."""
-        n = now.n
-        twists, rates = twists_of(n, now.shape, w), w[2 + len(n.bodies) :]
-        return [
-            _slides(
-                wheel,
-                *contact_velocity(n, now.shape, twists, i),
-                mul(wheel.radius, rates[wheel.shaft]),
-            )
-            for i, wheel in enumerate(n.wheels)
-        ]
-
     def tyre_rates(self, now: RobotContext) -> list[Lane]:
         return self.contacts(now)[1] if self.nx else []
 
 
-def _slides(wheel: WheelParameters, along: Lane, across: Lane, roll: Lane) -> tuple[Lane, ...]:
-    """The velocity at which a contact slides, in the directions in which it has a force: along the
-    wheel, and across unless it is a caster; along the rollers."""
+def _contact_velocities(now: RobotContext, w: Sequence[Lane]) -> list[tuple[Lane, Lane, Lane]]:
+    """Compute the velocity of each wheel's centre along and across, and r phi', by w."""
+    n = now.n
+    twists, rates = twists_of(n, now.shape, w), n.shaft_rates(w)
+    return [
+        (*contact_velocity(n, now.shape, twists, i), mul(wheel.radius, rates[wheel.shaft]))
+        for i, wheel in enumerate(n.wheels)
+    ]
+
+
+def _sliding(wheel: WheelParameters, along: Lane, across: Lane, roll: Lane) -> tuple[Lane, ...]:
+    """Compute the sliding velocity of a contact in the directions in which it has a force: along
+    the wheel, and across unless it is a caster; along the axes of rollers."""
     along = sub(along, roll)
     if wheel.kind == "caster":
         return (along,)
@@ -214,12 +204,12 @@ def _slides(wheel: WheelParameters, along: Lane, across: Lane, roll: Lane) -> tu
 
 
 def _cosine(wheel: WheelParameters) -> Lane:
-    """Of the angle of the rollers' axes."""
+    """Compute the cosine of the angle of the rollers' axes."""
     return (1.0 + wheel.slant * wheel.slant) ** -0.5
 
 
-def _one_way(tyre: Any, slides: Lane, roll: Lane) -> Lane:
-    """The traction of a law along one axis."""
+def _traction(tyre: Any, slides: Lane, roll: Lane) -> Lane:
+    """Compute the traction of a law along one axis."""
     return tyre.traction(slides / tyre.reference_speed(roll), 0.0)[0]
 
 

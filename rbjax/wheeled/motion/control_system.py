@@ -1,13 +1,9 @@
 """A wheeled robot as a system of optimal control.
 
     x = (q, v, z),    x (+) dx = x + dx,    x+ = the steps of `rollout` over dt, the controls held
-z are states of tyres. Angles are numbers without wrapping, as those of hinges: a heading of 2 pi is
-a whole turn from 0, so that a motion may turn as often as it likes and no cost has a jump. A goal
-up to whole turns is a cost of sines and cosines. The angles of wheels and casters are coordinates
-too; a cost that leaves them out leaves them free.
-
-A(t), B(t) are derivatives of that step by forward differentiation, so the optimum is one of what
-`rollout` computes with the same method.
+z are the states of tyres. Angles are numbers without wrapping: a heading of 2 pi is a whole turn
+from 0. A goal up to whole turns is a cost of sines and cosines. The angles of wheels and casters
+are coordinates too; a cost without them leaves them free.
 """
 
 from __future__ import annotations
@@ -22,31 +18,33 @@ from rbjax.arguments import choice, integer
 from rbjax.control.optimal.system import System, as_system
 from rbjax.errors import InputError
 from rbjax.model import State
-from rbjax.wheeled.models.robot_model import RobotModel, as_state
-from rbjax.wheeled.models.states import check_state, check_vehicle
-from rbjax.wheeled.motion.rollout import METHODS, advance
+from rbjax.wheeled.models.robot_model import (
+    RobotModel,
+    as_state,
+    check_robot_model,
+    check_state,
+)
+from rbjax.wheeled.motion.rollout import INTEGRATORS, advance
 
 
 class RobotSystem(System):
     """A wheeled robot at a fidelity, as a `System`: states `State(q, v, x)`, n = nq + nv + nx.
 
-    Costs and constraints are given the `RobotModel` as `model`.
-
-    Fields: vehicle; static: method, of `rollout`; parts, steps of it in one step of the problem.
+    Fields: robot_model. Static: integrator, of `rollout`; parts, its steps in one of the problem.
     """
 
-    vehicle: RobotModel
-    method: str = eqx.field(static=True, default="rk4")
+    robot_model: RobotModel
+    integrator: str = eqx.field(static=True, default="rk4")
     parts: int = eqx.field(static=True, default=1)
 
     def __check_init__(self) -> None:
-        check_vehicle("RobotSystem", self.vehicle)
-        choice("method", self.method, METHODS)
+        check_robot_model("RobotSystem", self.model)
+        choice("integrator", self.integrator, INTEGRATORS)
         integer("RobotSystem", "parts", self.parts, least=1)
 
     @property
     def model(self) -> RobotModel:
-        return self.vehicle
+        return self.robot_model
 
     def with_model(self, model: Any) -> RobotSystem:
         if not isinstance(model, RobotModel):
@@ -54,20 +52,20 @@ class RobotSystem(System):
                 f"a design gave {type(model).__name__}, expected a robot at a fidelity with other "
                 "numbers, as equinox.tree_at gives it"
             )
-        return RobotSystem(model, self.method, self.parts)
+        return RobotSystem(model, self.integrator, self.parts)
 
     @property
     def n(self) -> int:
-        return self.vehicle.nq + self.vehicle.nv + self.vehicle.nx
+        return self.model.nq + self.model.nv + self.model.nx
 
     @property
     def nu(self) -> int:
-        return self.vehicle.nu
+        return self.model.nu
 
     @property
     def ctrl_range(self) -> tuple[Any, Any]:
-        """The commands that motors tell apart (`Motor.command_range`); steerings have no range."""
-        drives = [drive.motor.command_range for drive in self.vehicle.robot.drives]
+        """The ranges of motors' commands (`Motor.command_range`); steerings have no range."""
+        drives = [drive.motor.command_range for drive in self.model.robot.drives]
         ends = [*drives, *[(-jnp.inf, jnp.inf)] * (self.nu - len(drives))]
         if not ends:
             return jnp.zeros(0), jnp.zeros(0)
@@ -75,23 +73,22 @@ class RobotSystem(System):
         return low, high
 
     def spans(self) -> list[slice]:
-        nq, nv, n = self.vehicle.nq, self.vehicle.nv, self.n
+        nq, nv, n = self.model.nq, self.model.nv, self.n
         return [slice(0, nq), slice(nq, nq + nv), slice(nq + nv, n)][: 2 + (n > nq + nv)]
 
     def checked(self, where: str, state: Any) -> State:
-        return check_state(where, self.vehicle, state)
+        return check_state(where, self.model, state)
 
     def example(self, dtype: Any) -> State:
         return self._state(jnp.zeros(self.n, dtype))
 
     def step(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> State:
-        vehicle, dtype = self.vehicle, state.q.dtype
-        now = vehicle.context(state, ctrl)
-        n = now.n
+        model, dtype = self.model, state.q.dtype
+        now = model.context(state, ctrl)
         h = jnp.asarray(dt, dtype) / self.parts
 
         def once(y: tuple, _: Any) -> tuple[tuple, None]:
-            return advance(vehicle, n, y, now.u, h, self.method), None
+            return advance(model, now.n, y, now.u, h, self.integrator), None
 
         y = now.q, now.v, now.x
         if self.parts == 1:
@@ -109,47 +106,46 @@ class RobotSystem(System):
     def _flat(self, state: State) -> jax.Array:
         x = state.x
         if x is None:
-            x = jnp.zeros(self.vehicle.nx, state.q.dtype)
+            x = jnp.zeros(self.model.nx, state.q.dtype)
         return jnp.concatenate([state.q, state.v, x])
 
     def _state(self, flat: jax.Array) -> State:
-        q, v, x = jnp.split(flat, [self.vehicle.nq, self.vehicle.nq + self.vehicle.nv])
-        return State(q, v, x if self.vehicle.nx else None)
+        q, v, x = jnp.split(flat, [self.model.nq, self.model.nq + self.model.nv])
+        return State(q, v, x if self.model.nx else None)
 
 
 @as_system.register
 def _(model: RobotModel) -> RobotSystem:
-    """What `rb.control.Problem` makes of a robot: steps of "rk4"."""
+    """Make the system of a robot that a problem gets: steps of "rk4"."""
     return RobotSystem(model)
 
 
-def controlled(vehicle: RobotModel, *, method: str = "rk4", parts: int = 1) -> RobotSystem:
-    """A robot at a fidelity as the system of an `rb.control.Problem`, with a method and a step.
+def controlled(model: RobotModel, *, integrator: str = "rk4", parts: int = 1) -> RobotSystem:
+    """Make the system of an `rb.control.Problem` of a robot, with an integrator and a step.
 
-    A vehicle itself is taken with "rk4" and one step. Wheels that slip need small steps: those of
-    "rk4" are stable up to about 2.8 / lambda, where lambda is the rate at which slip decays,
-    stiffness times load over (inertia times speed); "linearly_implicit_euler" takes slip at the
-    end of a step, and is stable at any.
+    A problem that gets the robot itself uses "rk4" and one step. Wheels that slip need small steps:
+    "rk4" is stable up to about 2.8 / lambda, where lambda is the rate at which slip decays,
+    stiffness times load over (inertia times speed). "linearly_implicit_euler" is stable at any.
 
     Args:
-        vehicle: `at(robot, fidelity)`.
-        method: of `rollout`.
+        model: `at(robot, fidelity)`.
+        integrator: of `rollout`.
         parts: how many steps of it make one step of the problem, with the same controls.
 
     Returns:
         `RobotSystem`.
 
     Raises:
-        InputError: no robot at a fidelity; parts is no positive whole number.
-        UnknownName: no such method.
+        InputError: not a robot at a fidelity; parts is not a positive integer.
+        UnknownName: no such integrator.
 
     Example:
         >>> import rbjax as rb
         >>> car = rb.wheeled.at(rb.wheeled.kinds()["bicycle"].make(), "slipping")
-        >>> system = rb.wheeled.controlled(car, method="linearly_implicit_euler", parts=4)
+        >>> system = rb.wheeled.controlled(car, integrator="linearly_implicit_euler", parts=4)
         >>> problem = rb.control.Problem(system, 10, 0.04, running=[rb.control.Control()])
         >>> problem.n, problem.nu
         (11, 2)
     """
-    check_vehicle("controlled", vehicle)
-    return RobotSystem(vehicle, method, parts)
+    check_robot_model("controlled", model)
+    return RobotSystem(model, integrator, parts)

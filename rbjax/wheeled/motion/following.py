@@ -1,8 +1,8 @@
 """Following a path or a trajectory: pure pursuit, Stanley's law, time-varying LQR.
 
-A path is (n, 3): poses x, y in m and headings in rad, a few to a vehicle's length. The first two
-give the twist that the chassis should have; `commands` gives wheel speeds and steering angles for a
-twist of any robot. The third gives gains for all controls of a vehicle.
+A path is (n, 3): poses x, y in m and headings in rad, a few to a robot's length. `pure_pursuit` and
+`stanley` compute a twist of the chassis, `commands` converts it to wheel speeds and steering
+angles, and `tracking_gains` computes gains for all controls.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.compiling import compiled
 from rbjax.control.linear.tracking import regulator_along
 from rbjax.dynamics.arguments import check_array, check_step, shape_of
@@ -22,31 +23,29 @@ from rbjax.model import State
 from rbjax.wheeled.kinematics.parameters import stack_lanes, with_lanes
 from rbjax.wheeled.kinematics.planar import Twist, dot, left
 from rbjax.wheeled.kinematics.velocities import (
+    drive_speeds,
     free_velocities,
     place_of,
     rolling_velocities,
-    shaft_speed,
 )
-from rbjax.wheeled.models.robot_model import RobotModel
+from rbjax.wheeled.models.robot_model import RobotModel, check_robot_model
 from rbjax.wheeled.models.rolling import Kinematical
-from rbjax.wheeled.models.states import check_vehicle
 from rbjax.wheeled.motion.control_system import RobotSystem
 from rbjax.wheeled.robot.robot import Robot
 
 
 class Commands(NamedTuple):
-    """speeds: (drives,) rad/s of the shafts. angles: (steerings,) rad.
+    """Speeds of drives and angles of steerings. `controls` converts them to controls.
 
-    These are not controls: the control of a `TorqueSource`, for example, is a torque. The method
-    `controls` converts them.
+    Fields: speeds (drives,) rad/s, of the shafts; angles (steerings,) rad.
     """
 
     speeds: jax.Array
     angles: jax.Array
 
     def controls(self, robot: Robot) -> jax.Array:
-        """The controls (nu,) of the robot: for each drive the motor command whose no-load speed is
-        the speed of its shaft, in the motor's `unit`; for each steering its angle, rad.
+        """Compute the controls (nu,) of the robot: for each drive the motor command, in its `unit`,
+        with the shaft's speed as its no-load speed; for each steering its angle, rad.
 
         Raises:
             InputError: a `TorqueSource`, which has no speed; a steering without `lag`, whose
@@ -60,8 +59,7 @@ class Commands(NamedTuple):
             >>> found.speeds.round(6).tolist(), found.controls(robot).round(6).tolist()
             ([5.0, 5.0], [5.0, 5.0])
         """
-        if not isinstance(robot, Robot):
-            raise InputError(f"controls: robot is {type(robot).__name__}, expected a Robot")
+        instance("controls", "robot", robot, Robot, "a Robot")
         for j, steering in enumerate(robot.steerings):
             if steering.lag is None:
                 raise InputError(
@@ -77,11 +75,10 @@ class Commands(NamedTuple):
 
 
 def commands(robot: Robot, twist: Any) -> Commands:
-    """The shaft speeds and the steering angles at which a robot has a twist.
+    """Compute the shaft speeds and the steering angles of a robot for a twist of the chassis.
 
     A steering points along the velocity of its place, forwards or backwards, whichever is nearer to
-    straight ahead. Of a twist that the wheels do not allow at these angles it takes the allowed
-    part.
+    straight ahead. The twist is projected onto those that the wheels allow at these angles.
 
     Args:
         robot: `Robot`.
@@ -102,18 +99,15 @@ def commands(robot: Robot, twist: Any) -> Commands:
         >>> round(float(found.angles[0]), 6)
         0.785398
     """
-    if not isinstance(robot, Robot):
-        raise InputError(f"commands: robot is {type(robot).__name__}, expected a Robot")
-    twist = check_array("commands", "twist", twist, (3,))
-    return _commands(robot, twist)
+    instance("commands", "robot", robot, Robot, "a Robot")
+    return _commands(robot, check_array("commands", "twist", twist, (3,)))
 
 
 @compiled
 def _commands(robot: Robot, twist: jax.Array) -> Commands:
     dtype = twist.dtype
-    bare = Kinematical(robot)
-    start = State(jnp.zeros(bare.nq, dtype), jnp.zeros(bare.nv, dtype))
-    now = bare.context(start)
+    model = Kinematical(robot)
+    now = model.context(State(jnp.zeros(model.nq, dtype), jnp.zeros(model.nv, dtype)))
     n = now.n
     V = Twist(*(twist[i] for i in range(3)))
     q, angles = list(now.q), []
@@ -132,16 +126,12 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
         q[n.layout.steerings.start + j] = angle
     shape = replace(now, q=q).shape
     w = rolling_velocities(n, shape, free_velocities(n, shape, V))
-    rates = w[2 + len(n.bodies) :]
-    speeds = [
-        shaft_speed(n, drive.wheels, split, rates)
-        for drive, split in zip(robot.drives, n.splits, strict=True)
-    ]
+    speeds = drive_speeds(n, n.shaft_rates(w))
     return Commands(stack_lanes(speeds, dtype), stack_lanes(angles, dtype))
 
 
 def _number(where: str, name: str, value: Any, dtype: Any, above: float | None) -> jax.Array:
-    """A number in the dtype. Raise if it is not traced and not above the bound, if there is one."""
+    """Return a number in the dtype; raise if it is known and not above the bound."""
     x = check_array(where, name, value, ())
     if above is not None and not isinstance(x, jax.core.Tracer) and not np.asarray(x) > above:
         raise InputError(f"{where}: {name} is {value}, expected a number above {above:g}")
@@ -157,8 +147,8 @@ def _checked(where: str, path: Any, pose: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _nearest(path: jax.Array, place: jax.Array) -> tuple[jax.Array, ...]:
-    """The segment nearest to a point: its index, the nearest point's fraction along it, the arc
-    length there, and whether that is the end of the path."""
+    """Find the segment nearest to a point: its index, the nearest point's fraction along it, the
+    arc length there, and whether that is the end of the path."""
     a, edge = path[:-1, :2], path[1:, :2] - path[:-1, :2]
     size = jnp.maximum((edge * edge).sum(-1), jnp.finfo(path.dtype).tiny)
     part = jnp.clip(((place - a) * edge).sum(-1) / size, 0.0, 1.0)
@@ -171,7 +161,7 @@ def _nearest(path: jax.Array, place: jax.Array) -> tuple[jax.Array, ...]:
 
 
 def pure_pursuit(path: Any, pose: Any, speed: Any, lookahead: Any) -> jax.Array:
-    """The twist along the arc to the point of a path that is a distance ahead of the nearest one.
+    """Compute the twist along the arc to the point of a path a distance ahead of the nearest one.
 
         w = 2 v y / L^2,    (x, y) the point in the robot's axes, L its distance
 
@@ -230,11 +220,11 @@ NEAREST = 0.1
 def stanley(
     path: Any, pose: Any, speed: Any, wheelbase: Any, gain: Any = 1.0, soft: Any = 0.5
 ) -> jax.Array:
-    """The twist of Stanley's law for a car, from the heading and the offset of its front axle.
+    """Compute the twist of Stanley's law for a car, by the heading and offset of its front axle.
 
         b = heading error + atan2(k e, soft + |v|),     w = v tan(b) / wheelbase
 
-    e is how far the path is to the left of the middle of the front axle.
+    e is the distance of the path to the left of the middle of the front axle.
 
     Args:
         path: (n, 3).
@@ -296,21 +286,21 @@ def _wrapped(angle: jax.Array) -> jax.Array:
 
 
 def tracking_gains(
-    vehicle: RobotModel, states: State, controls: Any, dt: Any, Q: Any, R: Any
+    model: RobotModel, states: State, ctrl: Any, dt: Any, Q: Any, R: Any
 ) -> jax.Array:
-    """Gains K of a time-varying linear quadratic regulator along a trajectory: u - K (z - z_ref).
+    """Compute the gains K of a time-varying linear quadratic regulator: u - K (z - z_ref).
 
     z = (q, v) is linearised over each step of `rollout` (rk4), z+ = A z + B u. Backwards from
-    P = Q at the end (`rb.control.linear.backward`),
+    P = Q at the end,
 
         K = (R + B^T P B)^-1 B^T P A,    P = Q + A^T P (A - B K)
 
     Args:
-        vehicle: `at(robot, fidelity)`, without tyre states.
+        model: `at(robot, fidelity)`, without tyre states.
         states: q (T + 1, nq), v (T + 1, nv), as `rollout` gives them.
-        controls: (T, nu).
+        ctrl: (T, nu).
         dt: s.
-        Q: (nq + nv,), the weights of deviations; zero for what need not be held.
+        Q: (nq + nv,), the weights of deviations; zero for free coordinates.
         R: (nu,), above zero, the weights of controls.
 
     Returns:
@@ -332,35 +322,30 @@ def tracking_gains(
         >>> wheeled.tracking_gains(cart, State(path.q, path.v), u, 0.1, Q, jnp.ones(2)).shape
         (5, 2, 7)
     """
-    check_vehicle("tracking_gains", vehicle)
-    if vehicle.nx:
+    where = "tracking_gains"
+    check_robot_model(where, model)
+    if model.nx:
         raise InputError(
-            f"tracking_gains: the vehicle has {vehicle.nx} states of tyres, which no regulator "
-            "sees; expected a law of tyres that does not relax"
+            f"{where}: the model has {model.nx} states of tyres, which the regulator does not "
+            "measure; expected a tyre law that does not relax"
         )
-    shape = shape_of("tracking_gains", "controls", controls)
-    if len(shape) != 2:
-        raise InputError(
-            f"tracking_gains: controls has shape {shape}, expected (steps, {vehicle.nu})"
-        )
-    steps = shape[0]
-    size = vehicle.nq + vehicle.nv
-    u = check_array("tracking_gains", "controls", controls, (steps, vehicle.nu))
-    if not isinstance(states, State):
-        raise InputError(f"tracking_gains: states is {type(states).__name__}, expected State(q, v)")
-    q = check_array("tracking_gains", "states.q", states.q, (steps + 1, vehicle.nq))
-    v = check_array("tracking_gains", "states.v", states.v, (steps + 1, vehicle.nv))
-    Q = check_array("tracking_gains", "Q", Q, (size,)).astype(q.dtype)
-    R = check_array("tracking_gains", "R", R, (vehicle.nu,)).astype(q.dtype)
-    dt = check_step("tracking_gains", "dt", dt, q.dtype)
-    return _gains(vehicle, State(q[:-1], v[:-1]), u.astype(q.dtype), dt, Q, R)
+    shape = shape_of(where, "ctrl", ctrl)
+    steps = shape[0] if len(shape) == 2 else 1
+    u = check_array(where, "ctrl", ctrl, (steps, model.nu))
+    instance(where, "states", states, State, "State(q, v)")
+    q = check_array(where, "states.q", states.q, (steps + 1, model.nq))
+    v = check_array(where, "states.v", states.v, (steps + 1, model.nv))
+    Q = check_array(where, "Q", Q, (model.nq + model.nv,)).astype(q.dtype)
+    R = check_array(where, "R", R, (model.nu,)).astype(q.dtype)
+    dt = check_step(where, "dt", dt, q.dtype)
+    return _gains(model, State(q[:-1], v[:-1]), u.astype(q.dtype), dt, Q, R)
 
 
 @compiled
 def _gains(
-    vehicle: RobotModel, states: State, u: jax.Array, dt: jax.Array, Q: jax.Array, R: jax.Array
+    model: RobotModel, states: State, u: jax.Array, dt: jax.Array, Q: jax.Array, R: jax.Array
 ) -> jax.Array:
-    system = RobotSystem(vehicle)
+    system = RobotSystem(model)
     along = jax.vmap(lambda state, ctrl: system.linear(0.0, state, ctrl, dt))(states, u)
     Q, R = jnp.diag(Q), jnp.diag(R)
     return regulator_along(along.A, along.B, Q, R, Q).K

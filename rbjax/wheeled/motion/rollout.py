@@ -1,8 +1,4 @@
-"""Motion of a vehicle: fixed steps of one or of many, and adaptive solutions.
-
-A vehicle is a robot at a fidelity (`at`). Both functions take controls as numbers or as a function
-of the time and the state, and return a `Trajectory`.
-"""
+"""Motion of a wheeled robot: fixed steps of one or of many, and adaptive solutions."""
 
 from __future__ import annotations
 
@@ -16,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import choice, integer
-from rbjax.compiler import threaded, wanted
+from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_array, check_step, check_takes, shape_of
 from rbjax.dynamics.tracing.custom_rules import split_tracers
@@ -27,16 +23,15 @@ from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.trajectory import Trajectory, all_finite
 from rbjax.wheeled.kinematics.context import RobotContext
 from rbjax.wheeled.kinematics.parameters import Parameters
-from rbjax.wheeled.models.robot_model import RobotModel, as_state
-from rbjax.wheeled.models.states import check_state, check_vehicle
+from rbjax.wheeled.models.robot_model import RobotModel, as_state, check_robot_model, check_state
 
 Lists = tuple[list[Lane], list[Lane], list[Lane]]
 
 
-class _How(NamedTuple):
-    """What is static of a rollout."""
+class _Steps(NamedTuple):
+    """The static options of a rollout."""
 
-    method: str
+    integrator: str
     steps: int
     save_every: int
 
@@ -45,42 +40,38 @@ def _plus(a: Sequence[Lane], b: Sequence[Lane], h: Lane) -> list[Lane]:
     return [add(x, mul(h, y)) for x, y in zip(a, b, strict=True)]
 
 
-def _moved(vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane]) -> Lists:
-    # XLA's CPU compiler would compute a stage again wherever a later one uses it
-    return fusion_barrier(vehicle.rates(RobotContext(n, *y, u)))
-
-
 def _semi_implicit_euler(
-    vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane], h: Lane
+    model: RobotModel, p: Parameters, y: Lists, u: list[Lane], h: Lane
 ) -> Lists:
     """v+ = v + h v'(q, v),  q+ = q + h q'(q, v+)."""
     q, v, x = y
-    now = RobotContext(n, q, v, x, u)
-    v = _plus(v, vehicle.accelerations(now), h)
-    x = _plus(x, vehicle.tyre_rates(now), h)
-    return _plus(q, vehicle.coordinate_rates(now.with_velocities(v, x)), h), v, x
+    now = RobotContext(p, q, v, x, u)
+    v = _plus(v, model.accelerations(now), h)
+    x = _plus(x, model.tyre_rates(now), h)
+    return _plus(q, model.coordinate_rates(now.with_velocities(v, x)), h), v, x
 
 
 def _linearly_implicit_euler(
-    vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane], h: Lane
+    model: RobotModel, p: Parameters, y: Lists, u: list[Lane], h: Lane
 ) -> Lists:
     """v+ = v + h v'(q, v, v+),  x+ = x + h x'(q, v+),  q+ = q + h q'(q, v+)."""
     q, v, x = y
-    now = RobotContext(n, q, v, x, u)
-    then = now.with_velocities(_plus(v, vehicle.damped_accelerations(now, h), h), x)
-    x = _plus(x, vehicle.tyre_rates(then), h)
-    return _plus(q, vehicle.coordinate_rates(then), h), then.v, x
+    now = RobotContext(p, q, v, x, u)
+    then = now.with_velocities(_plus(v, model.damped_accelerations(now, h), h), x)
+    x = _plus(x, model.tyre_rates(then), h)
+    return _plus(q, model.coordinate_rates(then), h), then.v, x
 
 
-def _rk4(vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane], h: Lane) -> Lists:
-    def beyond(k: Lists, c: float) -> Lists:
-        q, v, x = (_plus(a, b, c * h) for a, b in zip(y, k, strict=True))
-        return q, v, x
+def _rk4(model: RobotModel, p: Parameters, y: Lists, u: list[Lane], h: Lane) -> Lists:
+    def rates(k: Lists | None, c: float) -> Lists:
+        q, v, x = y if k is None else (_plus(a, b, c * h) for a, b in zip(y, k, strict=True))
+        # without a barrier XLA's CPU compiler computes a stage again for each use
+        return fusion_barrier(model.rates(RobotContext(p, q, v, x, u)))
 
-    k1 = _moved(vehicle, n, y, u)
-    k2 = _moved(vehicle, n, beyond(k1, 0.5), u)
-    k3 = _moved(vehicle, n, beyond(k2, 0.5), u)
-    k4 = _moved(vehicle, n, beyond(k3, 1.0), u)
+    k1 = rates(None, 0.0)
+    k2 = rates(k1, 0.5)
+    k3 = rates(k2, 0.5)
+    k4 = rates(k3, 1.0)
     q, v, x = (
         [a + h / 6 * (b + 2 * (c + d) + e) for a, b, c, d, e in zip(*parts, strict=True)]
         for parts in zip(y, k1, k2, k3, k4, strict=True)
@@ -88,7 +79,7 @@ def _rk4(vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane], h: Lane) -
     return q, v, x
 
 
-METHODS: dict[str, Callable[..., Lists]] = {
+INTEGRATORS: dict[str, Callable[..., Lists]] = {
     "semi_implicit_euler": _semi_implicit_euler,
     "linearly_implicit_euler": _linearly_implicit_euler,
     "rk4": _rk4,
@@ -96,54 +87,55 @@ METHODS: dict[str, Callable[..., Lists]] = {
 
 
 def advance(
-    vehicle: RobotModel, n: Parameters, y: Lists, u: list[Lane], h: Lane, method: str
+    model: RobotModel, p: Parameters, y: Lists, u: list[Lane], h: Lane, integrator: str
 ) -> Lists:
-    """The lists after a step, their velocities put back on what they must satisfy."""
-    q, v, x = METHODS[method](vehicle, n, y, u, h)
-    v = vehicle.project(RobotContext(n, q, v, x, u))
-    q, v, x = ([jnp.asarray(a, n.dtype) for a in part] for part in (q, v, x))
+    """Compute the coordinates, velocities and tyre states after a step, projected on the
+    constraints of the model."""
+    q, v, x = INTEGRATORS[integrator](model, p, y, u, h)
+    v = model.project(RobotContext(p, q, v, x, u))
+    q, v, x = ([jnp.asarray(a, p.dtype) for a in part] for part in (q, v, x))
     return q, v, x
 
 
 def rollout(
-    vehicle: RobotModel,
+    model: RobotModel,
     state: State,
-    controls: Any,
+    ctrl: Any,
     dt: Any,
     *,
-    method: str = "rk4",
+    integrator: str = "rk4",
     steps: int | None = None,
     save_every: int = 1,
 ) -> Trajectory:
-    """Fixed steps of one vehicle or of a batch of states.
+    """Move one wheeled robot or a batch of states by fixed steps.
 
     "rk4": order 4, four evaluations. "semi_implicit_euler": order 1, one evaluation; velocities
     first, then coordinates with the new velocities. "linearly_implicit_euler": the same, with the
     sliding of contacts and the speeds of motors at the end of the step, as linear dampers of their
-    laws' secants; it is stable where wheels are light, tyres stiff and speeds low. Controls are
-    constant over a step.
+    secants; it is stable for light wheels, stiff tyres and low speeds. Controls are constant over
+    a step.
 
     A sample is a thread on a GPU, and a lane of machine code on a CPU. A number of the robot can
     change with no recompilation. If the robot is closed over inside `jit`, its zeros vanish from
     the program.
 
     Args:
-        vehicle: `at(robot, fidelity)`.
+        model: `at(robot, fidelity)`.
         state: q (nq,), v (nv,), x (nx,); or with a leading axis, a batch.
-        controls: (steps, nu), or (B, steps, nu) for a batch; or a function (t, state) -> (nu,),
-            which needs `steps`.
+        ctrl: (steps, nu), or (B, steps, nu) for a batch; or a function (t, state) -> (nu,), which
+            needs `steps`.
         dt: the step, s.
-        method: "rk4", "semi_implicit_euler" or "linearly_implicit_euler".
-        steps: the number of steps where the controls do not give it.
+        integrator: "rk4", "semi_implicit_euler" or "linearly_implicit_euler".
+        steps: the number of steps, if `ctrl` is a function.
         save_every: keep every so many states; it must divide the number of steps.
 
     Returns:
-        `Trajectory` of 1 + steps / save_every states, the first the initial one; `ok` says whether
-        all is finite.
+        `Trajectory` of 1 + steps / save_every states, the first the initial one; `ok`: whether all
+        values are finite.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite, a step that is not positive.
-        UnknownName: no such method.
+        UnknownName: no such integrator.
 
     Source: Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, II.1; Hairer &
     Wanner, *II*, IV.9, of linearly implicit methods.
@@ -155,81 +147,70 @@ def rollout(
         >>> wheeled.rollout(cart, wheeled.start(cart), jnp.full((10, 2), 0.1), 0.01).q.shape
         (11, 7)
     """
-    check_vehicle("rollout", vehicle)
-    choice("method", method, METHODS)
+    check_robot_model("rollout", model)
+    choice("integrator", integrator, INTEGRATORS)
     shape = shape_of("rollout", "state.q", getattr(state, "q", 0.0))
     batch = shape[:1] if len(shape) == 2 else ()
-    state = check_state("rollout", vehicle, state, batch)
-    dtype = state.q.dtype
-    dt = check_step("rollout", "dt", dt, dtype)
-    if callable(controls):
-        check_takes("rollout", "controls", controls, "t", "state")
+    state = check_state("rollout", model, state, batch)
+    dt = check_step("rollout", "dt", dt, state.q.dtype)
+    if callable(ctrl):
+        check_takes("rollout", "ctrl", ctrl, "t", "state")
     else:
-        found = shape_of("rollout", "controls", controls)
+        found = shape_of("rollout", "ctrl", ctrl)
         count = found[-2] if steps is None and len(found) > 1 else steps
-        due = [(*lead, count or 1, vehicle.nu) for lead in dict.fromkeys([(), batch])]
-        controls = check_array("rollout", "controls", controls, *due).astype(dtype)
-        steps = controls.shape[-2]
-    if not isinstance(steps, int) or steps < 1:
-        raise InputError(
-            f"rollout: steps is {steps!r}, expected a positive number of steps with a function"
-        )
-    if not isinstance(save_every, int) or save_every < 1 or steps % save_every:
+        due = [(*lead, count or 1, model.nu) for lead in dict.fromkeys([(), batch])]
+        ctrl = check_array("rollout", "ctrl", ctrl, *due).astype(state.q.dtype)
+        steps = ctrl.shape[-2]
+    steps = integer("rollout", "steps", steps, least=1)
+    save_every = integer("rollout", "save_every", save_every, least=1)
+    if steps % save_every:
         raise InputError(
             f"rollout: save_every is {save_every!r}, expected a divisor of the {steps} steps"
         )
-    how = _How(method, steps, save_every)
-    if not callable(controls):
-        return _rollout(vehicle, state, controls, dt, how)
-    return with_captured(lambda f: _rollout(vehicle, state, f, dt, how), controls)
-
-
-def _rollout(vehicle: RobotModel, state: State, controls: Any, dt: Any, how: _How) -> Trajectory:
-    numbers, rest = eqx.partition((vehicle, controls), eqx.is_array)
+    how = _Steps(integrator, steps, save_every)
     run = _run if inside_jit() else _compiled
-    leaves, tree = jax.tree.flatten(rest)
-    states = run(numbers, state, dt, (tree, *leaves), how)
-    ts = dt * jnp.arange(0, how.steps + 1, how.save_every, dtype=state.q.dtype)
-    stats = {"steps": how.steps}
-    return Trajectory(ts, states.q, states.v, all_finite(states), stats=stats, x=states.x)
+    if callable(ctrl):
+        states = with_captured(lambda f: run(model, state, f, dt, how), ctrl)
+    else:
+        states = run(model, state, ctrl, dt, how)
+    ts = dt * jnp.arange(0, steps + 1, save_every, dtype=state.q.dtype)
+    return Trajectory(
+        ts, states.q, states.v, all_finite(states), stats={"steps": steps}, x=states.x
+    )
 
 
-def _run(numbers: Any, state: State, dt: Any, key: Any, how: _How) -> State:
-    rest = jax.tree.unflatten(key[0], key[1:])
-    vehicle, controls = eqx.combine(numbers, rest)
-    batched = state.q.ndim == 2
-    rows = None if callable(controls) else controls
-    shared, closed = split_tracers((vehicle, controls if rows is None else None, dt))
+def _run(model: RobotModel, state: State, ctrl: Any, dt: Any, how: _Steps) -> State:
+    """Compute the states of one sample or of a batch."""
+    rows = None if callable(ctrl) else ctrl
+    shared, closed = split_tracers((model, ctrl if rows is None else None, dt))
+    own, tree = jax.tree.flatten((state, rows))
 
     def sample(args: list) -> State:
-        (state, rows), (vehicle, f, dt) = own(args[:first]), closed(args[first:])
-        return _march(vehicle, state, f if rows is None else rows, dt, how)
+        state, rows = jax.tree.unflatten(tree, args[: len(own)])
+        model, f, dt = closed(args[len(own) :])
+        return _states(model, state, f if rows is None else rows, dt, how)
 
-    mine, tree = jax.tree.flatten((state, rows))
-    own, first = functools.partial(jax.tree.unflatten, tree), len(mine)
-    run = threaded(sample) if wanted() else sample
-    if not batched:
-        return run([*mine, *shared])
+    run = compile_threads(sample) if kernels_available() else sample
+    if state.q.ndim == 1:
+        return run([*own, *shared])
     each = None if rows is None or rows.ndim < 3 else 0
     axes = [0] * len(jax.tree.leaves(state)) + [each] * (rows is not None)
-    return jax.vmap(lambda *xs: run([*xs, *shared]), axes)(*mine)
+    return jax.vmap(lambda *xs: run([*xs, *shared]), axes)(*own)
 
 
-_compiled = compiled(_run, static_argnames=("key", "how"))
+_compiled = compiled(_run, jit=eqx.filter_jit)
 
 
-def _march(vehicle: RobotModel, state: State, controls: Any, dt: Any, how: _How) -> State:
-    """The states (T, nq), (T, nv), (T, nx) of one sample."""
-    now = vehicle.context(state)
-    n = now.n
+def _states(model: RobotModel, state: State, ctrl: Any, dt: Any, how: _Steps) -> State:
+    """Compute the states (T, nq), (T, nv), (T, nx) of one sample."""
+    now = model.context(state)
     dtype = state.q.dtype
 
     def once(y: Lists, i: Any) -> tuple[Lists, None]:
-        if callable(controls):
-            u = jnp.asarray(controls(i * dt, as_state(*y, dtype)), dtype)
-        else:
-            u = controls[i]
-        return advance(vehicle, n, y, [u[k] for k in range(vehicle.nu)], dt, how.method), None
+        u = ctrl(i * dt, as_state(*y, dtype)) if callable(ctrl) else ctrl[i]
+        u = jnp.asarray(u, dtype)
+        given = [u[k] for k in range(model.nu)]
+        return advance(model, now.n, y, given, dt, how.integrator), None
 
     def segment(y: Lists, first: Any) -> tuple[Lists, Lists]:
         if how.save_every == 1:
@@ -248,34 +229,34 @@ def _march(vehicle: RobotModel, state: State, controls: Any, dt: Any, how: _How)
         return jnp.concatenate([jnp.stack(first)[None], jnp.stack(later, -1)])
 
     q, v, x = (table(a, b) for a, b in zip(begin, path, strict=True))
-    return State(q, v, x if vehicle.nx else None)
+    return State(q, v, x if model.nx else None)
 
 
 def simulate(
-    vehicle: RobotModel,
+    model: RobotModel,
     state: State,
     ts: Any,
-    controls: Any = None,
+    ctrl: Any = None,
     *,
     solver: Any = None,
     tolerance: float | None = None,
     adjoint: Any = None,
     max_steps: int = 100_000,
 ) -> Trajectory:
-    """Motion from ts[0] to ts[-1], saved at ts, by an adaptive solver of diffrax.
+    """Move a wheeled robot from ts[0] to ts[-1] by an adaptive solver of diffrax.
 
     Args:
-        vehicle: `at(robot, fidelity)`.
+        model: `at(robot, fidelity)`.
         state: q (nq,), v (nv,), x (nx,).
         ts: (T,) s, increasing.
-        controls: (nu,), constant; or a function (t, state) -> (nu,); None for zeros.
+        ctrl: (nu,), constant; or a function (t, state) -> (nu,); None for zeros.
         solver: a diffrax solver, of `rb.solvers` among others; Dopri8 if None.
         tolerance: relative and absolute; 1e-10 in f64 and 1e-5 in f32 if None.
         adjoint: diffrax's; None for its default, for reverse mode.
         max_steps: the largest number of steps.
 
     Returns:
-        `Trajectory`; `ok` says whether the solver succeeded and all is finite.
+        `Trajectory` at ts; `ok`: whether the solver succeeded and all values are finite.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite, times that do not increase.
@@ -289,44 +270,33 @@ def simulate(
         >>> wheeled.simulate(cart, wheeled.start(cart), jnp.array([0.0, 1.0]), [0.1, 0.1]).v.shape
         (2, 2)
     """
-    check_vehicle("simulate", vehicle)
-    state = check_state("simulate", vehicle, state)
+    check_robot_model("simulate", model)
+    state = check_state("simulate", model, state)
     dtype = state.q.dtype
     ts = check_array("simulate", "ts", ts, shape_of("simulate", "ts", ts)).astype(dtype)
     known = not isinstance(ts, jax.core.Tracer)
     if ts.ndim != 1 or len(ts) < 2 or (known and not bool((ts[1:] > ts[:-1]).all())):
         raise InputError("simulate: ts does not increase, expected two or more times (T,) in s")
-    if callable(controls):
-        check_takes("simulate", "controls", controls, "t", "state")
+    if callable(ctrl):
+        check_takes("simulate", "ctrl", ctrl, "t", "state")
     else:
-        given = jnp.zeros(vehicle.nu) if controls is None else controls
-        controls = check_array("simulate", "controls", given, (vehicle.nu,)).astype(dtype)
+        given = jnp.zeros(model.nu) if ctrl is None else ctrl
+        ctrl = check_array("simulate", "ctrl", given, (model.nu,)).astype(dtype)
     if max_steps is not None:
         integer("simulate", "max_steps", max_steps, least=1)
     if tolerance is None:
         tolerance = 1e-10 if dtype == jnp.float64 else 1e-5
-    solve = functools.partial(
-        _simulated, vehicle, state, ts,
-        solver=diffrax.Dopri8() if solver is None else solver,
-        tolerance=tolerance, adjoint=adjoint or diffrax.RecursiveCheckpointAdjoint(),
-        max_steps=max_steps,
-    )  # fmt: skip
-    if callable(controls):
-        return with_captured(lambda f: solve(f), controls)
-    return solve(controls)
-
-
-def _simulated(
-    vehicle: RobotModel, state: State, ts: jax.Array, controls: Any, *, solver: Any,
-    tolerance: float, adjoint: Any, max_steps: int,
-) -> Trajectory:  # fmt: skip
     elapsed = ts - ts[0]
-    out = _diffeqsolve(
-        diffrax.ODETerm(_Field(ts[0])), solver, elapsed[0], elapsed[-1], None, state,
-        (vehicle, controls), saveat=diffrax.SaveAt(ts=elapsed), adjoint=adjoint, throw=False,
+    solve = functools.partial(
+        _diffeqsolve, diffrax.ODETerm(_Field(ts[0])), solver or diffrax.Dopri8(), elapsed[0],
+        elapsed[-1], None, state, saveat=diffrax.SaveAt(ts=elapsed), throw=False,
+        adjoint=adjoint or diffrax.RecursiveCheckpointAdjoint(), max_steps=max_steps,
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
-        max_steps=max_steps,
     )  # fmt: skip
+    if callable(ctrl):
+        out = with_captured(lambda f: solve((model, f)), ctrl)
+    else:
+        out = solve((model, ctrl))
     path = out.ys
     ok = all_finite(path) & (out.result == diffrax.RESULTS.successful)
     return Trajectory(ts, path.q, path.v, ok, out.result, out.stats, path.x)
@@ -341,8 +311,8 @@ class _Field(eqx.Module):
     start: jax.Array
 
     def __call__(self, t: Any, state: State, args: Any) -> State:
-        vehicle, controls = args
-        u = controls(self.start + t, state) if callable(controls) else controls
-        now = vehicle.context(state, jnp.asarray(u, state.q.dtype))
-        q, v, x = vehicle.rates(now)
+        model, ctrl = args
+        u = ctrl(self.start + t, state) if callable(ctrl) else ctrl
+        now = model.context(state, jnp.asarray(u, state.q.dtype))
+        q, v, x = model.rates(now)
         return as_state(q, v, x, state.q.dtype)

@@ -1,4 +1,4 @@
-"""A wheeled robot as a multibody model: every wheel, knuckle, fork and trailer a body on a joint.
+"""The multibody model of a wheeled robot: each wheel, knuckle, fork and trailer is a body.
 
     chassis          "base": planar (x, y, heading), or free
     trailer k        "hitch_k": a vertical hinge at the coupling
@@ -8,15 +8,14 @@
     wheel i          "wheel_i": its axle
     differential j   "motor_j": the shaft of a motor that has inertia
 
-Rows (`wheel_rows`) hold wheels on the ground. The wheel that sets a shaft rolls; the others on that
-shaft turn as it does. All rows of wheels on one axle stay in, so rows may be redundant.
+The first wheel of a shaft rolls; the others on that shaft turn with it. The rows of all wheels on
+one axle are present, so rows may be redundant.
 
-Inertia. A wheel is a body of its mass, at its centre, with yaw_inertia about all axes across the
-axle. Of its inertia about the axle as much is the body's as a rigid body can have (2 yaw_inertia);
-the rest is armature of its joint. A caster has its mass and yaw_inertia in the fork, and its
-inertia as armature. A chassis or trailer has its inertia about all three axes: while wheels
-hold it level, only that about the vertical counts. Steering columns and knuckles have an armature
-of 1 kg m^2, which the rows prescribe: it acts on nothing else.
+A wheel is a body of its mass, at its centre, with yaw_inertia about all axes across the axle. Its
+inertia about the axle is that of the body up to 2 yaw_inertia, the largest of a rigid body; the
+rest is armature of its joint. The fork of a caster has the mass and yaw_inertia, and the joint of
+its wheel the inertia as armature. A chassis or trailer has its inertia about all three axes.
+Steering columns and knuckles have an armature of 1 kg m^2, which has no effect.
 """
 
 from __future__ import annotations
@@ -43,24 +42,23 @@ from rbjax.wheeled.robot.arrangement import Leader
 from rbjax.wheeled.robot.robot import Robot
 
 BASES = ("planar", "free", "slides")
-#: kg m^2, of what rows prescribe
+#: armature of joints whose motion is prescribed, kg m^2
 PRESCRIBED = 1.0
 
 
 def full_model(robot: Robot, base: str = "planar") -> Model:
-    """The multibody model of a wheeled robot, with its wheels' rows.
+    """Make the multibody model of a wheeled robot, with the constraints of its wheels.
 
     Args:
         robot: `Robot`.
-        base: "planar", the chassis moves in the ground's plane; "free", in space, and the heights
-            of all wheels are rows too, whose multipliers are the loads; "slides", as "planar" by
-            two slides and a hinge, which MJCF has.
+        base: "planar", the chassis moves in the ground's plane; "free", in space, where the heights
+            of all wheels are constraints too, whose multipliers are the loads; "slides", as
+            "planar" by two slides and a hinge, which MJCF has.
 
     Returns:
-        A `Model` in the robot's dtype. Its controls are torques in N m, one for each shaft that a
-        drive is on, named after the wheel that sets it. Its steerings keep their rates: those of
-        `SteeringRate`.
-        Motors, damping of axles and rolling resistance are not in it.
+        A `Model` in the robot's dtype. Its controls are torques in N m, one for each driven shaft,
+        named after the first wheel of the shaft. Its steerings have the rates of `SteeringRate`.
+        It has no motors, damping of axles or rolling resistance.
 
     Raises:
         UnknownName: no such base. InputError: a wheel or caster without inertia.
@@ -81,7 +79,7 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
 
 
 def model_of(n: Parameters, base: str = "planar", steering_rates: Sequence[Lane] = ()) -> Model:
-    """As `full_model`, of numbers as lanes: what is known while tracing is known in the model."""
+    """Make the full model from lanes, which keeps structural zeros."""
     choice("base", base, BASES)
     tree = Tree(n.dtype)
     chassis = _branch(n, tree, base)
@@ -95,18 +93,18 @@ def model_of(n: Parameters, base: str = "planar", steering_rates: Sequence[Lane]
 
 
 def wheel_joint(i: int) -> str:
-    """The name of a wheel's axle."""
+    """Return the name of the joint of a wheel's axle."""
     return f"wheel_{i}"
 
 
 def knuckle_joint(n: Parameters, i: int) -> tuple[str, int]:
-    """The name of the hinge that turns a steered wheel, and the number of its steering."""
+    """Return the name of the hinge of a steered wheel, and the index of its steering."""
     j = next(j for j, s in enumerate(n.robot.steerings) if i in s.wheels)
     return (f"knuckle_{i}" if len(n.robot.steerings[j].wheels) > 1 else f"steering_{j}"), j
 
 
 def _branch(n: Parameters, tree: Tree, base: str, k: int = 0, parent: int = WORLD) -> int:
-    """A body, its wheels, and then the trailers behind it: depth first, as MuJoCo counts."""
+    """Add a body, its wheels, and the trailers behind it, depth first, as MuJoCo orders them."""
     out = _body(n, tree, base, k, parent)
     for j, steering in enumerate(n.robot.steerings if k == 0 else ()):
         if len(steering.wheels) > 1:
@@ -123,7 +121,7 @@ def _branch(n: Parameters, tree: Tree, base: str, k: int = 0, parent: int = WORL
 
 
 def _own_height(n: Parameters, k: int) -> Lane:
-    """The height of a body's own centre of mass: that of the body with its wheels is given."""
+    """Compute the height of the centre of mass of a body without its wheels."""
     own, whole = n.lane(n.robot.bodies[k].mass), n.bodies[k]
     if is_zero(own):
         return whole.height
@@ -136,7 +134,7 @@ def _own_height(n: Parameters, k: int) -> Lane:
 
 
 def _body(n: Parameters, tree: Tree, base: str, k: int, parent: int) -> int:
-    """The chassis, or a trailer."""
+    """Add the chassis, or a trailer."""
     body, numbers = n.robot.bodies[k], n.bodies[k]
     at: Sequence[Lane] = (0.0, 0.0, 0.0)
     if k:
@@ -157,7 +155,7 @@ def _body(n: Parameters, tree: Tree, base: str, k: int, parent: int) -> int:
 
 
 def _wheel(n: Parameters, tree: Tree, body: int, i: int) -> None:
-    """A wheel, with the knuckle or fork that turns it."""
+    """Add a wheel, with its knuckle or fork."""
     given, wheel = n.robot.wheels[i], n.wheels[i]
     mass, yaw, spin = n.lane(given.mass), wheel.yaw_inertia, wheel.inertia
     (x, y), turn = wheel.position, _turned(n.lane(given.heading))
@@ -186,7 +184,7 @@ def _wheel(n: Parameters, tree: Tree, body: int, i: int) -> None:
 
 
 def _turned(heading: Lane) -> Sequence[Lane]:
-    """The quaternion of a turn about the vertical."""
+    """Compute the quaternion of a rotation about the vertical."""
     c, s = direction(mul(0.5, heading))
     return c, 0.0, 0.0, s
 
@@ -196,7 +194,7 @@ def _least(a: Lane, b: Lane) -> Lane:
 
 
 def _geared(n: Parameters, i: int) -> Lane:
-    """The inertia, at a wheel, of a motor that drives no other."""
+    """Compute the inertia, at a wheel, of the motors that drive only this wheel."""
     out: Lane = 0.0
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
         if drive.wheels == (i,):
@@ -205,13 +203,13 @@ def _geared(n: Parameters, i: int) -> Lane:
 
 
 def _rotor(n: Parameters, j: int) -> Lane:
-    """The inertia of a motor that drives several wheels."""
+    """Return the inertia of a motor that drives several wheels, 0 otherwise."""
     drive = n.robot.drives[j]
     return n.motors[j].inertia if len(drive.wheels) > 1 else 0.0
 
 
 def _motors(n: Parameters) -> list[str]:
-    """The axles of the wheels that set the shafts that drives are on."""
+    """Return the axles of the first wheels of driven shafts."""
     shafts = {n.wheels[i].shaft for drive in n.robot.drives for i in drive.wheels}
     return [wheel_joint(n.layout.setters[s]) for s in sorted(shafts)]
 
@@ -219,13 +217,13 @@ def _motors(n: Parameters) -> list[str]:
 def _needs_inertia(what: str, x: Lane) -> None:
     if is_literal(x) and not x > 0:
         raise InputError(
-            f"full_model: {what} is {x}, expected above zero, for each body moves by itself here; "
-            "give it an inertia, or use a reduced fidelity, such as 'kinematical'"
+            f"full_model: {what} is {x}, expected above zero, because each body has its own "
+            "motion; give it an inertia, or use a reduced fidelity, such as 'kinematical'"
         )
 
 
 def _rows(n: Parameters, base: str, steering_rates: Sequence[Lane]) -> list[Constraint]:
-    """What holds the wheels: contacts first, one a wheel."""
+    """Make the constraints of the wheels: contacts first, one for each wheel."""
     origin: Any = np.zeros(3)
     straight: Any = np.array(STRAIGHT)
     ground = Place(origin, straight)
@@ -259,7 +257,7 @@ def _rows(n: Parameters, base: str, steering_rates: Sequence[Lane]) -> list[Cons
 
 
 def contact_ways(n: Parameters, i: int) -> tuple[str, ...]:
-    """The ways in which a wheel may not slide, as `WheelContact` has them."""
+    """Return the directions in which a wheel does not slide, as `WheelContact` names them."""
     wheel = n.wheels[i]
     sets = n.layout.setters[wheel.shaft] == i
     if wheel.kind == "rollers":

@@ -1,4 +1,4 @@
-"""A tree of bodies in the making, its numbers lanes: what is known stays known in the `Model`."""
+"""A builder of models from lanes, which keeps structural zeros."""
 
 from __future__ import annotations
 
@@ -16,31 +16,35 @@ from rbjax.model import WORLD, Model
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.model.topology import Topology
 
-Numbers = Sequence[Lane]
-ORIGIN: Numbers = (0.0, 0.0, 0.0)
-STRAIGHT: Numbers = (1.0, 0.0, 0.0, 0.0)
-UP: Numbers = (0.0, 0.0, 1.0)
-LEFT: Numbers = (0.0, 1.0, 0.0)
+Lanes = Sequence[Lane]
+ORIGIN: Lanes = (0.0, 0.0, 0.0)
+STRAIGHT: Lanes = (1.0, 0.0, 0.0, 0.0)
+UP: Lanes = (0.0, 0.0, 1.0)
+LEFT: Lanes = (0.0, 1.0, 0.0)
 TIMESTEP = 0.002
 
 
-class _Body(NamedTuple):
+class TreeBody(NamedTuple):
+    """A body; its moments of inertia are about its com along its own axes."""
+
     name: str
-    parent: int
-    position: Numbers
-    orientation: Numbers
-    mass: Lane
-    com: Numbers
-    moments: Numbers
+    parent: int = WORLD
+    position: Lanes = ORIGIN
+    orientation: Lanes = STRAIGHT
+    mass: Lane = 0.0
+    com: Lanes = ORIGIN
+    moments: Lanes = ORIGIN
 
 
-class _Joint(NamedTuple):
+class TreeJoint(NamedTuple):
+    """A joint of a body."""
+
     name: str
     kind: str
     body: int
-    axis: Numbers
-    placement: Numbers
-    armature: Lane
+    axis: Lanes = UP
+    placement: Lanes = ORIGIN
+    armature: Lane = 0.0
 
 
 @dataclass
@@ -48,27 +52,20 @@ class Tree:
     """Bodies and joints, parents first; the joints of a body follow it."""
 
     dtype: Any
-    bodies: list[_Body] = field(default_factory=list)
-    joints: list[_Joint] = field(default_factory=list)
+    bodies: list[TreeBody] = field(default_factory=list)
+    joints: list[TreeJoint] = field(default_factory=list)
 
-    def body(
-        self, name: str, parent: int = WORLD, position: Numbers = ORIGIN,
-        orientation: Numbers = STRAIGHT, mass: Lane = 0.0, com: Numbers = ORIGIN,
-        moments: Numbers = ORIGIN,
-    ) -> int:  # fmt: skip
-        """A body, its moments about its com along its own axes. Returns its index."""
-        self.bodies.append(_Body(name, parent, position, orientation, mass, com, moments))
+    def body(self, *given: Any, **named: Any) -> int:
+        """Add a `TreeBody`. Return its index."""
+        self.bodies.append(TreeBody(*given, **named))
         return len(self.bodies) - 1
 
-    def joint(
-        self, name: str, kind: str, body: int, axis: Numbers = UP, placement: Numbers = ORIGIN,
-        armature: Lane = 0.0,
-    ) -> None:  # fmt: skip
-        """A joint of the body that was made last."""
-        self.joints.append(_Joint(name, kind, body, axis, placement, armature))
+    def joint(self, *given: Any, **named: Any) -> None:
+        """Add a `TreeJoint` of the last body."""
+        self.joints.append(TreeJoint(*given, **named))
 
-    def model(self, gravity: Numbers, motors: Sequence[str]) -> Model:
-        """The model, with a motor of gear 1 on each of some hinges."""
+    def model(self, gravity: Lanes, motors: Sequence[str]) -> Model:
+        """Make the model, with a motor of gear 1 on each of the named hinges."""
         kinds = [kind_of(joint.kind) for joint in self.joints]
         nv, nq, nj = sum(k.nv for k in kinds), sum(k.nq for k in kinds), len(kinds)
         names = tuple(joint.name for joint in self.joints)
@@ -131,15 +128,15 @@ class Tree:
         return model
 
 
-def _array(rows: Sequence[Numbers], dtype: Any) -> Any:
-    """Rows of lanes as an array: numpy's where all are known."""
+def _array(rows: Sequence[Lanes], dtype: Any) -> Any:
+    """Stack rows of lanes: with numpy if all are known."""
     lanes = [x for row in rows for x in row]
     if all(map(is_literal, lanes)):
         return np.array(lanes)
     return jnp.stack([jnp.asarray(x, dtype) for x in lanes])
 
 
-def _known(rows: Sequence[Numbers], units: bool) -> tuple:
-    """As `rbjax.model.cells.literals`, of lanes."""
+def _known(rows: Sequence[Lanes], units: bool) -> tuple:
+    """Return the structural zeros of rows, and with `units` also 1 and -1, as `cells.literals`."""
     known = (0.0, 1.0, -1.0) if units else (0.0,)
     return tuple(x if is_literal(x) and x in known else None for row in rows for x in row)

@@ -1,10 +1,10 @@
-"""Rows of constraints of which the multibody model of a wheeled robot is made.
+"""Constraints of the multibody model of a wheeled robot.
 
-    wheel on the ground     u . s = 0,     u the velocity of its material point that touches
+    wheel on the ground     u . s = 0,     u the velocity of the material point in contact
     steering column         b' as given, b'' = 0
     Ackermann's linkage     angle of a wheel = delta(b)
     differential            W = sum split_i phi'_i
-With the axle's direction y, to the left, and the ground's normal n, the ways s are
+With the axle's direction y, to the left, and the ground's normal n, the directions s are
 
     ahead    y x n                       the wheel rolls
     left     n x (y x n)                 it does not slide sideways
@@ -40,15 +40,18 @@ Swept = tuple[Vec3, Vec3]  # a direction in world axes, and its rate
 
 
 class WheelContact(Constraint):
-    """A wheel on the ground: a row for each way in which its lowest point may not slide.
+    """A wheel on the ground: a row for each direction in which its lowest point does not slide.
 
-    The multiplier of a row is the force of the ground on the wheel along that way, in N; of the
-    height, the load. The axle is level.
+    The multiplier of a row is the force of the ground on the wheel in its direction, N; that of the
+    height is the load. The axle is level.
 
-    Fields: a, a `Place`, its origin on the ground and its z the normal; b, a `Place`, its origin
-    the wheel's centre and its y the axle, to the left; radius, m; roller, rad, the angle of the
-    rollers' axes from ahead to the left. Static: ways, of "ahead", "left" and "roller"; touches,
-    whether the first row is the height of the lowest point.
+    Fields:
+        a: a `Place`, its origin on the ground and its z the normal.
+        b: a `Place`, its origin the wheel's centre and its y the axle, to the left.
+        radius: () m.
+        roller: () rad, the angle of the rollers' axes from ahead to the left.
+        ways: static, the directions, of "ahead", "left" and "roller".
+        touches: static, whether the first row is the height of the lowest point.
 
     Example:
         >>> import rbjax as rb
@@ -93,7 +96,7 @@ class WheelContact(Constraint):
 
 
 def _ways(A: Frame, B: Frame) -> dict[str, Swept]:
-    """The directions ahead and to the left, on the ground."""
+    """Compute the directions ahead and to the left, on the ground, with their rates."""
     (n, dn), (y, dy) = swept(A, Z), swept(B, Y)
     ahead, d_ahead = y.cross(n), dy.cross(n) + y.cross(dn)
     return {
@@ -103,7 +106,7 @@ def _ways(A: Frame, B: Frame) -> dict[str, Swept]:
 
 
 class SteeringRate(Constraint):
-    """v = rate of a hinge, a = 0: one row with no function behind it.
+    """A given rate of a hinge, v = rate, a = 0: a row of velocities only.
 
     Fields: rate, rad/s. Static: joint.
     """
@@ -121,10 +124,10 @@ class SteeringRate(Constraint):
 
 
 class Linkage(Constraint):
-    """Ackermann's geometry: the angle of a steered wheel is a function of that of the column.
+    """Ackermann's geometry: the angle of a steered wheel as a function of the column's angle.
 
-    Fields: robot. Static: steering and wheel, their numbers; joint, the hinge of the wheel; column,
-    that of the steering.
+    Fields: robot. Static: steering and wheel, their indices; joint, the hinge of the wheel; column,
+    the hinge of the steering.
     """
 
     robot: Robot
@@ -138,14 +141,14 @@ class Linkage(Constraint):
         b = coordinate(now, self.column)
         n = parameters_of(self.robot, now.q.dtype)
         first, second, angle = linked(n, self.steering, self.wheel, b.value)
-        bent = add(mul(first, b.acceleration), mul(second, mul(b.rate, b.rate)))
-        wanted = Row(angle, mul(first, b.rate), b.gradient * first, bent)
-        return [coordinate(now, self.joint) - wanted]
+        acceleration = add(mul(first, b.acceleration), mul(second, mul(b.rate, b.rate)))
+        target = Row(angle, mul(first, b.rate), b.gradient * first, acceleration)
+        return [coordinate(now, self.joint) - target]
 
 
 def linked(n: Parameters, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, Lane]:
-    """The first two derivatives by b, and the value, of a wheel's angle against its direction at
-    zero steering."""
+    """Compute the first two derivatives by b, and the value, of a wheel's angle from its direction
+    at zero steering."""
     layout = n.layout
     q: list[Any] = [0.0] * layout.nq
     q[layout.steerings.start + steering] = Dual(Dual(b, 1.0), Dual(1.0, 0.0))
@@ -159,7 +162,7 @@ def linked(n: Parameters, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lan
 
 
 class Differential(Constraint):
-    """The angle of a motor's shaft is that of the cage, sum split_i phi_i.
+    """The angle of a motor's shaft equals the angle of the cage, sum split_i phi_i.
 
     Fields: split (k,). Static: joint, the shaft's hinge; wheels, the hinges of k wheels.
     """

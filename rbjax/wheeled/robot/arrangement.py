@@ -1,14 +1,14 @@
-"""What the wheels of a robot allow: mobility, steerability, and the wheels that lead.
+"""Mobility and steerability of a robot, and its leading wheels.
 
-A wheel that cannot slide sideways takes one velocity from the chassis: c(b) . (vx, vy, w) = 0. With
-C the rows of all such wheels,
+A wheel that does not slide sideways is a constraint of the chassis' twist: c(b) . (vx, vy, w) = 0.
+With C the rows of all such wheels,
 
-    mobility      d_m = 3 - rank C          velocities that wheels leave at any steering
+    mobility      d_m = 3 - rank C          free velocities at any steering
     steerability  d_s = rank of the rows of steered wheels
 (Campion, Bastin & D'Andrea-Novel 1996; Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
 
-At most two rows are independent if the robot can move. These rows lead. They set the basis of its
-velocities (`velocities`), and all others must follow from them.
+At most two rows are independent if the robot can move. Their wheels lead: they define the basis of
+velocities (`velocities`), and the rows of the others must be satisfied by it.
 """
 
 from __future__ import annotations
@@ -29,10 +29,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Leader:
-    """A row that leads: of a fixed wheel, of a steering, or of the axis on which wheels skid.
+    """The source of a leading row: a fixed wheel, a steering, or the axis of skidding wheels.
 
-    backward: whether its wheel has its heading backward, so that it turns by negative rates as the
-    chassis moves ahead.
+    backward: whether the heading of its wheel points backward.
     """
 
     what: str  # "wheel", "steering", "skidding"
@@ -42,10 +41,13 @@ class Leader:
 
 @dataclass(frozen=True)
 class Arrangement:
-    """What `arrange` finds.
+    """The motions that the wheels of a robot allow.
 
-    Fields: mobility, steerability, leaders; trailing, the wheel that leads each trailer; support,
-    whether the wheels of the chassis stand in a point (1), on a line (2) or around an area (3).
+    Fields:
+        mobility, steerability: see the module.
+        leaders: the sources of the leading rows.
+        trailing: the wheel that leads each trailer.
+        support: 1, 2 or 3 if the wheels of the chassis are at a point, on a line or around an area.
     """
 
     mobility: int
@@ -61,11 +63,11 @@ class Arrangement:
 
 
 def arrange(robot: Robot) -> Arrangement:
-    """The arrangement of a robot whose numbers are known.
+    """Find the arrangement of a robot whose numbers are known.
 
     Raises:
-        InputError: numbers are traced; the wheels lock the robot; a trailer has no wheel that
-            leads it, or several that contradict each other.
+        InputError: numbers are traced; the wheels lock the robot; a trailer has no leading wheel,
+            or several that contradict each other.
     """
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(robot)):
         raise InputError(
@@ -104,7 +106,7 @@ def arrange(robot: Robot) -> Arrangement:
 
 
 def _sources(robot: Robot) -> list[Leader]:
-    """All rows of the chassis; fixed wheels first."""
+    """Return the sources of all rows of the chassis, fixed wheels first."""
     out = [
         Leader("wheel", i, _is_backward(wheel))
         for i, wheel in enumerate(robot.wheels)
@@ -117,7 +119,7 @@ def _sources(robot: Robot) -> list[Leader]:
 
 
 def _is_backward(wheel: Wheel) -> bool:
-    """Whether a wheel's heading is behind its left and right."""
+    """Whether a wheel's heading points backward."""
     return bool(np.cos(float(wheel.heading)) < -1e-6)
 
 
@@ -148,13 +150,13 @@ def _rank(robot: Robot, sources: list[Leader], angles: np.ndarray) -> int:
 
 
 def _zero(robot: Robot) -> float:
-    """What is zero beside 1: a heading of pi is off by 1e-7 in f32."""
+    """Return the relative tolerance of the rank: a heading of pi is off by 1e-7 in f32."""
     dtype = jnp.result_type(float, robot.wheels[0].heading.dtype)
     return rank_tolerance("wheels", dtype)
 
 
 def _trailing(robot: Robot, k: int) -> int:
-    """The wheel that leads a trailer; others must follow from it."""
+    """Find the leading wheel of a trailer, and check the others."""
     body = robot.bodies[k]
     wheels = [
         i for i, w in enumerate(robot.wheels) if w.body == k and w.kind == "fixed" and not w.skids

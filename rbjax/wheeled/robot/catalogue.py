@@ -6,45 +6,38 @@ wheels, or on the rear axle of a car. `mass` and `inertia` are of the chassis wi
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-import jax
-import numpy as np
-
-from rbjax.arguments import instance, integer, real_number
-from rbjax.errors import InputError, UnknownName
+from rbjax.arguments import choice, instance, integer, real_number
+from rbjax.errors import UnknownName
 from rbjax.wheeled.robot.motors import Motor, TorqueSource
 from rbjax.wheeled.robot.robot import Body, Drive, Robot, Steering, Wheel
 
+#: the fields of these classes convert numbers to arrays
+_body: Any = Body
+_wheel: Any = Wheel
+
 
 def _check(kind: str, **lengths: Any) -> None:
-    """Raise if a length of a robot is not a finite number above zero."""
+    """Raise `InputError` if a length is not a finite number above zero."""
     for name, x in lengths.items():
-        if isinstance(x, jax.core.Tracer):  # `Robot` rejects it
-            continue
-        try:
-            number = np.ndim(x) == 0 and not isinstance(x, (str, bytes))
-            fits = number and 0 < float(x) < math.inf
-        except (TypeError, ValueError, OverflowError):
-            fits = False
-        if not fits:
-            raise InputError(f"{kind}({name}=...): got {x!r}, expected a length above zero, m")
+        real_number(kind, name, x, "a length above zero, m", above=0.0, traced=True)
 
 
-def _body(mass: Any, inertia: Any, com: Any = (0.0, 0.0), height: Any = 0.1, **k: Any) -> Body:
-    return Body(mass, inertia, com, height, **k)
+def _disc(radius: float, mass: float) -> dict[str, Any]:
+    """The numbers of a wheel that is a disc."""
+    moment = mass * radius**2
+    return {"radius": radius, "mass": mass, "inertia": moment / 2, "yaw_inertia": moment / 4}
 
 
-def _wheel(position: Any, heading: Any = 0.0, **numbers: Any) -> Wheel:
-    return Wheel(position, heading, **numbers)
-
-
-def _tyred(radius: float, mass: float, inertia: float | None = None) -> dict[str, Any]:
-    """Numbers of a wheel: a disc, unless its inertia is given."""
-    spin = mass * radius**2 / 2 if inertia is None else inertia
-    return {"radius": radius, "mass": mass, "inertia": spin, "yaw_inertia": mass * radius**2 / 4}
+def _drives(motor: Motor | None, *axles: tuple[int, ...]) -> list[Drive]:
+    """A motor for each axle, with a differential if it has several wheels."""
+    return [Drive(wheels, motor or TorqueSource()) for wheels in axles]
 
 
 def differential_drive(
@@ -52,27 +45,29 @@ def differential_drive(
     com: Any = (0.07, 0.0), wheel_mass: float = 0.5, caster: float | None = 0.2,
     height: float = 0.12, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Two driven wheels on one axle, the right one first. `caster` is the distance of a caster
-    ahead of the axle; None for no caster."""
+    """Make a robot with two driven wheels on one axle, the right one first. `caster` is the
+    distance of a caster ahead of the axle; None for no caster."""
     _check("differential_drive", track=track, radius=radius)
-    wheels = [_wheel([0.0, y], **_tyred(radius, wheel_mass)) for y in (-track / 2, track / 2)]
+    wheels = [_wheel([0.0, y], **_disc(radius, wheel_mass)) for y in (-track / 2, track / 2)]
     if caster is not None:
-        small = _tyred(radius / 2, wheel_mass / 5)
+        small = _disc(radius / 2, wheel_mass / 5)
         wheels.append(_wheel([caster, 0.0], trail=radius / 4, kind="caster", **small))
-    return Robot.of(_body(mass, inertia, com, height), wheels, _each(2, motor))
+    drives = _drives(motor, (0,), (1,))
+    return Robot.of(_body(mass, inertia, com, height), wheels, drives)
 
 
 def unicycle(
     radius: float = 0.2, mass: float = 5.0, inertia: float = 0.1, wheel_mass: float = 1.0,
     yaw: Motor | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """One driven wheel, and a small omnidirectional wheel behind it that is driven sideways."""
+    """Make a robot with one driven wheel, and a small omnidirectional wheel behind it, driven
+    sideways."""
     _check("unicycle", radius=radius)
     wheels = [
-        _wheel([0.0, 0.0], **_tyred(radius, wheel_mass)),
-        _wheel([-radius, 0.0], math.pi / 2, kind="rollers", **_tyred(radius / 4, wheel_mass / 10)),
+        _wheel([0.0, 0.0], **_disc(radius, wheel_mass)),
+        _wheel([-radius, 0.0], math.pi / 2, kind="rollers", **_disc(radius / 4, wheel_mass / 10)),
     ]
-    drives = [Drive((0,), motor or TorqueSource()), Drive((1,), yaw or motor or TorqueSource())]
+    drives = [*_drives(motor, (0,)), *_drives(yaw or motor, (1,))]
     return Robot.of(_body(mass, inertia, height=radius), wheels, drives)
 
 
@@ -80,9 +75,9 @@ def omnidirectional(
     wheels: int | Sequence[float] = 3, arm: float = 0.18, radius: float = 0.05, mass: float = 6.0,
     inertia: float = 0.2, wheel_mass: float = 0.3, height: float = 0.1, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Omnidirectional wheels on a circle, each rolling along it.
+    """Make a robot with omnidirectional wheels on a circle, each rolling along it.
 
-    wheels: how many, evenly spaced, the first ahead; or the angles of their places, rad.
+    wheels: their number, evenly spaced, the first ahead; or the angles of their places, rad.
     """
     _check("omnidirectional", arm=arm, radius=radius)
     angles = (
@@ -90,17 +85,18 @@ def omnidirectional(
     )
     made = [
         _wheel([arm * math.cos(a), arm * math.sin(a)], a + math.pi / 2, kind="rollers",
-              **_tyred(radius, wheel_mass))
+              **_disc(radius, wheel_mass))
         for a in angles
     ]  # fmt: skip
-    return Robot.of(_body(mass, inertia, height=height), made, _each(len(made), motor))
+    drives = _drives(motor, *((i,) for i in range(len(made))))
+    return Robot.of(_body(mass, inertia, height=height), made, drives)
 
 
 def mecanum(
     length: float = 0.47, track: float = 0.3, radius: float = 0.0475, mass: float = 20.0,
     inertia: float = 1.0, wheel_mass: float = 1.4, height: float = 0.1, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Four mecanum wheels: front left, front right, rear right, rear left.
+    """Make a robot with four mecanum wheels: front left, front right, rear right, rear left.
 
     (Lynch & Park, *Modern Robotics*, 13.2, figure 13.5)
     """
@@ -108,10 +104,11 @@ def mecanum(
     places = [(1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1)]
     made = [
         _wheel([x * length / 2, y * track / 2], roller=side * math.pi / 4, kind="rollers",
-              **_tyred(radius, wheel_mass))
+              **_disc(radius, wheel_mass))
         for x, y, side in places
     ]  # fmt: skip
-    return Robot.of(_body(mass, inertia, height=height), made, _each(4, motor))
+    drives = _drives(motor, *((i,) for i in range(4)))
+    return Robot.of(_body(mass, inertia, height=height), made, drives)
 
 
 def car(
@@ -119,15 +116,15 @@ def car(
     inertia: float = 1500.0, com: Any = (1.2, 0.0), wheel_mass: float = 20.0, drive: str = "rear",
     height: float = 0.5, lag: float | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Four wheels, the front ones steered with Ackermann's geometry, rear or front ones driven
-    through a differential, or all by two."""
+    """Make a car: four wheels, the left one of an axle first, the front ones steered with
+    Ackermann's geometry, the rear or front ones driven through a differential, or all by two."""
     _check("car", wheelbase=wheelbase, track=track, radius=radius)
-    disc = _tyred(radius, wheel_mass)
+    disc = _disc(radius, wheel_mass)
     wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
     wheels += [_wheel([wheelbase, y], kind="steered", **disc) for y in (track / 2, -track / 2)]
-    drives = _driven({"rear": [(0, 1)], "front": [(2, 3)], "all": [(0, 1), (2, 3)]}, drive, motor)
-    body = _body(mass, inertia, com, height)
-    return Robot.of(body, wheels, drives, [Steering((2, 3), lag)])
+    axles = {"rear": [(0, 1)], "front": [(2, 3)], "all": [(0, 1), (2, 3)]}
+    drives = _drives(motor, *axles[choice("drive", drive, axles)])
+    return Robot.of(_body(mass, inertia, com, height), wheels, drives, [Steering((2, 3), lag)])
 
 
 def bicycle(
@@ -135,13 +132,13 @@ def bicycle(
     com: Any = (1.2, 0.0), wheel_mass: float = 40.0, drive: str = "rear", height: float = 0.5,
     lag: float | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """A car reduced to one wheel an axle."""
+    """Make a car with one wheel on each axle."""
     _check("bicycle", wheelbase=wheelbase, radius=radius)
-    disc = _tyred(radius, wheel_mass)
+    disc = _disc(radius, wheel_mass)
     wheels = [_wheel([0.0, 0.0], **disc), _wheel([wheelbase, 0.0], kind="steered", **disc)]
-    drives = _driven({"rear": [(0,)], "front": [(1,)], "all": [(0,), (1,)]}, drive, motor)
-    body = _body(mass, inertia, com, height)
-    return Robot.of(body, wheels, drives, [Steering((1,), lag)])
+    axles = {"rear": [(0,)], "front": [(1,)], "all": [(0,), (1,)]}
+    drives = _drives(motor, *axles[choice("drive", drive, axles)])
+    return Robot.of(_body(mass, inertia, com, height), wheels, drives, [Steering((1,), lag)])
 
 
 def tricycle(
@@ -149,13 +146,14 @@ def tricycle(
     inertia: float = 4.0, com: Any = (0.3, 0.0), wheel_mass: float = 1.5, height: float = 0.3,
     lag: float | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """A driven and steered front wheel, and two fixed wheels behind it."""
+    """Make a robot with two fixed wheels, the left one first, and a driven and steered front
+    wheel."""
     _check("tricycle", wheelbase=wheelbase, track=track, radius=radius)
-    disc = _tyred(radius, wheel_mass)
+    disc = _disc(radius, wheel_mass)
     wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
     wheels.append(_wheel([wheelbase, 0.0], kind="steered", **disc))
-    drives = [Drive((2,), motor or TorqueSource())]
-    return Robot.of(_body(mass, inertia, com, height), wheels, drives, [Steering((2,), lag)])
+    drives, steerings = _drives(motor, (2,)), [Steering((2,), lag)]
+    return Robot.of(_body(mass, inertia, com, height), wheels, drives, steerings)
 
 
 def skid_steer(
@@ -163,18 +161,16 @@ def skid_steer(
     inertia: float = 3.0, com: Any = (0.0, 0.0), wheel_mass: float = 2.6, height: float = 0.2,
     motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Four wheels, those of a side on one shaft, that skid as the robot turns.
-
-    Where wheels may not slip, it turns on the axis at x = `turn_center` of `Robot`.
-    """
+    """Make a robot with four wheels, the right ones first, which skid as it turns. The wheels of a
+    side are on one shaft. If wheels may not slip, it turns on the axis at x = `turn_center`."""
     _check("skid_steer", length=length, track=track, radius=radius)
-    disc = _tyred(radius, wheel_mass)
+    disc = _disc(radius, wheel_mass)
     wheels = [
         _wheel([x, y * track / 2], shaft=side, skids=True, **disc)
         for y, side in ((-1, "right"), (1, "left"))
         for x in (length / 2, -length / 2)
     ]
-    drives = [Drive((i,), motor or TorqueSource()) for i in (0, 2)]
+    drives = _drives(motor, (0,), (2,))
     return Robot.of(_body(mass, inertia, com, height), wheels, drives)
 
 
@@ -183,9 +179,9 @@ def with_trailers(
     radius: float = 0.1, mass: float = 20.0, inertia: float = 1.0, com: Any = (0.1, 0.0),
     wheel_mass: float = 1.0, height: float = 0.2,
 ) -> Robot:  # fmt: skip
-    """A robot with trailers, one behind the other, each with one axle in its origin.
+    """Add trailers, one behind the other, each with one axle in its origin.
 
-    hitch: how far behind a body's origin the next is coupled; 0 is on the axle.
+    hitch: the distance of a coupling behind the body's origin; 0 is on the axle.
     """
     where = "with_trailers"
     instance(where, "robot", robot, Robot, "rb.wheeled.Robot")
@@ -198,19 +194,67 @@ def with_trailers(
         behind = {"hitch": [-hitch, 0.0], "drawbar": drawbar, "ahead": ahead}
         ahead = len(bodies)
         bodies.append(_body(mass, inertia, com, height, **behind))
-        disc = _tyred(radius, wheel_mass)
+        disc = _disc(radius, wheel_mass)
         wheels += [_wheel([0.0, y], body=ahead, **disc) for y in (track / 2, -track / 2)]
     return robot.replace(bodies=tuple(bodies), wheels=tuple(wheels), arrangement=None)
 
 
-def _each(n: int, motor: Motor | None) -> list[Drive]:
-    return [Drive((i,), motor or TorqueSource()) for i in range(n)]
+@dataclass(frozen=True)
+class Kind:
+    """A robot by name: `make(**numbers)` builds it."""
+
+    name: str
+    make: Callable[..., Robot]
 
 
-def _driven(
-    axles: dict[str, list[tuple[int, ...]]], drive: str, motor: Motor | None
-) -> list[Drive]:
-    """A motor with a differential for each driven axle."""
-    if drive not in axles:
-        raise UnknownName("drive", drive, axles)
-    return [Drive(wheels, motor or TorqueSource()) for wheels in axles[drive]]
+def kinds() -> dict[str, Kind]:
+    """All robots: name -> `Kind`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> robot = rb.wheeled.kinds()["car"].make(wheelbase=2.5)
+        >>> robot.arrangement.mobility
+        1
+    """
+    makers: dict[str, Callable[..., Robot]] = {
+        "differential_drive": differential_drive,
+        "unicycle": unicycle,
+        "omni_3": functools.partial(omnidirectional, 3),
+        "omni_4": functools.partial(omnidirectional, 4),
+        "mecanum": mecanum,
+        "car": car,
+        "front_drive_car": functools.partial(car, drive="front"),
+        "bicycle": bicycle,
+        "tricycle": tricycle,
+        "skid_steer": skid_steer,
+        "tractor_trailers": _pulling(differential_drive, 2, 0.0),
+        "car_trailer": _pulling(car, 1, 0.8, drawbar=3.0, track=1.4, mass=400.0, inertia=300.0,
+                                radius=0.3, wheel_mass=15.0),
+    }  # fmt: skip
+    return {name: Kind(name, _named(name, make)) for name, make in makers.items()}
+
+
+def _pulling(
+    make: Callable[..., Robot], number: int, hitch: float, **trailer: Any
+) -> Callable[..., Robot]:
+    """Add trailers to a maker."""
+
+    @functools.wraps(make)
+    def both(**numbers: Any) -> Robot:
+        return with_trailers(make(**numbers), number, hitch, **trailer)
+
+    return both
+
+
+def _named(kind: str, make: Callable[..., Robot]) -> Callable[..., Robot]:
+    """Make a maker raise `UnknownName` for a parameter that the kind does not have."""
+    valid = list(inspect.signature(make).parameters)
+
+    @functools.wraps(make)
+    def named(**numbers: Any) -> Robot:
+        for name in numbers:
+            if name not in valid:
+                raise UnknownName(f"number of a {kind}", name, valid)
+        return make(**numbers)
+
+    return named

@@ -39,7 +39,7 @@ class Motor(Record):
         above, least = (dict.fromkeys(x, 0.0) for x in (self.positive, self.nonnegative))
         check_ranges(self, above=above, least=least)
 
-    def may_be_endless(self, name: str) -> bool:
+    def may_be_infinite(self, name: str) -> bool:
         return name == self.unlimited
 
     @property

@@ -1,26 +1,24 @@
 """A tyre as a force element: a wheel of a model on a plane.
 
-The plane is through A's origin, across its z, n; it may move with a body. The wheel's centre c is
-B's origin, its axle e B's z. With cos(lean) = n . e, h the height of c, and m the steepest way down
-in the wheel's plane, the tyre touches at p, as far from c as the plane is:
+The plane is through A's origin, with the normal n = z of A; it may move with a body. The wheel's
+centre c is B's origin, its axle e is B's z. With cos(lean) = n . e and the height h of c, the tyre
+touches at p, as far from c as the plane is along the steepest direction m in the wheel's plane:
 
     p = c + D m,    D = h / sin(lean),    m = (cos(lean) e - n) / sin(lean)
 
-u is the velocity of the wheel's material at p against that of the ground. The tyre is a spring and
-a damper along m, behind a short onset (`forces.joint_limits.stop_force`), and never pulls:
+u is the velocity of the wheel's material point at p relative to the ground. The tyre is a spring
+and a damper along m, with a short onset (`forces.joints.limits.stop_force`), and never pulls:
 
     depth = r - D,   depth' = -n . u / sin(lean),   N = stop_force(depth, depth') / sin(lean)
 
-As depth' has no other part, N works on the spring and the damper and on nothing else, however the
-wheel leans. At rest under m g the depth is m g / k + onset / 2. In the plane, x = e x n / sin(lean)
-is where the wheel rolls for a positive spin about e, and y = n x x is across; the tyre law gives
+At rest under m g the depth is m g / k + onset / 2. In the plane, x = e x n / sin(lean) is the
+rolling direction of a positive spin about e, and y = n x x. The tyre law gives
 
     F = N (n + mu_x x + mu_y y)   at p on the wheel,     -F at p on the ground
 
-from the sliding velocity (u . x, u . y) and the speed D spin at which the rim comes round; spin is
-about e, less what turning of the wheel's plane about n makes of it. So F . u is what the spring
-stores less what is lost: power has no other way out. As k and the law's slope grow, the motion
-becomes that of the constraint `RollingDisc`.
+by the sliding velocity (u . x, u . y) and the rolling speed D spin, where spin is about e, without
+the rotation of the wheel's plane about n. So F . u is the power of the spring less the losses. As k
+and the slope of the law grow, the motion approaches that of the constraint `RollingDisc`.
 """
 
 from __future__ import annotations
@@ -44,10 +42,12 @@ from rbjax.wheeled.tyres.tyre import Pair, RollingResistance, Tyre
 
 
 class Contact(NamedTuple):
-    """A tyre at an instant: p, where it touches; n, x, y, the directions there (all in world axes);
-    depth, m; load N, in newtons; lever D, m; the sliding velocity, m/s, the traction mu, and the
-    rates of the state, along x and y; spin, rad/s about the axle; roll_speed, m/s, at which the rim
-    comes round."""
+    """The contact of a tyre.
+
+    Fields: p, the contact point, and n, x, y, the directions there, in world axes; depth, m; load
+    N, in newtons; lever D, m; sliding velocity, m/s, traction mu, and rates of the state, along x
+    and y; spin, rad/s about the axle; roll_speed, m/s, of the rim.
+    """
 
     p: Vec3
     n: Vec3
@@ -68,14 +68,14 @@ class TyreOnGround(Element):
 
         F = N (n + mu_x x + mu_y y),    N = stop_force(r - D, ...) / sin(lean)
 
-    Its own state is that of a `Relaxing` tyre. What a leaning tyre does by itself (camber thrust,
-    the torques about n and x) is no part of it.
+    Its state is that of a `Relaxing` tyre. Camber thrust and the torques about n and x are not
+    included.
 
     Fields: a, a `Place`, its origin in the plane and its z the normal on the wheel's side; b, a
     `Place`, its origin the wheel's centre and its z the axle, about which a positive spin rolls
     towards axle x normal; tyre, a law or `Relaxing`; radius r (), m; stiffness k (), N/m; damping
-    (), N s/m; onset (), m, over which the spring sets in; resistance, a `RollingResistance` or
-    None. The axle must not stand across the plane.
+    (), N s/m; onset (), m, of the spring; resistance, a `RollingResistance` or None. The axle must
+    not be normal to the plane.
 
     Source: Rill & Castro, *Road Vehicle Dynamics*, 2nd ed. 2020, 3.1 and 3.2.
 
@@ -113,7 +113,7 @@ class TyreOnGround(Element):
         above = dict.fromkeys(("radius", "stiffness", "onset"), 0.0)
         check_ranges(self, above=above, least={"damping": 0.0})
 
-    def may_be_endless(self, name: str) -> bool:
+    def may_be_infinite(self, name: str) -> bool:
         return False
 
     def shapes(self, model: Model) -> Shapes:
@@ -124,7 +124,7 @@ class TyreOnGround(Element):
         return self.tyre.size
 
     def contact(self, now: Context) -> Contact:
-        """Where and how it touches, at an instant."""
+        """Compute the contact."""
         A, B, own = self.a.frame(now), self.b.frame(now), self._in(now)
         n, e = A.rotation @ Z, B.rotation @ Z
         away = B.position - A.position
@@ -162,10 +162,10 @@ class TyreOnGround(Element):
         return now.once(self, lambda: self.contact(now)).rates
 
     def energy(self, now: Context) -> Lane:
-        """What the spring stores, and the carcass of a `Relaxing` tyre under its load now."""
+        """Compute the energy of the spring, and of the carcass of a `Relaxing` tyre."""
         at, own = now.once(self, lambda: self.contact(now)), self._in(now)
         return stop_energy(at.depth, own.stiffness, own.onset) + at.load * own.tyre.stored(now.x)
 
     def _in(self, now: Context) -> TyreOnGround:
-        """The same, in the precision of the motion."""
+        """Return a copy in the precision of the motion."""
         return jax.tree.map(lambda x: jnp.asarray(x, now.q.dtype), self)

@@ -43,10 +43,6 @@ class Linear(Tyre):
     def slopes(self) -> Pair:
         return pair(self.stiffness)
 
-    @property
-    def limits(self) -> Pair:
-        return super().limits if self.friction is None else pair(self.friction)
-
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         if self.friction is None:
             return self.slopes
@@ -75,10 +71,6 @@ class Coulomb(Tyre):
     @property
     def slopes(self) -> Pair:
         return pair(self.friction / self.width)
-
-    @property
-    def limits(self) -> Pair:
-        return pair(self.friction)
 
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         return _saturated(self.slopes, pair(self.friction), sx, sy)
@@ -122,10 +114,6 @@ class Fiala(Tyre):
     def slopes(self) -> Pair:
         return pair(self.stiffness)
 
-    @property
-    def limits(self) -> Pair:
-        return pair(self.friction)
-
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         cx, cy = self.slopes
         third = self.stiffness / (3 * self.friction)
@@ -156,6 +144,7 @@ class Pacejka(Tyre):
         [0.919, -0.0]
     """
 
+    limit = "peak"
     positive = ("stiffness_factor", "shape", "peak")
     stiffness_factor: jax.Array = number()
     shape: jax.Array = number()
@@ -169,10 +158,6 @@ class Pacejka(Tyre):
     @property
     def slopes(self) -> Pair:
         return pair(self.stiffness_factor * self.shape * self.peak)
-
-    @property
-    def limits(self) -> Pair:
-        return pair(self.peak)
 
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         bx, by = pair(self.stiffness_factor)
@@ -220,6 +205,7 @@ class TMeasy(Tyre):
         [1.0, -0.0]
     """
 
+    limit = "peak"
     positive = ("slope", "peak_slip", "peak", "sliding")
     slope: jax.Array = number()
     peak_slip: jax.Array = number()
@@ -235,10 +221,6 @@ class TMeasy(Tyre):
     @property
     def slopes(self) -> Pair:
         return pair(self.slope)
-
-    @property
-    def limits(self) -> Pair:
-        return pair(self.peak)
 
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         ix, iy = pair(1 / self.peak_slip)

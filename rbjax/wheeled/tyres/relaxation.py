@@ -85,14 +85,6 @@ class Relaxing(Record):
             rates.append(rate)
         return (mu[0], mu[1]), (rates[0], rates[1])
 
-    def traction(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any) -> Pair:
-        """Compute the first part of `response`."""
-        return self.response(ux, uy, roll_speed, z)[0]
-
-    def rate(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any) -> Pair:
-        """Compute the second part of `response`."""
-        return self.response(ux, uy, roll_speed, z)[1]
-
     def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
         """Compute c (h + tau) G / (G + c v tau), s/m: the damping of the sliding velocity by the
         traction at the end of a step h."""

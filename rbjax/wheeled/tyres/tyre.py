@@ -45,7 +45,8 @@ class Tyre(Record):
     """A tyre law. A subclass defines `secants` and `slopes`; each coefficient is one number for
     both axes, (), or one along and one across, (2,).
 
-    Fields: smooth_speed () v_n, m/s, above 0. Class field: positive, the coefficients above zero.
+    Fields: smooth_speed () v_n, m/s, above 0. Class fields: positive, the coefficients
+    above zero; limit, the coefficient of the largest traction, if the law has it.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -62,6 +63,7 @@ class Tyre(Record):
     """
 
     positive: ClassVar[tuple[str, ...]] = ()
+    limit: ClassVar[str] = "friction"
     smooth_speed: eqx.AbstractVar[jax.Array]
 
     def __check_init__(self) -> None:
@@ -81,7 +83,8 @@ class Tyre(Record):
     @property
     def limits(self) -> Pair:
         """The largest traction along and across; infinite if there is no limit."""
-        return math.inf, math.inf
+        limit = getattr(self, self.limit, None)
+        return (math.inf, math.inf) if limit is None else pair(limit)
 
     @abc.abstractmethod
     def secants(self, sx: Lane, sy: Lane) -> Pair:

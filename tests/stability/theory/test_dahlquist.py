@@ -9,7 +9,7 @@ import pytest
 import rbjax as rb
 from rbjax import stability
 from rbjax.stability import Characteristic
-from rbjax.stability.theory.polynomials import Poly, poly, times
+from rbjax.stability.theory.polynomials import Poly, multiply, poly
 
 ROOTS = [Fraction(x) for x in ("-1", "-1/2", "0", "1/3", "1/2", "9/10", "1", "-3/2", "2")]
 
@@ -44,13 +44,13 @@ def rhos(k: int) -> list[Poly]:
     for others in itertools.combinations_with_replacement(ROOTS, k - 1):
         rho = poly([-1, 1])
         for root in others:
-            rho = times(rho, poly([-root, 1]))
+            rho = multiply(rho, poly([-root, 1]))
         out.append(rho)
     if k == 3:
-        out.append(times(poly([-1, 1]), poly([1, Fraction(6, 5), 1])))  # on the rim
+        out.append(multiply(poly([-1, 1]), poly([1, Fraction(6, 5), 1])))  # on the rim
         out.append(poly([-11, -27, 27, 11]))  # order six, and unstable
     if k == 4:
-        out.append(times(poly([-1, 0, 1]), poly([1, Fraction(6, 5), 1])))
+        out.append(multiply(poly([-1, 0, 1]), poly([1, Fraction(6, 5), 1])))
     return out
 
 
@@ -84,7 +84,7 @@ def test_second_barrier() -> None:
     for a, b2 in itertools.product(
         [Fraction(n, 5) for n in (-4, -1, 0, 2, 4)], [Fraction(n, 4) for n in range(1, 7)]
     ):
-        rho = times(poly([-1, 1]), poly([-a, 1]))
+        rho = multiply(poly([-1, 1]), poly([-a, 1]))
         first, second = (sum(c * j**n for j, c in enumerate(rho)) / n for n in (1, 2))
         b1 = second - 2 * b2
         phi = Characteristic((rho, poly([-(first - b1 - b2), -b1, -b2])))

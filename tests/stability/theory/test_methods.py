@@ -9,7 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import stability
-from rbjax.stability.methods import made, stepping
+from rbjax.stability.methods import fixed_step_solver, solver_of
 
 CLOSE = 1e-13  # of a growth factor: rounding of a step
 SLOPE = 0.1  # of a measured order: powers of h beyond the first
@@ -170,15 +170,15 @@ def test_what_is_no_method(call, words: str) -> None:
 
 
 def test_one_door_for_names_solvers_and_tableaus() -> None:
-    assert isinstance(made("rk4"), rb.solvers.RK4)
+    assert isinstance(solver_of("rk4"), rb.solvers.RK4)
     solver = diffrax.Tsit5()
-    assert made(solver) is stepping(solver) is solver
-    assert isinstance(made(HEUN3), rb.solvers.MuntheKaas)
-    assert isinstance(made(THETA), rb.solvers.ImplicitRungeKutta)
+    assert solver_of(solver) is fixed_step_solver(solver) is solver
+    assert isinstance(solver_of(HEUN3), rb.solvers.MuntheKaas)
+    assert isinstance(solver_of(THETA), rb.solvers.ImplicitRungeKutta)
     # tolerances of one's own stay, those of a controller are not waited for
     own = diffrax.Kvaerno3(root_finder=diffrax.VeryChord(rtol=1e-3, atol=1e-3))
-    assert stepping(own) is own
-    assert isinstance(stepping(diffrax.Kvaerno3()).root_finder, rb.solvers.RootFinder)
+    assert fixed_step_solver(own) is own
+    assert isinstance(fixed_step_solver(diffrax.Kvaerno3()).root_finder, rb.solvers.RootFinder)
 
 
 @pytest.mark.slow

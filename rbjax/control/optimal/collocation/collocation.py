@@ -1,18 +1,16 @@
 """Direct collocation by a primal-dual interior point: Gauss-Legendre, Radau, Hermite and Simpson.
 
-States, controls and stages of all steps are unknowns (`condensing`). Each iteration is one step
-of sequential quadratic programming: the Lagrangian to second order with its stages eliminated
-(`condensing`), bounds and constraints by a barrier (`barrier`), a Riccati recursion
-(`backward_pass`) in time linear in the horizon, and a line search by a filter (`filter_search`).
+Each iteration is a step of sequential quadratic programming on all states, controls and stages: the
+Lagrangian to second order with its stages eliminated (`condensing`), bounds and constraints by a
+barrier (`barrier`), a Riccati recursion (`backward_pass`), a line search by a filter.
 
-    mu <- min(0.2 mu, mu^1.5)   where the problem with the barrier mu is solved; then, too,
+    mu <- min(0.2 mu, mu^1.5)   if the problem with the barrier mu is solved; then also
     centre <- y,  soft <- mu    of the constraints, down to the root of a rounding
-    reg <- 8 reg    where a control Hessian is not positive definite, or no step is taken
+    reg <- 8 reg                if a control Hessian is not positive definite, or no step is taken
     if the filter accepts no step and there are gaps, the next steps close them
 
-The motion need not obey the dynamics before the end, so that a guess of only the states is enough
-to begin with. Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter &
-Biegler 2006 (*Ipopt*), whose rules of barrier and filter these are.
+Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter & Biegler 2006
+(*Ipopt*), whose rules of barrier and filter these are.
 """
 
 from __future__ import annotations
@@ -29,11 +27,11 @@ from rbjax.control.optimal.collocation.condensing import (
     End,
     Weights,
     at_end,
-    chords,
-    combined,
-    constants,
+    combine,
+    evaluate_stages,
     stage_states,
-    stages,
+    straight_guess,
+    tableau_arrays,
 )
 from rbjax.control.optimal.collocation.transcribed import (
     Measured,
@@ -80,7 +78,7 @@ class Iterate(NamedTuple):
     violation: jax.Array  # at the last change of the centre
     vain: jax.Array  # changes in a row that did not lower it
     closing: jax.Array  # gaps to close to before the filter decides again; infinite: it decides
-    reference_cost: jax.Array  # with stalled, those of `count_stalled`
+    reference_cost: jax.Array  # the cost at its last fall by more than rounding
     stalled: jax.Array
 
 
@@ -90,23 +88,23 @@ def solve_collocation(
 ) -> SearchResult:  # fmt: skip
     """`solve` by collocation."""
     t = Transcribed(problem, start, table)
-    last = iterated(t, begun(t, knots, ctrls, history), options)
-    return found(t, last)
+    last = iterate(t, initial_iterate(t, knots, ctrls, history), options)
+    return search_result(t, last)
 
 
-def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterate:
+def initial_iterate(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterate:
     """The first iterate: inside all bounds."""
     problem, dtype = t.problem, ctrls.dtype
     N, n = problem.horizon, problem.n
     mu = jnp.asarray(FIRST_MU, dtype)
-    low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
+    low, high = problem.parameter_bounds(dtype)
     knots = Knot(knots.state, barrier.push_inside(knots.parameters, low, high))
-    inner = chords(problem, t.table, knots, ctrls)
+    inner = straight_guess(problem, t.table, knots, ctrls)
     us = t.us(Point(knots, inner, inner.us, inner.us))  # whose slacks are not read
     inner = inner._replace(us=barrier.push_inside(us.v, us.low, us.high))
     body = take(knots, BODY)
     ks = jnp.arange(N, dtype=dtype)
-    rows = jax.vmap(functools.partial(stages, problem, t.table))(ks, body, inner).rows
+    rows = jax.vmap(functools.partial(evaluate_stages, problem, t.table))(ks, body, inner).rows
     _, end = at_end(problem, take(knots, -1))
     slacks = []
     for where, values in (("path", rows), ("end", end)):
@@ -116,7 +114,7 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
     bounds = sum(barrier.bound_count(x) for x in t.bounded(point)) + rows.size + end.size
     mu = jnp.where(bounds > 0, mu, 0.0)
     multipliers = t.first_multipliers(point, mu)
-    measured = t.measured(point, multipliers)
+    measured = t.measure(point, multipliers)
     total = measured.cost + measured.theta + measured.square
     number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
     return Iterate(
@@ -128,7 +126,7 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
     )  # fmt: skip
 
 
-def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
+def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     """The iterations."""
     dtype = begin.mu.dtype
     eps = jnp.finfo(dtype).eps
@@ -139,7 +137,7 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     scale = options.rule.scale
     if scale is None:
         scale = jnp.minimum(jnp.abs(begin.measured.cost), 1.0)
-    _, b, _ = constants(t.table, dtype)
+    _, b, _ = tableau_arrays(t.table, dtype)
     history = begin.costs.shape[0]
 
     def direction(path: Condensed, end: End, gaps: jax.Array, now: Iterate) -> tuple:
@@ -158,8 +156,8 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     def turn(now: Iterate) -> Iterate:
         l, mu = now.multipliers, now.mu
         w = Weights(mu, jnp.maximum(STIFF * mu, soft))
-        before = t.measured(now.point, l)
-        path, end, gaps = t.expanded(now.point, l, w)
+        before = t.measure(now.point, l)
+        path, end, gaps = t.expand(now.point, l, w)
         gains, reg = direction(path, end, gaps, now)
         step, by = t.step(now.point, l, w, path, end, gaps, gains)
         decrease = jnp.abs(gains.slope + 0.5 * gains.curvature)
@@ -169,7 +167,7 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
             return Pair(m.theta, m.cost + mu * m.barrier + m.pull + m.square / w.soft)
 
         def total(a: jax.Array) -> jax.Array:
-            return phi(t.measured(t.moved(now.point, step, a), l)).phi
+            return phi(t.measure(t.step_along(now.point, step, a), l)).phi
 
         zero = jnp.zeros((), dtype)
         slope = jax.jvp(total, (zero,), (jnp.ones((), dtype),))[1]
@@ -178,7 +176,7 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         def tries(x: tuple) -> tuple:
             a, _, _, count = x
             a = jnp.where(count == 0, a, 0.5 * a)
-            m = t.measured(t.moved(now.point, step, a), l)
+            m = t.measure(t.step_along(now.point, step, a), l)
             good = filter_search.accepts(now.filter, pair, phi(m), slope, a)
             nearer = (m.theta <= (1 - filter_search.ARMIJO * a) * pair.theta) & jnp.isfinite(m.cost)
             nearer = nearer & jnp.isfinite(m.barrier)
@@ -190,10 +188,10 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         a, m, taken, _ = jax.lax.while_loop(
             goes_on, tries, (along, before, jnp.asarray(False), jnp.asarray(0))
         )
-        point = t.moved(now.point, step, a)
+        point = t.step_along(now.point, step, a)
         kept = filter_search.updated_filter(now.filter, pair, phi(m), slope, a)
-        moved = point, t.moved_multipliers(point, l, by, a, back, mu), m, kept
-        point, l, m, kept = _chosen(taken, moved, (now.point, l, before, now.filter))
+        moved = point, t.step_multipliers(point, l, by, a, back, mu), m, kept
+        point, l, m, kept = _choose(taken, moved, (now.point, l, before, now.filter))
 
         # how far the search is
         gap = jnp.maximum(before.gap, m.gap)
@@ -210,14 +208,14 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         less = jnp.maximum(least, jnp.minimum(0.2 * mu, mu**1.5))
         less = jnp.where(solved, jnp.minimum(less, mu), mu)
         both = tuple(x.multipliers for x in t.rows(point, l))
-        l = _chosen(solved, l._replace(centre=both), l)
-        kept = _chosen(solved, filter_search.without_pairs(kept), kept)
+        l = _choose(solved, l._replace(centre=both), l)
+        kept = _choose(solved, filter_search.without_pairs(kept), kept)
         floor = jnp.where(taken, 0.0, jnp.maximum(LEAST_REG, HARDER * reg))
         begins = ~taken & ~closing & gains.ok & (before.gap > jnp.maximum(mu, eps**GAP))
         goal = jnp.where(begins, CLOSED * before.theta, now.closing)
         ends = closing & (m.theta <= now.closing)
         goal = jnp.where(ends, jnp.inf, goal)
-        kept = _chosen(ends, filter_search.without_pairs(kept), kept)
+        kept = _choose(ends, filter_search.without_pairs(kept), kept)
         floor = jnp.where(begins | (closing & taken & ~ends), CLOSING_REG, floor)
 
         iterations = now.iterations + 1
@@ -240,17 +238,17 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     return jax.lax.while_loop(lambda now: now.status == GOING, turn, begin)
 
 
-def _chosen(condition: jax.Array, one: Any, other: Any) -> Any:
+def _choose(condition: jax.Array, one: Any, other: Any) -> Any:
     return jax.tree.map(functools.partial(jnp.where, condition), one, other)
 
 
-def found(t: Transcribed, last: Iterate) -> SearchResult:
+def search_result(t: Transcribed, last: Iterate) -> SearchResult:
     """The public form of the last iterate."""
     point, l = last.point, last.multipliers
-    _, b, c = constants(t.table, point.inner.us.dtype)
+    _, b, c = tableau_arrays(t.table, point.inner.us.dtype)
     body = take(point.knots, BODY)
     states = jax.vmap(functools.partial(stage_states, t.problem, t.table))(body, point.inner)
-    ctrls = jax.vmap(functools.partial(combined, b))(point.inner.us)
+    ctrls = jax.vmap(functools.partial(combine, b))(point.inner.us)
     path, end = (x.multipliers for x in t.rows(point, l))
     m, off = last.measured, constraint_violations(t.problem, *constraint_values(t, point))
     return SearchResult(

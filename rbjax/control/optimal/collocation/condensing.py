@@ -3,22 +3,16 @@
     K_i = f(t_i, x (+) xi_i, u_i),   xi_i = h sum_j a_ij K_j,   x+ = x (+) h sum_i b_i K_i
     cost = sum of h b_i L(t_i, x (+) xi_i, u_i) + Phi(x_N)
 
-a, b and c are a collocation tableau (`rbjax.solvers.tableau`): Gauss-Legendre has order 2 s,
-Radau IIA 2 s - 1, Lobatto IIIA 2 s - 2; with three stages the last is the separated form of Hermite
-and Simpson. Each stage has its own controls, which may jump at knots. The increments xi are tangent
-coordinates about the knot. With positive b the costates obey a Runge-Kutta method too, so optimal
-states converge with the order of the tableau (Hager 2000, *Runge-Kutta methods in optimal control*;
-Betts, *Practical Methods for Optimal Control*, ch. 4).
-
-The stages are eliminated:
+a, b and c are a tableau (`rbjax.solvers.tableau`): Gauss-Legendre has order 2 s, Radau IIA 2 s - 1,
+Lobatto IIIA 2 s - 2. Each stage has its own controls. The stages are eliminated:
 
     E dK = -miss - e_x dx - e_u du       gives   dK = Z (dx, du) + offset
     dx+ = A dx + B du + gap,      Z' H Z the Hessian of the Lagrangian in (dx, du)
 
-The condensed problem is a discrete problem whose controls are those of all stages of a step, which
-a Riccati recursion solves. Constraints at the stages enter by their slacks and multipliers
-(`row_terms`), equations by the method of multipliers. The multipliers lambda of the stage equations
-follow from the stationarity of K: E' lambda = -(cost + y.rows + p.x+)_K.
+The multipliers of the stages follow from E' lambda = -(cost + y.rows + p.x+)_K. Constraints enter
+by their slacks and multipliers (`row_terms`), equations by the method of multipliers. Source:
+Hager, *Runge-Kutta methods in optimal control*, 2000; Betts, *Practical Methods for Optimal
+Control*, ch. 4.
 """
 
 from __future__ import annotations
@@ -54,13 +48,13 @@ class Stages(NamedTuple):
     rows: jax.Array
 
 
-def constants(table: Tableau, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+def tableau_arrays(table: Tableau, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     """a (s, s), b (s,) and c (s,)."""
     a, b, c = (jnp.asarray(x, dtype) for x in (table.a, table.b, table.c))
     return a, b, c
 
 
-def combined(weights: jax.Array, rates: jax.Array) -> jax.Array:
+def combine(weights: jax.Array, rates: jax.Array) -> jax.Array:
     """sum_j w_ij K_j, or sum_j w_j K_j."""
     return (weights[..., None] * rates).sum(-2)
 
@@ -79,15 +73,15 @@ def at_stage(
 def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -> Knot:
     """x (+) h sum_i b_i K_i."""
     system, dt = problem.at(knot.parameters)
-    _, b, _ = constants(table, rates.dtype)
-    return Knot(system.plus(knot.state, dt * combined(b, rates)), knot.parameters)
+    _, b, _ = tableau_arrays(table, rates.dtype)
+    return Knot(system.plus(knot.state, dt * combine(b, rates)), knot.parameters)
 
 
-def stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -> Stages:
+def evaluate_stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -> Stages:
     """The step k."""
-    a, b, c = constants(table, inner.rates.dtype)
+    a, b, c = tableau_arrays(table, inner.rates.dtype)
     _, dt = problem.at(knot.parameters)
-    xi = dt * combined(a, inner.rates)
+    xi = dt * combine(a, inner.rates)
     rates, costs, rows = jax.vmap(lambda *x: at_stage(problem, x[0], knot, *x[1:]))(
         k + c, xi, inner.us
     )
@@ -97,9 +91,9 @@ def stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -
 
 def stage_states(problem: Problem, table: Tableau, knot: Knot, inner: Inner) -> Any:
     """The states of the stages of a step."""
-    a, _, _ = constants(table, inner.rates.dtype)
+    a, _, _ = tableau_arrays(table, inner.rates.dtype)
     system, dt = problem.at(knot.parameters)
-    return jax.vmap(lambda xi: system.plus(knot.state, xi))(dt * combined(a, inner.rates))
+    return jax.vmap(lambda xi: system.plus(knot.state, xi))(dt * combine(a, inner.rates))
 
 
 def at_end(problem: Problem, knot: Knot) -> tuple[jax.Array, jax.Array]:
@@ -108,8 +102,8 @@ def at_end(problem: Problem, knot: Knot) -> tuple[jax.Array, jax.Array]:
     return knot_cost(problem, "end", N, knot, none), problem.rows("end", N, knot, none)
 
 
-def chords(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> Inner:
-    """A first guess between knots: the controls held, the states on chords."""
+def straight_guess(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> Inner:
+    """A first guess between knots: constant controls, and states on straight lines."""
     s = len(table.b)
 
     def one(knot: Knot, following: Knot, ctrl: jax.Array) -> Inner:
@@ -139,7 +133,7 @@ class Rows(NamedTuple):
 
     @property
     def bounded(self) -> Bounded:
-        """The slacks; those of equations have no bounds."""
+        """The slacks. The slacks of equations have no bounds."""
         low = jnp.where(self.equal, -jnp.inf, self.low)
         return Bounded(self.slack, low, jnp.where(self.equal, jnp.inf, self.high))
 
@@ -208,19 +202,19 @@ def _springs(rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array, jax.Array]:
     return barrier.gradient(x, w.mu), stiff, 1 / (1 + stiff * w.soft)
 
 
-def condensed(
+def condense(
     problem: Problem, table: Tableau, w: Weights, k: Any, knot: Knot, inner: Inner,
     following: Knot, costate: jax.Array, us: Bounded, us_duals: Duals, rows: Rows,
 ) -> Condensed:  # fmt: skip
     """The step k. costate (n,): of the knot that follows."""
     (s, m), ns, n = inner.us.shape, problem.system.n, problem.n
     dtype = inner.us.dtype
-    a, b, c = constants(table, dtype)
+    a, b, c = tableau_arrays(table, dtype)
     _, dt = problem.at(knot.parameters)
     by_numbers = jax.grad(lambda p: problem.at(p)[1])(knot.parameters)
     dt_x = jnp.concatenate([jnp.zeros(ns, dtype), by_numbers])
-    inside = combined(a, inner.rates)  # xi = h inside
-    whole = combined(b, inner.rates)
+    inside = combine(a, inner.rates)  # xi = h inside
+    whole = combine(b, inner.rates)
 
     def stage(where, xi, u):
         def near(d):
@@ -276,7 +270,7 @@ def condensed(
         d, along = e[:-1], e[-1]
         du, dk = d[n:].reshape(s, m), matvec(Z, d) + along * offset
         there = Inner(inner.us + du, inner.rates + dk.reshape(s, ns))
-        at = stages(problem, table, k, problem.plus(knot, d[:n]), there)
+        at = evaluate_stages(problem, table, k, problem.plus(knot, d[:n]), there)
         total = at.cost + (lam.reshape(s, ns) * at.miss).sum() + (y * at.rows).sum()
         return total + (costate * problem.minus(at.after, following)).sum()
 
@@ -297,7 +291,7 @@ def condensed(
     )  # fmt: skip
 
 
-def end_condensed(problem: Problem, w: Weights, knot: Knot, rows: Rows) -> End:
+def condense_end(problem: Problem, w: Weights, knot: Knot, rows: Rows) -> End:
     """The end."""
     n, m, dtype = problem.n, problem.nu, problem.dt.dtype
 

@@ -26,10 +26,10 @@ from rbjax.control.optimal.collocation.condensing import (
     Rows,
     Weights,
     at_end,
-    condensed,
-    end_condensed,
+    condense,
+    condense_end,
+    evaluate_stages,
     row_step,
-    stages,
 )
 from rbjax.control.optimal.objective import row_bounds
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
@@ -102,9 +102,7 @@ class Transcribed(NamedTuple):
     def parameters(self, point: Point) -> Bounded:
         """The parameters, which are constant along the motion."""
         parameters = point.knots.parameters[0]
-        bounds = self.problem.start_bounds(parameters.dtype)
-        low, high = (x[self.problem.system.n :] for x in bounds)
-        return Bounded(parameters, low, high)
+        return Bounded(parameters, *self.problem.parameter_bounds(parameters.dtype))
 
     def rows(self, point: Point, l: Multipliers) -> tuple[Rows, Rows]:
         """The rows of constraints of path and end."""
@@ -139,13 +137,13 @@ class Transcribed(NamedTuple):
         """start (-) first knot (n,), 0 in free coordinates."""
         return self.problem.off_start(self.start, take(knots, 0))
 
-    def measured(self, point: Point, l: Multipliers) -> Measured:
+    def measure(self, point: Point, l: Multipliers) -> Measured:
         """Cost, barrier and infeasibility."""
         problem, knots, dtype = self.problem, point.knots, point.inner.us.dtype
         body, following = take(knots, BODY), take(knots, NEXT)
 
         def one(k: Any, knot: Knot, inner: Inner, following: Knot) -> tuple:
-            found = stages(problem, self.table, k, knot, inner)
+            found = evaluate_stages(problem, self.table, k, knot, inner)
             _, dt = problem.at(knot.parameters)
             gap = problem.minus(found.after, following)
             return found.cost, found.rows, jnp.concatenate([gap, dt * found.miss.reshape(-1)])
@@ -165,7 +163,7 @@ class Transcribed(NamedTuple):
             jnp.abs(gaps).sum(), jnp.abs(gaps).max(), jnp.abs(off).max(initial=0.0),
         )  # fmt: skip
 
-    def moved(self, point: Point, step: Step, a: jax.Array) -> Point:
+    def step_along(self, point: Point, step: Step, a: jax.Array) -> Point:
         """point (+) a step."""
         knots = jax.vmap(self.problem.plus)(point.knots, a * step.dx)
         inner = Inner(point.inner.us + a * step.us, point.inner.rates + a * step.rates)
@@ -173,20 +171,18 @@ class Transcribed(NamedTuple):
 
     # an iteration
 
-    def expanded(
-        self, point: Point, l: Multipliers, w: Weights
-    ) -> tuple[Condensed, End, jax.Array]:
+    def expand(self, point: Point, l: Multipliers, w: Weights) -> tuple[Condensed, End, jax.Array]:
         """All steps and the end to second order, and the gaps (N + 1, n)."""
         problem, knots, dtype = self.problem, point.knots, point.inner.us.dtype
         body, following = take(knots, BODY), take(knots, NEXT)
-        one = functools.partial(condensed, problem, self.table, w)
+        one = functools.partial(condense, problem, self.table, w)
         ks = jnp.arange(problem.horizon, dtype=dtype)
         rows, closing = self.rows(point, l)
         path = jax.vmap(threads(one))(
             ks, body, point.inner, following, l.costates[1:], self.us(point), l.duals[0], rows
         )
         last = take(knots, -1)
-        end = end_condensed(problem, w, last, closing)
+        end = condense_end(problem, w, last, closing)
         if problem.parameter_count:  # bounded at the first knot
             ns, parameters = problem.system.n, self.parameters(point)
             at = jnp.arange(ns, problem.n)
@@ -242,7 +238,7 @@ class Transcribed(NamedTuple):
             back = jnp.minimum(back, barrier.dual_step_to_boundary(z, dz, tau))
         return along, back
 
-    def moved_multipliers(
+    def step_multipliers(
         self, point: Point, l: Multipliers, by: Multipliers, a: jax.Array, back: jax.Array,
         mu: jax.Array,
     ) -> Multipliers:  # fmt: skip
@@ -260,5 +256,5 @@ def constraint_values(t: Transcribed, point: Point) -> tuple[jax.Array, jax.Arra
     problem, dtype = t.problem, point.inner.us.dtype
     body = take(point.knots, BODY)
     ks = jnp.arange(problem.horizon, dtype=dtype)
-    rows = jax.vmap(functools.partial(stages, problem, t.table))(ks, body, point.inner).rows
-    return rows, at_end(problem, take(point.knots, -1))[1]
+    found = jax.vmap(functools.partial(evaluate_stages, problem, t.table))(ks, body, point.inner)
+    return found.rows, at_end(problem, take(point.knots, -1))[1]

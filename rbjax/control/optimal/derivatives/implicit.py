@@ -1,15 +1,13 @@
 """Derivatives of an optimum by the implicit function theorem.
 
 At an optimum the gradient of the Lagrangian L by the unknowns z (states, free controls, costates,
-multipliers) is zero whatever the numbers p of the problem are (`optimality`), so that
+multipliers) is zero for all parameters p of the problem (`optimality`), so that
 
     K dz = - d(grad L)/dp dp,      K = d(grad L)/dz,  symmetric
 
-(Fiacco 1983; Amos et al., *Differentiable MPC*, 2018). `riccati_solve` solves it in O(N). Forward
-and reverse mode solve with the same K, and nothing of the iterations is kept. The derivative of the
-optimal cost is that of L by p, because L is stationary in the unknowns.
-
-If the search failed, the derivative is finite but meaningless: check `success`.
+`riccati_solve` solves it in O(N), in forward and in reverse mode. The derivative of the optimal
+cost is the derivative of L by p. If the search failed, it is finite but meaningless. Source: Fiacco
+1983; Amos et al., *Differentiable MPC*, 2018.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from rbjax.control.optimal.derivatives.optimality import (
     KKTSystem,
     KnotValues,
     PrimalDualPoint,
-    solution,
+    solve_kkt,
 )
 from rbjax.control.optimal.objective import cost_terms, residuals, row_bounds
 from rbjax.control.optimal.problem import Knot, Problem, take
@@ -39,9 +37,8 @@ def differentiable(
     search: Callable[..., SearchResult], problem: Problem, start: Any, knots: Knot,
     ctrls: jax.Array, options: Any,
 ) -> SearchResult:  # fmt: skip
-    """search(problem, start, knots, ctrls, options), with derivatives of the optimum by the arrays
-    of the problem, what its functions close over, and the start. Gains and the account of the
-    iterations are constants to them, and nothing depends on the first guess."""
+    """Run search(problem, start, knots, ctrls, options), with derivatives of the optimum by the
+    arrays of the problem, the arrays that its functions close over, and the start."""
     arrays, rest = eqx.partition(problem, _traced)
     N, n, m = problem.horizon, problem.n, problem.nu
 
@@ -95,9 +92,6 @@ def _traced(x: Any) -> bool:
     return isinstance(x, jax.core.Tracer)
 
 
-# ------------------------------------------------------------ functions that close over tracers
-
-
 def _without_operands(f: Callable) -> Callable:
     return lambda _, *args: f(*args)
 
@@ -114,33 +108,11 @@ def _may_close_over_tracers(f: Any) -> bool:
 
 
 def _hoist_closures(functions: Functions, examples: tuple) -> tuple[Functions, tuple]:
-    """The functions with all tracers that they close over as their first argument, and these."""
-    made: list[Callable] = []
-    found: list[jax.Array] = []
-    for f, example in zip(functions, examples, strict=True):
-        traced, shape = jax.make_jaxpr(f, return_shape=True)(*example)
-        tree = jax.tree.structure(shape)
-        places = [i for i, x in enumerate(traced.consts) if isinstance(x, jax.core.Tracer)]
-        made.append(_evaluator(traced, tree, places, len(found)))
-        found.extend(traced.consts[i] for i in places)
-    run, path, end = made
-    return Functions(run, path, end), tuple(found)
-
-
-def _evaluator(traced: Any, tree: Any, places: list[int], at: int) -> Callable:
-    consts = [None if i in places else x for i, x in enumerate(traced.consts)]
-
-    def run(found: tuple, *args: Any) -> Any:
-        filled = list(consts)
-        for j, i in enumerate(places):
-            filled[i] = found[at + j]
-        out = jax.core.eval_jaxpr(traced.jaxpr, filled, *jax.tree.leaves(args))
-        return jax.tree.unflatten(tree, out)
-
-    return run
-
-
-# ------------------------------------------------------------ the derivative
+    """The functions with the tracers that they close over as their first argument, and these."""
+    found = [jax.closure_convert(f, *x) for f, x in zip(functions, examples, strict=True)]
+    hoisted = tuple(consts for _, consts in found)
+    of = lambda k: lambda consts, *args: found[k][0](*args, *consts[k])  # noqa: E731
+    return Functions(of(0), of(1), of(2)), hoisted
 
 
 def _solution_tangent(
@@ -151,7 +123,7 @@ def _solution_tangent(
     point = PrimalDualPoint(out.knots, out.ctrls, out.path, out.end)
     kkt = kkt_system.polished(point, out.status == CONVERGED)
     change = jax.jvp(lambda x: kkt_system.gradient(x, kkt), (parameters,), (directions,))[1]
-    dz = solution(kkt, jax.tree.map(jnp.negative, change))
+    dz = solve_kkt(kkt, jax.tree.map(jnp.negative, change))
     held = jax.jvp(lambda x: kkt_system.controls(x, kkt), (parameters,), (directions,))[1]
     du = dz.u + held
 
@@ -159,7 +131,7 @@ def _solution_tangent(
         return jax.vmap(kkt_system.problem.plus)(out.knots, x)
 
     knots = jax.jvp(moved, (jnp.zeros_like(dz.x),), (dz.x,))[1]
-    # L is stationary in the unknowns: its derivative by the parameters is that of the cost
+    # L is stationary in the unknowns: its derivative by the parameters is the cost's
     L = jax.jvp(lambda x: kkt_system.lagrangian(x, kkt), (parameters,), (directions,))[1]
     zero = jax.tree.map(_no_tangent, out)
     return zero._replace(knots=knots, ctrls=du, cost=L, path=dz.path, end=dz.end)

@@ -1,15 +1,12 @@
-"""The conditions of an optimum, and the linear equations of how it moves.
+"""The conditions of an optimum, and the linear equations of its derivative.
 
     L = sum_k L_k(x_k, u_k) + l_{k+1}.(f(x_k, u_k) - x_{k+1}) + nu_k.(c_k - b_k)
         + L_N(x_N) + nu_N.(c_N - b_N) + l_0.(start - x_0)
 
-By the unknowns z = (x, u, l, nu) its gradient is zero and its Hessian is K; x are coordinates of
-the tangent space at each knot. A control at a bound that presses it moves with the bound, and is no
-unknown. Of inequalities those count whose multiplier is not zero (strict complementarity; Fiacco,
-*Introduction to Sensitivity and Stability Analysis in Nonlinear Programming*, 1983).
-
-Where K is not that of a minimum (the search has not converged), the Hessians are those of Gauss and
-Newton, a little on their diagonals: the equations have a finite solution.
+Its gradient by the unknowns z = (x, u, l, nu) is zero and its Hessian is K; x are tangent
+coordinates at each knot. A control at an active bound moves with the bound. Inequalities whose
+multiplier is not zero are active (strict complementarity). If K is not the Hessian of a minimum,
+regularised Hessians of Gauss and Newton take its place.
 """
 
 from __future__ import annotations
@@ -84,7 +81,7 @@ class KKTPoint(NamedTuple):
     factor: Factor
 
 
-def solution(kkt: KKTPoint, r: Unknowns) -> Unknowns:
+def solve_kkt(kkt: KKTPoint, r: Unknowns) -> Unknowns:
     """z of K z = r."""
     e, f = kkt.equations, kkt.factor
     flat, whole = ravel_pytree(r)  # of one array: a transpose wants all of them linear, or none
@@ -115,11 +112,10 @@ class KKTSystem:
         return self.functions.end(parameters[0], parameters[1], d, knot)
 
     def knots(self, point: PrimalDualPoint) -> tuple:
-        """What `path` takes of all knots, and the last knot."""
+        """The arguments of `path` at all knots, and the last knot."""
         ks = jnp.arange(self.problem.horizon, dtype=point.ctrls.dtype)
-        body = take(point.knots, BODY)
-        following = take(point.knots, NEXT)
-        return (ks, body, point.ctrls, following), take(point.knots, -1)
+        body, following, last = (take(point.knots, at) for at in (BODY, NEXT, -1))
+        return (ks, body, point.ctrls, following), last
 
     # the equations
 
@@ -134,7 +130,7 @@ class KKTSystem:
             kkt = self.at(point)
             better = wanted & (_size(kkt.gradient) < _size(best.gradient))
             best = jax.tree.map(lambda x, y: jnp.where((k == 0) | better, x, y), kkt, best)
-            z = solution(best, jax.tree.map(jnp.negative, best.gradient))
+            z = solve_kkt(best, jax.tree.map(jnp.negative, best.gradient))
             at = best.point
             knots = jax.vmap(self.problem.plus)(at.knots, z.x)
             ctrls = self.controls(self.parameters, best) + z.u
@@ -224,10 +220,9 @@ class KKTSystem:
 
     def _first_bounds(self, parameters: tuple) -> tuple[jax.Array, jax.Array]:
         problem = self.whole(parameters[1])
-        low, high = (x[problem.system.n :] for x in problem.start_bounds(problem.dt.dtype))
-        return low, high
+        return problem.parameter_bounds(problem.dt.dtype)
 
-    # L, where unknowns stay and numbers move
+    # L as a function of the parameters
 
     def controls(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
         """The controls; an entry at a bound is replaced by the bound."""
@@ -246,43 +241,27 @@ class KKTSystem:
 
     def gradient(self, parameters: tuple, kkt: KKTPoint) -> Unknowns:
         """The gradient of L by the unknowns."""
-        n, point, dtype, e = self.n, kkt.point, kkt.point.ctrls.dtype, kkt.equations
+        zero = jax.tree.map(jnp.zeros_like, kkt.gradient)
+        g = jax.grad(lambda z: self.lagrangian(parameters, kkt, z))(zero)
+        e = kkt.equations
+        return g._replace(u=e.free * g.u, path=e.path * g.path, end=e.end * g.end)
+
+    def lagrangian(self, parameters: tuple, kkt: KKTPoint, z: Unknowns | None = None) -> jax.Array:
+        """L at the point (+) z, with the active rows only."""
+        point, z = kkt.point, jax.tree.map(jnp.zeros_like, kkt.gradient) if z is None else z
         (ks, body, _, following), last = self.knots(point)
 
-        def one(l: jax.Array, nu: jax.Array, *knot: Any) -> tuple:
-            def L(d: jax.Array) -> tuple:
-                s = self.path(parameters, d, *knot)
-                return _cost(s) + (l * s.after).sum() + (nu * s.c).sum(), s
+        def one(l: jax.Array, nu: jax.Array, d: jax.Array, after: jax.Array, *knot: Any) -> Any:
+            s = self.path(parameters, d, *knot)
+            return _cost(s) + (l * (s.after - after)).sum() + (nu * _active_residual(s, nu)).sum()
 
-            g, s = jax.grad(L, has_aux=True)(jnp.zeros(n + self.m, dtype))
-            return g, s.after, _active_residual(s, nu)
-
+        l, nu, nu_N = kkt.l + z.l, point.path + z.path, point.end + z.end
+        d = jnp.concatenate([z.x[:-1], z.u], 1)
         at = (ks, body, self.controls(parameters, kkt), following)
-        g, gap, off = jax.vmap(one)(kkt.l[1:], point.path, *at)
-
-        def closing(d: jax.Array) -> tuple:
-            s = self.end(parameters, d, last)
-            return _cost(s) + (point.end * s.c).sum(), _active_residual(s, point.end)
-
-        g_N, off_N = jax.grad(closing, has_aux=True)(jnp.zeros(n, dtype))
-        gaps = jnp.concatenate([self.first_row(parameters, kkt)[None], gap])
-        gx = jnp.concatenate([g[:, :n], g_N[None]]) - kkt.l
-        return Unknowns(gx, e.free * g[:, n:], gaps, e.path * off, e.end * off_N)
-
-    def lagrangian(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
-        """L, without the terms that are zero for all parameters."""
-        point = kkt.point
-        (ks, body, _, following), last = self.knots(point)
-
-        def one(l: jax.Array, nu: jax.Array, *knot: Any) -> jax.Array:
-            s = self.path(parameters, jnp.zeros(self.n + self.m, l.dtype), *knot)
-            return _cost(s) + (l * s.after).sum() + (nu * _active_residual(s, nu)).sum()
-
-        at = (ks, body, self.controls(parameters, kkt), following)
-        s = self.end(parameters, jnp.zeros(self.n, point.end.dtype), last)
-        closing = _cost(s) + (point.end * _active_residual(s, point.end)).sum()
-        first_row = (kkt.l[0] * self.first_row(parameters, kkt)).sum()
-        return jax.vmap(one)(kkt.l[1:], point.path, *at).sum() + closing + first_row
+        s = self.end(parameters, z.x[-1], last)
+        closing = _cost(s) + (nu_N * _active_residual(s, nu_N)).sum()
+        first_row = self.first_row(parameters, kkt) - kkt.equations.fixed * z.x[0]
+        return jax.vmap(one)(l[1:], nu, d, z.x[1:], *at).sum() + closing + (l[0] * first_row).sum()
 
 
 def _definite_equations(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:

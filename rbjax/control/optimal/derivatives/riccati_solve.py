@@ -1,15 +1,12 @@
-"""The linear equations of an optimum, solved along the horizon.
+"""The linear equations of an optimum, solved along the horizon in O(N).
 
     [ H   G' ] [ w ]   [ r ]      w = (x_0, u_0, x_1, ..., x_N): H of blocks Q_k, S_k, R_k
     [ G   0  ] [ y ] = [ s ]      rows of G: A_k x_k + B_k u_k - x_{k+1},  C_k x_k + D_k u_k,  E x_N
 
 y = (l, nu) are costates and multipliers. Active rows enter the recursion as penalties
-rho |C x + D u - s|^2 / 2 (a proximal step of the multipliers with -1/rho in the place of the zero
-block), which needs no row to be independent of others. The error of 1/rho falls by that factor in
-each turn of refinement, r <- r - K z. Work and memory are O(N).
-
-Source: Wright, *Interior point methods for optimal control of discrete time systems*, 1993;
-Golub & Van Loan, *Matrix Computations*, 3.5.3 (refinement).
+rho |C x + D u - s|^2 / 2, so they need not be independent. Each step of refinement r <- r - K z
+reduces the error of 1/rho by that factor.
+Source: Wright, *Interior point methods for optimal control of discrete time systems*, 1993.
 """
 
 from __future__ import annotations
@@ -60,16 +57,14 @@ class Saddle(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """K (N, m, n) and the inverses (N, m, m) of control Hessians; V (N + 1, n, n); the inverse of
-    V_0 in what is not fixed; rho (); ok (), whether all inverted matrices were positive
-    definite."""
+    """The factors of the Riccati recursion."""
 
-    K: jax.Array
-    inverse: jax.Array
-    V: jax.Array
-    first: jax.Array
-    rho: jax.Array
-    ok: jax.Array
+    K: jax.Array  # (N, m, n)
+    inverse: jax.Array  # (N, m, m), of the control Hessians
+    V: jax.Array  # (N + 1, n, n)
+    first: jax.Array  # the inverse of V_0 in the free coordinates
+    rho: jax.Array  # ()
+    ok: jax.Array  # (), whether all inverted matrices were positive definite
 
 
 def apply_masks(e: Saddle) -> Saddle:
@@ -125,7 +120,7 @@ def factorise(e: Saddle) -> Factor:
 
 
 def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The inverse of a symmetric matrix, with its least eigenvalues held off zero, and whether all
+    """The inverse of a symmetric matrix, its eigenvalues bounded away from zero, and whether all
     are positive."""
     tiny = jnp.finfo(H.dtype).eps
     values, vectors = jnp.linalg.eigh(H)

@@ -4,14 +4,8 @@
     du = k + K dx,   k = argmin over the box,   K = -Quu^-1 Qux in the free controls
     V = Qxx + Qxu K,   v = Qx + Qxu k
 
-The gap of a step that the states do not follow yet enters v (Mastalli et al. 2020, feasibility-
-driven DDP); bounds of controls enter k and K (Tassa, Mansard & Todorov 2014). The program in the
-box is
-
-    min  d'H d/2 + g.d,      low <= d <= high
-
-Each iteration fixes the entries whose descent leaves the box, takes Newton's step in the others,
-and halves it until the cost falls (Bertsekas 1982).
+The gaps of steps enter v (Mastalli et al. 2020). The quadratic program in the box is solved by
+projected Newton steps (Bertsekas 1982; Tassa, Mansard & Todorov 2014).
 """
 
 from __future__ import annotations
@@ -126,21 +120,17 @@ def solved(L: jax.Array, b: jax.Array) -> jax.Array:
 
 
 class Feedback(NamedTuple):
-    """du = k + K dx at each knot: K (N, m, n), k (N, m); the value function's V (N + 1, n, n) and
-    v (N + 1, n), gap included; first dx0 (n,); slope () and curvature () of the cost along the
-    step; square (), the squared norm of the gradient of the cost by the controls and by the free
-    coordinates of the first knot, projected onto the bounds and without
-    regularisation; ok (), whether all control Hessians were positive definite."""
+    """The step du = k + K dx at each knot, and the value function."""
 
-    K: jax.Array
-    k: jax.Array
-    V: jax.Array
-    v: jax.Array
-    first: jax.Array
-    slope: jax.Array
-    curvature: jax.Array
-    square: jax.Array
-    ok: jax.Array
+    K: jax.Array  # (N, m, n)
+    k: jax.Array  # (N, m)
+    V: jax.Array  # (N + 1, n, n), the Hessian of the value function
+    v: jax.Array  # (N + 1, n), its gradient, gap included
+    first: jax.Array  # dx0 (n,)
+    slope: jax.Array  # (), of the cost along the step
+    curvature: jax.Array  # ()
+    square: jax.Array  # (), the squared projected gradient, without regularisation
+    ok: jax.Array  # (), whether all control Hessians were positive definite
 
 
 class Bounds(NamedTuple):

@@ -22,16 +22,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import threads
-from rbjax.control.optimal.objective import (
-    Multipliers,
-    knot_violation,
-    merit,
-)
+from rbjax.control.optimal.objective import Multipliers, knot_violation, merit
 from rbjax.control.optimal.problem import BODY, Knot, Problem, append, take
 from rbjax.control.optimal.shooting.backward_pass import Feedback
-from rbjax.control.optimal.shooting.expansion import (
-    Expanded,
-)
+from rbjax.control.optimal.shooting.expansion import Expanded
 from rbjax.control.optimal.shooting.filter_search import rounding
 from rbjax.control.optimal.shooting.search import (
     LENGTHS,

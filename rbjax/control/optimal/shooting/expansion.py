@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Var
 
-from rbjax.compiler import in_parts, side_by_side, threads
+from rbjax.compiler import map_threads, threads, with_multi_kernel
 from rbjax.control.optimal.objective import (
     Multipliers,
     example_knot,
@@ -107,7 +107,7 @@ def read_columns(problem: Problem, part: Any) -> np.ndarray:
 
 
 def arguments_read(f: Any, args: list) -> list[bool]:
-    """Whether the result of f depends on each of its arguments, as its equations say."""
+    """Whether the result of f depends on each of its arguments, by the equations of its jaxpr."""
     jaxpr = jax.make_jaxpr(f)(*args).jaxpr
     live = {v for v in jaxpr.outvars if isinstance(v, Var)}
     for eqn in reversed(jaxpr.eqns):
@@ -204,7 +204,7 @@ def expand(
         return gap, cost, knot_violation(problem, "end", jnp.asarray(N, dtype), last, none)
 
     ks, mu = knot_indices(N, dtype), multipliers.penalty
-    path, gaps, off = jax.vmap(in_parts(one, by_columns, FEW), (0, 0, 0, 0, None, 0))(
+    path, gaps, off = jax.vmap(with_multi_kernel(one, by_columns, FEW), (0, 0, 0, 0, None, 0))(
         ks, body, ctrls, multipliers.path, mu, following
     )
     gap, end, off_end = threads(ends)(start, knots, multipliers.end, mu)
@@ -231,7 +231,7 @@ def columns(
             after, following
         )
 
-    both, gap = side_by_side(column, [jnp.asarray(np.eye(len(none), dtype=none.dtype))], [1])
+    both, gap = map_threads(column, [jnp.asarray(np.eye(len(none), dtype=none.dtype))], [1])
     return both[:, :n], both[:, n:], gap[:, 0]
 
 

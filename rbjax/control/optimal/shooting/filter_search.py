@@ -1,10 +1,9 @@
 """Which steps a line search takes: a filter of pairs (infeasibility, cost).
 
-A trial is taken if neither the current pair nor one of the filter is better than it in both; where
-the search is nearly feasible and descends, the cost must fall as its slope foresees (Armijo).
-Every pair that was left by a step which did not have to lower the cost enters the filter
-(Waechter & Biegler 2006, *On the implementation of an interior-point filter line-search
-algorithm*, Math. Program. 106, eqs. 18 to 22; without its restoration phase).
+A trial is taken if neither the current pair nor one of the filter is better than it in both. Near
+feasibility the cost must fall as its slope predicts (Armijo). A pair enters the filter when a step
+leaves it that did not have to lower the cost.
+Source: Waechter & Biegler, Math. Program. 106, 2006, eqs. 18 to 22.
 """
 
 from __future__ import annotations
@@ -23,7 +22,8 @@ ROUNDING = 10.0  # units in the last place
 
 
 class Filter(NamedTuple):
-    """theta and phi (KEPT,), where nothing is kept infinite; used (); most () and near ()."""
+    """Pairs theta and phi (KEPT,), infinite without a pair; the number used (); the bounds most ()
+    and near () of the infeasibility."""
 
     theta: jax.Array
     phi: jax.Array
@@ -66,30 +66,14 @@ def must_decrease(filter_: Filter, now: Pair, slope: jax.Array, a: jax.Array) ->
 
 def accepts(filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
     """Whether a trial of length a is taken."""
-    slack = rounding(now.phi)
+    slack, trial_slack = rounding(now.phi), rounding(trial.phi)
     armijo = trial.phi - now.phi - slack <= ARMIJO * a * slope
     less = (trial.theta <= (1 - SHARE) * now.theta) | (
         trial.phi - slack <= now.phi - SHARE * now.theta
     )
-    good = jnp.where(must_decrease(filter_, now, slope, a), armijo, less)
-    return is_acceptable(filter_, trial) & good
-
-
-def is_acceptable(filter_: Filter, trial: Pair) -> jax.Array:
-    """Whether no pair of the filter is better than a trial in both."""
-    slack = rounding(trial.phi)
     good = jnp.isfinite(trial.phi) & jnp.isfinite(trial.theta) & (trial.theta <= filter_.most)
-    return good & ((trial.theta < filter_.theta) | (trial.phi - slack <= filter_.phi)).all()
-
-
-def with_pair(filter_: Filter, pair: Pair) -> Filter:
-    """The filter with another pair."""
-    at = filter_.used % KEPT
-    return filter_._replace(
-        theta=filter_.theta.at[at].set((1 - SHARE) * pair.theta),
-        phi=filter_.phi.at[at].set(pair.phi - SHARE * pair.theta),
-        used=filter_.used + 1,
-    )
+    outside = (trial.theta < filter_.theta) | (trial.phi - trial_slack <= filter_.phi)
+    return good & outside.all() & jnp.where(must_decrease(filter_, now, slope, a), armijo, less)
 
 
 def updated_filter(
@@ -98,5 +82,10 @@ def updated_filter(
     """The filter after a step that was taken."""
     armijo = trial.phi - now.phi <= ARMIJO * a * slope
     enters = ~(must_decrease(filter_, now, slope, a) & armijo)
-    new = with_pair(filter_, now)
+    at = filter_.used % KEPT
+    new = filter_._replace(
+        theta=filter_.theta.at[at].set((1 - SHARE) * now.theta),
+        phi=filter_.phi.at[at].set(now.phi - SHARE * now.theta),
+        used=filter_.used + 1,
+    )
     return jax.tree.map(lambda new, old: jnp.where(enters, new, old), new, filter_)

@@ -1,18 +1,16 @@
 """Optimal control by samples: predictive sampling, MPPI and the cross-entropy method.
 
 Controls are a spline of few points z. Each round draws z_i = m + s * e_i, e_i normal, within the
-bounds, rolls every motion, and moves m by the costs J_i:
+bounds, rolls out every motion, and moves m by the costs J_i:
 
     predictive       m+ = the best z_i
     mppi             m+ = sum w_i z_i / sum w_i,   w_i = exp(-(J_i - J_min) / lambda)
     cross_entropy    m+, s+ = mean and deviation of the best tenth of z_i
 
-(Howell et al. 2022; Williams et al. 2017; Rubinstein 1999). The first two shrink s by a factor a
-round (Xue et al. 2024). lambda is the temperature times the distance from the best cost to the
-costliest of the best tenth. No derivative is taken. Constraints cost
-penalty / 2 times their squared violation. A sample is a lane or a GPU thread of which only the cost
-is kept; the best motion is rolled again. Parameters of a design, the final time and a free start
-are sampled too.
+The first two shrink s by a factor a round. lambda is the temperature times the spread of the best
+tenth. Constraints cost penalty / 2 times their squared violation. Design parameters, the final time
+and a free start are sampled too.
+Source: Howell et al. 2022; Williams et al. 2017; Rubinstein 1999; Xue et al. 2024.
 """
 
 from __future__ import annotations
@@ -94,13 +92,6 @@ class Sampling:
                 raise InputError(f"Sampling: {what} has shape {np.shape(value)}, expected a number")
             real_number("Sampling", what, value, least=low, most=high, traced=True)
 
-    def __call__(
-        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
-        history: int,
-    ) -> SearchResult:  # fmt: skip
-        """`solve` by samples."""
-        return solve_sampling(self, problem, start, knots, ctrls, options, history)
-
 
 @dataclasses.dataclass(frozen=True)
 class SampledStart:
@@ -160,23 +151,23 @@ def solve_sampling(
     """`solve` by samples. It has finished if the costs of the best tenth agree to the tolerance,
     relative to the cost: their deviation shrinks anywhere, so this does not show an optimum."""
     dtype = ctrls.dtype
-    mean, first, low, high = _first(how, problem, start, knots, ctrls)
+    mean, first, low, high = _initial_distribution(how, problem, start, knots, ctrls)
     key = jax.random.key(options.seed)
     elites = max(2, round(ELITES * how.samples))
 
     def cost_of(draw: Draw, start: Any) -> jax.Array:
-        cost = rolled(how, problem, start, draw)
+        cost = sampled_cost(how, problem, start, draw)
         return jnp.where(jnp.isfinite(cost), cost, jnp.inf)
 
     costs_of = jax.vmap(threads(cost_of), (0, None))
 
     def turn(now: Round) -> Round:
-        drawn = _drawn(jax.random.fold_in(key, now.iterations), now, how.samples, low, high)
+        drawn = _draw_samples(jax.random.fold_in(key, now.iterations), now, how.samples, low, high)
         costs = costs_of(drawn, start)
         least, order = jax.lax.top_k(-costs, elites)
         least = -least
         good = take(drawn, order)
-        mean, deviation = _moved(how, now, good, least, costs, drawn)
+        mean, deviation = _update_distribution(how, now, good, least, costs, drawn)
         better = least[0] < now.cost
         cost = jnp.where(better, least[0], now.cost)
         best = jax.tree.map(lambda x, old: jnp.where(better, x[0], old), good, now.best)
@@ -194,7 +185,7 @@ def solve_sampling(
         jnp.asarray(GOING),
     )  # fmt: skip
     last = jax.lax.while_loop(lambda now: now.status == GOING, turn, begin)
-    found, us = threads(functools.partial(motion, how, problem))(start, last.best)
+    found, us = threads(functools.partial(sampled_motion, how, problem))(start, last.best)
     N, n, m = problem.horizon, problem.n, problem.nu
     rows = [row_count(problem, where) for where in ("path", "end")]
     off = constraint_violations(problem, *rows_along(problem, found, us)).max(initial=0.0)
@@ -206,7 +197,7 @@ def solve_sampling(
     )  # fmt: skip
 
 
-def _first(
+def _initial_distribution(
     how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array
 ) -> tuple[Draw, Draw, Draw, Draw]:
     """The first mean and deviation, and the bounds."""
@@ -214,28 +205,28 @@ def _first(
     count = min(how.points, problem.horizon)
     at = np.round(np.linspace(0, problem.horizon - 1, count)).astype(int)
     parameters = knots.parameters[0]
-    low, high = (x.astype(dtype) for x in problem.start_bounds(dtype))
     free = jnp.asarray(problem.free, dtype)
     there = problem.system.minus(take(knots.state, 0), start)
     mean = Draw(ctrls[at], parameters, free * there)
     edges = [
-        Draw(jnp.broadcast_to(x.astype(dtype), (count, problem.nu)), end[n:], end[:n])
-        for x, end in ((problem.low, low), (problem.high, high))
-    ]
+        Draw(jnp.broadcast_to(u.astype(dtype), (count, problem.nu)), p, jnp.full(n, end, dtype))
+        for u, p, end in zip(
+            (problem.low, problem.high), problem.parameter_bounds(dtype), (-jnp.inf, jnp.inf),
+            strict=True,
+        )
+    ]  # fmt: skip
 
     def deviation(low: jax.Array, high: jax.Array, size: Any) -> jax.Array:
         width = high - low
         return how.spread * jnp.where(jnp.isfinite(width), width, size)
 
-    wide = Draw(
-        deviation(edges[0].points, edges[1].points, 1.0),
-        deviation(edges[0].parameters, edges[1].parameters, jnp.maximum(jnp.abs(parameters), 1e-3)),
-        free * deviation(edges[0].first, edges[1].first, 1.0),
-    )
-    return jax.tree.map(jnp.clip, mean, *edges), wide, *edges
+    sizes = Draw(1.0, jnp.maximum(jnp.abs(parameters), 1e-3), 1.0)
+    wide = jax.tree.map(deviation, *edges, sizes)
+    mean = jax.tree.map(jnp.clip, mean, *edges)
+    return mean, wide._replace(first=free * wide.first), *edges
 
 
-def _drawn(key: jax.Array, now: Round, samples: int, low: Draw, high: Draw) -> Draw:
+def _draw_samples(key: jax.Array, now: Round, samples: int, low: Draw, high: Draw) -> Draw:
     """The samples of a round, the first of them the mean."""
     keys = Draw(*jax.random.split(key, 3))
 
@@ -246,7 +237,7 @@ def _drawn(key: jax.Array, now: Round, samples: int, low: Draw, high: Draw) -> D
     return jax.tree.map(one, keys, now.mean, now.deviation, low, high)
 
 
-def _moved(
+def _update_distribution(
     how: Sampling, now: Round, good: Draw, least: jax.Array, costs: jax.Array, drawn: Draw
 ) -> tuple[Draw, Draw]:
     """The next mean and deviation. good and least (elites,): the best, in order."""
@@ -309,7 +300,7 @@ def _ctrl(how: Sampling, problem: Problem, draw: Draw, k: jax.Array) -> jax.Arra
     return problem.within_bounds(control_at(how, draw.points, k, problem.horizon))
 
 
-def rolled(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array:
+def sampled_cost(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array:
     """The cost () of a draw, penalties of constraints included."""
     dtype, N = draw.points.dtype, problem.horizon
     mu = jnp.asarray(how.penalty, dtype)
@@ -327,7 +318,9 @@ def rolled(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array
     return total + merit(problem, "end", jnp.asarray(N, dtype), last, none, rows[1], mu)
 
 
-def motion(how: Sampling, problem: Problem, start: Any, draw: Draw) -> tuple[Knot, jax.Array]:
+def sampled_motion(
+    how: Sampling, problem: Problem, start: Any, draw: Draw
+) -> tuple[Knot, jax.Array]:
     """The knots (N + 1, ...) and controls (N, m) of a draw."""
     first = _first_knot(problem, start, draw)
     return roll_out(problem, first, lambda k, *_: _ctrl(how, problem, draw, k), ())

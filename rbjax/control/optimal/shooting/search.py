@@ -1,17 +1,11 @@
 """The iterations of differential dynamic programming and of sequential quadratic programming.
 
 An iteration expands the problem at its knots, computes gains, makes trial steps by a `StepPolicy`,
-and decides which trial is taken, the next regularisation, the next penalty of the constraints, and
-whether the search ends. The longest trial is taken that the policy accepts. The regularisation
-falls tenfold after a step longer than half. It rises tenfold after a step of a hundredth or none,
-or without gains (Mastalli et al. 2020); with constraints, after a quarter of a step. A search is
-stuck if no regularisation gives a step, or if many steps lower the cost by rounding only. If the
-expected decrease of the cost is small relative to the cost, the constraints get new multipliers, or
-the search has converged. Regularisation makes this decrease small anywhere, so under it the
-gradient must be small too.
-
-Expansion, passes, trials and the decision are programs of one sample (`rb.threads`): of a knot, of
-a problem, of a trial.
+and takes the longest trial that the policy accepts. The regularisation falls tenfold after a step
+longer than half. It rises tenfold after a step of a hundredth or none, or without gains (Mastalli
+et al. 2020). The search is stuck if no regularisation gives a step, or if many steps lower the cost
+by rounding only. If the expected decrease of the cost is small, the constraints get new
+multipliers, or the search has converged; under regularisation the gradient must be small too.
 """
 
 from __future__ import annotations
@@ -56,69 +50,46 @@ MAX_STALLED = 50  # iterations that lower the cost by rounding only, after which
 
 
 class SearchState(NamedTuple):
-    """The state of a search between two iterations; each field ().
+    """The state of a search between two iterations. Each field is ()."""
 
-    feasible: whether the motion has no gaps.
-    reg: the regularisation.
-    cost: of the motion.
-    scale: the tolerance is a share of it where the cost is less.
-    expected_decrease: of the cost, by the last step.
-    violation: of the constraints.
-    violation_before: at the last change of the multipliers.
-    inner_tolerance: of the search with the present multipliers.
-    iterations: so far.
-    status: of `rbjax.control.status`.
-    penalty: of the augmented Lagrangian.
-    reference_cost, stalled: those of `count_stalled`.
-    """
-
-    feasible: jax.Array
-    reg: jax.Array
-    cost: jax.Array
-    scale: jax.Array
-    expected_decrease: jax.Array
-    violation: jax.Array
-    violation_before: jax.Array
-    inner_tolerance: jax.Array
-    iterations: jax.Array
-    status: jax.Array
-    penalty: jax.Array
-    reference_cost: jax.Array
-    stalled: jax.Array
+    feasible: jax.Array  # whether the motion has no gaps
+    reg: jax.Array  # the regularisation
+    cost: jax.Array  # of the motion
+    scale: jax.Array  # the tolerance is relative to it if the cost is less
+    expected_decrease: jax.Array  # of the cost, by the last step
+    violation: jax.Array  # of the constraints
+    violation_before: jax.Array  # at the last change of the multipliers
+    inner_tolerance: jax.Array  # of the search with the present multipliers
+    iterations: jax.Array  # so far
+    status: jax.Array  # of `rbjax.control.status`
+    penalty: jax.Array  # of the augmented Lagrangian
+    reference_cost: jax.Array  # the cost at its last fall by more than rounding
+    stalled: jax.Array  # iterations since then
 
 
 class IterationValues(NamedTuple):
-    """The values of an iteration on which its decision depends.
+    """The values of an iteration on which its decision depends."""
 
-    cost, gap, violation: (), of the present motion.
-    slope, curvature: (), of the cost along the step.
-    square: (), the squared norm of the gradient without regularisation.
-    ok: (), whether the gains exist.
-    costs, violations: (T,), of the trials.
-    more: further values of the method.
-    """
-
-    cost: jax.Array
-    gap: jax.Array
-    violation: jax.Array
-    slope: jax.Array
-    curvature: jax.Array
-    square: jax.Array
-    ok: jax.Array
-    costs: jax.Array
-    violations: jax.Array
-    more: Any
+    cost: jax.Array  # (), of the present motion
+    gap: jax.Array  # ()
+    violation: jax.Array  # ()
+    slope: jax.Array  # (), of the cost along the step
+    curvature: jax.Array  # ()
+    square: jax.Array  # (), the squared norm of the gradient without regularisation
+    ok: jax.Array  # (), whether the gains exist
+    costs: jax.Array  # (T,), of the trials
+    violations: jax.Array  # (T,)
+    more: Any  # further values of the method
 
 
 class Decision(NamedTuple):
-    """search: the state after the iteration; best: the index of a trial, its length, and whether it
-    is accepted; new_multipliers: whether the multipliers change. Each ()."""
+    """The decision of an iteration. Each field is ()."""
 
-    search: SearchState
-    best: jax.Array
+    search: SearchState  # the state after the iteration
+    best: jax.Array  # the index of a trial
     length: jax.Array
     accepted: jax.Array
-    new_multipliers: jax.Array
+    new_multipliers: jax.Array  # whether the multipliers change
 
 
 #: (values, lengths) -> which trials (T,) may be taken, and the expected decrease () of the cost
@@ -242,15 +213,13 @@ class Iterate(NamedTuple):
 class StepPolicy(NamedTuple):
     """How a method steps.
 
-    accept: which trials may be taken.
-    closes_gaps: whether a full step leaves no gap.
     trials: (problem, now, expanded, gaps, gains) -> trials with the costs, violations and more of
         `IterationValues`.
     apply: (problem, now, trials, decision) -> knots and controls.
     """
 
-    accept: Accept
-    closes_gaps: bool
+    accept: Accept  # which trials may be taken
+    closes_gaps: bool  # whether a full step leaves no gap
     trials: Callable[..., Any]
     apply: Callable[..., tuple[Knot, jax.Array]]
 
@@ -272,16 +241,14 @@ def search(
     )  # fmt: skip
 
 
-def gains_of(
+def compute_gains(
     problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any,
     boxed: bool = False,
 ) -> Feedback:  # fmt: skip
-    """The backward pass at knots. boxed: whether k obeys all bounds, or only the bounds at which
-    the controls already are.
+    """The backward pass at knots. boxed: whether k obeys all bounds, or only the active ones.
 
-    k is the step if the state stays at its knot. If gaps or a long step move the state, a bound
-    that binds k need not bind k + K dx. A bound that binds removes its row of K, so the closed loop
-    may be unstable, and the bound then binds in all later iterations.
+    A bound that binds k need not bind k + K dx, and it removes its row of K, so the closed loop may
+    become unstable.
     """
     bounds = None
     if problem.bounded:
@@ -293,10 +260,9 @@ def gains_of(
     first = None
     if problem.free_first_knot:
         free = jnp.asarray([*problem.free, *[True] * problem.parameter_count], ctrls.dtype)
-        low, high = problem.start_bounds(ctrls.dtype)
-        zero = jnp.zeros(problem.system.n, ctrls.dtype)
-        parameters = jnp.concatenate([zero, knots.parameters[0]])
-        first = (free, low - parameters, high - parameters)
+        endless = jnp.full(problem.system.n, jnp.inf, ctrls.dtype)
+        low, high = (x - knots.parameters[0] for x in problem.parameter_bounds(ctrls.dtype))
+        first = (free, jnp.concatenate([-endless, low]), jnp.concatenate([endless, high]))
     reg = jnp.where(reg > LEAST, reg, 0.0)
     return threads(backward_pass, team=True)(
         found.path.A, found.path.B, gaps, found.path.cost, found.end, bounds, first, reg,
@@ -316,7 +282,7 @@ def iterate(
         reg = now.search.reg
         # with second derivatives, steps along the dynamics are short: k obeys all bounds there
         boxed = exact and policy.closes_gaps
-        plain = functools.partial(gains_of, problem, now.knots, now.ctrls, boxed=boxed)
+        plain = functools.partial(compute_gains, problem, now.knots, now.ctrls, boxed=boxed)
         if not exact:
             return plain(found, gaps, reg)
         full = plain(

@@ -4,14 +4,10 @@
     u = middle + half sin(w)          within bounds, of unknowns w that have none
     J + mu/2 sum |s - clip(s, low, high)|^2,   s = c + lambda / mu     with constraints
 
-Free numbers and the free part of the start are unknowns too. `by_optax` follows the gradient with
-an optimiser of optax; `by_optimistix` takes BFGS, or Levenberg and Marquardt where all costs are
-residuals. Gradients come from reverse mode through the scan of the steps. Unstable motions make J
-steep: a state after N steps depends on the first control through a product of N matrices, which
-multiple shooting ("ddp") and collocation avoid. A search has converged if the gradient by w is
-small, scaled by the unknowns and the cost.
-
-Source: Betts, *Practical Methods for Optimal Control*, 3.3; Kingma & Ba 2015 (Adam).
+Parameters and the free part of the start are unknowns too. A search has converged if the gradient
+by w is small, scaled by the unknowns and the cost. Unstable motions make J steep; multiple shooting
+and collocation avoid that. Source: Betts, *Practical Methods for Optimal Control*, 3.3; Kingma & Ba
+2015 (Adam).
 """
 
 from __future__ import annotations
@@ -60,7 +56,7 @@ class Shooting(NamedTuple):
         problem = self.problem
         us = from_unbounded(w.us, problem.low, problem.high)
         ns = problem.system.n
-        low, high = (x[ns:] for x in problem.start_bounds(us.dtype))
+        low, high = problem.parameter_bounds(us.dtype)
         free = jnp.asarray(problem.free)
         state = problem.system.plus(self.first.state, jnp.where(free, w.dx[:ns], 0.0))
         first = Knot(state, from_unbounded(w.dx[ns:], low, high))
@@ -130,7 +126,7 @@ class Target(NamedTuple):
 
 
 class InnerResult(NamedTuple):
-    """Unknowns; status; iterations; stationarity, that of `Target`; costs (history,)."""
+    """Unknowns; status; iterations; stationarity of `Target`; costs (history,)."""
 
     w: Unknowns
     status: jax.Array
@@ -261,7 +257,7 @@ def solve_single_shooting(
     first = take(knots, 0)
     state = first.state if any(problem.free) else start
     s = Shooting(problem, Knot(state, first.parameters))
-    low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
+    low, high = problem.parameter_bounds(dtype)
     dx = jnp.zeros(n, dtype).at[problem.system.n :].set(to_unbounded(first.parameters, low, high))
     w = Unknowns(to_unbounded(ctrls, problem.low, problem.high), dx)
     path, closing = (objective.row_count(problem, at) for at in ("path", "end"))

@@ -1,28 +1,19 @@
 """Sequential quadratic programming with multiple shooting: all knots side by side.
 
-An iteration is that of `ddp` except for the step, which is that of the linear model: only small
-products from knot to knot,
+An iteration is that of `search` with the step of the linear model,
 
     du_k = k_k + K_k dx_k,     dx_{k+1} = A dx_k + B du_k + gap_{k+1}
 
-without clipping du to bounds, because the linear model may be unstable without feedback. The trials
-x (+) a dx, u + a du of all lengths a, with u projected onto its bounds, are evaluated at all knots
-at once: no motion is rolled out, so no evaluation waits for N steps of the dynamics in a row. Gaps
-close in proportion to a, and exactly if the dynamics is linear and no bound is met.
-The trial with the least
+The trials x (+) a dx, u + a du of all lengths a, with u projected onto its bounds, are evaluated at
+all knots at once, without a rollout. Gaps close in proportion to a. The trial with the least
 
     phi(a) = J(a) + sum over k of  l_k'gap_k(a) + rho/2 gap_k(a)'V_k gap_k(a)
 
-is taken if it satisfies Armijo's rule with the slope of phi at a = 0: that of J minus the sum of
-l'gap + rho gap'V gap. l_k = v_k + V_k dx_k are the costates of the step and V_k the Hessians of the
-value function, both from the backward pass, so that with rho = 1 phi is the cost plus the cost
-of closing the gaps. It is an augmented Lagrangian with the multipliers of the step
-(Gill, Murray, Saunders & Wright 1992). A cost of sum mu |gap| instead shortens the steps near an
-optimum (Maratos 1978): of the listed problems it took 116 iterations for 30 on an arm, and more
-than 300 for 86 on a double pendulum.
-
-Source: Bock & Plitt, *A multiple shooting algorithm for direct solution of optimal control
-problems*, IFAC 1984; Nocedal & Wright, *Numerical Optimization*, 18.
+is taken if it satisfies Armijo's rule. l_k = v_k + V_k dx_k are the costates of the step and V_k
+the Hessians of the value function: phi is an augmented Lagrangian (Gill, Murray, Saunders & Wright
+1992). A cost of sum mu |gap| would shorten the steps near an optimum (Maratos 1978). Source: Bock &
+Plitt, *A multiple shooting algorithm for direct solution of optimal control problems*, IFAC 1984;
+Nocedal & Wright, *Numerical Optimization*, 18.
 """
 
 from __future__ import annotations
@@ -32,7 +23,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler import in_parts, threads
+from rbjax.compiler import threads, with_multi_kernel
 from rbjax.control.linear.riccati import roll_linear
 from rbjax.control.optimal.objective import knot_violation, merit
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
@@ -139,7 +130,7 @@ def _trials(
 
         return threads(read)(k, ctrl, y, du, *rest)
 
-    each = jax.vmap(in_parts(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
+    each = jax.vmap(with_multi_kernel(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
     body, following = take(now.knots, BODY), take(now.knots, NEXT)
     path, l = found.path.cost, now.multipliers
     sums, offs = jax.vmap(each, (None,) * 15 + (0,))(

@@ -1,0 +1,331 @@
+"""Fluid forces on bodies: drag on the inertia box of a body; drag, lift and added mass of
+ellipsoids.
+
+v and w are the velocity of the centre relative to the fluid and the angular velocity, along the
+axes of the box or ellipsoid (MuJoCo documentation, *Fluid forces*).
+
+Box:
+    s_i = sqrt(6 (I_j + I_k - I_i) / m),   d = (s_1 + s_2 + s_3) / 3
+    f_i = -(3 pi mu d + rho s_j s_k |v_i| / 2) v_i
+    n_i = -(pi mu d^3 + rho s_i (s_j^4 + s_k^4) |w_i| / 64) w_i
+s are the edges of the uniform box with the mass m and principal moments I of the body. The box
+follows the model's masses, centres and inertias; only its axes are parameters of the element. The
+I_i are the diagonal of the inertia in these axes, whose derivative is that of the principal
+moments. The dependence of the axes on the inertia is not differentiated.
+
+Ellipsoid:
+    added mass   f = p x w,  n = p x v + h x w,     p_i = rho m_i v_i,  h_i = rho J_i w_i
+    drag         f = -(3 pi mu D + rho |v| (c_b A + c_s (A_max - A))) v
+    turning      n = -(pi mu D^3 + rho |g|) w,      g_i = (c_a I_i + c_s (I_max - I_i)) w_i
+    Magnus lift  f = c_m rho V w x v
+    Kutta lift   f = c_k rho A cos(alpha) |v|^2 (n x u) x u
+r are its semi-axes, V its volume, D = 2 (r_1 + r_2 + r_3) / 3. A is the area that it projects along
+u = v / |v|, and n = N / |N| the normal of the cross-section of this outline:
+    N_i = (r_j r_k)^2 u_i,   A = pi |N| / sqrt(N . u),   cos(alpha) = n . u
+I_i = 8 pi / 15 r_i max(r_j, r_k)^4 are moments of drag, A_max and I_max the largest area and
+moment. At rest there is no u: all forces and their derivatives except the viscous ones are zero. Of
+the added mass, the part that depends on the acceleration is left out, as in MuJoCo.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.forces.context import Context, Frame, on_each
+from rbjax.forces.element import Element, Loads, Shapes
+from rbjax.lanes import Lane, Mat3, Vec3, add, is_literal, is_zero, mul, quaternion_matrix
+from rbjax.model import WORLD, Model
+from rbjax.model.leaves import table, tables
+from rbjax.model.links import lane
+from rbjax.rotations import quaternion
+from rbjax.spatial import Force, Motion, Transform
+
+#: MuJoCo's least value of divisors and radicands
+LEAST = 1e-15
+
+
+class InertiaBoxFluid(Element):
+    """A fluid that drags on bodies as on boxes with their masses and inertias.
+
+    f_i = -(3 pi mu d + rho s_j s_k |v_i| / 2) v_i, and a torque of the same form, of a box with
+    edges s.
+
+    Fields: density rho () kg/m^3; viscosity mu () Pa s; wind (3,) m/s, the velocity of the fluid in
+    the world; orientation (n, 4), quaternions of the boxes' axes in the bodies' frames. Static:
+    `bodies`, the index of each. `InertiaBoxFluid.of` finds the axes.
+
+    Source: MuJoCo documentation, *Fluid forces*, inertia model.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("free_body")
+        >>> air = rb.forces.InertiaBoxFluid.of(model, density=1.2, wind=(3.0, 0.0, 0.0))
+        >>> state = model.default_state()
+        >>> bool(rb.applied_forces(model.with_forces(air), state)[0] > 0)
+        True
+    """
+
+    density: jax.Array
+    viscosity: jax.Array
+    wind: jax.Array
+    orientation: jax.Array
+    bodies: tuple[int, ...] = eqx.field(static=True)
+
+    def shapes(self, model: Model) -> Shapes:
+        alone = {"density": (), "viscosity": (), "wind": (3,)}
+        return alone | {"orientation": (len(self.bodies), 4)}
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        *,
+        density: Any = 0.0,
+        viscosity: Any = 0.0,
+        wind: Any = (0.0, 0.0, 0.0),
+        bodies: Sequence[str] | None = None,
+    ) -> InertiaBoxFluid:
+        """The fluid around these bodies of a model, by name; around all that move if None."""
+        top, dtype = model.topology, model.bodies.mass.dtype
+        if bodies is None:
+            some = [b for b, k in enumerate(top.body_links) if k != WORLD]
+            index = [b for b in some if model.bodies.mass[b] >= LEAST]
+        else:
+            index = [model.body(name) for name in bodies]
+        inertia = np.asarray(model.bodies.inertia, np.float64)[np.array(index, int)]
+        axes = np.linalg.eigh(inertia)[1]
+        axes[:, :, 2] = np.cross(axes[:, :, 0], axes[:, :, 1])
+        orientation = jax.vmap(quaternion.from_matrix)(jnp.asarray(axes, dtype))
+        rho, mu, wind = (jnp.asarray(x, dtype) for x in (density, viscosity, wind))
+        return cls(rho, mu, wind, orientation, tuple(index))
+
+    def loads(self, now: Context) -> Loads:
+        """The drag of each body's box."""
+        com = now.model.bodies.com[np.array(self.bodies)]
+        wind, axes = in_lanes(self.wind, now), rotations(table(self.orientation, now.q.dtype))
+
+        def dragged(frame: Frame, axes: Mat3, com: Vec3, drag: _Drag) -> Loads:
+            box = frame.then(Transform(axes, com))
+            V = relative_twist(box, wind)
+            torque = _against(V.ang, drag.viscous_torque, drag.torque)
+            return box.push_own(Force(torque, _against(V.lin, drag.viscous_force, drag.force)))
+
+        return on_each(now, self.bodies, dragged, axes, com, self._drag(now))
+
+    def _drag(self, now: Context) -> _Drag:
+        """The boxes' drag coefficients, columns over the bodies."""
+        bodies, index = now.model.bodies, np.array(self.bodies)
+        own = bodies.mass[index], bodies.inertia[index], self.orientation
+        xp, found = tables(now.q.dtype, *own, self.density, self.viscosity)
+        mass, inertia, orientation, rho, mu = found
+        full = Mat3(*(inertia[:, i, j] for i in range(3) for j in range(3)))
+        moments = Vec3(*(axis.dot(full @ axis) for axis in rotations(orientation).columns))
+        trace = moments[0] + moments[1] + moments[2]
+        tiny = 10 * np.finfo(mass.dtype).eps * trace  # of a flat box: rounding
+        edges = []
+        for moment in moments:
+            twice = trace - 2.0 * moment
+            solid = xp.where(twice > tiny, twice, 0.0)
+            edges.append(xp.sqrt(6.0 * xp.maximum(LEAST, solid) / mass))
+        a, b, c = edges
+        d = (a + b + c) / 3.0
+        a4, b4, c4 = (x * x * x * x for x in edges)
+        return _Drag(
+            viscous_force=3.0 * math.pi * mu * d,
+            viscous_torque=math.pi * mu * d * d * d,
+            force=Vec3(b * c, c * a, a * b) * (rho / 2.0),
+            torque=Vec3(a * (b4 + c4), b * (c4 + a4), c * (a4 + b4)) * (rho / 64.0),
+        )
+
+
+class _Drag(NamedTuple):
+    """Drag by velocity, and along each axis by its square."""
+
+    viscous_force: Lane
+    viscous_torque: Lane
+    force: Vec3
+    torque: Vec3
+
+
+def _against(u: Vec3, viscous: Lane, quadratic: Vec3) -> Vec3:
+    """-(k + c_i |u_i|) u_i."""
+    return -Vec3(*(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True)))
+
+
+def relative_twist(frame: Frame, wind: Vec3) -> Motion:
+    """The twist of a frame relative to a fluid that streams without turning."""
+    V = frame.twist
+    if all(map(is_zero, wind)):
+        return V
+    return Motion(V.ang, V.lin - frame.rotation.T @ wind)
+
+
+def rotations(orientation: Any) -> Mat3:
+    """Quaternions (n, 4) as matrices whose lanes are columns."""
+    return quaternion_matrix(*(orientation[:, k] for k in range(4)))
+
+
+def in_lanes(vector: Any, now: Context) -> Vec3:
+    """An element's vector (3,) in lanes."""
+    x = table(vector, now.q.dtype)
+    return Vec3(*(lane(x, k) for k in range(3)))
+
+
+class EllipsoidFluid(Element):
+    """A fluid that acts on ellipsoids fixed to bodies: drag, lift and added mass.
+
+    f = -(3 pi mu D + rho |v| (c_b A + c_s (A_max - A))) v + c_m rho V w x v + Kutta lift + p x w,
+    and a torque of the same form.
+
+    Fields: density rho () kg/m^3; viscosity mu () Pa s; wind (3,) m/s, the velocity of the fluid in
+    the world; of each ellipsoid semi_axes (n, 3) m, position (n, 3) m and orientation (n, 4) in its
+    body's frame, the coefficients blunt_drag, slender_drag, angular_drag, kutta_lift, magnus_lift
+    (n,), its added mass over density virtual_mass (n, 3) m^3 and virtual_inertia (n, 3) m^5 along
+    its axes, and interaction (n,), by which all is multiplied. Static: `bodies`, the index of the
+    body of each. The added mass does not follow the semi-axes.
+
+    Source: MuJoCo documentation, *Fluid forces*, ellipsoid model.
+
+    Example:
+        >>> import rbjax as rb, jax
+        >>> ball = '''<mujoco><option density="1.2" wind="5 0 0"/><worldbody><body><freejoint/>
+        ...   <geom size="0.1" fluidshape="ellipsoid"/></body></worldbody></mujoco>'''
+        >>> model = rb.load(ball)
+        >>> (air,) = model.forces
+        >>> air.blunt_drag.tolist(), air.semi_axes.tolist()
+        ([0.5], [[0.1, 0.1, 0.1]])
+        >>> round(float(rb.applied_forces(model, model.default_state())[0]), 4)  # rho v^2 A / 2
+        0.4712
+    """
+
+    density: jax.Array
+    viscosity: jax.Array
+    wind: jax.Array
+    semi_axes: jax.Array
+    position: jax.Array
+    orientation: jax.Array
+    blunt_drag: jax.Array
+    slender_drag: jax.Array
+    angular_drag: jax.Array
+    kutta_lift: jax.Array
+    magnus_lift: jax.Array
+    virtual_mass: jax.Array
+    virtual_inertia: jax.Array
+    interaction: jax.Array
+    bodies: tuple[int, ...] = eqx.field(static=True)
+
+    def shapes(self, model: Model) -> Shapes:
+        n, alone = len(self.bodies), {"density": (), "viscosity": (), "wind": (3,)}
+        rows = {"semi_axes": (n, 3), "position": (n, 3), "orientation": (n, 4)}
+        return alone | rows | dict.fromkeys(("virtual_mass", "virtual_inertia"), (n, 3))
+
+    def loads(self, now: Context) -> Loads:
+        """The forces on each ellipsoid."""
+        wind, axes = in_lanes(self.wind, now), rotations(table(self.orientation, now.q.dtype))
+
+        def acted(frame: Frame, axes: Mat3, position: Vec3, own: _Ellipsoid) -> Loads:
+            here = frame.then(Transform(axes, position))
+            return here.push_own(_wrench(relative_twist(here, wind), own))
+
+        return on_each(now, self.bodies, acted, axes, self.position, self._ellipsoids(now))
+
+    def _ellipsoids(self, now: Context) -> _Ellipsoid:
+        """The coefficients of the forces, columns over the ellipsoids."""
+        drags = self.blunt_drag, self.slender_drag, self.angular_drag
+        lifts = self.kutta_lift, self.magnus_lift
+        fluid = self.virtual_mass, self.virtual_inertia, self.density, self.viscosity
+        own = self.semi_axes, self.interaction
+        xp, found = tables(now.q.dtype, *own, *drags, *lifts, *fluid)
+        semi_axes, scale, blunt, slender, angular, kutta, magnus, *virtual, rho, mu = found
+        a, b, c = r = [semi_axes[:, k] for k in range(3)]
+        longest, shortest = (f(f(a, b), c) for f in (xp.maximum, xp.minimum))
+        middle = a + b + c - longest - shortest
+        diameter, area = (a + b + c) / 1.5, longest * middle
+        rho, mu = rho * scale, mu * scale
+        moment = [_moment(r[k], xp.maximum(r[k - 1], r[k - 2])) for k in range(3)]
+        largest = _moment(middle, longest)
+        mass, inertia = (Vec3(*(x[:, k] * rho for k in range(3))) for x in virtual)
+        return _Ellipsoid(
+            squares=Vec3(*(x * x for x in (b * c / area, c * a / area, a * b / area))),
+            area=math.pi * area,
+            viscous_force=3.0 * math.pi * mu * diameter,
+            viscous_torque=math.pi * mu * diameter * diameter * diameter,
+            slender=rho * slender * (math.pi * area),
+            blunt=rho * (blunt - slender),
+            moments=Vec3(*(angular * x + slender * (largest - x) for x in moment)),
+            density=rho,
+            kutta=kutta * rho,
+            magnus=magnus * rho * (4.0 / 3.0 * math.pi * a * b * c),
+            mass=mass,
+            inertia=inertia,
+        )
+
+
+class _Ellipsoid(NamedTuple):
+    """The coefficients of the forces on an ellipsoid, with the fluid's density and viscosity."""
+
+    squares: Vec3  # (r_j r_k)^2, the largest of them 1
+    area: Lane  # A_max
+    viscous_force: Lane
+    viscous_torque: Lane
+    slender: Lane
+    blunt: Lane
+    moments: Vec3
+    density: Lane
+    kutta: Lane
+    magnus: Lane
+    mass: Vec3
+    inertia: Vec3
+
+
+def _moment(length: Lane, radius: Lane) -> Lane:
+    """The moment of drag about an axis of that half length."""
+    square = radius * radius
+    return 8.0 / 15.0 * math.pi * length * square * square
+
+
+def _wrench(V: Motion, own: _Ellipsoid) -> Force:
+    """The forces on an ellipsoid with that twist in the fluid, in its axes at its centre."""
+    w, v = V.ang, V.lin
+    p, h = _scaled(own.mass, v), _scaled(own.inertia, w)
+    turning = mul(own.density, root(_squared(_scaled(own.moments, w))))
+    force = p.cross(w) + w.cross(v) * own.magnus - v * own.viscous_force
+    if not is_zero(_squared(v)):
+        force = force + _quadratic(v, own)
+    return Force(p.cross(v) + h.cross(w) - w * add(own.viscous_torque, turning), force)
+
+
+def _quadratic(v: Vec3, own: _Ellipsoid) -> Vec3:
+    """Drag and lift by the square of the speed."""
+    square = _squared(v)
+    speed, moves = root(square), square > 0
+    u = v * (1.0 / jnp.where(moves, speed, 1.0))
+    N = _scaled(own.squares, u)
+    along, normal = (jnp.where(moves, x, 1.0) for x in (N.dot(u), _squared(N)))
+    area = mul(own.area, jnp.sqrt(normal / along))
+    drag = v * mul(speed, add(own.slender, mul(own.blunt, area)))
+    return N.cross(u).cross(u) * mul(own.kutta, mul(area, along / normal) * square) - drag
+
+
+def _scaled(a: Vec3, b: Vec3) -> Vec3:
+    """Entry by entry."""
+    return Vec3(*map(mul, a, b))
+
+
+def _squared(a: Vec3) -> Lane:
+    return a.dot(a)
+
+
+def root(x: Lane) -> Lane:
+    """sqrt(x); its derivative is zero where x is."""
+    if is_literal(x):
+        return math.sqrt(x)
+    some = x > 0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, x, 1.0)), 0.0)

@@ -1,1 +1,0 @@
-"""Forces of a fluid on bodies."""

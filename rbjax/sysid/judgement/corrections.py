@@ -1,0 +1,116 @@
+"""Corrections of recordings, and the rate of the sensors' clock relative to that of the commands.
+
+A recording y whose clock runs at 1 / (1 + b) of the right rate has a growing lag to a simulated
+motion s. Wrong parameters cause a constant lag, gain and offset. So each column is fitted by
+
+    y(t) ~ c + a s((1 + b) t) + d s'((1 + b) t)
+for every rate b, to first order in the lag, and the rate is that of the least residual variance.
+A motion of the first guess has the clock's error in full; fitted parameters may compensate a part.
+
+Source: Knapp & Carter 1976, IEEE Trans. ASSP 24(4) (delays by likelihood); linear least squares.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rbjax.sysid.data.recording import HELD, Recording
+from rbjax.sysid.simulation.traces import FEW, Trace, Traces
+
+Correction = Callable[[Recording], Recording]
+#: run, sensor, index and name of the column -> whether each sample after the start is left out
+Lost = dict[tuple[str, str, int, str], np.ndarray]
+
+
+def drop_samples(runs: Sequence[Recording], lost: Lost) -> list[Recording]:
+    """Drop samples of recordings."""
+    out = []
+    for run in runs:
+        channels = dict(run.channels)
+        for (name, sensor, j, _), rows in lost.items():
+            if name != run.name:
+                continue
+            channel = channels[sensor]
+            first = int(np.searchsorted(channel.t, run.start - 1e-9))
+            drop = np.zeros(channel.values.shape, bool)
+            drop[first : first + len(rows), j] = rows
+            channels[sensor] = channel.drop(drop)
+        out.append(dataclasses.replace(run, channels=channels))
+    return out
+
+
+def flip(group: tuple[str, ...], i: int) -> Correction:
+    """Change the sign of a column of these channels."""
+    return _change_columns(group, (i,), lambda x: -x)
+
+
+def swap(group: tuple[str, ...], i: int, j: int) -> Correction:
+    """Swap two columns of these channels."""
+    return _change_columns(group, (i, j), lambda x: x[:, ::-1])
+
+
+def _change_columns(
+    group: tuple[str, ...], columns: tuple[int, ...], change: Callable[[np.ndarray], np.ndarray]
+) -> Correction:
+    def correct(run: Recording) -> Recording:
+        channels = dict(run.channels)
+        for sensor in group:
+            values = channels[sensor].values.copy()
+            values[:, columns] = change(values[:, columns])
+            channels[sensor] = channels[sensor].replace(channels[sensor].t, values)
+        return dataclasses.replace(run, channels=channels)
+
+    return correct
+
+
+def stretch(rate: float) -> Correction:
+    """Stretch the clock of the sensors by a rate; the clock of the commands stays."""
+
+    def correct(run: Recording) -> Recording:
+        channels = dict(run.channels)
+        for sensor, c in channels.items():
+            if sensor != HELD:
+                channels[sensor] = c.replace(c.t[0] + (c.t - c.t[0]) * (1 + rate), c.values)
+        return dataclasses.replace(run, channels=channels)
+
+    return correct
+
+
+#: rates that are tried
+RATES = np.linspace(-0.05, 0.05, 201)
+#: largest ratio of the residual variances with a rate and without one
+LEFT = 0.5
+
+
+def estimate_clock_rate(seen: Traces) -> float:
+    """Estimate the rate b of `RATES` by which the times of the sensors are multiplied, 1 + b, to be
+    those of the commands; 0 if no rate reduces the residual variance by half."""
+    left = np.zeros(len(RATES))
+    for sensors in seen.values():
+        for trace in sensors.values():
+            if trace.measured:
+                left += _residual_variance(trace)
+    k = int(np.argmin(left))
+    return float(RATES[k]) if left[k] <= LEFT * left[len(RATES) // 2] else 0.0
+
+
+def _residual_variance(trace: Trace) -> np.ndarray:
+    """The relative residual variance at each rate, summed over the columns."""
+    left = np.zeros(len(RATES))
+    rise = np.gradient(trace.simulated, trace.t, axis=0)
+    for y, s, ds in zip(trace.recorded.T, trace.simulated.T, rise.T, strict=True):
+        known = ~np.isnan(y)
+        if known.sum() < FEW or np.ptp(y[known]) == 0:
+            continue
+        for k, b in enumerate(RATES):
+            t = trace.t[known] * (1 + b)
+            inside = t <= trace.t[-1]
+            t, seen = t[inside], y[known][inside]
+            rows = [np.ones(len(t)), np.interp(t, trace.t, s), np.interp(t, trace.t, ds)]
+            A = np.stack(rows, 1)
+            off = seen - A @ np.linalg.lstsq(A, seen, rcond=None)[0]
+            left[k] += (off @ off) / max(len(t) * seen.var(), 1e-300)
+    return left

@@ -1,0 +1,315 @@
+"""The linear equations of a regression, W pi = tau + noise, their weighted least squares and the
+statistics of their residuals.
+
+X, the columns of the base parameters, is factored once, X = Q R. For weights 1 / s it remains to
+solve A z = Q^T S^-2 tau with A = Q^T S^-2 Q and R beta = z, whose condition is that of the weights.
+So a change of the weights costs one matrix product.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+
+from rbjax.arguments import instance
+from rbjax.errors import InputError
+from rbjax.sysid.statistics.fit_statistics import FEW, Column, FitStatistics, Rows, fit_statistics
+from rbjax.sysid.statistics.rank import Combinations, combinations
+from rbjax.sysid.status import FitStatus, HasStatus
+
+Array = np.ndarray
+#: Noise below this times a torque's size is rounding.
+ROUNDING = 1e-13
+#: If residuals are below this times the given noise, they are no estimate of the noise.
+SMALL = 1e-6
+
+
+class Fitted(NamedTuple):
+    """beta (r,), (X^T S^-1 X)^-1 (r, r), and the leverage of each channel (k,): its share of the
+    parameters."""
+
+    beta: Array
+    covariance: Array
+    leverage: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Samples of W pi = tau.
+
+    Fields:
+        W: (N, k, p).
+        tau: (N, k).
+        combinations: of the p parameters.
+        noise: (N, k) standard deviation of each torque, inf for one without weight; None if it is
+            estimated.
+        lengths: samples of each recording, one after the other; N in all.
+    """
+
+    W: Array
+    tau: Array
+    combinations: Combinations
+    noise: Array | None = None
+    lengths: tuple[int, ...] = ()
+
+    @property
+    def counted(self) -> Array:
+        """Whether each torque (N, k) has a weight: its noise is not inf."""
+        return np.isfinite(np.zeros(self.tau.shape) if self.noise is None else self.noise)
+
+    @cached_property
+    def X(self) -> Array:
+        """The columns (N, k, r) of the base parameters."""
+        return self.W[..., list(self.combinations.kept)]
+
+    @cached_property
+    def factors(self) -> tuple[Array, Array]:
+        """Q and R of X."""
+        X = self.X.reshape(self.tau.size, -1)
+        size = np.linalg.norm(X, axis=0)
+        if not size.all():
+            raise InputError(
+                f"regress: {self.combinations.term(int(np.argmin(size)))} moves nothing in these "
+                "samples; leave `base` out, so that it follows from them"
+            )
+        Q, R = np.linalg.qr(X / size)
+        return Q, R * size
+
+    def fit(self, noise: Any) -> Fitted:
+        """Solve the least squares of rows divided by their noise: by normal equations in the
+        coordinates R beta, or by QR if the weights differ by too many decades."""
+        Q, R = self.factors
+        sd = np.broadcast_to(noise, self.tau.shape).reshape(-1, 1)
+        Qs, y = Q / sd, self.tau.reshape(-1, 1) / sd
+        A = Qs.T @ Qs
+        w = np.linalg.eigvalsh(A)
+        if w[0] > 1e-8 * w[-1]:
+            L = np.linalg.cholesky(A)
+            z = scipy.linalg.cho_solve((L, True), Qs.T @ y)
+            z = z + scipy.linalg.cho_solve((L, True), Qs.T @ (y - Qs @ z))  # refined
+            upper = L.T
+        else:
+            orthonormal, upper = np.linalg.qr(Qs)
+            z = scipy.linalg.solve_triangular(upper, orthonormal.T @ y)
+        half = scipy.linalg.solve_triangular(upper @ R, np.eye(len(R)))
+        leverage = (scipy.linalg.solve_triangular(upper, Qs.T, trans="T") ** 2).sum(0)
+        beta = scipy.linalg.solve_triangular(R, z[:, 0])
+        return Fitted(beta, half @ half.T, leverage.reshape(self.tau.shape).sum(0))
+
+
+def equations(
+    W: Any, tau: Any, names: Sequence[str], *, noise: Any = None, base: Combinations | None = None,
+    lengths: Sequence[int] | None = None,
+) -> Equations:  # fmt: skip
+    """Check the equations W pi = tau, the argument of the estimators of `METHODS`.
+
+    Args, Raises: as for `regress`.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid.torque import equations
+        >>> t = np.linspace(0.0, 1.0, 20)
+        >>> line = equations(np.stack([np.ones(20), t], 1), 2.0 - t, ["offset", "slope"])
+        >>> line.fit(0.1).beta.round(6).tolist()
+        [2.0, -1.0]
+    """
+    try:
+        given, tau = np.asarray(W), np.asarray(tau, float)
+        names = tuple(names)
+        noise = None if noise is None else np.asarray(noise, float)
+        if given.dtype.kind not in "biuf":
+            raise TypeError(f"W has dtype {given.dtype}")
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"regress: {error}; expected arrays of numbers W (N, k, p) and tau (N, k), p names, "
+            "and noise as numbers or None"
+        ) from error
+    if given.ndim == 2:
+        given, tau = given[:, None], tau.reshape(-1, 1) if tau.ndim == 1 else tau
+    W = given.astype(float)
+    if W.ndim != 3 or tau.shape != W.shape[:2] or W.shape[2] != len(names):
+        raise InputError(
+            f"regress: W has shape {given.shape}, tau {tau.shape} and there are {len(names)} "
+            "names, expected (N, k, p), (N, k) and p"
+        )
+    for name, x in (("tau", tau), ("W", W)):
+        if not np.isfinite(x).all():
+            at = np.argwhere(~np.isfinite(x))[0]
+            raise InputError(
+                f"regress: {name}[{', '.join(map(str, at))}] is {x[tuple(at)]}, expected finite "
+                "values; leave samples that are missing out"
+            )
+    base = combinations(given, names) if base is None else base
+    instance("regress", "base", base, Combinations, "the Combinations of `combinations`")
+    if base.names != tuple(names):
+        raise InputError("regress: base has other names than the columns of W")
+    if not base.rank or tau.size <= base.rank:
+        raise InputError(
+            f"regress: {tau.size} torques for {base.rank} base parameters, expected more torques "
+            "than parameters, and at least one parameter that shows"
+        )
+    if noise is not None:
+        noise = _checked_noise(noise, tau, base.rank)
+    given_lengths: Any = (len(tau),) if lengths is None else lengths
+    lengths = tuple(given_lengths) if isinstance(given_lengths, Iterable) else (given_lengths,)
+    if not all(isinstance(n, (int, np.integer)) and n > 0 for n in lengths) or sum(lengths) != len(
+        tau
+    ):
+        raise InputError(
+            f"regress: lengths is {lengths}, expected the number of samples of each recording, "
+            f"{len(tau)} in all"
+        )
+    return Equations(W, tau, base, noise, lengths)
+
+
+def _checked_noise(noise: Array, tau: Array, rank: int) -> Array:
+    """Check the noise, and return that of each torque (N, k)."""
+    shapes = f"(), {tau.shape[1:]} or {tau.shape}"
+    if noise.shape not in ((), tau.shape[1:], tau.shape):
+        raise InputError(f"regress: noise has shape {noise.shape}, expected {shapes}")
+    wrong = np.argwhere(~(noise > 0))
+    if len(wrong):
+        at = tuple(wrong[0])
+        place = f"[{', '.join(map(str, at))}]" if at else ""
+        raise InputError(
+            f"regress: noise{place} is {noise[at]}, expected standard deviations above 0, inf for "
+            "a torque that does not count"
+        )
+    noise = np.broadcast_to(noise, tau.shape)
+    count = int(np.isfinite(noise).sum())
+    if count <= rank:
+        raise InputError(
+            f"regress: {count} torques have finite noise, for {rank} base parameters; expected "
+            "more torques than parameters"
+        )
+    return noise
+
+
+@dataclass(frozen=True, eq=False)
+class Regression(HasStatus):
+    """The result of a regression.
+
+    Fields:
+        combinations: the r base parameters.
+        beta: (r,), their values.
+        covariance: (r, r), for independent noise if the residuals are white, otherwise for noise
+            with the correlation of the residuals.
+        noise: (k,) standard deviation of each channel.
+        residual: (N, k), tau - W pi.
+        weights: (N, k), below 1 if a robust method reduces the weight of a sample.
+        dof: degrees of freedom of Student's t; infinite if the noise was given and the residuals
+            agree with it.
+        steps: the number of iterations.
+        status: a `FitStatus`; `success` is whether the iterations converged.
+        white: whether the residuals of each channel are independent in time.
+    """
+
+    combinations: Combinations
+    beta: Array
+    covariance: Array
+    noise: Array
+    residual: Array
+    weights: Array
+    dof: float
+    steps: int = 1
+    status: FitStatus = FitStatus.CONVERGED
+    white: bool = True
+
+    @property
+    def errors(self) -> Array:
+        """Standard deviations (r,) of beta."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def intervals(self, level: float = 0.95) -> Array:
+        """Compute the confidence intervals (r, 2) of the base parameters."""
+        if not 0 < level < 1:
+            raise InputError(f"intervals: level is {level}, expected between 0 and 1")
+        half = scipy.stats.t.ppf((1 + level) / 2, self.dof) * self.errors
+        return np.stack([self.beta - half, self.beta + half], 1)
+
+    def parameters(self, prior: Any) -> Array:
+        """Compute all parameters (p,): dropped ones are those of `prior`, the others follow from
+        beta. The inertias may be physically inconsistent; `consistent` avoids that."""
+        c = self.combinations
+        out = np.array(prior, float)
+        if out.shape != (len(c.names),):
+            raise InputError(f"parameters: prior has shape {out.shape}, expected ({len(c.names)},)")
+        out[list(c.kept)] = self.beta - c.K @ out[list(c.dropped)]
+        return out
+
+    def summary(self, level: float = 0.95) -> str:
+        """The base parameters with their intervals, one a line."""
+        rows = zip(self.combinations.terms(), self.beta, self.intervals(level), strict=True)
+        return "\n".join(f"{term} = {x:.5g} ({low:.5g} to {up:.5g})" for term, x, (low, up) in rows)
+
+
+def with_statistics(
+    eq: Equations, found: Regression, sd: Array, psi: Array | None = None,
+    slope: Array | None = None,
+) -> Regression:  # fmt: skip
+    """Set the covariance of a regression by `fit_statistics`. Given noise is used unless the
+    residuals contradict it with at least `FEW` degrees of freedom."""
+    psi = found.residual / sd if psi is None else psi
+    slope = np.ones_like(psi) if slope is None else slope
+    free = int(eq.counted.sum()) - found.beta.size
+    if negligible(eq, found.residual) or (eq.noise is not None and free < FEW):
+        return found
+    statistics = statistics_of(eq, psi, slope, sd)
+    agrees = eq.noise is not None and statistics.white and _agrees(eq, found.residual)
+    if agrees and np.isinf(found.dof):
+        return found
+    dof = float(free) if statistics.white else statistics.estimates.dof
+    return dataclasses.replace(
+        found, covariance=statistics.estimates.covariance, dof=dof, white=statistics.white
+    )
+
+
+def _agrees(eq: Equations, residual: Array) -> bool:
+    """Whether the residuals agree with the given noise, by a chi-square test with 1 % on each
+    side."""
+    assert eq.noise is not None
+    free = int(eq.counted.sum()) - eq.combinations.rank
+    squares = float(((residual / eq.noise) ** 2).sum())
+    low, high = scipy.stats.chi2.ppf([0.01, 0.99], free)
+    return bool(low <= squares <= high)
+
+
+def negligible(eq: Equations, residual: Array) -> bool:
+    """Whether the residuals are rounding, or negligible compared with the given noise."""
+    size = np.abs(residual[eq.counted]).max()
+    if eq.noise is not None and size < SMALL * eq.noise.min():
+        return True
+    return bool(size <= 100 * ROUNDING * np.abs(eq.tau).max())
+
+
+def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStatistics:
+    """Compute the statistics of the residuals psi (N, k), in standard deviations."""
+    X = eq.X / sd[..., None]
+    ends = np.cumsum([0, *eq.lengths])
+    columns = [
+        Column(
+            f"channel {c}",
+            [
+                _rows(eq.counted[a:b, c], X[a:b, c], psi[a:b, c], slope[a:b, c])
+                for a, b in itertools.pairwise(ends)
+            ],
+            eq.noise is not None,
+        )
+        for c in range(eq.tau.shape[1])
+    ]
+    names = [eq.combinations.names[j] for j in eq.combinations.kept]
+    return fit_statistics(names, np.zeros(len(names)), columns)
+
+
+def _rows(counted: Array, X: Array, psi: Array, slope: Array) -> Rows:
+    """The rows of a channel in a recording, of the samples with a weight."""
+    which = np.arange(X.shape[-1])
+    return Rows(X[counted], psi[counted], slope[counted], np.flatnonzero(counted), which)
