@@ -82,15 +82,22 @@ def detect(
         0.1
     """
     check_model("detect", model)
-    if model.geoms is None:
-        raise InputError("detect: the model has no geoms; load it from a file with geoms")
+    geoms = geoms_of(model)
     q = check_array("detect", "q", q, (model.nq,))
-    chosen = model.geoms.pairs if pairs is None else _pairs_of(model, pairs)
-    _check_kinds(model.geoms, chosen)
+    chosen = geoms.pairs if pairs is None else _pairs_of(model, pairs)
+    _check_kinds(geoms, chosen)
     if reach is not None:
         reach = real_number("detect", "reach", reach, finite=False, traced=True)
         reach = jnp.asarray(reach, q.dtype)
-    return Contacts(*_program()(model, q, reach, chosen), _geoms_of_candidates(model.geoms, chosen))
+    distance, position, frame, exists = _program()(model, q, reach, chosen)
+    return Contacts(distance, position, frame, exists, _geoms_of_candidates(geoms, chosen))
+
+
+def geoms_of(model: Model) -> Geoms:
+    """Return the geoms of a model, or raise InputError if it has none."""
+    if model.geoms is None:
+        raise InputError("detect: the model has no geoms; load it from a file with geoms")
+    return model.geoms
 
 
 def pairs() -> tuple[tuple[str, str], ...]:
@@ -117,7 +124,7 @@ def _candidates(
     model: Model, q: jax.Array, reach: Any, pairs: tuple[tuple[int, int], ...]
 ) -> tuple:
     """Return the results of `_detect`, as a function of one sample."""
-    geoms, shapes = model.geoms, _shapes(model, q)
+    geoms, shapes = geoms_of(model), _shapes(model, q)
     margin = jnp.asarray(geoms.margin + geoms.gap, q.dtype)
     found: dict[tuple[int, int], tuple] = {}
     for kinds, members in _by_kind(geoms, pairs).items():
@@ -174,11 +181,12 @@ def _pairs_of(model: Model, pairs: Any) -> tuple[tuple[int, int], ...]:
     for pair in pairs:
         if isinstance(pair, str) or len(pair) != 2:
             raise InputError(f"detect(pairs=...): got {shown(pair)}, expected two geoms")
-        kinds = {model.geom(x): model.geoms.types[model.geom(x)] for x in pair}
+        kinds = {model.geom(x): geoms_of(model).types[model.geom(x)] for x in pair}
         rank = {i: order.index(k) if k in order else len(order) for i, k in kinds.items()}
         if len(rank) != 2:
             raise InputError(f"detect(pairs=...): got {shown(pair)}, expected two different geoms")
-        out.append(tuple(sorted(rank, key=lambda i: (rank[i], i))))
+        first, second = sorted(rank, key=lambda i: (rank[i], i))
+        out.append((first, second))
     return tuple(out)
 
 
@@ -204,7 +212,7 @@ def _by_kind(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> dict[tuple[str, 
 
 def _shapes(model: Model, q: jax.Array) -> Shape:
     """Return all geoms in the world, as lanes (ng,)."""
-    geoms = model.geoms
+    geoms = geoms_of(model)
     poses = forward_kinematics(model, q)
     R = jnp.concatenate([poses.R, jnp.eye(3, dtype=q.dtype)[None]])
     p = jnp.concatenate([poses.p, jnp.zeros((1, 3), q.dtype)])

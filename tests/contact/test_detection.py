@@ -113,12 +113,13 @@ def test_the_distance_has_the_derivative_of_its_witness() -> None:
 def test_batches_and_dtypes(dtype) -> None:
     model = scene()[1].astype(dtype)
     q = jnp.stack([model.default_state().q] * 3)
+    pairs = [("floor", "torso"), ("hand", "torso"), ("floor", "cube")]
     for batch in (q, q[:1], q[:0]):
-        found = jax.vmap(lambda q: rb.contact.detect(model, q))(batch)
+        found = jax.vmap(lambda q: rb.contact.detect(model, q, pairs=pairs))(batch)
         assert found.distance.dtype == dtype and found.distance.shape[0] == len(batch)
-    single = rb.contact.detect(model, q[0])
+    single = rb.contact.detect(model, q[0], pairs=pairs)
     assert single.position.dtype == single.frame.dtype == dtype
-    threaded = rb.threads(lambda q: rb.contact.detect(model, q).distance)(q[0])
+    threaded = rb.threads(lambda q: rb.contact.detect(model, q, pairs=pairs).distance)(q[0])
     np.testing.assert_allclose(threaded, single.distance, atol=20 * float(jnp.finfo(dtype).eps))
 
 
