@@ -287,7 +287,7 @@ def _while(low: Lowering, eqn: Equation, ins: list) -> list:
 def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     branches, args = eqn.params["branches"], ins[1:]
     which = low.to_scalar(ins[0])
-    # a branch that raises an error by `equinox.error_if` is never taken
+    # branches that do not end the run by an error of `equinox.error_if`
     going_on = [x for x in branches if not any(map(is_error, x.jaxpr.eqns))]
     if len(going_on) == 1:
         return low.closed(going_on[0], args, places)
