@@ -1,7 +1,7 @@
 """Lowering rules for loops, branches, nested calls, and control primitives of Equinox and lineax.
 
-A program runs one sample, so it has no batch. Equinox's predicates over the batch (`unvmap`) reduce
-to the predicate itself.
+A program runs one sample, so it has no batch. Equinox's reductions over the batch return
+their argument.
 """
 
 from __future__ import annotations
@@ -40,10 +40,7 @@ INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", *COMBINE}
 
 
 def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
-    """Return the positions of the inputs of a jaxpr whose indices are not constant.
-
-    These inputs must be in memory. unknown: for each input, whether it is not constant.
-    """
+    """Return the positions of the inputs that a jaxpr indexes by values that are not constant."""
     jaxpr = closed.jaxpr
     varying = {v for v, u in zip(jaxpr.invars, unknown, strict=True) if u}
     origin = {v: {k} for k, v in enumerate(jaxpr.invars)}  # inputs that a variable updates
@@ -345,10 +342,9 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list) -> dict[int, int]:
-    """Return a map from results to arguments, for results that are updated in place.
+    """Map results to the arguments that may be updated in place.
 
-    In every branch, such a result is the unchanged or updated argument, and nothing reads the
-    argument later.
+    Every branch returns such an argument unchanged or updated, and nothing reads it later.
     """
     out: dict[int, int] = {}
     for k, origins in enumerate(zip(*map(_versions, branches), strict=True)):
