@@ -2,9 +2,7 @@
 
     min  sum_k h L_i(t_k, x_k, u_k) + sum Phi_j(x_N)        over u and the free parts of x_0, p, T
     x_{k+1} = f(t_k, x_k, u_k, h; p),   low <= u_k <= high,   low <= c(t_k, x_k, u_k) <= high
-
-p are parameters of the model (`Design`), T = N h is the final time. Both are constant states: a
-knot is (x, p, T), and its tangent (dx, dp, dT).
+p are parameters of the model (`Design`), T = N h. Both are constant states: a knot is (x, p, T).
 """
 
 from __future__ import annotations
@@ -291,8 +289,7 @@ class Problem(Record):
             ) from error
 
     def value(self, cost: Cost, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-        """A cost at a knot with controls ("path") or at the "end": a number, or residuals (r,)
-        whose squares are halved and summed."""
+        """A cost at a knot: a number, or residuals (r,) whose squares are halved and summed."""
         value, dt = self.term(cost.term, k, knot, ctrl)
         w = jnp.asarray(cost.weight, dt.dtype)
         if self.integral and where == "path":
