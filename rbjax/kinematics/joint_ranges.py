@@ -79,8 +79,8 @@ class Ranges:
         return out
 
     def free(self, q: Sequence[Lane], g: Sequence[Lane]) -> dict[int, Lane]:
-        """Return a mask for each bounded coordinate, keyed by its index in v. It is 0 if the coordinate
-        is at a bound and the direction g (nv lanes) points out of the range, else 1."""
+        """Return a mask for each bounded coordinate, keyed by its index in v. It is 0 at a bound if
+        the direction g (nv lanes) points out of the range, else 1."""
         out: dict[int, Lane] = {}
         for at in self.bounded:
             x, out_of = q[at.q], g[at.v]
