@@ -303,11 +303,8 @@ def _middle(model: Model, dtype: Any) -> jax.Array:
 
 
 def _stationarity_conditions(model: Model, goals: Any, posture: Any, q: jax.Array) -> Any:
-    """Return the residuals that are zero at a solution q: e, or with a posture (e, p - q, J).
-
-    With a posture the condition is (p - q) - J^T y = 0; the multipliers y are not part of the
-    result.
-    """
+    """Return the residuals that are zero at a solution q: e, or with a posture (e, p - q, J). With
+    a posture the condition is (p - q) - J^T y = 0; the multipliers y are not part of the result."""
     e, J = errors(model, goals, q)
     if posture is None:
         return e

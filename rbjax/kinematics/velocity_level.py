@@ -164,10 +164,8 @@ def bounded_quadratic(
     H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Solve min x^T H x / 2 - g^T x, low <= x <= high, for positive definite H, by an active set.
-
     Returns x and the largest entry of the projected gradient at x. Unlike the projected Newton
-    steps of `box_qp`, the active set also converges for ill-conditioned H.
-    """
+    steps of `box_qp`, the active set also converges for ill-conditioned H."""
     n, dtype = g.shape[0], g.dtype
     program = jax.lax.stop_gradient((H, g, low, high))
     size = jnp.abs(program[1]).max() + jnp.abs(program[0]).max()

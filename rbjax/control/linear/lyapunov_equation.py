@@ -128,10 +128,8 @@ def solve_stable(A: jax.Array, Q: jax.Array, discrete: bool) -> tuple[jax.Array,
 
 
 def is_stable(A: jax.Array, discrete: bool) -> jax.Array:
-    """Return whether x+ = A x, or x' = A x, is stable.
-
-    It is stable if some power of A, or of its Cayley transform, has a norm below one.
-    """
+    """Return whether x+ = A x, or x' = A x, is stable. It is stable if some power of A, or of its
+    Cayley transform, has a norm below one."""
     A = A if discrete else cayley(A, cayley_shift(A))[0]
 
     def going(carry):
