@@ -56,6 +56,10 @@ def _step(model, q, v, ctrl):
     return after.q, after.v
 
 
+def _acceleration(model, q, v, ctrl):
+    return rb.acceleration(model, rb.State(q, v), ctrl)
+
+
 def _linearise(model, q, v, ctrl):
     return rb.linearise(model, rb.State(q, v), ctrl)
 
@@ -69,6 +73,7 @@ def _at_a_point(function):
 
 
 REGISTRY = {
+    "acceleration": Entry(_acceleration, ("q", "v", "ctrl")),
     "applied_forces": Entry(_with_state, ("q", "v", "ctrl")),
     "bias_forces": Entry(rb.bias_forces, ("q", "v")),
     "body_velocities": Entry(rb.body_velocities, ("q", "v")),

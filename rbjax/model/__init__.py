@@ -1,5 +1,6 @@
 """Models of robots: `Model` and its static part, `Topology`."""
 
+from rbjax.model.frame import Frame
 from rbjax.model.links import (
     LinkConstants,
     Prepared,
@@ -11,7 +12,6 @@ from rbjax.model.model import (
     DRIVER_NAMES,
     Actuators,
     Bodies,
-    Frame,
     Joints,
     Keyframes,
     Model,

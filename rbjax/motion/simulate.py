@@ -121,7 +121,8 @@ def simulate(
         >>> rb.simulate(model, model.default_state(), jnp.linspace(0, 1, 5)).q.shape
         (5, 1)
     """
-    state = check_arrays("simulate", model, {"state": state})["state"].replace(memory=None)
+    state = check_arrays("simulate", model, {"state": state})["state"]
+    state = State(state.q, state.v, state.x)  # a memory is of dynamics with fixed steps
     check_moves("simulate", model)
     ts, elapsed = _times(ts, state.q.dtype)
     inputs = inputs_between("simulate", model, Inputs(ctrl, tau, wrenches), ts)

@@ -146,7 +146,7 @@ def _step(
 def with_memory(model: Model, state: State, dynamics: Any, batch: tuple[int, ...] = ()) -> State:
     """The state with the memory of the dynamics: its own, or the initial one."""
     if not isinstance(dynamics, VelocityDynamics):
-        return state.replace(memory=None)
+        return State(state.q, state.v, state.x)
     if state.memory is not None:
         return state
     memory = jnp.asarray(dynamics.initial_memory(model), state.q.dtype)

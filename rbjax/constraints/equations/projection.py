@@ -25,6 +25,7 @@ Atkinson 1985; Potra & Rheinboldt 1991; Bayo & Ledesma 1996; Blajer 2002; Hairer
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -253,8 +254,7 @@ def _project_stage(
     many = STAGE_ITERATIONS[q.dtype.itemsize] if iterations is None else iterations
     u = pack(difference_lanes(top, list(q), list(state.q)), v)
 
-    def method(*at: Any) -> Changes:
-        return _newton(*at, many, dependent)
+    method = functools.partial(_newton, many=many, dependent=dependent)
 
     du, dv = least_change(method, model, t0, t, q, u, v, dependent)
     return State(retract(model, q, u + du), v + dv, state.x)

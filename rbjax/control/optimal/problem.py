@@ -2,9 +2,7 @@
 
     min  sum_k h L_i(t_k, x_k, u_k) + sum Phi_j(x_N)        over u and the free parts of x_0, p, T
     x_{k+1} = f(t_k, x_k, u_k, h; p),   low <= u_k <= high,   low <= c(t_k, x_k, u_k) <= high
-
-p are parameters of the model (`Design`), T = N h is the final time. Both are constant states: a
-knot is (x, p, T), and its tangent (dx, dp, dT).
+p are parameters of the model (`Design`), T = N h. Both are constant states: a knot is (x, p, T).
 """
 
 from __future__ import annotations
@@ -48,10 +46,9 @@ class Design(Record):
         self.start = check_array("Design", "start", jnp.atleast_1d(jnp.asarray(start, float)), n)
         low, high = (check_bound("Design", k, x, (), n) for k, x in (("low", low), ("high", high)))
         self.low, self.high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
-        known = [known_array(x) for x in (self.low, self.start, self.high)]
-        if any(x is None for x in known):  # traced
+        lowest, first, highest = (known_array(x) for x in (self.low, self.start, self.high))
+        if lowest is None or first is None or highest is None:  # traced
             return
-        lowest, first, highest = known
         if not ((lowest <= first) & (first <= highest)).all():
             raise InputError(
                 f"Design: low is {lowest.tolist()}, start {first.tolist()}, high "
@@ -159,7 +156,8 @@ class Problem(Record):
                 f"Problem: constraints has {wrong}, expected rb.control.Constraint(term, low, high)"
             )
         self.constraints = tuple(constraints)
-        for x in (*self.running, *self.terminal, *self.constraints):
+        terms: tuple[Cost | Constraint, ...] = (*self.running, *self.terminal, *self.constraints)
+        for x in terms:
             if x.knots is not None and max(x.knots, default=0) >= horizon:
                 raise InputError(
                     f"Problem: {x.term.label} has knots {x.knots}, expected indices below the "
@@ -291,8 +289,7 @@ class Problem(Record):
             ) from error
 
     def value(self, cost: Cost, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-        """A cost at a knot with controls ("path") or at the "end": a number, or residuals (r,)
-        whose squares are halved and summed."""
+        """A cost at a knot: a number, or residuals (r,) whose squares are halved and summed."""
         value, dt = self.term(cost.term, k, knot, ctrl)
         w = jnp.asarray(cost.weight, dt.dtype)
         if self.integral and where == "path":
