@@ -316,7 +316,7 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Transposed:
-    """The transpose of a `Linearised`: (args, cotangents) -> outs. forward: equations of results."""
+    """Transpose of a `Linearised`: (args, cotangents) -> outs. forward: equations of results."""
 
     eqns: Equations
     forward: list[JaxprEqn]
