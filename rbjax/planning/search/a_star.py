@@ -276,8 +276,8 @@ class _AStar(WaveSearch):
         return self.plan(*self.end)
 
     def around(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Compute the lower bound of the price to the target by the shortest path around obstacles.
-        """
+        """Compute the lower bound of the price to the target by the shortest path around
+        obstacles."""
         return self.ending.rate * np.maximum(self.holonomic(x, y) - self.ending.near, 0.0)
 
     def put(self, nodes: _Nodes, f: np.ndarray) -> None:
@@ -285,10 +285,8 @@ class _AStar(WaveSearch):
         add_to(self.open, (f / self.width).astype(int), nodes)
 
     def cheapest(self) -> tuple[_Nodes, int]:
-        """Remove the nodes of least f from OPEN. Return those that represent their cells.
-
-        Also return the index of the last interval of f that was removed.
-        """
+        """Remove the nodes of least f from OPEN. Return those that represent their cells. Also
+        return the index of the last interval of f that was removed."""
         some: list[_Nodes] = []
         number = 0
         for interval in sorted(self.open):
@@ -305,10 +303,8 @@ class _AStar(WaveSearch):
         return np.column_stack([nodes.x, nodes.y, self.table.headings[nodes.cell % self.shape[2]]])
 
     def connected(self, nodes: _Nodes, interval: int) -> _Nodes:
-        """Connect nodes with the target. Return the nodes whose f stays within the interval.
-
-        Nodes whose new f is beyond the interval return to OPEN.
-        """
+        """Connect nodes with the target. Return the nodes whose f stays within the interval. Nodes
+        whose new f is beyond the interval return to OPEN."""
         new = np.flatnonzero(~nodes.known)
         if not len(new):
             return nodes
@@ -324,8 +320,7 @@ class _AStar(WaveSearch):
 
     def test(self, nodes: _Nodes, steps: np.ndarray, price: np.ndarray, most: int) -> None:
         """Test the cheapest connections for obstacles. Keep the rest, to test them when OPEN is
-        empty.
-        """
+        empty."""
         wanted = np.flatnonzero(price < self.price)
         wanted = wanted[np.argsort(price[wanted], kind="stable")]
         if len(wanted) > most:

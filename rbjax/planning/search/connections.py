@@ -107,10 +107,8 @@ class DirectMotion:
         return 1 / tight[0]
 
     def _rates(self) -> np.ndarray:
-        """Compute prices per metre (3, 3) by gear and by bend, each -1, 0 or 1.
-
-        They are infinite for a gear and bend without a control.
-        """
+        """Compute prices per metre (3, 3) by gear and by bend, each -1, 0 or 1. They are infinite
+        for a gear and bend without a control."""
         rates = np.full((3, 3), np.inf)
         for step, cost in zip(self.controls.steps, self.controls.costs, strict=True):
             way = math.hypot(step[0], step[1])
@@ -143,8 +141,8 @@ class DirectMotion:
         return bound, self._straight(poses, far, np.arctan2(dy, dx), turn)
 
     def price(self, steps: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Compute the prices (m,) of connections (m, n, 3) after controls (m,), -1 for no control.
-        """
+        """Compute the prices (m,) of connections (m, n, 3) after controls (m,), -1 for no
+        control."""
         way, turn = np.hypot(steps[..., 0], steps[..., 1]), steps[..., 2]
         drives = way > 1e-12 * (1 + way.max(initial=0.0))
         there = drives | (np.abs(turn) > 1e-12)

@@ -121,8 +121,7 @@ class Controls:
     @property
     def prices(self) -> np.ndarray:
         """Costs (n + 1, n) of control j after control i; the last row is for the first control of a
-        path.
-        """
+        path."""
         v, bend = self.speeds, self.curvatures
         reversed_ = v[:, None] * v < 0
         bent = ~np.isclose(bend[:, None], bend, rtol=1e-9, atol=0)
@@ -153,8 +152,7 @@ class Controls:
 
     def displacements(self, heading: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
         """Compute the displacements (..., n), m, by all controls from a heading (...), after a time
-        t (...).
-        """
+        t (...)."""
         heading, t = np.broadcast_arrays(heading, t)
         steps = t[..., None, None] / self.dt * self.steps
         return displacements(heading[..., None], steps, np)

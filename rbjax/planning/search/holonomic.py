@@ -41,10 +41,8 @@ class HolonomicDistance:
         self.values = self.h * _from_corner(_touching(passable), at) / KAPPA
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Compute lower bounds (...) m of the path from positions (...) m to the goal.
-
-        The bound is infinite if there is no path.
-        """
+        """Compute lower bounds (...) m of the path from positions (...) m to the goal. The bound is
+        infinite if there is no path."""
         at, off = self._corner(x, y)
         return np.maximum(self.values[at] - off - self.off, 0.0)
 
@@ -79,8 +77,7 @@ def _touching(passable: np.ndarray) -> np.ndarray:
 
 def _from_corner(open_: np.ndarray, at: int) -> np.ndarray:
     """Compute the lengths, in cells, of the shortest chains from a corner to all corners, row by
-    row.
-    """
+    row."""
     rim = 2  # of the longest move, so that neighbours need no test of the map's edge
     wide = np.pad(open_, rim)
     ny = wide.shape[1]

@@ -121,10 +121,8 @@ def _turned(angle: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _children(p: _Problem, s: _Searches, at: jax.Array) -> tuple[_Nodes, jax.Array, jax.Array]:
-    """Compute the ends of all controls from nodes `at`, by parent and then by control.
-
-    Also return whether they are on the map, and whether their motions are free.
-    """
+    """Compute the ends of all controls from nodes `at`, by parent and then by control. Also return
+    whether they are on the map, and whether their motions are free."""
     n, old = p.turns.shape[0], jax.tree.map(lambda a: a[at], s.nodes)
     k, angle = old.cell % p.headings, p.start[old.search, 2][:, None]
     motion = k[:, None] * n + jnp.arange(n)
@@ -140,8 +138,8 @@ def _children(p: _Problem, s: _Searches, at: jax.Array) -> tuple[_Nodes, jax.Arr
 
 
 def _expand(p: _Problem, s: _Searches, at: jax.Array, valid: jax.Array) -> _Searches:
-    """Visit the valid nodes among `at`, and store their children. An index out of range is dropped.
-    """
+    """Visit the valid nodes among `at`, and store their children. An index out of range is
+    dropped."""
     searches = s.best.shape[0]
     here = jnp.where(valid, s.nodes.search[at], searches)
     best = s.best.at[here, s.nodes.cell[at]].set(-1, mode="drop")

@@ -87,8 +87,8 @@ class SweptMap:
     def free_chains(
         self, starts: np.ndarray, steps: np.ndarray, footprint: Footprint
     ) -> np.ndarray:
-        """Test whether chains of steps (m, n, 3) from poses (m, 3) are free, as `clear_along` does.
-        """
+        """Test whether chains of steps (m, n, 3) from poses (m, 3) are free, as `clear_along`
+        does."""
         centers, radii = np.asarray(footprint.centers, float), np.asarray(footprint.radii, float)
         way = np.hypot(steps[..., 0], steps[..., 1])[..., None] + np.abs(steps[..., 2:]) * np.hypot(
             *centers.T
@@ -116,8 +116,8 @@ class SweptMap:
 
 
 class WaveSearch:
-    """Base of a search on cells (x, y, heading): OPEN, the least cost of each cell, visited nodes.
-    """
+    """Base of a search on cells (x, y, heading): OPEN, the least cost of each cell, visited
+    nodes."""
 
     def __init__(
         self, distances: DistanceField, controls: Controls, table: MotionTable, root: np.ndarray,
@@ -148,8 +148,7 @@ class WaveSearch:
 
     def children(self, wave: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute x, y and the heading's index, each (n, controls), after each control from n
-        nodes.
-        """
+        nodes."""
         k = wave.cell % self.shape[2]
         x, y = (
             p[:, None] + step[k] for p, step in zip((wave.x, wave.y), self.table.step, strict=True)
