@@ -65,8 +65,7 @@ def differential_inverse_kinematics(
     rest: Any = None,
     damping: Any = 1e-6,
 ) -> DifferentialInverseKinematics:
-    """Compute the velocity (nv,) that moves frames towards their goals, within speeds and joint
-    ranges.
+    """Compute the velocity (nv,) that moves frames towards goals, within speeds and joint ranges.
 
         min |W (J v - rate e)|^2 + damping |v - rest|^2,   l <= v <= u
 

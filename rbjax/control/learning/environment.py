@@ -234,8 +234,7 @@ class Environment(Record):
         return model, state
 
     def unroll(self, policy: Any, models: Any, states: State, steps: int) -> Segment:
-        """Simulate a batch under a policy. models: of each sample, or None for the environment's
-        model."""
+        """Simulate a batch under a policy. models: of each sample, or None for `self.model`."""
         dt: Any = self.dt
 
         def moved(model: Model, state: State) -> Any:

@@ -35,8 +35,7 @@ GROUPS = 32  # number of groups of samples; the gradients of groups are computed
 
 
 class Samples(NamedTuple):
-    """The batch between two iterations: models (B, ...) or None, states (B, ...), ages (B,) in
-    steps."""
+    """The batch between two iterations: models (B, ...) or None, states, ages (B,) in steps."""
 
     models: Any
     states: State
@@ -78,8 +77,7 @@ def actor_critic(
 
     Args:
         env: `Environment`.
-        policy: the initial policy, a callable pytree (o,) -> (nu,); its floating-point arrays are
-            trained.
+        policy: a callable pytree (o,) -> (nu,); its floating-point arrays are trained.
         key: of `jax.random`, for the batch and the value function.
         value: a callable pytree (o,) -> (1,); a `Network` with two hidden layers of 64 if None.
         iterations: number of updates of the policy.

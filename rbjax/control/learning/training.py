@@ -1,5 +1,4 @@
-"""Training of policies: iterations as one compiled program, updates, and training on whole
-episodes.
+"""Training of policies: compiled iterations, updates, and training on whole episodes.
 
     x_0 = begin(...),    x_{k+1}, c_k = turn(x_k)
 

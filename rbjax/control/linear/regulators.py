@@ -102,8 +102,7 @@ def lqr_at(
         Q: (n, n), or the weights (n,).
         R: (nu, nu), or the weights (nu,).
         S: (n, nu); 0 if None.
-        dt: seconds, for controls that are constant over a step of `rollout`; None for continuous
-            time.
+        dt: seconds, for controls that are constant over a step; None for continuous time.
         integrator, dynamics, constraints: as in `rb.linearise`.
 
     Returns:
@@ -179,8 +178,7 @@ def _finite(
 
 
 def feedback(model: Model, state: State, ctrl: Any, K: Any) -> Any:
-    """Build the policy (t, state') -> ctrl - K (state' (-) state), for `rb.rollout` and
-    `rb.simulate`.
+    """Build the policy (t, state') -> ctrl - K (state' (-) state), for `rb.rollout`.
 
     Args:
         model: the robot.

@@ -256,8 +256,7 @@ def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov
 
 
 def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
-    """Compute the eigenvalues (n,) of A, or of the closed loop A - BK, in order of falling real
-    part.
+    """Compute the eigenvalues (n,) of A or of A - BK, in order of falling real part.
 
     JAX computes them on CPUs, and on GPUs in some versions. Simple eigenvalues have derivatives.
 

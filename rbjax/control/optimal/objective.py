@@ -112,8 +112,7 @@ def no_multipliers(N: int, path: int, end: int, dtype: jax.typing.DTypeLike) -> 
 
 
 def shift_multipliers(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
-    """Return the multipliers of a motion that begins later. at (N,): the index of each of its knots
-    in the earlier motion."""
+    """Shift the multipliers to a later motion. at (N,): its knot indices in the earlier one."""
     if multipliers is None:
         return None
     return multipliers._replace(path=multipliers.path[at])
@@ -203,8 +202,7 @@ def residuals(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> tuple[ja
 def over_knots(
     f: Any, problem: Problem, knots: Knot, ctrls: jax.Array, rows: tuple = ()
 ) -> tuple[Any, Any]:
-    """Evaluate f("path", k, knot, ctrl) at all knots with controls, and f("end", N, knot, 0) at the
-    last.
+    """Evaluate f("path", k, knot, ctrl) at knots with controls, f("end", N, knot, 0) at the last.
 
     rows: empty, or the values of a last argument of f, at the path (N, ...) and at the end.
     """
@@ -221,8 +219,7 @@ def motion_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
 
 
 def roll_out(problem: Problem, first: Knot, policy: Any, given: Any) -> tuple[Knot, jax.Array]:
-    """Roll out a policy (k, knot, entry k of `given`) -> ctrl; return knots (N + 1, ...), controls
-    (N, m)."""
+    """Roll out a policy (k, knot, entry k of `given`) -> ctrl; return knots and controls."""
 
     def step(knot: Knot, x: tuple) -> tuple[Knot, tuple[Knot, jax.Array]]:
         u = policy(x[0], knot, x[1])

@@ -321,8 +321,7 @@ class Problem(Record):
         return jnp.where(self.counts_at(c.knots, k), value, jnp.clip(value, low, high))
 
     def counts_at(self, knots: tuple[int, ...], k: Any) -> jax.Array:
-        """Return whether the (possibly fractional) knot index k belongs to one of the knots or to
-        the end."""
+        """Return whether the (fractional) knot index k belongs to one of the knots or the end."""
         counts = np.zeros(self.horizon + 1, bool)
         counts[[*knots, self.horizon]] = True
         at = jnp.floor(jnp.asarray(k) + 1e-6).astype(jnp.uint32)

@@ -147,8 +147,7 @@ class PredictiveController:
         return memory._replace(pending=pending)
 
     def tick(self, memory: Memory, t: Any, state: Any) -> tuple[jax.Array, Memory, jax.Array]:
-        """Return the control (nu,) of the tick that begins at t, the next memory, and a
-        `TickStatus` ().
+        """Return the control (nu,) of the tick at t, the next memory, and a `TickStatus` ().
 
         t: s.
         state: measured at t.
@@ -244,8 +243,7 @@ class PredictiveController:
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _gap(self, found: Any) -> jax.Array:
-        """Return the largest gap of a plan. Without constraints it is not needed, and 0 saves its
-        evaluation."""
+        """Return the largest gap of a plan; 0 without constraints, which do not need it."""
         return found.gap if self.problem.constraints else jnp.zeros_like(found.gap)
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
@@ -324,8 +322,7 @@ def mpc(
             Problem that returns the problem of the plan that begins at t; times in that problem
             count from its own start_time. The problems may differ only in the values of arrays.
         method: a name from `rb.control.methods()`, of a method with gains.
-        iterations: maximum number of iterations per tick. None: 1, or 10 for a problem with
-            constraints.
+        iterations: maximum number of iterations per tick. None: 1, or 10 with constraints.
         delay: ticks from the measured state to its control: 1 if the computation lasts up to a
             tick, 0 in a simulation that waits for it.
         feedback: if true, the gains correct the prediction error when the control is applied.

@@ -27,8 +27,7 @@ class Method(NamedTuple):
     constraints: true if it accepts `Constraint`s.
     derivatives: true if it needs derivatives of the problem.
     description: when to use it.
-    differentiable: true if its solutions have derivatives, because their motions are steps of the
-    system.
+    differentiable: true if its solutions have derivatives.
     """
 
     solve: Callable[..., Any]

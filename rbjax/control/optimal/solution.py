@@ -147,8 +147,7 @@ class Solution(Record):
         return take(self.states, k)
 
     def policy(self) -> Callable[[Any, Any], jax.Array]:
-        """Return the feedback (t, state) -> ctrl about the motion, within the bounds, for
-        `rb.rollout`."""
+        """Return the feedback (t, state) -> ctrl about the motion, for `rb.rollout`."""
         dt = self.ts[1] - self.ts[0]
         problem, system = self.problem, self.problem.at(self.parameters)[0]
         N, n = problem.horizon, system.n

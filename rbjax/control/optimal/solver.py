@@ -137,8 +137,7 @@ def solve(
         problem: `Problem`.
         start: `State` of a model or a wheeled robot, (n,) of `Equations`. Free coordinates of it
             are a first guess.
-        method: a name from `rb.control.methods()`, or a `Sampling` or `SampledStart` with other
-            parameters.
+        method: a name from `rb.control.methods()`, or a `Sampling` or `SampledStart`.
         states: a first guess of the states, with a leading axis N + 1, which need not obey the
             dynamics. If None: the start at all knots; or, if ctrls are given, the motion under them
             if it costs less.
@@ -246,8 +245,7 @@ def _check_finite(name: str, value: Any) -> None:
 
 
 def _check_seed(seed: Any) -> None:
-    """Raise InputError unless a seed is an integer from 0 to 2^32 - 1, or an array of such
-    integers."""
+    """Raise InputError unless a seed consists of integers from 0 to 2^32 - 1."""
     x = np.asarray(seed)
     if x.dtype.kind not in "iu" or (x.size and not (0 <= x.min() <= x.max() < 2**32)):
         raise InputError(f"solve: seed is {seed!r}, expected an integer from 0 to 2^32 - 1")
@@ -261,8 +259,7 @@ _lines: list[Say] = []  # progress lines of the running searches
 
 
 def _report(iterations: Any, cost: Any, violation: Any) -> None:
-    """Print an iteration; a single function for all searches, since it is part of the compile cache
-    key."""
+    """Print an iteration; one function for all searches, as it is part of the cache key."""
     if _lines:
         held = f", violation {float(violation):.2g}" if violation else ""
         _lines[-1](f"iteration {int(iterations)}, cost {float(cost):.8g}{held}")

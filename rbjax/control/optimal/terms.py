@@ -281,8 +281,7 @@ class CenterOfMass(Term):
 
 
 class Pose(Term):
-    """Pose error log(T_ref^-1 T) of a site or body, (6,): rotation vector, then translation part in
-    m.
+    """Pose error log(T_ref^-1 T) of a site or body, (6,): rotation vector, then translation, m.
 
     rotation, position: (3, 3) and (3,) m, the reference in the world, or functions of t.
     site, body: the name of the frame; give exactly one of the two.

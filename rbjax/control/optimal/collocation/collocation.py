@@ -6,8 +6,7 @@ constraints (`barrier`), a Riccati recursion (`backward_pass`), and a filter lin
 
     mu <- min(0.2 mu, mu^1.5)   if the problem with the barrier mu is solved; then also
     centre <- y,  soft <- mu    of the constraints, down to the square root of rounding
-    reg <- 8 reg                if a control Hessian is not positive definite, or no step is
-    accepted
+    reg <- 8 reg                if a control Hessian is not definite, or no step is accepted
     if the filter accepts no step and there are gaps, the next steps close them
 
 Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter & Biegler 2006

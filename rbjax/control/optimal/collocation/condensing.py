@@ -67,8 +67,7 @@ def combine(weights: jax.Array, rates: jax.Array) -> jax.Array:
 def at_stage(
     problem: Problem, where: Any, knot: Knot, xi: jax.Array, ctrl: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return f (n,), the running cost () and the constraint rows (c,) at knot (+) xi. where: k +
-    c_i."""
+    """Return f (n,), running cost () and constraint rows (c,) at knot (+) xi. where: k + c_i."""
     system, dt = problem.at(knot.parameters)
     rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
     point = Knot(system.plus(knot.state, xi), knot.parameters)
@@ -167,8 +166,7 @@ class Weights(NamedTuple):
 
 
 class Condensed(NamedTuple):
-    """A step with its stages eliminated. With e = (dx, du), dK = Z e + offset and d rows = C e +
-    more."""
+    """A step without stages. With e = (dx, du), dK = Z e + offset and d rows = C e + more."""
 
     A: jax.Array
     B: jax.Array

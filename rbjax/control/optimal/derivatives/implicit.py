@@ -110,8 +110,7 @@ def _may_close_over_tracers(f: Any) -> bool:
 
 
 def _hoist_closures(functions: Functions, examples: tuple) -> tuple[Functions, tuple]:
-    """Make the tracers that functions close over their first argument; return functions and
-    tracers."""
+    """Return the functions with their closed-over tracers as first argument, and the tracers."""
     found = [jax.closure_convert(f, *x) for f, x in zip(functions, examples, strict=True)]
     hoisted = tuple(consts for _, consts in found)
     of = lambda k: lambda consts, *args: found[k][0](*args, *consts[k])  # noqa: E731

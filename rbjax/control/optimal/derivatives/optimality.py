@@ -273,8 +273,7 @@ class KKTSystem:
 
 
 def _definite_equations(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:
-    """Return the system with exact Hessians if it belongs to a minimum, else with Gauss-Newton
-    Hessians."""
+    """Return the system with exact Hessians if definite, else with Gauss-Newton Hessians."""
     fixed = jax.lax.stop_gradient
     found = factorise(fixed(exact))
     e = jax.tree.map(lambda x, y: jnp.where(found.ok, x, y), exact, gauss)

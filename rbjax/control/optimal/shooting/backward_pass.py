@@ -41,8 +41,7 @@ class BoxSolution(NamedTuple):
 
 
 def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSolution:
-    """Minimise d'H d / 2 + g'd over the box low <= d <= high, for H (m, m) positive definite in the
-    free entries and low < high."""
+    """Minimise d'H d / 2 + g'd over the box low <= d <= high, for definite H (m, m), low < high."""
     L = factor_of(H)
     d = -solved(L, g)  # often within the box already
     return jax.lax.cond(
@@ -55,8 +54,7 @@ def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSo
 def box_gains(
     H: jax.Array, g: jax.Array, G: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return d of `box_qp`, K = -H^-1 G (m, n) in its free entries (0 elsewhere), and ok of
-    `box_qp`."""
+    """Return d of `box_qp`, K = -H^-1 G (m, n) with rows 0 at bounds, and ok."""
     both, ok = gains(H, g, G)
     d = both[:, -1]
     inside = ((d >= low) & (d <= high)).all()
@@ -218,8 +216,7 @@ def backward_pass(
 
 
 def projected_gradient(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Return the gradient, with 0 for entries whose descent direction violates the bounds of the
-    step."""
+    """Return the gradient, with 0 for entries whose descent violates bounds of the step."""
     pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     return jnp.where(pressed, 0.0, gradient)
 
@@ -232,8 +229,7 @@ def propagate_value(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> t
 def propagate_value_by_velocities(
     V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array, h: Any
 ) -> tuple:
-    """Compute `propagate_value` for dv+ = [C D] dx + E du, dq+ = dq + h dv+, with half the
-    operations.
+    """Compute `propagate_value` for dv+ = [C D] dx + E du, dq+ = dq + h dv+, at half the cost.
 
     A = T (1 + [0; F]),  B = T [0; E],  T = [1 h; 0 1],  F = [C D - 1]
     """

@@ -128,8 +128,7 @@ def _take_rollout(
 def _decreases_as_expected(
     values: IterationValues, lengths: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return which trials change the cost as the quadratic model predicts, and the expected
-    decrease."""
+    """Return a mask of trials with the predicted change of cost, and the expected decrease."""
     cross = values.more
     slope, curvature = values.slope + cross, values.curvature - 2 * cross
     expected = lengths * (slope + 0.5 * lengths * curvature)

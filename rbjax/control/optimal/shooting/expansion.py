@@ -89,8 +89,7 @@ def _second_order_in(
 
 
 def read_columns(problem: Problem, part: Any) -> np.ndarray:
-    """Return the indices in (knot tangent space, controls) of the inputs on which a function
-    depends."""
+    """Return the indices in (knot tangent vector, controls) on which a function depends."""
     knot, ctrl = example_knot(problem)
     leaves, tree = jax.tree.flatten((knot, ctrl))
 

@@ -251,8 +251,7 @@ def _draw_samples(key: jax.Array, now: Round, samples: int, low: Draw, high: Dra
 def _update_distribution(
     how: Sampling, now: Round, good: Draw, least: jax.Array, costs: jax.Array, drawn: Draw
 ) -> tuple[Draw, Draw]:
-    """Return the next mean and deviation. good, least (elites,): the best samples and costs,
-    sorted."""
+    """Return the next mean and deviation. good, least: the best samples and costs, sorted."""
     colder = jax.tree.map(lambda s: s * how.cooling, now.deviation)
     if how.update == "predictive":
         mean, deviation = take(good, 0), colder

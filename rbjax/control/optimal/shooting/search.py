@@ -191,8 +191,7 @@ def _small(
 def count_stalled(
     reference: jax.Array, stalled: jax.Array, cost: jax.Array, closed: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the cost () at its last decrease by more than rounding, and the number () of
-    iterations since.
+    """Return the cost () at its last decrease beyond rounding, and the iterations () since then.
 
     closed: true if the gaps are closed; before that the cost may rise.
     """

@@ -125,8 +125,7 @@ class Target(NamedTuple):
     def stationarity(
         self, w: Unknowns, cost: jax.Array, slope: Unknowns
     ) -> tuple[jax.Array, jax.Array]:
-        """Return the squared scaled gradient, relative to the cost, and whether it is below the
-        tolerance."""
+        """Return the squared scaled gradient over the cost, and whether it is small."""
         parts = jax.tree.map(lambda x, g: ((g * jnp.maximum(1, jnp.abs(x))) ** 2).sum(), w, slope)
         square, share = sum(parts), jnp.maximum(self.scale, jnp.abs(cost))
         small = square <= self.tolerance * share**2
@@ -144,8 +143,7 @@ class InnerResult(NamedTuple):
 
 
 class Best(NamedTuple):
-    """The unknowns with the lowest cost, their cost, stationarity, and whether that is small, ()
-    each."""
+    """The unknowns of lowest cost, with cost, stationarity and whether that is small, () each."""
 
     w: Unknowns
     cost: jax.Array
@@ -350,8 +348,7 @@ def bfgs_search(problem: Problem) -> Inner:
 
 
 def levenberg_marquardt_search(problem: Problem) -> Inner:
-    """Build the search with Levenberg-Marquardt of optimistix; raise InputError for costs that are
-    numbers."""
+    """Build the search with Levenberg-Marquardt of optimistix, which requires residuals."""
     knot, ctrl = objective.example_knot(problem)
     for where in ("path", "end"):
         terms = objective.cost_terms(problem, where)
