@@ -86,23 +86,17 @@ class Problem(Record):
         model: an `rb.Model`; `Equations`; or a robot of `rb.wheeled.at`.
         horizon: N, the number of steps, each with constant controls.
         dt: the step in s; the model's timestep if None.
-        running: costs at the N knots with controls: `Cost(term, weight)`, a term, or a function (t,
-            state, ctrl) or (model, t, state, ctrl). A number is a cost; a vector of residuals r
-            costs r.r / 2.
+        running: costs at the N knots with controls: `Cost(term, weight)`, a term, or a function
+            ([model,] t, state, ctrl) -> a cost, or a vector of residuals r with the cost r.r / 2.
         terminal: costs of the last state, of the same kinds, evaluated with ctrl = 0.
         constraints: `Constraint`s.
-        bounds: "model" for the control ranges of the model, None for none, or (low, high), each a
-            number or (nu,).
+        bounds: "model" for its control ranges, None, or (low, high), each a number or (nu,).
         integral: true if running costs are rates, multiplied by dt; false to sum them as they are.
         design: a `Design`, parameters of the model that are optimised too.
-        free_time: (low, high), bounds of the final time in s, to optimise it too; its first guess
-            is horizon * dt.
-        start_time: t_0, the time in s of the first knot, for costs, constraints and systems that
-            depend on time.
-        free_start: tangent coordinates of the start that are optimised too: True for all, or (n,)
-            booleans.
-        integrator, dynamics, held: as `integrator`, `dynamics`, `constraints` of `rb.rollout`, for
-            a Model.
+        free_time: (low, high) s, bounds of a free final time; its first guess is horizon * dt.
+        start_time: t_0, the time in s of the first knot.
+        free_start: optimised tangent coordinates of the start: True for all, or (n,) booleans.
+        integrator, dynamics, held: `integrator`, `dynamics`, `constraints` of `rb.rollout`.
 
     Raises:
         InputError: no knot, no cost, bounds that contradict each other, wrong types.

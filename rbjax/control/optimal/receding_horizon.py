@@ -8,8 +8,7 @@ state is predicted over them, and the plan begins at the predicted state:
 
 Each plan starts from the multipliers and the penalty of the last. A plan that is not finite, or
 whose constraints are infeasible, is rejected. Then the last plan is continued for at most
-`patience` ticks. After that a fallback policy controls the system. Source: Diehl, Bock & Schloder
-2005; Mayne et al. 2000.
+`patience` ticks, then a fallback policy acts. Source: Diehl, Bock & Schloder 2005; Mayne 2000.
 """
 
 from __future__ import annotations
@@ -50,13 +49,7 @@ PLANNED, KEPT, FALLBACK, VIOLATED = map(int, TickStatus)
 
 
 class PlannedControl(NamedTuple):
-    """The control of a future tick.
-
-    u: control, (nu,).
-    K: gains, (nu, n).
-    state: the planned state.
-    status: a `TickStatus`, ().
-    """
+    """The control of a future tick: u (nu,), gains K (nu, n), planned state, `TickStatus` ()."""
 
     u: jax.Array
     K: jax.Array
@@ -100,8 +93,7 @@ class PredictiveController:
 
     `begin(state)` returns the memory. `tick(memory, t, state)` returns the control of a tick and
     the next memory. Both are pure functions, for jit and vmap. `closed_loop` simulates the
-    controller with a plant. `policy` returns a policy for `rb.rollout`. `rb.control.RealTime` is a
-    stateful callable.
+    controller with a plant. `policy` returns a policy for `rb.rollout`.
     """
 
     problem_at: Callable[[Any], Problem]
@@ -148,10 +140,7 @@ class PredictiveController:
 
     def tick(self, memory: Memory, t: Any, state: Any) -> tuple[jax.Array, Memory, jax.Array]:
         """Return the control (nu,) of the tick at t, the next memory, and a `TickStatus` ().
-
-        t: s.
-        state: measured at t.
-        """
+        t: s. state: measured at t."""
         problem = self.problem_at(t)
         x = problem.system.checked("mpc", state)
         if not self.delay:
@@ -329,9 +318,8 @@ def mpc(
         patience: number of ticks for which the last plan is continued while new ones fail.
         fallback: the policy (t, state) -> (nu,) after that; zeros within the bounds if None.
         tolerance: iterations end if the predicted cost change is below it times max(1, |cost|).
-        violation: largest accepted constraint violation, in the units of the constraints, and
-            largest accepted gap between a step and its next state. A plan beyond it has the status
-            `VIOLATED`.
+        violation: largest accepted constraint violation, in the units of the constraints, and gap
+            between a step and its next state. A plan beyond it has the status `VIOLATED`.
         first: iterations of the first plan.
 
     Returns:
