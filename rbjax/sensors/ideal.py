@@ -198,7 +198,7 @@ class Accelerometer(SiteSensor):
 
 @register("pose", placed=True)
 class Pose(Record):
-    """Measure the pose (7,) of a body or site in the world, [position; quaternion], as motion capture does.
+    """Measure [position; quaternion] (7,) of a body or site in the world, as by motion capture.
 
     name: name of the body, or of a site if no body has the name.
     """
