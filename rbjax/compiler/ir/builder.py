@@ -62,7 +62,7 @@ def simplify(builder: Builder, name: str, args: tuple) -> ir.Value | None:
 
 
 def value_keys(name: str, args: Sequence[ir.Value]) -> list:
-    """Return keys of an operation's arguments. Operations with equal keys have equal results."""
+    """Return keys of an operation's arguments, in a fixed order if the operation commutes."""
     keys: list = [(a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args]
     if OPERATIONS[name].commutes and _order(keys[0]) > _order(keys[1]):
         keys.reverse()

@@ -316,10 +316,10 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Transposed:
-    """Transpose of a `Linearised`: (args, cotangents) -> outs. forward: equations of results."""
+    """The transpose of a linearised jaxpr: the equations (args, cotangents) -> outs."""
 
     eqns: Equations
-    forward: list[JaxprEqn]
+    forward: list[JaxprEqn]  # the equations that compute the results
     args: list[Var]
     cotangents: list[Var]
     results: list[Atom]

@@ -230,7 +230,7 @@ class Writer:
         return f"%t{x.id}"
 
     def place(self, var: ir.Var) -> None:
-        """Allocate a variable that is assigned several times."""
+        """Allocate memory for a variable that is assigned several times."""
         self.places[var.id] = f"%m{var.id}"
         if not self.shares(var):
             self.entry.append(f"%m{var.id} = alloca {self.kind(var)}")

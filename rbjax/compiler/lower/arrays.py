@@ -265,7 +265,7 @@ def materialize_in_memory(b: Builder, x: Delayed) -> View:
 
 
 def materialize(b: Builder, x: ThreadArray) -> ThreadArray:
-    """Compute a delayed array in registers if it is small, else in memory. Keep other arrays."""
+    """Compute a delayed array, in registers if it is small. Return other arrays unchanged."""
     if not isinstance(x, Delayed):
         return x
     few = (x.size <= FEW and x.work <= SHARED_ABOVE) or x.size == 1
