@@ -232,7 +232,7 @@ def streaming_arrays(program: Written) -> set[int]:
 
 
 class StorePrinter(Printer):
-    """Prints statements, with stores through the tile, and streaming loads and stores.
+    """A printer of statements, with stores through the tile, and streaming loads and stores.
 
     Entries of streaming arrays (`streaming_arrays`) do not stay in the cache.
     """

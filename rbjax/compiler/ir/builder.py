@@ -74,7 +74,7 @@ def _order(key: tuple | int) -> tuple:
 
 
 class Builder:
-    """Emits the statements of a program. Equal operations in nested scopes are emitted once.
+    """An emitter of the statements of a program. It emits equal operations once per scope.
 
     platform: "cuda" or "cpu", for lowering rules that depend on it.
     team: whether a block of GPU threads runs one sample together.

@@ -77,7 +77,7 @@ def write_function(writer: Writer, program: Written, name: str) -> Function:
 
 
 class Writer:
-    """Emits the statements of a program for one sample.
+    """An emitter of the statements of a program for one sample.
 
     entry: stack allocations, which LLVM expects in the first block.
     """

@@ -49,7 +49,7 @@ def write_samples(
 
 
 class _Vectors(Writer):
-    """Emits the statements of a program for one sample per lane.
+    """An emitter of the statements of a program for one sample per lane.
 
     steps: distance between the samples of each array that is not a tile, in entries.
     mask: the active lanes; "" if all are active.
