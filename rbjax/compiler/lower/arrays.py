@@ -235,7 +235,7 @@ def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
 
 
 def _share_in_memory(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
-    """Store values in memory that all threads of a team read and that is never changed.
+    """Store values in a team's shared memory, at a place that is never changed afterwards.
 
     Equal arrays are stored once. Axes along which values repeat are stored once, by a stride of 0.
     """
