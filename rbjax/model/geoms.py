@@ -9,7 +9,8 @@ from rbjax.model.record import Record
 
 
 class Geoms(Record):
-    """Shapes fixed to bodies, with the numbers and names of MuJoCo's geoms. Nothing collides yet.
+    """Shapes fixed to bodies, with the numbers and names of MuJoCo's geoms. `rb.contact.detect`
+    finds their contacts; no contact force acts yet.
 
     Fields:
         size: (ng, 3) m. A sphere's radius; radius and half length of a capsule or cylinder;
@@ -26,6 +27,7 @@ class Geoms(Record):
         contype, conaffinity: bit masks of what may collide; static.
         condim, priority, group: as in MuJoCo; static.
         rgba: colour and opacity; static.
+        pairs: the geoms that may touch by the rules of the file, two by two; static.
     """
 
     size: jax.Array
@@ -45,3 +47,4 @@ class Geoms(Record):
     priority: tuple[int, ...] = eqx.field(static=True)
     group: tuple[int, ...] = eqx.field(static=True)
     rgba: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
