@@ -1,10 +1,10 @@
 """System identification: estimation of the parameters of a model from measured motion.
 
 Data: a `Recording` holds one `Channel` for each sensor. `read_csv` and `read_npz` read recordings,
-    `findings` checks them, `split` divides them into training and validation data.
+`findings` checks them, `split` divides them into training and validation data.
 
 Unknowns: `Unknown`, `Inertia`, `Shared`, ... select parameters of a `Model`, or of a `Setup`, which
-    adds sensors (`rbjax.sensors`), a controller and a delay.
+adds sensors (`rbjax.sensors`), a controller and a delay.
 
 Estimators:
     `identify` fits simulated motions to recordings.
@@ -16,8 +16,8 @@ Estimators:
 Validation: `Identified.verdict`, `diagnose`, `report`, `free_run`, `monte_carlo`.
 
 Packages: `data` (filters, units), `parameters` (log-Cholesky coordinates of inertias), `statistics`
-    (rank, intervals, whiteness, model comparison), `torque` (linear regression on measured
-    torques), `design` (excitation trajectories), `jobs` (TOML files).
+(rank, intervals, whiteness, model comparison), `torque` (linear regression on measured torques),
+`design` (excitation trajectories), `jobs` (TOML files).
 """
 
 from rbjax.sysid import data, design, parameters, statistics, torque

@@ -1,8 +1,8 @@
 """Recordings of the sensors of a robot, each with its own clock.
 
 A `Channel` is one sensor: times t (samples,) in s and values (samples, columns) in SI. Sensors may
-    have different rates, irregular clocks, and missing samples, which are NaN in `values`. A
-    `Recording` contains the channels of one run by sensor:
+have different rates, irregular clocks, and missing samples, which are NaN in `values`. A
+`Recording` contains the channels of one run by sensor:
     q v a tau     of the joints: rad, rad/s, rad/s^2, N m (slides: m, m/s, m/s^2, N)
     current       of the joint motors, A
     ctrl          commands; each command holds until the next one

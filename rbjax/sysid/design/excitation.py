@@ -167,9 +167,7 @@ class Spline(eqx.Module):
 
 
 def _basis(knots: np.ndarray, degree: int, t: jax.Array) -> jax.Array:
-    """Evaluate the B-splines (samples, functions) by the recursion of Cox and de Boor, with 0/0 =
-    0.
-    """
+    """Evaluate the B-splines (samples, functions) by Cox and de Boor's recursion with 0/0 = 0."""
     t = t[:, None]
     ends = (knots[1:] == knots[-1]) & (knots[:-1] < knots[-1])  # the last interval is closed
     B = ((knots[:-1] <= t) & ((t < knots[1:]) | (ends & (t <= knots[1:])))).astype(t.dtype)

@@ -63,8 +63,9 @@ CRITERIA: dict[str, Callable[[jax.Array], jax.Array]] = {
 
 
 class MotionLimits(eqx.Module):
-    """Limits of a trajectory. Each limit is one number for all joints, or one number for each
-    joint.
+    """Limits of a trajectory.
+
+    Each limit is one number for all joints, or one number for each joint.
 
     Args:
         low: lower position limits in rad or m; requires `high`.
@@ -73,7 +74,7 @@ class MotionLimits(eqx.Module):
         acceleration: largest absolute acceleration in rad/s^2 or m/s^2.
         torque: largest absolute torque in N m or N; requires `model`.
         model: model for the torque by inverse dynamics.
-        own: function g(q, v, a) of one sample (nv,) each, which returns an array of order one. The
+        own: function g(q, v, a) of one sample, (nv,) each, which returns an array of order one. The
             constraint is g <= 0.
 
     Example:
@@ -317,8 +318,7 @@ def _last_within(
 
 
 def _times(motion: Fourier | Spline, samples: int) -> jax.Array:
-    """Return sample times: of one period without its end (Fourier), or of the whole motion
-    (Spline).
+    """Return sample times over one period without its end (Fourier) or over the duration (Spline).
     """
     last = not isinstance(motion, Fourier)
     return jnp.asarray(np.linspace(0, motion.duration, samples, endpoint=last), float)

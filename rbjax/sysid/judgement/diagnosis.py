@@ -1,9 +1,8 @@
 """`diagnose`: detection of mistakes in recordings, by comparison with simulated motions.
 
 Each hypothesis has a correction: change a sign, swap two columns, stretch a clock, drop samples.
-    The most promising corrections are verified by a fit to the corrected data. A hypothesis is
-    reported as a cause if its fit has at most half of the error of the fit without the correction.
-    The error is
+The most promising corrections are verified by a fit. A hypothesis is a cause if the fit to the
+corrected data has at most half of the error of the fit without the correction. The error is
 
     e^2 = mean over columns of  mean (simulated - recorded)^2 / var(recorded)
 """
@@ -57,10 +56,8 @@ class Cause:
 
     Fields:
         kind: "sign", "swap", "clock", "outliers" or "dead".
-        channels: names of the affected channels.
-        columns: names of the affected columns.
-        before: error without the correction.
-        after: error with the correction.
+        channels, columns: names of the affected channels and columns.
+        before, after: error without and with the correction.
         sentence: description for users.
     """
 
@@ -87,10 +84,7 @@ class Hypothesis(NamedTuple):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The result of `diagnose`: causes, and the recordings with all corrections.
-
-    Causes are sorted by the reduction of the error, the largest first.
-    """
+    """Causes, sorted by the reduction of the error, and the recordings with all corrections."""
 
     causes: tuple[Cause, ...]
     recordings: tuple[Recording, ...]
@@ -171,10 +165,7 @@ class _Trials:
     def drop_bad_samples(
         self, runs: list[Recording], x: np.ndarray
     ) -> tuple[list[Recording], np.ndarray, list[Cause]]:
-        """Drop samples of dead sensors and outliers.
-
-        The fit is repeated after each step, since a better fit may reveal more bad samples.
-        """
+        """Drop samples of dead sensors and outliers, with a new fit after each step."""
         causes: list[Cause] = []
         for kind, seen_by in (("dead", self.find_dead), ("outliers", self.find_outliers)):
             shares: dict[tuple[str, str, int, str], float] = {}
@@ -197,11 +188,7 @@ class _Trials:
     def best(
         self, runs: list[Recording], x: np.ndarray, before: float
     ) -> tuple[Cause, Correction, np.ndarray] | None:
-        """Return the correction whose fit has the least error, or None if it does not halve the
-        error.
-
-        Candidates are ranked by the ratio of the errors with and without the correction, at the
-        first guess and at the fit.
+        """Return the correction whose fit has the least error, or None if no fit halves the error.
         """
         tried, fitted = [], []
         at = (self.guess, x)
@@ -264,10 +251,7 @@ class _Trials:
             yield _clock_hypothesis(sensors, rate)
 
     def clock_rates(self, runs: Sequence[Recording], x: np.ndarray) -> list[float]:
-        """Return a list with the estimated clock rate of the sensors, empty if the clock is right.
-
-        The rate is estimated at the fit and at the first guess, since a fit may hide a wrong clock.
-        """
+        """Return a list with the clock rate of the sensors, empty if the clock is right."""
 
         def error(rate: float) -> float:
             corrected = [stretch(rate)(run) for run in runs]
@@ -313,10 +297,7 @@ class _Trials:
         return least.x
 
     def make_batch(self, runs: Sequence[Recording]) -> Run:
-        """Convert recordings to a batch with the shape of the fitted one.
-
-        Each column is weighted by the inverse of its standard deviation.
-        """
+        """Convert recordings to a batch, with columns weighted by 1 / standard deviation."""
         both = stack_runs([*map(self.make_run, runs), *self.longest])
         data: Run = jax.tree.map(lambda a: a[: len(runs)], both)
         weights = {}
@@ -328,9 +309,7 @@ class _Trials:
         return data._replace(weights=weights)
 
     def find_dead(self, runs: Sequence[Recording], x: np.ndarray) -> Lost:
-        """Find long constant intervals of a sensor that neither the first guess nor the fit
-        explains.
-        """
+        """Find long constant intervals of a sensor that no simulated motion explains."""
         lost: Lost = {}
         seen, fitted = self.traces(runs, self.guess), self.traces(runs, x)
         for run, sensor, trace in _each(seen):
@@ -392,9 +371,7 @@ def _each(seen: Traces) -> Iterator[tuple[str, str, Trace]]:
 
 
 def _by_column(seen: Traces) -> dict[str, np.ndarray]:
-    """Return, by sensor with enough samples, the RMS error of each column over its standard
-    deviation.
-    """
+    """Compute the ratio of RMS error to standard deviation of each column, by sensor."""
     out: dict[str, np.ndarray] = {}
     for sensor in next(iter(seen.values())):
         recorded = np.concatenate([sensors[sensor].recorded for sensors in seen.values()])
@@ -405,9 +382,7 @@ def _by_column(seen: Traces) -> dict[str, np.ndarray]:
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of each column; a constant column gets the largest of all
-    columns.
-    """
+    """Return the standard deviations of columns, or the largest one for constant columns."""
     some = (~np.isnan(values)).sum(0) > 1
     spread = np.array([np.nanstd(x) if yes else 0.0 for x, yes in zip(values.T, some, strict=True)])
     return np.where(spread > 1e-9 * max(spread.max(), 1e-300), spread, spread.max() or 1.0)

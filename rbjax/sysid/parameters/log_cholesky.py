@@ -329,8 +329,7 @@ def prior_residual(theta: jax.Array, prior: jax.Array) -> jax.Array:
 
 
 def scalar_residual(x: jax.Array) -> jax.Array:
-    """Compute r with r^2 = e^(2x) - 1 - 2x, the divergence of two positive numbers with ratio
-    e^(2x).
+    """Compute r with r^2 = e^(2x) - 1 - 2x, the divergence of two numbers with ratio e^(2x).
 
     Near 0, r ~ sqrt(2) x.
     """

@@ -151,8 +151,9 @@ def _mean(parts: Sequence[np.ndarray]) -> float:
 
 
 def _test_whiteness(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
-    """Return the columns with residuals correlated in time, and the smallest share of independent
-    samples.
+    """Test the residuals for correlation in time.
+
+    Return the correlated columns, and the smallest share of independent samples among them.
     """
     tests = []
     for column in columns:

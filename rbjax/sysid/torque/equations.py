@@ -284,8 +284,7 @@ def with_statistics(
 
 
 def _agrees(eq: Equations, residual: Array) -> bool:
-    """Check that the residuals agree with the given noise, by a chi-square test with 1 % on each
-    side.
+    """Test whether the residuals agree with the given noise, by chi-square with 1 % on each side.
     """
     assert eq.noise is not None
     free = int(eq.counted.sum()) - eq.combinations.rank

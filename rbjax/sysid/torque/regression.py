@@ -143,8 +143,7 @@ def _noise_of_channels(eq: Equations) -> Array:
 
 
 def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regression:
-    """Fit by iteratively reweighted least squares, with weights psi(u) / u that are small for
-    outliers.
+    """Fit by iteratively reweighted least squares, with small weights psi(u) / u for outliers.
 
     "huber" bounds the influence of a sample. "bisquare" starts from the "huber" fit and ignores
     samples farther than 4.7 standard deviations. The scale of a channel is the median of |u| /
