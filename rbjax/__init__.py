@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from rbjax import (
         body,
         constraints,
+        contact,
         control,
         estimation,
         forces,
@@ -77,9 +78,9 @@ __version__ = "0.1.0"
 #: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
 #: several times as long as the rest
 _PACKAGES = (
-    "body", "constraints", "control", "estimation", "forces", "kinematics", "loading", "motion",
-    "planning", "plotting", "recommend", "sensors", "solvers", "stability", "sysid", "validation",
-    "wheeled",
+    "body", "constraints", "contact", "control", "estimation", "forces", "kinematics", "loading",
+    "motion", "planning", "plotting", "recommend", "sensors", "solvers", "stability", "sysid",
+    "validation", "wheeled",
 )  # fmt: skip
 _MODULES = {
     "ModelBuilder": "loading",
@@ -143,6 +144,7 @@ __all__ = [
     "compile",
     "compiler_options",
     "constraints",
+    "contact",
     "control",
     "coriolis_matrix",
     "difference",

@@ -30,9 +30,10 @@ FLOORS = {
     # above dynamics, which never adds a force of its own: a wrench at a site needs its Jacobian
     "forces": "dynamics",
     "constraints": "forces",
+    "contact": "forces",
     "loading": "constraints",
     "solvers": "rotations",
-    "motion": "solvers loading",
+    "motion": "solvers loading contact",
     "estimation": "motion",
     "sensors": "motion",
 }

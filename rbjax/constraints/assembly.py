@@ -1,11 +1,13 @@
-"""Mobility of a mechanism, and consistent states from a guess.
+"""Mobility of a mechanism, and assembly of consistent states from a guess.
 
-    freedoms = nv - rank(G),     G scaled, so that metres compare with radians: D^-1/2 G M^-1/2
-with D = diag(G M^-1 G^T), in one configuration. `assemble` solves
+The mobility in one configuration is nv - rank(G). The rank is that of the scaled gradient
+D^-1/2 G M^-1/2 with D = diag(G M^-1 G^T), so rows in metres and in radians are comparable.
 
-    min |dq|_M:  g(t, q + dq) = 0,  pinned coordinates constant;     then the same for velocities
-by Gauss-Newton steps of least norm, which are shortened until the residual decreases. Welds and
-prismatic joints have the rows of `HalfAngle`.
+`assemble` solves, for positions and then in the same way for velocities,
+
+    min |dq|_M:  g(t, q + dq) = 0,  with constant pinned coordinates
+by Gauss-Newton steps of least norm. A line search shortens each step until the residual decreases.
+The rows of welds and prismatic joints are replaced by those of `HalfAngle`.
 
 Source: Masarati, *Multibody System Dynamics*, ch. 6 and 8.5; Haug, *Computer-Aided Kinematics and
 Dynamics*, 4.6; Wojtyra 2005.
@@ -33,13 +35,13 @@ from rbjax.rank_tolerances import rank_tolerance
 
 
 class Mobility(NamedTuple):
-    """The freedoms of a mechanism.
+    """Degrees of freedom and redundant rows of a mechanism in one configuration.
 
     Fields:
-        freedoms: nv - rank.
-        rank: of G.
-        singular_values: (m,) of the scaled G, from 0 to sqrt(m).
-        redundant: names of rows that depend on those before them.
+        freedoms: number of degrees of freedom, nv - rank.
+        rank: rank of the gradient G of the rows.
+        singular_values: (m,) singular values of the scaled G, from 0 to sqrt(m).
+        redundant: names of the rows that depend on rows before them.
     """
 
     freedoms: int
@@ -49,7 +51,7 @@ class Mobility(NamedTuple):
 
 
 def row_names(model: Model) -> tuple[str, ...]:
-    """Name each row by its constraint, the index of it, and its own index."""
+    """Return the name of each row: its constraint, the constraint's index, and the row's index."""
     return tuple(
         f"{type(constraint).__name__} {n}, row {k}"
         for n, constraint in enumerate(model.constraints)
@@ -60,17 +62,14 @@ def row_names(model: Model) -> tuple[str, ...]:
 def mobility(
     model: Model, q: jax.Array, t: Any = 0.0, *, tolerance: float | None = None
 ) -> Mobility:
-    """Count the freedoms of a model with constraints in a configuration.
+    """Count the degrees of freedom of a constrained model in one configuration. Not traceable.
 
     Args:
         model: the robot, with constraints.
         q: (nq,) configuration.
-        t: time in seconds, for rows that depend on it.
-        tolerance: a row, scaled to length one, is redundant if its part that is orthogonal to the
-            rows before it is shorter than this; 1e-7 in f64 and 1e-4 in f32 if None.
-
-    Returns:
-        `Mobility`. It cannot be traced.
+        t: time in seconds, for rows that depend on time.
+        tolerance: length below which the part of a scaled row that is orthogonal to the rows before
+            it counts as zero, so that the row is redundant; 1e-7 in f64 and 1e-4 in f32 if None.
 
     Example: a door on two hinges
         >>> import rbjax as rb
@@ -99,7 +98,7 @@ def mobility(
     basis: list[np.ndarray] = []
     redundant = []
     for name, row in zip(row_names(model), B, strict=True):
-        for e in (*basis, *basis):  # twice, against rounding
+        for e in (*basis, *basis):  # orthogonalize twice, against rounding
             row = row - (row @ e) * e
         size = np.linalg.norm(row)
         if size > tolerance:
@@ -110,17 +109,17 @@ def mobility(
 
 
 STEPS, HALVINGS = 60, 12
-#: largest change of a guess, rad or m, if its residual or Jacobian is NaN, as at half a turn
+#: largest random change of a guess with a NaN residual or Jacobian, as at half a turn; rad or m
 MOVED = 0.03
 
 
 class Assembly(NamedTuple):
-    """A consistent state.
+    """Result of `assemble`.
 
     Fields:
         state: the state.
-        ok: whether it satisfies the constraints.
-        off: the largest residual of values and rates.
+        ok: whether the state satisfies all constraints.
+        off: largest absolute residual of values and rates.
         conflicting: names of the rows that are not satisfied.
     """
 
@@ -139,22 +138,23 @@ def assemble(
     tolerance: float | None = None,
     throw: bool = True,
 ) -> Assembly:
-    """Find the consistent state nearest to a guess, in the norm of the mass matrix.
+    """Find the consistent state nearest to a guess, in the norm of the mass matrix. Not traceable.
 
     Args:
         model: the robot, with constraints.
         state: the guess, `State(q (nq,), v (nv,))`.
-        t: time in seconds, for rows that depend on it.
-        pinned: names of joints with constant coordinates and velocities.
-        tolerance: largest residual; 1e-12 in f64, 1e-5 in f32 if None.
-        throw: raise if no state is found; otherwise `ok` is False.
+        t: time in seconds, for rows that depend on time.
+        pinned: names of joints whose coordinates and velocities do not change.
+        tolerance: largest allowed residual; 1e-12 in f64 and 1e-5 in f32 if None.
+        throw: raise if no consistent state is found. If False, return `ok` = False instead.
 
     Returns:
-        `Assembly`. It cannot be traced. For the derivative of a consistent state apply
+        `Assembly`. To differentiate a consistent state, apply
         `rb.constraints.Projection(iterations=8).project` to it.
 
     Raises:
-        InputError: no such state, with the rows that conflict. UnknownName: no such joint.
+        InputError: no consistent state was found. The message names the conflicting rows.
+        UnknownName: a pinned joint is not in the model.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -183,7 +183,7 @@ def assemble(
     root = np.linalg.cholesky(np.asarray(mass_matrix(model, state.q), float)[np.ix_(free, free)])
 
     def least(off: np.ndarray, q: Any) -> np.ndarray:
-        """Compute the change of least norm of the free coordinates that minimises the residual."""
+        """Compute the least change of free coordinates that minimises the linearised residual."""
         G = np.asarray(jacobian(model, q, t), float)[:, free]
         change = np.zeros(model.nv)
         scaled = np.linalg.pinv(np.linalg.solve(root, G.T).T, rcond=rounding) @ -off
@@ -216,7 +216,7 @@ def assemble(
                 break
             length /= 2
         else:
-            break  # rounding, or a minimum that is no root
+            break  # the limit of rounding, or a local minimum that is not a root
     for _ in range(2):
         rate = np.asarray(residual(model, State(q, v, state.x), t).rate, float)
         v = v + jnp.asarray(least(rate, q), dtype)
@@ -233,7 +233,7 @@ def assemble(
 
 
 def _half_angles(model: Model) -> Model:
-    """Replace the rows of welds and prismatic joints by those of `HalfAngle`."""
+    """Replace welds and prismatic joints of a model by their `HalfAngle`."""
 
     def of(constraint: Any) -> Any:
         joint = constraint.of if isinstance(constraint, Soft) else constraint

@@ -1,6 +1,6 @@
 """Formulations: how the constraints of a model are enforced.
 
-A formulation is the product of three factors, which combine freely:
+A formulation combines three independent factors:
 
     method        solves the equations of constrained motion for the accelerations
     feedback      none, or Baumgarte's: g'' = -2 alpha g' - beta^2 g
@@ -51,11 +51,13 @@ MULTIPLIERS = Multipliers()
 
 @dataclass(frozen=True)
 class Baumgarte(Factor):
-    """Feedback of the residual: g'' + 2 alpha g' + beta^2 g = 0.
+    """Baumgarte stabilization: feedback of the residual, g'' + 2 alpha g' + beta^2 g = 0.
 
     Fields:
-        alpha, beta: 1/s. alpha = beta is critically damped. An explicit step dt needs alpha dt well
-            below 1.
+        alpha: damping, 1/s. The feedback is critically damped if alpha = beta.
+        beta: frequency, 1/s.
+
+    With an explicit integrator of step dt, choose alpha so that alpha dt is well below 1.
 
     Source: Baumgarte 1972; Masarati 8.4.
     """
@@ -66,9 +68,10 @@ class Baumgarte(Factor):
 
     @classmethod
     def for_step(cls, dt: float) -> Baumgarte:
-        """Make the best feedback for steps dt of semi-implicit Euler without projection:
-        alpha = 1 / (2 dt), beta = 0.3 / dt, so that G v+ = -0.09 g / dt. Integrators with stages
-        need alpha and beta well below 1 / dt.
+        """Return the best feedback for semi-implicit Euler steps dt without projection.
+
+        The gains alpha = 1 / (2 dt) and beta = 0.3 / dt give G v+ = -0.09 g / dt. Integrators with
+        stages need alpha and beta well below 1 / dt.
 
         Source: Anitescu & Potra 1997 (constraints on the velocity after a step).
         """
@@ -79,11 +82,12 @@ class Baumgarte(Factor):
 
 @dataclass(frozen=True)
 class Projection(Factor):
-    """Projection after each step: the least change of positions and velocities, in the norm of the
-    mass matrix, that satisfies the constraints.
+    """Projection of the state on the constraints after each step.
+
+    The change of positions and velocities is the least one in the norm of the mass matrix.
 
     Fields:
-        iterations: of positions and of velocities each; 2 in f64 and 1 in f32 if None.
+        iterations: number for positions and for velocities; 2 in f64 and 1 in f32 if None.
 
     Source: Masarati 9.3.3 (drift eliminated at position level).
     """
@@ -92,41 +96,43 @@ class Projection(Factor):
     name: ClassVar[str] = "projected"
 
     def project(self, model: Model, t: Any, state: State) -> State:
-        """Return the state on the constraints. It is differentiable."""
+        """Return the nearest state on the constraints. The result is differentiable."""
         return project_state(model, t, state, self.iterations)
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state for the rates of a stage, of a step that began at t0 in `start`."""
+        """Return the stage state unchanged: this projection acts only after a step."""
         return state
 
 
 @dataclass(frozen=True)
 class StageProjection(Factor):
-    """A projection at each stage of a step, in `simulate` and in the Runge-Kutta methods of
-    `rollout`; after each step with other integrators. Make a frozen dataclass of it.
+    """Base class of projections at each stage of a step. Subclasses are frozen dataclasses.
+
+    `simulate` and the Runge-Kutta methods of `rollout` project at each stage. Other integrators
+    project after each step.
 
     Fields:
-        iterations: of Newton's method; 5 in f64 and 3 in f32 if None.
+        iterations: number of Newton iterations; 5 in f64 and 3 in f32 if None.
     """
 
     iterations: int | None = None
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state for the rates of a stage, of a step that began at t0 in `start`."""
+        """Return the state for the rates of a stage, in a step that began at t0 in `start`."""
         raise NotImplementedError(f"{type(self).__name__} has no method stage_state")
 
     def project(self, model: Model, t: Any, state: State) -> State:
-        """Return the state after a step. It is differentiable."""
+        """Return the projected state after a step. The result is differentiable."""
         return self.stage_state(model, t, state, t, state)
 
 
 @dataclass(frozen=True)
 class TangentSpace(StageProjection):
-    """Projection at each stage of a step, across the tangent space at the start of the step. The
-    accelerations of a stage are those of a consistent state.
+    """Projection at each stage that keeps the components in the tangent space at the step's start.
 
-    Use it if forces or rows are undefined off the constraints, or if steps shall be equal to those
-    in minimal coordinates; else `Projection` costs less. The two agree to the order of the method.
+    The accelerations of each stage belong to a consistent state. Use it if forces or rows are
+    undefined off the constraints, or to reproduce steps in minimal coordinates. Otherwise
+    `Projection` costs less. The two agree to the order of the integrator.
 
     Source: Mani, Haug & Atkinson 1985; Hairer, Lubich & Wanner, IV.5.3; Masarati 7.1.3.
     """
@@ -142,11 +148,11 @@ class TangentSpace(StageProjection):
 
 @dataclass(frozen=True)
 class IndependentCoordinates(StageProjection):
-    """Integration of the independent coordinates only: at each stage of a step the dependent ones
-    and their velocities are solved from the constraints.
+    """Coordinate partitioning: integration of the independent coordinates only.
 
-    The partition is the one of the start of the step, by elimination with full pivoting.
-    "partitioning" of `rb.constraints.formulations()` is `Partitioning` with this projection.
+    At each stage the dependent coordinates and their velocities are solved from the constraints.
+    Each step chooses its partition at its start by elimination with full pivoting. The named
+    formulation "partitioning" is the method `Partitioning` with this projection.
 
     Source: Wehage & Haug 1982; Masarati 7.1.1.
     """
@@ -161,9 +167,9 @@ class IndependentCoordinates(StageProjection):
 class Formulation:
     """How constraints are enforced: a method, a feedback and a projection.
 
-    It is a `Dynamics`, (model, t, state, tau, f_ext) -> v' (nv,), which `rb.rollout` and
-    `rb.simulate` take as `constraints=`. They also take one factor: the others are then the
-    defaults here.
+    A formulation is a `Dynamics`, (model, t, state, tau, f_ext) -> v' (nv,). Pass it to
+    `rb.rollout` or `rb.simulate` as `constraints=`. They also accept a single factor, and use the
+    defaults of this class for the other two.
 
     Example:
         >>> from rbjax.constraints import KKT, Baumgarte, Formulation, Projection
@@ -194,38 +200,40 @@ class Formulation:
 
     @property
     def name(self) -> str:
-        """The names of the factors that are not the default, joined by "+"."""
+        """Names of the factors that are not the default, joined by "+"."""
         factors: tuple[Any, ...] = () if self.method == MULTIPLIERS else (self.method,)
         factors += tuple(x for x in (self.feedback, self.projection) if x is not None)
         return "+".join(x.name for x in factors or (self.method,))
 
     @property
     def family(self) -> str:
-        """The family of the method; "minimal" (Masarati 7) with a projection at each stage."""
+        """Family of the method, or "minimal" (Masarati 7) with a projection at each stage."""
         return "minimal" if isinstance(self.projection, StageProjection) else self.method.family
 
     @property
     def index(self) -> int:
-        """The index of the method; 0 with a projection at each stage."""
+        """Differential index of the method, or 0 with a projection at each stage."""
         return 0 if isinstance(self.projection, StageProjection) else self.method.index
 
     def __call__(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
-        """v' (nv,), as `rbjax.motion.field.Dynamics`."""
+        """Compute v' (nv,), with the signature of `rbjax.motion.field.Dynamics`."""
         x = self.feedback
         gains = () if x is None else (x.alpha, x.beta)
         return self.method(model, t, state, tau, f_ext, *gains)
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state for the rates of a stage, of a step that began at t0 in `start`, or at
-        the end of the step before `project`."""
+        """Return the state for the rates of a stage, in a step that began at t0 in `start`.
+
+        Integrators also call it on the state at the end of a step, before `project`.
+        """
         if self.projection is None:
             return state
         return self.projection.stage_state(model, t, state, t0, start)
 
     def project(self, model: Model, t: Any, state: State) -> State:
-        """Return the state after a step, from which the next one starts."""
+        """Return the state from which the next step starts."""
         if self.projection is None:
             return state
         model = self.method.projected_rows(model)
@@ -233,7 +241,10 @@ class Formulation:
 
 
 def as_formulation(x: Any) -> Formulation | None:
-    """Make a formulation from itself or from one of its factors; None if it is neither."""
+    """Convert a factor to a formulation.
+
+    Return a formulation as it is, and None for other types.
+    """
     if isinstance(x, Formulation):
         return x
     if isinstance(x, Method):
@@ -244,14 +255,13 @@ def as_formulation(x: Any) -> Formulation | None:
 
 
 def differential_algebraic_method(dynamics: Any) -> DifferentialAlgebraic | None:
-    """The method whose equations an implicit integrator steps, if the dynamics has such a
-    method."""
+    """Return the method of index 2 or 3 that an implicit integrator must step, or None."""
     method = dynamics.method if isinstance(dynamics, Formulation) else dynamics
     return method if isinstance(method, DifferentialAlgebraic) else None
 
 
 DEFAULT = Formulation(projection=Projection())
-#: methods in the registry without feedback
+#: methods that the registry contains without feedback and under their own names
 METHODS: tuple[Method, ...] = (
     KKT(), NullSpaceQR(), NullSpaceSVD(), Partitioning(), Recursive(), UdwadiaKalaba(),
     ForceProjection(), AugmentedLagrangian(), Penalty(), Index2(), Index3(), GGL(),
@@ -268,7 +278,7 @@ _FORMULATIONS: dict[str, Formulation] = {
 
 
 def formulations() -> dict[str, Formulation]:
-    """List formulations by name: each method, and the usual feedback and projections.
+    """Return all named formulations: each method, and the usual feedbacks and projections.
 
     | name | method | family | index | equation |
     |---|---|---|---|---|
@@ -276,25 +286,26 @@ def formulations() -> dict[str, Formulation]:
     | multipliers | multipliers | redundant | 1 | A l = c - G a_f by the factors of ABA |
     | baumgarte | multipliers | redundant | 1 | with feedback of the residual |
     | tangent_space | multipliers | minimal | 0 | with a projection at each stage |
-    | kkt | kkt | redundant | 1 | a and l at once |
-    | null_space_qr | the same | minimal | 0 | a = L c + Z z, Z of a pivoted QR |
-    | null_space_svd | the same | minimal | 0 | Z of singular values |
-    | partitioning | the same | minimal | 0 | z of independent coordinates, which are integrated |
+    | kkt | kkt | redundant | 1 | a and l in one linear system |
+    | null_space_qr | the same | minimal | 0 | a = L c + Z z, with Z of a pivoted QR |
+    | null_space_svd | the same | minimal | 0 | a = L c + Z z, with Z of the singular vectors |
+    | partitioning | the same | minimal | 0 | only independent coordinates are integrated |
     | recursive | the same | minimal | 0 | multipliers, loop by loop along the tree |
     | udwadia_kalaba | the same | unconstrained | 0 | the least change of a_f |
     | force_projection | the same | unconstrained | 0 | forces without their part along the rows |
     | augmented_lagrangian | the same | unconstrained | 0 | penalties on accelerations, iterated |
     | penalty | the same | unconstrained | 0 | stiff springs: an approximation |
     | index_2 | the same | redundant | 2 | G v + g_t = 0 at the stages of implicit methods |
-    | index_3 | the same | redundant | 3 | g = 0 at these stages |
-    | ggl | the same | redundant | 2 | both, the second by a multiplier of positions |
-    | compliant | the same | unconstrained | 0 | soft rows by MuJoCo's law, others projected |
+    | index_3 | the same | redundant | 3 | g = 0 at the stages of implicit methods |
+    | ggl | the same | redundant | 2 | both, with a second multiplier for g = 0 |
+    | compliant | the same | unconstrained | 0 | soft rows by MuJoCo's model, rigid rows projected |
 
-    Any method combines with any feedback and projection: `Formulation(KKT(), Baumgarte(),
-    Projection())`. The methods from "kkt" to "augmented_lagrangian", without "recursive", work on
-    arrays, at a cost of nv and rows cubed; they are for comparison and small mechanisms. All but
-    "penalty" and "compliant" give the same accelerations, "augmented_lagrangian" to 1e-5 of its
-    correction; "compliant" is the default of models with a `Soft`.
+    Any method combines with any projection, and most methods with feedback:
+    `Formulation(KKT(), Baumgarte(), Projection())`. The dense methods, from "kkt" to
+    "augmented_lagrangian" except "recursive", cost O(nv^3 + rows^3). Use them for comparison and
+    for small mechanisms. All but "penalty" and "compliant" give the same accelerations;
+    "augmented_lagrangian" to 1e-5 of its correction. "compliant" is the default if a model has a
+    `Soft` constraint.
 
     Example:
         >>> import rbjax as rb
@@ -305,9 +316,8 @@ def formulations() -> dict[str, Formulation]:
 
 
 def kinds() -> dict[str, type[Constraint]]:
-    """The kinds of constraints that come with rbjax, by name.
+    """Return the constraint classes of rbjax by name.
 
-    Example:
         >>> import rbjax as rb
         >>> rb.constraints.kinds()["Weld"].size
         6
@@ -320,8 +330,10 @@ def kinds() -> dict[str, type[Constraint]]:
 
 
 def formulation_of(where: str, model: Model, given: Any) -> Formulation | None:
-    """Return the formulation of a model with constraints; None without. `given`: a name, a
-    `Formulation` or one of its factors, or None for the default."""
+    """Return the formulation of a model, or None if it has no constraints.
+
+    `given` is a name, a `Formulation`, one of its factors, or None for the default.
+    """
     if not model.constraints:
         if given is not None:
             raise InputError(

@@ -2,8 +2,8 @@
 
     d/dt dL/dv - dL/dq = Q + G^T l,        v = q'
     f(t, q) = 0,     A(t, q) v = b(t, q),      G = [df/dq; A]
-by differentiation of L = T - V, f, A and b; or M a = F + G^T l instead of the first line. A `Dense`
-method solves for a and l; the derivative is the one of the implicit function.
+The terms are derivatives of L = T - V, f, A and b. Instead of the first line the user may give
+M a = F + G^T l. A `Dense` method solves for a and l. Derivatives use the implicit function theorem.
 
 Source: Goldstein, *Classical Mechanics*, 2.4; Arnold, *Mathematical Methods of Classical
 Mechanics*, 21; Masarati, *Multibody System Dynamics*, 4.3; Neimark & Fufaev, *Dynamics of
@@ -33,18 +33,18 @@ FULL = KKT()
 
 @dataclass(frozen=True)
 class LagrangeSystem:
-    """M(t, q) a = F(t, q, v) + G^T l under f(t, q) = 0 and A(t, q) v = b(t, q).
+    """A system M(t, q) a = F(t, q, v) + G^T l under f(t, q) = 0 and A(t, q) v = b(t, q).
 
-    `energies` and `lagrangian` make one from T and V, or from L. All functions may take `args` as
-    the last argument, a pytree of numbers, which is then an argument of the methods too.
+    `energies` makes one from T and V, `lagrangian` from L. All functions may accept a last argument
+    `args`, a pytree of numbers. Pass it to the methods too.
 
     Fields:
-        mass: to (n, n), symmetric with a positive diagonal, and positive definite in the null space
+        mass: M, (t, q) -> (n, n), symmetric, positive diagonal, positive definite in the null space
             of G.
-        force: to (n,).
-        holonomic: f, to (m,), or None.
-        pfaffian: A, to (k, n), or None.
-        rate: b, to (k,), or None for zero.
+        force: F, (t, q, v) -> (n,).
+        holonomic: f, (t, q) -> (m,), or None.
+        pfaffian: A, (t, q) -> (k, n), or None.
+        rate: b, (t, q) -> (k,), or None for zero.
         formulation: a `Dense` method.
 
     Raises:
@@ -90,8 +90,13 @@ class LagrangeSystem:
 
     @classmethod
     def lagrangian(cls, L: Callable, forces: Callable | None = None, **rows: Any) -> LagrangeSystem:
-        """Make the system of L(t, q, v), at most quadratic in v, and generalized forces
-        Q(t, q, v) -> (n,); `rows` are the other fields."""
+        """Make the system from a Lagrangian.
+
+        Args:
+            L: L(t, q, v) -> (), at most quadratic in v.
+            forces: generalized forces Q(t, q, v) -> (n,).
+            rows: the other fields of the system.
+        """
         check_function("LagrangeSystem.lagrangian: L", L)
         if forces is not None:
             check_function("LagrangeSystem.lagrangian: forces", forces)
@@ -103,7 +108,7 @@ class LagrangeSystem:
             return jax.hessian(scalar, 2)(t, q, jnp.zeros_like(q), *args)
 
         def force(t: Any, q: jax.Array, v: jax.Array, *args: Any) -> jax.Array:
-            """Return Q + dL/dq - (d/dt dL/dv without v')."""
+            """Return Q + dL/dq minus the part of d/dt dL/dv that does not depend on v'."""
 
             def momentum(t: Any, q: jax.Array) -> jax.Array:
                 return jax.grad(scalar, 2)(t, q, v, *args)
@@ -125,7 +130,7 @@ class LagrangeSystem:
         forces: Callable | None = None,
         **rows: Any,
     ) -> LagrangeSystem:
-        """Make the system of T(q, v), quadratic in v, V(q), and forces (`lagrangian`)."""
+        """Make the system from T(q, v), quadratic in v, and V(q); `forces` as in `lagrangian`."""
         check_function("LagrangeSystem.energies: kinetic", kinetic)
         if potential is not None:
             check_function("LagrangeSystem.energies: potential", potential)
@@ -140,13 +145,13 @@ class LagrangeSystem:
         self, t: Any, q: jax.Array, v: jax.Array, args: Any = None, *, alpha: Any = 0.0,
         beta: Any = 0.0,
     ) -> ConstrainedMotion:  # fmt: skip
-        """Compute accelerations and multipliers.
+        """Compute accelerations (n,) and multipliers (m + k,).
 
         Args:
             t: time.
             q, v: (n,) coordinates and their rates.
-            args: the last argument of the functions; None if they have none.
-            alpha, beta: feedback of the residual, f'' + 2 alpha f' + beta^2 f = 0.
+            args: last argument of the functions; None if they have none.
+            alpha, beta: Baumgarte gains, f'' + 2 alpha f' + beta^2 f = 0.
         """
         t, q, v = _arrays("LagrangeSystem.solve", t, q, v)
         M, F = self._mass(t, q, args), self._of("force", (t, q, v), args, q.shape)
@@ -155,7 +160,7 @@ class LagrangeSystem:
         return ConstrainedMotion(*self.formulation.scaled_solution(M, G, F, c))
 
     def residual(self, t: Any, q: jax.Array, v: jax.Array, args: Any = None) -> Residual:
-        """Compute the residuals of the constraints, with the arguments of `solve`."""
+        """Compute the residuals of the constraints: values [f; 0] and rates [f'; A v - b]."""
         t, q, v = _arrays("LagrangeSystem.residual", t, q, v)
         value, rate, _ = self._rows(t, q, v, args)[0]
         return Residual(value, rate)
@@ -176,7 +181,7 @@ class LagrangeSystem:
         return q, v
 
     def term(self, alpha: Any = 0.0, beta: Any = 0.0) -> diffrax.ODETerm:
-        """Make the term of diffrax for y = (q, v)."""
+        """Return the `diffrax.ODETerm` for y = (q, v), with Baumgarte gains alpha and beta."""
 
         def rates(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple:
             return y[1], self.solve(t, *y, args, alpha=alpha, beta=beta).acceleration
@@ -184,7 +189,7 @@ class LagrangeSystem:
         return diffrax.ODETerm(rates)
 
     def _of(self, name: str, at: tuple, args: Any, shape: tuple[int, ...]) -> jax.Array:
-        """Evaluate one of the functions."""
+        """Evaluate the function in the field `name`, and check the shape of its value."""
         given = at if args is None else (*at, args)
         f, dtype = getattr(self, name), at[1].dtype
         return evaluate(f"LagrangeSystem: {name}", f, None, given, shape, dtype)
@@ -193,7 +198,7 @@ class LagrangeSystem:
         return self._of("mass", (t, q), args, (len(q), len(q)))
 
     def _size(self, name: str, t: Any, q: jax.Array, args: Any) -> int:
-        """Return the number of rows of a function."""
+        """Return the number of rows of a constraint function."""
         given = (t, q) if args is None else (t, q, args)
         out = jnp.shape(jax.eval_shape(lambda *x: jnp.asarray(getattr(self, name)(*x)), *given))
         due = (len(q),) if name == "pfaffian" else ()
@@ -203,7 +208,7 @@ class LagrangeSystem:
         return out[0]
 
     def _rows(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
-        """Compute the rows, their rates and accelerations at a = 0, and G (rows, n)."""
+        """Compute the values, rates and accelerations (at a = 0) of the rows, and G (rows, n)."""
         parts = []
         if self.holonomic is not None:
             parts.append(self._holonomic_rows(t, q, v, args))
@@ -214,7 +219,7 @@ class LagrangeSystem:
         return stacked, jnp.concatenate(G)
 
     def _holonomic_rows(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
-        """Differentiate f along q + s v."""
+        """Compute f, f' and f'' along the path q + s v, and df/dq."""
         shape = (self._size("holonomic", t, q, args),)
 
         def f(t: Any, q: jax.Array) -> jax.Array:
@@ -224,7 +229,7 @@ class LagrangeSystem:
         return path, jax.jacrev(lambda q: f(t, q))(q)
 
     def _pfaffian_rows(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
-        """Differentiate A v - b along q + s v, with constant v."""
+        """Compute A v - b and its derivative along the path q + s v with constant v, and A."""
         shape = self._size("pfaffian", t, q, args), len(q)
 
         def y(s: jax.Array) -> tuple:

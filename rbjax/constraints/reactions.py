@@ -1,6 +1,6 @@
-"""Constrained motion: accelerations, multipliers, and the wrenches in joints.
+"""Accelerations and multipliers of constrained motion, and the wrenches in loop joints.
 
-M a + b = tau + sum of J_i^T f_i + G^T l
+    M a + b = tau + sum of J_i^T f_i + G^T l
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rbjax.spatial import Force, Transform
 
 
 class ConstrainedMotion(NamedTuple):
-    """Accelerations (nv,) and multipliers (m,)."""
+    """Accelerations (nv,) and multipliers (m,) of constrained motion."""
 
     acceleration: jax.Array
     multipliers: jax.Array
@@ -43,24 +43,24 @@ def constrained_dynamics(
     wrenches: jax.Array | None = None,
     t: Any = 0.0,
 ) -> ConstrainedMotion:
-    """Compute the accelerations of a robot with its constraints, and their multipliers:
+    """Compute the accelerations and multipliers of a robot with constraints:
 
         M a + b = tau + sum_b J_b^T w_b + G^T l,      G a = -(G' v + ...)
 
-    For rows of `Soft` constraints l are the forces by MuJoCo's model (`Compliant`).
-    `rbjax.forward_dynamics` is the same without constraints.
+    For rows of `Soft` constraints, l are the forces of MuJoCo's model (`Compliant`). Use
+    `rbjax.forward_dynamics` to ignore the constraints.
 
     Args:
-        model: the robot; its constraints are enforced, redundant ones too.
+        model: the robot. Its constraints may be redundant.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        tau: (nv,) all applied generalized forces; `applied_forces` gives those of the model.
+        tau: (nv,) all applied generalized forces. `applied_forces` computes the model's.
         wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
-        t: time in seconds, for rows that depend on it.
+        t: time in seconds, for rows that depend on time.
 
     Returns:
-        `ConstrainedMotion(acceleration (nv,), multipliers (m,))`, the multipliers as defined by
-        the function `multipliers`.
+        `ConstrainedMotion(acceleration (nv,), multipliers (m,))`. The function `multipliers`
+        describes the units of the multipliers.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
@@ -90,15 +90,15 @@ def constrained_dynamics(
 def multipliers(
     model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
 ) -> jax.Array:
-    """Compute the constraint forces, l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...). For rows
-    of `Soft` constraints they are the forces by MuJoCo's model.
+    """Compute the constraint forces l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...).
 
-    If rows are redundant, l are the multipliers of least norm, each weighted by the square root of
-    its diag(G M^-1 G^T). They are in N for rows in m, and in N m for angles and cosines.
+    For rows of `Soft` constraints, l are the forces of MuJoCo's model. If rows are redundant, l has
+    the least norm with each multiplier weighted by the square root of its entry of
+    diag(G M^-1 G^T). Multipliers are in N for rows in m, and in N m for angles and cosines.
 
     Args:
         model: the robot, with constraints.
-        state: `State(q (nq,), v (nv,))`, with x (nx,) where force elements have states.
+        state: `State(q (nq,), v (nv,))`, with x (nx,) if force elements have states.
         ctrl: (nu,) controls; None for no actuation.
         t: time in seconds.
 
@@ -113,7 +113,7 @@ def _multipliers(model: Model, state: State, ctrl: Any, t: Any) -> jax.Array:
 
 
 def _motion(model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
-    """Compute a and l by the default formulation of a rollout."""
+    """Compute a and l by the default formulation of a rollout, without projection."""
     solve = compliant_motion if is_soft(model) else constrained_motion
     return solve(model, t, state, tau, f_ext)
 
@@ -122,10 +122,12 @@ def _motion(model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
 def joint_wrenches(
     model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
 ) -> jax.Array:
-    """Compute the wrench of each loop joint (`Pair`) on its body b, or on the world: (joints, 6)
-    [torque N m; force N], in world axes at the origin of its frame on b.
+    """Compute the wrench that each loop joint (`Pair`) exerts on its body b, or on the world.
 
-    Args: as `multipliers`.
+    Args: as in `multipliers`.
+
+    Returns:
+        (joints, 6) [torque N m; force N] in world axes, at the origin of the joint's frame on b.
     """
     l = _multipliers(model, state, ctrl, t)
     now = Context.of(model, t, state, None)
@@ -146,12 +148,14 @@ def joint_wrenches(
     return jnp.stack(out) if out else jnp.zeros((0, 6), state.q.dtype)
 
 
-END = -2  # index of a recording frame, in place of a link's; WORLD is -1
+END = -2  # index that a recording frame uses instead of a link; WORLD is -1
 
 
 class _End(Frame):
-    """A frame that records wrenches in its own axes, at its origin, instead of on its link, which
-    may be the world, or the link of the other end of the joint."""
+    """A frame that records the wrenches on it, in its own axes and at its origin.
+
+    It keeps them apart from wrenches on its link, which may be the world or carry both frames.
+    """
 
     def __init__(self, now: Context, frame: Frame, *moved: Transform):
         super().__init__(now.links, frame.link, *frame._placed, *moved)

@@ -1,13 +1,13 @@
 """Optimal control, feedback laws, linear regulators and trained policies.
 
-Rooms:
+Subpackages:
     optimal: `Problem`, `solve` and its methods, derivatives of solutions, `mpc`.
     laws: controllers of robots, allocation of forces to actuators, regions of attraction.
     linear: regulators, Riccati and Lyapunov equations, controllability, margins, Kalman gains.
     learning: environments, and policies trained through their dynamics.
 
-Inverse kinematics is `rbjax.kinematics`; its functions are available here too.
-`rbjax.recommend.control_method` tries the methods of `solve` on a problem.
+Inverse kinematics is in `rbjax.kinematics`; its functions are also exported from this package.
+`rbjax.recommend.control_method` compares the methods of `solve` on a problem.
 """
 
 from rbjax.control import laws, learning, linear, optimal
@@ -79,6 +79,6 @@ __all__ = [
     "lqr", "lqr_at", "time_varying_lqr", "feedback", "LinearStatus",
     # policies
     "Environment", "network", "actor_critic", "through_time",
-    # rooms
+    # subpackages
     "laws", "learning", "linear", "optimal",
 ]  # fmt: skip

@@ -1,5 +1,4 @@
-"""How a search and a solver of linear equations ended: values that a program can return, and their
-texts."""
+"""Status values of `solve` and of linear matrix equations, and their texts."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ from rbjax.errors import InputError
 
 
 class Status(enum.IntEnum):
-    """How `solve` ended. Arrays of a `Solution` hold these numbers."""
+    """How `solve` ended. The status of a `Solution` is an array of these integers."""
 
     GOING = 0
     CONVERGED = 1
@@ -59,7 +58,8 @@ class LinearStatus(eqx.Enumeration):
 
 
 def raise_failure(where: str, status: Any) -> None:
-    """Raise `InputError` unless the status is `success`. A traced status stays a value."""
+    """Raise InputError unless the status is `success`. Traced or batched statuses are not checked.
+    """
     values = jax.tree.leaves(status)
     if any(isinstance(x, jax.core.Tracer) or x.ndim for x in values):
         return
@@ -69,7 +69,7 @@ def raise_failure(where: str, status: Any) -> None:
 
 
 def first_of(*cases: tuple[Any, Any]) -> Any:
-    """The status of the first case that is true, else `success`."""
+    """Return the status of the first case (condition, status) that is true, else `success`."""
     found: Any = LinearStatus.success
     for wrong, status in reversed(cases):
         found = LinearStatus.where(wrong, status, found)

@@ -72,7 +72,8 @@ def run_cells(source: Path, folder: Path) -> list[tuple[str, str]]:
     import matplotlib.pyplot as plt
 
     scope: dict[str, object] = {"__name__": "__main__", "__file__": str(source)}
-    heading, pictures = source.stem, []
+    heading = source.stem
+    pictures: list[tuple[str, str]] = []
     for is_code, text in cells(source.read_text()):
         if not is_code:
             headings = re.findall(r"^#+ (.*)", text, flags=re.MULTILINE)

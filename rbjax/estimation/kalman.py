@@ -1,4 +1,4 @@
-"""The Kalman filter and smoother of a nonlinear model, on a manifold where there are attitudes.
+"""The Kalman filter and smoother of a nonlinear model, on arrays or on a manifold.
 
     x_(k+1) = f(x_k, u_k, w_k),  w ~ N(0, W),      y_k = h(x_k) + e_k,  e ~ N(0, R)
     z = y (-) h(x),  S = H P H^T + R,  K = P H^T S^-1                       innovation, gain
@@ -6,8 +6,9 @@
     x <- f(x, u, 0), P <- A P A^T + G W G^T                                 prediction
     -log p(y) = sum of (z^T S^-1 z + log det 2 pi S) / 2                    likelihood
 
-P belongs to the tangent space at its own state. It may be singular, and all is differentiable for
-R > 0. The smoother of Rauch, Tung and Striebel has the form of Bryson and Frazier, without P^-1.
+P is a covariance in the tangent space at the estimated state. It may be singular. All results are
+differentiable for R > 0. The Rauch-Tung-Striebel smoother has the form of Bryson and Frazier,
+without P^-1.
 Source: Bryson & Ho, *Applied Optimal Control*, 13; Bierman, *Factorization Methods*, X; Sola, *A
 micro Lie theory*, 2018 (tangent spaces); Schweppe, IEEE T-IT 11(1), 1965 (likelihood).
 """
@@ -29,11 +30,15 @@ from rbjax.estimation.state_space import SPACE, StateSpace, check_fits, check_in
 class KalmanFiltered(NamedTuple):
     """The estimates of a filter at each of N + 1 samples.
 
-    Fields: predicted states, and predicted_covariance (N + 1, n, n), before a sample is used; state
-    and covariance, after; innovation z (N + 1, m), 0 where nothing arrived, and
-    innovation_covariance S (N + 1, m, m), there 1; log_likelihood of all samples.
-    For the smoother: slopes A (N + 1, n, n) to the next sample; reads H (N + 1, m, n); kept
-    (N + 1, n, n), the factor of an error in an update, in the new tangent space.
+    predicted: states before the update, a pytree of (N + 1, ...).
+    predicted_covariance: covariances before the update, (N + 1, n, n).
+    state, covariance: the same quantities after the update.
+    innovation: z, (N + 1, m), 0 for missing readings.
+    innovation_covariance: S, (N + 1, m, m), with 1 in place of R for missing readings.
+    log_likelihood: of all samples together.
+    slopes: A, the Jacobian of the prediction to the next sample, (N + 1, n, n), for the smoother.
+    reads: H, (N + 1, m, n), for the smoother.
+    kept: 1 - K H, mapped to the tangent space after the update, (N + 1, n, n), for the smoother.
     """
 
     predicted: Any
@@ -51,7 +56,8 @@ class KalmanFiltered(NamedTuple):
 class Smoothed(NamedTuple):
     """The estimate of each state from all samples.
 
-    Fields: state (N + 1, ...); covariance (N + 1, n, n), in the tangent spaces of the states.
+    state: states, a pytree of (N + 1, ...).
+    covariance: covariances in the tangent spaces of the states, (N + 1, n, n).
     """
 
     state: Any
@@ -69,21 +75,22 @@ def kalman_filter(
     *,
     arrived: Any = None,
 ) -> KalmanFiltered:
-    """The extended Kalman filter; exact where the model is linear.
+    """Estimate the states of N + 1 samples with the extended Kalman filter.
 
     Args:
         space: the model.
-        start: the mean of the first state, before the first sample is used.
-        covariance: of the first state, (n, n) or the variances (n,); 0 for a known one.
+        start: mean of the first state, before the first update.
+        covariance: covariance (n, n) or variances (n,) of the first state; 0 if it is known
+            exactly.
         inputs: u, a pytree of arrays (N, ...); input k moves state k to state k + 1.
         readings: y, a pytree of arrays (N + 1, ...); reading k is of state k.
         process: W, (l, l) or the variances (l,).
         noise: R, (m, m) or the variances (m,), positive definite.
-        arrived: (N + 1, m), false for rows of the innovation that were not measured; the readings
-            there are any finite numbers. None: those of an array (N + 1, m) that are not nan.
+        arrived: (N + 1, m), false for missing rows of the innovation; their readings may have any
+            finite value. If None, readings is an array (N + 1, m), and its nan entries are missing.
 
     Returns:
-        `KalmanFiltered`. Where S is not positive definite it is nan.
+        `KalmanFiltered`. It is nan if S is not positive definite.
 
     Raises:
         InputError: covariances that are neither matrices nor variances; numbers of samples that do
@@ -127,7 +134,7 @@ def kalman_filter(
             f"kalman_filter: readings of {sorted(N)} samples (one more than inputs) and arrived of "
             f"shape {arrived.shape}, expected as many samples in all and {m} rows, as noise has"
         )
-    # the last input twice: the prediction after the last sample is not used
+    # repeat the last input: the prediction after the last sample is not used
     inputs = jax.tree.map(lambda a: jnp.concatenate([jnp.asarray(a), a[-1:]]), inputs)
 
     def sample(carry: Any, given: Any) -> Any:
@@ -143,17 +150,16 @@ def kalman_filter(
 
 
 def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
-    """The states by all samples, those after them too.
+    """Estimate each state from all samples with the Rauch-Tung-Striebel smoother.
 
         l = A^T l',   x (+) -P l,   P - P L P;     l' = -H^T S^-1 z + C^T l,   C = 1 - K H
 
-    backwards from l = 0, with L the covariance of l. It is the smoother of Rauch, Tung and
-    Striebel, without the inverse of P. Where the later samples take nearly all of P away, the
-    difference loses as many digits as P loses decades.
+    backwards from l = 0, with L the covariance of l (the form of Bryson and Frazier, without the
+    inverse of P). If the later samples reduce P by k decades, the difference loses k digits.
 
     Args:
         space: the model.
-        filtered: what `kalman_filter` found.
+        filtered: the result of `kalman_filter`.
 
     Returns:
         `Smoothed`.
@@ -191,7 +197,7 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
         L = f.kept.T @ L @ f.kept + f.reads.T @ SH
         return (l, (L + L.T) / 2), (Smoothed(state, (P + P.T) / 2))
 
-    # the slopes that lead to a sample are in its row
+    # align each A with the sample that it leads to
     led = jnp.concatenate([jnp.zeros_like(filtered.slopes[:1]), filtered.slopes[:-1]])
 
     def back(carry: Any, given: Any) -> Any:
@@ -207,7 +213,7 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
 def _update(
     space: StateSpace, x: Any, P: jax.Array, y: Any, there: jax.Array, R: jax.Array
 ) -> KalmanFiltered:
-    """The update by one sample, without the slopes."""
+    """Update a state and its covariance by one sample. The field `slopes` of the result is zero."""
     n, m = P.shape[0], R.shape[0]
 
     def innovation(dx: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -233,7 +239,7 @@ def _update(
 def _predict(
     space: StateSpace, state: Any, P: jax.Array, u: Any, W: jax.Array
 ) -> tuple[Any, jax.Array, jax.Array]:
-    """The next state, its covariance, and the slope A."""
+    """Return the next state, its covariance, and the Jacobian A of the step."""
     n, l = P.shape[0], W.shape[0]
 
     def move(dw: jax.Array) -> tuple[Any, Any]:
@@ -259,7 +265,7 @@ class Estimate(NamedTuple):
 def kalman_update(
     space: StateSpace, estimate: Estimate, reading: Any, noise: Any, *, arrived: Any = None
 ) -> Estimate:
-    """One sample used: half a step of `kalman_filter`, for an estimate within a loop.
+    """Update an estimate by one sample: the first half of a step of `kalman_filter`.
 
         K = P H^T (H P H^T + R)^-1,   x (+) K (y (-) h(x)),   (1 - K H) P (1 - K H)^T + K R K^T
 
@@ -268,8 +274,8 @@ def kalman_update(
         estimate: before the sample.
         reading: y.
         noise: R, (m, m) or the variances (m,), positive definite.
-        arrived: (m,), false for rows that were not measured; None: those of an array (m,) that are
-            not nan.
+        arrived: (m,), false for missing rows. If None, reading is an array (m,), and its nan
+            entries are missing.
 
     Returns:
         `Estimate`.
@@ -308,7 +314,7 @@ def kalman_update(
 
 
 def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: Any) -> Estimate:
-    """One step predicted: the other half of a step of `kalman_filter`.
+    """Predict the next state: the second half of a step of `kalman_filter`.
 
         x+ = f(x, u, 0),   P+ = A P A^T + G W G^T
 
@@ -345,7 +351,7 @@ def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: A
 
 
 def _retract(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | None]:
-    """x (+) dx, and the map of tangent vectors from x to there; None for arrays."""
+    """Return x (+) dx, and the map of tangent vectors from x to the new state (None for arrays)."""
     if space.box_plus is operator.add:
         return x + dx, None
     new = space.box_plus(x, dx)

@@ -1,9 +1,9 @@
 """State spaces of Kalman filters: of arrays, and of a model on the tangent space of its states.
 
-`kalman_update` and `kalman_predict` are the two halves of a filter, to be called around a control
-law:
+`kalman_update` and `kalman_predict` are the two halves of a filter. A control loop calls them
+before and after the controller:
 
-    x <- update(x, y);   u = law(t, x.state);   x <- predict(x, u)
+    x <- update(x, y);   u = controller(t, x.state);   x <- predict(x, u)
 
 Source: Bryson & Ho, *Applied Optimal Control*, 12; Sola, *A micro Lie theory*, 2018.
 """
@@ -42,7 +42,7 @@ def matrix(name: str, x: Any, where: str = "kalman_filter") -> jax.Array:
 
 
 def real(where: str, name: str, x: Any, expected: str, *, finite: bool = True) -> jax.Array:
-    """x as an array of floating-point numbers; known ones are checked."""
+    """Convert x to a floating-point array. Values that are not traced must be real numbers."""
     if not isinstance(x, jax.core.Tracer):
         dtype = getattr(x, "dtype", None)
         x = real_array(where, name, x, expected, finite=finite)
@@ -54,8 +54,8 @@ def real(where: str, name: str, x: Any, expected: str, *, finite: bool = True) -
 
 
 def check_fits(where: str, space: Any, state: Any, P: jax.Array, given: Any, W: Any) -> None:
-    """Reject a covariance, or process noise, that is not of the states of a `StateSpace`. given:
-    the inputs of a step; W: None if no step is made."""
+    """Raise InputError if the shapes of state, covariance P and process noise W do not match.
+    Only a `StateSpace` of arrays is checked. given: the inputs of a step. W: None for an update."""
     if space.box_plus is not operator.add:
         return
     shape = jnp.shape(state)
@@ -76,7 +76,7 @@ def check_fits(where: str, space: Any, state: Any, P: jax.Array, given: Any, W: 
 
 
 def check_inputs(where: str, inputs: Any, samples: bool) -> None:
-    """Reject inputs that are not arrays of numbers; of several samples: with a row for each."""
+    """Raise InputError unless inputs are numeric arrays, with one row a step if `samples`."""
     expected = "arrays (N, ...), one row a step" if samples else "arrays of numbers"
     for x in jax.tree.leaves(inputs):
         numeric = isinstance(x, jax.Array) or np.asarray(x).dtype.kind in "biuf"
@@ -96,11 +96,12 @@ SPACE = "a StateSpace, as StateSpace.of(move, read)"
 
 
 class StateSpace(NamedTuple):
-    """A discrete model with noise. States are arrays (n,), or pytrees with `box_plus` and
-    `box_minus`.
+    """A discrete model with noise, for states that are arrays (n,) or points of a manifold.
 
-    Fields: move, (x, u, w) -> the next state; innovation, (x, y) -> y (-) h(x) (m,);
-    box_plus, (x, dx) -> x (+) dx; box_minus, (x0, x1) -> x1 (-) x0 (n,).
+    move: (x, u, w) -> the next state.
+    innovation: (x, y) -> y (-) h(x), (m,).
+    box_plus: (x, dx) -> x (+) dx.
+    box_minus: (x0, x1) -> x1 (-) x0, (n,).
 
     Example:
         >>> from rbjax.estimation import StateSpace
@@ -116,7 +117,7 @@ class StateSpace(NamedTuple):
 
     @classmethod
     def of(cls, move: Callable, read: Callable) -> StateSpace:
-        """Of arrays: x' = move(x, u, w), y = read(x) + e."""
+        """Build the state space x' = move(x, u, w), y = read(x) + e of arrays x and y."""
         return cls(move, _subtracted(read))
 
 
@@ -129,8 +130,10 @@ def model_state_space(
     dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> StateSpace:
-    """Build the state space of a Kalman filter from a model: steps of `rollout`, each followed by
-    noise w (2 nv + nx,) on the tangent space, and measurements y = read(state) + e.
+    """Build the state space of a Kalman filter from a model.
+
+    A step is a step of `rb.step`, followed by noise w (2 nv + nx,) on the tangent space.
+    Measurements are y = read(state) + e.
 
     Args:
         model: the robot.

@@ -1,8 +1,7 @@
-"""Inverse kinematics: configurations (`position_level`) and velocities (`velocity_level`) for goals
-of bodies and sites.
+"""Inverse kinematics for goals of bodies and sites, on position level and on velocity level.
 
-`inverse_kinematics` searches from many starts, one search a thread (`restarts`,
-`damped_least_squares`); `differential_inverse_kinematics` solves one quadratic program a tick.
+`inverse_kinematics` searches a configuration from many starts (`position_level`, `restarts`).
+`differential_inverse_kinematics` solves one quadratic program per control step (`velocity_level`).
 """
 
 from rbjax.kinematics.goals import Goal

@@ -14,12 +14,13 @@ from rbjax.errors import InputError
 
 
 def known_array(x: Any) -> np.ndarray | None:
-    """Numbers as a NumPy array; None if they are traced."""
+    """Return x as a NumPy array, or None if it is traced."""
     return None if isinstance(x, jax.core.Tracer) else np.asarray(x, float)
 
 
 def check_several(where: str, name: str, given: Any, expected: str) -> tuple:
-    """The entries of a list or tuple."""
+    """Return the entries of an iterable as a tuple; raise InputError for a string or a
+    non-iterable."""
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise InputError(f"{where}: {name} is {given!r}, expected a list of {expected}")
     return tuple(given)
@@ -28,7 +29,7 @@ def check_several(where: str, name: str, given: Any, expected: str) -> tuple:
 def check_at_least(
     where: str, name: str, value: Any, *shapes: tuple[int, ...], least: float = 0.0
 ) -> jax.Array:
-    """Finite numbers of one of the shapes, none below `least`."""
+    """Return an array of one of the shapes; raise InputError if an entry is below `least`."""
     x = check_array(where, name, value, *shapes)
     known = known_array(x)
     if known is not None and (known < least).any():
@@ -39,7 +40,7 @@ def check_at_least(
 
 
 def check_bound(where: str, name: str, value: Any, *shapes: tuple[int, ...]) -> jax.Array:
-    """Numbers of one of the shapes, infinite without a bound."""
+    """Return an array of one of the shapes, in which an infinite entry means "no bound"."""
     expected = " or ".join(map(str, shapes)) or "of numbers"
     try:
         x = jnp.asarray(value, float)
@@ -56,7 +57,7 @@ def check_bound(where: str, name: str, value: Any, *shapes: tuple[int, ...]) -> 
 
 
 def check_rotation(where: str, R: Any) -> None:
-    """`InputError` unless known matrices (..., 3, 3) are rotations."""
+    """Raise InputError unless R (..., 3, 3) contains rotation matrices. Traced values pass."""
     if R is None or isinstance(R, jax.core.Tracer):
         return
     known = np.asarray(R, np.float64)
@@ -70,7 +71,7 @@ def check_rotation(where: str, R: Any) -> None:
 
 
 def check_key(where: str, key: Any) -> None:
-    """`InputError` unless key is one of `jax.random`."""
+    """Raise InputError unless key is a key of `jax.random`."""
     is_key = isinstance(key, jax.Array) and (
         jnp.issubdtype(key.dtype, jax.dtypes.prng_key) or (key.dtype == jnp.uint32 and key.ndim)
     )

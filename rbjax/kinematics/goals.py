@@ -3,10 +3,10 @@
     pose         e = [log(R_d R^T); p_d - p]           J = [J_w; J_v]
     rotation     e = log(R_d R^T)                       J = J_w
     position     e = p_d - p                            J = J_v
-    direction    e = log of the turn of a to n          J = (1 - n n^T) J_w
+    direction    e = rotation vector from a to n        J = (1 - n n^T) J_w
 
-in world axes, of a frame at (R, p) whose axis a shall point along n. J is the rate of -e to first
-order in e (Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 83).
+in world axes. The frame has attitude R and position p. Its axis a shall point along n. To first
+order in e, J v is the rate of -e (Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 83).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rbjax.model.leaves import site_transform
 from rbjax.model.record import Record
 from rbjax.rotations import quaternion
 
-#: 1 + the cosine of an angle below which two vectors count as opposite
+#: two unit vectors are treated as opposite if 1 + their dot product is below this
 OPPOSITE = 1e-14
 
 
@@ -39,16 +39,16 @@ class Goal(Record):
     """The goal of a frame: a position, an attitude, both, or a direction of one of its axes.
 
     Args:
-        site, body: the name of the frame; exactly one of the two.
-        position: (3,) m, where its origin (or `point`) shall be, in the world.
-        rotation: (3, 3), its attitude, frame to world axes.
-        direction: (3,), where its `axis` shall point, in the world; not with a rotation.
-        axis: (3,), an axis in the frame; its z if None.
+        site, body: the name of the frame; give exactly one of the two.
+        position: (3,) m, desired position of its origin (or of `point`) in the world.
+        rotation: (3, 3), desired attitude, from frame to world axes.
+        direction: (3,), desired direction of its `axis` in the world; not with a rotation.
+        axis: (3,), an axis in the frame; its z axis if None.
         point: (3,) m, a point in the frame; its origin if None.
-        weight: the weight of its error relative to other goals, if not all can be met.
+        weight: weight of the error relative to other goals, if not all can be met.
 
     Raises:
-        InputError: no or both names, nothing to reach, a wrong shape, a direction of no length.
+        InputError: neither or both names, no target, a wrong shape, a zero vector as a direction.
 
     Example:
         >>> import rbjax as rb
@@ -99,12 +99,12 @@ class Goal(Record):
 
     @property
     def arrays(self) -> list[jax.Array]:
-        """The references."""
+        """The target arrays that are given: position, rotation and direction."""
         return [x for x in (self.position, self.rotation, self.direction) if x is not None]
 
     @property
     def rows(self) -> int:
-        """How many numbers its error has."""
+        """Number of rows of the error."""
         turns = self.rotation is not None or self.direction is not None
         return 3 * turns + 3 * (self.position is not None)
 
@@ -115,16 +115,20 @@ def _check_length(name: str, x: jax.Array | None) -> None:
 
 
 class GoalErrors:
-    """The errors of all goals at a configuration, and the rows of the Jacobian, as lanes.
+    """Errors of all goals at a configuration, and the rows of their Jacobian, as lanes.
 
-    errors: e. rows: of J, nv lanes each. weights: of each row. turning: if a row is a rotation.
+    errors: e, one lane a row.
+    rows: rows of J, nv lanes each.
+    weights: weight of each row.
+    turning: true for each row of a rotation error.
     """
 
     def __init__(
         self, model: Model, d: Unrolled, goals: Sequence[Goal], q: jax.Array,
         weights: Sequence[Lane] = (1.0, 1.0),
     ):  # fmt: skip
-        """d: the driver of `written_out(model)`; weights: of rotations and of positions."""
+        """Evaluate the goals at q. d: an unrolled driver of the model (`unrolled_driver`). weights:
+        factors of rotation errors and of position errors."""
         self.model, self.dtype = model, q.dtype
         self.errors: list[Lane] = []
         self.rows: list[list[Lane]] = []
@@ -160,7 +164,7 @@ class GoalErrors:
             self._rows(goal, False, e, path, lambda spin, slip: slip(p))
 
     def _frame(self, goal: Goal) -> tuple[int, Vec3, Mat3]:
-        """The link that carries the frame, its point and attitude in that link's axes."""
+        """Return the link that carries the frame, and its point and attitude in link axes."""
         model, d = self.model, self._d
         like = jnp.zeros(0, self.dtype)
         link, r = locate_on_link("Goal", model, d, like, Frame(goal.body, goal.point, goal.site))
@@ -181,7 +185,8 @@ class GoalErrors:
             self.rows.append([columns[i][k] if i in columns else 0.0 for i in range(self.model.nv)])
 
     def _column(self, i: int) -> tuple[Vec3, Any]:
-        """Angular velocity per unit of coordinate i, and the velocity of a point of the world."""
+        """Return the angular velocity per unit of dof i, and a function p -> velocity of the point
+        p (world axes)."""
         if i not in self._columns:
             pose, S = self._motion.pose(i), self._axes[i]
             self._columns[i] = pose.R @ S.ang, pose.R @ S.lin, pose.p
@@ -189,7 +194,8 @@ class GoalErrors:
         return spin, lambda p: spin.cross(p - origin) + slide
 
     def size(self, turns: bool) -> Lane:
-        """The square of the largest rotation error, or position error."""
+        """Return the squared norm of the largest rotation error (turns) or of the largest position
+        error."""
         out: Lane = 0.0
         for turning, start, stop in self.groups:
             if turning == turns:
@@ -199,19 +205,19 @@ class GoalErrors:
 
 
 def body_of(model: Model, goal: Goal) -> int:
-    """The body that carries the goal's frame, or `WORLD`."""
+    """Return the body that carries the goal's frame, or `WORLD`."""
     if goal.site is not None:
         return model.topology.site_bodies[model.site(goal.site)]
     return model.body(goal.body or "")
 
 
 def unrolled_driver(model: Model, dtype: Any) -> Unrolled:
-    """The driver for `GoalErrors`, made once and used at many configurations."""
+    """Build the driver for `GoalErrors`; one driver serves many configurations."""
     return Unrolled(model, prepare(model, dtype))
 
 
 def errors(model: Model, goals: Sequence[Goal], q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """e (m,) and J (m, nv) as arrays, without weights."""
+    """Return the errors e (m,) and their Jacobian J (m, nv), without weights."""
     goal_errors = GoalErrors(model, unrolled_driver(model, q.dtype), goals, q)
     e = jnp.stack([jnp.asarray(x, q.dtype) for x in goal_errors.errors])
     rows = [jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in goal_errors.rows]
@@ -219,8 +225,8 @@ def errors(model: Model, goals: Sequence[Goal], q: jax.Array) -> tuple[jax.Array
 
 
 def _shortest_turn(a: Vec3, n: Vec3, dtype: Any) -> list[Lane]:
-    """The shortest rotation vector from the unit vector a to the unit vector n, by the quaternion
-    (1 + a.n, a x n); for opposite vectors half a turn about an axis across n."""
+    """Return the shortest rotation vector from unit vector a to unit vector n, from the quaternion
+    (1 + a.n, a x n). For opposite vectors, rotate by pi about an axis perpendicular to n."""
     w, u = 1 + a.dot(n), a.cross(n)
     opposite = w < OPPOSITE
     x, y, z = (jnp.abs(jnp.asarray(c, dtype)) for c in n)

@@ -1,8 +1,8 @@
-"""The ranges of joints, on the manifold of configurations.
+"""Joint ranges, on the manifold of configurations.
 
-A joint with one coordinate stays within [lower, upper]. A ball joint stays within an angle of its
-zero: the rotation vector of its quaternion has at most that length. Other joints have no range.
-A configuration is brought back to the nearest one within (per joint), so ranges hold exactly.
+A joint with one coordinate stays within [lower, upper]. The rotation angle of a ball joint has an
+upper bound. Other joints have no range. `Ranges.within` projects each joint to the nearest point of
+its range, so the ranges hold exactly.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations import quaternion
 
-#: random lengths of joints without a range lie within so many metres
+#: m, half-width of the interval of random lengths, for joints without a range
 SPREAD = 0.5
 
 
 class Bounded(NamedTuple):
-    """A coordinate with a range: its place in q and in v."""
+    """A coordinate with a range: its indices in q and in v, and its bounds."""
 
     q: int
     v: int
@@ -35,7 +35,7 @@ class Bounded(NamedTuple):
 
 
 class Ball(NamedTuple):
-    """A ball joint with a range: its places in q and in v, and its largest angle."""
+    """A ball joint with a range: its slices of q and v, and its largest angle, rad."""
 
     q: slice
     v: slice
@@ -43,7 +43,7 @@ class Ball(NamedTuple):
 
 
 class Ranges:
-    """The ranges of a model, as lanes. None at all where `limits` is false."""
+    """The joint ranges of a model, as lanes. It is empty if `limits` is false."""
 
     def __init__(self, model: Model, dtype: Any, limits: bool = True):
         self.bounded: list[Bounded] = []
@@ -65,7 +65,7 @@ class Ranges:
                 self.balls.append(Ball(turn, by, jnp.asarray(upper, dtype)))
 
     def within(self, q: Sequence[Lane]) -> list[Lane]:
-        """The configuration, with each joint at the nearest point of its range."""
+        """Return the configuration with each joint projected to the nearest point of its range."""
         out = list(q)
         for at in self.bounded:
             out[at.q] = jnp.clip(out[at.q], at.lower, at.upper)
@@ -79,8 +79,8 @@ class Ranges:
         return out
 
     def free(self, q: Sequence[Lane], g: Sequence[Lane]) -> dict[int, Lane]:
-        """For each bounded coordinate, by its place in v: 0 if it is at the end of its range and
-        the direction g (nv lanes) points out of it, else 1."""
+        """Return a mask for each bounded coordinate, keyed by its index in v. It is 0 at a bound if
+        the direction g (nv lanes) points out of the range, else 1."""
         out: dict[int, Lane] = {}
         for at in self.bounded:
             x, out_of = q[at.q], g[at.v]
@@ -89,8 +89,8 @@ class Ranges:
         return out
 
     def outward(self, q: Sequence[Lane], g: Sequence[Lane]) -> dict[int, list[Lane]]:
-        """For each ball joint, by the start of its place in v: the unit axis along which its angle
-        grows, if it is at its end and g points out of it, else zeros."""
+        """Return the axis along which the angle of each ball joint grows, keyed by the start of its
+        slice of v. It is zero unless the joint is at its bound and g points out of the range."""
         out: dict[int, list[Lane]] = {}
         for ball in self.balls:
             turn = quaternion.log_lanes(list(q[ball.q]))
@@ -106,8 +106,8 @@ class Ranges:
 def random_configurations(
     model: Model, key: jax.Array, count: int, near: jax.Array, limits: bool = True
 ) -> jax.Array:
-    """Configurations (count, nq), uniform within the ranges of joints. Without a range: angles
-    within a half turn of `near`, lengths within `SPREAD` of it, attitudes uniform."""
+    """Draw configurations (count, nq), uniform within the joint ranges. For joints without a range,
+    angles are within pi and lengths within `SPREAD` of `near`; attitudes are uniform on SO(3)."""
     dtype = near.dtype
     unit = jax.random.uniform(key, (count, model.nq), dtype)
     q: list[jax.Array] = []
@@ -117,7 +117,7 @@ def random_configurations(
             spread = SPREAD if _slides(joint, n) else math.pi
             ranged = limits and joint.nv == 1
             if ranged and not isinstance(low, jax.core.Tracer) and np.isfinite([low, high]).all():
-                lower, upper = low, high  # apart from `near`: all of a batch then share the starts
+                lower, upper = low, high  # independent of `near`: a batch shares the starts
             else:
                 lower, upper = near[i] - spread, near[i] + spread
             if ranged:
@@ -135,7 +135,7 @@ def random_configurations(
 
 
 def _attitudes(unit: list[jax.Array], joint: Any, most: Any) -> list[jax.Array]:
-    """Uniform quaternions (Shoemake 1992); of a ball joint, turned back within its angle."""
+    """Return uniform quaternions (Shoemake 1992), with ball joints scaled to their range."""
     a, b, c, _ = unit
     one, two = jnp.sqrt(1 - a), jnp.sqrt(a)
     b, c = 2 * math.pi * b, 2 * math.pi * c
@@ -147,7 +147,7 @@ def _attitudes(unit: list[jax.Array], joint: Any, most: Any) -> list[jax.Array]:
 
 
 def _slides(joint: Any, n: int) -> bool:
-    """Whether coordinate n of a joint is a length."""
+    """Return whether coordinate n of a joint is a length."""
     kind = joint.dofs[n].kind
     return bool(kind.linear) and not kind.angular
 

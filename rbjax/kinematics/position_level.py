@@ -1,14 +1,15 @@
 """Inverse kinematics: the configuration in which frames reach their goals.
 
-    find q:  e(q) = 0,  lower <= q <= upper          (else the q with the least |W e|^2 / 2)
+    find q:  e(q) = 0,  lower <= q <= upper     (if infeasible: minimize |W e|^2 / 2)
 
-by damped Gauss-Newton steps from many starts (`restarts`). With a posture p, the search ends at the
-solution with the least |p - q|^2 / 2 nearby. Derivatives follow from the implicit function theorem,
+by damped Gauss-Newton steps from many starts (`restarts`). With a posture p, the search converges
+to a solution with a locally minimal |p - q|^2 / 2. Derivatives follow from the implicit function
+theorem,
 
-    J dq = (de/dtheta) dtheta ,      dq of least length,
+    J dq = (de/dtheta) dtheta ,      dq of minimum norm,
     or, with a posture,  H dq + J^T dy = dF,  F = (p - q) - J^T y = 0,  H = -dF/dq,
 
-and coordinates at the end of their range stay.
+in which coordinates at a bound of their range are constant.
 Source: Sugihara 2011; Beeson & Ames, *TRAC-IK*, 2015; Nocedal & Wright, ch. 18.
 """
 
@@ -50,12 +51,13 @@ WHERE = "inverse_kinematics"
 class InverseKinematics(Record):
     """The result of `inverse_kinematics`.
 
-    q: (nq,), within the ranges.
-    rotation_error, position_error: rad and m, the largest of any goal.
-    success: whether both are within the tolerance.
-    iterations: of all starts together.
-    start: the index of the start that converged (0 is `start`; of searches side by side the first
-        starts count first).
+    q: configuration within the joint ranges, (nq,).
+    rotation_error: largest rotation error of any goal, rad.
+    position_error: largest position error of any goal, m.
+    success: true if both errors are within the tolerance.
+    iterations: total number of iterations of all starts.
+    start: index of the start that converged; 0 is the argument `start`. With side_by_side searches,
+    the first starts of all searches have the lowest indices.
     """
 
     q: jax.Array
@@ -66,7 +68,7 @@ class InverseKinematics(Record):
     start: jax.Array
 
     def summary(self) -> str:
-        """How the search ended: "converged ..." or "closest pose ...". Of a batch, of all."""
+        """Return "converged ..." or "closest pose ..."; for a batch, the number that converged."""
         met = np.asarray(self.success)
         rotation, position = np.asarray(self.rotation_error), np.asarray(self.position_error)
         if met.ndim and met.all():
@@ -102,39 +104,39 @@ def inverse_kinematics(
     tolerance: Any = 1e-6,
     iterations: int = 40,
 ) -> InverseKinematics:
-    """The configuration in which a frame, or several, reach a target, within the joint ranges.
+    """Solve e(q) = 0, lower <= q <= upper for the configuration in which frames reach a target.
 
-    e(q) = 0, lower <= q <= upper, by damped Gauss-Newton steps from up to `seeds` starts.
+    It uses damped Gauss-Newton steps from up to `seeds` starts.
 
-    It is a function of one target. For a batch use `jax.vmap`, inside of `jax.jit` and with the
-    model closed over: each target then is a GPU thread or a lane of machine code. Derivatives by
-    target, posture and model are exact for a solution, and zero if the search did not converge.
+    The function solves for one target. For a batch use `jax.vmap` inside `jax.jit`, with the model
+    as a closed-over constant: each target is then one GPU thread or one SIMD lane. Derivatives with
+    respect to target, posture and model are exact at a solution, and zero if the search did not
+    converge.
 
     Args:
         model: the robot. Free, ball and other joints move on their manifold.
-        target: (R (3, 3), p (3,)) or a matrix (4, 4), a pose; (3,) a position; (3, 3) an attitude;
-            all in the world. Or a `Goal`, or several in a list, which name their own frames.
-        site, body: the name of the frame.
-        start: (nq,) the first start; the middle of the ranges if None (of a joint without a range
-            the model's reference).
-        posture: (nq,), to select the nearest of all solutions.
-        seeds: how many starts there are at most; those after the first are random.
-        side_by_side: how many searches run in parallel, each a thread or a lane, with the
-            starts shared out among them; the one that converges in the fewest steps counts. 8 or
-            more suit one target, or a small batch on a GPU, which waits for its last target.
-        key: of the random starts; `jax.random.key(0)` if None.
-        limits: whether joints keep `model.joints.range`, exactly.
-        weights: how much a radian, and a metre, count where not all errors can be zero.
-        tolerance: the largest error, rad and m; or a pair of these.
-        iterations: how many steps a start has.
+        target: a pose (R (3, 3), p (3,)) or (4, 4), a position (3,) or an attitude (3, 3), in the
+            world; or a `Goal`, or a list of Goals, which contain the names of their frames.
+        site, body: the name of the frame; give exactly one of the two, and none with Goals.
+        start: (nq,) the first start. If None, the middle of the ranges, and the model's reference
+            for joints without a range.
+        posture: (nq,), a preferred configuration: selects the solution closest to it.
+        seeds: maximum number of starts; all after the first are random.
+        side_by_side: number of parallel searches, each in a thread or a lane, which share the
+            starts. The result is from the search that converged in the fewest steps. Use 8 or more
+            for one target, or for a small batch on a GPU.
+        key: key of the random starts; `jax.random.key(0)` if None.
+        limits: if true, joints stay exactly within `model.joints.range`.
+        weights: weights of rotation errors (1/rad) and position errors (1/m).
+        tolerance: largest accepted error, rad and m; one number or a pair.
+        iterations: maximum number of iterations of each start.
 
     Returns:
-        `InverseKinematics`. A target out of reach gives the closest pose found and
-        `success` false.
+        `InverseKinematics`. For a target out of reach, the closest pose and `success` false.
 
     Raises:
-        UnknownName: no such site or body. InputError: no frame, a wrong shape, not a rotation,
-        a frame that no joint moves.
+        UnknownName: no such site or body.
+        InputError: no frame, a wrong shape, not a rotation, a frame that no joint moves.
 
     Source: Sugihara 2011 (damping); Beeson & Ames 2015 (restarts).
 
@@ -176,7 +178,7 @@ def inverse_kinematics(
 
 
 def _goals(target: Any, site: str | None, body: str | None) -> tuple[Goal, ...]:
-    """The goals of a target."""
+    """Convert the target argument to a tuple of Goals."""
     several = target if isinstance(target, (list, tuple)) else (target,)
     if several and all(isinstance(g, Goal) for g in several):
         if site is not None or body is not None:
@@ -202,7 +204,7 @@ def _goals(target: Any, site: str | None, body: str | None) -> tuple[Goal, ...]:
 
 
 def check_frames(where: str, model: Model, goals: Sequence[Goal]) -> None:
-    """`InputError` if no joint moves the frame of a goal."""
+    """Raise InputError if no joint moves the frame of a goal."""
     top = model.topology
     for goal in goals:
         of = body_of(model, goal)
@@ -223,7 +225,7 @@ def _inlined(
     model: Model, goals: tuple[Goal, ...], start: Any, posture: Any, key: Any, weights: Any,
     tolerance: Any, *, searches: tuple[int, int], how: Settings,
 ) -> InverseKinematics:  # fmt: skip
-    """searches: how many run side by side, and the starts of each."""
+    """Search as compiled code. searches: number of parallel searches, and starts of each."""
     dtype, limits, (side, each) = tolerance[0].dtype, how.limits, searches
     if start is None:
         start = _middle(model, dtype) if limits else model.joints.reference.astype(dtype)
@@ -273,12 +275,13 @@ _program = compiled(_inlined, static_argnames=("searches", "how"))
 
 
 def _best(found: Found, weights: Any) -> Found:
-    """Of searches side by side, the one that converged in the fewest steps, else the nearest."""
+    """Return the parallel search that converged in the fewest steps, or the one with the least
+    error."""
     side = found.converged.shape[0]
     off = jnp.hypot(weights[0] * found.rotation, weights[1] * found.position)
     last = jnp.where(jnp.isfinite(off), off, jnp.inf)
     turns = found.iterations.astype(off.dtype)
-    first = jnp.where(found.converged, turns - 1 - turns.max(), last)  # those that did are below 0
+    first = jnp.where(found.converged, turns - 1 - turns.max(), last)  # converged ones are negative
     i = jnp.argmin(first)
     out = jax.tree.map(lambda x: x[i], found)
     return out._replace(iterations=found.iterations.sum(), start=out.start * side + i)
@@ -291,7 +294,7 @@ def _no_tangent(x: jax.Array) -> Any:
 
 
 def _middle(model: Model, dtype: Any) -> jax.Array:
-    """The model's reference, with the middle of the range where a coordinate has one."""
+    """Return the model's reference, with bounded coordinates at the middle of their range."""
     q = list(model.joints.reference.astype(dtype))
     for at in Ranges(model, dtype).bounded:
         middle = (at.lower + at.upper) / 2
@@ -300,8 +303,11 @@ def _middle(model: Model, dtype: Any) -> jax.Array:
 
 
 def _stationarity_conditions(model: Model, goals: Any, posture: Any, q: jax.Array) -> Any:
-    """The conditions that are zero at a solution q, without multipliers: e, and with a posture
-    also the parts s = p - q and J of s - J^T y."""
+    """Return the residuals that are zero at a solution q: e, or with a posture (e, p - q, J).
+
+    With a posture the condition is (p - q) - J^T y = 0; the multipliers y are not part of the
+    result.
+    """
     e, J = errors(model, goals, q)
     if posture is None:
         return e
@@ -320,7 +326,7 @@ def _retract(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
 def _configuration_rate(
     model: Model, goals: Any, posture: Any, limits: bool, found: Found, rate: Any
 ) -> jax.Array:
-    """The rate of q (nq,) at a solution, from the rates of its conditions at constant q."""
+    """Return the derivative of q (nq,), from the derivative of the residuals at constant q."""
     q = found.q
     _, J = errors(model, goals, q)
     ranges = Ranges(model, q.dtype, limits)
@@ -341,7 +347,7 @@ def _configuration_rate_with_posture(
     model: Model, goals: Any, posture: jax.Array, q: jax.Array, J: jax.Array, free: jax.Array,
     rate: Any,
 ) -> jax.Array:  # fmt: skip
-    """dq of  H dq + J^T dy = dF,  J dq = de,  for coordinates that are free."""
+    """Solve  H dq + J^T dy = dF,  J dq = de  for dq of the free coordinates."""
     de, ds, dJ = rate
     n, m = J.shape[1], J.shape[0]
     J = J * free
@@ -364,8 +370,8 @@ def _configuration_rate_with_posture(
 
 
 def _free(model: Model, ranges: Ranges, q: jax.Array, step: jax.Array | None) -> jax.Array:
-    """1 for each velocity coordinate, and 0 for one that stays at the end of its range: with a
-    posture where that lies beyond it."""
+    """Return a mask (nv,): 0 for coordinates that stay at a bound, 1 for the free ones. With a
+    posture, a coordinate stays at its bound only if the posture is beyond the bound."""
     out = [jnp.ones((), q.dtype)] * model.nv
     for at in ranges.bounded:
         x = q[at.q]

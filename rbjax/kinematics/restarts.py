@@ -1,13 +1,13 @@
-"""Goals reached by damped Gauss-Newton steps from many starts, one after another, in one loop.
+"""Damped Gauss-Newton search for goals from many starts, in sequence, in one loop.
 
     dq = N s + J^T (J J^T + c E 1)^-1 e ,      E = |e|^2 / 2
 
-The damping is proportional to the error (Sugihara 2011); s is a step towards a posture in the null
-space of the goals. Coordinates at the end of their range that would be driven out of it are held
-(an active set of two rounds). Each iteration evaluates one configuration: if it meets the goals,
-the search is over; if the error has stopped falling, or this start has had its iterations, the next
-start follows. If no start succeeds, the best configuration is improved for `POLISH` more
-iterations, so that a target out of reach ends at the nearest pose.
+The damping is proportional to the error (Sugihara 2011). s is a step towards a posture, projected
+to the null space of the goals. Coordinates at a bound whose step points out of the range are fixed
+(an active set of two rounds). Each iteration evaluates one configuration. If it meets the goals,
+the search ends. If the error has stopped falling, or the start has no iterations left, the next
+start begins. If no start succeeds, up to `POLISH` more iterations improve the best configuration,
+so a target out of reach gives the nearest pose.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from rbjax.kinematics.joint_ranges import Ranges
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, mul, sub, total
 from rbjax.model import Model
 
-#: rounds of the active set
+#: maximum number of rounds of the active set
 ROUNDS = 2
 
 
 def weighted_errors(goal_errors: GoalErrors) -> tuple[list[Lane], list[list[Lane]]]:
-    """e and the rows of J, each times the weight of its row."""
+    """Return the errors e and the rows of J, each times the weight of its row."""
     e = [mul(w, x) for w, x in zip(goal_errors.weights, goal_errors.errors, strict=True)]
     rows = zip(goal_errors.weights, goal_errors.rows, strict=True)
     J = [[mul(w, x) for x in row] for w, row in rows]
@@ -44,7 +44,7 @@ def step(
     null_step: Sequence[Lane] | None,
     damping: Lane,
 ) -> list[Lane]:
-    """The step dq (nv lanes) from q, for weighted e and J."""
+    """Return the step dq (nv lanes) from q, for weighted e and J."""
     g = transpose_product(J, e)
     direction = g if null_step is None else [add(a, b) for a, b in zip(g, null_step, strict=True)]
     dq = g
@@ -64,7 +64,7 @@ def without_active_limits(
     ranges: Ranges,
     direction: Sequence[Lane],
 ) -> tuple[Sequence[Sequence[Lane]], Sequence[Lane] | None]:
-    """J and the desired step without the coordinates at active limits."""
+    """Return J and the null-space step with the coordinates at active limits removed."""
     free, outward = ranges.free(q, direction), ranges.outward(q, direction)
 
     def row(x: Sequence[Lane]) -> list[Lane]:
@@ -85,7 +85,7 @@ def without_active_limits(
 def unbounded_step(
     e: Sequence[Lane], J: Sequence[Sequence[Lane]], null_step: Sequence[Lane] | None, damping: Lane
 ) -> list[Lane]:
-    """s + J^T (J J^T + damping)^-1 (e - J s), by whichever matrix is smaller."""
+    """Return s + J^T (J J^T + damping)^-1 (e - J s), from the smaller of J J^T and J^T J."""
     if null_step is not None:
         e = [sub(x, inner(row, null_step)) for x, row in zip(e, J, strict=True)]
     moving = [i for i in range(len(J[0])) if any(not is_zero(row[i]) for row in J)]
@@ -103,7 +103,7 @@ def unbounded_step(
 
 
 def solve(A: Sequence[Sequence[Lane]], damping: Lane, b: Sequence[Lane]) -> list[Lane]:
-    """x of (A A^T + damping) x = b."""
+    """Solve (A A^T + damping) x = b."""
     square: list[list[Lane]] = []
     for i, row in enumerate(A):
         square.append([inner(row, other) for other in A[: i + 1]])
@@ -112,38 +112,44 @@ def solve(A: Sequence[Sequence[Lane]], damping: Lane, b: Sequence[Lane]) -> list
 
 
 def transpose_product(J: Sequence[Sequence[Lane]], y: Sequence[Lane]) -> list[Lane]:
-    """J^T y."""
+    """Return J^T y."""
     return [total(mul(row[i], x) for row, x in zip(J, y, strict=True)) for i in range(len(J[0]))]
 
 
 def half_square(e: Sequence[Lane]) -> jax.Array:
-    """E = |e|^2 / 2."""
+    """Return E = |e|^2 / 2."""
     return jnp.asarray(inner(e, e)) / 2
 
 
-#: the damping: this share of the error E, and this share of the tolerance, so that a singular J J^T
-#: has a solution. With a posture, the latter leaves an error of its size times the multipliers.
+#: The damping is SHARE * E + LEAST * tolerance. The second term makes a singular J J^T invertible.
+#: With a posture, it leaves an error of its size times the multipliers.
 SHARE, LEAST = 3e-2, 1e-4
-#: a start ends if the error does not fall to `FALL` of its lowest within `PATIENCE` iterations
+#: a start ends if the error does not fall to `FALL` of its minimum within `PATIENCE` iterations
 FALL, PATIENCE = 0.5, 4
 #: iterations from the best configuration if no start succeeds
 POLISH = 100
-#: a step of this length, m and rad, is at rest there
+#: the search has converged to a closest pose if no entry of dq exceeds this, m or rad
 REST = 1e-10
-#: no coordinate moves further in an iteration
+#: largest change of a coordinate in an iteration, m or rad
 LONGEST = 1.0
 
 
 class Settings(NamedTuple):
-    """Compile-time settings: iterations of one start, whether joints keep their ranges."""
+    """Compile-time settings: iterations of each start, true if joints stay within their ranges."""
 
     iterations: int
     limits: bool
 
 
 class Found(NamedTuple):
-    """q (nq,); the largest errors of rotation and position; whether the goals are met; all
-    iterations; the index of the start."""
+    """Result of a search.
+
+    q: configuration, (nq,).
+    rotation, position: largest errors, rad and m.
+    converged: true if the goals are met.
+    iterations: total number of iterations.
+    start: index of the start.
+    """
 
     q: jax.Array
     rotation: jax.Array
@@ -178,10 +184,11 @@ def search(
     tolerance: tuple[Any, Any],
     how: Settings,
 ) -> Found:
-    """From the first of the starts from which the goals are met, else the nearest pose.
+    """Search for the goals from each start in turn, and return the first solution or nearest pose.
 
-    start (nq,), others (n, nq): the first start and those that follow it; weights, tolerance: of
-    rotations and of positions.
+    start: first start, (nq,).
+    others: starts that follow, (n, nq).
+    weights, tolerance: pairs, for rotation errors and for position errors.
     """
     dtype, top, last = start.dtype, model.topology, 1 + others.shape[0]
     ranges, d = Ranges(model, dtype, how.limits), unrolled_driver(model, dtype)
@@ -214,7 +221,7 @@ def search(
             (now.turn + 1 >= how.iterations) | (stuck > PATIENCE),
         ) | ~jnp.isfinite(E)
         best = jnp.where(better, now.q, now.best)
-        # goals that are met while the posture still drifts are good enough at the last iteration
+        # at the last iteration, met goals suffice even if the posture has not converged
         done = finished | (over & (polishing | now.met | met))
         following = now.start + 1
         fresh = best

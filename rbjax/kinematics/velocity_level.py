@@ -1,9 +1,9 @@
-"""Differential inverse kinematics: the velocity with which frames move as asked, within limits.
+"""Differential inverse kinematics: the velocity that moves frames towards goals, within limits.
 
     min  sum over goals of |J_w v - V|^2 + d |v - v_0|^2 ,     l <= v <= u
     l = max(-speed, (lower - q) / dt),  u = min(speed, (upper - q) / dt)
 
-A strictly convex quadratic program with bounds, solved exactly by an active set.
+It is a strictly convex quadratic program with bounds, solved exactly by an active set.
 Source: Nakamura & Hanafusa 1986; Nocedal & Wright, 16.5 (active set).
 """
 
@@ -37,16 +37,16 @@ from rbjax.model import Model
 from rbjax.model.record import Record
 
 WHERE = "differential_inverse_kinematics"
-#: steps a coordinate, each of which holds or frees one: it takes two or three
+#: maximum number of steps per coordinate; each step fixes or frees one coordinate
 STEPS = 8
 
 
 class DifferentialInverseKinematics(Record):
     """The result of `differential_inverse_kinematics`.
 
-    v: (nv,), within the limits.
-    residual: (m,), the requested minus the actual velocities, goal by goal, rotation first.
-    optimality: (), the largest entry of the projected gradient.
+    v: velocity within the limits, (nv,).
+    residual: requested minus actual velocity, goal by goal, rotation first, (m,).
+    optimality: largest entry of the projected gradient, ().
     """
 
     v: jax.Array
@@ -65,26 +65,29 @@ def differential_inverse_kinematics(
     rest: Any = None,
     damping: Any = 1e-6,
 ) -> DifferentialInverseKinematics:
-    """The velocity (nv,) that takes frames towards their goals, within speeds and joint ranges.
+    """Compute the velocity (nv,) that moves frames towards their goals, within speeds and joint
+    ranges.
 
-    min |W (J v - rate e)|^2 + damping |v - rest|^2, l <= v <= u, with e the error of the goals
-    (`Goal`): J v = rate e makes each error fall as exp(-rate t).
+        min |W (J v - rate e)|^2 + damping |v - rest|^2,   l <= v <= u
+
+    e is the error of the goals (`Goal`). With J v = rate e, each error decays as exp(-rate t).
 
     Args:
         model: the robot.
         q: (nq,) configuration, within the ranges.
-        goals: a `Goal` or several, with weights W in case not all can be met.
-        rate: 1/s, how fast errors are to fall; 1 / dt takes a Newton step.
+        goals: a `Goal` or several; their weights W matter if not all can be met.
+        rate: 1/s, decay rate of the errors; 1 / dt gives a Newton step.
         speed: the largest speed of each coordinate, rad/s or m/s, a number or (nv,).
-        dt: s, the step within which no joint passes the end of its range; None looks at no range.
-        rest: (nv,) the velocity of the coordinates that the goals leave free; zero if None.
+        dt: s, the step within which no joint passes the end of its range; None ignores the ranges.
+        rest: (nv,) preferred velocity in the null space of the goals; zero if None.
         damping: d, which also bounds v near singular configurations.
 
     Returns:
         `DifferentialInverseKinematics`.
 
     Raises:
-        UnknownName: no such frame. InputError: a wrong shape; a frame that no joint moves.
+        UnknownName: no such frame.
+        InputError: a wrong shape; a frame that no joint moves.
 
     Source: Nakamura & Hanafusa 1986; Nocedal & Wright, *Numerical Optimization*, 16.5.
 
@@ -119,7 +122,7 @@ def differential_inverse_kinematics(
 
 @automatic
 def _inlined(*args: Any) -> DifferentialInverseKinematics:
-    """One sample as a program for a thread or a lane."""
+    """Solve one sample as a program for a GPU thread or a SIMD lane."""
     moving, closed = split_tracers(args)
 
     def run(moving: list) -> DifferentialInverseKinematics:
@@ -149,7 +152,7 @@ def _solved(
 
 
 class _Set(NamedTuple):
-    """A point within the bounds, the entries at active bounds, and whether it is optimal."""
+    """State of the active set: point, mask of fixed entries, true if optimal, step count."""
 
     x: jax.Array
     held: jax.Array
@@ -160,11 +163,10 @@ class _Set(NamedTuple):
 def bounded_quadratic(
     H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """x of min x^T H x / 2 - g^T x, low <= x <= high, H positive definite, and the largest entry of
-    the projected gradient there.
+    """Solve min x^T H x / 2 - g^T x, low <= x <= high, for positive definite H, by an active set.
 
-    An active set method. The projected Newton steps of `box_qp` stall on ill-conditioned H: with
-    damping 1e-6 a third of random problems of 20 joints and 6 rows ended away from the optimum.
+    Returns x and the largest entry of the projected gradient at x. Unlike the projected Newton
+    steps of `box_qp`, the active set also converges for ill-conditioned H.
     """
     n, dtype = g.shape[0], g.dtype
     program = jax.lax.stop_gradient((H, g, low, high))
@@ -199,14 +201,14 @@ def bounded_quadratic(
     x = jnp.clip(jnp.zeros_like(g), *program[2:])
     start = _Set(x, jnp.zeros(n, bool), jnp.asarray(False), jnp.asarray(0, jnp.int32))
     found = jax.lax.while_loop(lambda now: ~now.done & (now.step < STEPS * n), step, start)
-    # one Newton step of length zero, which has the derivative of the solution
+    # a Newton step with value zero and the derivative of the solution
     at_low = found.held & (found.x <= low)
     x = jnp.where(found.held, jnp.where(at_low, low, high), found.x)
     free = jnp.where(found.held, 0.0, 1.0).astype(dtype)
     d = newton(H, free, matvec(H, x) - g)
     x = x + (d - jax.lax.stop_gradient(d))
     slope = matvec(H, x) - g
-    # at a bound only a slope that leads into the range counts
+    # at a bound, only a slope that leads into the range counts as a residual
     slope = jnp.where(x <= low, jnp.minimum(slope, 0.0), slope)
     slope = jnp.where(x >= high, jnp.where(x <= low, 0.0, jnp.maximum(slope, 0.0)), slope)
     return x, jnp.abs(slope).max()

@@ -119,7 +119,7 @@ REFINEMENTS = {4: 3, 8: 2}
 
 
 def regularization(dtype: Any, damping: float | None = None) -> tuple[float, float, int]:
-    """Return eps, e and the number of refinements; with `damping` they are (damping, damping, 1)."""
+    """Return eps, e and the number of refinements: (damping, damping, 1) if it is given."""
     if damping is not None:
         return damping, damping, 1
     eps, e = (rank_tolerance(name, dtype) for name in ("regularization", "vanishing row"))

@@ -115,7 +115,7 @@ def batch_first(tree: Any, like: Any = ()) -> Any:
 
 
 def batch_last(tree: Any) -> Any:
-    """Move the batch axis of `vmap` to the end, so that a warp of GPU threads writes whole lines."""
+    """Move the `vmap` axis to the end, so that GPU warps write whole cache lines."""
     return jax.tree.map(_batch_last.bind, tree)
 
 
@@ -159,14 +159,14 @@ def inverse(*parts: jax.Array) -> list[jax.Array]:
     return _inverse.bind(*parts)
 
 
-def _native(*parts):
+def _native_inverse(*parts):
     if len(parts) == 1:
         return [jnp.linalg.inv(parts[0])]
     found = jnp.linalg.inv(jax.lax.complex(*parts))
     return [found.real, found.imag]
 
 
-def _jvp(parts, changes):
+def _inverse_jvp(parts, changes):
     found = _inverse.bind(*parts)
     changes = [ad.instantiate_zeros(x) for x in changes]
     moved = _product(_product(found, changes), found)
@@ -186,10 +186,10 @@ def _batched(parts, dims):
     return _inverse.bind(*front), [0] * len(parts)
 
 
-_inverse.def_impl(lambda *parts: jax.jit(_native)(*parts))
+_inverse.def_impl(lambda *parts: jax.jit(_native_inverse)(*parts))
 _inverse.def_abstract_eval(lambda *parts: list(parts))
-mlir.register_lowering(_inverse, mlir.lower_fun(_native, multiple_results=True))
-ad.primitive_jvps[_inverse] = _jvp
+mlir.register_lowering(_inverse, mlir.lower_fun(_native_inverse, multiple_results=True))
+ad.primitive_jvps[_inverse] = _inverse_jvp
 batching.primitive_batchers[_inverse] = _batched
 
 
@@ -207,7 +207,7 @@ def sincos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     return c, s
 
 
-def _native(x):
+def _native_sincos(x):
     return [jnp.cos(x), jnp.sin(x)]
 
 
@@ -237,7 +237,7 @@ SERIES = {
 def polynomial_sincos(x: jax.Array) -> list:
     """Compute [cos x, sin x] by polynomials, after reduction of the angle to |r| <= pi / 4."""
     if x.dtype not in SERIES:
-        return _native(x)
+        return _native_sincos(x)
     (first, second, third), sines, cosines = SERIES[x.dtype]
     turns = jnp.floor(x * (2 / jnp.pi) + 0.5)
     r = ((x - turns * first) - turns * second) - turns * third
@@ -262,17 +262,17 @@ def horner(coefficients, z):
     return out
 
 
-def _jvp(f, xs, ts):
+def _sincos_jvp(f, xs, ts):
     (x,), (t,) = xs, ts
     c, s = f(x)
     return [c, s], [-s * t, c * t]
 
 
-_sincos.def_impl(_native)
+_sincos.def_impl(_native_sincos)
 _sincos.def_abstract_eval(lambda x: [x, x])
-mlir.register_lowering(_sincos, mlir.lower_fun(_native, multiple_results=True))
+mlir.register_lowering(_sincos, mlir.lower_fun(_native_sincos, multiple_results=True))
 mlir.register_lowering(
     _sincos, mlir.lower_fun(polynomial_sincos, multiple_results=True), platform="cpu"
 )
-ad.primitive_jvps[_sincos] = functools.partial(_jvp, _sincos.bind)
+ad.primitive_jvps[_sincos] = functools.partial(_sincos_jvp, _sincos.bind)
 batching.primitive_batchers[_sincos] = lambda xs, dims: (_sincos.bind(*xs), [dims[0], dims[0]])

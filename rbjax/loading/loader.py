@@ -33,6 +33,7 @@ from rbjax.loading.checks import cast_leaf, check_finite_fields, joints_that_can
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of
+from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.fields import Off, is_on, names_of, reflected
 from rbjax.loading.mjcf.forces import force_elements, inertial_frame
 from rbjax.loading.sources import compile_source, describe
@@ -254,6 +255,7 @@ def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
         priority=static(m.geom_priority),
         group=static(m.geom_group),
         rgba=tuple(tuple(x.tolist()) for x in colors),
+        pairs=contact_pairs(m),
     )
 
 

@@ -22,6 +22,6 @@ class Frame(NamedTuple):
         (6, 7)
     """
 
-    body: str | None = None
+    body: Any = None
     point: Any = None
     site: str | None = None

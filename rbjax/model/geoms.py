@@ -9,7 +9,9 @@ from rbjax.model.record import Record
 
 
 class Geoms(Record):
-    """Shapes fixed to bodies, with the parameters of MuJoCo's geoms. Collisions are not simulated.
+    """Shapes fixed to bodies, with the parameters of MuJoCo's geoms.
+
+    `rb.contact.detect` computes their contacts. No contact force acts on them.
 
     Fields:
         size: (ng, 3) m. Radius of a sphere; radius and half length of a capsule or cylinder;
@@ -26,6 +28,7 @@ class Geoms(Record):
         contype, conaffinity: bit masks of the pairs that may collide; static.
         condim, priority, group: as in MuJoCo; static.
         rgba: colour and opacity; static.
+        pairs: the pairs of geoms that may touch by the rules of the file; static.
     """
 
     size: jax.Array
@@ -45,3 +48,4 @@ class Geoms(Record):
     priority: tuple[int, ...] = eqx.field(static=True)
     group: tuple[int, ...] = eqx.field(static=True)
     rgba: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())

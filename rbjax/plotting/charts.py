@@ -31,7 +31,8 @@ def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str
         >>> len(axes[0].lines)
         2
     """
-    if not isinstance(axes, (Sequence, np.ndarray)) or isinstance(axes, str) or len(axes) < 2:
+    several = isinstance(axes, (list, tuple, np.ndarray))
+    if not several or len(axes) < 2:
         raise InputError(f"time_plot: axes is {type(axes).__name__}, expected two axes")
     for ax in axes[:2]:
         check_axis("time_plot", ax, "axes")

@@ -218,7 +218,7 @@ def _check_one_of(where: str, density: Any, mass: Any) -> None:
 def _body(volume, com: list, moments: list, density: Maybe, mass: Maybe) -> MassProperties:
     """A body from its volume (area, length) and its moments of inertia per unit of mass."""
     _check_one_of("", density, mass)
-    if density is None:
+    if mass is not None:
         total = jnp.broadcast_to(mass, jnp.broadcast_shapes(mass.shape, volume.shape))
     else:
         total = density * volume

@@ -1,18 +1,19 @@
-"""Wheeled robots: rolling without slipping, and slipping.
+"""Models, motion and control of wheeled robots, with wheels that roll or slip.
 
-parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
-robots         kinds, with_trailers; from_file, of MJCF and URDF
-fidelities     at(robot, name) -> RobotModel; fidelities
-as a Model     full_model, with rolling constraints; full_model_state
-as a file      write_mjcf, with wheels that touch a plane
-motion         start, rates, rollout, simulate, contacts
-following      commands, pure_pursuit, stanley, tracking_gains
-control        controlled, the system of an rb.control.Problem
-odometry       poses by the angles of wheels; HeadingSlip, a model of slip
-equations      reduced, undetermined: the terms S, M, C, B, f, and A with its multipliers
-motors         TorqueSource, SpeedServo, DCMotor
-tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
-on any model   TyreOnGround, a force element
+Parts: Body, Wheel, Drive, Steering -> Robot; Arrangement, the motions that its wheels allow.
+Robots by name: kinds, with_trailers.
+Robots from MJCF and URDF files: from_file.
+Models of a robot at a fidelity: at(robot, name) -> RobotModel; fidelities.
+Multibody model with rolling constraints: full_model; full_model_state.
+MJCF file with wheels in contact with a plane: write_mjcf.
+Motion: start, rates, rollout, simulate, contacts.
+Path following: commands, pure_pursuit, stanley, tracking_gains.
+Optimal control: controlled, which makes the system of an rb.control.Problem.
+Odometry: odometry, poses from wheel angles; HeadingSlip, a model of slip.
+Terms of the equations of motion (S, M, C, B, f, A): reduced, undetermined.
+Motors: TorqueSource, SpeedServo, DCMotor.
+Tyre laws: Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance.
+Force element for a wheel of any model: TyreOnGround.
 """
 
 from rbjax.wheeled.files.reading import from_file

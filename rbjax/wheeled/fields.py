@@ -1,4 +1,4 @@
-"""Numbers of robots, motors and tyres as fields of records, and checks of their ranges."""
+"""Numeric fields of robots, motors and tyres, and checks of their shapes and ranges."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, check_numbers, floats
 
-#: coefficients that are one number for both axes of a tyre
+#: fields of tyres that must be scalars, also if other fields may be (2,)
 _SHARED = ("smooth_speed", "damping_time")
 _NO_RANGE: Mapping[str, Any] = {}
 
 
 def number(**given: Any) -> Any:
-    """A field of numbers, with a `default` if one is given."""
+    """Declare a numeric field of a record, with a `default` if one is given."""
     return eqx.field(converter=floats, **given)
 
 
@@ -34,14 +34,16 @@ def check_ranges(
     least: Mapping[str, Any] = _NO_RANGE,
     most: Mapping[str, Any] = _NO_RANGE,
 ) -> None:
-    """Raise `InputError` unless all fields of numbers have their shapes and ranges.
+    """Raise `InputError` unless all numeric fields of a record have valid shapes and ranges.
 
     Args:
         record: its fields are numbers, other records, or static.
-        pairs: fields of two numbers, x and y.
-        tables: fields of any shape.
-        per_axis: whether a field may have one number along the wheel and one across.
-        above, least, most: limits by field. Traced values are not checked.
+        pairs: names of fields of two numbers, x and y.
+        tables: names of fields of any shape.
+        per_axis: whether a field may also be (2,), one number along the wheel and one across.
+        above: field -> limit; the field must be larger.
+        least: field -> limit; the field must be at least as large.
+        most: field -> limit; the field must be at most as large. Traced values are not checked.
     """
     check_fields(record)
     for field in dataclasses.fields(record):

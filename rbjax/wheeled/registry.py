@@ -17,7 +17,7 @@ _FIDELITIES = (Kinematic, Kinematical, Dynamical, QuasiVelocities, Constrained, 
 
 
 def fidelities() -> dict[str, type[RobotModel]]:
-    """All fidelities, the cheapest first: name -> class.
+    """Return all fidelities, the cheapest first: name -> class.
 
     Example:
         >>> import rbjax as rb
@@ -33,13 +33,14 @@ def at(robot: Robot, fidelity: str, **options: Any) -> RobotModel:
     Args:
         robot: `Robot`.
         fidelity: a name of `fidelities`.
-        options: fields of that fidelity, such as `tyre` of "slipping".
+        options: fields of the model's class, such as `tyre` of "slipping".
 
     Returns:
         `RobotModel`.
 
     Raises:
-        InputError: not a robot. UnknownName: no such fidelity or option.
+        InputError: `robot` is not a Robot.
+        UnknownName: no such fidelity or option.
 
     Example:
         >>> import rbjax as rb

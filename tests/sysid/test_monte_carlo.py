@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Channel, Identified, Recording, Unknown, identify, monte_carlo
+from rbjax.sysid import (
+    Channel,
+    FitStatus,
+    Identified,
+    Recording,
+    Unknown,
+    identify,
+    monte_carlo,
+)
 
 
 @functools.cache
@@ -70,7 +78,7 @@ def test_it_repeats_the_fit_of_the_user(monkeypatch) -> None:
         asked.append((setup, runs, how))
         return found
 
-    monkeypatch.setattr(repeated_fits, "fitted", fitted)
+    monkeypatch.setattr(repeated_fits, "fit_in_stages", fitted)
     again = monte_carlo(found, 3)
     assert len(asked) == 3 and again.failed == 0
     for setup, runs, how in asked:
@@ -101,9 +109,9 @@ def test_repetitions_that_fail_are_counted(monkeypatch, ok, good) -> None:
     from rbjax.sysid.judgement import repeated_fits
 
     found = swung()
-    verdict = dataclasses.replace(found.verdict, good=good)
-    one = dataclasses.replace(found, success=ok, verdict=verdict)
-    monkeypatch.setattr(repeated_fits, "fitted", lambda *x, **more: one)
+    verdict = dataclasses.replace(found.verdict, failed=() if good else ("R2",))
+    one = dataclasses.replace(found, status=FitStatus.of(ok), verdict=verdict)
+    monkeypatch.setattr(repeated_fits, "fit_in_stages", lambda *x, **more: one)
     again = monte_carlo(found, 3)
     assert again.failed == 3 * (not ok) and again.good == 3 * good
     assert again.coverage == 1.0 and again.inside.shape == (3, 1)

@@ -1,1 +1,1 @@
-"""Rules that lower each primitive of a jaxpr to statements of a program."""
+"""Lowering rules: each translates one JAX primitive into statements of a program."""

@@ -1,8 +1,12 @@
-"""Small arrays of a thread.
+"""Small arrays of the program of one thread.
 
-They have three forms: a numpy array of constants; an object array of `Value`s, each in a register;
-    a `View` of memory. Only a `View` may have indices that are not constant. A team of threads has
-    a fourth form, `Delayed`: entries that are computed where they are read.
+An array has one of these forms:
+    numpy array of numbers: constants.
+    numpy array of objects: one `Value` per entry, each in a register.
+    `View`: entries in memory. Only this form may be indexed by values that are not constant.
+    `Delayed`: entries that are computed when they are read. Used if a team runs the program.
+
+A team is a block of GPU threads that runs one sample together.
 """
 
 from __future__ import annotations
@@ -23,7 +27,11 @@ from rbjax.compiler.lower.delayed import Delayed, Shaped
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View(Shaped):
-    """array[base + offset + sum of index * stride], with a shape."""
+    """A strided view of an array in memory.
+
+    Entry `index` is array[base + offset + sum of index * stride]. `base` is a run-time value, or
+    None for 0. `offset` and `strides` are constants, in entries.
+    """
 
     array: Array
     base: Value | None
@@ -33,7 +41,7 @@ class View(Shaped):
 
     @staticmethod
     def of(array: Array, shape: Sequence[int]) -> View:
-        """View all of an array, row by row."""
+        """Return a row-major view of a whole array."""
         return View(array, None, 0, row_major(shape), tuple(shape))
 
     @property
@@ -42,15 +50,16 @@ class View(Shaped):
 
     @property
     def is_updatable(self) -> bool:
-        """Whether it may be updated in place: entries have distinct addresses, and nothing else
-        reads it.
+        """Whether this view may be updated in place.
+
+        Its entries must have distinct addresses, and its array must be local and have no other use.
         """
         apart = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
         own = self.array.space == "local" and not self.array.write_once
         return apart and own and not self.array.reference_count
 
     def is_same_view(self, other: object) -> bool:
-        """Return whether the other is a view of the same entries."""
+        """Return whether `other` is a view of the same entries, in the same order."""
         return isinstance(other, View) and all(
             a is b or a == b
             for a, b in (
@@ -60,7 +69,7 @@ class View(Shaped):
         )  # fmt: skip
 
     def _steps(self) -> list[int]:
-        """Return the strides along axes of more than one entry."""
+        """Return the strides of the axes that have more than one entry."""
         return [s for s, n in zip(self.strides, self.shape, strict=True) if n > 1]
 
     def offsets(self) -> np.ndarray:
@@ -72,7 +81,7 @@ class View(Shaped):
         return out
 
     def at(self, b: Builder, axis: int, index: Value) -> View:
-        """Return the slice at an index along an axis, which disappears."""
+        """Return the slice at an index along an axis. The result lacks this axis."""
         stride = self.strides[axis]
         strides, shape = (
             tuple(x for k, x in enumerate(xs) if k != axis) for xs in (self.strides, self.shape)
@@ -81,7 +90,7 @@ class View(Shaped):
         return replace(moved, strides=strides, shape=shape)
 
     def shift(self, b: Builder, *terms: tuple[Value, int]) -> View:
-        """Shift the view by value * stride entries, for each term."""
+        """Shift the view by the sum of value * stride over the terms, in entries."""
         known = sum(int(v) * s for v, s in terms if isinstance(v, np.generic))
         unknown = [(v, s) for v, s in terms if not isinstance(v, np.generic)]
         base = b.index(self.array, *unknown)
@@ -90,19 +99,19 @@ class View(Shaped):
         return replace(self, base=self.base if base is None else base, offset=self.offset + known)
 
     def slice_box(self, slices: Sequence[slice]) -> View:
-        """Return a rectangle of it. Slices have a start, a stop and perhaps a negative step."""
+        """Return a rectangular part of the view. Each slice needs a start and a stop."""
         offset = self.offset + sum(s.start * k for s, k in zip(slices, self.strides, strict=True))
         shape = tuple(len(range(s.start, s.stop, s.step or 1)) for s in slices)
         strides = tuple(k * (s.step or 1) for s, k in zip(slices, self.strides, strict=True))
         return replace(self, offset=offset, strides=strides, shape=shape)
 
     def reshape_view(self, shape: Sequence[int]) -> View | None:
-        """Return the same entries with another shape, or None if they would move."""
+        """Return a view of the same entries with another shape; None if this needs a copy."""
         shape = tuple(shape)
         if 0 in shape:
             return replace(self, strides=(0,) * len(shape), shape=shape)
         kept = [(n, s) for n, s in zip(self.shape, self.strides, strict=True) if n != 1]
-        groups: list[tuple[int, int]] = []  # axes that one stride covers: (entries, stride)
+        groups: list[tuple[int, int]] = []  # merged axes: (entries, stride)
         for n, s in kept:
             if groups and groups[-1][1] == n * s:
                 groups[-1] = (groups[-1][0] * n, s)
@@ -132,7 +141,7 @@ class View(Shaped):
         )
 
     def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> View:
-        """Broadcast as `jax.lax.broadcast_in_dim`: axis k of the view is axis axes[k] of the
+        """Broadcast like `jax.lax.broadcast_in_dim`. Axis k of the view becomes axis axes[k] of the
         result.
         """
         strides = [0] * len(shape)
@@ -141,12 +150,13 @@ class View(Shaped):
         return replace(self, strides=tuple(strides), shape=tuple(shape))
 
 
-#: numbers, values in registers, entries in memory, or entries that are computed when read
+#: an array in any of its forms (see the module's docstring)
 ThreadArray = np.ndarray | View | Delayed
 
-#: a team keeps arrays of at most so many entries in registers, the same in each of its threads
+#: arrays of at most this size stay in registers if a team runs the program, as equal copies in each
+#: thread
 FEW = 16
-#: work from which on the threads of a team share it, in operations
+#: least work, in operations, that the threads of a team divide among themselves
 SHARED_ABOVE = 64
 
 
@@ -156,7 +166,7 @@ def is_constant(x: ThreadArray) -> bool:
 
 
 def as_objects(x: np.ndarray) -> np.ndarray:
-    """Convert constants to an object array of Values."""
+    """Convert an array of constants to an object array of `Value`s."""
     if x.dtype == object:
         return x
     out = np.empty(x.shape, object)
@@ -167,19 +177,19 @@ def as_objects(x: np.ndarray) -> np.ndarray:
 
 
 def indices_of(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """Return the indices of all entries of a shape, row by row."""
+    """Iterate over the indices of all entries of a shape, in row-major order."""
     return iter(np.ndindex(tuple(shape)))
 
 
 def full_of(shape: Sequence[int], value: Value) -> np.ndarray:
-    """Return an array with one value (`np.full` would convert it to a Python number)."""
+    """Return an object array filled with one value (`np.full` would convert the value)."""
     out = np.empty(shape, object)
     out[...] = value
     return out
 
 
 def to_scalars(b: Builder, x: ThreadArray) -> np.ndarray:
-    """Return the entries as an array of Values, and load those in memory."""
+    """Return the entries as an object array of `Value`s. Entries in memory are loaded."""
     if isinstance(x, Delayed):
         if not b.in_team or x.work <= SHARED_ABOVE or x.size == 1:
             out = np.empty(x.shape, object)
@@ -197,7 +207,7 @@ def to_scalars(b: Builder, x: ThreadArray) -> np.ndarray:
 
 
 def fold_if_constant(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
-    """Convert an object array of constants to a constant array."""
+    """Convert an object array to a numeric array if all its entries are constants."""
     if x.dtype != object:
         return x
     if not x.shape:
@@ -209,7 +219,7 @@ def fold_if_constant(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
 
 
 def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
-    """Put the entries in memory: a table of constants, or a local copy of registers."""
+    """Return a view of x in memory: a table of constants, or a local copy of registers."""
     if isinstance(x, View):
         return x
     if isinstance(x, Delayed):
@@ -225,9 +235,9 @@ def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
 
 
 def _share_in_memory(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
-    """Put a team's values in memory that does not change, once for equal values.
+    """Store values in memory that all threads of a team read and that is never changed.
 
-    Axes along which they repeat have no entries of their own.
+    Equal arrays are stored once. Axes along which values repeat are stored once, by a stride of 0.
     """
     repeats = [n > 1 and s == 0 for n, s in zip(x.shape, x.strides, strict=True)]
     own = x[tuple(slice(0, 1) if r else slice(None) for r in repeats)]
@@ -243,19 +253,19 @@ def _share_in_memory(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
 
 
 def materialize_in_memory(b: Builder, x: Delayed) -> View:
-    """Compute delayed entries, once, in memory that does not change."""
+    """Compute the entries of a delayed array, once, in memory that is never changed."""
 
     def make() -> tuple[View, Delayed]:
         view = View.of(b.local(x.dtype, max(x.size, 1)), x.shape)
         write_to(b, view, x)
         view.array.reference_count += 1
-        return view, x  # x lives as long as its number is a key
+        return view, x  # x must live as long as id(x) is a key
 
     return b.memoize(("stored", id(x)), make)[0]
 
 
 def materialize(b: Builder, x: ThreadArray) -> ThreadArray:
-    """Compute a delayed array, in registers if it is small, else in memory."""
+    """Compute a delayed array in registers if it is small, else in memory. Keep other arrays."""
     if not isinstance(x, Delayed):
         return x
     few = (x.size <= FEW and x.work <= SHARED_ABOVE) or x.size == 1
@@ -263,7 +273,7 @@ def materialize(b: Builder, x: ThreadArray) -> ThreadArray:
 
 
 def write_to(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> None:
-    """Copy x to memory; many entries by a loop."""
+    """Emit the copy of x to memory, by a loop if there are more than `loop_above` entries."""
     if isinstance(x, View) and x.is_same_view(to):
         return
     if b.in_team and isinstance(x, View):
@@ -283,18 +293,18 @@ def write_to(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> N
 
 
 def transposed(x: ThreadArray, order: Sequence[int]) -> ThreadArray:
-    """x with its axes in another order."""
+    """Return x with its axes permuted, like `numpy.transpose`."""
     return x.transpose(order) if isinstance(x, np.ndarray) else x.transposed(order)
 
 
 def as_flat_views(*views: View) -> Sequence[View]:
-    """Return the views with one axis if the entries of each are equally spaced."""
+    """Flatten the views if the entries of each are equally spaced; else return them unchanged."""
     flat = [x.reshape_view((x.size,)) for x in views]
     return [x for x in flat if x is not None] if None not in flat else views
 
 
 def copy_to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
-    """Return a local copy that may be changed."""
+    """Return a local copy in memory, which may be changed."""
     view = View.of(b.local(dtype, x.size), x.shape)
     write_to(b, view, x)
     return view
@@ -303,13 +313,13 @@ def copy_to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
 def broadcast_in_memory(
     b: Builder, x: ThreadArray, dtype: DTypeLike, shape: tuple[int, ...]
 ) -> View | Delayed:
-    """Put x in memory, and broadcast it to a shape as numpy does."""
+    """Put x in memory and broadcast it to a shape by numpy's rules. Delayed arrays stay delayed."""
     view = x if isinstance(x, Delayed) else to_memory(b, x, dtype)
     return view.broadcast(shape, range(len(shape) - view.ndim, len(shape)))
 
 
 def load_entry(b: Builder, view: View | Delayed, index: Sequence[Value]) -> Value:
-    """Write the load of one entry."""
+    """Emit the load (or the computation, if delayed) of one entry, and return its value."""
     if isinstance(view, Delayed):
         return view.entry(*index)
     there = view.shift(b, *zip(index, view.strides, strict=True))
@@ -317,15 +327,16 @@ def load_entry(b: Builder, view: View | Delayed, index: Sequence[Value]) -> Valu
 
 
 def store_entry(b: Builder, view: View, index: Sequence[Value], value: Value) -> None:
-    """Write the store of one entry."""
+    """Emit the store of one entry."""
     there = view.shift(b, *zip(index, view.strides, strict=True))
     b.store(there.array, there.base, there.offset, value)
 
 
 def for_each_index(b: Builder, shape: Sequence[int], f: Callable[..., None], *index: Value) -> None:
-    """Write f(*index) for every index of a shape, in nested loops, or in one loop of a team.
+    """Emit f(*index) for every index of a shape.
 
-    The work of f for an index does not depend on its work for others.
+    The code is nested loops, or one loop whose iterations a team shares. Iterations must be
+    independent.
     """
     if b.in_team and not math.prod(shape):
         return
@@ -342,7 +353,7 @@ def for_each_index(b: Builder, shape: Sequence[int], f: Callable[..., None], *in
 
 
 def unravel_index(b: Builder, counter: Value, shape: Sequence[int]) -> list[Value]:
-    """Write the index along each axis of a shape, from a row-major position."""
+    """Emit the conversion of a row-major position to the index along each axis of a shape."""
     out: list[Value] = []
     wide = [n for n in shape if n > 1]
     for n in reversed(shape):

@@ -1,7 +1,7 @@
-"""Rules for loops, branches, nested calls, and the control primitives of Equinox and lineax.
+"""Lowering rules for loops, branches, nested calls, and control primitives of Equinox and lineax.
 
-A thread has no batch, so Equinox's selections by batch are constant, and its reductions over the
-batch are the value itself.
+A program runs one sample, so it has no batch. Equinox's reductions over the batch return
+their argument.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from rbjax.compiler.lower.lowering import (
     rule,
 )
 
-#: the most entries of a loop's carry that are kept in registers
+#: the most entries of a loop's carried array that are kept in registers
 REGISTERS = 256
-#: the most entries of a row that a team fetches
+#: the most entries of a row that a team prefetches to shared memory
 ROW_UP_TO = 512
 INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", *COMBINE}
 
 
 def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
-    """Return the inputs of a jaxpr with indices that are not constant. They must be in memory."""
+    """Return the positions of the inputs that a jaxpr indexes by values that are not constant."""
     jaxpr = closed.jaxpr
     varying = {v for v, u in zip(jaxpr.invars, unknown, strict=True) if u}
-    origin = {v: {k} for k, v in enumerate(jaxpr.invars)}  # inputs that a variable is a version of
+    origin = {v: {k} for k, v in enumerate(jaxpr.invars)}  # inputs that a variable updates
     found: set[int] = set()
 
     def is_varying(atom: Any) -> bool:
@@ -92,7 +92,7 @@ def _inner(eqn: Equation) -> list[tuple[ClosedJaxpr, list]]:
 
 
 class Carry:
-    """The carry of a loop: variables or local arrays."""
+    """The carried values of a loop, in registers (arrays of variables) or in local arrays."""
 
     def __init__(
         self, low: Lowering, init: Sequence[ThreadArray], avals: Sequence[Aval], memory: set[int]
@@ -115,7 +115,7 @@ class Carry:
         return arrays.copy_to_memory(self.low.b, x, dtype_of(aval))
 
     def advance(self, new: Sequence[ThreadArray]) -> None:
-        """Update all values at once: old values are read before any of them changes."""
+        """Emit the assignment of new values to the carry, after all reads of old values."""
         b = self.low.b
         old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
         operands = {x.array for x in self.values if isinstance(x, View)}
@@ -144,7 +144,7 @@ class Carry:
 
 
 def _most(x: ThreadArray) -> int:
-    """Return the most entries that a team keeps in registers."""
+    """Return the most entries of a carried array that a team keeps in registers."""
     return (
         4 * arrays.FEW
         if isinstance(x, np.ndarray) and not arrays.is_constant(x)
@@ -187,7 +187,7 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         for k, (x, a) in enumerate(zip(consts, avals[:nc], strict=True))
     ]
     xs = [arrays.to_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
-    with low.pinned([*consts, *xs, *ys]):  # one of these may also be the initial carry
+    with low.pinned([*consts, *xs, *ys]):  # no initial carry may share memory with these
         memory = {k - nc for k in wanted if nc <= k < nc + nk}
         carry = Carry(low, init, avals[nc : nc + nk], memory)
     begin, rows_at = _fetched(b, xs, length, P["reverse"])
@@ -207,9 +207,10 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable, Callable]:
-    """Return functions that write the lines before a loop over rows, and the rows at a counter.
+    """Return two functions that emit a loop's row accesses.
 
-    A team copies rows of operands to shared memory one iteration before they are read.
+    The first is called before the loop. The second maps the loop counter to the rows of `xs`. If a
+    team runs the program, rows of operands are prefetched to shared memory, one iteration ahead.
     """
     own = [
         b.in_team and x.array.space == "operand" and x.dtype.itemsize >= 4
@@ -249,7 +250,7 @@ def _copied_early(b: Builder, to: View, x: View) -> None:
 
 
 def over_time(outside: Sequence[Atom], inside: Sequence[Atom]) -> int:
-    """Count the arguments or results of a scan with a time axis (jax 0.11 does not store it)."""
+    """Count the arguments or results of a scan that have a time axis (not stored in jax 0.11)."""
     return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
 
 
@@ -283,7 +284,7 @@ def _while(low: Lowering, eqn: Equation, ins: list) -> list:
 def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     branches, args = eqn.params["branches"], ins[1:]
     which = low.to_scalar(ins[0])
-    # an error of `equinox.error_if` ends the run
+    # branches that do not end the run by an error of `equinox.error_if`
     going_on = [x for x in branches if not any(map(is_error, x.jaxpr.eqns))]
     if len(going_on) == 1:
         return low.closed(going_on[0], args, places)
@@ -315,7 +316,7 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
             if not isinstance(to, View):
                 for var, value in zip(to.flat, low.to_scalars(x).flat, strict=True):
                     b.assign(var, value)
-        for k in updated:  # the other results have read the old array by now
+        for k in updated:  # after the other results have read the old array
             arrays.write_to(b, outs[k], found[k])
 
     def choose(first: int) -> None:
@@ -328,7 +329,7 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
         node = ir.If(here, ir.Block(), ir.Block())
         b.block.statements.append(node)
         blocks = (node.then, node.otherwise)
-        if which.dtype == ir.BOOL:  # branch 1 where it holds
+        if which.dtype == ir.BOOL:  # branch 1 runs if the condition is true
             blocks = (node.otherwise, node.then)
         with b.inside(blocks[0]):
             run(branches[first])
@@ -341,9 +342,9 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list) -> dict[int, int]:
-    """Return the argument of each result that every branch returns unchanged or updated.
+    """Map results to the arguments that may be updated in place.
 
-    Such an argument is updated in place, if nothing reads it later.
+    Every branch returns such an argument unchanged or updated, and nothing reads it later.
     """
     out: dict[int, int] = {}
     for k, origins in enumerate(zip(*map(_versions, branches), strict=True)):
@@ -359,7 +360,7 @@ def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list
 
 
 def _versions(closed: ClosedJaxpr) -> list[int | None]:
-    """Return, for each result, the input that it equals or is an updated copy of; or None."""
+    """Return, for each result, the position of the input that it updates, or None."""
     jaxpr = closed.jaxpr
     origin: dict[Any, int | None] = {v: k for k, v in enumerate(jaxpr.invars)}
 
@@ -385,12 +386,12 @@ def _platform(low: Lowering, eqn: Equation, ins: list) -> list:
 
 @rule("select_if_vmap", unread=(0, 2))
 def _select_if_vmap(low: Lowering, eqn: Equation, ins: list) -> list:
-    return [ins[1]]  # without a batch, a loop's predicate is true while the loop runs
+    return [ins[1]]  # without a batch, the predicate of a running loop is true
 
 
 @rule("maybe_set", "linear_solve")
 def _implemented(low: Lowering, eqn: Equation, ins: list) -> list:
-    f = functools.partial(eqn.primitive.impl, **eqn.params)  # which JAX traces
+    f = functools.partial(eqn.primitive.impl, **eqn.params)  # a function that JAX can trace
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
 
 

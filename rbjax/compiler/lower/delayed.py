@@ -1,7 +1,7 @@
-"""Arrays whose entries are computed where they are read.
+"""Delayed arrays: the entries are computed when they are read.
 
-Elementwise chains fuse into one loop of a team of threads, with no temporary arrays. Slices and
-reshapes only change the index.
+A team of threads computes a chain of elementwise operations in one fused loop, without temporary
+arrays. A slice or a reshape only changes the index.
 
 Source: pull arrays (Keller et al. 2010, *Regular, shape-polymorphic, parallel arrays in Haskell*).
 """
@@ -19,7 +19,7 @@ from rbjax.compiler.ir.statements import I32, Array, Value
 
 
 class Shaped:
-    """An array with a shape."""
+    """A base class of arrays with a shape, for their number of axes and their size."""
 
     __slots__ = ()
     shape: tuple[int, ...]
@@ -35,9 +35,10 @@ class Shaped:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Delayed(Shaped):
-    """An array of entries entry(*index).
+    """An array that is given by a function which emits the computation of one entry.
 
-    sources: the arrays that `entry` reads.
+    entry: maps an index, one `Value` per axis, to the value of the entry.
+    sources: the arrays in memory that `entry` reads.
     cost: operations per entry.
     """
 
@@ -52,7 +53,7 @@ class Delayed(Shaped):
         return self.size * self.cost
 
     def shift(self, shape: Sequence[int], index: Callable[..., Sequence[Value]]) -> Delayed:
-        """Return other entries of it: entry i is at index(*i)."""
+        """Return an array of another shape whose entry i is the entry index(*i) of this array."""
         entry = self.entry
         return replace(self, shape=tuple(shape), entry=lambda *i: entry(*index(*i)))
 
@@ -62,7 +63,7 @@ class Delayed(Shaped):
         return self.shift(shape, lambda *i: [i[k] for k in order])
 
     def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> Delayed:
-        """Broadcast as `jax.lax.broadcast_in_dim`."""
+        """Broadcast like `jax.lax.broadcast_in_dim`."""
         wide = [self.shape[k] == shape[axis] for k, axis in enumerate(axes)]
         zero = I32.type(0)
         return self.shift(shape, lambda *i: [
@@ -70,14 +71,14 @@ class Delayed(Shaped):
         ])  # fmt: skip
 
     def slice_box(self, b: Builder, slices: Sequence[slice]) -> Delayed:
-        """Return a rectangle of it."""
+        """Return a rectangular part of the array."""
         shape = [len(range(s.start, s.stop, s.step or 1)) for s in slices]
         return self.shift(shape, lambda *i: [
             _along(b, k, s.start, s.step or 1) for k, s in zip(i, slices, strict=True)
         ])  # fmt: skip
 
     def reshape_view(self, shape: Sequence[int]) -> Delayed | None:
-        """Add or remove axes of one entry; None for other shapes."""
+        """Add or remove axes of one entry. Return None for any other change of shape."""
         own, new = ([k for k, n in enumerate(s) if n != 1] for s in (self.shape, shape))
         if [self.shape[k] for k in own] != [shape[k] for k in new]:
             return None
@@ -89,5 +90,5 @@ class Delayed(Shaped):
 
 
 def _along(b: Builder, k: Value, start: int, step: int) -> Value:
-    """Write start + k step."""
+    """Emit start + k * step."""
     return b.op("index_add", I32, b.op("index_mul", I32, k, I32.type(step)), I32.type(start))

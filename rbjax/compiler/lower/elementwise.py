@@ -1,4 +1,4 @@
-"""Rules for elementwise primitives."""
+"""Lowering rules for elementwise primitives."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 from rbjax.lanes import polynomial_sincos
 
-#: larger arrays use loops over memory
+#: arrays of more entries are computed by loops over memory
 LOOP_ABOVE = 1024
-#: the same for arrays that are in memory already
+#: the same threshold for arrays that are in memory already
 LOOP_ABOVE_IN_MEMORY = 64
 
 
 def map_entrywise(
     low: Lowering, dtype: DTypeLike, shape: tuple, f: Callable[..., Value], *xs: ThreadArray
 ) -> ThreadArray:
-    """Apply f to the entries of arrays; an axis may have one entry, and a shape may be ()."""
+    """Apply f to the entries of arrays, which are broadcast to `shape`. f returns one value."""
     if not shape:
         out = np.empty((), object)
         out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.to_scalar(x) for x in xs))
@@ -50,9 +50,10 @@ def map_entries(
     low: Lowering, dtypes: Sequence[DTypeLike], shape: tuple, f: Callable[..., Sequence[Value]],
     *xs: ThreadArray, loop_above: int,
 ) -> list[ThreadArray]:  # fmt: skip
-    """Apply f, which returns one value per dtype, to the entries of arrays broadcast to a shape.
+    """Apply f to the entries of arrays, which are broadcast to `shape`.
 
-    Arrays of more than `loop_above` entries are computed by a loop over memory.
+    f returns one value per dtype. Arrays of more than `loop_above` entries are computed by a loop
+    over memory.
     """
     b, size = low.b, math.prod(shape)
     if size > loop_above:
@@ -75,9 +76,7 @@ def map_entries(
 
 
 def _is_wide(xs: tuple, size: int) -> bool:
-    """Return whether the threads of a team share the entries, and do not hold them all in
-    registers.
-    """
+    """Return whether a team should compute the entries in a shared loop, and not in registers."""
     if all(isinstance(x, np.ndarray) for x in xs):
         entries = sum(own_entries(x).size for x in xs if not arrays.is_constant(x))
         return size > arrays.FEW and 0 < entries < size
@@ -85,13 +84,13 @@ def _is_wide(xs: tuple, size: int) -> bool:
 
 
 def own_entries(x: np.ndarray) -> np.ndarray:
-    """Return the entries of an array without those that broadcasting repeats."""
+    """Return an array without the entries that broadcasting repeats."""
     own = (slice(0, 1) if s == 0 else slice(None) for s in x.strides)
     return x[tuple(own)] if x.size and x.ndim else x
 
 
 def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple) -> Delayed:
-    """Return the result for a team, with entries that are computed when they are read."""
+    """Return f of the entries as a delayed array."""
     sources = [source(b, x, shape) for x in xs]
     operands = frozenset().union(*(s.sources for s in sources))
     cost = 1 + sum(s.cost for s in sources)
@@ -103,9 +102,9 @@ def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple)
 
 
 def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
-    """Return the entries of an array, broadcast to a shape as numpy does.
+    """Return a delayed array of the entries of x, broadcast to a shape by numpy's rules.
 
-    Values in registers are also put in memory, for an index that is not constant.
+    Values in registers are also stored in memory, because an index may not be constant.
     """
     if not isinstance(x, np.ndarray):
         wide = x.broadcast(shape, range(len(shape) - x.ndim, len(shape)))
@@ -226,7 +225,7 @@ def _sign(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     zero = dtype.type(0)
 
-    def f(x: Value) -> Value:  # x itself if it is zero or nan
+    def f(x: Value) -> Value:  # returns x itself if x is 0 or nan
         below = x if dtype.kind == "u" else b.select(
             b.op("lt", BOOL, x, zero), dtype.type(-1), x
         )  # fmt: skip
@@ -303,7 +302,7 @@ def _bitcast(low: Lowering, eqn: Equation, ins: list) -> list:
 
 @rule("sincos")
 def _sincos(low: Lowering, eqn: Equation, ins: list) -> list:
-    """Compute cosine and sine by polynomials of one reduced angle."""
+    """Emit the cosine and the sine of an angle, by polynomials of the same reduced angle."""
     dtype = eqn.invars[0].aval.dtype
     closed = _traced(polynomial_sincos, dtype)
 

@@ -1,7 +1,7 @@
-"""Rules for dense factorisations and triangular systems.
+"""Lowering rules for matrix factorizations and triangular systems.
 
-Each rule traces and lowers a JAX function that works column by column. Small matrices are unrolled
-entry by entry; larger ones use a loop over the columns.
+Each rule traces a JAX function that works column by column, and lowers it. Small matrices are
+unrolled; larger ones use a loop over the columns.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.elementwise import source
 from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
-#: matrices with more columns are factorised by a loop
+#: matrices of more columns are factorized by a loop
 UNROLL_UP_TO = 8
-#: triangular systems with more rows are solved by a loop in a thread of a team
+#: larger triangular systems are not divided among the threads of a team
 ROWS_UP_TO = 16
 
 
 def _columns(n: int, step: Callable, *state: jax.Array, reverse: bool = False) -> Any:
-    """Run step(k, *state) for each column; k is a constant if there are few columns."""
+    """Run step(k, *state) for each column k. k is a Python int if there are few columns."""
     if n <= UNROLL_UP_TO:
         for k in reversed(range(n)) if reverse else range(n):
             state = step(k, *state)
@@ -40,7 +40,7 @@ def _columns(n: int, step: Callable, *state: jax.Array, reverse: bool = False) -
 
 
 def _row(a: jax.Array, k: ArrayLike, first: int = 0) -> jax.Array:
-    """Return a[k] with k >= first; by selections if k is not constant and rows are few."""
+    """Return row a[k], for k >= first. If k is not constant and a is small, use selections."""
     if isinstance(k, int) or len(a) > UNROLL_UP_TO:
         return a[k]
     out = a[-1]
@@ -50,7 +50,7 @@ def _row(a: jax.Array, k: ArrayLike, first: int = 0) -> jax.Array:
 
 
 def _exchange_rows(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.Array:
-    """Exchange rows k and p of x, where p >= first."""
+    """Exchange rows k and p of x. `first` is a lower bound of p."""
     rows = np.arange(len(x))
     here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
     there = (rows == k).reshape(here.shape)
@@ -58,14 +58,14 @@ def _exchange_rows(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> 
 
 
 def cholesky(a: jax.Array) -> jax.Array:
-    """Compute L of A = L L^T from the lower triangle; nan if A is not positive definite."""
+    """Compute the Cholesky factor L, A = L L^T, from the lower triangle; nan unless A > 0."""
     return _cholesky_by(a, False)[0]
 
 
 def cholesky_and_inverses(a: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute L and the inverses (n,) of its diagonal by inverse square roots.
+    """Compute the Cholesky factor L and the inverses (n,) of its diagonal, by inverse square roots.
 
-    On a GPU, an inverse root takes a third of the time of a root and a division.
+    On a GPU, this is faster than square roots and divisions.
     """
     return _cholesky_by(a, True)
 
@@ -92,7 +92,10 @@ def _cholesky_by(a: jax.Array, inverse: bool) -> tuple[jax.Array, jax.Array]:
 
 
 def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute L and U in one matrix, the row swapped at each column, and the permutation."""
+    """Compute the LU factorization with partial pivoting, as `jax.lax.linalg.lu`.
+
+    Returns L and U in one matrix, the row that is exchanged at each column, and the permutation.
+    """
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
@@ -117,7 +120,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 def permutation(pivots: jax.Array, *, size: int) -> jax.Array:
-    """Compose row swaps into a permutation."""
+    """Return the permutation (size,) that a sequence of row exchanges makes."""
     rows = np.arange(size)
 
     def step(k: ArrayLike, order: jax.Array) -> tuple:
@@ -131,7 +134,7 @@ def triangular_solve(
     a: jax.Array, b: jax.Array, *, left_side: bool, lower: bool, transpose_a: bool,
     unit_diagonal: bool,
 ) -> jax.Array:  # fmt: skip
-    """Solve a x = b, or x a = b; a may be transposed."""
+    """Solve a x = b, or x a = b unless `left_side`. If `transpose_a`, a^T replaces a."""
     if not left_side:
         a, b = a.T, b.T
         lower = not lower
@@ -152,10 +155,11 @@ def triangular_solve(
 
 
 def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Factorise by Householder reflections.
+    """Compute the QR factorization by Householder reflections, as LAPACK's geqrf (geqp3).
 
-    Returns the reflections below the diagonal with R above it, the factors of the reflections, and
-        the order of the columns: with `pivoting`, the longest remaining column is next.
+    Returns a matrix with R above and the reflection vectors below the diagonal, the factors tau of
+    the reflections, and the order of the columns. With `pivoting`, the longest remaining column is
+    eliminated next.
     """
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
@@ -184,7 +188,7 @@ def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, j
 
 
 def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
-    """Return the first columns of the product of reflections."""
+    """Return Q, the first columns of the product of Householder reflections, as LAPACK's orgqr."""
     rows = np.arange(a.shape[0])
 
     def step(k: ArrayLike, q: jax.Array) -> tuple:
@@ -196,7 +200,7 @@ def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
 
 
 def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[jax.Array, ...]:
-    """Compute Q and R; with `pivoting`, the order of the columns too."""
+    """Compute the QR factorization. Returns Q, R and, with `pivoting`, the order of the columns."""
     m, n = a.shape
     r, taus, order = geqrf(a, pivoting)
     k = m if full_matrices else min(m, n)
@@ -208,7 +212,7 @@ def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[ja
 def lower_mapped(
     low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]
 ) -> list:
-    """Lower f, mapped over the leading axes."""
+    """Lower f, mapped over leading axes. ranks[0]: number of axes of f's first argument."""
     for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
         f = jax.vmap(f)
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
@@ -218,7 +222,7 @@ def lower_mapped(
 def _cholesky(low: Lowering, eqn: Equation, ins: list) -> list:
     if low.b.in_team and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
         a = low.to_scalars(ins[0])
-        with low.b.per_thread():  # each thread the whole factor, in its registers
+        with low.b.per_thread():  # each thread computes the whole factor in its registers
             L, inverses = lower_mapped(low, eqn, [a], cholesky_and_inverses, (2,))
         for root, inverse in zip(np.diagonal(L), inverses, strict=True):
             low.b.inverses[root] = inverse
@@ -252,14 +256,14 @@ accepts_delayed("triangular_solve")
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A team loop in which each thread has solved a system for a column (or row) of the right side.
+    """A loop in which each thread of a team solves a triangular system for one right-hand side.
 
-    solution: all solutions in memory, at `version` of their array.
-    version: the version of the array when they were stored.
-    block: the loop's statements.
-    left: whether the matrix is on the left.
-    column: the column of a thread.
-    x: a thread's solution, in registers.
+    solution: view of all solutions in memory.
+    version: version of the array of `solution` after they were stored.
+    block: the statements of the loop.
+    left: whether the matrix is on the left, a x = b.
+    column: index of the right-hand side (column if `left`, else row) of a thread.
+    x: entries of a thread's solution, in registers.
     """
 
     solution: View
@@ -272,7 +276,8 @@ class Solved:
     def goes_on(self, left: bool, used: Sequence[View | Value | None], right: View) -> bool:
         """Return whether a second solve may be fused into this loop.
 
-        It may use only values from before the loop, and the right side must be all the solutions.
+        The second solve must read only values from before the loop (`used`). Its right-hand side
+        `right` must be the unchanged solution of this loop.
         """
         column = self.column.id if isinstance(self.column, Var) else 0
         there = all(not isinstance(v, Var) or v.id < column for v in used)
@@ -284,7 +289,7 @@ class Solved:
 def _solved_by_team(
     low: Lowering, eqn: Equation, a: ThreadArray, right: ThreadArray
 ) -> ThreadArray:
-    """Write a solve in which each thread has columns (or rows) of the right side in registers."""
+    """Emit a triangular solve in which each thread has one right-hand side in registers."""
     b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]
     left, turned = P["left_side"], P["transpose_a"] == P["left_side"]
     forwards = P["lower"] != turned

@@ -1,4 +1,4 @@
-"""Rules for gather and scatter: a few entries are unrolled, many use loops over memory."""
+"""Lowering rules for gather and scatter. A few entries are unrolled; many use loops over memory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ FILL = GatherScatterMode.FILL_OR_DROP
 
 
 def _starts(low: Lowering, indices: np.ndarray, at: tuple, axes: Sequence[int], rank: int) -> list:
-    """Return the start of a window, one value per axis of the operand."""
+    """Return the start index of one window, one value per axis of the operand.
+
+    at: the position of the window in the batch of index vectors.
+    """
     out: list[Value] = [I32.type(0)] * rank
     for k, axis in enumerate(axes):
         out[axis] = indices[(*at, k)]
@@ -93,9 +96,9 @@ def _place(
     low: Lowering, indices: View, at: tuple, axes: Sequence[int], batching: tuple, offsets: dict,
     most: list[int], mode: Any,
 ) -> tuple[list[Value], Value]:  # fmt: skip
-    """Return the operand's index in one iteration, and whether its window is in bounds.
+    """Return the operand's index of one entry of a window, and whether the window is in bounds.
 
-    offsets: the offset within the window, by axis.
+    offsets: for each window axis, the offset of the entry in the window.
     """
     starts: list[Value] = [I32.type(0)] * len(most)
     for k, axis in enumerate(axes):
@@ -196,7 +199,7 @@ def _scatter(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def _combination(low: Lowering, eqn: Equation) -> Callable[[Value, Value], Value]:
-    """Return the function that combines an entry and its update."""
+    """Return the function that combines the old entry with its update."""
     name, update = COMBINE[eqn.primitive.name], eqn.params["update_jaxpr"]
     if name is not None:
         return functools.partial(low.b.op, name, dtype_of(eqn.outvars[0].aval))
@@ -239,7 +242,7 @@ def _scatter_looped(low: Lowering, eqn: Equation, ins: list, combine: Callable) 
         with b.when(inside):
             arrays.store_entry(b, out, place, combine(arrays.load_entry(b, out, place), new))
 
-    with b.per_thread():  # several updates may meet in one place
+    with b.per_thread():  # in one thread: several updates may write the same entry
         arrays.for_each_index(b, updates.shape, one)
     return out
 

@@ -1,7 +1,7 @@
-"""Rules for slices at an index that may not be constant.
+"""Lowering rules for slices at indices that may not be constant.
 
-Constant indices need no operations. Otherwise the operand is in memory, or a small array stays in
-registers and selections choose the entry.
+Constant indices need no operations. For other indices, the operand is put in memory, or a small
+array stays in registers and selections choose the entry.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SELECT_UP_TO = 8
 
 
 def clamp(low: Lowering, index: Value, most: int) -> Value:
-    """Clamp an index to 0 ... most."""
+    """Emit the clamp of an index to 0 ... most, as int32."""
     if not isinstance(index, Var):
         return I32.type(min(max(int(index), 0), most))
     if most <= 0:
@@ -36,7 +36,7 @@ def clamp(low: Lowering, index: Value, most: int) -> Value:
 
 
 def is_in_bounds(low: Lowering, index: Value, most: int) -> Value:
-    """Return whether 0 <= index <= most."""
+    """Emit the condition 0 <= index <= most."""
     b, kind = low.b, index.dtype
     ok: Value = np.bool_(True)
     if kind.kind != "u":
@@ -47,7 +47,7 @@ def is_in_bounds(low: Lowering, index: Value, most: int) -> Value:
 
 
 def make_updatable(low: Lowering, x: ThreadArray, dtype: DTypeLike) -> View:
-    """Return x as memory that may be updated: itself if nothing reads it later, else a copy."""
+    """Return x as memory that may be updated: x itself if it is updatable, else a copy."""
     if isinstance(x, View) and x.is_updatable:
         return x
     return arrays.copy_to_memory(low.b, x, dtype)
@@ -73,7 +73,7 @@ def _dynamic_slice(low: Lowering, eqn: Equation, ins: list) -> list:
         return [_selected(low, x, starts, sizes)]
     view = _moved(low, arrays.to_memory(low.b, x, dtype_of(eqn.outvars[0].aval)), starts, sizes)
     if view.array.mutable and view.size <= SELECT_UP_TO:
-        return [low.to_scalars(view)]  # read now, so that the array may be updated in place
+        return [low.to_scalars(view)]  # loaded now, because the array may be updated in place later
     return [view]
 
 

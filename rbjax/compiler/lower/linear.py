@@ -1,4 +1,4 @@
-"""Rules for matrix products and matrix inverses."""
+"""Lowering rules for matrix products and matrix inverses."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from rbjax.compiler.lower.elementwise import source
 from rbjax.compiler.lower.indexing import make_updatable
 from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, dtype_of, rule
 
-#: products with more terms are loops
+#: products of more terms are computed by loops
 UNROLL_UP_TO = 512
-#: the same of two matrices on a GPU, where a loop waits for its two loads at each term
+#: the same limit for two matrices on a GPU, where a loop waits for two loads at each term
 MATRICES_UP_TO = 2048
-#: the same where one sample's matrices fill a CPU's vectors: a loop over rows runs at their speed
+#: the same limit if a matrix row fills the vectors of a CPU, so that a loop over rows is fast
 VECTORS_UP_TO = 100
-#: terms of a sum that a thread of a team writes out
+#: the most terms of a sum that one thread of a team computes without a loop
 TERMS_UP_TO = 32
-#: sums of a product that run together on a CPU: with what they read they fit into 16 registers
+#: sums that a loop on a CPU computes together; with their operands they fit into 16 registers
 SIDE_BY_SIDE = 12
 
 
@@ -64,7 +64,7 @@ accepts_delayed("dot_general")
 
 
 def _unrolled(b: Builder, matrices: bool) -> int:
-    """Return the most terms of a product that is not a loop."""
+    """Return the most terms of an unrolled product. matrices: both factors are matrices."""
     if b.matrices:
         return VECTORS_UP_TO
     return MATRICES_UP_TO if matrices and b.platform == "cuda" else UNROLL_UP_TO
@@ -79,8 +79,9 @@ def _delayed(
     sizes: tuple,
     dtype: DTypeLike,
 ) -> ThreadArray:
-    """Return a product whose sums are computed when they are read. Factors are put in memory if
-    several sums read them.
+    """Return a product as a delayed array, whose sums are computed when they are read.
+
+    A factor that several sums read and that is expensive is put in memory first.
     """
     b, (nb, na, ny) = low.b, sizes
     terms = math.prod(contracted)
@@ -107,7 +108,7 @@ def _delayed(
 
 
 def sum_terms(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DTypeLike) -> Value:
-    """Reduce term(*index) over each index of a shape, which is not empty, by `add`."""
+    """Emit the reduction of term(*index), over all indices of a nonempty shape, by `add`."""
     if math.prod(shape) <= TERMS_UP_TO:
         every = [term(*map(I32.type, k)) for k in arrays.indices_of(shape)]
         return functools.reduce(add, every)
@@ -134,7 +135,7 @@ def _looped(
     sizes: tuple,
     dtype: DTypeLike,
 ) -> View:
-    """Write a product as loops. On a CPU, several sums run side by side and share loads."""
+    """Emit a product as loops. On a CPU, several sums are computed together and share loads."""
     b, (nb, na, ny) = low.b, sizes
     x, y = arrays.to_memory(b, x, dtype), arrays.to_memory(b, y, dtype)
     if b.matrices and na and ny and y.strides[nb + ny - 1] != 1:
@@ -144,7 +145,7 @@ def _looped(
         inner = out
     elif na:
         x, y, na, inner = y, x, 0, out
-    else:  # one sum for each index of the batch
+    else:  # only batch axes: one sum per index
         y, inner = (_with_axis(v, nb) for v in (y, out))
     count, width = inner.shape[-1], SIDE_BY_SIDE if b.platform == "cpu" else 1
     whole = count - count % width
@@ -156,7 +157,7 @@ def _looped(
 
 
 def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
-    """Copy y, so that entries that a row of sums reads are contiguous."""
+    """Copy y so that the entries that a row of sums reads are contiguous."""
     order = (*range(nb), *range(nb + ny, y.ndim), *range(nb, nb + ny))
     rows = arrays.transposed(y, order)
     assert isinstance(rows, View)
@@ -168,7 +169,10 @@ def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
 
 
 def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> None:
-    """Write out = sum over the last axes of x y. The last axis of out, also of y, is a tile."""
+    """Emit out = sum of x * y over the last axes.
+
+    The last axis of out is a tile, whose sums are computed together. y has the same axis.
+    """
     (nb, na), dtype = sizes, out.dtype
     tile = [np.int32(k) for k in range(out.shape[-1])]
 
@@ -194,7 +198,7 @@ def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> No
 
 
 def _in_tiles(x: View, axis: int, start: int, stop: int, size: int) -> View:
-    """Split an axis into two: tiles, and the entries of a tile."""
+    """Split entries start ... stop of an axis into two axes: tiles, and entries of a tile."""
     step = x.strides[axis]
     return replace(
         x, offset=x.offset + start * step,
@@ -209,7 +213,7 @@ def _with_axis(x: View, axis: int) -> View:
     return replace(x, strides=strides, shape=shape)
 
 
-Entry = tuple[Number, ...]  # real, or real and imaginary parts
+Entry = tuple[Number, ...]  # (real,) or (real, imaginary)
 
 
 @rule("inverse")
@@ -218,7 +222,7 @@ def _inverse(low: Lowering, eqn: Equation, ins: list) -> list:
     if len(shape) > 2:
         raise Unsupported("inverse of a stack of matrices")
     parts = []
-    for x in ins:  # each part has memory of its own
+    for x in ins:  # each part needs its own memory
         part = make_updatable(low, x, dtype)
         part.array.reference_count += 1
         parts.append(part)
@@ -229,12 +233,15 @@ def _inverse(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 class _Elimination:
-    """Gauss-Jordan elimination in place, with row pivots, on views of the parts of a matrix (n, n).
+    """In-place Gauss-Jordan elimination of a matrix (n, n) with row pivoting.
 
-    With the pivot p = a_kk, step k is
+    A real matrix is one view; a complex matrix is two, its real and imaginary parts. With the pivot
+    p = a_kk, step k is
+
     a_kj <- a_kj / p,  a_ij <- a_ij - a_ik a_kj,  column k: -a_ik / p and 1 / p.
-    Exchanged rows are columns of the inverse, which are put back at the end. A complex number is a
-    tuple of two. (Golub & Van Loan, *Matrix Computations*, 3.4)
+
+    A row exchange permutes columns of the inverse, which are put back at the end.
+    (Golub & Van Loan, *Matrix Computations*, 3.4)
     """
 
     def __init__(self, b: Builder, parts: Sequence[View], n: int):
@@ -265,7 +272,7 @@ class _Elimination:
                 self._exchange(i, k, i, p)
 
     def _pivot(self, k: Value) -> Value:
-        """Write the search for the row, from k on, with the largest entry of column k."""
+        """Emit the search for the row >= k with the largest entry in column k."""
         b = self._b
         best, at = b.declare(self._dtype, self._dtype.type(-1)), b.declare(I32, k)
         with b.loop(self._n) as i:

@@ -1,9 +1,8 @@
 """Lowers the jaxpr of one sample to the program of one thread.
 
-`Lowering.run` visits the equations. The rule of each primitive (`RULES`) maps small arrays to small
-arrays. Slices, reshapes and transposes need no statements. A result that is written entry by entry
-(the stacked outputs of a scan) is written to its final place, so a trajectory goes directly to the
-kernel's result.
+`Lowering.run` visits the equations. The rule of each primitive (`RULES`) maps input arrays to
+output arrays and emits statements. Slices, reshapes and transposes need no statements. The stacked
+results of a scan are stored directly in the memory of the kernel's result, without a copy.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from rbjax.compiler.lower.delayed import Delayed
 
 
 class Aval(Protocol):
-    """The shape and the type of a variable of a jaxpr."""
+    """The shape and the dtype of a variable of a jaxpr."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -70,19 +69,19 @@ class Equation(Protocol):
 
 Rule = Callable[["Lowering", Equation, list], list]
 RULES: dict[str, Rule] = {}
-#: rules that write a result to a given place: f(lowering, equation, inputs, places)
+#: rules that store results at given places: f(lowering, equation, inputs, places)
 WRITERS: dict[str, Callable[[Lowering, Equation, list, list], list]] = {}
 
 
-#: a key of threefry: its first number is the low half
+#: the dtype of a threefry key; the low half is the first of its two 32-bit numbers
 KEY = np.dtype(np.uint64)
 #: the dtypes that a thread supports
 DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
-#: primitives whose rules take delayed arrays as they are
+#: primitives whose rules accept `Delayed` arrays
 TAKES_DELAYED: set[str] = set()
-#: the most operations of a delayed entry that is computed at each of its uses
+#: delayed entries of at most this many operations are computed again at each use
 CHEAP = 4
-#: arguments that the rule of a primitive does not read; they are passed as None
+#: for each primitive, the positions of arguments that its rule does not read; passed as None
 UNREAD: dict[str, tuple[int, ...]] = {}
 
 
@@ -91,7 +90,10 @@ def accepts_delayed(*names: str) -> None:
 
 
 def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
-    """Register the rule that turns primitives of these names into statements."""
+    """Register the decorated function as the lowering rule of these primitives.
+
+    unread: positions of arguments that the rule does not read.
+    """
 
     def register(f: Rule) -> Rule:
         RULES.update(dict.fromkeys(names, f))
@@ -102,7 +104,7 @@ def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
 
 
 def placing_rule(*names: str) -> Callable:
-    """Register a rule that also gets the places of its results."""
+    """Register the decorated rule, which also receives the memory in which to store its results."""
 
     def register(f: Callable) -> Callable:
         WRITERS.update(dict.fromkeys(names, f))
@@ -113,11 +115,11 @@ def placing_rule(*names: str) -> Callable:
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """The part of a jaxpr that its results need.
+    """The part of a jaxpr that its results depend on.
 
-    last: for each variable that is read, the number of the last equation that reads it.
-    uses: how often each variable is read.
-    equations: for each needed equation, its number, itself, and the inputs that it reads.
+    last: for each variable, the number of the last equation that reads it.
+    uses: for each variable, how often it is read.
+    equations: (number, equation, inputs that it reads) of each needed equation.
     """
 
     jaxpr: Jaxpr
@@ -127,7 +129,7 @@ class Needs:
 
 
 class Lowering:
-    """Writes the program of a jaxpr with a `Builder`."""
+    """The translation of jaxprs to statements, which it emits by a `Builder`."""
 
     def __init__(self, builder: Builder):
         self.b = builder
@@ -145,7 +147,10 @@ class Lowering:
         args: Sequence[ThreadArray],
         places: Sequence[View | None] = (),
     ) -> list[ThreadArray]:
-        """Write a jaxpr, and return its results. A result with a place is written there."""
+        """Emit the statements of a jaxpr, and return its results.
+
+        places: for each result, the view of memory in which to store it, or None.
+        """
         needs = self.analyze(jaxpr)
         last = needs.last
         env: dict[Any, ThreadArray] = {}
@@ -178,7 +183,7 @@ class Lowering:
             for var, out in zip(eqn.outvars, outs, strict=True):
                 place = wanted.get(var)
                 if isinstance(out, Delayed) and place is not None and place.array.shared:
-                    write_to(self.b, place, out)  # a piece of a larger array, where it belongs
+                    write_to(self.b, place, out)  # a piece of a concatenation
                     out = place
                 bind(var, out)
         outs = [read(atom) for atom in jaxpr.outvars]
@@ -192,12 +197,12 @@ class Lowering:
 
     def _equation(self, eqn: Any, ins: list, places: list[View | None]) -> list[ThreadArray]:
         name = eqn.primitive.name
-        if name == "custom_lin":  # what JAX makes of a custom_vjp under jvp
+        if name == "custom_lin":  # JAX's form of a custom_vjp function under jvp
             raise TypeError("forward-mode autodiff of a function that has only a reverse rule")
         for var in eqn.outvars:
             dtype = dtype_of(var.aval)
             fits = dtype is None or dtype in DTYPES
-            call = inner_jaxpr(eqn) or expanded(eqn)  # the inner jaxpr names it
+            call = inner_jaxpr(eqn) or expanded(eqn)  # then the inner jaxpr raises the error
             if not fits and (name in RULES or call is None):
                 raise Unsupported(f"{name} of type {dtype}")
         if name not in TAKES_DELAYED and (name in WRITERS or name in RULES):
@@ -217,7 +222,7 @@ class Lowering:
         return self.closed(inner, ins, places)
 
     def _joined(self, var: Any) -> View | None:
-        """Reserve memory for a concatenation of a team, so that the pieces are written there."""
+        """Reserve memory for the result of a concatenation, in which a team stores the pieces."""
         aval = var.aval
         if aval.size <= FEW or dtype_of(aval) not in DTYPES:
             return None
@@ -226,7 +231,7 @@ class Lowering:
         return View.of(array, aval.shape)
 
     def analyze(self, jaxpr: Jaxpr) -> Needs:
-        """Return the part of a jaxpr that its results need."""
+        """Return the part of a jaxpr that its results depend on. The result is cached."""
         known = self.needs.get(id(jaxpr))
         if known is None or known.jaxpr is not jaxpr:
             known = self.needs[id(jaxpr)] = self._analyze(jaxpr)
@@ -259,7 +264,7 @@ class Lowering:
 
     @contextmanager
     def pinned(self, values: Sequence[ThreadArray]) -> Iterator[None]:
-        """Prevent updates in place of values that are read again later."""
+        """Prevent in-place updates of these values, which are read again, inside a `with` block."""
         for value in values:
             _count_reference(value, 1)
         try:
@@ -272,35 +277,35 @@ class Lowering:
         return to_scalars(self.b, x)
 
     def to_scalar(self, x: ThreadArray) -> Value:
-        """Return the value of an array with one entry and no axes."""
+        """Return the `Value` of an array that has one entry and no axes."""
         return self.to_scalars(x).item()
 
     def evaluate(self, f: Callable, *args: ThreadArray, avals: Sequence[Aval]) -> list[ThreadArray]:
-        """Trace and write a JAX function of arguments of these types."""
+        """Trace a JAX function, emit its statements, and return its results."""
         return self.closed(jax.make_jaxpr(f)(*avals), args)
 
 
 def dtype_of(aval: Aval) -> Any:
-    """Return the dtype of an array's entries; a random key is one 64-bit number."""
+    """Return the dtype of an array's entries. A random key is one 64-bit integer."""
     dtype: Any = getattr(aval, "dtype", None)
     return KEY if is_key(dtype) and dtype.itemsize == KEY.itemsize else dtype
 
 
 @functools.lru_cache(256)
 def is_key(dtype: Any) -> bool:
-    """Return whether this is a dtype of random keys."""
+    """Return whether a dtype is that of JAX's random keys."""
     return jnp.issubdtype(dtype, jax.dtypes.prng_key)
 
 
 def known(x: Any, aval: Any) -> np.ndarray:
-    """Return a constant as a numpy array, with the dtype of the jaxpr."""
+    """Return a constant of a jaxpr as a numpy array of its dtype."""
     if is_key(getattr(x, "dtype", None)):
         return np.asarray(jax.random.key_data(x)).view(KEY)[..., 0]
     return np.asarray(x, aval.dtype)
 
 
 def inner_jaxpr(eqn: Equation) -> ClosedJaxpr | None:
-    """Return the jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
+    """Return the jaxpr that an equation calls (`jit`, custom derivative, `checkpoint`), or None."""
     if eqn.primitive.name not in CALLS:
         return None
     for name in JAXPRS:
@@ -324,7 +329,7 @@ def _count_reference(value: ThreadArray, change: int) -> None:
             array.reference_count += change
 
 
-#: equations that only move entries
+#: primitives that only move entries
 MOVES = {
     "slice", "transpose", "reshape", "squeeze", "expand_dims", "broadcast_in_dim", "rev", "iota",
 }  # fmt: skip
@@ -333,8 +338,9 @@ MOVES = {
 def _places(
     jaxpr: Jaxpr, places: Sequence[View | None], joined: Callable | None = None
 ) -> dict[Any, View]:
-    """Propagate the places of results back through equations that only move entries.
+    """Return the variables of a jaxpr that should be stored at given places in memory.
 
+    Places of results propagate back through equations that only move entries.
     joined: reserves memory for a concatenation of computed pieces.
     """
     wanted: dict[Any, View] = {}
@@ -374,7 +380,7 @@ def _places(
                 same_entries(eqn.invars[0], place)
             case "broadcast_in_dim" if eqn.invars[0].aval.size == eqn.outvars[0].aval.size:
                 same_entries(eqn.invars[0], place)
-            case "stack" if uses[eqn.outvars[0]] > 1:  # stays in registers to be read again
+            case "stack" if uses[eqn.outvars[0]] > 1:  # it is read again, so it stays in registers
                 del wanted[eqn.outvars[0]]
             case "stack":
                 axis = eqn.params.get("axis", eqn.params.get("dimension", 0))

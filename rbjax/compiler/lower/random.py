@@ -1,4 +1,4 @@
-"""Rules for random numbers: threefry keys, with the same bits as `jax.random`.
+"""Lowering rules for random numbers: threefry keys, with the same bits as `jax.random`.
 
 Source: Salmon et al., *Parallel random numbers: as easy as 1, 2, 3*, 2011.
 """
@@ -41,7 +41,7 @@ def _counters(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[Value, Value]:
-    """Write twenty rounds of the block cipher on two numbers."""
+    """Emit twenty rounds of the cipher threefry2x32 with key (k0, k1) on the block (x, y)."""
     b = low.b
 
     def op(name: str, *args: Value) -> Value:
@@ -60,7 +60,7 @@ def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[V
 
 
 def unwrap_keys(low: Lowering, keys: ThreadArray) -> np.ndarray:
-    """Convert keys to pairs of 32-bit numbers."""
+    """Convert 64-bit keys (...) to pairs of 32-bit integers (..., 2)."""
     b, x = low.b, low.to_scalars(keys)
     out = np.empty((*x.shape, 2), object)
     for i in indices_of(x.shape):
@@ -70,7 +70,7 @@ def unwrap_keys(low: Lowering, keys: ThreadArray) -> np.ndarray:
 
 
 def wrap_keys(low: Lowering, data: ThreadArray) -> np.ndarray:
-    """Convert pairs of numbers to keys."""
+    """Convert pairs of 32-bit integers (..., 2) to 64-bit keys (...)."""
     b, x = low.b, low.to_scalars(data)
     out = np.empty(x.shape[:-1], object)
     for i in indices_of(out.shape):
@@ -133,7 +133,7 @@ def _fold_in(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def _each(low: Lowering, f: Callable, shape: tuple, args: list, dtypes: list) -> list[ThreadArray]:
-    """Lower f, mapped over the leading axes of this shape."""
+    """Lower f, mapped over the leading axes `shape` of its arguments."""
     for _ in shape:
         f = jax.vmap(f)
     avals = [jax.ShapeDtypeStruct(x.shape, d) for x, d in zip(args, dtypes, strict=True)]

@@ -1,4 +1,4 @@
-"""Rules for reductions, cumulative sums and sorting."""
+"""Lowering rules for reductions, cumulative sums and sorting."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, d
 def reduce_entries(
     low: Lowering, x: ThreadArray, axes: tuple, dtype: DTypeLike, f: Callable
 ) -> ThreadArray:
-    """Reduce entries along axes by f of two values."""
+    """Reduce the entries of x along axes by f, a function of two values."""
     axes = tuple(axes)
     kept = [k for k in range(x.ndim) if k not in axes]
     shape = tuple(x.shape[k] for k in kept)
@@ -44,9 +44,9 @@ def reduce_entries(
 def _delayed(
     low: Lowering, x: ThreadArray, kept: list, axes: list, dtype: DTypeLike, f: Callable
 ) -> Delayed | None:
-    """Return a team's reductions, computed when they are read; None if one thread is faster.
+    """Return a reduction as a delayed array; None if the work is too small for a team.
 
-    A reduction over all of several axes first reduces all but the longest.
+    A reduction over all of several axes first reduces all axes except the longest.
     """
     s = source(low.b, x, x.shape)
     if s.work <= arrays.SHARED_ABOVE:
@@ -120,7 +120,7 @@ REDUCTIONS = {
 
 
 def _neutral(name: str, dtype: np.dtype) -> Any:
-    """Return the neutral element of a reduction."""
+    """Return the neutral element of a reduction, such as 0 for "add"."""
     if name in ("add", "or", "xor"):
         return 0
     if name == "and":
@@ -171,7 +171,7 @@ def _arg(low: Lowering, eqn: Equation, ins: list) -> list:
 
     def wins(value: Value, best: Value) -> Value:
         out = b.op(better, BOOL, value, best)
-        if best.dtype.kind == "f":  # the first nan is the answer
+        if best.dtype.kind == "f":  # the first nan wins
             is_nan, was_not = b.op("ne", BOOL, value, value), b.op("eq", BOOL, best, best)
             out = b.op("or", BOOL, out, b.op("and", BOOL, is_nan, was_not))
         return out
@@ -240,7 +240,7 @@ def _cumulative_looped(low: Lowering, x: View, eqn: Equation, name: str) -> View
 
 
 def _along(low: Lowering, x: View, axis: int, dtype: DTypeLike, f: Callable) -> View:
-    """Write f(x with the axis last, result, *index) for each index of the other axes."""
+    """Emit f(x with `axis` last, result, *index) for each index of the other axes."""
     rest = [k for k in range(x.ndim) if k != axis]
     moved = x.transposed([*rest, axis])
     shape = moved.shape[:-1]
@@ -252,12 +252,12 @@ def _along(low: Lowering, x: View, axis: int, dtype: DTypeLike, f: Callable) -> 
 rule(*CUMULATIVE)(_cumulative)
 
 
-#: the most entries that are sorted in registers
+#: the most entries of a row that is sorted in registers
 REGISTERS = 16
 
 
 def before(b: Builder, x: Sequence[Value], y: Sequence[Value]) -> Value:
-    """Write whether x precedes y: by the first entry that differs; nan is last."""
+    """Emit the condition that x precedes y in lexicographic order, in which nan is last."""
     out: Value = np.bool_(False)
     for p, q in reversed(list(zip(x, y, strict=True))):
         less, same = b.op("lt", BOOL, p, q), b.op("eq", BOOL, p, q)
@@ -276,7 +276,7 @@ def _sort(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[np.ndarray | View]:
-    """Sort arrays by the first `keys` of them; the sort is stable."""
+    """Sort several arrays together along an axis, stably, by the first `keys` arrays."""
     if xs[0].shape[axis] > REGISTERS or xs[0].size > LOOP_ABOVE:
         return _sort_in_memory(low, xs, dtypes, axis, keys)
     b = low.b
@@ -295,7 +295,7 @@ def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[np
 def _sort_in_memory(
     low: Lowering, xs: list, dtypes: list, axis: int, keys: int
 ) -> list[np.ndarray | View]:
-    """Write an insertion sort: each entry moves down until its predecessor is not later."""
+    """Emit an insertion sort in memory of several arrays, by the first `keys` arrays."""
     b = low.b
     outs = [arrays.copy_to_memory(b, x, dtype) for x, dtype in zip(xs, dtypes, strict=True)]
     shape = outs[0].shape
@@ -335,7 +335,7 @@ def _sort_in_memory(
 
 @rule("top_k")
 def _top_k(low: Lowering, eqn: Equation, ins: list) -> list:
-    """Find the largest entries, in descending order: stable, with nan first."""
+    """Find the k largest entries in descending order, and their indices. nan is first."""
     x = ins[0]
     axis = eqn.params.get("axis", -1) % x.ndim
     kind, places = eqn.invars[0].aval.dtype, dtype_of(eqn.outvars[1].aval)
@@ -362,7 +362,7 @@ def _total_order(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def _descending(b: Builder, x: Value) -> Value:
-    """Write an integer that decreases as x increases, in IEEE 754's total order."""
+    """Emit an integer that decreases as x increases in IEEE 754's total order."""
     if x.dtype.kind != "f":
         return b.op("not", x.dtype, x)
     kind = np.dtype(f"i{x.dtype.itemsize}")

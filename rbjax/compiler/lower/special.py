@@ -1,4 +1,4 @@
-"""Rules for special functions that C lacks, by polynomials and series."""
+"""Lowering rules for special functions that C lacks, by polynomials and series."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ DOUBLE = (
 
 
 def erf_inv(x: jax.Array) -> jax.Array:
-    """Compute the inverse error function; Giles, 2010."""
+    """Compute the inverse error function by the polynomials of Giles (2010)."""
     w = -jnp.log1p(-x * x)
     if x.dtype == jnp.float64:
         root = jnp.sqrt(w)
@@ -64,7 +64,10 @@ def _polynomial(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
 
 
 def digamma(x: jax.Array) -> jax.Array:
-    """Compute the derivative of log Gamma: reflection, recurrence up to 10, Stirling's series."""
+    """Compute the digamma function, the derivative of log Gamma.
+
+    Method: reflection for x < 0.5, recurrence up to 10, then Stirling's series.
+    """
     reflected = x < 0.5
     y = jnp.where(reflected, 1 - x, x)
     shift = jnp.zeros_like(x)
@@ -75,7 +78,7 @@ def digamma(x: jax.Array) -> jax.Array:
     z = 1 / (y * y)
     series = z * (1 / 12 - z * (1 / 120 - z * (1 / 252 - z * (1 / 240 - z * (1 / 132)))))
     out = jnp.log(y) - 0.5 / y - series - shift
-    fraction = x - jnp.floor(x)  # tan has period pi: no angle is large
+    fraction = x - jnp.floor(x)  # tan has period pi
     turned = jnp.where(fraction > 0.5, fraction - 1, fraction)
     out = jnp.where(reflected, out - jnp.pi / jnp.tan(jnp.pi * turned), out)
     out = jnp.where((x < 0) & (x == jnp.floor(x)), jnp.nan, out)
@@ -83,7 +86,7 @@ def digamma(x: jax.Array) -> jax.Array:
 
 
 def cumlogsumexp(x: jax.Array, *, axis: int, reverse: bool) -> jax.Array:
-    """Compute the log of the cumulative sums of exp."""
+    """Compute the logarithm of the cumulative sum of exp(x) along an axis."""
     rows = jnp.moveaxis(x, axis, 0)
     out = list(rows[::-1] if reverse else rows)
     for k in range(1, len(out)):

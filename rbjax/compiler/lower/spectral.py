@@ -1,9 +1,10 @@
-"""Rules for eigenvalues and singular values, by Jacobi's rotations.
+"""Lowering rules for eigenvalues and singular values, by Jacobi rotations.
 
     eigenvalues       A <- J^T A J until A is diagonal             (V is the product of all J)
     singular values   A <- A J until the columns are orthogonal    (A V = U S)
-Each rotation takes one pair to zero. Sweeps over all pairs converge quadratically.
-(Golub & Van Loan, *Matrix Computations*, 8.5, 8.6; Demmel & Veselic 1992.)
+
+Each rotation makes one entry, or one product of columns, zero. Sweeps over all pairs converge
+quadratically. (Golub & Van Loan, *Matrix Computations*, 8.5, 8.6; Demmel & Veselic 1992.)
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from rbjax.compiler.ir.statements import Unsupported
 from rbjax.compiler.lower.factorise import UNROLL_UP_TO, lower_mapped, qr
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
-#: more than any matrix needs: 4 to 8 are usual
+#: the most sweeps; 4 to 8 are usual
 MOST_SWEEPS = 20
 
 
 def _sweep(n: int, rotate: Callable, *state: jax.Array) -> Any:
-    """Run rotate(i, j, *state) for each pair i < j, which is a constant if there are few."""
+    """Run rotate(i, j, *state) for each pair i < j. i and j are Python ints if n is small."""
     pairs = np.array([(i, j) for i in range(n) for j in range(i + 1, n)], np.int32)
     if n <= UNROLL_UP_TO:
         for i, j in pairs.tolist():
@@ -39,7 +40,10 @@ def _sweep(n: int, rotate: Callable, *state: jax.Array) -> Any:
 def _rotation(
     a: jax.Array, b: jax.Array, c: jax.Array, off: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the cosine and sine that make [[a, c], [c, b]] diagonal; the identity unless `off`."""
+    """Return cosine and sine of the rotation that makes [[a, c], [c, b]] diagonal.
+
+    Unless `off`, the rotation is the identity.
+    """
     half = (b - a) / jnp.where(off, 2 * c, 1)
     t = jnp.where(half >= 0, 1.0, -1.0) / (jnp.abs(half) + jnp.sqrt(half * half + 1))
     t = jnp.where(off, t, 0.0).astype(c.dtype)
@@ -48,13 +52,17 @@ def _rotation(
 
 
 def _rotated(x: jax.Array, i: jax.Array, j: jax.Array, c: jax.Array, s: jax.Array) -> jax.Array:
-    """Rotate rows i and j of x."""
+    """Rotate rows i and j of x by the angle with cosine c and sine s."""
     first, second = x[i], x[j]
     return x.at[i].set(c * first - s * second).at[j].set(s * first + c * second)
 
 
 def eigh(a: jax.Array, *, lower: bool) -> tuple[jax.Array, jax.Array]:
-    """Compute eigenvectors and ascending eigenvalues from one triangle; nan if an entry is."""
+    """Compute the eigenvectors and the ascending eigenvalues of a symmetric matrix.
+
+    Only the lower triangle is read if `lower`, else only the upper. If an entry is not finite, the
+    eigenvalues are nan.
+    """
     n, rows = len(a), np.arange(len(a))
     kept = rows[:, None] >= rows if lower else rows[:, None] <= rows
     a = jnp.where(kept, a, a.T)
@@ -83,7 +91,10 @@ def eigh(a: jax.Array, *, lower: bool) -> tuple[jax.Array, jax.Array]:
 
 
 def svd(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute descending singular values, U and V^T; nan if an entry is."""
+    """Compute the singular values, in descending order, U and V^T.
+
+    An entry that is not finite makes the singular values nan.
+    """
     if a.shape[0] < a.shape[1]:
         s, u, vt = svd(a.T, full_matrices=full_matrices)
         return s, vt.T, u.T
@@ -91,7 +102,7 @@ def svd(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array, jax
     size = jnp.abs(a).max()
     eps = jnp.finfo(a.dtype).eps
     at = a.T / jnp.where(size > 0, size, 1)
-    zero = eps * eps * (at * at).sum()  # rounding, of a row that is none
+    zero = eps * eps * (at * at).sum()  # a shorter row is zero up to rounding
 
     def rotate(
         i: jax.Array, j: jax.Array, at: jax.Array, vt: jax.Array, turned: jax.Array
@@ -113,7 +124,7 @@ def svd(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array, jax
     s = jnp.sqrt((at * at).sum(1))
     order = jnp.argsort(-s)
     s, at, vt = s[order], at[order], vt[order]
-    # what is left to be chosen of U is orthogonal to the columns that are known
+    # QR completes U by columns that are orthogonal to the known ones
     q, r = qr((at / jnp.where(s > 0, s, 1)[:, None]).T, full_matrices=full_matrices)
     signs = jnp.where(jnp.diagonal(r) < 0, -1.0, 1.0).astype(a.dtype)
     u = q * jnp.concatenate([signs, jnp.ones(q.shape[1] - n, a.dtype)])

@@ -1,4 +1,4 @@
-"""Rules for primitives that only move entries."""
+"""Lowering rules for primitives that only move entries."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _slice(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def cut(low: Lowering, x: ThreadArray, box: tuple[slice, ...]) -> ThreadArray:
-    """Return a rectangle of x."""
+    """Return a rectangular part of x."""
     if isinstance(x, Delayed):
         return x.slice_box(low.b, box)
     return x.slice_box(box) if isinstance(x, View) else x[box]
@@ -53,7 +53,7 @@ def _reshape(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def reshaped(low: Lowering, x: ThreadArray, shape: tuple[int, ...]) -> ThreadArray:
-    """Return x with another shape."""
+    """Return x with another shape. Entries are copied only if they cannot be viewed."""
     if isinstance(x, Delayed):
         delayed = x.reshape_view(shape)
         if delayed is not None:
@@ -117,7 +117,7 @@ def _concatenate(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _pieces_of_one(xs: list, axis: int) -> View | None:
-    """Return pieces that are adjacent in one array as one view; else None."""
+    """Return adjacent pieces of one array as one view; None if they are not adjacent."""
     first = xs[0]
     if not all(isinstance(x, View) and x.array is first.array for x in xs):
         return None
@@ -159,7 +159,7 @@ def _stack(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 
 def _rows_of_one(xs: list, axis: int) -> View | None:
-    """Return equally spaced rows of one array as one view; else None."""
+    """Return equally spaced rows of one array as one view; None if they are not."""
     first = xs[0]
     if len(xs) < 2 or not all(isinstance(x, View) for x in xs):
         return None
@@ -204,7 +204,7 @@ def _split(
 def _pad(low: Lowering, eqn: Equation, ins: list) -> list:
     x, fill = low.to_scalars(ins[0]), low.to_scalar(ins[1])
     config = eqn.params["padding_config"]
-    # put gaps between entries, then pad the sides; a negative side is cut
+    # put gaps between entries, then pad or (if negative) cut the sides
     spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
     wide = arrays.full_of(spread, fill)
     wide[tuple(slice(None, None, gap + 1) for _, _, gap in config)] = x
@@ -224,7 +224,7 @@ def _pad(low: Lowering, eqn: Equation, ins: list) -> list:
 @rule("iota", "full", "empty2")
 def _constant(low: Lowering, eqn: Equation, ins: list) -> list:
     aval, P = eqn.outvars[0].aval, eqn.params
-    if eqn.primitive.name == "empty2":  # of a derivative's loop, which writes before it reads
+    if eqn.primitive.name == "empty2":  # memory of a loop that writes it before it reads it
         return [np.zeros(aval.shape, aval.dtype)]
     if eqn.primitive.name == "full":
         return [np.full(aval.shape, P["fill_value"], aval.dtype)]

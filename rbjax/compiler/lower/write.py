@@ -1,4 +1,4 @@
-"""Lowers the jaxpr of one sample to its finished program: rules, then passes."""
+"""Lowers the jaxpr of one sample to its finished program, by lowering rules and then passes."""
 
 from __future__ import annotations
 
@@ -41,12 +41,16 @@ def write_program(
     team: bool = False,
     matrices: bool = False,
 ) -> Written:
-    """Write the program of one sample of a batch.
+    """Lower the jaxpr of one sample of a batch to a finished program.
 
     Args:
-        summed: which results are sums over the batch.
-        team: whether a team of threads runs a sample (`team.kernel`).
-        matrices: whether the matrices of one sample fill the vectors of a CPU.
+        closed: the jaxpr of one sample.
+        batch: sizes of the axes of the batch.
+        operands, results: memory layouts of the arrays.
+        summed: for each result, whether it is the sum over the batch.
+        platform: "cuda" or "cpu".
+        team: whether a block of GPU threads runs one sample together (`team.kernel`).
+        matrices: whether the loops over a sample's matrices use the vectors of a CPU.
     """
     b = Builder(platform, team, matrices)
     ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(

@@ -1,24 +1,24 @@
-"""The equations of constrained motion, for accelerations and multipliers.
+"""The equations of constrained motion, solved for accelerations and multipliers.
 
     M a + b = tau + sum of J_i^T f_i + G^T l
     G a + (G' v + ...) = -2 alpha (G v + g_t) - beta^2 g
 
-They are linear in a and l. A method gives accelerations a_0 and solves for the difference:
+They are linear in a and l. A method provides accelerations a_0 and solves for the difference:
 
     M da - G^T dl = tau + sum of J_i^T f_i - b - M a_0,     G da = c - (G a_0 + G' v + ...)
 
-The derivative is the one of the implicit function: one tangent of RNEA and of the rows, and one
-solution by the same method.
+Derivatives use the implicit function theorem: one tangent of RNEA and of the rows, and one solution
+by the same method.
 
 The Delassus matrix A = G M^-1 G^T is the response of the rows to multipliers. With the factors of
 the articulated-body algorithm (ABA), a sweep along the ancestors of a row's links gives a force u_i
 at each joint, and A_rs = sum of u_r,i u_s,i / D_i over the joints that both rows reach.
 
 A is singular if rows are redundant or if one vanishes, as at the flat positions of a parallelogram.
-It is regularized by eps diag(A) + e B, whose effect refinement removes, with B the diagonal of free
-bodies, which does not vanish with the row (`rbjax.lanes.factorization`). l is then the solution of
-least norm. At a singular value sigma below sqrt(e) the acceleration along the vanishing row is
-damped: without B, rounding u of a row grows to an acceleration of v^2 u / sigma^3.
+It is regularized by eps diag(A) + e B, and refinement removes the effect. B is the diagonal of A
+for free bodies, which does not vanish with the row (`rbjax.lanes.factorization`). l is then the
+solution of least norm. At a singular value sigma below sqrt(e) the acceleration along the vanishing
+row is damped. Without B, a rounding error u of a row would grow to an acceleration v^2 u / sigma^3.
 
 Source: Masarati, *Multibody System Dynamics*, 8.3 and 8.4; Baumgarte 1972; Featherstone, *Rigid
 Body Dynamics Algorithms*, ch. 8; Carpentier, Budhiraja & Mansard, *Proximal and sparse resolution
@@ -65,21 +65,21 @@ from rbjax.lanes.factorization import LeastNorm, diagonal_floor, regularization
 from rbjax.model import WORLD, Model, State
 from rbjax.spatial import Force
 
-#: the largest number of rows for which A is factored on lanes, where separate blocks cost nothing
+#: largest number of rows for which A is factored on lanes, which skip zero blocks
 ROWS_ON_LANES = 24
-#: (force (nv,), or None for that of `LinearProblem`; c of the rows) -> da (nv,), dl (rows,)
+#: (force (nv,), or None for `LinearProblem.force`; c of the rows) -> da (nv,), dl (rows,)
 Solve = Callable[[jax.Array | None, Sequence[Lane]], tuple[jax.Array, jax.Array]]
 #: (context, rows, l or None for zero, alpha, beta) -> residuals of the rows' equations
 RightHandSide = Callable[[Context, Sequence[Row], jax.Array | None, Any, Any], Sequence[Lane]]
 
 
 class LinearProblem(NamedTuple):
-    """The equations of a method.
+    """The linear equations of a method.
 
     Fields:
-        start: a_0 (nv,); None for zero.
-        force: (nv,) the right-hand side of M da; None if `factor` includes it.
-        factor: (context, rows) -> the solution of the equations.
+        start: (nv,) accelerations a_0; None for zero.
+        force: (nv,) right-hand side of M da; None if `factor` includes it.
+        factor: (context, rows) -> function that solves the equations.
     """
 
     start: jax.Array | None
@@ -87,14 +87,14 @@ class LinearProblem(NamedTuple):
     factor: Callable[[Context, Sequence[Row]], Solve]
 
 
-#: (driver, context, tau, f_ext) -> the equations
+#: (driver, context, tau, f_ext) -> equations of the method
 Method = Callable[[Driver, Context, jax.Array, LinkForces], LinearProblem]
 
 
 def range_space_problem(
     d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
 ) -> LinearProblem:
-    """Start from free motion: A dl = c - G M^-1 f, da = M^-1 (f + G^T dl)."""
+    """Set up A dl = c - G M^-1 f, da = M^-1 (f + G^T dl), starting from the free acceleration."""
     qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
     def factor(now: Context, rows: Sequence[Row]) -> Solve:
@@ -106,7 +106,7 @@ def range_space_problem(
 def feedback_right_hand_side(
     now: Context, rows: Sequence[Row], l: Any, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
-    """Return -g'' - 2 alpha g' - beta^2 g of each row."""
+    """Return -g'' - 2 alpha g' - beta^2 g for each row."""
     del now, l
     return [baumgarte_residual(row, alpha, beta) for row in rows]
 
@@ -128,7 +128,18 @@ def constrained_motion(
     method: Method = range_space_problem,
     right_hand_side: RightHandSide = feedback_right_hand_side,
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute a (nv,) and l (rows,) of a sample, from checked arrays."""
+    """Compute a (nv,) and l (rows,) of one sample, from checked arrays.
+
+    Args:
+        model: the robot, with constraints.
+        t: time in seconds.
+        state: `State(q, v)`.
+        tau: (nv,) generalized forces.
+        f_ext: forces on links.
+        alpha, beta: Baumgarte gains, 1/s.
+        method: function that sets up the linear equations.
+        right_hand_side: function that returns the residuals of the rows' equations.
+    """
     given, rebuilt = split_tracers((model, f_ext, t, alpha, beta))
     nv = model.nv
 
@@ -157,7 +168,7 @@ def constrained_motion(
         d = driver(model, q.dtype)
         now = Context.of(model, t, State(q, v), None, d=d).accelerating(a)
         rows = rows_of(model, now)
-        joints = now.links.joints  # first: the driver finds its lanes there
+        joints = now.links.joints  # evaluated first, because the driver reads its lanes
         tau, f_ext = add_multipliers(d, rows, list(l), tau, f_ext)
         forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, f_ext)
         remaining = pack(right_hand_side(now, rows, l, alpha, beta), a)
@@ -169,9 +180,11 @@ def constrained_motion(
 
 
 def free_body_diagonal(d: Driver, row: Row) -> Lane:
-    """Return a row's diagonal entry of A if its links were free bodies with the same inertia in all
-    directions: the sum of f^2 / m of forces f, or of n^2 / (tr J / 3) of torques n on links without
-    a force. It does not vanish with the lever arm of a force."""
+    """Return a row's diagonal entry of A if its links were free bodies with isotropic inertia.
+
+    It is the sum of f^2 / m for forces f, and of n^2 / (tr J / 3) for torques n on links without a
+    force. It does not vanish with the lever arm of a force.
+    """
     out: Lane = 0.0
     for link, load in wrenches_by_link(row.gradient).items():
         body = d.prepared.link(link).inertia
@@ -184,7 +197,7 @@ def free_body_diagonal(d: Driver, row: Row) -> Lane:
 
 
 def _divide(load: Vec3, inertia: Lane) -> Lane:
-    """Return load^2 / inertia, or zero if the inertia is zero."""
+    """Return |load|^2 / inertia, or zero if the inertia is zero."""
     if is_literal(inertia):
         return mul(1.0 / inertia if inertia > 0 else 0.0, load.dot(load))
     positive = inertia > 0
@@ -194,8 +207,11 @@ def _divide(load: Vec3, inertia: Lane) -> Lane:
 def factor_delassus(
     d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None = None
 ) -> Delassus:
-    """Factor A: on lanes if the tree is unrolled, else as a matrix. damping: eps and e of an
-    iteration, with one refinement; None: those of the dtype."""
+    """Factor A, on lanes if the tree is unrolled and rows are few, otherwise as a matrix.
+
+    `damping` replaces eps and e of the regularization and sets one refinement; None uses the values
+    of the dtype.
+    """
     few = d.listed and len(rows) <= ROWS_ON_LANES
     return (DelassusOnLanes if few else DelassusMatrix)(d, factors, now, rows, damping)
 
@@ -207,8 +223,11 @@ def eliminate_loads(
     loads: Loads,
     base: int = WORLD,
 ) -> tuple[dict[int, Lane], dict[int, Lane], Force]:
-    """Eliminate loads inward, from link to link. Returns the force u at each joint that they reach,
-    u / D, and the wrench on the base."""
+    """Propagate the loads of a row inward along `links`, from link to parent.
+
+    Returns:
+        The force u at each joint that the loads reach, u / D, and the wrench on the base.
+    """
     pending, us, es = dict(wrenches_by_link(loads)), {}, {}
     for i in links:
         tau = loads.tau.get(i, 0.0)
@@ -226,19 +245,19 @@ def eliminate_loads(
 
 
 def joint_product(a: dict[int, Lane], b: dict[int, Lane]) -> Lane:
-    """Return the sum of products over the joints of both."""
+    """Return the sum of a_i b_i over the joints i that both dictionaries contain."""
     return fusion_barrier(total(mul(a[i], b[i]) for i in sorted(a.keys() & b.keys())))
 
 
 def delassus_triangle(
     u: Sequence[dict[int, Lane]], e: Sequence[dict[int, Lane]]
 ) -> list[list[Lane]]:
-    """Return the lower triangle of A, from the forces u of its rows at the joints and e = u / D."""
+    """Return the lower triangle of A, from the joint forces u of its rows and e = u / D."""
     return [[joint_product(a, b) for b in e[: r + 1]] for r, a in enumerate(u)]
 
 
 class Delassus:
-    """The response A of the rows to multipliers, from the factors of the mass matrix."""
+    """Base class of the factored Delassus matrix A, from the factors of the mass matrix."""
 
     def __init__(
         self, d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None
@@ -247,13 +266,15 @@ class Delassus:
         self._free = [free_body_diagonal(d, row) for row in rows]
 
     def solve(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
-        """Solve M a = force + G^T l, G a = c for a (nv,) and l (rows,) of least norm; force None is
-        zero."""
+        """Solve M a = force + G^T l, G a = c for a (nv,) and l (rows,) of least norm.
+
+        A force of None means zero.
+        """
         raise NotImplementedError(f"{type(self).__name__} has no method solve(force, c) -> a, l")
 
 
 class DelassusOnLanes(Delassus):
-    """A on lanes, from the forces of rows at the joints that they share."""
+    """Delassus matrix on lanes, from the forces of rows at the joints that they share."""
 
     def __init__(
         self, d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None
@@ -284,8 +305,10 @@ class DelassusOnLanes(Delassus):
 
 
 class DelassusMatrix(Delassus):
-    """A = G Y, Y = M^-1 G^T, as a matrix. R (rows,) is added to its diagonal: compliant rows
-    G a + R l = c."""
+    """Delassus matrix A = G Y with Y = M^-1 G^T, as an array.
+
+    R (rows,) is added to its diagonal for compliant rows, G a + R l = c.
+    """
 
     def __init__(
         self,
@@ -319,8 +342,14 @@ class DelassusMatrix(Delassus):
 def solve_least_norm(
     A: jax.Array, c: jax.Array, B: jax.Array | float = 0.0, damping: float | None = None
 ) -> jax.Array:
-    """Solve A l = c for l of least norm. B (rows,): the diagonal of free bodies, zero if unknown;
-    damping: as in `factor_delassus`."""
+    """Solve A l = c for l of least norm.
+
+    Args:
+        A: (rows, rows) symmetric and positive semidefinite.
+        c: (rows,) right-hand side.
+        B: (rows,) diagonal of A for free bodies (`free_body_diagonal`); 0 if unknown.
+        damping: as in `factor_delassus`.
+    """
     eps, vanishing, refinements = regularization(A.dtype, damping)
     diagonal = jnp.diagonal(A)
     D = diagonal + diagonal_floor(diagonal, B, vanishing) / eps

@@ -1,4 +1,4 @@
-"""The rows of a model: their gradients and residuals, and the action of multipliers."""
+"""The constraint rows of a model: their gradients and residuals, and the forces of multipliers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rbjax.spatial import Force
 
 
 def rows_of(model: Model, now: Context) -> list[Row]:
-    """Build all rows of the model, one constraint after the other."""
+    """Return the rows of all constraints of the model, in the order of the constraints."""
     out: list[Row] = []
     for constraint in model.constraints:
         rows = list(constraint.rows(now))
@@ -43,7 +43,7 @@ def rows_of(model: Model, now: Context) -> list[Row]:
 
 
 def _compute_once(row: Row, now: Context) -> Row:
-    """Fuse the lanes of a row, so that they are computed once."""
+    """Put the lanes of a row behind a fusion barrier, so that XLA computes them only once."""
     known = (now.q, now.v, now.a, now.t)
     parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
     value, rate, acceleration, tau, wrenches = fusion_barrier(parts, known=known)
@@ -51,14 +51,14 @@ def _compute_once(row: Row, now: Context) -> Row:
 
 
 def wrenches_by_link(loads: Loads) -> Mapping[int, Force]:
-    """Return the wrenches of a row's gradient, by link."""
+    """Return the wrenches of a row's gradient by link index."""
     if isinstance(loads.wrenches, Force):
         raise InputError("a row's gradient has wrenches on all links, expected those on a few")
     return loads.wrenches
 
 
 def gradient_by_dof(now: Context, row: Row) -> dict[int, Lane]:
-    """Compute the gradient of a row, by velocity coordinate."""
+    """Compute the nonzero entries of a row's gradient by dof index."""
     out = dict(row.gradient.tau)
     for link, force in wrenches_by_link(row.gradient).items():
         for i, x in now.link(link).arms(force).items():
@@ -67,7 +67,7 @@ def gradient_by_dof(now: Context, row: Row) -> dict[int, Lane]:
 
 
 def gradient_matrix(now: Context, rows: Sequence[Row]) -> jax.Array:
-    """Compute G (m, nv)."""
+    """Compute the gradient G (rows, nv) of the given rows."""
     out = jnp.zeros((len(rows), now.model.nv), now.q.dtype)
     for r, row in enumerate(rows):
         found = {i: x for i, x in gradient_by_dof(now, row).items() if not is_zero(x)}
@@ -79,13 +79,18 @@ def gradient_matrix(now: Context, rows: Sequence[Row]) -> jax.Array:
 def add_multipliers(
     d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, f_ext: LinkForces
 ) -> tuple[jax.Array, LinkForces]:
-    """Add G^T l: to generalized forces (nv,) and to forces on links."""
+    """Add the constraint forces G^T l to generalized forces (nv,) and to forces on links."""
     total = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
     return tau + d.pack(d.scattered(total.tau, 0.0), tau), add_forces(f_ext, total.wrenches)
 
 
 class Residual(NamedTuple):
-    """Rows (m,): values g, zero for non-holonomic rows, and rates G v + g_t."""
+    """Residuals of the rows of a model.
+
+    Fields:
+        value: (m,) g; zero for non-holonomic rows.
+        rate: (m,) G v + g_t.
+    """
 
     value: jax.Array
     rate: jax.Array
@@ -93,17 +98,16 @@ class Residual(NamedTuple):
 
 @algorithm("state", "t")
 def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
-    """Compute the residuals of the constraints at a state: g(t, q) and g' = G v + g_t.
+    """Compute the constraint residuals at a state: g(t, q) and g' = G v + g_t.
 
     Args:
         model: the robot, with constraints.
         state: `State(q (nq,), v (nv,))`.
-        t: time in seconds, for rows that depend on it.
+        t: time in seconds, for rows that depend on time.
 
     Returns:
-        `Residual(value (m,), rate (m,))`. Values are in m, or without unit for angles.
+        `Residual(value (m,), rate (m,))`. Values are in m, or dimensionless for angles.
 
-    Example:
         >>> import rbjax as rb
         >>> model = rb.load("double_pendulum")
         >>> loop = rb.constraints.Inline.between(model, None, "lower", point=[0.0, 0, -2.0])
@@ -118,12 +122,12 @@ def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
 
 @algorithm("q", "t")
 def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
-    """Compute the Jacobian of the constraints, G (m, nv) of g' = G v + g_t.
+    """Compute the constraint Jacobian G (m, nv) of g' = G v + g_t.
 
     Args:
         model: the robot, with constraints.
         q: (nq,) configuration.
-        t: time in seconds, for rows that depend on it.
+        t: time in seconds, for rows that depend on time.
     """
     now = Context.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)
     return gradient_matrix(now, rows_of(model, now))

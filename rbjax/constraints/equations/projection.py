@@ -2,21 +2,21 @@
 
     W dq = G^T l,   g(t, q_0 + u + dq) = 0
     W dv = G^T m,   G' (v + dv) + g_t = 0
-G is the gradient at (t_0, q_0), G' the one at t and at the solution of the first line; there, a
-non-holonomic row has G dq = 0. The derivative is the one of these equations. There are three:
+G is the gradient at (t_0, q_0), and G' the gradient at t and at the solution of the first line. In
+the first line a non-holonomic row is G dq = 0. Derivatives are those of these equations.
 
-`project_state`, after a step: u = 0, W = M. All is factored once; each iteration reduces the
-residual by about the relative size of the correction. The regularization of A is larger than in
-accelerations, with one refinement: a correction along a row of singular value sigma is multiplied
-by 1 - (eps / (sigma^2 + eps))^2. So near a singular position rounding moves a state little, and
-kinetic energy does not rise.
+`project_state` acts after a step, with u = 0 and W = M. Everything is factored once. Each iteration
+reduces the residual by about the relative size of the correction. The regularization of A is larger
+than for accelerations, with one refinement: it multiplies a correction along a row of singular
+value sigma by 1 - (eps / (sigma^2 + eps))^2. So near a singular position rounding changes a state
+little, and kinetic energy does not increase.
 
-`project_to_tangent_space`, at a stage, for steps from q_0: W = M. The components of u and v in the
-tangent space, Z^T M u and Z^T M v with G Z = 0, do not change, so a step is one of the ordinary
+`project_to_tangent_space` acts at a stage of a step from q_0, with W = M. It keeps the components
+of u and v in the tangent space, Z^T M u and Z^T M v with G Z = 0. So the step integrates ordinary
 differential equations of these components.
 
-`solve_dependent`, at a stage: dq and dv are changes of dependent coordinates only, W dq = G^T l for
-these. So a step is one of the ordinary differential equations of the independent coordinates.
+`solve_dependent` acts at a stage and changes only dependent coordinates, with W = 1 for them. So
+the step integrates ordinary differential equations of the independent coordinates.
 
 Source: Masarati, *Multibody System Dynamics*, 7.1.1, 7.1.3, 9.3.3; Wehage & Haug 1982; Mani, Haug &
 Atkinson 1985; Potra & Rheinboldt 1991; Bayo & Ledesma 1996; Blajer 2002; Hairer, Lubich & Wanner,
@@ -25,6 +25,7 @@ Atkinson 1985; Potra & Rheinboldt 1991; Bayo & Ledesma 1996; Blajer 2002; Hairer
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -55,19 +56,25 @@ from rbjax.rank_tolerances import rank_tolerance
 
 #: (force (nv,), c (rows,)) -> x (nv,), l (rows,) of W x = force + G^T l, G' x = c
 Solve = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
-#: (driver, model, t_0, t, q_0, u, v) -> the changes
+#: (driver, model, t_0, t, q_0, u, v) -> changes
 Method = Callable[..., "Changes"]
 #: x (nv,) -> residuals (rows,)
 Residual = Callable[[jax.Array], jax.Array]
-#: iterations of `project_state`, by bytes of a number
+#: number of iterations of `project_state`, by bytes of the dtype
 ITERATIONS = {4: 1, 8: 2}
-#: iterations of Newton's method at a stage: from an error below 0.1 to rounding
+#: Newton iterations at a stage, by bytes of the dtype: from an error below 0.1 to rounding
 STAGE_ITERATIONS = {4: 3, 8: 5}
 
 
 @dataclass(frozen=True)
 class Changes:
-    """dq, dv (nv,), l, m (rows,), and the solutions of both lines linearized at their ends."""
+    """The changes of a projection, and the linear solvers for their derivatives.
+
+    Fields:
+        dq, dv: (nv,) changes of the configuration and of the velocity.
+        l, m: (rows,) multipliers of dq and dv.
+        of_positions, of_velocities: solutions of the linearized first and second line.
+    """
 
     dq: jax.Array
     l: jax.Array
@@ -81,8 +88,10 @@ def least_change(
     method: Method, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array,
     dependent: bool = False,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """Compute dq and dv by a method, with the derivative of the equations. `dependent`: those of
-    `solve_dependent`."""
+    """Compute dq and dv by a method, with the derivative of the equations.
+
+    `dependent` selects the equations of `solve_dependent`.
+    """
     given, rebuilt = split_tracers((model, t0, t))
     nv = model.nv
 
@@ -100,7 +109,7 @@ def least_change(
         return values, [lambda c, by=by: _join(*by(c[:nv], c[nv:])) for by in solves]
 
     def at_start(changed, q, v, x, l):
-        """Return the driver, the context and the rows at q, and G^T l - W x there."""
+        """Return the driver, the context and the rows at q, and G^T l - W x."""
         model, t0, _ = rebuilt(changed)
         d = driver(model, q.dtype)
         now = Context.of(model, t0, State(q, v), None, d=d)
@@ -134,20 +143,20 @@ def least_change(
 def residuals_at(
     d: Driver, model: Model, t: Any, q: jax.Array, u: jax.Array, v: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute g and G v + g_t (rows,) at q + u."""
+    """Compute g and G v + g_t (rows,) at the configuration q (+) u."""
     now = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
     return residuals_of(rows_of(model, now), v)
 
 
 def residuals_of(rows: Sequence[Row], like: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Pack g and G v + g_t (rows,)."""
+    """Pack g and G v + g_t of the rows into arrays (rows,)."""
     return pack([row.residual for row in rows], like), pack([row.rate for row in rows], like)
 
 
 def position_residuals(
     now: Context, rows: Sequence[Row], value: jax.Array, dq: jax.Array
 ) -> jax.Array:
-    """Return g, or G dq of non-holonomic rows with G at `now`."""
+    """Return g of holonomic rows and G dq of non-holonomic rows, with G at `now`."""
     rates = np.array([r for r, row in enumerate(rows) if not row.holonomic], int)
     if not rates.size:
         return value
@@ -162,8 +171,15 @@ def _join(x: jax.Array, l: jax.Array) -> jax.Array:
 def project_state(
     model: Model, t: Any, state: State, iterations: int | None = None, positions: bool = True
 ) -> State:
-    """Project a state on its constraints. iterations None: as many as reduce the error of a step to
-    rounding. `positions`: not only its velocity."""
+    """Project a state on its constraints.
+
+    Args:
+        model: the robot, with constraints.
+        t: time in seconds.
+        state: the state.
+        iterations: None for as many as reduce the error of a step to rounding.
+        positions: if False, project only the velocity.
+    """
     q, v = state.q, state.v
     many = ITERATIONS[q.dtype.itemsize] if iterations is None else iterations
 
@@ -219,7 +235,7 @@ def _no_change(force: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
 def project_to_tangent_space(
     model: Model, t: Any, state: State, t0: Any, start: State, iterations: int | None = None
 ) -> State:
-    """Find the consistent state with the same components in the tangent space at `start`."""
+    """Return the consistent state with the same components in the tangent space at `start`."""
     return _project_stage(model, t, state, t0, start, iterations, False)
 
 
@@ -238,15 +254,14 @@ def _project_stage(
     many = STAGE_ITERATIONS[q.dtype.itemsize] if iterations is None else iterations
     u = pack(difference_lanes(top, list(q), list(state.q)), v)
 
-    def method(*at: Any) -> Changes:
-        return _newton(*at, many, dependent)
+    method = functools.partial(_newton, many=many, dependent=dependent)
 
     du, dv = least_change(method, model, t0, t, q, u, v, dependent)
     return State(retract(model, q, u + du), v + dv, state.x)
 
 
 def _dependent(G: jax.Array) -> jax.Array:
-    """Choose dependent coordinates by elimination: 1 for these, 0 for others (nv,)."""
+    """Return a mask (nv,): 1 for dependent coordinates, chosen by elimination, and 0 for others."""
     G = jax.lax.stop_gradient(G)
     length = jnp.sqrt((G * G).sum(1, keepdims=True))
     chosen = eliminate(jnp.where(length > 0, G / jnp.where(length > 0, length, 1.0), 0.0))[1]
@@ -254,8 +269,11 @@ def _dependent(G: jax.Array) -> jax.Array:
 
 
 def eliminate(G: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Reduce [G 1] by Gauss-Jordan elimination with full pivoting. Returns the reduced matrix
-    (m, n + m) and the pivots, True in (m, n)."""
+    """Reduce [G 1] by Gauss-Jordan elimination with full pivoting.
+
+    Returns:
+        The reduced matrix (m, n + m), and a mask (m, n) of the pivots.
+    """
     m, n = G.shape
     zero = rank_tolerance("constraint rows", G.dtype) * jnp.abs(G).max()
 
@@ -295,7 +313,7 @@ def _newton(
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
     def correction(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Solve G x = c, x = W^-1 G_0^T l, for x and l; l is the least if rows are redundant."""
+        """Solve G x = c, x = W^-1 G_0^T l for x and l, of least norm if rows are redundant."""
         J = r[:, None] * matmat(G, Y) * r
         l = r * matvec(J.T, solve_least_norm(matmat(J, J.T), r * c, 1.0))
         return matvec(Y, l), l
@@ -303,8 +321,10 @@ def _newton(
     holonomic = np.array([row.holonomic for row in rows])
 
     def by_du(G: jax.Array, du: jax.Array) -> jax.Array:
-        """Return the gradient along du: attitudes rotate by J_r(u) du; non-holonomic rows keep
-        G_0."""
+        """Return the gradient with respect to du.
+
+        Attitudes rotate by J_r(u) du. Non-holonomic rows keep G_0.
+        """
         back = list(-(u + du))
         rotated = jax.vmap(lambda row: pack(velocity_lanes(model.topology, back, list(row)), row))
         return jnp.where(holonomic[:, None], rotated(G), G_0)
@@ -333,5 +353,5 @@ def _newton(
         return solve
 
     zero = jnp.zeros_like(v), jnp.zeros_like(l)
-    dv, m = jax.lax.fori_loop(0, 2, improve_velocities, zero)  # linear: twice is enough
+    dv, m = jax.lax.fori_loop(0, 2, improve_velocities, zero)  # linear: two are enough
     return Changes(du, l, dv, m, linear(by_du(G, du)), linear(G))

@@ -1,17 +1,17 @@
-"""Methods on arrays: the formulations of the textbooks.
+"""Dense methods: the textbook formulations of constrained motion, on arrays.
 
     [M  -G^T] [a]   [f]        f = tau + sum of J_i^T f_i - b,   c: right-hand side of the rows
     [G    0 ] [l] = [c]
-M is of CRBA and b of RNEA. The derivative is the one of these equations, so it is finite also if
-singular values coincide. Coordinates and rows are scaled: diag(M) = 1, rows of length one, except
-rows that are short relative to those of free bodies, as at singular positions. Then singular values
-below a tolerance are zero (`rbjax.rank_tolerances`).
+M comes from CRBA and b from RNEA. Derivatives are those of these equations, so they stay finite if
+singular values coincide. Coordinates are scaled to diag(M) = 1 and rows to length one, except rows
+that are short compared with the rows of free bodies, as at singular positions. Singular values
+below a tolerance count as zero (`rbjax.rank_tolerances`).
 
-Minimal methods have a matrix L with G L G = G, and Z, whose columns span the null space of G:
+Minimal methods compute a matrix L with G L G = G, and Z, whose columns span the null space of G:
 
     a = L c + Z z,     (Z^T M Z) z = Z^T (f - M L c),     l = L^T (M a - f)
-Z is (nv, nv): columns of dependent coordinates are zero, because the rank is not known when the
-program is compiled.
+Z is (nv, nv), with zero columns for dependent coordinates, because the rank is unknown at compile
+time.
 
 Source: Masarati, *Multibody System Dynamics*, 7.1, 8.3, 9.
 """
@@ -51,10 +51,10 @@ Solution = tuple[jax.Array, jax.Array]
 
 @dataclass(frozen=True)
 class Dense(Method):
-    """A method on arrays. Subclasses implement `solution`."""
+    """Base class of dense methods. Subclasses implement `solution`."""
 
     def solution(self, M: jax.Array, G: jax.Array, f: jax.Array, c: jax.Array) -> Solution:
-        """Solve M a = f + G^T l, G a = c for a and l; G may have redundant rows."""
+        """Solve M a = f + G^T l, G a = c for a and l. G may have redundant rows."""
         raise NotImplementedError(f"{type(self).__name__} has no method solution(M, G, f, c)")
 
     def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
@@ -80,8 +80,11 @@ class Dense(Method):
     def scaled_solution(
         self, M: jax.Array, G: jax.Array, f: jax.Array, c: jax.Array, free_diagonal: Any = 0.0
     ) -> Solution:
-        """Solve the scaled problem, with the derivative of the equations. free_diagonal (rows,):
-        diag(G M^-1 G^T) of free bodies; 0 if unknown."""
+        """Solve the equations after scaling, with the derivative of the equations.
+
+        `free_diagonal` (rows,) is the diagonal of G M^-1 G^T for free bodies
+        (`free_body_diagonal`), or 0 if unknown.
+        """
         free_diagonal = jax.lax.stop_gradient(jnp.asarray(free_diagonal, G.dtype))
 
         def equations(x: Solution) -> Solution:
@@ -113,32 +116,34 @@ class Dense(Method):
 
 
 def invert_nonzero(x: jax.Array, power: int = 1) -> jax.Array:
-    """Invert x, except elements that are zero relative to the largest one: below the tolerance of
-    constraint rows to a power. Their inverse is 0."""
+    """Return 1 / x elementwise, and 0 for elements that are zero relative to the largest one.
+
+    The relative tolerance is the rank tolerance "constraint rows" to the given power.
+    """
     size = jnp.abs(x)
     nonzero = size > rank_tolerance("constraint rows", x.dtype) ** power * size.max()
     return jnp.where(nonzero, 1.0 / jnp.where(nonzero, x, 1.0), 0.0)
 
 
 def pseudo_inverse(A: jax.Array) -> jax.Array:
-    """Compute A^+ (n, m) from the singular values of A (m, n)."""
+    """Return the pseudo-inverse A^+ (n, m) of A (m, n), by singular values."""
     U, s, Vt = jnp.linalg.svd(A, full_matrices=False)
     return matmat(Vt.T * invert_nonzero(s), U.T)
 
 
 def solve_positive(A: jax.Array, b: jax.Array) -> jax.Array:
-    """Solve A x = b, A symmetric and positive definite."""
+    """Solve A x = b with A symmetric and positive definite."""
     return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(A), b)
 
 
 @dataclass(frozen=True)
 class KKT(Dense):
-    """Index 1, accelerations and multipliers at once:
+    """Index 1, with accelerations and multipliers in one linear system:
 
         [M  -G^T] [a]   [f]
         [G    0 ] [l] = [c]
-    by the eigenvalues of the symmetric matrix of (a, -l). If rows are redundant, l is the solution
-    of least norm.
+    solved by an eigendecomposition of the symmetric matrix for (a, -l). If rows are redundant, l is
+    the solution of least norm.
 
     Source: Haug, *Computer-Aided Kinematics and Dynamics*, 11.3; Masarati 8.3.
     """
@@ -157,13 +162,13 @@ class KKT(Dense):
 
 @dataclass(frozen=True)
 class Minimal(Dense):
-    """A method by L and Z. Subclasses implement `split`."""
+    """Base class of methods that compute L and Z. Subclasses implement `split`."""
 
     family: ClassVar[str] = "minimal"
     index: ClassVar[int] = 0
 
     def split(self, G: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Compute L (nv, rows) and Z (nv, nv)."""
+        """Return L (nv, rows) and Z (nv, nv)."""
         raise NotImplementedError(f"{type(self).__name__} has no method split(G) -> L, Z")
 
     def solution(self, M: jax.Array, G: jax.Array, f: jax.Array, c: jax.Array) -> Solution:
@@ -177,9 +182,9 @@ class Minimal(Dense):
 
 @dataclass(frozen=True)
 class NullSpaceSVD(Minimal):
-    """Index 0, in an orthonormal basis of the null space by singular values:
+    """Index 0, in an orthonormal basis of the null space by singular value decomposition:
 
-        G = U S V^T,   L = V S^+ U^T = G^+,   Z = the columns of V at the zeros of S
+        G = U S V^T,   L = V S^+ U^T = G^+,   Z = columns of V whose singular value is zero
 
     Source: Mani, Haug & Atkinson 1985; Masarati 7.1.
     """
@@ -196,10 +201,10 @@ class NullSpaceSVD(Minimal):
 
 @dataclass(frozen=True)
 class NullSpaceQR(Minimal):
-    """Index 0, in an orthonormal basis of the null space by a QR factorization with pivots:
+    """Index 0, in an orthonormal basis of the null space by a pivoted QR factorization:
 
         G^T P = [Q_1 Z] [R_1 R_2; 0 0],   L = Q_1 R_1^-T P_1^T
-    The rows beyond P_1 are redundant, and their multipliers zero.
+    Rows that P_1 does not select are redundant. Their multipliers are zero.
 
     Source: Kim & Vanderploeg 1986; Masarati 7.1.
     """
@@ -222,9 +227,9 @@ class Partitioning(Minimal):
     """Index 0, in the accelerations of independent coordinates a_i:
 
         G_d a_d = c - G_i a_i,   Z = [-G_d^-1 G_i; 1],   L = [G_d^-1; 0]
-    Elimination with full pivoting chooses the dependent coordinates at each state, and the
-    independent ones of redundant rows; the multipliers of the others are zero. With
-    `IndependentCoordinates` only the independent coordinates are integrated.
+    At each state, elimination with full pivoting chooses the dependent coordinates and the
+    independent rows. Multipliers of redundant rows are zero. Combine it with
+    `IndependentCoordinates` to integrate only the independent coordinates.
 
     Source: Wehage & Haug 1982; Masarati 7.1.1.
     """
@@ -241,10 +246,10 @@ class Partitioning(Minimal):
 
 @dataclass(frozen=True)
 class UdwadiaKalaba(Dense):
-    """Index 0, by Gauss's principle: the acceleration nearest to free motion a_f = M^-1 f, in the
-    norm of M, that satisfies the rows:
+    """Index 0, by Gauss's principle of least constraint:
 
         a = a_f + M^-1/2 (G M^-1/2)^+ (c - G a_f)
+    a satisfies the rows and is nearest to the free acceleration a_f = M^-1 f in the norm of M.
 
     Source: Udwadia & Kalaba 1992; Masarati 9.1.
     """
@@ -264,7 +269,7 @@ class UdwadiaKalaba(Dense):
 
 @dataclass(frozen=True)
 class ForceProjection(Dense):
-    """Index 0, by forces projected by P = 1 - G^+ G, which removes G^T l:
+    """Index 0, by projection of the forces with P = 1 - G^+ G, which removes G^T l:
 
         (P M P + 1 - P) w = P (f - M G^+ c),     a = G^+ c + P w
 
@@ -291,12 +296,12 @@ class AugmentedLagrangian(Dense):
 
         (M + alpha G^T G) a_{i+1} = M a_i + alpha G^T c
         G a_{i+1} - c = (1 + alpha G M^-1 G^T)^-1 (G a_i - c),     l = sum of alpha (c - G a_i)
-    No rank is decided. M a = f + G^T l holds after each iteration. The derivative has the same
-    truncation error.
+    The method needs no rank. Each iterate satisfies M a = f + G^T l. The derivative has the
+    truncation error of the iteration.
 
     Fields:
-        alpha: for the scaled equations.
-        iterations: number of them.
+        alpha: penalty of the scaled equations.
+        iterations: number of iterations.
 
     Source: Bayo, Garcia de Jalon & Serna 1988; Masarati 9.2.
     """

@@ -1,14 +1,14 @@
-"""Formulations of index 2 and 3: the equations of motion and the constraints together.
+"""Formulations of index 2 and 3: the equations of motion together with the constraints.
 
     q' = v + M^-1 G^T mu,     M v' + b = tau + sum of J_i^T f_i + G^T l
     index 2    G v + g_t = 0                  positions drift by the error of the steps
-    index 3    g(t, q) = 0                    velocities are satisfied to the order of the step
-    GGL        both, the first by mu          index 2, no drift
-mu is of GGL only, and of the size of the step's error. A non-holonomic row is G v + b = 0 in all of
-them. Implicit methods solve these equations by residuals through RNEA, without M^-1.
+    index 3    g(t, q) = 0                    velocities satisfy G v + g_t = 0 to the step's order
+    GGL        both, the second by mu         index 2, no drift
+Only GGL has mu, which has the size of the step's error. A non-holonomic row is G v + b = 0 in all
+three. Implicit methods solve these equations by residuals through RNEA, without M^-1.
 
-Singular positions are passed in f64 (`rbjax.solvers.constrained.schur_complement`), with redundant
-rows too. In f32 only GGL passes them.
+In f64 the steps pass through singular positions (`rbjax.solvers.constrained.schur_complement`),
+also with redundant rows. In f32 only GGL does.
 
 Source: Gear, Leimkuhler & Gupta 1985; Hairer & Wanner, *Solving Ordinary Differential Equations
 II*, VII; Masarati 8.3.
@@ -41,13 +41,12 @@ Forces = Callable[[Any, State], tuple[jax.Array, LinkForces, jax.Array | None]]
 
 @dataclass(frozen=True)
 class DifferentialAlgebraic(Method):
-    """A method whose equations are solved by implicit steps: Radau IIA of three stages, or another
-    integrator of `rollout` or solver of `simulate`.
+    """Base class of methods whose equations are solved by implicit steps.
 
-    As a `Dynamics` it gives the accelerations of index 1. If the equations of a step are not
-    solved, `Trajectory.ok` is False, and adaptive steps become shorter.
+    The integrator is Radau IIA of three stages, or another implicit one of `rollout` or `simulate`.
+    If the equations of a step are not solved, `Trajectory.ok` is False, and adaptive steps become
+    shorter. Called as a `Dynamics`, the method returns the accelerations of index 1.
 
-    Example:
         >>> import rbjax as rb
         >>> [rb.constraints.formulations()[x].index for x in ("index_2", "index_3", "ggl")]
         [2, 3, 2]
@@ -60,27 +59,34 @@ class DifferentialAlgebraic(Method):
         return constrained_motion(model, t, state, tau, f_ext)[0]
 
     def level_of(self, row: Row) -> tuple[Lane, int]:
-        """Return the quantity that is zero (g or g'), and the number of integrations from
-        acceleration to it (2 or 1)."""
+        """Return the quantity that must be zero (g or g'), and its number of integrations.
+
+        The number of integrations from acceleration is 2 for g and 1 for g'.
+        """
         raise NotImplementedError(f"{type(self).__name__} has no method level_of(row)")
 
     def position_rows(self, rows: Sequence[Row]) -> list[Row]:
-        """Return the rows with multipliers mu."""
+        """Return the rows that have multipliers mu."""
         return []
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """The method whose equations damp an estimate of the error."""
+        """Method whose linearized equations damp an error estimate (`damp_error`)."""
         return self
 
     def algebraic(
         self, model: Model, t: Any, state: State
     ) -> tuple[tuple[int, ...], jax.Array, int]:
-        """Return the number of integrations from acceleration of each algebraic equation, its
-        `free_body_diagonal`, and the number of GGL rows."""
+        """Describe the algebraic equations of a model.
+
+        Returns:
+            The number of integrations from acceleration for each equation, the `free_body_diagonal`
+                of
+            each equation, and the number of GGL rows.
+        """
         d = driver(model, state.q.dtype)
         now = Context.of(model, t, state, None, d=d)
-        _ = now.links.joints  # first: the driver finds its lanes there
+        _ = now.links.joints  # evaluated first, because the driver reads its lanes
         rows = rows_of(model, now)
         ggl = self.position_rows(rows)
         free_diagonal = [free_body_diagonal(d, row) for row in (*rows, *ggl)]
@@ -88,7 +94,10 @@ class DifferentialAlgebraic(Method):
         return depth, pack(free_diagonal, state.v), len(ggl)
 
     def equations(self, model: Model, q: jax.Array, forces: Forces) -> Callable[..., jax.Array]:
-        """Make f(t, y, y', w) = 0 of y = (u, v, x), w = (l, mu), for the configuration q (+) u."""
+        """Return the function of f(t, y, y', w) = 0 at the configuration q (+) u.
+
+        y = (u, v, x) are the differential unknowns and w = (l, mu) the algebraic ones.
+        """
         nv, dtype = model.nv, q.dtype
 
         def f(t: Any, y: jax.Array, rate: jax.Array, w: jax.Array) -> jax.Array:
@@ -128,10 +137,14 @@ def _rate(row: Row) -> tuple[Lane, int]:
 
 @dataclass(frozen=True)
 class Index2(DifferentialAlgebraic):
-    """G v + g_t = 0 at the stages of each step. Positions drift by the error of the steps.
+    """Index 2: G v + g_t = 0 at the stages of each step. Positions drift by the error of the steps.
 
-    Radau IIA of s stages: order 2 s - 1, multipliers s. Lobatto IIIC: 2 s - 2, multipliers s - 1.
-    BDF k: k, multipliers too. Gauss: velocities s, or s + 1 where s is odd.
+    Orders of convergence:
+
+        Radau IIA of s stages       2 s - 1; multipliers s
+        Lobatto IIIC of s stages    2 s - 2; multipliers s - 1
+        BDF of order k              k, also for multipliers
+        Gauss of s stages           velocities s, or s + 1 if s is odd
 
     Source: Hairer, Lubich & Roche 1989; Hairer & Wanner, II, VII.4.
     """
@@ -145,14 +158,14 @@ class Index2(DifferentialAlgebraic):
 
 @dataclass(frozen=True)
 class Index3(DifferentialAlgebraic):
-    """g(t, q) = 0 at the stages of each step.
+    """Index 3: g(t, q) = 0 at the stages of each step.
 
-    Radau IIA of s stages: order of positions 2 s - 1, velocities s, multipliers s - 1. BDF k: k.
-    Gauss methods of two stages do not converge in velocities. In f32 steps must not be short:
-    velocities have the rounding of positions divided by the step. Adaptive steps control
-    velocities along the constraints only.
+    Radau IIA of s stages has order 2 s - 1 in positions, s in velocities and s - 1 in multipliers.
+    BDF of order k has order k. Gauss methods of two stages do not converge in velocities. In f32
+    avoid short steps: velocities have the rounding error of positions divided by the step. Adaptive
+    steps control only velocities along the constraints.
 
-    Source: as `Index2`; VII.8.
+    Source: Hairer, Lubich & Roche 1989; Hairer & Wanner, II, VII.8.
     """
 
     name: ClassVar[str] = "index_3"
@@ -163,17 +176,17 @@ class Index3(DifferentialAlgebraic):
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """GGL: the error of a velocity across the constraints does not vanish with the step."""
+        """GGL, because at index 3 velocity errors across constraints persist for short steps."""
         return GGL()
 
 
 @dataclass(frozen=True)
 class GGL(DifferentialAlgebraic):
-    """Gear, Gupta and Leimkuhler's: index 2, with a second multiplier for g(t, q) = 0.
+    """Gear-Gupta-Leimkuhler formulation: index 2, with a second multiplier for g(t, q) = 0.
 
         M (q' - v) = G^T mu,    G v + g_t = 0,    g(t, q) = 0
-    The orders of stiffly accurate methods (Radau IIA, Lobatto IIIC, BDF) are those of index 2.
-    Gauss methods do not satisfy the constraints at the end of a step.
+    Stiffly accurate methods (Radau IIA, Lobatto IIIC, BDF) have the orders of index 2. Gauss
+    methods do not satisfy the constraints at the end of a step.
 
     Source: Gear, Leimkuhler & Gupta 1985.
     """

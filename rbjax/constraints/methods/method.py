@@ -1,4 +1,4 @@
-"""Methods: how the equations of constrained motion are solved for the accelerations.
+"""Methods that solve the equations of constrained motion for the accelerations.
 
 A method is one factor of a `Formulation`. It is hashable and a compile-time constant.
 """
@@ -25,10 +25,10 @@ from rbjax.model import Model, State
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor of a formulation: a frozen dataclass of parameters, which are checked."""
+    """Base class of the factors of a formulation: a frozen dataclass of checked parameters."""
 
     def __post_init__(self) -> None:
-        """Raise unless parameters are numbers of at least 0, or integers of at least 1."""
+        """Raise InputError unless floats are at least 0 and integers at least 1."""
         name = type(self).__name__
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
@@ -44,13 +44,13 @@ class Factor:
 
 @dataclass(frozen=True)
 class Method(Factor):
-    """A solution of the equations of constrained motion. Make a frozen dataclass of it.
+    """Base class of methods for constrained motion. Subclasses are frozen dataclasses.
 
     Class fields:
-        name: in `rb.constraints.formulations()`.
+        name: key in `rb.constraints.formulations()`.
         family: "minimal", "redundant" or "unconstrained" (Masarati 7, 8, 9).
-        index: of the differential-algebraic equations that it solves, 0 without multipliers.
-        has_feedback: whether `Baumgarte` applies to it.
+        index: index of the differential-algebraic equations; 0 without multipliers.
+        has_feedback: whether `Baumgarte` applies to the method.
     """
 
     name: ClassVar[str]
@@ -62,17 +62,17 @@ class Method(Factor):
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces,
         alpha: Any = 0.0, beta: Any = 0.0,
     ) -> jax.Array:  # fmt: skip
-        """Compute v' (nv,) with g'' = -2 alpha g' - beta^2 g."""
+        """Compute v' (nv,) such that g'' = -2 alpha g' - beta^2 g."""
         raise NotImplementedError(f"{type(self).__name__} has no accelerations")
 
     def projected_rows(self, model: Model) -> Model:
-        """Return the model with the constraints that a projection enforces."""
+        """Return the model with only the constraints that a projection enforces."""
         return model
 
 
 @dataclass(frozen=True)
 class Multipliers(Method):
-    """Index 1, by the range space of the rows: A l = c - G a_f, with the factors of ABA.
+    """Index 1, by the range-space method: A l = c - G a_f, with the factors of ABA.
 
     Source: Masarati 8.3; Carpentier, Budhiraja & Mansard 2021.
     """
@@ -87,14 +87,14 @@ class Multipliers(Method):
 
 @dataclass(frozen=True)
 class Penalty(Method):
-    """Index 0, by stiff springs and dampers instead of constraints:
+    """Index 0, with stiff springs and dampers instead of constraints:
 
         M a + b = tau - G^T (k g + d g')
-    A singular perturbation: the residual of slow motion is -l / k, and frequencies grow as sqrt(k).
-    A non-holonomic row has only the damper.
+    This is a singular perturbation: in slow motion the residual is -l / k, and frequencies grow as
+    sqrt(k). Non-holonomic rows have only the damper.
 
     Fields:
-        stiffness: k, N/m or N m by row.
+        stiffness: k, N/m or N m, depending on the row.
         damping: d, N s/m or N m s.
 
     Source: Lötstedt 1979; Masarati 8.2.
@@ -110,7 +110,7 @@ class Penalty(Method):
     def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
         d = driver(model, state.q.dtype)
         now = Context.of(model, t, state, None, d=d)
-        _ = now.links.joints  # first: the driver finds its lanes there
+        _ = now.links.joints  # evaluated first, because the driver reads its lanes
         rows = rows_of(model, now)
         k, c = self.stiffness, self.damping
         l = [neg(add(mul(k, row.residual), mul(c, row.rate))) for row in rows]

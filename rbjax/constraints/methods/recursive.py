@@ -1,20 +1,20 @@
 """Constrained motion by recursion over a tree of clusters: articulated bodies with loops.
 
-A row acts on some links and joints. If its forces are internal, they have no effect beyond a link
-that carries all of these; the joints between are those that the row reaches. Rows that reach a
-common joint are in one cluster. A cluster is a connected part of the tree with one parent, so
-clusters and the other joints form a tree again.
+A row acts on links and joints. Internal forces have no effect beyond the nearest common ancestor of
+the links on which they act. The row reaches the joints between these links and the ancestor. Rows
+that reach a common joint belong to one cluster. A cluster is a connected part of the tree with one
+parent link, so clusters and the remaining joints form a tree again.
 
 In a cluster the articulated-body algorithm eliminates the joints without rows. The result at the
-parent is an inertia I_f and a force -p_f, and for the unit multiplier of each row a force u_i at
+parent is an inertia I_f and a force -p_f and, for the unit multiplier of each row, a force u_i at
 each joint and a wrench w. With W = [w ...] the equations of the rows are
 
     A l = c - sum of u_i u_f,i / D_i - W^T a_p,     A_rs = sum of u_r,i u_s,i / D_i
-(u_f: forces at the joints, a_p: acceleration of the parent). So the cluster is to its parent
+(u_f: forces at the joints, a_p: acceleration of the parent). So the cluster acts on its parent as
 
     I = I_f + W A^-1 W^T,     p = p_f - W l_0,     l = l_0 - A^-1 W^T a_p
-A contains the rows of one cluster only. If a loop is not exactly closed, the sum of its forces
-is in W, so the equations stay exact.
+A contains the rows of one cluster only. If a loop is not exactly closed, W contains the sum of its
+forces, so the equations stay exact.
 
 Source: Jain 2012, *Multibody graph transformations and analysis, part II: constraint embedding*;
 Chignoli, Adrian, Kim & Wensing 2023, *Recursive rigid-body dynamics algorithms for systems with
@@ -57,12 +57,12 @@ from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 
 class Cluster(NamedTuple):
-    """Joints that rows couple.
+    """Joints that are coupled by rows.
 
     Fields:
-        parent: the link that carries it, or WORLD.
-        links: those that its joints move.
-        rows: by index.
+        parent: index of the parent link, or WORLD.
+        links: indices of the links that the cluster's joints move.
+        rows: indices of the rows.
     """
 
     parent: int
@@ -71,13 +71,13 @@ class Cluster(NamedTuple):
 
 
 def find_clusters(topology: Topology, rows: Sequence[Row]) -> list[Cluster]:
-    """Group rows to clusters. A row without gradient is a cluster without joints."""
+    """Group rows into clusters. A row with a zero gradient forms a cluster without joints."""
     found: list[Cluster] = []
     for r, row in enumerate(rows):
         new = Cluster(*reached_links(topology, row.gradient), (r,))
         for met in [x for x in found if x.links & new.links]:
             found.remove(met)
-            # each has all links from its own to its parent: one parent carries the other
+            # both contain the chain from a common link to their parent: one parent is an ancestor
             parent = min(met.parent, new.parent)
             new = Cluster(parent, met.links | new.links, (*met.rows, *new.rows))
         found.append(new)
@@ -85,7 +85,7 @@ def find_clusters(topology: Topology, rows: Sequence[Row]) -> list[Cluster]:
 
 
 def reached_links(topology: Topology, gradient: Loads) -> tuple[int, frozenset[int]]:
-    """Return the link that carries all links of a row's forces, and the links between."""
+    """Return the nearest common ancestor of a row's forces, and the links that the row reaches."""
     pushed = [i for i, f in wrenches_by_link(gradient).items() if not all(map(is_zero, f))]
     turned = [i for i, x in gradient.tau.items() if not is_zero(x)]
     tops = [topology.parents[i] for i in turned]
@@ -97,7 +97,7 @@ def reached_links(topology: Topology, gradient: Loads) -> tuple[int, frozenset[i
 
 
 def _chain(topology: Topology, link: int) -> set[int]:
-    """Return the link and those that carry it."""
+    """Return a link and its ancestors."""
     return set() if link == WORLD else set(topology.ancestors[link])
 
 
@@ -106,15 +106,14 @@ class Recursive(Method):
     """Index 0, by recursion over clusters of joints in common loops:
 
         I = I_f + W A^-1 W^T,     A = G_c H_c^-1 G_c^T of one cluster
-    The cost is the one of the articulated-body algorithm plus the rows of each cluster cubed. Use
-    it for robots with separate loops, as in each leg. It is for unrolled trees and for clusters of
-    at most 24 rows; others are solved as by `Multipliers`. The accelerations are the same, with
-    redundant rows too. A row with forces of your own counts as attached to the world, unless its
-    `Loads` are `internal`.
+    The cost is that of the articulated-body algorithm plus the cube of the rows of each cluster.
+    Use it for robots with separate loops, for example one in each leg. It requires an unrolled tree
+    and clusters of at most 24 rows, and falls back to `Multipliers` otherwise. Both give the same
+    accelerations, also with redundant rows. A row with user-defined forces counts as attached to
+    the world, unless its `Loads` are `internal`.
 
     Source: Jain 2012; Chignoli, Adrian, Kim & Wensing 2023.
 
-    Example:
         >>> import rbjax as rb
         >>> model = rb.load("four_bar")
         >>> start = model.default_state()
@@ -134,7 +133,7 @@ class Recursive(Method):
 
 
 def cluster_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
-    """Start from zero accelerations, cluster by cluster; from free motion if the tree is rolled."""
+    """Set up the equations by clusters, or by `range_space_problem` if the tree is not unrolled."""
     if not d.listed:
         return range_space_problem(d, now, tau, f_ext)
     joints, gravity = now.links.joints, d.prepared.gravity
@@ -154,11 +153,15 @@ def cluster_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) 
 
 
 class EliminatedCluster(NamedTuple):
-    """A cluster with eliminated joints and multipliers.
+    """A cluster whose joints and multipliers have been eliminated.
 
-    Fields, for each of its rows:
-        u: the force of a unit multiplier at each joint, and e = u / D.
-        W: its wrench at the parent, and Y = A^-1 W; empty if the parent is the world.
+    Fields:
+        cluster: the cluster.
+        u: force at each joint, for the unit multiplier of each row.
+        e: u / D.
+        W: wrench at the parent, for the unit multiplier of each row.
+        Y: A^-1 W; empty if the parent is the world.
+        A: factors of A.
     """
 
     cluster: Cluster
@@ -170,7 +173,7 @@ class EliminatedCluster(NamedTuple):
 
 
 class ClusterTree:
-    """The factors of the mass matrix of a robot and of the rows that couple its joints."""
+    """Factors of a robot's mass matrix, and of the rows that couple its joints."""
 
     def __init__(
         self,
@@ -185,7 +188,7 @@ class ClusterTree:
         self._rows, self._like = rows, like
         self._factors: dict[int, Factor] = {}
         self._found = found
-        self._clusters: dict[int, list[EliminatedCluster]] = {}  # by their parent
+        self._clusters: dict[int, list[EliminatedCluster]] = {}  # by parent link
         constants, joints = d.whole(d.constants), d.whole(joints)
         carried: dict[int, ArticulatedInertia] = {}
         for i in reversed(range(len(joints))):
@@ -204,7 +207,7 @@ class ClusterTree:
         self._with_clusters(WORLD, ArticulatedInertia.zero())
 
     def _with_clusters(self, link: int, I: ArticulatedInertia) -> ArticulatedInertia:
-        """Add the inertias of the clusters of a link."""
+        """Add to an articulated inertia the inertias of the clusters whose parent is this link."""
         self._clusters[link] = [self._eliminate(x) for x in self._found if x.parent == link]
         more = [x for tied in self._clusters[link] for x in zip(tied.W, tied.Y, strict=False)]
         for w, y in more:
@@ -228,20 +231,27 @@ class ClusterTree:
     def solve(
         self, tau: jax.Array, forces: Mapping[int, Force], c: Sequence[Lane]
     ) -> tuple[jax.Array, jax.Array]:
-        """Solve M a = tau + sum of J_i^T f_i + G^T l, G a = c for a (nv,), l (rows,); f_i: forces
-        on links."""
+        """Solve M a = tau + sum of J_i^T f_i + G^T l, G a = c for a (nv,) and l (rows,).
+
+        `forces` are the f_i on links.
+        """
         u = unpack(tau)
         l = self._inward(u, dict(forces), c)
         a = self._outward(u, l)
         return pack(a, self._like), pack(l, self._like)
 
     def _inward(self, u: list[Lane], pending: dict[int, Force], c: Sequence[Lane]) -> list[Lane]:
-        """Compute the multipliers for parents without acceleration, and change u to the forces at
-        the joints. pending: forces on links."""
+        """Compute the multipliers l_0 for parents without acceleration.
+
+        Args:
+            u: generalized forces, which are replaced by the forces at the joints.
+            pending: forces on links.
+            c: right-hand sides of the rows.
+        """
         l: list[Lane] = [0.0] * len(self._rows)
 
         def arrived(link: int) -> Force:
-            """Add the forces of the clusters of a link to its own."""
+            """Return the force on a link, including the forces of its clusters."""
             f = pending.pop(link, Force.zero())
             for tied in self._clusters[link]:
                 rows, left = tied.cluster.rows, dict(enumerate(u))
@@ -263,11 +273,11 @@ class ClusterTree:
         return l
 
     def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
-        """Compute the accelerations, and change l to the multipliers for accelerated parents."""
+        """Compute the accelerations. Correct l for the accelerations of the parents."""
         a, out = {WORLD: Motion.zero()}, []
 
         def arrived(link: int) -> None:
-            """Add the forces of the multipliers of a link's clusters at their joints."""
+            """Add the forces of the multipliers of a link's clusters to the joint forces."""
             for tied in self._clusters[link]:
                 rows = tied.cluster.rows
                 for r, y in zip(rows, tied.Y, strict=False):

@@ -1,16 +1,17 @@
-"""Soft constraints, of MuJoCo's model, and the method that solves them together with rigid ones.
+"""Soft constraints by MuJoCo's model, and the method that solves them together with rigid ones.
 
     M a + b = tau + sum of J_i^T f_i + G^T f
     g'' + R f = -b g' - d k g     of soft rows,      R = (1 - d) / d w
     g'' = 0                       of rigid rows,     R = 0
 so (A + R) f = (right-hand side) - g''(a_0). f is the force on a row, w its inverse inertia, and d
-its impedance, from 0 to 1, a function of the residual r = |g|:
+its impedance, from 0 to 1, a function of the residual r = |g| of the constraint:
 
-    d(r) = d_0 + (d_w - d_0) y(r / width),   y(x) = x^p / m^(p-1) up to m,
-                                             1 - (1 - x)^p / (1 - m)^(p-1) above, 1 from x = 1 on
-and the mean of d_0 and d_w if the width is zero. solref = (time constant T, damping ratio z) gives
-k = 1 / (d_w T z)^2, b = 2 / (d_w T); solref = (-stiffness, -damping), both not positive, gives
-k = stiffness / d_w^2, b = damping / d_w. The distance to the rigid motion falls as T^2.
+    d(r) = d_0 + (d_w - d_0) y(r / width),   y(x) = x^p / m^(p-1)                  if x <= m
+                                             y(x) = 1 - (1 - x)^p / (1 - m)^(p-1)  if m < x < 1
+                                             y(x) = 1                              if x >= 1
+If the width is zero, d is the mean of d_0 and d_w. solref = (time constant T, damping ratio z)
+gives k = 1 / (d_w T z)^2, b = 2 / (d_w T). solref = (-stiffness, -damping), both not positive,
+gives k = stiffness / d_w^2, b = damping / d_w. The distance to the rigid motion decreases as T^2.
 
 MuJoCo 4 includes G' v in connects and welds, but not in couplings of joints; MJX neglects it.
 
@@ -49,27 +50,26 @@ from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model, State
 from rbjax.model.record import check_fields, floats
 
-#: limits of impedances and of the midpoint m in MuJoCo
+#: MuJoCo's limits of impedances and of the midpoint m
 IMPEDANCES = 1e-4, 0.9999
-#: a width below this is zero
+#: a width up to this counts as zero
 LEAST = 1e-15
 SOLREF = (0.02, 1.0)
 SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 
 
 class Soft(Constraint):
-    """A constraint that is soft in the formulation "compliant", and rigid in others.
+    """A constraint that is soft in the formulation "compliant", and rigid in other formulations.
 
     Fields:
-        of: the constraint.
+        of: the constraint to make soft.
         solref: (2,) (time constant s, damping ratio) or (-stiffness 1/s^2, -damping 1/s).
-        solimp: (5,) d_0, d_w, width in the unit of the rows, m, p.
+        solimp: (5,) impedances d_0 and d_w, width in the unit of the rows, midpoint m, power p.
         weight: (rows,) inverse inertias of the rows.
         bias: static, whether g'' includes G' v.
 
     Source: MuJoCo, *Computation*, constraint model, parameters.
 
-    Example:
         >>> import rbjax as rb
         >>> from rbjax import constraints as rc
         >>> model = rb.load("double_pendulum")
@@ -114,8 +114,14 @@ class Soft(Constraint):
         solimp: Any = SOLIMP,
         q: jax.Array | None = None,
     ) -> Soft:
-        """Make a constraint soft, with the weights diag(G M^-1 G^T) of a configuration q (nq,), by
-        default that of the model's default state."""
+        """Make a constraint soft, with weights diag(G M^-1 G^T) at a configuration.
+
+        Args:
+            model: the robot.
+            of: the constraint.
+            solref, solimp: MuJoCo's parameters, as in the fields of `Soft`.
+            q: (nq,) configuration; None for the model's default state.
+        """
         q = model.default_state().q if q is None else q
         G = jacobian(model.replace(constraints=(of,)), q)
         weight = (G * jnp.linalg.solve(mass_matrix(model, q), G.T).T).sum(-1)
@@ -129,7 +135,7 @@ class Soft(Constraint):
         return self.of.rows(now)
 
     def soft_terms(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
-        """Compute R and the right-hand side of g'' + R f of its rows."""
+        """Compute R and the right-hand side of the equation of g'' + R f, for each row."""
         low, high, width, middle, power = self.solimp.astype(dtype)
         low, high, middle = (jnp.clip(x, *IMPEDANCES) for x in (low, high, middle))
         g = jnp.stack([jnp.asarray(row.residual, dtype) for row in rows])
@@ -147,7 +153,7 @@ def is_soft(model: Model) -> bool:
 
 
 def stiffness_and_damping(solref: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute k in 1/s^2 and b in 1/s from solref and d_w."""
+    """Return the stiffness k, 1/s^2, and the damping b, 1/s, of solref and d_w (`high`)."""
     direct = solref[0] <= 0
     time, ratio = jnp.where(direct, 1.0, solref)
     k = jnp.where(direct, -solref[0], 1 / (time * ratio) ** 2) / high**2
@@ -155,7 +161,7 @@ def stiffness_and_damping(solref: jax.Array, high: jax.Array) -> tuple[jax.Array
 
 
 def impedance(r: jax.Array, low: Any, high: Any, width: Any, middle: Any, power: Any) -> jax.Array:
-    """Compute d at a residual r."""
+    """Return the impedance d at a residual r."""
     x = jnp.minimum(r / jnp.maximum(width, LEAST), 1.0)
     inner = x**power / middle ** (power - 1)
     outer = 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
@@ -164,7 +170,7 @@ def impedance(r: jax.Array, low: Any, high: Any, width: Any, middle: Any, power:
 
 
 def _norm(g: jax.Array) -> jax.Array:
-    """Return |g|, with derivative 0 at 0."""
+    """Return |g|, with a zero derivative at g = 0."""
     square = (g * g).sum()
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
@@ -172,8 +178,11 @@ def _norm(g: jax.Array) -> jax.Array:
 def regularizer_and_residual(
     now: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute R (rows,), zero for rigid rows, and the residual of the rows' equations at the
-    accelerations of the context for f = 0, with Baumgarte's feedback of rigid rows."""
+    """Compute R (rows,) and the residual of the rows' equations at f = 0.
+
+    R is zero for rigid rows. The residual (rows,) is at the accelerations of the context, with
+    Baumgarte's feedback of rigid rows.
+    """
     R: list[Any] = []
     residual: list[Any] = []
     a = now.a
@@ -194,11 +203,11 @@ def regularizer_and_residual(
 
 @dataclass(frozen=True)
 class Compliant(Method):
-    """Index 0 for soft rows, by MuJoCo's model; index 1 for others. Feedback and projection apply
-    to these others only. An explicit step must be well below the time constant T.
+    """MuJoCo's soft constraints: index 0 for soft rows, index 1 for rigid rows.
 
-    "compliant" in `rb.constraints.formulations()` is this method with a projection. It is the
-    default formulation of models with a `Soft` constraint.
+    Feedback and projection apply to rigid rows only. An explicit step must be well below the time
+    constant T. The formulation "compliant" is this method with a projection. It is the default
+    formulation of models with a `Soft` constraint.
 
     Source: MuJoCo, *Computation*, constraint model.
     """
@@ -219,13 +228,13 @@ def compliant_motion(
     model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces,
     alpha: Any = 0.0, beta: Any = 0.0,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """Compute a (nv,) and the forces f (rows,) on the rows, of a sample."""
+    """Compute the accelerations a (nv,) and the forces f (rows,) on the rows."""
     method, residual = soft_problem, soft_right_hand_side
     return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method, residual)
 
 
 def soft_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
-    """Start from free motion: (A + R) df = c - G M^-1 f."""
+    """Set up (A + R) df = c - G M^-1 f, starting from the free acceleration."""
     qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
     def factor(now: Context, rows: Sequence[Row]) -> Solve:
@@ -238,6 +247,6 @@ def soft_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> 
 def soft_right_hand_side(
     now: Context, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
-    """Return the residual of the rows' equations at forces f."""
+    """Return the residual of the rows' equations at forces f, or at zero forces if f is None."""
     R, residual = regularizer_and_residual(now, rows, alpha, beta)
     return list(residual if f is None else residual - R * f)

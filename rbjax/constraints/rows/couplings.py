@@ -1,6 +1,6 @@
-"""Couplings: a coordinate of a joint as a function of another one, or of time. One row each.
+"""Couplings: a joint coordinate as a function of another coordinate, or of time. One row each.
 
-r is the reference of a joint, its coordinate in the configuration of the file.
+r is a joint's reference: its coordinate in the configuration in which the model file defines it.
 
 Source: MuJoCo, *XML reference*, equality/joint; URDF, mimic; Haug, *Computer-Aided Kinematics and
 Dynamics*, 9.5.
@@ -27,14 +27,13 @@ from rbjax.model.record import check_fields, check_number, floats
 
 
 class JointPolynomial(Constraint):
-    """q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality of joints, URDF's mimic.
+    """A coupling q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality/joint, URDF's mimic.
 
     Fields:
-        joint: 1, static, the name or index of a joint of one coordinate.
-        driver: 2, static, another one; None for q1 - r1 = c_0.
-        coefficients: (n,), c_0 first, n at least 1.
+        joint: static, name or index of joint 1, which has one coordinate.
+        driver: static, name or index of joint 2, which has one coordinate; None for q1 - r1 = c_0.
+        coefficients: (n,) from c_0, with n at least 1.
 
-    Example:
         >>> import rbjax as rb
         >>> from rbjax.constraints import JointPolynomial
         >>> bend = JointPolynomial("elbow", "shoulder", [0.1, -2.0])
@@ -65,11 +64,11 @@ class JointPolynomial(Constraint):
 
 
 class Gear(Constraint):
-    """q1 - r1 = ratio (q2 - r2) of two hinges.
+    """A gear between two hinges: q1 - r1 = ratio (q2 - r2).
 
     Fields:
-        joint, driver: 1 and 2, static, names or indices of hinges.
-        ratio: negative for wheels that mesh from outside.
+        joint, driver: static, names or indices of hinges 1 and 2.
+        ratio: transmission ratio, negative for externally meshing wheels.
     """
 
     joint: str | int = eqx.field(static=True)
@@ -85,12 +84,12 @@ class Gear(Constraint):
 
 
 class Rack(Constraint):
-    """q1 - r1 = radius (q2 - r2) of a slide and a hinge: a rack and its pinion.
+    """A rack (slide 1) and its pinion (hinge 2): q1 - r1 = radius (q2 - r2).
 
     Fields:
-        joint: 1, static, the name or index of a slide.
-        driver: 2, static, the name or index of a hinge.
-        radius: m, the pinion's pitch radius; negative for the other side of the pinion.
+        joint: static, name or index of the slide.
+        driver: static, name or index of the hinge.
+        radius: pitch radius of the pinion, m; negative for the other side of the pinion.
     """
 
     joint: str | int = eqx.field(static=True)
@@ -106,13 +105,12 @@ class Rack(Constraint):
 
 
 class Prescribed(Constraint):
-    """q = f(t): a coordinate of a joint is a function of time, which is differentiated twice.
+    """A joint coordinate that is a given function of time: q = f(t).
 
     Fields:
-        joint: static, the name or index of a joint of one coordinate.
-        function: static, t () -> rad or m. Each function is compiled once.
+        joint: static, name or index of a joint of one coordinate.
+        function: static, t () -> rad or m, twice differentiable. Each function is compiled once.
 
-    Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax.constraints import Prescribed
         >>> swing = Prescribed("hinge", lambda t: 0.3 * jnp.sin(2 * t))
@@ -137,13 +135,13 @@ class Prescribed(Constraint):
 
 
 def _proportional(now: Context, joint: tuple, driver: str | int, factor: jax.Array) -> Row:
-    """Build q1 - r1 - factor (q2 - r2), of a joint and its kind, and of a hinge."""
+    """Build the row q1 - r1 - factor (q2 - r2). `joint`: (name, kind) of joint 1; 2 is a hinge."""
     driven = from_reference(now, driver, "hinge")
     return from_reference(now, *joint) - driven * scalar(factor, now.q.dtype)
 
 
 def from_reference(now: Context, joint: str | int, kind: str | None = None) -> Row:
-    """Build q - r of a joint of one coordinate; of this kind, if one is given."""
+    """Build the row q - r of a joint of one coordinate. Raise InputError if its kind differs."""
     _check_kind(now, joint, kind)
     start = now.model.topology.joint_q[now.model.joint(joint)]
     reference = lane(table(now.model.joints.reference, now.q.dtype), start)

@@ -1,15 +1,15 @@
-"""A point of one body on a curve or a surface that is fixed in another.
+"""Constraints of a point of one body on a curve or a surface that is fixed in another body.
 
     surface   f(x) = 0                                                   1 row
     curve     n_1 . (x - c(s)) = 0,  n_2 . (x - c(s)) = 0                2 rows
 
-x is the point of B in A's axes, and s(x) the parameter of the curve's point nearest to x, a root of
+x is the origin of B in A's axes. s(x) is the parameter of the curve's point nearest to x, a root of
 
     F(x, s) = (x - c(s)) . c'(s) = 0,       ds = -F_x dx / F_s,      F_s = (x - c) . c'' - |c'|^2
 
-n_1 and n_2 span the plane across c'(s). s(x) is smooth if x is nearer than the curve's centre of
-curvature (F_s < 0) and nearer to one branch of the curve than to others. For a curve that crosses
-itself, use a coordinate s of its own (a slide).
+n_1 and n_2 span the plane orthogonal to c'(s). s(x) is smooth if x is nearer to the curve than the
+centre of curvature (F_s < 0), and nearer to one branch of the curve than to others. For a curve
+that crosses itself, model s as a coordinate of its own (a slide).
 
 Source: do Carmo, *Differential Geometry of Curves and Surfaces*, 1.5, 2.7.
 """
@@ -32,12 +32,12 @@ from rbjax.forces.context import Context
 from rbjax.forces.place import Place, check_places
 from rbjax.model.record import check_fields, floats
 
-#: iterations of Newton's method from the nearest point of the table
+#: iterations of Newton's method from the nearest of the points `starts`
 NEWTON_STEPS = 8
 
 
 def _position(a: Place, b: Place, now: Context) -> list[Row]:
-    """Build the rows of the origin of b in a's axes."""
+    """Build the three rows of the origin of b in a's axes."""
     A, B = a.frame(now), b.frame(now)
     return [along(A, u, B) for u in AXES]
 
@@ -47,14 +47,13 @@ def _inner(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 class PointOnSurface(Constraint):
-    """The origin of b on the surface f(x) = 0, x in a's axes: one row.
+    """The origin of b on the surface f(x) = 0, with x in a's axes: one row.
 
     Fields:
-        a, b: `Place`s.
-        f: static, x (3,) m (and numbers) -> (). Its gradient is nowhere zero on the surface.
-        numbers: a pytree that f takes as its last argument, or None.
+        a, b: `Place`s on the two bodies.
+        f: static, x (3,) m, or (x, numbers) -> (). Its gradient must not vanish on the surface.
+        numbers: pytree of parameters of f, or None.
 
-    Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax.constraints import Place, PointOnSurface
         >>> def ellipsoid(x, axes):
@@ -84,13 +83,12 @@ class PointOnCurve(Constraint):
     """The origin of b on the curve c(s), in a's axes: two rows.
 
     Fields:
-        a, b: `Place`s.
-        c: static, s () (and numbers) -> (3,) m, with c' nowhere zero. A closed curve is periodic.
-        starts: (n,) parameters s, so close to each other that Newton's method from the nearest one
-            finds the nearest point of the curve.
-        numbers: a pytree that c takes as its last argument, or None.
+        a, b: `Place`s on the two bodies.
+        c: static, s (), or (s, numbers) -> (3,) m. c' must not vanish. A closed curve is periodic.
+        starts: (n,) parameters s. Newton's method starts from the nearest one, so they must be
+            dense enough for it to converge to the nearest point of the curve.
+        numbers: pytree of parameters of c, or None.
 
-    Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax.constraints import Place, PointOnCurve
         >>> def helix(s):
@@ -119,11 +117,11 @@ class PointOnCurve(Constraint):
             )
 
     def point(self, s: jax.Array) -> jax.Array:
-        """Evaluate c(s) (3,) m in a's axes."""
+        """Return the point c(s) (3,), m in a's axes."""
         return _curve(self.c, self.numbers, s)
 
     def nearest(self, x: jax.Array) -> jax.Array:
-        """Find the parameter () of the curve's point nearest to x (3,). It is differentiable."""
+        """Return the parameter () of the curve's point nearest to x (3,). It is differentiable."""
         return _nearest(self.c)(x, self.numbers, self.starts.astype(x.dtype))
 
     def rows(self, now: Context) -> Sequence[Row]:
@@ -139,13 +137,16 @@ def _curve(c: Callable, numbers: Any, s: jax.Array) -> jax.Array:
 
 
 def _with_slope(f: Callable, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Evaluate f(s) and f'(s)."""
+    """Return f(s) and f'(s)."""
     return jax.jvp(f, (s,), (jnp.ones_like(s),))
 
 
 def _normals(along: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return two unit vectors orthogonal to a direction (3,) and to each other. They jump if the
-    axis that is most across the direction changes; multipliers jump too, forces do not."""
+    """Return two orthogonal unit vectors that are orthogonal to a direction (3,).
+
+    They jump if the coordinate axis most orthogonal to the direction changes. Multipliers then jump
+    too, but forces do not.
+    """
     t = along / jnp.sqrt(_inner(along, along))
     least = jnp.eye(3, dtype=t.dtype)[jnp.argmin(jnp.abs(jax.lax.stop_gradient(t)))]
     n = jnp.cross(t, least)
@@ -154,10 +155,10 @@ def _normals(along: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _nearest(c: Callable) -> Callable:
-    """Make the function (x, numbers, starts) -> s, with the derivative of the implicit function."""
+    """Return the function (x, numbers, starts) -> s, differentiated as an implicit function."""
 
     def F(x: jax.Array, numbers: Any, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Evaluate F and |c'|^2."""
+        """Return F(x, s) and |c'|^2."""
         point, slope = _with_slope(lambda s: _curve(c, numbers, s), s)
         return _inner(x - point, slope), _inner(slope, slope)
 
@@ -168,7 +169,7 @@ def _nearest(c: Callable) -> Callable:
             value, slope, size = jax.jvp(
                 lambda s: F(x, numbers, s), (s,), (jnp.ones_like(s),), has_aux=True
             )
-            # beyond the centre of curvature Newton's step leads to a maximum: Gauss-Newton step
+            # beyond the centre of curvature Newton's step leads to a maximum: use Gauss-Newton
             return s - value / jnp.where(slope < -0.1 * size, slope, -size)
 
         return jax.lax.fori_loop(0, NEWTON_STEPS, newton, starts[jnp.argmin(_inner(d, d))])

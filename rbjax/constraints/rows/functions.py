@@ -5,13 +5,13 @@
     Pfaffian    A(t, q) v = b(t, q)
                 y = A v - b,    y' = A a + A' v - b'
 
-Their derivatives in time are taken along the path of velocity v and acceleration a,
+Time derivatives are computed along the path with velocity v and acceleration a,
 
     q(s) = q (+) (s v + s^2 a / 2),      v(s) = v + s a,      time t + s,
 
-so the argument of a function is always a configuration, with unit quaternions. A function is a
-compile-time constant, compared by identity: define it once. Values that shall be differentiated,
-batched or changed are in `numbers`, a pytree that it takes as its last argument.
+so a function is always evaluated at a valid configuration, with unit quaternions. The function is a
+compile-time constant that is compared by identity: define it once. Pass values that are
+differentiated, batched or changed as `numbers`, a pytree that is the function's last argument.
 
 Source: Goldstein, *Classical Mechanics*, 1.3; Masarati, *Multibody System Dynamics*, 4.3.
 """
@@ -46,7 +46,7 @@ def arrays(numbers: Any) -> Any:
 
 
 def check_function(where: str, f: Any) -> None:
-    """Raise unless f is callable and hashable."""
+    """Raise InputError unless f is callable and hashable."""
     if not callable(f):
         raise InputError(f"{where}: got {type(f).__name__}, expected a function")
     try:
@@ -59,7 +59,7 @@ def check_function(where: str, f: Any) -> None:
 
 
 def check_functions(constraint: Any, *names: str) -> None:
-    """Check the functions in the fields of a constraint, and that its numbers are finite."""
+    """Check the named function fields of a constraint, and that its `numbers` are finite."""
     kind = type(constraint).__name__
     for name in names:
         check_function(f"{kind}({name}=...)", getattr(constraint, name))
@@ -70,7 +70,7 @@ def check_functions(constraint: Any, *names: str) -> None:
 def evaluate(
     where: str, f: Callable, numbers: Any, args: tuple, shape: tuple[int, ...], dtype: Any
 ) -> jax.Array:
-    """Evaluate f(*args), or f(*args, numbers) if there are numbers, and check its shape."""
+    """Evaluate f(*args), or f(*args, numbers) if there are numbers, and check the shape."""
 
     def cast(x: Any) -> jax.Array:
         x = jnp.asarray(x)
@@ -104,17 +104,16 @@ def _loads(gradient: jax.Array) -> Loads:
 
 
 class Holonomic(Constraint):
-    """f(t, q) = 0, for a smooth function of the configuration.
+    """A constraint f(t, q) = 0, with f a smooth function of the configuration.
 
     Fields:
-        f: static, (t, q) or (t, q, numbers) -> (size,). q (nq,) is in MuJoCo's layout.
-        size: static, the number of rows.
-        numbers: a pytree, or None.
+        f: static, (t, q) or (t, q, numbers) -> (size,), with q (nq,) in MuJoCo's layout.
+        size: static, number of rows.
+        numbers: pytree of parameters of f, or None.
 
     Raises:
         InputError: f returns another shape.
 
-    Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> def ellipse(t, q, axes):
         ...     return jnp.sum((q / axes) ** 2, keepdims=True) - 1.0
@@ -148,14 +147,14 @@ class Holonomic(Constraint):
 
 
 class Pfaffian(Constraint):
-    """A(t, q) v = b(t, q): constraints on the velocity, integrable or not.
+    """A constraint A(t, q) v = b(t, q) on the velocity, integrable or not.
 
     Fields:
-        A: static, (t, q) or (t, q, numbers) -> (size, nv). q (nq,) is in MuJoCo's layout; v are the
-            model's velocities, in body axes for the rotation of a ball and a free joint.
-        b: static, the same to (size,); None is zero.
-        size: static, the number of rows.
-        numbers: a pytree, or None.
+        A: static, (t, q) or (t, q, numbers) -> (size, nv), with q (nq,) in MuJoCo's layout. v are
+            the model's velocities; rotations of ball and free joints are in body axes.
+        b: static, function of the same arguments -> (size,); None for zero.
+        size: static, number of rows.
+        numbers: pytree of parameters of A and b, or None.
 
     Raises:
         InputError: A or b returns another shape.

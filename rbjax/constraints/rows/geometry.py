@@ -1,6 +1,6 @@
-"""Primitive rows between two frames A and B, each fixed to a body.
+"""Primitive constraint rows between two frames A and B, each fixed to a body.
 
-With d = p_B - p_A, and directions u and w that are fixed in A and B,
+With d = p_B - p_A, a direction u fixed in A and a direction w fixed in B,
 
     row            value     force of a unit multiplier on B, with its reaction on A
     displacement   d_k       force e_k at p_B
@@ -36,19 +36,19 @@ AXES = (X, Y, Z)
 
 
 def time(now: Context) -> Row:
-    """The time t."""
+    """Return the row whose value is the time t."""
     return Row(now.t, 1.0, Loads(), 0.0)
 
 
 def coordinate(now: Context, joint: str | int, k: int = 0) -> Row:
-    """Coordinate k of a joint, of one coordinate or of a chain of such."""
+    """Return the row of coordinate k of a joint: a hinge, a slide or a chain of them."""
     j = now.joint(joint)
     i = j.start + k
     return Row(j.q[k], j.v[k], Loads({i: 1.0}), 0.0 if now.a is None else now.a[i])
 
 
 def _relative(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:
-    """Return d with its first two derivatives, in world axes."""
+    """Return d = p_B - p_A and its first two time derivatives, in world axes."""
     return (
         B.position - A.position,
         B.velocity - A.velocity,
@@ -57,13 +57,13 @@ def _relative(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:
 
 
 def opposed(action: Loads, reaction: Loads) -> Loads:
-    """Add an action and its reaction. They are internal unless one is on the world."""
+    """Add an action and its reaction. The sum is internal unless one of them acts on the world."""
     both = bool(action.wrenches and reaction.wrenches)
     return replace(action + reaction, internal=both)
 
 
 def displacement(A: Frame, B: Frame) -> list[Row]:
-    """p_B - p_A in world axes."""
+    """Return the three rows of p_B - p_A, in world axes."""
     d, rate, acceleration = _relative(A, B)
     return [
         Row(d[k], rate[k], opposed(B.push(e), A.push(-e)), acceleration[k])
@@ -72,7 +72,7 @@ def displacement(A: Frame, B: Frame) -> list[Row]:
 
 
 def along(A: Frame, u: Vec3, B: Frame) -> Row:
-    """u . (p_B - p_A), with u in A's axes."""
+    """Return the row u . (p_B - p_A), with u in A's axes."""
     u, w = A.rotation @ u, A.angular_velocity
     d, rate, acceleration = _relative(A, B)
     du = w.cross(u)
@@ -86,7 +86,7 @@ def along(A: Frame, u: Vec3, B: Frame) -> Row:
 
 
 def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
-    """u . w, with u in A's axes and w in B's."""
+    """Return the row u . w, with u in A's axes and w in B's axes."""
     u, w = A.rotation @ u, B.rotation @ w
     a, b = A.angular_velocity, B.angular_velocity
     torque = w.cross(u)
@@ -101,8 +101,10 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
 
 
 def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
-    """d = |p_B - p_A|, or sqrt(d^2 + least^2), which is smooth at d = 0. If `least` is 0, the
-    gradient is zero at d = 0."""
+    """Return the row sqrt(d^2 + least^2), with d = |p_B - p_A|.
+
+    It is smooth at d = 0 if `least` is not zero. Otherwise its gradient at d = 0 is set to zero.
+    """
     d, rate, acceleration = _relative(A, B)
     square = add(d.dot(d), least * least)
     positive = square > 0
@@ -116,8 +118,10 @@ def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
 
 
 def turn(A: Frame, B: Frame) -> list[Row]:
-    """The axis of the rotation from A to B times the sine of its angle: half the skew part of the
-    rotation matrix. Zero if the frames are aligned."""
+    """Return the three rows sin(x) n of the rotation from A to B, with angle x and axis n.
+
+    They are half the skew part of the rotation matrix, and zero if the frames are aligned.
+    """
     return [
         (cosine(A, AXES[j], B, AXES[i]) - cosine(A, AXES[i], B, AXES[j])) * -0.5
         for i, j in ((2, 1), (0, 2), (1, 0))
@@ -133,14 +137,14 @@ def places(
     axis: Any = (0.0, 0.0, 1.0),
     q: jax.Array | None = None,
 ) -> tuple[Place, Place]:
-    """Fix one frame of the world to two bodies, for one configuration.
+    """Return the places on two bodies of one frame in the world, for one configuration.
 
     Args:
         model: the robot.
         a, b: names or indices of bodies; None is the world.
-        point: (3,) m in the world.
-        axis: (3,), of any length, in the world.
-        q: (nq,); the model's default state if None.
+        point: (3,) origin of the frame, m in world axes.
+        axis: (3,) z axis of the frame in world axes, of any length.
+        q: (nq,) configuration; None for the model's default state.
     """
     instance("between", "model", model, Model, "the Model that the joint is for (rbjax.load)")
     q = model.default_state().q if q is None else q

@@ -1,8 +1,8 @@
-"""Joints that close loops: the lower pairs, and other joints of the same primitive rows.
+"""Joints that close kinematic loops: lower pairs, and other joints made of the same primitive rows.
 
-a and b are frames on the two bodies, their z the axis of the joint. Parallel axes may point in
-opposite directions. The rows of a prismatic joint and of a weld are the sine of an angle, so they
-are zero at half a turn too; `assemble` uses the sine of half the angle (`HalfAngle`).
+a and b are frames on the two bodies, and their z axes are the joint's axis. Parallel axes may point
+in opposite directions. Prismatic joints and welds use the sine of an angle, which is also zero
+at half a turn. `assemble` uses the sine of half the angle (`HalfAngle`) instead.
 
 Source: Masarati, *Multibody System Dynamics*, ch. 6; Haug, *Computer-Aided Kinematics and
 Dynamics*, 9.4.
@@ -42,19 +42,19 @@ from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats
 
 Primitive = Callable[[Frame, Frame], list[Row]]
-#: if the trace of a rotation is this near to -1 (half a turn), 1 + trace is mostly rounding error
+#: below this value of 1 + trace of a rotation matrix (near half a turn), it is mostly rounding
 NEAR = 1e-5
 
 
 class Pair(Constraint):
-    """A joint between two frames that closes a loop. Its rows are those of its primitives.
+    """Base class of joints between two frames that close a kinematic loop.
 
     Fields:
         a, b: `Place`s on the two bodies.
 
     Class fields:
-        primitives: functions (A, B) -> rows of two frames.
-        turns: the slice of the rows that are the sine of an angle (`turn`), or None.
+        primitives: functions (A, B) -> rows of two frames. The joint has the rows of all of them.
+        turns: slice of the rows that are the sine of an angle (`turn`), or None.
     """
 
     a: Place
@@ -82,10 +82,10 @@ class Pair(Constraint):
         Args:
             model: the robot.
             a, b: names or indices of bodies; None is the world.
-            point: (3,) m in the world.
-            axis: (3,), of any length, in the world.
-            q: (nq,); the model's default state if None.
-            numbers: other fields of the joint.
+            point: (3,) m in world axes.
+            axis: (3,) direction of the joint's axis in world axes, of any length.
+            q: (nq,) configuration; None for the model's default state.
+            numbers: the other fields of the joint.
         """
         ends = places(model, a, b, point=point, axis=axis, q=q)
         try:
@@ -100,14 +100,15 @@ class Pair(Constraint):
         return self.between_frames(self.a.frame(now), self.b.frame(now), now)
 
     def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        """Build the rows of two frames."""
+        """Build the rows of the joint between two frames."""
         return [row for primitive in self.primitives for row in primitive(A, B)]
 
 
 class HalfAngle(Constraint):
-    """The rows of a pair with 2 sin(x / 2) instead of sin(x), for the angle x between its frames.
+    """The rows of a pair, with 2 sin(x / 2) n instead of sin(x) n for the relative rotation.
 
-    They are zero only if the frames are aligned, and NaN within 0.2 degrees of half a turn.
+    x is the angle between the frames and n the axis. The rows are zero only if the frames are
+    aligned, and NaN within 0.2 degrees of half a turn.
 
     Fields:
         of: a `Pair` with `turns`.
@@ -129,54 +130,54 @@ class HalfAngle(Constraint):
 
 
 def trace(A: Frame, B: Frame) -> Row:
-    """The trace of the rotation between two frames: 1 + 2 cos(x), x its angle."""
+    """Return the row of the trace 1 + 2 cos(x) of the rotation between two frames."""
     x, y, z = (cosine(A, e, B, e) for e in AXES)
     return x + y + z
 
 
 def parallel(A: Frame, B: Frame) -> list[Row]:
-    """z_b parallel to z_a."""
+    """Return the two rows of z_b parallel to z_a."""
     return [cosine(A, X, B, Z), cosine(A, Y, B, Z)]
 
 
 def orthogonal(A: Frame, B: Frame) -> list[Row]:
-    """z_b orthogonal to x_a."""
+    """Return the row of z_b orthogonal to x_a."""
     return [cosine(A, X, B, Z)]
 
 
 def on_axis(A: Frame, B: Frame) -> list[Row]:
-    """p_b on the axis z_a."""
+    """Return the two rows of p_b on the axis z_a."""
     return [along(A, X, B), along(A, Y, B)]
 
 
 def in_plane(A: Frame, B: Frame) -> list[Row]:
-    """p_b in the plane across z_a."""
+    """Return the row of p_b in the plane through p_a that is orthogonal to z_a."""
     return [along(A, Z, B)]
 
 
 class Spherical(Pair):
-    """p_b = p_a: three rows, in world axes. MuJoCo's `connect`."""
+    """A ball joint, MuJoCo's `connect`: p_b = p_a, three rows in world axes."""
 
     size = 3
     primitives = (displacement,)
 
 
 class Revolute(Pair):
-    """p_b = p_a, z_b parallel to z_a: five rows."""
+    """A revolute joint (hinge): p_b = p_a and z_b parallel to z_a, five rows."""
 
     size = 5
     primitives = displacement, parallel
 
 
 class Cylindrical(Pair):
-    """p_b on the axis z_a, z_b parallel to it: four rows."""
+    """A cylindrical joint: p_b on the axis z_a and z_b parallel to z_a, four rows."""
 
     size = 4
     primitives = on_axis, parallel
 
 
 class Prismatic(Pair):
-    """p_b on the axis z_a, all axes parallel: five rows."""
+    """A prismatic joint (slide): p_b on the axis z_a and all axes parallel, five rows."""
 
     size = 5
     primitives = on_axis, turn
@@ -184,10 +185,11 @@ class Prismatic(Pair):
 
 
 class Screw(Pair):
-    """A cylindrical joint with a thread: s = pitch angle / (2 pi), five rows.
+    """A screw joint: a cylindrical joint with slide = pitch angle / (2 pi), five rows.
 
     Fields:
-        pitch: m a turn, not zero. The slide determines the number of turns, to half a turn.
+        pitch: slide per turn, m, not zero. The number of turns follows from the slide, so the
+            residual must stay below half a turn.
     """
 
     pitch: jax.Array = eqx.field(converter=floats)
@@ -211,16 +213,16 @@ class Screw(Pair):
 
 
 class Planar(Pair):
-    """p_b in the plane across z_a, z_b parallel to z_a: three rows."""
+    """A planar joint: p_b in the plane orthogonal to z_a and z_b parallel to z_a, three rows."""
 
     size = 3
     primitives = in_plane, parallel
 
 
 class Universal(Pair):
-    """A Cardan joint: p_b = p_a, z_b orthogonal to x_a: four rows.
+    """A universal (Cardan) joint: p_b = p_a and z_b orthogonal to x_a, four rows.
 
-    The cross rotates about x_a on one body and about z_b on the other.
+    The cross rotates about x_a relative to body a, and about z_b relative to body b.
     """
 
     size = 4
@@ -228,8 +230,10 @@ class Universal(Pair):
 
 
 class Weld(Pair):
-    """p_b = p_a, all axes parallel: six rows. The last three are the sine of the angle between the
-    frames times its axis."""
+    """A rigid connection: p_b = p_a and all axes parallel, six rows.
+
+    The last three rows are sin(x) n, with the angle x and axis n of the relative rotation.
+    """
 
     size = 6
     primitives = displacement, turn
@@ -237,40 +241,39 @@ class Weld(Pair):
 
 
 class Inline(Pair):
-    """p_b on the axis z_a: two rows."""
+    """A point on a line: p_b on the axis z_a, two rows."""
 
     size = 2
     primitives = (on_axis,)
 
 
 class Inplane(Pair):
-    """p_b in the plane across z_a: one row."""
+    """A point in a plane: p_b in the plane through p_a orthogonal to z_a, one row."""
 
     size = 1
     primitives = (in_plane,)
 
 
 class Parallel(Pair):
-    """z_b parallel to z_a: two rows."""
+    """Parallel axes: z_b parallel to z_a, two rows."""
 
     size = 2
     primitives = (parallel,)
 
 
 class Orthogonal(Pair):
-    """z_b orthogonal to x_a: one row."""
+    """Orthogonal axes: z_b orthogonal to x_a, one row."""
 
     size = 1
     primitives = (orthogonal,)
 
 
 class Distance(Pair):
-    """|p_b - p_a| = length: one row, a massless rod with two balls.
+    """A massless rod with ball joints at both ends: |p_b - p_a| = length, one row.
 
     Fields:
-        length: m, above zero.
+        length: distance of the two origins, m, above zero.
 
-    Example:
         >>> import rbjax as rb
         >>> model = rb.load("double_pendulum")
         >>> rod = rb.constraints.Distance.between(
@@ -300,13 +303,13 @@ class Distance(Pair):
         Args:
             model: the robot.
             a, b: names or indices of bodies; None is the world.
-            point: (3,) m in the world, the end on a.
-            other: (3,) m in the world, the end on b.
-            length: m; the distance of the two points if None.
-            q: (nq,); the model's default state if None.
+            point: (3,) end of the rod on a, m in world axes.
+            other: (3,) end of the rod on b, m in world axes.
+            length: m; None for the distance of the two points.
+            q: (nq,) configuration; None for the model's default state.
 
         Raises:
-            InputError: `other` is missing, or the same point as `point`.
+            InputError: `other` is missing or equal to `point`.
         """
         if other is None:
             raise InputError(
@@ -332,12 +335,13 @@ class Distance(Pair):
 
 
 class QuaternionWeld(Pair):
-    """p_b = p_a, all axes parallel: six rows, those of MuJoCo's `weld`. The last three are the sine
-    of half the angle between the frames times its axis, times `scale`. They have no derivative at
-    half a turn.
+    """A rigid connection with the six rows of MuJoCo's `weld`.
+
+    The first three rows are p_b - p_a. The last three are scale sin(x / 2) n, with the angle x and
+    axis n of the relative rotation. They are not differentiable at half a turn.
 
     Fields:
-        a, b: `Place`s.
+        a, b: `Place`s on the two bodies.
         scale: MuJoCo's torquescale, m.
     """
 

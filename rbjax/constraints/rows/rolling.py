@@ -1,7 +1,7 @@
-"""Wheels that roll without slip, and knife edges, on a plane.
+"""Constraints of wheels that roll without slip, and of knife edges, on a plane.
 
-The plane is through A's origin, its normal n is z_A; it may move with a body. The wheel's centre c
-is B's origin. The contact point is p = c + r:
+The plane contains A's origin and its normal n is z_A. It may move with a body. The wheel's centre c
+is B's origin. The contact point is p = c + r with
 
     sphere      r = -R n
     thin disc   r = R m,     m = -(n - (n . e) e) / sin(lean),   cos(lean) = n . e,   e its axle
@@ -10,8 +10,8 @@ The height n . (p - p_A) = 0 is a holonomic row. The slip velocity
 
     u = c' + w_B x r - p_A' - w_A x (p - p_A)
 
-is zero along x_A and y_A: two non-holonomic rows. r' is the rate of the contact point, which moves
-along the rim:
+is zero along x_A and y_A, which are two non-holonomic rows. With the rate r' of the contact point
+relative to c, which moves along the rim,
 
     u' = c'' + w_B' x r + w_B x r' - p_A'' - w_A' x (p - p_A) - w_A x (c' + r' - p_A')
 
@@ -40,13 +40,16 @@ Moving = tuple[Vec3, Vec3]  # a vector in world axes, and its rate
 
 
 def swept(F: Frame, u: Vec3) -> Moving:
-    """Return a direction fixed in a frame, in world axes, with its rate."""
+    """Return a direction that is fixed in a frame, and its rate, in world axes."""
     u = F.rotation @ u
     return u, F.angular_velocity.cross(u)
 
 
 def slip(A: Frame, B: Frame, arm: Moving, directions: Sequence[Moving]) -> list[Row]:
-    """Build the rows u . s of the slip of B on A at B's origin + arm, along directions s."""
+    """Build the rows u . s, with u the slip velocity of B on A at the contact point.
+
+    `arm` is the vector from B's origin to the contact point. `directions` are the vectors s.
+    """
     (r, dr), a, b = arm, A.angular_velocity, B.angular_velocity
     p = B.position + r
     d, dd = p - A.position, B.velocity + dr - A.velocity
@@ -67,12 +70,12 @@ def slip(A: Frame, B: Frame, arm: Moving, directions: Sequence[Moving]) -> list[
 
 
 class Rolling(Constraint):
-    """A wheel on a plane: three rows, the height of the contact point and two of slip.
+    """Base class of wheels that roll on a plane: one height row and two slip rows.
 
     Fields:
-        a: a `Place`, its origin in the plane, its z the normal towards the wheel.
-        b: a `Place`, its origin the wheel's centre, its z the axle.
-        radius: m, above zero.
+        a: `Place` whose origin is in the plane and whose z axis is the normal towards the wheel.
+        b: `Place` whose origin is the wheel's centre and whose z axis is the axle.
+        radius: radius of the wheel, m, above zero.
     """
 
     a: Place
@@ -90,17 +93,17 @@ class Rolling(Constraint):
         return [height, *slip(A, B, arm, [swept(A, X), swept(A, Y)])]
 
     def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
-        """Return the row of the height of the contact point, and its position from the centre."""
+        """Return the row of the contact point's height, and the point relative to the centre."""
         raise NotImplementedError(f"{type(self).__name__} has no method contact")
 
 
 class RollingSphere(Rolling):
-    """A sphere that rolls on a plane without slip: three rows. It is also a round wheel whose axle
-    stays parallel to the plane.
+    """A sphere that rolls on a plane without slip: three rows.
+
+    It also models a round wheel whose axle stays parallel to the plane.
 
     Fields: a, b, radius, as in `Rolling`; the axes of b have no effect.
 
-    Example:
         >>> import rbjax as rb
         >>> from rbjax.constraints import Place, RollingSphere
         >>> ball = RollingSphere(Place.on(), Place.on(body="box"), 0.1)
@@ -114,12 +117,10 @@ class RollingSphere(Rolling):
 
 
 class RollingDisc(Rolling):
-    """A thin disc that rolls on a plane without slip, and may lean: three rows. It must not lie
-    flat.
+    """A thin disc that rolls on a plane without slip and may lean, but not lie flat: three rows.
 
     Fields: a, b, radius, as in `Rolling`.
 
-    Example:
         >>> import rbjax as rb
         >>> from rbjax.constraints import Place, RollingDisc
         >>> wheel = RollingDisc(Place.on(), Place.on(body="box", axis=[0, 1, 0]), 0.3)
@@ -139,15 +140,16 @@ class RollingDisc(Rolling):
 
 
 class KnifeEdge(Constraint):
-    """A blade on a plane that slides only along itself: one row, u . (n x d) = 0, with the velocity
-    u of the blade's point relative to the plane. The row does not keep the point in the plane. It
-    is also a massless wheel, whose axle is across d.
+    """A blade on a plane that slides only along itself: one non-holonomic row.
+
+    The row is u . (n x d) = 0, with the velocity u of the blade's point relative to the plane. It
+    does not keep the point in the plane. It also models a massless wheel with an axle orthogonal to
+    d.
 
     Fields:
-        a: a `Place`, its z the normal n.
-        b: a `Place`, its origin the blade's point, its z the direction d of the blade.
+        a: `Place` whose z axis is the normal n of the plane.
+        b: `Place` whose origin is the blade's point and whose z axis is the blade's direction d.
 
-    Example:
         >>> import rbjax as rb
         >>> from rbjax.constraints import KnifeEdge, Place
         >>> skate = KnifeEdge(Place.on(), Place.on(body="box", point=[-0.3, 0, 0], axis=[1, 0, 0]))

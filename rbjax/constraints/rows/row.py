@@ -1,11 +1,11 @@
-"""Rows: scalar functions of the motion with two derivatives in time, of which constraints consist.
+"""Rows: scalar functions of the motion with two time derivatives. Constraints consist of rows.
 
     holonomic        g(t, q) = 0,     g' = G v + g_t,     g'' = G a + G' v + ...
     non-holonomic    y = G v + b = 0,                     y' = G a + ...
 
-`gradient` is G as the forces of a unit multiplier on the robot. Sums, products and functions of
-rows are those of g, or of y, with derivatives by the chain rule. So a new constraint needs only its
-residual.
+`gradient` represents G by the forces of a unit multiplier on the robot. Sums, products and
+functions of rows are those of g or y, with derivatives by the chain rule. A new constraint
+therefore needs only its residual.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from rbjax.model.record import Record, check_fields
 
 @dataclass(frozen=True)
 class Row:
-    """A scalar function of the motion.
+    """A scalar function of the motion with two time derivatives.
 
     Fields:
         value: g; None for a non-holonomic row.
-        rate: g' or y.
+        rate: g', or y of a non-holonomic row.
         gradient: G, as `Loads`.
         acceleration: g'' or y', at the accelerations of the context.
     """
@@ -43,7 +43,7 @@ class Row:
 
     @classmethod
     def constant(cls, x: Lane) -> Row:
-        """Make a constant."""
+        """Return a row with a constant value."""
         return cls(x, 0.0, Loads(), 0.0)
 
     @property
@@ -52,12 +52,12 @@ class Row:
 
     @property
     def residual(self) -> Lane:
-        """g; zero for a non-holonomic row."""
+        """Value g of a holonomic row; zero for a non-holonomic row."""
         return 0.0 if self.value is None else self.value
 
     @property
     def time_derivative(self) -> Row:
-        """g' of a holonomic row, as a row: `row.time_derivative - 0.3` is g' = 0.3."""
+        """Non-holonomic row of g', for example `row.time_derivative - 0.3` for g' = 0.3."""
         if self.value is None:
             raise InputError("Row.time_derivative: the row has only a rate, expected a value g")
         return Row(None, self.rate, self.gradient, self.acceleration)
@@ -131,14 +131,14 @@ class Row:
 
 
 def derivatives(f: Callable[[Any], Any], x: Any) -> tuple[Any, Any, Any]:
-    """Compute f, f' and f'' at a scalar x."""
+    """Return f, f' and f'' at a scalar x."""
     one = jnp.ones_like(x)
     (value, first), (_, second) = jax.jvp(lambda x: jax.jvp(f, (x,), (one,)), (x,), (one,))
     return value, first, second
 
 
 def _check_holonomic(where: str, rows: Sequence[Row]) -> None:
-    """Reject rows that have only a rate: a function of them is not linear in the velocities."""
+    """Raise InputError if a row has no value, because functions of its rate are not linear in v."""
     if any(row.value is None for row in rows):
         raise InputError(
             f"{where}: a row has only a rate, expected rows with a value g; rbjax.constraints."
@@ -147,11 +147,11 @@ def _check_holonomic(where: str, rows: Sequence[Row]) -> None:
 
 
 def angle(sine: Row, cosine: Row) -> Row:
-    """Return atan2(sine, cosine) of two rows, in (-pi, pi], for a vector of any length."""
+    """Return the row atan2(sine, cosine), in (-pi, pi]. The two rows may have any common scale."""
     _check_holonomic("angle", [sine, cosine])
     s: Any = sine.value
     c: Any = cosine.value
-    inverse = 1.0 / add(mul(s, s), mul(c, c))  # of the length squared
+    inverse = 1.0 / add(mul(s, s), mul(c, c))  # 1 / (s^2 + c^2)
     x, y = mul(c, inverse), mul(s, inverse)
     rate = sub(mul(x, sine.rate), mul(y, cosine.rate))
     longer = add(mul(y, sine.rate), mul(x, cosine.rate))
@@ -186,10 +186,11 @@ def function_of(rows: Sequence[Row], f: Callable[[jax.Array], jax.Array], dtype:
 
 
 class Constraint(Record):
-    """A constraint on the motion of a robot. Make a subclass; its fields are its parameters, and
-    leaves of the model. A formulation enforces the rows.
+    """Base class of constraints on the motion of a robot.
 
-    Example:
+    Subclasses implement `size` and `rows`. Their fields are parameters and leaves of the model. A
+    formulation enforces the rows.
+
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax.constraints import Constraint, coordinate
         >>> class Mirror(Constraint):
@@ -204,9 +205,9 @@ class Constraint(Record):
 
     @property
     def size(self) -> int:
-        """The number of rows."""
+        """Number of rows."""
         raise NotImplementedError(f"{type(self).__name__} has no size")
 
     def rows(self, now: Context) -> Sequence[Row]:
-        """Build the rows in a context."""
+        """Build the rows of the constraint in a context."""
         raise NotImplementedError(f"{type(self).__name__} has no method rows(self, now) -> rows")

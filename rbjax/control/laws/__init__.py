@@ -1,4 +1,5 @@
-"""Feedback laws: controllers of robots, allocation of forces to actuators, attraction maps."""
+"""Feedback laws: controllers of robots, allocation of forces to actuators, regions of attraction.
+"""
 
 from rbjax.control.laws.allocation import Allocation, allocate
 from rbjax.control.laws.attraction_map import RegionMap, region_of_attraction

@@ -1,9 +1,10 @@
-"""From generalized forces to the controls of a model's actuators.
+"""Allocation of generalized forces to the controls of a model's actuators.
 
     tau_a(u) = b(q, v) + B(q, v) u            u = B^+ (tau - b)
 
-Actuators without a state are affine in their controls up to their limits: B has moment arms times
-gains, b the biases of servos and the gravity compensation of a file.
+Actuators without a state have forces that are affine in their controls, up to their limits. B
+contains moment arms times gains. b contains the biases of servos and the gravity compensation of a
+model file.
 Source: MuJoCo, *Computation*, actuation model; Siciliano et al., *Robotics*, 8.1.
 """
 
@@ -28,33 +29,37 @@ from rbjax.lanes import Lane, add, inner, is_zero, ldlt, sub
 from rbjax.model import Model, State
 from rbjax.rank_tolerances import rank_tolerance
 
-#: reactions to forces that the actuators cannot give
+#: options for forces that the actuators cannot produce
 UNDRIVEN = ("refuse", "least_squares")
 
 
 class Allocation(NamedTuple):
-    """ctrl (nu,), within the control ranges; residual (nv,) N m or N, the requested forces minus
-    the forces of the actuators."""
+    """Result of `allocate`.
+
+    ctrl: controls within the control ranges, (nu,).
+    residual: requested forces minus actuator forces, (nv,), N m or N.
+    """
 
     ctrl: jax.Array
     residual: jax.Array
 
 
 def allocate(model: Model, state: State, tau: jax.Array) -> Allocation:
-    """Controls with which the actuators give the generalized forces tau, or the nearest ones.
+    """Compute controls whose actuator forces are the generalized forces tau, or the nearest ones.
 
-    u = B^+ (tau - b), clipped to the control ranges.
+        u = B^+ (tau - b), clipped to the control ranges.
 
     Args:
-        model: the robot; its actuators have no states of their own.
+        model: the robot, with actuators without states.
         state: `State(q (nq,), v (nv,))`.
-        tau: (nv,) N m or N, all that the actuators shall give.
+        tau: (nv,) N m or N, desired total force of the actuators.
 
     Returns:
         `Allocation(ctrl (nu,), residual (nv,))`.
 
     Raises:
-        InputError: an actuator whose force does not follow its control at once; wrong shapes.
+        InputError: an actuator with a state or with a force that is not affine in its control;
+            wrong shapes.
 
     Source: MuJoCo documentation, *Computation*, actuation model.
 
@@ -81,7 +86,7 @@ def allocate(model: Model, state: State, tau: jax.Array) -> Allocation:
 
 
 def controls(model: Model, state: State, tau: jax.Array) -> jax.Array:
-    """u (nu,) of `allocate` without limits."""
+    """Return the controls u (nu,) of `allocate` before clipping to the control ranges."""
     dtype = jnp.result_type(state.q, tau)
     if not model.nu:
         return jnp.zeros(0, dtype)
@@ -95,8 +100,11 @@ def controls(model: Model, state: State, tau: jax.Array) -> jax.Array:
 
 
 def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
-    """u of least length among the minimisers of |B u - r|, for the columns of B: one by the normal
-    equations, then the shortest with the same B u, u = B^T y with B B^T y = B u."""
+    """Return the minimum-norm u among the minimizers of |B u - r|, for the columns of B.
+
+    A minimizer u from the normal equations is projected to the row space of B: B^T y with B B^T y =
+    B u.
+    """
     least = rank_tolerance("actuators", dtype)
     columns = B
 
@@ -111,8 +119,10 @@ def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
 
 
 def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
-    """b, nv lanes, and the columns of B, one a control, each of nv lanes; zero where a control has
-    no effect on a coordinate."""
+    """Return b, nv lanes, and the columns of B, nv lanes for each control.
+
+    Structural zeros of B are the literal 0.0.
+    """
     free = _unlimited(model)
     now = Context.of(free, 0.0, state, None)
     zero, one = (jnp.asarray(x, state.q.dtype) for x in (0.0, 1.0))
@@ -140,7 +150,7 @@ def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
 
 
 def _structure(model: Model) -> list[set[int]]:
-    """Of each control, the velocity coordinates on which it may have an effect."""
+    """Return, for each control, the set of dofs on which it may have an effect."""
     top = model.topology
     elements = {i for e in model.forces if e.actuates for i in getattr(e, "controls", ())}
     out = []
@@ -153,7 +163,7 @@ def _structure(model: Model) -> list[set[int]]:
 
 
 def _unlimited(model: Model) -> Model:
-    """The model whose actuators have no limits, so that their forces are affine in the controls."""
+    """Return the model with unlimited actuators, whose forces are affine in the controls."""
     endless = np.array([-np.inf, np.inf])
 
     def wide(record: Any, *names: str) -> Any:
@@ -168,7 +178,7 @@ def _unlimited(model: Model) -> Model:
 
 
 def check_actuators(where: str, model: Model) -> None:
-    """`InputError` if the force of an actuator is not affine in its control, or has a state."""
+    """Raise InputError if an actuator has a state or a force that is not affine in its control."""
     for element in model.forces:
         if not element.actuates:
             continue
@@ -186,8 +196,8 @@ def check_actuators(where: str, model: Model) -> None:
 
 
 def check_driven(where: str, model: Model, undriven: str) -> None:
-    """`InputError` if forces are due that no actuator gives, unless `undriven` allows it. Models
-    whose numbers are not known are not looked at."""
+    """Raise InputError if no actuator drives some dof, unless `undriven` is "least_squares". Models
+    with traced parameters are not checked."""
     if undriven not in UNDRIVEN:
         raise InputError(f"{where}: undriven is {undriven!r}, expected one of {UNDRIVEN}")
     check_actuators(where, model)
@@ -215,7 +225,7 @@ def check_driven(where: str, model: Model, undriven: str) -> None:
 
 
 def _generic(model: Model) -> np.ndarray:
-    """B (nv, nu) at a random state, or a matrix with the same zeros and rank."""
+    """Return B (nv, nu) at a random state, or a matrix with the same structural zeros and rank."""
     top, a = model.topology, model.actuators
     if not any(e.actuates for e in model.forces) and all(
         j >= 0 and top.joints[j].nv == 1 for j in a.joints

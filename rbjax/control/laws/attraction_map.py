@@ -1,6 +1,6 @@
-"""A map of a region of attraction: which starts come back under a feedback.
+"""Map of a region of attraction: the initial states that return to an equilibrium under feedback.
 
-x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back if |x(T) (-) x*| <= tolerance
+    x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back if |x(T) (-) x*| <= tolerance
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ from rbjax.model.record import Record
 from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.motion.rollout import run_rollout
 
-KEPT = 2**23  # numbers of states that are kept at once: 64 MiB in f64
+KEPT = 2**23  # maximum number of state entries in memory: 64 MiB in f64
 
 
 class RegionMap(Record):
-    """A map of starts.
+    """A map of a region of attraction, over a grid of initial states.
 
-    Fields: x (nx,) and y (ny,), the deviations of the start along two coordinates of the tangent
-    space (m, rad, m/s, rad/s); names of the two; back (ny, nx), whether a start came back; distance
-    (ny, nx), the largest number of the last state less the equilibrium, infinite where it is not
-    finite; time (ny, nx) in s after which the motion stayed within the tolerance, nan where it did
-    not come back.
+    x, y: deviations of the initial state along two tangent coordinates, (nx,) and (ny,), SI units.
+    back: true if the final state is within the tolerance, (ny, nx).
+    distance: largest entry of |x(T) (-) x*|, (ny, nx); infinite if the motion is not finite.
+    time: time in s after which the motion stays within the tolerance, (ny, nx); nan if back is
+    false.
+    names: names of the two coordinates.
     """
 
     x: jax.Array
@@ -44,12 +45,12 @@ class RegionMap(Record):
 
     @property
     def share(self) -> jax.Array:
-        """The share of the starts that came back."""
+        """Fraction of the initial states that return."""
         return self.back.mean()
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """left, right, bottom, top: for `imshow(back, origin="lower", extent=...)`."""
+        """Return (left, right, bottom, top), for `imshow(back, origin="lower", extent=...)`."""
         sides = []
         for x in (np.asarray(self.x), np.asarray(self.y)):
             half = 0.5 * (x[-1] - x[0]) / max(len(x) - 1, 1)
@@ -71,31 +72,33 @@ def region_of_attraction(
     integrator: Any = None,
     **dynamics: Any,
 ) -> RegionMap:
-    """Which starts about an equilibrium come back under a feedback.
+    """Simulate a grid of initial states about an equilibrium and map which of them return to it.
 
-    back where every number of x(T) (-) x* is at most `tolerance`, x(0) = x* (+) (a e_i + b e_j).
+    Initial states are x(0) = x* (+) (a e_i + b e_j). A state is back if every entry of |x(T) (-)
+    x*| is at most `tolerance`.
 
     Args:
         model: the robot.
         policy: (t, state) -> (nu,), such as `Solution.policy()`, `Environment.controller(...)` or
-            the law of an LQR.
+            the feedback of an LQR.
         equilibrium: `State`, x*.
-        axes: two of (coordinate, low, high): a coordinate of the tangent space, by its index in
-            (dq, dv), or a joint of one coordinate by its name, with "'" for its velocity:
-            "hinge" or "hinge'"; and the interval of deviations.
-        points: of the map along each axis, or (nx, ny).
+        axes: two of (coordinate, low, high), with low and high the interval of deviations. A
+            coordinate is an index in (dq, dv), or the name of a joint with one dof: "hinge" for its
+            position, "hinge'" for its velocity.
+        points: number of points along each axis, or a pair (nx, ny).
         duration: T, s.
         dt: the step, s; the model's timestep if None.
-        tolerance: of each number (m, rad, m/s, rad/s).
-        angles: whether positions of hinges count modulo a turn.
-        integrator: as `rb.rollout`; **dynamics: its `dynamics` and `constraints`.
+        tolerance: largest entry of |x(T) (-) x*| (m, rad, m/s, rad/s).
+        angles: if true, positions of hinges are compared modulo 2 pi.
+        integrator: as in `rb.rollout`.
+        **dynamics: `dynamics` and `constraints` of `rb.rollout`.
 
     Returns:
         `RegionMap`.
 
     Raises:
-        InputError: axes that are not two, an empty interval, wrong types. UnknownName: no such
-        coordinate.
+        InputError: axes that are not two, an empty interval, wrong types.
+        UnknownName: no such coordinate.
 
     Source: Khalil, *Nonlinear Systems*, 8.2.
 
@@ -151,7 +154,7 @@ def region_of_attraction(
         few = min(few, steps - begin)
         t = jnp.asarray(begin, dtype) * step
         part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
-        # without the warning of `rollout`: motions that are not finite are part of the answer
+        # `run_rollout` gives no warning about motions that are not finite; they are expected here
         run, _, _ = run_rollout(
             model, states, part, step, steps=few, integrator=integrator, **dynamics
         )
@@ -160,7 +163,7 @@ def region_of_attraction(
         last = begin + few + 1 - jnp.argmax(outside[:, ::-1], 1)
         after = jnp.where(outside.any(1), last, after)
         ends = jax.tree.map(lambda x: x[:, -1], State(run.q, run.v, run.x))
-        lost = lost | jnp.isinf(far[:, -1])  # these stand still from here on
+        lost = lost | jnp.isinf(far[:, -1])  # their states are constant from here on
         states = jax.tree.map(
             lambda x, old, gone=lost[:, None]: jnp.where(gone, old, x), ends, states
         )
@@ -176,7 +179,7 @@ def region_of_attraction(
 
 
 def _turns(model: Model, angles: bool) -> jax.Array:
-    """Which coordinates (nv,) are angles of hinges."""
+    """Return a mask (nv,) of the coordinates that are angles of hinges."""
     hinges = np.zeros(model.nv, bool)
     if angles:
         for name, kind in zip(model.joint_names, model.topology.joint_kinds, strict=True):
@@ -188,7 +191,7 @@ def _turns(model: Model, angles: bool) -> jax.Array:
 def _axes(
     where: str, model: Model, axes: Any, points: Any, dtype: Any
 ) -> tuple[tuple[int, int], tuple[str, str], tuple[jax.Array, jax.Array]]:
-    """Indices on the tangent space, names and values of both axes."""
+    """Return the tangent-space indices, the names and the values of both axes."""
     axes = check_several(where, "axes", axes, "(coordinate, low, high)")
     if len(axes) != 2 or any(np.ndim(axis) > 1 or len(axis) != 3 for axis in axes):
         raise InputError(

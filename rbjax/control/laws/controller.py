@@ -1,11 +1,11 @@
-"""Feedback controllers: from time and state to the forces and controls of the actuators.
+"""Feedback controllers: functions of time and state that return forces and controls of actuators.
 
     tau_a = tau(t, x),      u = B^+ (tau_a - b)             (`allocation`)
 
 tau_a are the forces of the actuators, in addition to all other forces on the model. A reference is
 a constant, or a function of time, which JAX differentiates in forward mode:
 
-    configuration   v = d/ds (q(t + s) - q(t)),  a = dv/dt         (minus on the manifold)
+    configuration   v = d/ds (q(t + s) - q(t)),  a = dv/dt         (difference on the manifold)
     frame           w = vee(R' R^T),  V = [w; p'],  A = [w'; p'']  in world axes
 """
 
@@ -39,7 +39,7 @@ Reference = Any  # an array, or a function of t that returns one
 
 
 class Followed(NamedTuple):
-    """A configuration q (nq,), its velocity v (nv,) and acceleration a (nv,)."""
+    """A reference at a time: configuration q (nq,), velocity v (nv,) and acceleration a (nv,)."""
 
     q: jax.Array
     v: jax.Array
@@ -47,8 +47,13 @@ class Followed(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """A frame's attitude R (3, 3) and position p (3,), its twist V (6,) and the rate A (6,) of
-    that, angular first, world axes."""
+    """A frame's reference at a time, in world axes, angular first.
+
+    R: attitude, (3, 3).
+    p: position, (3,).
+    V: twist, (6,).
+    A: time derivative of the twist, (6,).
+    """
 
     R: jax.Array
     p: jax.Array
@@ -57,7 +62,7 @@ class Pose(NamedTuple):
 
 
 def check_configurations(where: str, model: Model, reference: Any, name: str = "reference") -> Any:
-    """A reference of configurations: (nq,), a function t -> (nq,), or t -> (q, v, a)."""
+    """Check a reference of configurations: (nq,), a function t -> (nq,), or t -> (q, v, a)."""
     if callable(reference):
         check_takes(where, name, reference, "t")
         return reference
@@ -67,7 +72,7 @@ def check_configurations(where: str, model: Model, reference: Any, name: str = "
 
 
 def configuration(model: Model, reference: Any, t: Any, dtype: Any) -> Followed:
-    """The configuration, velocity and acceleration of a reference at a time."""
+    """Evaluate the configuration, velocity and acceleration of a reference at a time."""
     if not callable(reference):
         still = jnp.zeros(model.nv, dtype)
         return Followed(reference.astype(dtype), still, still)
@@ -106,8 +111,10 @@ def check_poses(where: str, reference: Any, rows: tuple[str, ...]) -> Any:
 
 
 def pose(reference: Any, t: Any, rows: tuple[str, ...], dtype: Any) -> Pose:
-    """The pose, twist and acceleration of a reference at a time; no rotation if it has only
-    positions."""
+    """Evaluate the pose, twist and acceleration of a reference at a time.
+
+    Parts that are not in `rows` are the identity or zero.
+    """
     t = jnp.asarray(t, dtype)
 
     def at(t: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -147,38 +154,39 @@ def _sized(name: str, x: Any, shape: tuple[int, ...]) -> None:
 
 
 class Controller(Record):
-    """A policy (t, state) -> ctrl of a model. Its gains and the model are leaves.
+    """A policy (t, state) -> ctrl of a model. Its gains and the model are leaves of a pytree.
 
     controller(t, state): controls (nu,), within their ranges.
-    controller.tau(t, state): the desired generalized forces (nv,) of the actuators.
-    controller.allocated(t, state): the controls, and the forces that the actuators cannot give.
+    controller.tau(t, state): desired generalized forces (nv,) of the actuators.
+    controller.allocated(t, state): controls, and the forces that the actuators cannot produce.
     """
 
     model: Model
     undriven: str = eqx.field(static=True)
 
     def __hash__(self) -> int:
-        return id(self)  # `jax.jit(law)` knows functions by their identity
+        return id(self)  # `jax.jit(controller)` caches functions by identity
 
     @abc.abstractmethod
     def tau(self, t: Any, state: State) -> jax.Array:
-        """(nv,) N m or N, the generalized forces that the actuators shall give."""
+        """Return the desired generalized forces (nv,) of the actuators, N m or N."""
 
     def __call__(self, t: Any, state: State) -> jax.Array:
-        """(nu,) controls, within their ranges."""
+        """Return the controls (nu,), within their ranges."""
         return self.allocated(t, state).ctrl
 
     def allocated(self, t: Any, state: State) -> Allocation:
-        """The controls, and the residual forces (nv,) that the actuators cannot give."""
+        """Return the controls, and the residual forces (nv,) that the actuators cannot produce."""
         return allocate(self.model, state, self.tau(t, state))
 
 
-#: forces that an impedance compensates
+#: options for the forces that an impedance compensates
 COMPENSATE = ("rest", "motion")
 
 
 def check_controlled_model(where: str, model: Any, undriven: str, actuated: bool = True) -> None:
-    """Check the model of a controller."""
+    """Raise InputError unless the model is an unconstrained tree whose dofs are driven by
+    actuators."""
     check_model(where, model)
     check_moves(where, model)
     if model.constraints:
@@ -191,7 +199,7 @@ def check_controlled_model(where: str, model: Any, undriven: str, actuated: bool
 
 
 def gains(where: str, name: str, value: Any, n: int, *, least: float = 0.0) -> jax.Array:
-    """A gain for each of n coordinates, from a number or (n,), none below `least`."""
+    """Return a gain (n,) from a number or (n,); raise InputError if one is below `least`."""
     x = check_array(where, name, value, (), (n,))
     if not isinstance(x, jax.core.Tracer) and (np.asarray(x) < least).any():
         raise InputError(f"{where}: {name} is {value}, expected numbers of at least {least}")
@@ -199,18 +207,19 @@ def gains(where: str, name: str, value: Any, n: int, *, least: float = 0.0) -> j
 
 
 def actuator_forces(model: Model, state: State, a: jax.Array) -> jax.Array:
-    """The actuator forces (nv,) for the accelerations a: M a + b - the other forces."""
+    """Return the actuator forces (nv,) for the accelerations a: M a + b - other forces."""
     return inverse_dynamics(model, state.q, state.v, a) - applied_forces(model, state, None)
 
 
 def holding_forces(model: Model, state: State) -> jax.Array:
-    """The actuator forces (nv,) that hold the robot at rest in this configuration."""
+    """Return the actuator forces (nv,) that keep the robot at rest in this configuration."""
     still = State(state.q, jnp.zeros_like(state.v), state.x)
     return actuator_forces(model, still, still.v)
 
 
 def balancing_forces(model: Model, state: State, compensate: str) -> jax.Array:
-    """The forces h (nv,) of an impedance: at rest, or in motion."""
+    """Return the compensation h (nv,) of an impedance: at rest, or with velocity-dependent terms.
+    """
     if compensate == "rest":
         return holding_forces(model, state)
     return actuator_forces(model, state, jnp.zeros_like(state.v))

@@ -4,9 +4,9 @@
     operational space   a = a_0 + M^-1 J^T Lambda (V'_c - J' v - J a_0),   Lambda = (J M^-1 J^T)^-1
     impedance           tau = h + J^T (K e + D (V_d - V)) + N^T tau_0,   N = 1 - M^-1 J^T Lambda J
 
-a_0 and tau_0 lead to a posture in the dynamically consistent null space of the frame. Near a
-singular configuration Lambda is damped: (A + d 1)^-1 for A = J M^-1 J^T, with
-d = d_max (1 - s / s_0)^2 if s = 1 / tr((A + tiny)^-1) < s_0, else 0.
+a_0 and tau_0 pull towards a posture in the dynamically consistent null space of the frame. Near a
+singular configuration Lambda is damped: (A + d 1)^-1 for A = J M^-1 J^T, with d = d_max (1 - s /
+s_0)^2 if s = 1 / tr((A + tiny)^-1) < s_0, else 0.
 Source: Khatib 1987; Bruyninckx & Khatib 2000; Hogan 1985; Ott, *Cartesian Impedance Control of
 Redundant and Flexible-Joint Robots*, 2008; Nakamura & Hanafusa 1986 and Chiaverini 1997 (damping).
 """
@@ -43,18 +43,18 @@ from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.rotations import so3
 
-#: kinds of tasks: the controlled motions, and their rows in [angular; linear]
+#: kinds of tasks: the controlled parts of the pose, and their rows in [angular; linear]
 KINDS = {
     "pose": (("rotation", "position"), slice(0, 6)),
     "position": (("position",), slice(3, 6)),
     "rotation": (("rotation",), slice(0, 3)),
 }
-#: the least s, as a share of tr(A) / rows, that is not damped, and the damping at s = 0
+#: relative to the mean of diag(A): the threshold s_0 of damping, and the damping d_max
 NEAR, DAMPED = 1e-3, 1e-2
 
 
 class Task(Record):
-    """A frame and which of its six motions count. Static throughout."""
+    """A frame and the controlled part of its pose. All fields are static."""
 
     site: str | None = eqx.field(static=True)
     body: str | None = eqx.field(static=True)
@@ -62,27 +62,34 @@ class Task(Record):
 
     @property
     def rows(self) -> slice:
-        """Among [angular; linear]."""
+        """The task's rows in [angular; linear]."""
         return KINDS[self.kind][1]
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Which of rotation and position count."""
+        """The controlled parts: "rotation", "position" or both."""
         return KINDS[self.kind][0]
 
     @property
     def size(self) -> int:
-        """How many motions count."""
+        """Number of rows."""
         return self.rows.stop - self.rows.start
 
     @property
     def frame(self) -> dict[str, str | None]:
-        """The frame's name, as the algorithms take it."""
+        """The frame's name, as keyword arguments of the frame algorithms."""
         return {"body": self.body, "site": self.site}
 
 
 class Motion(NamedTuple):
-    """A task at a state: error e, velocity V, J (m, nv), J' v (m,), and the reference."""
+    """A task at a state.
+
+    e: error, (m,).
+    V: velocity, (m,).
+    J: Jacobian, (m, nv).
+    bias: J' v, (m,).
+    desired: the reference.
+    """
 
     e: jax.Array
     V: jax.Array
@@ -92,7 +99,7 @@ class Motion(NamedTuple):
 
 
 def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> Task:
-    """The task of a frame that a joint moves."""
+    """Build the task of a frame; raise InputError unless a joint moves the frame."""
     if kind not in KINDS:
         raise InputError(f"{where}: task is {kind!r}, expected one of {', '.join(KINDS)}")
     if (site is None) == (body is None):
@@ -107,7 +114,7 @@ def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> Task:
 
 
 def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Motion:
-    """A task and its reference at a state."""
+    """Evaluate a task and its reference at a state."""
     q, v = state.q, state.v
     desired = pose(reference, t, task.parts, q.dtype)
     R, p = frame_pose(model, q, **task.frame)
@@ -119,14 +126,14 @@ def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Mo
 
 
 class Inertia(NamedTuple):
-    """M^-1 J^T (nv, m) and Lambda (m, m)."""
+    """M^-1 J^T (nv, m) and the task inertia Lambda (m, m)."""
 
     to_joints: jax.Array
     task: jax.Array
 
 
 def task_inertia(model: Model, state: State, J: jax.Array) -> Inertia:
-    """The inertia of a task with the Jacobian J, damped near singular configurations."""
+    """Compute the inertia of a task with Jacobian J, damped near singular configurations."""
     M, m = mass_matrix(model, state.q), J.shape[0]
     factors = ldlt([list(row) for row in M])
     columns = [factors.solve(list(row)) for row in J]
@@ -140,7 +147,7 @@ def task_inertia(model: Model, state: State, J: jax.Array) -> Inertia:
 
 
 def _inverse(A: jax.Array) -> jax.Array:
-    """Of a symmetric positive definite matrix."""
+    """Return the inverse of a symmetric positive definite matrix."""
     factors = ldlt([list(row) for row in A])
     columns = [factors.solve(list(row)) for row in jnp.eye(A.shape[0], dtype=A.dtype)]
     out = jnp.stack([jnp.stack([jnp.asarray(x, A.dtype) for x in c]) for c in columns])
@@ -148,10 +155,13 @@ def _inverse(A: jax.Array) -> jax.Array:
 
 
 class FrameController(Controller):
-    """A control law of a frame.
+    """A controller of a frame.
 
-    Fields: task; reference; stiffness and damping of the frame, (m,) or (m, m); posture,
-    posture_stiffness and posture_damping (nv,) of the rest of the motion.
+    task: the frame and the controlled part of its pose, of m rows.
+    reference: the frame's reference, an array or a function of t.
+    stiffness, damping: gains of the task, (m,) or (m, m).
+    posture: reference of the null-space motion, (nq,) or a function of t; None only damps.
+    posture_stiffness, posture_damping: gains of the null-space motion, (nv,).
     """
 
     task: Task
@@ -163,7 +173,7 @@ class FrameController(Controller):
     posture_damping: jax.Array
 
     def _posture(self, t: Any, state: State) -> jax.Array:
-        """K_0 (q_0 - q) - D_0 v (nv,)."""
+        """Return K_0 (q_0 - q) - D_0 v (nv,)."""
         out = -self.posture_damping * state.v
         if self.posture is None:
             return out
@@ -172,13 +182,13 @@ class FrameController(Controller):
 
 
 class OperationalSpace(FrameController):
-    """See `operational_space`."""
+    """The controller that `operational_space` builds."""
 
     def tau(self, t: Any, state: State) -> jax.Array:
         return actuator_forces(self.model, state, self.acceleration(t, state))
 
     def acceleration(self, t: Any, state: State) -> jax.Array:
-        """The desired accelerations (nv,)."""
+        """Return the desired accelerations (nv,)."""
         frame = motion(self.model, self.task, self.reference, t, state)
         inertia = task_inertia(self.model, state, frame.J)
         rest = self._posture(t, state)
@@ -186,7 +196,7 @@ class OperationalSpace(FrameController):
         return rest + matvec(inertia.to_joints, matvec(inertia.task, left))
 
     def command(self, t: Any, state: State) -> jax.Array:
-        """V'_c (m,): the desired acceleration of the frame."""
+        """Return V'_c (m,), the desired acceleration of the frame."""
         return self._command(motion(self.model, self.task, self.reference, t, state))
 
     def _command(self, frame: Motion) -> jax.Array:
@@ -196,7 +206,7 @@ class OperationalSpace(FrameController):
 
 
 class CartesianImpedance(FrameController):
-    """See `cartesian_impedance`."""
+    """The controller that `cartesian_impedance` builds."""
 
     compensate: str = eqx.field(static=True)
 
@@ -225,31 +235,33 @@ def operational_space(
     posture_damping: Any = None,
     undriven: str = "refuse",
 ) -> OperationalSpace:
-    """The law by which a frame's motion obeys V' = A_d + D (V_d - V) + K e.
+    """Build the controller under which a frame obeys V' = A_d + D (V_d - V) + K e.
 
-    tau = M (a_0 + M^-1 J^T Lambda (V'_c - J' v - J a_0)) + b - other forces.
+        tau = M (a_0 + M^-1 J^T Lambda (V'_c - J' v - J a_0)) + b - other forces.
 
     Args:
         model: the robot, a tree.
-        reference: of a pose (R (3, 3), p (3,)), of a position (3,), of a rotation (3, 3); or a
-            function of t that returns it, whose velocity and acceleration are its derivatives.
-        site, body: the name of the frame.
-        task: "pose", "position" or "rotation": which motions of the frame count.
-        stiffness: K, 1/s^2, a number or one for each motion, angular first, world axes.
-        damping: D, 1/s, as the stiffness; 2 sqrt(K) if None.
-        posture: (nq,), or a function of t, that the rest of the motion tends to; None only damps.
-        posture_stiffness, posture_damping: K_0 1/s^2 and D_0 1/s, numbers or (nv,); D_0 is
-            2 sqrt(K_0) if None.
-        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
-            "least_squares".
+        reference: a pose (R (3, 3), p (3,)), a position (3,) or a rotation (3, 3), as the task
+            needs; or a function of t that returns it, whose derivatives are the desired velocity
+            and acceleration.
+        site, body: the name of the frame; give exactly one of the two.
+        task: "pose", "position" or "rotation", the controlled part of the frame's pose.
+        stiffness: K, 1/s^2, a number or (m,) for m rows, angular first, world axes.
+        damping: D, 1/s, a number or (m,); 2 sqrt(K) if None.
+        posture: (nq,) or a function of t, reference of the null-space motion; None only damps it.
+        posture_stiffness, posture_damping: K_0 1/s^2 and D_0 1/s, numbers or (nv,); D_0 is 2
+            sqrt(K_0) if None.
+        undriven: "refuse" to raise if no actuator drives some dof; "least_squares" for the nearest
+            forces.
 
     Returns:
-        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,),
-        `law.command(t, state)` the frame's acceleration.
+        A controller: `law(t, state)` returns controls (nu,), `law.tau(t, state)` forces (nv,),
+            `law.command(t, state)` the desired acceleration of the frame.
 
     Raises:
-        UnknownName: no such frame. InputError: coordinates that nothing drives, by name;
-        constraints; a wrong shape; a frame that no joint moves.
+        UnknownName: no such frame.
+        InputError: undriven dofs (with their names), constraints, a wrong shape, a frame that no
+            joint moves.
 
     Source: Khatib 1987.
 
@@ -291,30 +303,32 @@ def cartesian_impedance(
     compensate: str = "rest",
     undriven: str = "refuse",
 ) -> CartesianImpedance:
-    """The law that makes a frame a spring and a damper about a motion.
+    """Build the controller that makes a frame a spring and damper about a reference motion.
 
-    tau = h + J^T (K e + D (V_d - V)) + N^T (K_0 (q_0 - q) - D_0 v).
+        tau = h + J^T (K e + D (V_d - V)) + N^T (K_0 (q_0 - q) - D_0 v).
 
     Args:
         model: the robot, a tree.
-        reference: of a pose (R (3, 3), p (3,)), of a position (3,), of a rotation (3, 3); or a
-            function of t that returns it.
-        site, body: the name of the frame.
-        task: "pose", "position" or "rotation": which motions of the frame count, m in number.
+        reference: a pose (R (3, 3), p (3,)), a position (3,) or a rotation (3, 3), as the task
+            needs; or a function of t that returns it.
+        site, body: the name of the frame; give exactly one of the two.
+        task: "pose", "position" or "rotation", the controlled part of the frame's pose, of m rows.
         stiffness: K, N m/rad and N/m, a number, (m,) or a matrix (m, m); angular first, world axes.
-        damping: D, N m s/rad and N s/m, as the stiffness.
-        posture: (nq,), or a function of t, that the rest of the motion tends to.
+        damping: D, N m s/rad and N s/m, in the same form as the stiffness.
+        posture: (nq,) or a function of t, reference of the null-space motion; None only damps it.
         posture_stiffness, posture_damping: K_0 and D_0, numbers or (nv,).
-        compensate: "rest", gravity and the other forces at rest; "motion", the velocity terms too.
-        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
-            "least_squares".
+        compensate: "rest" for gravity and the other forces at rest; "motion" to include velocity
+            terms.
+        undriven: "refuse" to raise if no actuator drives some dof; "least_squares" for the nearest
+            forces.
 
     Returns:
-        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
+        A controller: `law(t, state)` returns controls (nu,), `law.tau(t, state)` forces (nv,).
 
     Raises:
-        UnknownName: no such frame. InputError: coordinates that nothing drives, by name;
-        constraints; a wrong shape; a frame that no joint moves.
+        UnknownName: no such frame.
+        InputError: undriven dofs (with their names), constraints, a wrong shape, a frame that no
+            joint moves.
 
     Source: Hogan 1985; Ott 2008.
 
@@ -342,7 +356,7 @@ def cartesian_impedance(
 
 
 def _matrix(where: str, name: str, value: Any, m: int) -> jax.Array:
-    """(m, m) from a number, (m,) or a matrix."""
+    """Return a matrix (m, m) from a number, a diagonal (m,) or a matrix."""
     if len(shape_of(where, name, value)) == 2:
         return check_array(where, name, value, (m, m))
     return jnp.diag(gains(where, name, value, m))

@@ -43,7 +43,7 @@ from rbjax.rotations import so3
 
 
 class JointController(Controller):
-    """A control law of joints. Fields: reference; stiffness and damping (nv,)."""
+    """A controller of joints, with a reference and gains stiffness and damping (nv,)."""
 
     reference: Any
     stiffness: jax.Array
@@ -51,13 +51,13 @@ class JointController(Controller):
 
 
 class ComputedTorque(JointController):
-    """See `computed_torque`. The stiffness is in 1/s^2, the damping in 1/s."""
+    """The controller that `computed_torque` builds. Stiffness is in 1/s^2, damping in 1/s."""
 
     def tau(self, t: Any, state: State) -> jax.Array:
         return actuator_forces(self.model, state, self.acceleration(t, state))
 
     def acceleration(self, t: Any, state: State) -> jax.Array:
-        """The desired accelerations (nv,)."""
+        """Return the desired accelerations (nv,)."""
         desired = configuration(self.model, self.reference, t, state.q.dtype)
         return tracking_acceleration(self.model, state, desired, self.stiffness, self.damping)
 
@@ -65,25 +65,25 @@ class ComputedTorque(JointController):
 def computed_torque(
     model: Model, reference: Any, *, stiffness: Any, damping: Any = None, undriven: str = "refuse"
 ) -> ComputedTorque:
-    """The law that makes the error of a motion obey e'' + D e' + K e = 0.
+    """Build the controller under which the tracking error obeys e'' + D e' + K e = 0.
 
-    tau = M a + b - other forces, a = a_d + D (v_d - v) + K e for coordinates that add.
+        tau = M a + b - other forces, a = a_d + D (v_d - v) + K e for hinges and slides.
 
     Args:
         model: the robot, a tree. Forces of other elements are compensated too.
-        reference: (nq,) a configuration; or a function of t that returns one, whose velocity and
-            acceleration are its derivatives; or one that returns (q, v, a).
+        reference: (nq,) a configuration; or a function of t that returns one, whose derivatives are
+            the desired velocity and acceleration; or a function of t that returns (q, v, a).
         stiffness: K, 1/s^2, a number or (nv,).
-        damping: D, 1/s, a number or one a coordinate; 2 sqrt(K), critical, if None.
-        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
-            "least_squares".
+        damping: D, 1/s, a number or (nv,); 2 sqrt(K), critical, if None.
+        undriven: "refuse" to raise if no actuator drives some dof; "least_squares" for the nearest
+            forces.
 
     Returns:
-        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,) for
-        `rollout(tau=...)`, `law.acceleration(t, state)` the accelerations (nv,).
+        A controller: `law(t, state)` returns controls (nu,), `law.tau(t, state)` forces (nv,) for
+            `rollout(tau=...)`, `law.acceleration(t, state)` the desired accelerations (nv,).
 
     Raises:
-        InputError: coordinates that nothing drives, by name; constraints; a wrong shape.
+        InputError: undriven dofs (with their names), constraints, a wrong shape.
 
     Source: Luh, Walker & Paul 1980; Siciliano et al., *Robotics*, 8.5.2.
 
@@ -105,7 +105,7 @@ def computed_torque(
 def tracking_acceleration(
     model: Model, state: State, desired: Followed, K: jax.Array, D: jax.Array
 ) -> jax.Array:
-    """a (nv,) with which the error obeys its equation."""
+    """Return the acceleration a (nv,) under which the error obeys e'' + D e' + K e = 0."""
     q, v = state.q, state.v
     e = difference(model, q, desired.q)
     a = desired.a + D * (desired.v - v) + K * e
@@ -120,7 +120,7 @@ def tracking_acceleration(
 def _turning(
     phi: jax.Array, w: jax.Array, w_d: jax.Array, a_d: jax.Array, K: jax.Array, D: jax.Array
 ) -> jax.Array:
-    """w' of a body whose error phi shall obey phi'' + D phi' + K phi = 0; body axes."""
+    """Return w' in body axes, under which the error obeys phi'' + D phi' + K phi = 0."""
     E = so3.exp(phi)
     there = matvec(E, w_d)
     rate = matvec(so3.inverse_left_jacobian(phi), there - w)
@@ -130,7 +130,8 @@ def _turning(
 
 
 class GravityCompensation(Controller):
-    """See `gravity_compensation`. Fields: wrenches (nb, 6), a function of (t, state), or None."""
+    """The controller that `gravity_compensation` builds. wrenches: (nb, 6), a function of (t,
+    state), or None."""
 
     wrenches: Any
 
@@ -145,23 +146,22 @@ class GravityCompensation(Controller):
 def gravity_compensation(
     model: Model, *, wrenches: Any = None, undriven: str = "refuse"
 ) -> GravityCompensation:
-    """The controller that balances gravity and the other forces at rest.
+    """Build the controller that balances gravity and the other forces at rest.
 
-    tau = g(q) - sum of J_b^T w_b - other forces at v = 0.
+        tau = g(q) - sum of J_b^T w_b - other forces at v = 0.
 
     Args:
         model: the robot, a tree.
-        wrenches: (nb, 6) [moment N m; force N] on bodies, world axes, at each body's frame origin,
-            that the surroundings give; or a function (t, state) that returns them.
-        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
-            "least_squares":
-            the actuated joints get their forces, `law.allocated(t, state)` has the residual.
+        wrenches: (nb, 6) external [moment N m; force N] on bodies, world axes, at each body's frame
+            origin; or a function (t, state) that returns them.
+        undriven: "refuse" to raise if no actuator drives some dof; "least_squares" for the nearest
+            forces, with the residual in `law.allocated(t, state)`.
 
     Returns:
-        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
+        A controller: `law(t, state)` returns controls (nu,), `law.tau(t, state)` forces (nv,).
 
     Raises:
-        InputError: coordinates that nothing drives, by name; constraints; a wrong shape.
+        InputError: undriven dofs (with their names), constraints, a wrong shape.
 
     Source: Siciliano et al., *Robotics*, 8.5.1.
 
@@ -181,7 +181,7 @@ def gravity_compensation(
 
 
 class JointImpedance(JointController):
-    """See `joint_impedance`."""
+    """The controller that `joint_impedance` builds."""
 
     compensate: str = eqx.field(static=True)
 
@@ -201,24 +201,25 @@ def joint_impedance(
     compensate: str = "rest",
     undriven: str = "refuse",
 ) -> JointImpedance:
-    """The law that makes each joint a spring and a damper about a motion.
+    """Build the controller that makes each joint a spring and damper about a reference motion.
 
-    tau = h + K (q_d - q) + D (v_d - v).
+        tau = h + K (q_d - q) + D (v_d - v).
 
     Args:
         model: the robot, a tree.
         reference: (nq,) a configuration, or a function of t that returns one.
         stiffness: K, N m/rad or N/m, a number or (nv,).
-        damping: D, N m s/rad or N s/m, a number or one a coordinate.
-        compensate: "rest", gravity and the other forces at rest; "motion", the velocity terms too.
-        undriven: "refuse" (raise) for a robot with coordinates that no actuator drives, or
-            "least_squares".
+        damping: D, N m s/rad or N s/m, a number or (nv,).
+        compensate: "rest" for gravity and the other forces at rest; "motion" to include velocity
+            terms.
+        undriven: "refuse" to raise if no actuator drives some dof; "least_squares" for the nearest
+            forces.
 
     Returns:
-        A law: `law(t, state)` are controls (nu,), `law.tau(t, state)` the forces (nv,).
+        A controller: `law(t, state)` returns controls (nu,), `law.tau(t, state)` forces (nv,).
 
     Raises:
-        InputError: coordinates that nothing drives, by name; constraints; a wrong shape.
+        InputError: undriven dofs (with their names), constraints, a wrong shape.
 
     Source: Hogan 1985.
 

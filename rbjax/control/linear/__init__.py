@@ -1,9 +1,9 @@
 """Linear systems: regulators, Riccati and Lyapunov equations, controllability, margins, filters."""
 
+from rbjax.control.linear.algebraic_riccati import Regulator
 from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
 from rbjax.control.linear.parallel_riccati import parallel_backward, parallel_roll
 from rbjax.control.linear.regulators import (
-    Regulator,
     SteadyFilter,
     feedback,
     kalman_gain,

@@ -3,14 +3,15 @@
     continuous  A'P + PA + Q - (PB + S) R^-1 (PB + S)' = 0,              K = R^-1 (PB + S)'
     discrete    A'PA - P + Q - (A'PB + S) (R + B'PB)^-1 (A'PB + S)' = 0, K = (R + B'PB)^-1 (..)'
 
-1. Doubling. With S taken into A and Q, and G = B R^-1 B', k steps from F = A, P = Q give the cost
-   to go of 2^k steps of time. Cayley's transform makes a continuous equation discrete.
+1. Doubling. S is eliminated from A and Q, and G = B R^-1 B'. From F = A, P = Q, k doublings give
+the cost to go of 2^k time steps. Cayley's transform makes a continuous equation discrete.
 
-        F <- F (1 + G P)^-1 F,  G <- G + F (1 + G P)^-1 G F',  P <- P + F'P (1 + G P)^-1 F
+     F <- F (1 + G P)^-1 F,  G <- G + F (1 + G P)^-1 G F',  P <- P + F'P (1 + G P)^-1 F
 
-2. If its gain is not stabilising, the gain for costs Q = q 1, R = r 1 is, if (A, B) can be.
-3. Newton's method from that gain: P of a closed loop by a Lyapunov equation, and the gain of P.
-4. Two steps of refinement by the remainder with 1.5 times the digits (`Double`).
+2. If its gain is not stabilising, use the gain for costs Q = q 1, R = r 1 instead.
+3. Newton's method from that gain. Each step solves a Lyapunov equation for the P of the closed
+loop, and computes the gain of P.
+4. Two steps of iterative refinement with the residual in 1.5 times the digits (`Double`).
 
 The derivative solves one Lyapunov equation of the closed loop, by the implicit function theorem.
 Source: Chu, Fan, Lin & Wang, Int. J. Control 77, 2004; Chu, Fan & Lin, Linear Algebra Appl. 396,
@@ -36,7 +37,7 @@ from rbjax.control.status import LinearStatus, first_of
 
 
 class Double(NamedTuple):
-    """hi + lo, of which hi is the rounded sum."""
+    """A double-word number hi + lo, with hi the sum rounded to one word."""
 
     hi: jax.Array
     lo: jax.Array
@@ -79,7 +80,7 @@ def _sum(a: jax.Array, b: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _halves(a: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The upper and the lower half of the digits."""
+    """Split each number into the upper and the lower half of its digits."""
     bits = np.dtype(f"u{a.dtype.itemsize}")
     lower = (jnp.finfo(a.dtype).nmant + 2) // 2
     mask = np.asarray(~((1 << lower) - 1) & (2 ** (8 * a.dtype.itemsize) - 1), bits)
@@ -87,23 +88,23 @@ def _halves(a: jax.Array) -> tuple[jax.Array, jax.Array]:
     return high, a - high
 
 
-TURNS = 60  # of doubling
-REFINED = 2  # the first turn leaves the square of the error
-NEWTON = 60  # a start far above the solution is halved each time
-EDGE = 0.02  # of P's change by one more turn; 0.5 on the edge
+TURNS = 60  # maximum number of doublings
+REFINED = 2  # the first step leaves the square of the error
+NEWTON = 60  # Newton steps; a start far above the solution is halved by each
+EDGE = 0.02  # a relative change of P by a step that means no convergence
 Problem = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 class Regulator(NamedTuple):
-    """A regulator of infinite horizon; K and P are 0 without a solution.
+    """A regulator of infinite horizon; K and P are 0 if there is no solution.
 
-    K: (m, n), of u = -K x.
-    P: (n, n), the least cost is x'Px.
-    residual: (), the largest entry of the residual of the Riccati equation over its largest term.
-    error: (), a bound of the relative error of P by rounding.
+    K: gain of u = -K x, (m, n).
+    P: cost matrix; the minimum cost is x'Px, (n, n).
+    residual: largest entry of the residual of the Riccati equation over its largest term, ().
+    error: bound of the relative rounding error of P, ().
     status: a `LinearStatus`.
-    acceleration: (nv,), of `lqr_at`: v' at the state under the controls, zero at an equilibrium;
-        None for `lqr`.
+    acceleration: v' at the state and controls of `lqr_at`, zero at an equilibrium, (nv,); None for
+    `lqr`.
     """
 
     K: jax.Array
@@ -115,7 +116,7 @@ class Regulator(NamedTuple):
 
     @property
     def success(self) -> jax.Array:
-        """Whether there is a solution."""
+        """True if there is a solution."""
         return self.status == LinearStatus.success
 
 
@@ -123,7 +124,8 @@ class Regulator(NamedTuple):
 def riccati(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, S: jax.Array, discrete: bool
 ) -> Regulator:
-    """The stabilising solution. Arguments are arrays of one floating dtype."""
+    """Compute the stabilising solution of a Riccati equation. Arguments are arrays of one float
+    dtype."""
     problem = (A, B, (Q + Q.T) / 2, (R + R.T) / 2, S)
     finite = jnp.isfinite(jnp.concatenate([x.ravel() for x in problem])).all()
     n, m = B.shape
@@ -152,7 +154,8 @@ def riccati(
 
 
 def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """K, and whether the Hessian by the controls is positive definite."""
+    """Return the gain K of P, and whether the Hessian with respect to the controls is positive
+    definite."""
     A, B, _, R, S = problem
     PB = product(P, B)
     if discrete:
@@ -163,7 +166,7 @@ def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax
 
 
 def remainder(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The residual (n, n) of the equation, and the size of its largest term."""
+    """Return the residual (n, n) of the equation, and the size of its largest term."""
     A, B, Q, R, S = problem
     PA, PB = product(P, A), product(P, B)
     H = R + product(B.T, PB) if discrete else R
@@ -178,7 +181,7 @@ def remainder(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _solution(discrete: bool, *matrices: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
-    """P, and whether there is a stabilising start, Newton's method converged, and the Hessian is
+    """Return P and three flags: a stabilising start exists, Newton converged, the Hessian is
     definite."""
     A, B, Q, R, S = matrices
     problem = A, B, Q, R, S
@@ -204,7 +207,7 @@ def _solution_jvp(discrete, problem, changes):
 
 
 def _start(discrete: bool, problem: Problem) -> tuple[jax.Array, jax.Array]:
-    """A stabilising gain, and whether there is one."""
+    """Return a stabilising gain, and whether one was found."""
     A, B, Q, R, S = problem
     n, m = B.shape
     one, none = jnp.eye(n, dtype=A.dtype), jnp.zeros_like(S)
@@ -230,7 +233,7 @@ def _stabilises(discrete: bool, A: jax.Array, B: jax.Array, K: jax.Array) -> jax
 
 
 def _cost_to_go_by_doubling(discrete: bool, problem: Problem) -> jax.Array:
-    """The cost to go after many steps. It need not converge."""
+    """Return the cost to go after many time steps, by doubling. It need not converge."""
     A, B, Q, R, S = problem
     n = A.shape[0]
     one = jnp.eye(n, dtype=A.dtype)
@@ -243,7 +246,7 @@ def _cost_to_go_by_doubling(discrete: bool, problem: Problem) -> jax.Array:
         scale = jnp.sqrt(_norm(P) / _norm(G))
         scale = jnp.where(jnp.isfinite(scale) & (scale > 0), scale, 1.0)
         G, P = G * scale, P / scale
-        # above every eigenvalue of the Hamiltonian matrix, so nothing below is singular
+        # a shift above every eigenvalue of the Hamiltonian matrix, so the inverses below exist
         g = _norm(F) + jnp.sqrt(_norm(G) * _norm(P)) + jnp.finfo(A.dtype).tiny
         inverse = jnp.linalg.inv(F - g * one)
         GI = product(inverse, G)
@@ -264,7 +267,7 @@ def _cost_to_go_by_doubling(discrete: bool, problem: Problem) -> jax.Array:
         more = product(F.T, product(P, MF))
         G = G + product(F, MG)
         new = P + (more + more.T) / 2
-        kept = jnp.isfinite(new).all()  # the last cost to go that is finite
+        kept = jnp.isfinite(new).all()  # otherwise keep the last finite P
         change = jnp.where(kept, jnp.abs(more).max(), jnp.inf)
         return product(F, MF), (G + G.T) / 2, jnp.where(kept, new, P), change, k + 1
 
@@ -278,7 +281,8 @@ def _norm(A: jax.Array) -> jax.Array:
 
 
 def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) -> Any:
-    """P, whether it converged with a stable closed loop, and whether the Hessian is definite."""
+    """Return P, whether it converged with a stable closed loop, and whether the Hessian is
+    definite."""
     A, B, Q, R, S = problem
     eps = jnp.finfo(A.dtype).eps
 
@@ -300,7 +304,7 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
         left, size = remainder(discrete, problem, new)
         rest = jnp.abs(left).max() / size
         good = stable & definite & jnp.isfinite(new).all() & jnp.isfinite(gained).all()
-        # on the edge of stability each step halves P: linear convergence to a double root
+        # at the edge of stability each step halves P: linear convergence to a double root
         sizes = jnp.abs(jnp.diag(new))
         moved = jnp.abs(jnp.diag(new - P)) > EDGE * jnp.maximum(sizes, 1e3 * eps * sizes.max())
         better = good & ((rest < off) | (off > 1e4 * eps))
@@ -319,7 +323,7 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
 
 
 def _refine(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
-    """The cost to go of P's gain. That gain's error enters it squared."""
+    """Return the cost to go of P's gain, in which the error of the gain is squared."""
     rounded = (*problem, gain(discrete, problem, P)[0])
     A, B, Q, R, S, K = (Double.of(x) for x in rounded)
     closed, SK = A - B @ K, S @ K
@@ -334,8 +338,8 @@ def _refine(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
 
 
 def _rounding(discrete: bool, problem: Problem, P: jax.Array, K: jax.Array) -> jax.Array:
-    """A bound of the relative error of P by rounding: the square of the effect of rounding the
-    terms of the equation."""
+    """Bound the relative error of P by rounding: the squared effect of rounding the terms of the
+    equation."""
     A, B, Q, R, _ = problem
     closed, size = A - product(B, K), jnp.abs
     H = R + product(B.T, product(P, B)) if discrete else R

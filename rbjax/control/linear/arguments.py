@@ -14,8 +14,11 @@ from rbjax.kinematics.arguments import known_array
 
 
 def check_matrices(where: str, *matrices: tuple[str, Any, str]) -> list[jax.Array]:
-    """Matrices whose shapes fit each other, in one dtype. matrices: (name, value, axes) with a
-    letter for each axis, such as ("B", B, "nm"). An axis has the same length everywhere."""
+    """Convert matrices to one dtype; raise InputError unless their shapes match.
+
+    matrices: (name, value, axes), with a letter for each axis, such as ("B", B, "nm"). Axes with
+    the same letter must have the same length.
+    """
     lengths: dict[str, int] = {}
     found = []
     for name, value, axes in matrices:
@@ -33,13 +36,16 @@ def check_matrices(where: str, *matrices: tuple[str, Any, str]) -> list[jax.Arra
 
 
 def weight_matrix(where: str, name: str, value: Any, n: int) -> jax.Array:
-    """A matrix (n, n), from one or from its diagonal (n,)."""
+    """Return a matrix (n, n) from a matrix or its diagonal (n,)."""
     x = check_array(where, name, value, (n, n), (n,))
     return jnp.diag(x) if x.ndim == 1 else x
 
 
 def check_regulator(where: str, A: Any, B: Any, Q: Any, R: Any, S: Any) -> tuple[jax.Array, ...]:
-    """A, B, Q, R and S of a regulator, in one dtype. Q and R are symmetric if they are known."""
+    """Check A, B, Q, R and S of a regulator and convert them to one dtype.
+
+    Raise InputError if Q or R is not symmetric; traced values pass.
+    """
     A, B = check_matrices(where, ("A", A, "nn"), ("B", B, "nm"))
     n, m = B.shape
     Q, R = weight_matrix(where, "Q", Q, n), weight_matrix(where, "R", R, m)

@@ -4,12 +4,12 @@
     continuous  A X + X A' + Q = 0,   X = integral of exp(At) Q exp(A't)
 
 Smith's doubling X <- X + A X A', A <- A^2 sums 2^k terms in k steps. Cayley's transform with a
-shift g > 0 makes a continuous equation discrete: F = (g - A)^-1 (g + A) and
-2 g (g - A)^-1 Q (g - A)^-T have the same X. One step of refinement by the residual follows. A is
-stable if the norm of a power of it is below one, so no eigenvalues are needed.
+shift g > 0 makes a continuous equation discrete: F = (g - A)^-1 (g + A) and 2 g (g - A)^-1 Q (g -
+A)^-T have the same X. One step of iterative refinement follows. A is stable if the norm of a power
+of it is below one, so no eigenvalues are needed.
 
 The Kronecker form (1 - A x A) vec X = vec Q also has a solution for unstable A, unless two
-eigenvalues are each other's inverse (or negative). It takes n^6 operations.
+eigenvalues are each other's inverse (or negative). It needs n^6 operations.
 Source: Smith, SIAM J. Applied Math. 16, 1968; Golub & Van Loan, *Matrix Computations*, 7.6.
 """
 
@@ -28,7 +28,7 @@ from rbjax.control.products import product
 from rbjax.control.status import LinearStatus, first_of, raise_failure
 from rbjax.errors import UnknownName
 
-#: squarings that resolve a spectral radius of 1 - 1e-15
+#: maximum number of squarings; they resolve a spectral radius of 1 - 1e-15
 SQUARINGS = 56
 METHODS = ("doubling", "kronecker")
 
@@ -36,8 +36,8 @@ METHODS = ("doubling", "kronecker")
 class Lyapunov(NamedTuple):
     """The solution of a Lyapunov equation.
 
-    X: (n, n), symmetric if Q is.
-    residual: (), the largest entry of the residual over that of the terms of the equation.
+    X: solution, (n, n), symmetric if Q is.
+    residual: largest entry of the residual, relative to the terms of the equation, ().
     status: a `LinearStatus`.
     """
 
@@ -47,27 +47,28 @@ class Lyapunov(NamedTuple):
 
     @property
     def success(self) -> jax.Array:
-        """Whether there is a solution."""
+        """True if there is a solution."""
         return self.status == LinearStatus.success
 
 
 def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling") -> Lyapunov:
-    """The solution of A X + X A' + Q = 0, or of A X A' - X + Q = 0 in discrete time.
+    """Solve A X + X A' + Q = 0, or A X A' - X + Q = 0 in discrete time, for X.
 
     Args:
         A: (n, n).
         Q: (n, n), symmetric or not.
-        discrete: which of the two.
-        method: "doubling", for stable A; "kronecker", for any A for which there is one solution,
-            with (n^2, n^2) linear systems.
+        discrete: true for A X A' - X + Q = 0.
+        method: "doubling" for stable A; "kronecker" for any A with a unique solution, with (n^2,
+            n^2) linear systems.
 
     Returns:
-        `Lyapunov`. By doubling, if A is not stable, the status is `not_stable` in traced code and
-        X is 0.
+        `Lyapunov`. In traced code, if A is not stable, doubling returns the status `not_stable` and
+        X = 0.
 
     Raises:
         InputError: shapes, values that are not finite; outside of traced code also if there is no
-            solution. UnknownName: the method.
+            solution.
+        UnknownName: the method.
 
     Differentiable in A and Q in both modes, by the implicit function theorem.
 
@@ -107,14 +108,15 @@ def _lyapunov(A: jax.Array, Q: jax.Array, discrete: bool, method: str) -> Lyapun
 
 
 def _left_side(discrete: bool, A: jax.Array, X: jax.Array) -> jax.Array:
-    """X - A X A', or -(A X + X A')."""
+    """Return X - A X A' (discrete) or -(A X + X A')."""
     if discrete:
         return X - product(product(A, X), A.T)
     return -(product(A, X) + product(X, A.T))
 
 
 def solve_stable(A: jax.Array, Q: jax.Array, discrete: bool) -> tuple[jax.Array, jax.Array]:
-    """X of the equation and whether A is stable; X of another stable matrix if it is not."""
+    """Return the solution X and whether A is stable. If not, X is the solution for another, stable
+    matrix."""
     stable = is_stable(A, discrete)
     safe = jnp.where(stable, A, 0.0 if discrete else -jnp.eye(A.shape[0], dtype=A.dtype))
     X = jax.lax.custom_linear_solve(
@@ -126,8 +128,10 @@ def solve_stable(A: jax.Array, Q: jax.Array, discrete: bool) -> tuple[jax.Array,
 
 
 def is_stable(A: jax.Array, discrete: bool) -> jax.Array:
-    """Whether x+ = A x, or x' = A x, is stable: some power of A, or of its Cayley transform, has a
-    norm below one."""
+    """Return whether x+ = A x, or x' = A x, is stable.
+
+    It is stable if some power of A, or of its Cayley transform, has a norm below one.
+    """
     A = A if discrete else cayley(A, cayley_shift(A))[0]
 
     def going(carry):
@@ -145,7 +149,7 @@ def is_stable(A: jax.Array, discrete: bool) -> jax.Array:
 
 
 def _sum_by_doubling(A: jax.Array, Q: jax.Array) -> jax.Array:
-    """The sum of A^k Q A'^k."""
+    """Return the sum of A^k Q A'^k."""
     eps = jnp.finfo(A.dtype).eps
 
     def going(carry):
@@ -161,15 +165,15 @@ def _sum_by_doubling(A: jax.Array, Q: jax.Array) -> jax.Array:
 
 
 def cayley(A: jax.Array, g: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """(g - A)^-1 (g + A) and (g - A)^-1."""
+    """Return (g - A)^-1 (g + A) and (g - A)^-1."""
     one = jnp.eye(A.shape[0], dtype=A.dtype)
     inverse = jnp.linalg.inv(g * one - A)
     return product(inverse, g * one + A), inverse
 
 
 def cayley_shift(A: jax.Array) -> jax.Array:
-    """The geometric mean of the fastest and the slowest rate, by norms of A and of its inverse. Any
-    shift above zero is right."""
+    """Return the geometric mean of the fastest and the slowest rate, from norms of A and its
+    inverse. The Cayley transform is valid for any positive shift."""
     fast = jnp.sqrt(jnp.abs(A).sum(0).max() * jnp.abs(A).sum(1).max())
     slow = jnp.linalg.inv(A)
     slow = jnp.sqrt(jnp.abs(slow).sum(0).max() * jnp.abs(slow).sum(1).max())
@@ -178,7 +182,7 @@ def cayley_shift(A: jax.Array) -> jax.Array:
 
 
 def _solve_refined(A: jax.Array, Q: jax.Array, discrete: bool) -> jax.Array:
-    """X by doubling, and a step of refinement."""
+    """Solve by doubling, with one step of iterative refinement."""
 
     def solve(Q: jax.Array) -> jax.Array:
         if discrete:
@@ -187,7 +191,7 @@ def _solve_refined(A: jax.Array, Q: jax.Array, discrete: bool) -> jax.Array:
         F, inverse = cayley(A, g)
         return _sum_by_doubling(F, 2 * g * product(product(inverse, Q), inverse.T))
 
-    def refine(_, X):  # twice the same program
+    def refine(_, X):  # a loop of two steps, to compile the program once
         return X + solve(Q - _left_side(discrete, A, X))
 
     return jax.lax.fori_loop(0, 2, refine, jnp.zeros_like(Q))

@@ -1,18 +1,18 @@
 """The linear-quadratic problem of finite horizon, parallel in time.
 
-The least cost between a state x at one knot and a state y at a later knot is
+The minimum cost between a state x at one knot and a state y at a later knot is
 
     V(x, y) = max over l of  1/2 x'Jx - x'e - 1/2 l'C l - l'(y - F x - b)
 
-Two stretches that meet at a knot are joined by, with M = (1 + C1 J2)^-1,
+Two adjacent segments combine, with M = (1 + C1 J2)^-1, as
 
     F = F2 M F1,   b = F2 M (b1 + C1 e2) + b2,   C = F2 M C1 F2' + C2
     J = F1'J2 M F1 + J1,   e = F1'(e2 - J2 M (b1 + C1 e2)) + e1
 
-which is associative: all tails of the horizon follow by log2 N products in a row. J and -e of a
-tail are P and p of `riccati.backward`. R must be positive definite. Source: Särkkä &
-García-Fernández, *Temporal parallelization of dynamic programming and linear quadratic control*,
-IEEE TAC 68(2), 2023.
+This product is associative, so an associative scan gives the segments from every knot to the end in
+log2 N sequential steps. Their J and -e are P and p of `riccati.backward`. R must be positive
+definite. Source: Särkkä & García-Fernández, *Temporal parallelization of dynamic programming and
+linear quadratic control*, IEEE TAC 68(2), 2023.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from rbjax.lanes.arrays import matrix_transpose, matvec
 
 
 class Stretch(NamedTuple):
-    """The least cost between two knots: F (n, n), b (n,), C (n, n), e (n,), J (n, n)."""
+    """A segment of the horizon: F (n, n), b (n,), C (n, n), e (n,), J (n, n) of its minimum cost
+    V(x, y)."""
 
     F: jax.Array
     b: jax.Array
@@ -41,7 +42,7 @@ class Stretch(NamedTuple):
 
 
 def join(one: Stretch, two: Stretch) -> Stretch:
-    """Two stretches, the second behind the first; leading axes are a batch."""
+    """Combine two adjacent segments, in order of time; leading axes are a batch."""
     turned = matrix_transpose
     n = one.b.shape[-1]
     W = jnp.eye(n, dtype=one.b.dtype) + product(one.C, two.J)
@@ -60,7 +61,8 @@ def join(one: Stretch, two: Stretch) -> Stretch:
 
 
 def stretches(problem: LinearQuadratic) -> tuple[Stretch, jax.Array]:
-    """The N steps and the end, which is a stretch of its own, and whether all R are definite."""
+    """Return the N steps and the terminal cost as segments, and whether all R are positive
+    definite."""
     A, B, d, Q, q, R, r, S = problem
     L, ok = jax.vmap(definite_factor)((R + matrix_transpose(R)) / 2)
 
@@ -80,7 +82,7 @@ def stretches(problem: LinearQuadratic) -> tuple[Stretch, jax.Array]:
 
 
 def join_tails(each: Stretch, by: str) -> Stretch:
-    """The stretches from every knot to the end."""
+    """Return the segments from every knot to the end."""
     if by == "tree":
         return jax.lax.associative_scan(lambda a, b: join(b, a), each, reverse=True)
     count = each.b.shape[0]
@@ -100,20 +102,21 @@ def join_tails(each: Stretch, by: str) -> Stretch:
 
 
 def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gains:
-    """The gains of `backward`, by log2 N batched products in a row instead of N.
+    """Compute the gains of `backward` by log2 N sequential batched products instead of N.
 
     Args:
-        problem: of one sample, with R positive definite.
-        by: "doubling", or "tree" for fewer products that take longer to compile.
+        problem: one sample, with R positive definite.
+        by: "doubling", or "tree" for fewer products but a longer compile time.
 
     Returns:
-        `Gains`; du = -K dx - k. Without success K and k are 0, and P and p what is finite.
+        `Gains`; du = -K dx - k. Without success K and k are 0, and entries of P and p that are not
+        finite are 0.
 
     Raises:
         UnknownName: `by`.
 
-    It does 3 log2 N times the arithmetic of `backward` (by a tree 6 times): it pays where a device
-    is idle.
+    It needs 3 log2 N times the arithmetic of `backward` (6 times with "tree"). Use it if the device
+    is not fully used.
 
     Source: Särkkä & García-Fernández 2023; Hillis & Steele, CACM 29(12), 1986 (doubling).
 
@@ -150,10 +153,10 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
 def parallel_roll(
     problem: LinearQuadratic, gains: Gains, start: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The closed loop of `roll`, parallel in time: a chain of affine maps.
+    """Compute the closed loop of `roll`, parallel in time, as a composition of affine maps.
 
     Args:
-        problem: of one sample.
+        problem: one sample.
         gains: du = -K dx - k.
         start: dx_0 (n,).
 

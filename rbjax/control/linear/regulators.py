@@ -1,9 +1,9 @@
-"""Linear quadratic regulators: of two matrices, of a model at a state, of a finite horizon.
+"""Linear quadratic regulators: of matrices A and B, of a model at a state, of a finite horizon.
 
     continuous  minimise  integral of x'Qx + u'Ru + 2 x'Su,   dx/dt = A x + B u
     discrete    minimise  sum of      x'Qx + u'Ru + 2 x'Su,   x+ = A x + B u
 
-The feedback is u = -K x, and the least cost from x is x'Px. A model is linearised on the tangent
+The feedback is u = -K x, and the minimum cost from x is x'Px. A model is linearised on the tangent
 space, x = [dq; dv; dx_e]. The gain of the steady Kalman filter is the regulator of the transposed
 system, (A', C', W, V) for (A, B, Q, R).
 Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2, 3.
@@ -35,7 +35,7 @@ from rbjax.motion.linearise import box_minus, linearise
 
 
 def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False) -> Regulator:
-    """The regulator u = -K x of infinite horizon.
+    """Compute the linear quadratic regulator u = -K x of infinite horizon.
 
         A'P + PA + Q - (PB + S) R^-1 (PB + S)' = 0,   K = R^-1 (PB + S)'
 
@@ -44,26 +44,27 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
         A'PA - P + Q - K'(R + B'PB) K = 0,            K = (R + B'PB)^-1 (A'PB + S)'
 
     Args:
-        A: (n, n). B: (n, m).
+        A: (n, n).
+        B: (n, m).
         Q: (n, n), symmetric; or the weights (n,).
         R: (m, m), symmetric and positive definite; or the weights (m,). If discrete, R + B'PB must
             be positive definite instead.
         S: (n, m), of 2 x'Su; 0 if None.
-        discrete: whether x+ = A x + B u instead of dx/dt = A x + B u.
+        discrete: true for x+ = A x + B u, false for dx/dt = A x + B u.
 
     Returns:
-        `Regulator`, of the solution for which A - BK is stable. It is found where Q is positive
-        semidefinite (with S) and (A, B) can be stabilised, unless a mode on the edge of stability
-        has no cost. In traced code `status` says if there is none, and why.
+        `Regulator`, with A - BK stable. It exists if Q is positive semidefinite (with S) and (A, B)
+        is stabilisable, unless a mode on the edge of stability has no cost. In traced code `status`
+        contains the reason if there is none.
 
     Raises:
         InputError: shapes, values that are not finite, Q or R that is not symmetric; outside of
             traced code also if there is no stabilising solution.
 
-    Differentiable in all matrices, in both modes, by the implicit function theorem. f64 gives 1e-12
-    on problems of moderate condition; `error` estimates it.
+    Differentiable in all matrices, in both modes, by the implicit function theorem. The relative
+    accuracy in f64 is 1e-12 on problems of moderate condition; `error` estimates it.
 
-    Source: see the module.
+    Source: `rbjax.control.linear.algebraic_riccati`.
 
     Example:
         >>> from rbjax.control import lqr
@@ -91,29 +92,30 @@ def lqr_at(
     dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> Regulator:
-    """The regulator of a model about a state that its controls hold still.
+    """Compute the regulator of a model about a state that is an equilibrium under its controls.
 
         u = ctrl - K (state' (-) state),    (A, B) = rb.linearise(model, state, ctrl, dt)
 
     Args:
         model: the robot.
-        state: about which to linearise, with n = 2 nv + nx tangent coordinates dq, dv, dx_e.
-        ctrl: (nu,) that hold it there.
+        state: the equilibrium, with n = 2 nv + nx tangent coordinates dq, dv, dx_e.
+        ctrl: (nu,) controls at the equilibrium.
         Q: (n, n), or the weights (n,).
         R: (nu, nu), or the weights (nu,).
         S: (n, nu); 0 if None.
-        dt: seconds, for controls that are held over a step of `rollout`; None for continuous time.
+        dt: seconds, for controls that are constant over a step of `rollout`; None for continuous
+            time.
         integrator, dynamics, constraints: as in `rb.linearise`.
 
     Returns:
-        `Regulator`. `feedback` makes a policy of its K. If its acceleration is not zero, ctrl does
-        not hold the robot at the state, and the closed loop comes to rest at another point.
+        `Regulator`. `feedback` makes a policy from its K. If its acceleration is not zero, the
+        state is not an equilibrium, and the closed loop comes to rest at another point.
 
     Raises:
         InputError: as `rb.linearise` and `lqr`.
 
-    Constraints take directions out of the reach of every control, and their modes neither grow nor
-    decay: such a model is `not_stabilisable` in all its coordinates.
+    Constrained directions are not controllable, and their modes neither grow nor decay. A model
+    with constraints is therefore `not_stabilisable` in all its coordinates.
 
     Source: Bryson & Ho, *Applied Optimal Control*, 5.
 
@@ -142,11 +144,13 @@ def lqr_at(
 def lqr_finite(
     A: Any, B: Any, Q: Any, R: Any, horizon: int, terminal: Any = None, S: Any = None
 ) -> Gains:
-    """The discrete regulator of N steps: u_k = -K_k x_k.
+    """Compute the discrete linear quadratic regulator of N steps: u_k = -K_k x_k.
 
     Args:
-        A: (n, n). B: (n, m).
-        Q: (n, n) or (n,). R: (m, m) or (m,).
+        A: (n, n).
+        B: (n, m).
+        Q: (n, n) or (n,).
+        R: (m, m) or (m,).
         horizon: N.
         terminal: Q_N, (n, n) or (n,); Q if None.
         S: (n, m); 0 if None.
@@ -178,16 +182,17 @@ def _finite(
 
 
 def feedback(model: Model, state: State, ctrl: Any, K: Any) -> Any:
-    """The policy (t, state') -> ctrl - K (state' (-) state), for `rb.rollout` and `rb.simulate`.
+    """Build the policy (t, state') -> ctrl - K (state' (-) state), for `rb.rollout` and
+    `rb.simulate`.
 
     Args:
         model: the robot.
         state: the reference state.
-        ctrl: (nu,) there.
+        ctrl: (nu,) controls at the reference state.
         K: (nu, 2 nv + nx).
 
     Returns:
-        A function whose arrays are leaves, so that it passes through `jit` and `vmap`.
+        A callable pytree whose arrays are leaves, for use in `jit` and `vmap`.
 
     Raises:
         InputError: shapes, values that are not finite.
@@ -216,8 +221,12 @@ def _feedback(model: Model, held: State, ctrl: Any, K: Any, t: Any, state: State
 
 
 class SteadyFilter(NamedTuple):
-    """Fields: gain (n, l); P (n, n), the covariance of the error, in discrete time before a sample;
-    residual (), error () and status, as in `Regulator`."""
+    """A steady Kalman filter.
+
+    gain: (n, l).
+    P: covariance of the error, (n, n); in discrete time before the update by a sample.
+    residual, error, status: as in `Regulator`.
+    """
 
     gain: jax.Array
     P: jax.Array
@@ -227,24 +236,25 @@ class SteadyFilter(NamedTuple):
 
     @property
     def success(self) -> jax.Array:
-        """Whether there is a solution."""
+        """True if there is a solution."""
         return self.status == LinearStatus.success
 
 
 def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> SteadyFilter:
-    """The gain L of the steady filter of dx/dt = A x + w, y = C x + e.
+    """Compute the gain L of the steady Kalman filter of dx/dt = A x + w, y = C x + e.
 
         continuous  dx/dt = A x + B u + L (y - C x),    L = P C' V^-1
         discrete    x <- x + L (y - C x), then x+ = A x + B u,   L = P C' (C P C' + V)^-1
 
     Args:
-        A: (n, n). C: (l, n).
-        W: the intensity (discrete: the covariance) of w, (n, n) or (n,).
-        V: of e, (l, l) or (l,), positive definite.
-        discrete: which of the two.
+        A: (n, n).
+        C: (l, n).
+        W: intensity (discrete: covariance) of w, (n, n) or (n,).
+        V: intensity (discrete: covariance) of e, (l, l) or (l,), positive definite.
+        discrete: true for x+ = A x + w.
 
     Returns:
-        `SteadyFilter`. `not_stabilisable` means here that (A, C) cannot be observed well enough.
+        `SteadyFilter`. The status `not_stabilisable` means that (A, C) is not detectable.
 
     Raises:
         InputError: shapes, values that are not finite.

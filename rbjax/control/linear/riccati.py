@@ -1,9 +1,9 @@
-"""The linear-quadratic problem of finite horizon, solved backwards in time.
+"""The linear-quadratic problem of finite horizon, solved by a backward Riccati recursion.
 
-    minimise  sum_(k<N) 1/2 x'Qx + q'x + 1/2 u'Ru + r'u + x'Su  +  1/2 x_N'Q_N x_N + q_N'x_N
-    where     x_(k+1) = A x_k + B u_k + d_k
+    minimise    sum_(k<N) 1/2 x'Qx + q'x + 1/2 u'Ru + r'u + x'Su  +  1/2 x_N'Q_N x_N + q_N'x_N
+    subject to  x_(k+1) = A x_k + B u_k + d_k
 
-The cost to go is 1/2 x'Px + p'x and a constant. With P+ and p+ of the next knot,
+The cost to go is 1/2 x'Px + p'x plus a constant. With P+ and p+ of the next knot,
 
     H = R + B'P+B,  G = S' + B'P+A,  g = r + B'(p+ + P+d),    u = -H^-1 G x - H^-1 g
     P = Q + A'P+A - G'H^-1 G,        p = q + A'(p+ + P+d) - G'H^-1 g
@@ -32,9 +32,11 @@ MADE = "a LinearQuadratic, such as rb.control.linear.constant_problem returns"
 class LinearQuadratic(NamedTuple):
     """A linear-quadratic problem of N steps, n states and m controls.
 
-    Fields: A (N, n, n), B (N, n, m), d (N, n) of dx+ = A dx + B du + d; Q (N + 1, n, n) and q
-    (N + 1, n), R (N, m, m) and r (N, m), S (N, n, m) of the cost
-    1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du + dx'S du; the last Q and q are those of the end.
+    A, B, d: dynamics dx+ = A dx + B du + d; (N, n, n), (N, n, m), (N, n).
+    Q, q: cost 1/2 dx'Q dx + q'dx, (N + 1, n, n) and (N + 1, n); the last ones are the terminal
+    cost.
+    R, r: cost 1/2 du'R du + r'du, (N, m, m) and (N, m).
+    S: cost dx'S du, (N, n, m).
     """
 
     A: jax.Array
@@ -50,11 +52,13 @@ class LinearQuadratic(NamedTuple):
 class Gains(NamedTuple):
     """The solution: du = -K dx - k, and the cost to go 1/2 dx'P dx + p'dx + constant.
 
-    K: (N, m, n). k: (N, m).
-    P: (N + 1, n, n). p: (N + 1, n).
-    success: (), false if the Hessian by the controls of some step is not positive definite, or
-        numbers are not finite. K and k of that step are 0, and P and p those of the next knot, so
-        nothing is nan.
+    K: gains, (N, m, n).
+    k: feedforward terms, (N, m).
+    P: (N + 1, n, n).
+    p: (N + 1, n).
+    success: false if the Hessian with respect to the controls of some step is not positive
+    definite, or a result is not finite, (). K and k of such a step are 0, and its P and p are
+    copies from the next knot, so nothing is nan.
     """
 
     K: jax.Array
@@ -65,7 +69,7 @@ class Gains(NamedTuple):
 
 
 def check_start(where: str, problem: Any, gains: Any, start: Any) -> jax.Array:
-    """dx_0 (n,) of a problem with its gains, checked."""
+    """Check a problem, its gains and the start dx_0 (n,), and return the start as an array."""
     instance(where, "problem", problem, LinearQuadratic, MADE)
     instance(where, "gains", gains, Gains, "Gains, such as rb.control.linear.backward returns")
     return check_array(where, "start", start, problem.A.shape[-1:])
@@ -73,7 +77,7 @@ def check_start(where: str, problem: Any, gains: Any, start: Any) -> jax.Array:
 
 @jax.custom_jvp
 def definite_factor(H: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """L of H = L L' and whether H is positive definite; if not, L is the unit matrix."""
+    """Return L of H = L L' and whether H is positive definite; if not, L is the identity matrix."""
     L = jax.lax.linalg.cholesky(H, symmetrize_input=False)
     ok = jnp.isfinite(L).all()
     return jnp.where(ok, L, jnp.eye(H.shape[-1], dtype=H.dtype)), ok
@@ -90,23 +94,23 @@ def _definite_factor_jvp(primals, tangents):
 
 
 def propagate_hessian(V: jax.Array, A: jax.Array, B: jax.Array) -> tuple[jax.Array, ...]:
-    """A'VA, B'VB and B'VA: the Hessian of the cost to go before a step."""
+    """Return A'VA, B'VB and B'VA, the Hessian of the cost to go before a step."""
     VA = product(V, A)
     return product(A.T, VA), product(B.T, product(V, B)), product(B.T, VA)
 
 
 def backward(problem: LinearQuadratic) -> Gains:
-    """The gains and the cost to go of every knot, one after the other.
+    """Compute the gains and the cost to go of every knot by the Riccati recursion.
 
         K = H^-1 (S' + B'P A),   k = H^-1 (r + B'(p + P d)),   H = R + B'P B
 
     Args:
-        problem: of one sample.
+        problem: one sample.
 
     Returns:
         `Gains`; du = -K dx - k.
 
-    Works through `rb.threads` for one problem a thread. Differentiable in both modes.
+    Compatible with `rb.threads`, one problem per thread. Differentiable in both modes.
 
     Source: Bryson & Ho, *Applied Optimal Control*, 5.
 
@@ -149,13 +153,13 @@ def backward(problem: LinearQuadratic) -> Gains:
 
 
 def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The closed loop from a start: states (N + 1, n) and controls (N, m).
+    """Compute states (N + 1, n) and controls (N, m) of the closed loop from a start.
 
         du = -K dx - k,    dx+ = A dx + B du + d
 
     Args:
-        problem: of one sample.
-        gains: what `backward` found.
+        problem: one sample.
+        gains: the result of `backward`.
         start: dx_0 (n,).
 
     Returns:
@@ -177,7 +181,7 @@ def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.
 def roll_linear(
     A: jax.Array, B: jax.Array, d: jax.Array, K: jax.Array, k: jax.Array, first: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """x (N + 1, n) and u (N, m) of x+ = A x + B u + d, u = k + K x."""
+    """Return x (N + 1, n) and u (N, m) of x+ = A x + B u + d, u = k + K x."""
 
     def step(x: jax.Array, given: tuple) -> tuple[jax.Array, tuple]:
         A, B, d, K, k = given
@@ -189,7 +193,7 @@ def roll_linear(
 
 
 def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.Array:
-    """The cost of states (N + 1, n) and controls (N, m).
+    """Return the cost of states (N + 1, n) and controls (N, m).
 
     Example:
         >>> import jax.numpy as jnp
@@ -208,8 +212,15 @@ def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.
 
 
 class Steered(NamedTuple):
-    """States x (N + 1, n), controls u (N, m), the cost, the multiplier (n,) of the end, which is
-    the slope of the cost by -target, and success: whether the end is reached."""
+    """The result of `steer`.
+
+    x: states, (N + 1, n).
+    u: controls, (N, m).
+    cost: the minimum cost, ().
+    multiplier: of the terminal constraint, the derivative of the cost with respect to -target,
+    (n,).
+    success: true if the target is reached, ().
+    """
 
     x: jax.Array
     u: jax.Array
@@ -219,14 +230,14 @@ class Steered(NamedTuple):
 
 
 def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Steered:
-    """The least cost of a motion that ends exactly at a target.
+    """Minimise the cost of a motion that ends exactly at a target.
 
-    With the multiplier l of x_N = target, q_N becomes q_N + l. The end is affine in it,
-    x_N(l) = x_N(0) - W l with W = sum of F B H^-1 B'F', F the closed loop from there to the end, so
-    one linear system gives l. W is the Gramian of controllability of the closed loop.
+    The multiplier l of x_N = target is added to q_N. The final state is affine in it, x_N(l) =
+    x_N(0) - W l with W = sum of F B H^-1 B'F', and F the closed loop from the step to the end. One
+    linear system therefore gives l. W is the controllability Gramian of the closed loop.
 
     Args:
-        problem: of one sample. Its terminal Q only keeps H definite; it may be 0.
+        problem: one sample. Its terminal Q only makes H definite; it may be 0.
         start: dx_0 (n,).
         target: dx_N (n,).
 
@@ -252,7 +263,7 @@ def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Stee
     gains = backward(problem)
     P = gains.P[1:]
 
-    def back(F, given):  # F, from the state before a step to the end
+    def back(F, given):  # F: from the state before a step to the end
         A, B, R, K, P = given
         H = R + product(B.T, product(P, B))
         L = definite_factor((H + H.T) / 2)[0]
@@ -270,7 +281,7 @@ def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Stee
     L, reached = definite_factor(W / scale[:, None] / scale)
     multiplier = cho_solve((L, True), (x[-1] - target) / scale) / scale
     x, u = roll(problem, gains._replace(k=gains.k + product(feed, multiplier)), start)
-    # a Gramian that is singular but for rounding has a factor, and leads elsewhere
+    # a Gramian that is singular up to rounding has a factor, but its solution misses the target
     size = jnp.abs(x).max(0) + jnp.abs(target)
     near = (jnp.abs(x[-1] - target) <= jnp.sqrt(jnp.finfo(W.dtype).eps) * size).all()
     ok = gains.success & reached & near
@@ -286,11 +297,13 @@ def constant_problem(
     terminal: jax.Array | None = None,
     S: jax.Array | None = None,
 ) -> LinearQuadratic:
-    """The problem of N equal steps without affine terms.
+    """Build the problem of N equal steps without affine terms.
 
     Args:
-        A: (n, n). B: (n, m).
-        Q: (n, n). R: (m, m).
+        A: (n, n).
+        B: (n, m).
+        Q: (n, n).
+        R: (m, m).
         horizon: N.
         terminal: Q_N (n, n); Q if None.
         S: (n, m); 0 if None.
@@ -321,7 +334,7 @@ def constant_problem(
 def constant_weights(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, end: jax.Array, S: Any = None
 ) -> LinearQuadratic:
-    """The problem of A (N, n, n) and B (N, n, m) with the same weights at each step."""
+    """Build the problem of A (N, n, n) and B (N, n, m) with the same weights at each step."""
     N, n, m = B.shape
 
     def each(x: jax.Array) -> jax.Array:

@@ -1,10 +1,11 @@
-"""Gain, phase and delay margins of a state feedback, each loop broken at its input.
+"""Gain, phase and delay margins of a state feedback, with one loop broken at its input at a time.
 
     l_i(s) = k_i (s - A_i)^-1 b_i,     A_i = A - sum_(j != i) b_j k_j,     s = iw, or z = exp(iw dt)
 
-is the loop from input i back to it. The closed loop stays stable while l_i does not meet -1.
-Crossings of the real axis and of |l| = 1 are found on a logarithmic grid of frequencies and refined
-by bisection; a resonance much narrower than the grid is missed.
+is the loop transfer function at input i, with the other loops closed. The closed loop stays stable
+as long as l_i does not reach -1. Crossings of the real axis and of |l| = 1 are located on a
+logarithmic grid of frequencies and refined by bisection. A resonance much narrower than the grid is
+missed.
 Source: Åström & Murray, *Feedback Systems*, 10; Safonov & Athans, IEEE TAC 22(2), 1977.
 """
 
@@ -24,15 +25,19 @@ from rbjax.control.linear.lyapunov_equation import is_stable
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_step
 
-CROSSINGS = 16  # of each kind that are refined
+CROSSINGS = 16  # maximum number of crossings of each kind
 HALVINGS = 50
 
 
 class Margins(NamedTuple):
-    """Fields, one entry an input (m,): gain_up, the factor above 1, and gain_down, below 1,
-    at which the loop becomes unstable (inf and 0 if there is none); phase, rad (pi if |l| < 1
-    throughout, or l keeps away); delay, s (inf if none); stable (), whether the closed loop is;
-    if not, gain_up = gain_down = 1 and phase = delay = 0."""
+    """Stability margins, one entry an input.
+
+    gain_up: smallest factor above 1 at which the loop becomes unstable, (m,); inf if there is none.
+    gain_down: largest factor below 1 at which the loop becomes unstable, (m,); 0 if there is none.
+    phase: phase margin, (m,), rad; pi if |l| does not cross 1.
+    delay: delay margin, (m,), s; inf if there is none.
+    stable: true if the closed loop is stable, (); if not, the gains are 1, phase and delay 0.
+    """
 
     gain_up: jax.Array
     gain_down: jax.Array
@@ -44,13 +49,15 @@ class Margins(NamedTuple):
 def margins(
     A: Any, B: Any, K: Any, dt: Any = None, *, frequencies: int = 2000, decades: float = 3.0
 ) -> Margins:
-    """The margins of u = -K x at each input, the other loops closed.
+    """Compute the margins of u = -K x at each input, with the other loops closed.
 
     Args:
-        A: (n, n). B: (n, m). K: (m, n).
+        A: (n, n).
+        B: (n, m).
+        K: (m, n).
         dt: seconds of a step, if x+ = A x + B u; None in continuous time.
-        frequencies: points of the grid.
-        decades: how far the grid goes beyond the slowest and the fastest rate.
+        frequencies: number of points of the grid.
+        decades: extent of the grid below the slowest and above the fastest rate.
 
     Returns:
         `Margins`.
@@ -95,7 +102,7 @@ def _margins(
 
 
 def _grid(A: jax.Array, closed: jax.Array, dt: Any, points: int, decades: float) -> jax.Array:
-    """Frequencies in rad/s (points,)."""
+    """Return frequencies in rad/s (points,)."""
     if dt is not None:  # up to the Nyquist frequency
         return jnp.logspace(-2 - decades, 0, points, dtype=A.dtype) * (math.pi / dt)
     fast = jnp.maximum(jnp.linalg.norm(A), jnp.linalg.norm(closed))
@@ -114,7 +121,7 @@ def _of_loop(A: jax.Array, b: jax.Array, k: jax.Array, w: jax.Array, dt: Any) ->
         return (k * jnp.linalg.solve(z * one - A, b.astype(z.dtype))).sum()
 
     def refined(f: Any, values: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Where f(l) changes its sign, and l there; nan where there are fewer changes."""
+        """Return frequencies at which f(l) changes sign, and l at them; unused entries are nan."""
         sign = jnp.signbit(values)
         at = jnp.nonzero(sign[1:] != sign[:-1], size=CROSSINGS, fill_value=-1)[0]
         low, high = w[at], w[at + 1]
@@ -131,7 +138,7 @@ def _of_loop(A: jax.Array, b: jax.Array, k: jax.Array, w: jax.Array, dt: Any) ->
 
     l = jax.vmap(loop)(w)
     at, crossing = refined(jnp.imag, l.imag)
-    # at frequency 0 and at the Nyquist frequency l is real; a pole there makes it large
+    # at frequency 0 and at the Nyquist frequency l is real; near a pole it is large
     ends = [(w[:1] * 0, jax.vmap(loop)(w[:1] * 0).real)]
     if dt is not None:
         ends.append((w[-1:], jax.vmap(loop)(w[-1:]).real))
@@ -142,9 +149,9 @@ def _of_loop(A: jax.Array, b: jax.Array, k: jax.Array, w: jax.Array, dt: Any) ->
     down = jnp.where(g < 1, g, 0.0).max()
     at, there = refined(lambda l: jnp.abs(l) - 1, jnp.abs(l) - 1)
     found = jnp.isfinite(at)
-    turn = jnp.angle(-there)  # of l before or behind -1
+    turn = jnp.angle(-there)  # angle of l relative to -1
     phase = jnp.where(found, jnp.abs(turn), jnp.pi).min()
-    # a delay turns l clockwise
+    # a delay rotates l clockwise
     late = jnp.where(turn < 0, turn + 2 * jnp.pi, turn)
     delay = jnp.where(found, late / at, jnp.inf).min()
     return up, down, phase, delay

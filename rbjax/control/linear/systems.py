@@ -2,10 +2,10 @@
 
     continuous  dx/dt = A x + B u,   y = C x         discrete  x+ = A x + B u
 
-The reachable space is the range of [B, AB, ..., A^(n-1) B]. An orthonormal basis of it is built
-step by step: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal to all before (the
-staircase). A state is unobservable if it is uncontrollable for (A', C'). Source: Van Dooren, IEEE
-TAC 26, 1981; Åström & Wittenmark, *Computer-Controlled Systems*, 3; Zhou, Doyle & Glover, 3.
+The reachable space is the range of [B, AB, ..., A^(n-1) B]. The staircase algorithm builds an
+orthonormal basis: V_1 of B, then V_(j+1) of the part of A V_j orthogonal to all previous vectors. A
+state is unobservable if it is uncontrollable for (A', C'). Source: Van Dooren, IEEE TAC 26, 1981;
+Åström & Wittenmark, *Computer-Controlled Systems*, 3; Zhou, Doyle & Glover, 3.
 """
 
 from __future__ import annotations
@@ -28,10 +28,14 @@ from rbjax.model import Model
 
 
 class Reach(NamedTuple):
-    """A subspace of states. Fields: rank (), its dimension; inside (n, n), the orthogonal projector
-    onto it; outside (n, n), an orthonormal basis of its complement, in its first n - rank columns,
-    the others 0; weakest (), the smallest singular value that was counted, of a matrix of unit
-    columns or of norm 1: about the distance to a smaller rank."""
+    """A controllable or observable subspace of states.
+
+    rank: its dimension, ().
+    inside: orthogonal projector onto it, (n, n).
+    outside: orthonormal basis of its complement in the first n - rank columns, zeros after, (n, n).
+    weakest: smallest singular value above the tolerance, (); approximates the distance to a system
+    of lower rank, for unit columns of B and unit norm of A.
+    """
 
     rank: jax.Array
     inside: jax.Array
@@ -40,12 +44,13 @@ class Reach(NamedTuple):
 
 
 def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
-    """The states that controls reach, of dx/dt = A x + B u or x+ = A x + B u.
+    """Compute the controllable subspace of dx/dt = A x + B u or x+ = A x + B u.
 
     Args:
-        A: (n, n). B: (n, m).
-        tolerance: singular values up to this, relative to the norm of A, and for B to that of
-            its column, count as zero; n times the rounding unit times 100 if None.
+        A: (n, n).
+        B: (n, m).
+        tolerance: singular values up to this are zero, relative to the norm of A, and for B to the
+            norm of its column; n times the rounding unit times 100 if None.
 
     Returns:
         `Reach`. The rank is an integer, so it has no derivative.
@@ -66,10 +71,11 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
 
 
 def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
-    """The observable subspace of readings y = C x; `outside` spans the unobservable states.
+    """Compute the observable subspace of readings y = C x; `outside` spans the unobservable states.
 
     Args:
-        A: (n, n). C: (l, n).
+        A: (n, n).
+        C: (l, n).
         tolerance: as in `controllability`.
 
     Returns:
@@ -101,13 +107,13 @@ def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
     size = jnp.linalg.norm(A, ord=2) if n > 1 else jnp.abs(A).max()
     size = jnp.where(size > 0, size, 1.0)
     columns = jnp.sqrt((B * B).sum(0))
-    V = B / jnp.where(columns > 0, columns, 1.0)  # each control in its own unit
+    V = B / jnp.where(columns > 0, columns, 1.0)  # scale the column of each control to unit length
     one = jnp.eye(n, dtype=A.dtype)
 
     def turn(carry, _):
         P, new, weakest = carry
         left = new - product(P, new)
-        left = left - product(P, left)  # once more: vectors nearly inside lose their digits
+        left = left - product(P, left)  # twice: the first pass loses digits
         U, s, _ = jnp.linalg.svd(left, full_matrices=False)
         kept = s > least
         U = jnp.where(kept, U, 0.0)
@@ -126,16 +132,16 @@ def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
 
 
 def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
-    """Describe the directions outside of a subspace by the names of a model's joints.
+    """Describe the directions outside of a subspace with the names of a model's joints.
 
     Args:
-        model: the robot whose states dq, dv, dx_e are meant.
-        reach: of `controllability` or `observability`, outside of any trace.
-        least: parts of a direction smaller than this share of its largest are left out.
+        model: the robot with the states dq, dv, dx_e.
+        reach: result of `controllability` or `observability`; not traced.
+        least: omit entries of a direction below this fraction of its largest entry.
 
     Returns:
-        Such as "1.00 velocity of hinge - 0.31 position of slide". Where several directions are
-        missing, the basis of them is rotated so that each has few parts.
+        A text per direction, such as "1.00 velocity of hinge - 0.31 position of slide". If several
+        directions are missing, their basis is reduced so that each has few entries.
 
     Raises:
         InputError: another number of states.
@@ -172,7 +178,7 @@ def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -
 
 
 def state_names(model: Model) -> list[str]:
-    """Names of the tangent coordinates dq, dv, dx_e."""
+    """Return the names of the tangent coordinates dq, dv, dx_e."""
     each: list[str] = []
     for name in model.joint_names:
         part = model.v_slice(name)
@@ -183,7 +189,8 @@ def state_names(model: Model) -> list[str]:
 
 
 def _reduced(rows: np.ndarray) -> np.ndarray:
-    """The row echelon form with the largest pivots: the same span, with few entries each."""
+    """Return the row echelon form with the largest pivots: the same span, with few entries a row.
+    """
     rows = rows.copy()
     free = set(range(rows.shape[1]))
     for k in range(len(rows)):
@@ -200,11 +207,12 @@ def _reduced(rows: np.ndarray) -> np.ndarray:
 
 
 def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapunov:
-    """W of A W + W A' + B B' = 0, or of A W A' - W + B B' = 0, of a stable system.
+    """Solve A W + W A' + B B' = 0, or A W A' - W + B B' = 0, for the Gramian W of a stable system.
 
     Args:
-        A: (n, n), stable. B: (n, m).
-        discrete: which of the two.
+        A: (n, n), stable.
+        B: (n, m).
+        discrete: true for A W A' - W + B B' = 0.
 
     Returns:
         `Lyapunov`, with X = W.
@@ -226,11 +234,14 @@ def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapun
 
 
 def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov:
-    """W of A'W + W A + C'C = 0, or of A'W A - W + C'C = 0; x'Wx is the integral of y^2 from x.
+    """Solve A'W + W A + C'C = 0, or A'W A - W + C'C = 0, for the observability Gramian W.
+
+    x'Wx is the integral (or sum) of |y|^2 of the free response from x.
 
     Args:
-        A: (n, n), stable. C: (l, n).
-        discrete: which of the two.
+        A: (n, n), stable.
+        C: (l, n).
+        discrete: true for A'W A - W + C'C = 0.
 
     Returns:
         `Lyapunov`, with X = W.
@@ -250,13 +261,15 @@ def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov
 
 
 def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
-    """The eigenvalues (n,) of A, or of the closed loop A - BK, by falling real part.
+    """Compute the eigenvalues (n,) of A, or of the closed loop A - BK, in order of falling real
+    part.
 
-    JAX computes them on CPUs; whether on a GPU depends on its version. Where they are simple they
-    have derivatives.
+    JAX computes them on CPUs, and on GPUs in some versions. Simple eigenvalues have derivatives.
 
     Args:
-        A: (n, n). B: (n, m). K: (m, n).
+        A: (n, n).
+        B: (n, m).
+        K: (m, n).
 
     Returns:
         Complex numbers.
@@ -281,12 +294,13 @@ def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
 
 
 def discretise(A: Any, B: Any, dt: Any) -> tuple[jax.Array, jax.Array]:
-    """The exact discrete system of controls held over a step.
+    """Compute the exact discrete system for controls that are constant over a step.
 
         Ad = exp(A dt),   Bd = integral_0^dt exp(A s) ds B
 
     Args:
-        A: (n, n). B: (n, m).
+        A: (n, n).
+        B: (n, m).
         dt: seconds.
 
     Returns:

@@ -27,10 +27,15 @@ from rbjax.motion.linearise import box_minus, linearise
 
 
 class Tracking(Record):
-    """A motion and the gains that hold it: a policy (t, state) -> (nu,).
+    """A motion and the gains of its regulator: a policy (t, state) -> (nu,).
 
-    Fields: model; states, q (N + 1, nq) and v (N + 1, nv), x (N + 1, nx); ctrls (N, nu); dt (); K
-    (N, nu, n); P (N + 1, n, n), half of which is the cost to go; success (), as in `Gains`.
+    model: the robot.
+    states: q (N + 1, nq), v (N + 1, nv) and x (N + 1, nx).
+    ctrls: controls along the motion, (N, nu).
+    dt: the step, (), s.
+    K: gains, (N, nu, n).
+    P: of the cost to go dx'P dx, (N + 1, n, n).
+    success: as in `Gains`, ().
     """
 
     model: Model
@@ -42,8 +47,10 @@ class Tracking(Record):
     success: jax.Array
 
     def __call__(self, t: Any, state: State) -> jax.Array:
-        """The controls (nu,) at a time in s since the start of the motion. Before its start and
-        after its end the first and the last step go on."""
+        """Return the controls (nu,) at a time in s since the start of the motion.
+
+        Times before the start use the first step, and times after the end use the last step.
+        """
         k = jnp.floor(t / self.dt + 1e-3).astype(jnp.int32)  # times of knots are rounded
         k = jnp.clip(k, 0, self.ctrls.shape[0] - 1)
         K, u = self.K[k], self.ctrls[k]
@@ -64,13 +71,13 @@ def time_varying_lqr(
     dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> Tracking:
-    """The regulator along a motion of `rollout`.
+    """Compute the time-varying linear quadratic regulator along a motion of `rollout`.
 
         minimise  sum_k dx_k'Q dx_k + du_k'R du_k  +  dx_N'Q_N dx_N
 
     Args:
         model: the robot.
-        states: q (N + 1, nq), v (N + 1, nv), as `rollout` gives them; a `Trajectory` or a `State`.
+        states: a `Trajectory` or `State` with q (N + 1, nq) and v (N + 1, nv), as from `rollout`.
         ctrls: (N, nu).
         dt: seconds.
         Q: (n, n) or the weights (n,), n = 2 nv + nx.
@@ -84,7 +91,8 @@ def time_varying_lqr(
     Raises:
         InputError: shapes, values that are not finite, a step that is not positive.
 
-    The motion may have gaps: it is linearised about each knot, and gaps do not enter the gains.
+    The motion may have gaps between knots: it is linearised about each knot, and gaps have no
+    effect on the gains.
 
     Source: Anderson & Moore, 2.4.
 
@@ -136,5 +144,6 @@ def time_varying_lqr(
 def regulator_along(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, terminal: jax.Array
 ) -> Gains:
-    """Gains of A (N, n, n) and B (N, n, m) with the same weights Q and R at each step."""
+    """Compute the gains for A (N, n, n) and B (N, n, m) with the same weights Q and R at each step.
+    """
     return backward(constant_weights(A, B, Q, R, terminal))

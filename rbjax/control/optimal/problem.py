@@ -46,10 +46,9 @@ class Design(Record):
         self.start = check_array("Design", "start", jnp.atleast_1d(jnp.asarray(start, float)), n)
         low, high = (check_bound("Design", k, x, (), n) for k, x in (("low", low), ("high", high)))
         self.low, self.high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
-        known = [known_array(x) for x in (self.low, self.start, self.high)]
-        if any(x is None for x in known):  # traced
+        lowest, first, highest = (known_array(x) for x in (self.low, self.start, self.high))
+        if lowest is None or first is None or highest is None:  # traced
             return
-        lowest, first, highest = known
         if not ((lowest <= first) & (first <= highest)).all():
             raise InputError(
                 f"Design: low is {lowest.tolist()}, start {first.tolist()}, high "
@@ -157,7 +156,8 @@ class Problem(Record):
                 f"Problem: constraints has {wrong}, expected rb.control.Constraint(term, low, high)"
             )
         self.constraints = tuple(constraints)
-        for x in (*self.running, *self.terminal, *self.constraints):
+        terms: tuple[Cost | Constraint, ...] = (*self.running, *self.terminal, *self.constraints)
+        for x in terms:
             if x.knots is not None and max(x.knots, default=0) >= horizon:
                 raise InputError(
                     f"Problem: {x.term.label} has knots {x.knots}, expected indices below the "

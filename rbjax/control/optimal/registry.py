@@ -130,10 +130,11 @@ def method_of(method: Any) -> Method:
     """A method by its name, or itself; a `Sampling` or a `SampledStart` as one."""
     if isinstance(method, Method):
         return method
-    if isinstance(method, (Sampling, SampledStart)):
-        exact = isinstance(method, SampledStart)
-        run = method if exact else functools.partial(solve_sampling, method)
-        return Method(run, True, exact, "with the parameters of the caller", exact)
+    caller = "with the parameters of the caller"
+    if isinstance(method, SampledStart):
+        return Method(method, True, True, caller, True)
+    if isinstance(method, Sampling):
+        return Method(functools.partial(solve_sampling, method), True, False, caller, False)
     if method not in METHODS:
         raise UnknownName("method of rb.control", method, METHODS)
     return METHODS[method]

@@ -48,7 +48,7 @@ def locate(where: str, model: Model, like: jax.Array, frame: Frame) -> tuple[int
         at = placed.p + placed.R @ at
         return model.topology.site_bodies[i], Transform(placed.R, at)
     fixed = body == "world" and body not in model.body_names  # MuJoCo's name for the fixed frame
-    return WORLD if fixed else model.body(body), Transform(Mat3.identity(), at)
+    return WORLD if body is None or fixed else model.body(body), Transform(Mat3.identity(), at)
 
 
 def locate_on_link(

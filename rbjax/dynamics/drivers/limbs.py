@@ -93,7 +93,10 @@ class Limbs(unrolled.ListDriver):
 
             def posed(lane_of: Callable[[Any], Lane]) -> PosedJoint:
                 constants, at, v = jax.tree.map(lane_of, columns)
-                motion = hinge_motion(*at, v[0]) if hinge else kind.motion(at, v, constants)
+                if hinge:
+                    cosine, sine = at
+                    return PosedJoint(hinge_motion(cosine, sine, v[0]), constants)
+                motion = kind.motion(at, v, constants)
                 return PosedJoint(motion, constants)
 
             return JointColumns(posed, columns)

@@ -22,6 +22,7 @@ Runge-Kutta Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equa
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -215,7 +216,7 @@ class System:
 
     def stage_matrix(self, x: jax.Array, at: StageProblem) -> Matrix:
         """Compute the matrix at x."""
-        slopes = jax.vmap(lambda *stage: self.slope(*stage, at.read))(*self.stages(x, at))
+        slopes = jax.vmap(functools.partial(self.slope, read=at.read))(*self.stages(x, at))
         return self.matrix(slopes, at.h, at.weights)
 
     def matrix(self, slopes: jax.Array, h: Any, weights: Weights) -> Matrix:

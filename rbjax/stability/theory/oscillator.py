@@ -108,7 +108,7 @@ def step_matrices(
     one = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, one)
     omega = np.ones(len(args)) if omega is None else omega
     with jax.enable_x64(True):
-        return np.asarray(_matrices(field, one, like, args, omega))
+        return np.asarray(_matrices(field, one, like, jnp.asarray(args), jnp.asarray(omega)))
 
 
 def matrices_of_pair(solver: Any, K: np.ndarray, D: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Fidelity of the multibody model of all parts: multipliers hold the wheels on the ground.
+"""The fidelity "constrained": a multibody model of all parts, with wheels as constraints.
 
-It uses only the multibody dynamics and the constraints of this package, so it checks the reduced
-fidelities (`rolling`). Its multipliers are the forces of the ground on the wheels.
+It uses only the multibody dynamics and the constraints of rbjax, so it validates the reduced
+fidelities of `rolling`. Its multipliers are the forces of the ground on the wheels.
 """
 
 from __future__ import annotations
@@ -36,14 +36,16 @@ from rbjax.wheeled.multibody.wheel_rows import linked
 
 
 class Constrained(RobotModel):
-    """The multibody model of all parts, whose wheels are constraints: v = w, the full velocities.
+    """The multibody model of all parts, whose wheels are constraints. v = w, the full velocities.
 
         M a + b = tau + G^T l,   G a = -(G' v + ...)
 
-    `full_velocities` and `project` project the velocities on the constraints, by the least change
-    in the norm of the mass matrix.
+    `full_velocities` and `project` project the velocities on the constraints, by the smallest
+    change in the norm of the mass matrix.
 
-    Fields: robot. Static: formulation, one of `rbjax.constraints.formulations`.
+    Fields:
+        robot: `Robot`.
+        formulation: static, one of `rbjax.constraints.formulations`.
 
     Raises:
         InputError: a wheel without inertia about its axle, a caster without yaw_inertia.
@@ -94,11 +96,12 @@ class Constrained(RobotModel):
         return wheel_loads(now.n), [rotate(f, e) for f, e in forces]
 
     def axle_forces(self, now: RobotContext) -> list[Pair]:
-        """Compute the force of the ground on each wheel, ahead and to the left of it, N.
+        """Compute the force of the ground on each wheel, ahead and to the left of the wheel, N.
 
-        The rows of wheels on one axle are redundant, and the forces are those of the least norm
-        (`rbjax.constraints.multipliers`). Of several wheels on one shaft the first rolls, and has
-        their whole force. `skidding_force` holds skidding wheels on their axis.
+        The constraint rows of wheels on one axle are redundant; the forces are the ones of least
+        norm (`rbjax.constraints.multipliers`). If several wheels share a shaft, only the first one
+        has a rolling constraint and has their whole force ahead. The lateral force on skidding
+        wheels is `skidding_force`.
         """
         n = now.n
         out, l, at = [], self._multipliers(now), 0
@@ -113,7 +116,11 @@ class Constrained(RobotModel):
         return out
 
     def skidding_force(self, now: RobotContext) -> Lane:
-        """Compute the force to the left on the axis of skidding wheels, N; 0 if none skids."""
+        """Compute the lateral force on the turning axis of skidding wheels, N, positive to the
+        left.
+
+        It is 0 if no wheel skids.
+        """
         n = now.n
         if not any(leader.what == "skidding" for leader in n.robot.arrangement.leaders):
             return 0.0
@@ -126,8 +133,8 @@ class Constrained(RobotModel):
 
 
 def full_state(now: RobotContext, w: Sequence[Lane]) -> tuple[Model, State]:
-    """Make the multibody model with the present rates of steerings, and its state at velocities
-    w."""
+    """Make the multibody model at the current steering rates, and its state at full velocities w.
+    """
     n = now.n
     layout, rates = n.layout, coordinate_rates(now, w)
     steering = steering_rates(now)
@@ -167,14 +174,16 @@ def full_model_state(
     Args:
         model: `at(robot, fidelity)`.
         state: q (nq,), v (nv,).
-        ctrl: (nu,), of which those of steerings determine their rates; zeros if None.
+        ctrl: (nu,); only the controls of steerings matter, which determine the steering rates.
+            Zeros if None.
         base: "planar", "free" or "slides".
 
     Returns:
-        `State` of the multibody model; of a free base at the height at which its wheels just touch.
+        `State` of the multibody model. A free base is at the height at which its wheels just touch.
 
     Raises:
-        InputError: wrong types or shapes, values that are not finite. UnknownName: no such base.
+        InputError: wrong types or shapes, values that are not finite.
+        UnknownName: no such base.
 
     Example:
         >>> import rbjax as rb

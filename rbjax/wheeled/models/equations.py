@@ -1,4 +1,4 @@
-"""Newton-Euler equations of a wheeled robot, projected on any velocities; energies.
+"""Newton-Euler equations of a wheeled robot, projected on any set of velocities; energies.
 
 With twists V_k = J_k nu of the bodies and rates r_i = j_i nu of the rotors,
 
@@ -34,12 +34,17 @@ from rbjax.wheeled.kinematics.velocities import Motion, Shape, inertial_motion
 Velocities = Callable[[Parameters, Shape, Sequence[Lane]], list[Lane]]
 
 
-#: a coefficient c, N s/m or N m s/rad, and a row d over the full velocities, with force - c d d^T w
+#: a coefficient c, N s/m or N m s/rad, and a row d; the generalized force is -c d d^T w
 Damper = tuple[Lane, Sequence[Lane]]
 
 
 class Equations(NamedTuple):
-    """M, by row, and f; the full velocities of unit velocities nu, by column."""
+    """Equations of motion M nu' = f in some velocities nu.
+
+    M: the mass matrix, by row.
+    f: the right side.
+    columns: the full velocities of each unit velocity of nu.
+    """
 
     M: list[list[Lane]]
     f: list[Lane]
@@ -51,7 +56,7 @@ class Equations(NamedTuple):
         return ldlt(self.M).solve(self.f)
 
     def damped(self, dampers: Sequence[Damper], h: Lane) -> list[Lane]:
-        """Solve (M + h D) nu' = f, with D = sum c d d^T of the dampers."""
+        """Solve (M + h D) nu' = f, with D = sum c d d^T over the dampers."""
         M = [list(row) for row in self.M]
         for c, d in dampers:
             moved = [inner(d, column) for column in self.columns]
@@ -62,7 +67,7 @@ class Equations(NamedTuple):
 
 
 def momentum(body: BodyParameters, V: Twist) -> Twist:
-    """Compute the linear momentum, and the angular momentum about the origin."""
+    """Compute the linear momentum of a body, and its angular momentum about its origin."""
     (x, y, w), (a, b) = V, body.moment
     return Twist(
         sub(mul(body.mass, x), mul(w, b)),
@@ -72,13 +77,15 @@ def momentum(body: BodyParameters, V: Twist) -> Twist:
 
 
 def _gyroscopic(body: BodyParameters, V: Twist) -> Twist:
-    """Compute the gyroscopic wrench: w x p, and v x p about the origin."""
+    """Compute the gyroscopic wrench of a body: the force w x p, and the moment v x p about its
+    origin.
+    """
     p, w = momentum(body, V), V[2]
     return Twist(neg(mul(w, p[1])), mul(w, p[0]), cross((V[0], V[1]), (p[0], p[1])))
 
 
 def gravity_wrenches(now: RobotContext) -> list[Twist]:
-    """Compute the wrench of gravity along the ground on each body and fork, in its axes."""
+    """Compute the wrench of gravity along the ground on each body and fork, in its own axes."""
     n, shape = now.n, now.shape
     if is_zero(n.downhill[0]) and is_zero(n.downhill[1]):
         return [Twist(0.0, 0.0, 0.0)] * len(n.rigid)
@@ -94,7 +101,7 @@ def gravity_wrenches(now: RobotContext) -> list[Twist]:
 
 
 def columns_of(n: Parameters, shape: Shape, velocities: Velocities, size: int) -> list[list[Lane]]:
-    """Compute the full velocities of unit velocities nu: the columns of the basis S."""
+    """Compute the basis S by column: the full velocities of each unit velocity of nu."""
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
     return [velocities(n, shape, unit) for unit in units]
 
@@ -107,15 +114,16 @@ def projected_equations(
     torques: Sequence[Lane],
     forces: Sequence[Twist] | None = None,
 ) -> Equations:
-    """Project the equations on velocities nu.
+    """Project the equations of motion on velocities nu.
 
     Args:
         now: the coordinates and the rates of steerings.
         w: the full velocities.
         velocities: the map from nu to full velocities.
         nu: the velocities.
-        torques: on each shaft.
-        forces: on each body and fork, in its axes, the moment about its origin; gravity if None.
+        torques: the torque on each shaft, N m.
+        forces: the wrench on each body and fork, in its own axes about its origin; None for
+            gravity.
     """
     n = now.n
     forces = gravity_wrenches(now) if forces is None else forces
@@ -154,7 +162,10 @@ def projected_equations(
 def motion_and_rate(
     n: Parameters, shape: Shape, velocities: Velocities, nu: Sequence[Lane]
 ) -> tuple[Motion, Motion]:
-    """Compute the motion at nu, and its rate at nu' = 0, by the shape with its rate."""
+    """Compute the velocities of all inertias at nu, and their rates at nu' = 0.
+
+    shape: `Dual` lanes, the shape with its rate.
+    """
     both = inertial_motion(n, shape, velocities(n, shape, nu))
     now, rate = (
         Motion([Twist(*map(part, V)) for V in both.twists], [(i, part(x)) for i, x in both.turns])
@@ -164,8 +175,10 @@ def motion_and_rate(
 
 
 def _steering_torques(now: RobotContext, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
-    """Compute the reaction moments on bodies of wheels that accelerate about the vertical at
-    b'' = 0, by Ackermann's geometry: pairs of a body and a moment."""
+    """Compute the reaction moments of wheels of Ackermann steerings, as pairs (body, moment).
+
+    At a constant steering rate such wheels still accelerate about the vertical.
+    """
     n = now.n
     uneven = [
         i
@@ -188,7 +201,10 @@ def _steering_torques(now: RobotContext, w: Sequence[Lane]) -> list[tuple[int, L
 def kinetic_energy(
     n: Parameters, shape: Shape, w: Sequence[Lane], casters: Sequence[Lane] | None = None
 ) -> Lane:
-    """Compute the kinetic energy of bodies, wheels and motors (`inertial_motion`)."""
+    """Compute the kinetic energy of bodies, wheels and motors.
+
+    casters: rates of the casters if they are independent, see `inertial_motion`.
+    """
     parts = inertial_motion(n, shape, w, casters)
     bodies = total(
         inner(V, momentum(body, V)) for body, V in zip(n.rigid, parts.twists, strict=True)
@@ -197,7 +213,7 @@ def kinetic_energy(
 
 
 def potential_energy(now: RobotContext) -> Lane:
-    """Compute the potential energy of the centres of mass on the slope."""
+    """Compute the potential energy of gravity on the slope."""
     n, poses, energy = now.n, now.bodies(), 0.0
     for body, (origin, e) in zip(n.bodies, poses, strict=True):
         fall = add(mul(body.mass, dot(n.downhill, origin)), dot(n.downhill, rotate(body.moment, e)))

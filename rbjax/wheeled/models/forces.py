@@ -1,16 +1,16 @@
 """Loads of wheels, and torques on their shafts.
 
 A rigid body on equal springs loads its wheels by a plane, N_i = a + b x_i + c y_i. With f_i, the
-traction of a wheel for each newton of load, and the centre of mass at (x, y) and the height h,
+traction of a wheel per newton of load, and the centre of mass at (x, y) and the height h,
 
     sum N_i = W,   sum (x_i - x + h f_ix) N_i = 0,   sum (y_i - y + h f_iy) N_i = 0
 
-As f does not depend on N, these are linear, so load transfer is exact and has no state. Wheels on
-one line or at one point cannot carry the moments about it, which are ignored.
+As f does not depend on N, these equations are linear. Load transfer is exact and has no state.
+Wheels at one point, or on one line, cannot carry all moments; the rest is ignored.
 (Jazar, *Vehicle Dynamics*, ch. 2; Milliken & Milliken, *Race Car Vehicle Dynamics*, ch. 18)
 
-A trailer stands on its axle and on the coupling. A robot with trailers has the loads at rest, also
-on its chassis. The mass of a caster loads the wheels as if it were at its pivot.
+A trailer is supported by its axle and by its coupling. A robot with trailers has no load transfer,
+also on its chassis. The mass of a caster loads the wheels as if it were at the caster's pivot.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ from rbjax.wheeled.models.equations import Damper
 
 
 def wheel_loads(n: Parameters, tractions: Sequence[Pair] | None = None) -> list[Lane]:
-    """Compute the loads N_i of all wheels, N, by their tractions along x and y of their bodies; at
-    rest if None."""
+    """Compute the loads N_i of all wheels, N.
+
+    tractions: of each wheel, along x and y of its body, per newton of load; None for loads at rest.
+    """
     out: list[Lane] = [0.0] * len(n.wheels)
     down: list[list[tuple[Lane, Pair]]] = [[] for _ in n.bodies]  # on couplings of each body
     for k in reversed(range(1, len(n.bodies))):
@@ -50,7 +52,7 @@ def wheel_loads(n: Parameters, tractions: Sequence[Pair] | None = None) -> list[
     if tractions is not None and len(n.bodies) == 1:
         h = chassis.height
         pulls = [(mul(h, tractions[i][0]), mul(h, tractions[i][1])) for i in mine]
-    # moments about the origin: (x_i + h f_i - x) N_i, with x the point under which all loads hang
+    # moments about the origin: (x_i + h f_i - x) N_i, with x the point of action of all weights
     moments = tuple(
         add(mul(n.gravity, chassis.moment[k]), total(mul(force, p[k]) for force, p in down[0]))
         for k in (0, 1)
@@ -93,7 +95,7 @@ def _on_an_area(places: Sequence[Pair], pulls: Sequence[Pair], at: Pair, whole: 
         a, b, c = (total(mul(x, y) for x, y in zip(row, column, strict=True)) for column in basis)
         return a, b, c
 
-    # the plane is across both rows of moments: their cross product, scaled to carry the weight
+    # (a, b, c) of the plane is orthogonal to both rows of moments: their scaled cross product
     (a, b, c), (d, e, f), unit = summed(rows[0]), summed(rows[1]), summed(basis[0])
     plane = sub(mul(b, f), mul(c, e)), sub(mul(c, d), mul(a, f)), sub(mul(a, e), mul(b, d))
     scale = mul(whole, inverse(total(mul(x, y) for x, y in zip(unit, plane, strict=True))))
@@ -104,9 +106,10 @@ def _on_an_area(places: Sequence[Pair], pulls: Sequence[Pair], at: Pair, whole: 
 def shaft_torques(
     now: RobotContext, w: Sequence[Lane], loads: Sequence[Lane] | None = None
 ) -> list[Lane]:
-    """Compute the torques of drives, damping and rolling resistance on each shaft, N m.
+    """Compute the torque of drives, damping and rolling resistance on each shaft, N m.
 
-    loads: of the wheels, N; those at rest if None.
+    w: the full velocities.
+    loads: the loads of the wheels, N; None for loads at rest.
     """
     n = now.n
     rates = n.shaft_rates(w)
@@ -127,7 +130,7 @@ def shaft_torques(
 
 
 def motor_dampers(now: RobotContext, w: Sequence[Lane]) -> list[Damper]:
-    """Compute the dampers of the shafts' speeds: those of drives and of axles."""
+    """Compute the linear dampers of the shafts: axle damping, and the secants of the motors."""
     n = now.n
     rates = n.shaft_rates(w)
     first, speeds = len(w) - len(rates), drive_speeds(n, rates)

@@ -1,9 +1,9 @@
-"""The terms of the equations of a rolling robot, by both approaches of the book.
+"""The terms of the equations of motion of a rolling robot.
 
-    kinematical    w = S nu,    M nu' + C nu = B tau + f
-    dynamical      A w = 0,     M w' + C w = B tau + f + A^T l
-w are the full velocities, nu those that the wheels leave free. M' - 2 C is skew: with J the twists
-of the bodies by the velocities and p their momenta,
+    kinematical approach   w = S nu,    M nu' + C nu = B tau + f
+    dynamical approach     A w = 0,     M w' + C w = B tau + f + A^T l
+w are the full velocities, and nu the free velocities of rolling wheels. M' - 2 C is skew. With J
+the Jacobians of the bodies' twists and p their momenta,
 
     C = sum J^T (M J' + G J),   G V = (-w p_y, w p_x, vx p_y - vy p_x),   G skew
 (Olguín Díaz, *3D Motion of Rigid Bodies*, 8.2, 8.3)
@@ -43,12 +43,13 @@ from rbjax.wheeled.models.rolling import Rolling, identity
 
 
 class Reduced(NamedTuple):
-    """M nu' + C nu = B tau + f, with w = S nu.
+    """Terms of the reduced equations of motion M nu' + C nu = B tau + f, with w = S nu.
 
     Fields:
-        S: (nw, nv), the full velocities by the free ones.
-        M, C: (nv, nv), mass matrix and Coriolis matrix.
-        B: (nv, drives), the forces by the torques of the drives.
+        S: (nw, nv), the map from free velocities nu to full velocities w.
+        M: (nv, nv), mass matrix.
+        C: (nv, nv), Coriolis matrix.
+        B: (nv, drives), the map from torques of drives to generalized forces.
         f: (nv,), all other forces: gravity, damping of shafts, rolling resistance, steering.
         tau: (drives,), the torques of the drives, N m.
     """
@@ -62,13 +63,17 @@ class Reduced(NamedTuple):
 
 
 class Undetermined(NamedTuple):
-    """M w' + C w = B tau + f + A^T l, with A w = 0.
+    """Terms of the equations of motion M w' + C w = B tau + f + A^T l, with A w = 0.
 
     Fields:
-        A: (rows, nw), the constraints: leading wheels and trailers do not slide sideways (m/s),
-            shafts roll (m/s).
-        M, C: (nw, nw). B: (nw, drives). f: (nw,). tau: (drives,). As in `Reduced`.
-        multipliers: l (rows,), the forces of the ground in N.
+        A: (rows, nw), the constraints in m/s: no lateral velocity of leading wheels and trailers,
+            and no slip of shafts.
+        M: (nw, nw), mass matrix.
+        C: (nw, nw), Coriolis matrix.
+        B: (nw, drives), the map from torques of drives to generalized forces.
+        f: (nw,), all other forces: gravity, damping of shafts, rolling resistance, steering.
+        tau: (drives,), the torques of the drives, N m.
+        multipliers: l (rows,), the forces of the ground, N.
     """
 
     A: jax.Array
@@ -81,12 +86,12 @@ class Undetermined(NamedTuple):
 
 
 def reduced(model: Rolling, state: State, ctrl: Any = None) -> Reduced:
-    """Compute the terms of the reduced equations of motion: the kinematical approach.
+    """Compute the terms of the reduced equations of motion (the kinematical approach).
 
     Args:
-        model: a robot that rolls, `at(robot, "kinematical")`.
+        model: a model of a rolling robot, `at(robot, "kinematical")`.
         state: q (nq,), v = nu (nv,).
-        ctrl: (nu,), as `rates` takes them; zeros if None.
+        ctrl: (nu,), the controls as for `rates`; zeros if None.
 
     Returns:
         `Reduced(S, M, C, B, f, tau)`.
@@ -107,10 +112,14 @@ def reduced(model: Rolling, state: State, ctrl: Any = None) -> Reduced:
 
 
 def undetermined(model: Rolling, state: State, ctrl: Any = None) -> Undetermined:
-    """Compute the terms of the equations of motion with undetermined multipliers, and the
-    multipliers: the dynamical approach.
+    """Compute the terms of the equations of motion with Lagrange multipliers, and the multipliers.
 
-    Args: as `reduced`.
+    This is the dynamical approach: the constraints are not eliminated.
+
+    Args:
+        model: a model of a rolling robot, `at(robot, "kinematical")`.
+        state: q (nq,), v = nu (nv,).
+        ctrl: (nu,), the controls as for `rates`; zeros if None.
 
     Returns:
         `Undetermined(A, M, C, B, f, tau, multipliers)`.
@@ -166,7 +175,7 @@ def _matrix(columns: Sequence[Sequence[Any]], n: Parameters) -> jax.Array:
 def _terms(
     now: RobotContext, w: Sequence[Any], velocities: Velocities, nu: Sequence[Any]
 ) -> tuple[jax.Array, ...]:
-    """Compute M, C, B, f and tau for velocities nu."""
+    """Compute M, C, B, f and tau in the velocities nu, which `velocities` maps to w."""
     n, size, dtype = now.n, len(nu), now.n.dtype
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
     shape = now.shape_with_rate(w)

@@ -1,8 +1,8 @@
 """A wheeled robot at one fidelity: the interface, states, rates and contacts.
 
-All fidelities of a robot have the same coordinates q and controls u (`Robot`). They differ in v:
-nothing, the velocities that the wheels leave free, or all velocities; and in x, the states of
-tyres.
+All fidelities of a robot have the same coordinates q and controls u (`Robot`). Their velocities v
+differ: none, the free velocities of rolling wheels, or all full velocities. Only "slipping" has
+tyre states x.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ from rbjax.wheeled.robot.robot import Robot
 
 
 class RobotModel(Record):
-    """A robot at one fidelity. Subclasses define v and its rate.
+    """Base class of models of a robot at one fidelity. Subclasses define v and its rate.
 
-    Fields: robot.
+    Fields:
+        robot: `Robot`.
     """
 
     robot: Robot
@@ -74,7 +75,7 @@ class RobotModel(Record):
         raise NotImplementedError(f"{type(self).__name__} has no method accelerations")
 
     def damped_accelerations(self, now: RobotContext, h: Lane) -> list[Lane]:
-        """Compute the mean of v' over a step h with damping forces evaluated at its end."""
+        """Compute the mean of v' over a step h, with the damping forces at the end of the step."""
         return self.accelerations(now)
 
     def tyre_rates(self, now: RobotContext) -> list[Lane]:
@@ -82,15 +83,17 @@ class RobotModel(Record):
         return []
 
     def project(self, now: RobotContext) -> list[Lane]:
-        """Project v after a step on the constraints of velocities."""
+        """Project v on the velocity constraints after a step."""
         return now.v
 
     def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
-        """Compute v by full velocities w that the wheels allow."""
+        """Compute v from full velocities w that the wheels allow."""
         raise NotImplementedError(f"{type(self).__name__} has no method start_velocities")
 
     def wheel_forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
-        """Compute the loads of wheels and the forces on them in the axes of their bodies, N."""
+        """Compute the loads of the wheels, and the horizontal forces on them in the axes of their
+        bodies, N.
+        """
         raise InputError(
             f"contacts: the fidelity is {self.name!r}, which has no forces of wheels; expected "
             "'slipping' or 'constrained'"
@@ -106,7 +109,7 @@ class RobotModel(Record):
         return rates, self.accelerations(now), self.tyre_rates(now)
 
     def context(self, state: State, u: Any = None) -> RobotContext:
-        """Convert the parameters, a state and controls, zeros if None, to lanes."""
+        """Convert the parameters, a state and controls to lanes. Controls are zeros if None."""
         dtype = state.q.dtype
         given = jnp.zeros(self.nu, dtype) if u is None else u
         sizes: Any = ((state.q, self.nq), (state.v, self.nv), (state.x, self.nx), (given, self.nu))
@@ -115,13 +118,13 @@ class RobotModel(Record):
 
 
 def as_state(q: Sequence[Lane], v: Sequence[Lane], x: Sequence[Lane], dtype: Any) -> State:
-    """Stack lanes to a state."""
+    """Stack lists of lanes to a `State`."""
     tyres = stack_lanes(x, dtype) if len(x) else None
     return State(stack_lanes(q, dtype), stack_lanes(v, dtype), tyres)
 
 
 def check_robot_model(where: str, model: Any) -> None:
-    """Raise `InputError` unless the model is a robot at a fidelity."""
+    """Raise `InputError` unless `model` is a `RobotModel`."""
     public = 'a robot at a fidelity, as rbjax.wheeled.at(robot, "kinematical") gives it'
     instance(where, "model", model, RobotModel, public)
 
@@ -134,7 +137,7 @@ def check_state(where: str, model: RobotModel, state: Any, batch: tuple[int, ...
     for name, n in sizes.items():
         value = getattr(state, name)
         if value is None:
-            if not n or name == "x":  # set below, in the dtype of the others
+            if not n or name == "x":  # set below, in the dtype of q and v
                 continue
             value = jnp.zeros((*batch, n))
         found[name] = check_array(where, f"state.{name}", value, (*batch, n))
@@ -147,7 +150,10 @@ def check_state(where: str, model: RobotModel, state: Any, batch: tuple[int, ...
 def check_state_and_controls(
     where: str, model: Any, state: Any, ctrl: Any
 ) -> tuple[State, jax.Array]:
-    """Check a model, a state and controls, zeros if None, and return them in one dtype."""
+    """Check a model, a state and controls. Return the state and the controls in one dtype.
+
+    Controls are zeros if None.
+    """
     check_robot_model(where, model)
     state = check_state(where, model, state)
     given = jnp.zeros(model.nu) if ctrl is None else ctrl
@@ -155,10 +161,10 @@ def check_state_and_controls(
 
 
 def start(model: RobotModel, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0, 0.0)) -> State:
-    """Make a state of a robot in which no wheel slides: trailers straight, steering ahead.
+    """Make a state of a robot in which no wheel slides, trailers are straight and steering is zero.
 
-    The twist is projected onto those that the wheels allow. A wheel starts at the speed at which it
-    rolls.
+    The twist is projected onto the twists that the wheels allow. Wheels start at the rates at which
+    they roll.
 
     Args:
         model: `at(robot, fidelity)`.
@@ -187,7 +193,9 @@ def start(model: RobotModel, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0
 
 
 def with_twist(model: RobotModel, q: jax.Array, twist: jax.Array) -> State:
-    """Make the state at coordinates q (nq,) whose chassis has the allowed part of a twist (3,)."""
+    """Make the state at coordinates q (nq,) with the projection of a chassis twist (3,) on allowed
+    ones.
+    """
     now = model.context(State(q, jnp.zeros(model.nv, q.dtype), jnp.zeros(model.nx, q.dtype)))
     V = Twist(*(twist[i] for i in range(3)))
     w = rolling_velocities(now.n, now.shape, free_velocities(now.n, now.shape, V))
@@ -228,10 +236,10 @@ class Contacts(NamedTuple):
     """The contacts of n wheels with the ground.
 
     Fields:
-        loads: (n,) N.
-        forces: (n, 2) N on the wheel, along x and y of its body.
-        sliding: (n, 2) m/s, the velocity of the contact over the ground, along the wheel and to its
-            left.
+        loads: (n,), N.
+        forces: (n, 2), the force of the ground on the wheel along x and y of its body, N.
+        sliding: (n, 2), the velocity of the contact over the ground, along the wheel and to its
+            left, m/s.
     """
 
     loads: jax.Array
@@ -240,21 +248,22 @@ class Contacts(NamedTuple):
 
     @property
     def lifts(self) -> jax.Array:
-        """Whether the load of a wheel is negative (n,): it would lift, and the motion is not
-        valid."""
+        """Boolean (n,): whether the load is negative. Such a wheel would lift; the motion is not
+        valid.
+        """
         return self.loads < 0
 
 
 def contacts(model: RobotModel, state: State, ctrl: Any) -> Contacts:
     """Compute the loads, forces and sliding velocities of all wheels.
 
-    At the fidelity "constrained" the loads are those at rest, and the forces are the multipliers of
-    rolling constraints.
+    At the fidelity "constrained" the loads are the loads at rest, and the forces are the
+    multipliers of the rolling constraints.
 
     Args:
         model: `at(robot, "slipping")` or `at(robot, "constrained")`.
         state: q (nq,), v (nv,), x (nx,).
-        ctrl: (nu,).
+        ctrl: (nu,), the controls as for `rates`.
 
     Returns:
         `Contacts`.

@@ -1,10 +1,10 @@
 """Fidelities whose wheels roll and do not slide sideways.
 
     kinematic          v is empty: the speeds of the motors determine the motion
-    kinematical        v = nu, the free velocities: twists are separated, w = S nu
+    kinematical        v = nu, the free velocities: the equations are projected by w = S nu
     dynamical          v = nu: multipliers are eliminated from the equations of all velocities
     quasi_velocities   v = nu: the Boltzmann-Hamel equations
-The last three have the same motion. "kinematical" is the cheapest.
+The last three compute the same motion. "kinematical" is the cheapest of them.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from rbjax.wheeled.models.robot_model import RobotModel
 
 
 class Kinematic(RobotModel):
-    """Wheels turn at the free speeds of their motors; the robot has no inertia.
+    """A robot without inertia, whose drives turn at the no-load speeds of their motors.
 
-        w = S nu,   W_j(nu) = free speed of drive j at u_j, in least squares over the drives
+        w = S nu,   W_j(nu) = no-load speed of drive j at u_j, in least squares over the drives
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -77,7 +77,7 @@ class Kinematic(RobotModel):
 
 
 class Rolling(RobotModel):
-    """Robots with inertia whose wheels roll: v = nu, the velocities that the wheels leave free."""
+    """Base class of robots with inertia whose wheels roll. v = nu, the free velocities."""
 
     @property
     def nv(self) -> int:
@@ -90,8 +90,11 @@ class Rolling(RobotModel):
         return free_velocities(now.n, now.shape, Twist(*w[:3]))
 
     def ground_forces(self, now: RobotContext) -> list[Lane]:
-        """Compute M w' - f, by which the ground makes wheels roll: the force (2,) on the robot in
-        the chassis' axes, N, moments, and torques on shafts, N m."""
+        """Compute the generalized forces of the ground, M w' - f, that make the wheels roll.
+
+        These are the force on the robot in the chassis' axes, N, the moments, and the torques on
+        the shafts, N m.
+        """
         w = self.full_velocities(now)
         nu = duals(now.v, self.accelerations(now))
         rate = [rate_of(x) for x in rolling_velocities(now.n, now.shape_with_rate(w), nu)]
@@ -100,7 +103,7 @@ class Rolling(RobotModel):
 
 
 class Kinematical(Rolling):
-    """Dynamics reduced by the kinematical approach: twists and wrenches are separated.
+    """Equations of motion projected on the free velocities (the kinematical approach).
 
         (S^T M S) nu' = S^T (f - M S' nu),   w = S nu
 
@@ -127,11 +130,11 @@ class Kinematical(Rolling):
 
 
 class Dynamical(Rolling):
-    """Dynamics reduced by the dynamical approach: multipliers are eliminated.
+    """Equations of motion with the multipliers eliminated (the dynamical approach).
 
         M w' = f + A^T l,   A w' = -A' w,   l = -(A M^-1 A^T)^-1 (A M^-1 f + A' w)
 
-    nu' are the free velocities of w'. (Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
+    nu' is computed from w'. (Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
 
     Example:
         >>> import rbjax as rb
@@ -172,7 +175,7 @@ class Dynamical(Rolling):
 
 
 class QuasiVelocities(Rolling):
-    """Dynamics by the Boltzmann-Hamel equations, from energies. For comparison: it is the slowest.
+    """The Boltzmann-Hamel equations, derived from energies. It is the slowest, for comparison only.
 
     The quasi-velocities w are the chassis' twist (vx, vy, w), and the rates of trailers, shafts and
     casters; s are the angles of trailers and casters. With the kinetic energy T(s, w) and
@@ -213,7 +216,7 @@ class QuasiVelocities(Rolling):
         p, by_angles = impulse(s, w), jax.grad(energy)(s, w)
 
         def impulse_rate(rate: jax.Array) -> jax.Array:
-            """p' by w'."""
+            """Compute p' for a rate w'."""
             return jax.jvp(impulse, (s, w), (ds, rate))[1]
 
         carried = jnp.stack([-w[2] * p[1], w[2] * p[0], w[0] * p[1] - w[1] * p[0]])
@@ -235,7 +238,7 @@ class QuasiVelocities(Rolling):
         return ldlt(M).solve([f[i] for i in size])
 
     def _forces(self, now: RobotContext, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
-        """Compute Q: minus the gradient of the potential energy, and the torques on shafts."""
+        """Compute Q: minus the gradient of the potential energy, plus the torques on shafts."""
         n, dtype = now.n, now.n.dtype
 
         def potential(pose: jax.Array, s: jax.Array) -> jax.Array:
@@ -256,7 +259,7 @@ class QuasiVelocities(Rolling):
 def _kinetic_energy(
     n: Parameters, angles: Sequence[Lane], rates: Sequence[Lane], w: Sequence[Lane]
 ) -> Lane:
-    """Compute T, with the rotation of steered wheels about the vertical."""
+    """Compute the kinetic energy T, including the rotation of steered wheels about the vertical."""
     shape, first = shape_of(n, angles), len(w) - len(n.layout.caster_wheels)
     energy, yaw = kinetic_energy(n, shape, w[:first], w[first:]), w[2]
     moved = shape_of(n, duals(angles, rates))
@@ -270,5 +273,5 @@ def _kinetic_energy(
 
 
 def identity(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
-    """Return w, as full velocities by themselves."""
+    """Return w unchanged: the map from full velocities to themselves."""
     return list(w)

@@ -1,15 +1,15 @@
-"""Fidelity whose wheels slip: contacts obey a tyre law, and all velocities are free.
+"""The fidelity "slipping": contacts obey a tyre law, and all velocities are free.
 
     M w' = f + sum J_i^T N_i mu_i(slip of wheel i),     shafts: - r N mu along the wheel
 
-A wheel with rollers transmits only the force along their axes, and a caster, which swivels without
-resistance, only the force along it. A negative load means that the wheel would lift, and the motion
-is not valid.
+A wheel with rollers transmits only the force along the roller axes. A caster, which swivels
+without resistance, transmits only the force along the wheel. A negative load means that the wheel
+would lift, and that the motion is not valid.
 
 The slip of a light wheel decays at about (N C / v) (1 / m + r^2 / I), with the slope C of the law
 and the speed v, or `smooth_speed` near rest. An explicit step must be shorter than two of these
-times. "linearly_implicit_euler" of `rollout` has no such limit: contacts are dampers, with the
-secants of their laws, at the end of the step.
+time constants. "linearly_implicit_euler" of `rollout` has no such limit: it treats contacts as
+linear dampers at the end of the step, with the secants of the tyre laws.
 """
 
 from __future__ import annotations
@@ -41,9 +41,11 @@ from rbjax.wheeled.tyres.tyre import Tyre
 
 
 class Slipping(RobotModel):
-    """A robot whose wheels slip: v = w, all velocities; x, the states of tyres that relax.
+    """A robot whose wheels slip. v = w, all full velocities; x, the states of tyres that relax.
 
-    Fields: robot; tyre, the law of all wheels, or a tuple of one law a wheel.
+    Fields:
+        robot: `Robot`.
+        tyre: the tyre law of all wheels, or a tuple with one law for each wheel.
 
     Example:
         >>> import rbjax as rb
@@ -107,8 +109,10 @@ class Slipping(RobotModel):
         return w
 
     def contacts(self, now: RobotContext) -> tuple[list[Pair], list[Lane]]:
-        """Compute the traction of each wheel for each newton of load, along its heading and to its
-        left, and the rates of tyre states."""
+        """Compute the traction of each wheel, and the rates of the tyre states.
+
+        The traction is the force per newton of load, along the wheel's heading and to its left.
+        """
         n, used = now.n, 0
         out, states = [], []
         for wheel, law, (along, across, roll) in zip(
@@ -158,7 +162,7 @@ class Slipping(RobotModel):
         return projected_equations(now, now.v, identity, now.v, torques, wrenches), loads
 
     def _contact_dampers(self, now: RobotContext, loads: Sequence[Lane], h: Lane) -> list[Damper]:
-        """Compute the dampers of the sliding velocities of contacts."""
+        """Compute the linear dampers on the sliding velocities of contacts."""
         n = now.n
 
         def sliding(w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
@@ -182,7 +186,7 @@ class Slipping(RobotModel):
 
 
 def _contact_velocities(now: RobotContext, w: Sequence[Lane]) -> list[tuple[Lane, Lane, Lane]]:
-    """Compute the velocity of each wheel's centre along and across, and r phi', by w."""
+    """Compute, for each wheel, the velocity of its centre along and across it, and r phi', m/s."""
     n = now.n
     twists, rates = twists_of(n, now.shape, w), n.shaft_rates(w)
     return [
@@ -192,8 +196,10 @@ def _contact_velocities(now: RobotContext, w: Sequence[Lane]) -> list[tuple[Lane
 
 
 def _sliding(wheel: WheelParameters, along: Lane, across: Lane, roll: Lane) -> tuple[Lane, ...]:
-    """Compute the sliding velocity of a contact in the directions in which it has a force: along
-    the wheel, and across unless it is a caster; along the axes of rollers."""
+    """Compute the sliding velocity of a contact in the directions in which it transmits a force.
+
+    These are along and across a plain wheel, along a caster, and along the axes of rollers.
+    """
     along = sub(along, roll)
     if wheel.kind == "caster":
         return (along,)
@@ -204,12 +210,12 @@ def _sliding(wheel: WheelParameters, along: Lane, across: Lane, roll: Lane) -> t
 
 
 def _cosine(wheel: WheelParameters) -> Lane:
-    """Compute the cosine of the angle of the rollers' axes."""
+    """Compute the cosine of the angle between the roller axes and the heading."""
     return (1.0 + wheel.slant * wheel.slant) ** -0.5
 
 
 def _traction(tyre: Any, slides: Lane, roll: Lane) -> Lane:
-    """Compute the traction of a law along one axis."""
+    """Compute the traction of a tyre law along one axis, from the sliding speed along it."""
     return tyre.traction(slides / tyre.reference_speed(roll), 0.0)[0]
 
 

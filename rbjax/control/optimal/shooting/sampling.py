@@ -220,7 +220,8 @@ def _initial_distribution(
         width = high - low
         return how.spread * jnp.where(jnp.isfinite(width), width, size)
 
-    sizes = Draw(1.0, jnp.maximum(jnp.abs(parameters), 1e-3), 1.0)
+    one = jnp.ones((), dtype)
+    sizes = Draw(one, jnp.maximum(jnp.abs(parameters), 1e-3), one)
     wide = jax.tree.map(deviation, *edges, sizes)
     mean = jax.tree.map(jnp.clip, mean, *edges)
     return mean, wide._replace(first=free * wide.first), *edges

@@ -1,0 +1,88 @@
+"""Primitive shapes, candidate contacts and their frames."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from rbjax.lanes import Lane, Mat3, Vec3
+
+#: a length that counts as zero, m
+TINY = 1e-15
+#: two directions are parallel if the squared sine of the angle between them is smaller
+PARALLEL = 1e-8
+
+
+class Shape(NamedTuple):
+    """A primitive in the world.
+
+    Fields:
+        p: position of the center, m; of a plane, a point of it.
+        R: rotation from the axes of the shape to world axes. Axis z is the axis of a capsule or
+            cylinder and the normal of a plane.
+        size: as `Geoms.size`, m.
+    """
+
+    p: Vec3
+    R: Mat3
+    size: Vec3
+
+    @property
+    def axis(self) -> Vec3:
+        """Axis z in the world."""
+        return self.R.columns[2]
+
+
+class Contact(NamedTuple):
+    """A candidate contact.
+
+    Fields:
+        distance: between the surfaces, m.
+        position: the midpoint between the surfaces, m.
+        normal: unit vector from the first shape to the second.
+        exists: whether the distance is at most the reach and the candidate is one of the contacts.
+        tangent: a direction near which the first tangent of the contact frame is chosen, or None.
+    """
+
+    distance: Lane
+    position: Vec3
+    normal: Vec3
+    exists: Lane
+    tangent: Vec3 | None = None
+
+    def reversed(self) -> Contact:
+        """Return the contact with the shapes exchanged."""
+        return self._replace(normal=-self.normal)
+
+
+def contact_frame(normal: Vec3, tangent: Vec3 | None = None) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the axes of a contact frame: the normal and two tangents.
+
+    The first tangent is the direction `tangent` made orthogonal to the normal. If there is none, or
+    if it is parallel to the normal, it is world axis y, or world axis z if the normal is within 60
+    degrees of y.
+    """
+    steep = jnp.abs(normal[1]) >= 0.5
+    first = Vec3(0.0, jnp.where(steep, 0.0, 1.0), jnp.where(steep, 1.0, 0.0))
+    if tangent is not None:
+        across = tangent - normal * normal.dot(tangent)
+        first = where(across.dot(across) > PARALLEL * tangent.dot(tangent), tangent, first)
+    first = unit(first - normal * normal.dot(first), Vec3(1.0, 0.0, 0.0))
+    return normal, first, normal.cross(first)
+
+
+def unit(v: Vec3, otherwise: Vec3) -> Vec3:
+    """Return v / |v|, or another vector if v is zero; derivatives are finite."""
+    square = v.dot(v)
+    valid = square > TINY * TINY
+    return where(valid, v * (1 / jnp.sqrt(jnp.where(valid, square, 1.0))), otherwise)
+
+
+def times(a: Vec3, b: Vec3) -> Vec3:
+    """Return the product of the entries."""
+    return Vec3(*(x * y for x, y in zip(a, b, strict=True)))
+
+
+def where(condition: Lane, a: Vec3, b: Vec3) -> Vec3:
+    return Vec3(*(jnp.where(condition, x, y) for x, y in zip(a, b, strict=True)))
