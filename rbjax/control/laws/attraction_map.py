@@ -153,7 +153,7 @@ def region_of_attraction(
         few = min(few, steps - begin)
         t = jnp.asarray(begin, dtype) * step
         part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
-        # `run_rollout` gives no warning about motions that are not finite; they are expected here
+        # unlike `rollout`, `run_rollout` does not warn of motions that are not finite
         run, _, _ = run_rollout(
             model, states, part, step, steps=few, integrator=integrator, **dynamics
         )
