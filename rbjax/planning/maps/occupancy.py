@@ -46,10 +46,8 @@ class DistanceField(Record):
     origin: jax.Array
 
     def at(self, points: jax.Array) -> jax.Array:
-        """Interpolate the distance (...), m, at points (..., 2), m.
-
-        Beyond the ring around the map, the distance from the ring is subtracted.
-        """
+        """Interpolate the distance (...), m, at points (..., 2), m. Beyond the ring around the map,
+        the distance from the ring is subtracted."""
         u, v, away = self._place(points)
         nx, ny = self.values.shape
         i = jnp.clip(jnp.floor(u), 0, nx - 2).astype(int)

@@ -93,10 +93,8 @@ class Path(Record):
         return self.poses[..., -1, :]
 
     def pose_at(self, s: Any) -> jax.Array:
-        """Compute the pose (..., 3) after a length s (...) m of the path, by exact integration.
-
-        s is clipped to the length of the path.
-        """
+        """Compute the pose (..., 3) after a length s (...) m of the path, by exact integration. s
+        is clipped to the length of the path."""
         length = self.lengths
         left = jnp.asarray(s, length.dtype)[..., None] - (jnp.cumsum(length, -1) - length)
         moves = length > 0
@@ -169,9 +167,7 @@ class Path(Record):
 
     def split(self, spacing: float) -> Path:
         """Divide one path into steps of at most `spacing` m or rad. It requires known values.
-
-        Neighbouring steps with proportional twists are joined first.
-        """
+        Neighbouring steps with proportional twists are joined first."""
         real_number("Path.split", "spacing", spacing, "a number above zero", above=0.0, traced=True)
         if self.start.ndim != 1:
             raise InputError(f"Path.split: got a batch {self.start.shape[:-1]}, expected one path")

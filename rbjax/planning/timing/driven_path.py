@@ -115,10 +115,7 @@ def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> ja
 
 def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
     """Compute the coordinates and torque coefficients along one path, with steerings initially
-    straight.
-
-    Steps of zeros have no effect.
-    """
+    straight. Steps of zeros have no effect."""
     robot, steps = vehicle.robot, path.steps
     steerings, dtype = robot.layout.steerings, path.steps.dtype
     one = jnp.ones((), dtype)
