@@ -153,8 +153,7 @@ def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iteratio
 
 
 def _best(trials: Sequence[Trial]) -> Trial:
-    """Choose the fastest method with the least cost, or if none converges, the one of least
-    cost."""
+    """Choose the fastest method with the least cost. If none converges, choose the least cost."""
     done = [t for t in trials if t.ok]
     if not done:
         return min(trials, key=lambda t: t.objective)

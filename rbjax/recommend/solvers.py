@@ -110,8 +110,7 @@ def _reference(
 def _error(
     model: Model, state: State, ts: jax.Array, ctrl: Any, solver: Any, dt: Any, truth: jax.Array
 ) -> jax.Array:
-    """Compute the largest deviation of a configuration coordinate from a reference motion (T,
-    nq)."""
+    """Compute the largest deviation of a coordinate from a reference motion (T, nq)."""
     path = simulate(
         model, state, ts, ctrl, solver=solver, dt=dt, throw=False, max_steps=MOST_STEPS,
         adjoint=diffrax.ForwardMode(),

@@ -137,8 +137,7 @@ def describe(source: Any) -> str:
 
 
 def _final_states(m: mujoco.MjModel, samples: Samples, steps: int) -> tuple[Array, float]:
-    """Compute MuJoCo's final states (N, nq + nv), and the factor by which they amplify a velocity
-    change."""
+    """Compute MuJoCo's final states (N, nq + nv), and their amplification of a velocity change."""
     small = 1e-6
     out, growth = [], 1.0
     for q, v, ctrl in zip(samples.q, samples.v, samples.ctrl, strict=True):
@@ -152,8 +151,7 @@ def _final_states(m: mujoco.MjModel, samples: Samples, steps: int) -> tuple[Arra
 
 
 def _tolerances(growth: float, doubt: float) -> dict[str, dict[str, float]]:
-    """Return the tolerances of rbjax: quantity -> column -> error; "" is for all other
-    quantities."""
+    """Return the tolerances of rbjax: quantity -> column -> error; "" is the default."""
     path = {column: UNITS * growth * unit for column, unit in EPSILON.items()}
     path = {column: tolerance for column, tolerance in path.items() if tolerance < 1}
     gradient = {"rbjax f64": max(DIFFERENCES, 10 * doubt, path.get("rbjax f64", 1.0))}

@@ -28,8 +28,7 @@ UNFUSED = (WITHOUT_EMITTERS, ("xla_disable_hlo_passes", "fusion"))
 
 
 def fast() -> dict[str, Any] | None:
-    """Return the first option of `UNFUSED` that this jaxlib accepts; None if the backend is not the
-    CPU."""
+    """Return the first option of `UNFUSED` that this jaxlib accepts; None off the CPU."""
     if jax.default_backend() != "cpu":
         return None
     return dict([next(option for option in UNFUSED if xla_accepts(*option))])
@@ -93,8 +92,7 @@ class Mjx:
         return {name: np.asarray(x, np.float64) for name, x in out.items()}
 
     def motion(self, samples: Samples, steps: int, weights: Array | None) -> dict[str, Array]:
-        """Compute final states (N, nq + nv), and gradients (N, nv + nu) of weights . final
-        state."""
+        """Compute final states (N, nq + nv) and gradients (N, nv + nu) of weights . final state."""
         q, v, ctrl = self.arrays(samples)
         path = []
         for _ in range(steps):
@@ -115,10 +113,10 @@ class Mjx:
 
 
 def integrator(m: mujoco.MjModel, name: str, q: Any, v: Any, ctrl: Any, seconds: float) -> Any:
-    """Make MJX's "Euler" or "RK4" for a batch q (N, nq), v (N, nv) under constant ctrl (nu,).
+    """Make the integrator "Euler" or "RK4" of MJX for a batch q (N, nq), v (N, nv) and constant
+    ctrl (nu,).
 
-    The result is a function: steps -> final (q, v). One compiled program serves all numbers of
-        steps.
+    The result maps a number of steps to the final (q, v), by one compiled program for all numbers.
     """
     m.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
     model = mjx.put_model(m)

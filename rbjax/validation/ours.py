@@ -22,12 +22,8 @@ from rbjax.validation.reference import Array, Samples
 
 
 def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
-    """Compute poses, velocities, M, bias forces and accelerations in a dtype, one row for each
-    state.
-
-    The model is a compile-time constant, so its zeros are structural, as in a simulation of one
-    robot.
-    """
+    """Compute poses, velocities, M, bias forces and accelerations in a dtype, one row per state.
+    The model is a compile-time constant, so its zeros are structural."""
 
     def one(q: jax.Array, v: jax.Array, ctrl: jax.Array) -> dict[str, jax.Array]:
         R, p = forward_kinematics(model, q)
@@ -49,11 +45,7 @@ def motion(
     model: Model, samples: Samples, dt: float, steps: int, weights: Array | None, dtype: Any
 ) -> dict[str, Array]:
     """Compute one step, the final state (N, nq + nv) of a trajectory, and its gradient (N, nv +
-    nu).
-
-    The gradient is d(weights . final state) / d(v0, ctrl), by reverse mode through `rollout`. It is
-    omitted if `weights` is None.
-    """
+    nu). The gradient, d(weights . final state) / d(v0, ctrl), is omitted if `weights` is None."""
 
     def ends(v: jax.Array, ctrl: jax.Array, q: jax.Array) -> Any:
         ctrls = jnp.broadcast_to(ctrl[:, None], (len(q), steps, model.nu))

@@ -83,10 +83,7 @@ def loosen(m: mujoco.MjModel, i: int) -> None:
 
 @dataclass(frozen=True)
 class Samples:
-    """States and constant controls, exactly representable in f32.
-
-    q: (N, nq). v: (N, nv). ctrl: (N, nu).
-    """
+    """States q (N, nq), v (N, nv) and constant controls ctrl (N, nu), all exact in f32."""
 
     q: Array
     v: Array
@@ -147,10 +144,7 @@ def _velocities(m: mujoco.MjModel, data: mujoco.MjData) -> Array:
 def trajectory(
     m: mujoco.MjModel, q: Array, v: Array, ctrl: Array, steps: int
 ) -> tuple[Array, Array]:
-    """Simulate by MuJoCo. Return the states (steps + 1, nq), (steps + 1, nv).
-
-    ctrl: (nu,), constant, or one row for each step.
-    """
+    """Simulate by MuJoCo: states (steps + 1, nq), (steps + 1, nv) for ctrl (nu,) or (steps, nu)."""
     data = mujoco.MjData(m)
     data.qpos, data.qvel = q, v
     ctrls = np.broadcast_to(ctrl, (steps, m.nu))
@@ -166,11 +160,8 @@ def trajectory(
 def final_gradient(
     m: mujoco.MjModel, samples: Samples, steps: int, weights: Array, *, step: float = 1e-4
 ) -> Array:
-    """Compute d(weights . final state) / d(v0, ctrl) (N, nv + nu) by fourth-order central
-    differences.
-
-    f' = (8 (f(h) - f(-h)) - (f(2h) - f(-2h))) / 12 h: truncation h^4, rounding eps / h.
-    """
+    """Compute d(weights . final state) / d(v0, ctrl) (N, nv + nu) by central differences. f' = (8
+    (f(h) - f(-h)) - (f(2h) - f(-2h))) / 12 h: truncation h^4, rounding eps / h."""
 
     def loss(q: Array, x: Array) -> float:
         qs, vs = trajectory(m, q, x[: m.nv], x[m.nv :], steps)

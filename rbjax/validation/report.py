@@ -29,8 +29,7 @@ class Row:
     tolerances: dict[str, float]
 
     def passes(self, column: str) -> bool:
-        """Return whether a column is within tolerance. It is true without a tolerance; nan never
-        passes."""
+        """Return whether a column is within tolerance, or has none. nan never passes."""
         if column not in self.tolerances or column not in self.errors:
             return True
         return bool(self.errors[column].worst <= self.tolerances[column])

@@ -104,8 +104,7 @@ class Path(Record):
         return chain(start, steps)[..., -1, :]
 
     def sample_poses(self, n: int) -> jax.Array:
-        """Compute n poses (..., n, 3) at equal distances along the path, from the start to the
-        end."""
+        """Compute n poses (..., n, 3) at equal distances along the path, ends included."""
         integer("Path.sample_poses", "n", n, least=2)
         wide = Path(self.start[..., None, :], self.steps[..., None, :, :])
         share = jnp.linspace(0.0, 1.0, n, dtype=self.steps.dtype)
@@ -147,8 +146,8 @@ class Path(Record):
 
     @property
     def curvatures(self) -> jax.Array:
-        """Curvatures (..., n), 1/m, positive to the left when driven forwards; infinite for turns
-        on the spot."""
+        """Curvatures (..., n), 1/m, positive for left turns forwards; infinite for turns on the
+        spot."""
         length, turn = self.lengths, self.steps[..., 2]
         signed = jnp.where(self.steps[..., 0] < 0, -length, length)
         still = length == 0

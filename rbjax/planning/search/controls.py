@@ -159,8 +159,8 @@ class Controls:
 
 
 def car_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Make the controls of a car: arcs to both sides and straight segments. Driving backwards costs
-    slightly more. A reversal costs as much as driving `radius` metres forwards."""
+    """Make the controls of a car: arcs to both sides and straight segments, in one or both
+    gears."""
     cell = 2 * math.pi / HEADINGS
     turn = cell * max(1, math.ceil(least / (radius * cell) * (1 - 1e-9)))
     reversal = max(1, round(UNIT * radius / (radius * turn)))
@@ -172,8 +172,8 @@ def car_controls(radius: float, least: float, backwards: bool) -> Controls:
 
 
 def differential_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Make the controls of a differential drive: straight segments and turns on the spot. Turns are
-    by two heading cells, and last as long as a straight segment."""
+    """Make the controls of a differential drive: straight segments, and turns by two heading
+    cells."""
     spin = 2 * 2 * math.pi / HEADINGS / least
     speeds = np.array([1.0, -1.0, 0.0, 0.0])
     chosen = np.array([0, 1, 2, 3] if backwards else [0, 2, 3])

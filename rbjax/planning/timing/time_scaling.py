@@ -45,8 +45,8 @@ class TimeScaled(Record):
 
     @property
     def status(self) -> str:
-        """Status of one path: "found" or "infeasible". It is infeasible if the limits do not hold
-        even at rest, or if the path requires steering angles beyond the limit."""
+        """"found", or "infeasible" if the limits do not hold at rest, or steering angles exceed
+        their limit."""
         return "found" if bool(self.ok) else "infeasible"
 
 
