@@ -146,8 +146,7 @@ class Path(Record):
 
     @property
     def curvatures(self) -> jax.Array:
-        """Curvatures (..., n), 1/m, positive for left turns forwards; infinite for turns on the
-        spot."""
+        """Curvatures (..., n), 1/m, positive to the left; infinite for turns on the spot."""
         length, turn = self.lengths, self.steps[..., 2]
         signed = jnp.where(self.steps[..., 0] < 0, -length, length)
         still = length == 0

@@ -159,8 +159,7 @@ class Controls:
 
 
 def car_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Make the controls of a car: arcs to both sides and straight segments, in one or both
-    gears."""
+    """Make the controls of a car: arcs to both sides and straight segments."""
     cell = 2 * math.pi / HEADINGS
     turn = cell * max(1, math.ceil(least / (radius * cell) * (1 - 1e-9)))
     reversal = max(1, round(UNIT * radius / (radius * turn)))
@@ -172,8 +171,7 @@ def car_controls(radius: float, least: float, backwards: bool) -> Controls:
 
 
 def differential_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Make the controls of a differential drive: straight segments, and turns by two heading
-    cells."""
+    """Make the controls of a differential drive: straight segments, and turns on the spot."""
     spin = 2 * 2 * math.pi / HEADINGS / least
     speeds = np.array([1.0, -1.0, 0.0, 0.0])
     chosen = np.array([0, 1, 2, 3] if backwards else [0, 2, 3])

@@ -96,8 +96,7 @@ def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
 
 
 def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> jax.Array:
-    """Compute the torques (drives,) for velocity rates (nv,), while steerings turn at given
-    rates."""
+    """Compute the torques (drives,) for velocity rates (nv,) and given steering rates."""
     drives = len(vehicle.robot.drives)
 
     def accelerations(tau):

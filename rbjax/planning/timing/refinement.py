@@ -64,8 +64,7 @@ class Residuals(Record):
 
     @property
     def feasible(self) -> jax.Array:
-        """Boolean (...): goal within 2 mm and 2 mrad, limits within 0.2 %, and free of
-        obstacles."""
+        """Boolean (...): goal within 2 mm and 2 mrad, limits within 0.2 %, no collision."""
         off = jnp.stack([self.distance, self.turn, self.speed])
         most = jnp.stack([self.torque, self.rate, self.angle])
         return (off <= NEAR).all(0) & (most <= 1 + NEAR).all(0) & self.free

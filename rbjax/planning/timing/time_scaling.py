@@ -45,8 +45,9 @@ class TimeScaled(Record):
 
     @property
     def status(self) -> str:
-        """"found", or "infeasible" if the limits do not hold at rest, or steering angles exceed
-        their limit."""
+        """Status: "found", or "infeasible" if limits do not hold at rest or the path steers
+        too far.
+        """
         return "found" if bool(self.ok) else "infeasible"
 
 
