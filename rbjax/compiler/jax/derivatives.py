@@ -61,7 +61,7 @@ def _anonymous_info():
 
 
 def dependents(eqns: Sequence[JaxprEqn], start: Sequence[Atom]) -> set[Var]:
-    """Return the variables that depend on a variable of `start`, including these."""
+    """Return the variables of `start`, and all variables that depend on them."""
     found = {a for a in start if isinstance(a, Var)}
     for eqn in eqns:
         if any(isinstance(a, Var) and a in found for a in eqn.invars):
@@ -140,7 +140,7 @@ class Kind:
 
 
 def _split(xs: Sequence, moving: Flags) -> tuple[list, list]:
-    """Split xs into the entries without and with `moving`."""
+    """Split xs into the entries whose flag in `moving` is False, and whose flag is True."""
     return [x for x, m in zip(xs, moving, strict=True) if not m], [*itertools.compress(xs, moving)]
 
 
@@ -316,10 +316,10 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Transposed:
-    """Transpose of a `Linearised`: (args, cotangents) -> outs. forward: equations of results."""
+    """The transpose of a linearised jaxpr: the equations (args, cotangents) -> outs."""
 
     eqns: Equations
-    forward: list[JaxprEqn]
+    forward: list[JaxprEqn]  # the equations that compute the results
     args: list[Var]
     cotangents: list[Var]
     results: list[Atom]
