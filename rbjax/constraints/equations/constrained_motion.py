@@ -180,11 +180,9 @@ def constrained_motion(
 
 
 def free_body_diagonal(d: Driver, row: Row) -> Lane:
-    """Return a row's diagonal entry of A if its links were free bodies with isotropic inertia.
-
-    It is the sum of f^2 / m for forces f, and of n^2 / (tr J / 3) for torques n on links without a
-    force. It does not vanish with the lever arm of a force.
-    """
+    """Return a row's diagonal entry of A if its links were free bodies with isotropic inertia. It
+    is the sum of f^2 / m for forces f, and of n^2 / (tr J / 3) for torques n on links without a
+    force. It does not vanish with the lever arm of a force."""
     out: Lane = 0.0
     for link, load in wrenches_by_link(row.gradient).items():
         body = d.prepared.link(link).inertia
@@ -207,11 +205,9 @@ def _divide(load: Vec3, inertia: Lane) -> Lane:
 def factor_delassus(
     d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None = None
 ) -> Delassus:
-    """Factor A, on lanes if the tree is unrolled and rows are few, otherwise as a matrix.
-
-    `damping` replaces eps and e of the regularization and sets one refinement; None uses the values
-    of the dtype.
-    """
+    """Factor A, on lanes if the tree is unrolled and rows are few, otherwise as a matrix. `damping`
+    replaces eps and e of the regularization and sets one refinement; None uses the values of the
+    dtype."""
     few = d.listed and len(rows) <= ROWS_ON_LANES
     return (DelassusOnLanes if few else DelassusMatrix)(d, factors, now, rows, damping)
 
@@ -266,10 +262,8 @@ class Delassus:
         self._free = [free_body_diagonal(d, row) for row in rows]
 
     def solve(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
-        """Solve M a = force + G^T l, G a = c for a (nv,) and l (rows,) of least norm.
-
-        A force of None means zero.
-        """
+        """Solve M a = force + G^T l, G a = c for a (nv,) and l (rows,) of least norm. A force of
+        None means zero."""
         raise NotImplementedError(f"{type(self).__name__} has no method solve(force, c) -> a, l")
 
 
@@ -305,10 +299,8 @@ class DelassusOnLanes(Delassus):
 
 
 class DelassusMatrix(Delassus):
-    """Delassus matrix A = G Y with Y = M^-1 G^T, as an array.
-
-    R (rows,) is added to its diagonal for compliant rows, G a + R l = c.
-    """
+    """Delassus matrix A = G Y with Y = M^-1 G^T, as an array. R (rows,) is added to its diagonal
+    for compliant rows, G a + R l = c."""
 
     def __init__(
         self,

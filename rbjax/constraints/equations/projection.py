@@ -88,10 +88,8 @@ def least_change(
     method: Method, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array,
     dependent: bool = False,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """Compute dq and dv by a method, with the derivative of the equations.
-
-    `dependent` selects the equations of `solve_dependent`.
-    """
+    """Compute dq and dv by a method, with the derivative of the equations. `dependent` selects the
+    equations of `solve_dependent`."""
     given, rebuilt = split_tracers((model, t0, t))
     nv = model.nv
 
@@ -321,10 +319,8 @@ def _newton(
     holonomic = np.array([row.holonomic for row in rows])
 
     def by_du(G: jax.Array, du: jax.Array) -> jax.Array:
-        """Return the gradient with respect to du.
-
-        Attitudes rotate by J_r(u) du. Non-holonomic rows keep G_0.
-        """
+        """Return the gradient with respect to du. Attitudes rotate by J_r(u) du. Non-holonomic rows
+        keep G_0."""
         back = list(-(u + du))
         rotated = jax.vmap(lambda row: pack(velocity_lanes(model.topology, back, list(row)), row))
         return jnp.where(holonomic[:, None], rotated(G), G_0)

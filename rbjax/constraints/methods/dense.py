@@ -80,11 +80,9 @@ class Dense(Method):
     def scaled_solution(
         self, M: jax.Array, G: jax.Array, f: jax.Array, c: jax.Array, free_diagonal: Any = 0.0
     ) -> Solution:
-        """Solve the equations after scaling, with the derivative of the equations.
-
-        `free_diagonal` (rows,) is the diagonal of G M^-1 G^T for free bodies
-        (`free_body_diagonal`), or 0 if unknown.
-        """
+        """Solve the equations after scaling, with the derivative of the equations. `free_diagonal`
+        (rows,) is the diagonal of G M^-1 G^T for free bodies (`free_body_diagonal`), or 0 if
+        unknown."""
         free_diagonal = jax.lax.stop_gradient(jnp.asarray(free_diagonal, G.dtype))
 
         def equations(x: Solution) -> Solution:
@@ -116,10 +114,8 @@ class Dense(Method):
 
 
 def invert_nonzero(x: jax.Array, power: int = 1) -> jax.Array:
-    """Return 1 / x elementwise, and 0 for elements that are zero relative to the largest one.
-
-    The relative tolerance is the rank tolerance "constraint rows" to the given power.
-    """
+    """Return 1 / x elementwise, and 0 for elements that are zero relative to the largest one. The
+    relative tolerance is the rank tolerance "constraint rows" to the given power."""
     size = jnp.abs(x)
     nonzero = size > rank_tolerance("constraint rows", x.dtype) ** power * size.max()
     return jnp.where(nonzero, 1.0 / jnp.where(nonzero, x, 1.0), 0.0)

@@ -47,6 +47,7 @@ class DifferentialAlgebraic(Method):
     If the equations of a step are not solved, `Trajectory.ok` is False, and adaptive steps become
     shorter. Called as a `Dynamics`, the method returns the accelerations of index 1.
 
+    Example:
         >>> import rbjax as rb
         >>> [rb.constraints.formulations()[x].index for x in ("index_2", "index_3", "ggl")]
         [2, 3, 2]
@@ -59,10 +60,8 @@ class DifferentialAlgebraic(Method):
         return constrained_motion(model, t, state, tau, f_ext)[0]
 
     def level_of(self, row: Row) -> tuple[Lane, int]:
-        """Return the quantity that must be zero (g or g'), and its number of integrations.
-
-        The number of integrations from acceleration is 2 for g and 1 for g'.
-        """
+        """Return the quantity that must be zero (g or g'), and its number of integrations. The
+        number of integrations from acceleration is 2 for g and 1 for g'."""
         raise NotImplementedError(f"{type(self).__name__} has no method level_of(row)")
 
     def position_rows(self, rows: Sequence[Row]) -> list[Row]:
@@ -94,10 +93,8 @@ class DifferentialAlgebraic(Method):
         return depth, pack(free_diagonal, state.v), len(ggl)
 
     def equations(self, model: Model, q: jax.Array, forces: Forces) -> Callable[..., jax.Array]:
-        """Return the function of f(t, y, y', w) = 0 at the configuration q (+) u.
-
-        y = (u, v, x) are the differential unknowns and w = (l, mu) the algebraic ones.
-        """
+        """Return the function of f(t, y, y', w) = 0 at the configuration q (+) u. y = (u, v, x) are
+        the differential unknowns and w = (l, mu) the algebraic ones."""
         nv, dtype = model.nv, q.dtype
 
         def f(t: Any, y: jax.Array, rate: jax.Array, w: jax.Array) -> jax.Array:

@@ -114,6 +114,7 @@ class Recursive(Method):
 
     Source: Jain 2012; Chignoli, Adrian, Kim & Wensing 2023.
 
+    Example:
         >>> import rbjax as rb
         >>> model = rb.load("four_bar")
         >>> start = model.default_state()
@@ -231,10 +232,8 @@ class ClusterTree:
     def solve(
         self, tau: jax.Array, forces: Mapping[int, Force], c: Sequence[Lane]
     ) -> tuple[jax.Array, jax.Array]:
-        """Solve M a = tau + sum of J_i^T f_i + G^T l, G a = c for a (nv,) and l (rows,).
-
-        `forces` are the f_i on links.
-        """
+        """Solve M a = tau + sum of J_i^T f_i + G^T l, G a = c for a (nv,) and l (rows,). `forces`
+        are the f_i on links."""
         u = unpack(tau)
         l = self._inward(u, dict(forces), c)
         a = self._outward(u, l)

@@ -70,6 +70,7 @@ class Soft(Constraint):
 
     Source: MuJoCo, *Computation*, constraint model, parameters.
 
+    Example:
         >>> import rbjax as rb
         >>> from rbjax import constraints as rc
         >>> model = rb.load("double_pendulum")
@@ -178,11 +179,9 @@ def _norm(g: jax.Array) -> jax.Array:
 def regularizer_and_residual(
     now: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute R (rows,) and the residual of the rows' equations at f = 0.
-
-    R is zero for rigid rows. The residual (rows,) is at the accelerations of the context, with
-    Baumgarte's feedback of rigid rows.
-    """
+    """Compute R (rows,) and the residual of the rows' equations at f = 0. R is zero for rigid rows.
+    The residual (rows,) is at the accelerations of the context, with Baumgarte's feedback of rigid
+    rows."""
     R: list[Any] = []
     residual: list[Any] = []
     a = now.a
