@@ -1,13 +1,13 @@
-"""Compiles a function of one sample: one GPU thread a sample, or one SIMD lane of the CPU.
+"""A compiler of functions of one sample: one GPU thread, or one SIMD lane of a CPU, runs a sample.
 
-`threads` batches a function through `jax.vmap`; `compile` gives a Python function that runs one
-sample; `explain` shows the program that a function becomes.
+`threads` compiles a function for batches, by `jax.vmap`. `compile` returns a Python function that
+runs one sample. `explain` describes the program that a function becomes.
 
-    ir      the program of one thread: statements, operations, the builder that writes it
-    lower   from a jaxpr to a program, one rule a primitive
+    ir      the program of one thread: statements, operations, the builder that emits them
+    lower   from a jaxpr to a program, by one rule per primitive
     passes  analyses and transformations of a finished program
-    cuda    back end of NVIDIA GPUs: C, compiled by NVRTC
-    llvm    back end of CPUs: LLVM IR, one sample a lane of a vector
+    cuda    back end for NVIDIA GPUs: C, compiled by NVRTC
+    llvm    back end for CPUs: LLVM IR, one sample per lane of a vector
     jax     the JAX primitive: batching, derivatives, sharding, calls from XLA
 """
 

@@ -1,4 +1,4 @@
-"""A disk cache of compiled code, next to JAX's compilation cache if the caller has enabled that.
+"""A disk cache of compiled code, next to JAX's compilation cache if that is enabled.
 
 If the folder cannot be read or written, code is compiled again and a warning names the folder.
 """
@@ -17,13 +17,12 @@ from typing import Any
 
 import jax
 
-#: bytes of the digest at the beginning of a file; if the code has another digest, it is compiled
-#: again
+#: bytes of the digest at the beginning of a file; the code is compiled again if its digest differs
 DIGEST = hashlib.sha256().digest_size
 
 
 def read_or_make(name: str, make: Callable[[], bytes]) -> bytes:
-    """Return the content of the file of this name, or make and write it."""
+    """Return the content of the cached file `name`, or make() and cache it."""
     folder = _folder()
     if folder is None:
         return make()
@@ -39,7 +38,7 @@ def read_or_make(name: str, make: Callable[[], bytes]) -> bytes:
 
 
 def _read(file: Path) -> bytes | None:
-    """Read a file; None if it is missing, cannot be read or is damaged."""
+    """Return the content of a file; None if it is missing, unreadable or damaged."""
     try:
         found = file.read_bytes()
     except OSError:
@@ -71,7 +70,7 @@ def _warn(folder: str, reason: str) -> None:
 
 
 def _folder() -> Path | None:
-    config: Any = jax.config  # its type does not list all names
+    config: Any = jax.config  # jax.config's type lacks some names
     folder = config.jax_compilation_cache_dir
     if not folder or "://" in folder or not config.jax_enable_compilation_cache:
         return None

@@ -1,14 +1,14 @@
-"""Planning in the plane: from a map to a path and a motion.
+"""Planning in the plane, from a map to a path and to a motion in time.
 
-    from map to path      plan -> Plan, with its Path
-    shortest curves       dubins, reeds_shepp -> Path
-    maps                  OccupancyGrid, its DistanceField
-    robots on maps        Footprint, clear, clearance, clear_along
-    searches              hybrid_a_star, grid_a_star, grid_dijkstra, grid_dijkstra_many
-                          with Controls -> Plan
-    refinement            smooth -> Smoothed
-    motions in time       time_scaling -> TimeScaled, refine -> Refined, within Limits; Timed
-Poses are (x, y, heading) in m and rad; leading axes are a batch.
+Path planning: plan -> Plan, which contains a Path.
+Shortest curves without obstacles: dubins, reeds_shepp -> Path.
+Maps: OccupancyGrid and its DistanceField.
+Collision tests: Footprint, clear, clearance, clear_along.
+Searches with Controls: hybrid_a_star, grid_a_star, grid_dijkstra, grid_dijkstra_many -> Plan.
+Path smoothing: smooth -> Smoothed.
+Time-optimal motions within Limits: time_scaling -> TimeScaled, refine -> Refined; Timed.
+
+Poses are (x, y, heading) in m and rad. Leading axes are a batch.
 """
 
 from rbjax.planning.maps.footprint import Footprint, clear, clearance

@@ -1,4 +1,4 @@
-"""`plan`: from a pose to another on a map, with controls that fit the robot and the map."""
+"""`plan`: plan a path between two poses on a map, with controls that fit the robot and the map."""
 
 from __future__ import annotations
 
@@ -32,8 +32,11 @@ ROW = 64  # paths are padded to multiples of this length, so that one program sm
 
 
 def drives() -> dict[str, Callable[..., Controls]]:
-    """Name of a drive -> a function that makes its controls from the turning radius in m, the least
-    length of a motion in m, and whether the robot drives backwards."""
+    """Return the makers of controls for each drive: name -> function.
+
+    A maker's arguments are the turning radius in m, the least length of a motion in m, and whether
+    the robot may drive backwards.
+    """
     return {
         "car": car_controls,
         "differential": differential_controls,
@@ -42,7 +45,7 @@ def drives() -> dict[str, Callable[..., Controls]]:
 
 
 def methods() -> dict[str, Callable[..., Plan]]:
-    """Name -> the search."""
+    """Return the search algorithms: name -> function."""
     return {
         "hybrid_a_star": hybrid_a_star,
         "grid_a_star": grid_a_star,
@@ -68,35 +71,35 @@ def plan(
 ) -> Plan | list[Plan]:
     """Plan a path from a pose to another that is free of obstacles.
 
-    Use it with the defaults for a car; choose `drive` for other robots, and `method` or `controls`
-    for another search.
+    The defaults are for a car. Choose `drive` for other robots, and `method` or `controls` for
+    another search.
 
     Args:
-        grid: the map; what is beyond it counts as occupied.
+        grid: the map. Cells beyond it count as occupied.
         footprint: of the robot.
-        start, goal: poses (3,): x and y in m, the heading in rad. Or (q, 3) for q plans; one pose
-            is used for all of them.
+        start, goal: poses (3,): x and y in m, the heading in rad. Or (q, 3) for q plans; a single
+            pose is used for all of them.
         drive: "car"; "differential", which turns on the spot; "omnidirectional".
-        radius: of a car, the smallest turning radius in m.
+        radius: the smallest turning radius of a car, m; None for other drives.
         backwards: whether the robot may drive backwards.
         controls: for the search; None for controls that fit drive, radius and map.
-        method: "hybrid_a_star", which ends exactly at the goal; "grid_a_star", "grid_dijkstra",
-            which end near it.
-        smoothed: whether `smooth` is applied to the path of a car.
-        margin: the clearance in m for `smooth`; None for four cells.
+        method: "hybrid_a_star", which ends exactly at the goal, or "grid_a_star" or
+            "grid_dijkstra", which end near it.
+        smoothed: whether to apply `smooth` to the path of a car.
+        margin: the desired clearance for `smooth`, m; None for four cells.
         max_count: the largest number of nodes that the search expands; None for no limit.
-        options: further arguments of the method: weight, cell, tolerance ...
+        options: further arguments of the method, such as weight, cell or tolerance.
 
     Returns:
-        `Plan`, or a list of them, with the reason in `status` if there is no path. `path` is the
-        exact motion, smoothed if `refinement` is "smoothed"; poses and controls are always those of
-        the search.
+        `Plan`, or a list of q plans. If there is no path, `status` has the reason. `path` is the
+        exact motion; it is smoothed if `refinement` is "smoothed". `poses` and `controls` are
+        always the result of the search, before smoothing.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite, a car without a radius.
         UnknownName: no such drive or method.
 
-    Source: those of the methods.
+    Source: see the methods.
 
     Example:
         >>> walls = np.zeros((60, 40), bool)
@@ -144,7 +147,7 @@ def plan(
 
 
 def _fitting(grid: OccupancyGrid, drive: str, radius: float | None, backwards: bool) -> Controls:
-    """Controls that leave a cell of the map."""
+    """Make controls of a drive whose motions are long enough to leave a cell of the map."""
     if (radius is None) == (drive == "car"):
         want = "a length above zero" if drive == "car" else "none: it has no turning radius"
         raise InputError(f"plan(drive={drive!r}): radius is {radius!r}, expected {want}")
@@ -157,7 +160,7 @@ def _fitting(grid: OccupancyGrid, drive: str, radius: float | None, backwards: b
 def _smoothed(
     found: Plan, grid: OccupancyGrid, footprint: Footprint, radius: float, margin: float | None
 ) -> Plan:
-    """A plan with a smoothed path, if the search found one."""
+    """Smooth the path of a plan, if the search found one."""
     if found.path is None:
         return found
     path = found.path.split(min(1.5 * float(grid.resolution), radius / 3))

@@ -113,8 +113,8 @@ class Report:
 
 
 def relative(actual: np.ndarray, expected: np.ndarray) -> Error:
-    """For each sample (first axis), the largest deviation over the largest entry (at least 1e-3).
-    """
+    """For each sample (first axis), the largest deviation over the largest entry (at least
+    1e-3)."""
     axes = tuple(range(1, expected.ndim))
     deviation = np.abs(actual - expected).max(axes, initial=0.0)
     size = np.maximum(np.abs(expected).max(axes, initial=0.0), 1e-3)

@@ -1,1 +1,1 @@
-"""The back end of NVIDIA GPUs: prints a program as CUDA C, and compiles it by NVRTC."""
+"""The back end for NVIDIA GPUs: prints a program as CUDA C, and compiles it by NVRTC."""

@@ -15,12 +15,12 @@ from rbjax.compiler.ir.program import Layout, Written
 
 PREAMBLE = "".join(x.helper for x in OPERATIONS.values()) + "\n"
 
-#: turns of a loop that moves entries that run at a time, and statements of such a loop
+#: iterations of a copying loop that run as one group, and the most statements of its body
 GROUP, SHORT_BODY = 16, 10
 
 
 def literal(x: np.generic) -> str:
-    """Return a constant as C."""
+    """Return a constant as C text."""
     kind = x.dtype.kind
     if kind == "b":
         return "true" if x else "false"
@@ -44,9 +44,10 @@ def literal(x: np.generic) -> str:
 
 
 def _moves_entries(loop: ir.Loop) -> bool:
-    """Return whether a loop only copies to local arrays that it does not read.
+    """Return whether a loop only copies entries to local arrays that it does not read.
 
-    Several iterations of such a loop load before they store, so a thread waits for memory once.
+    Such a loop runs in groups of iterations, which load all their entries before they store any. A
+    thread then waits for memory once per group.
     """
     body = loop.body.statements
     if loop.count < GROUP or loop.reverse or len(body) > SHORT_BODY:
@@ -59,7 +60,7 @@ def _moves_entries(loop: ir.Loop) -> bool:
 
 
 class Printer:
-    """Prints blocks as C. names: the C name of each array, by id."""
+    """Prints blocks as C. names: the C name of each array, by its id."""
 
     def __init__(self, names: dict[int, str]):
         self.names = names
@@ -119,13 +120,13 @@ class Printer:
                     yield "}else{"
                     yield from self.lines(otherwise)
                 yield "}"
-            case ir.Await() | ir.Barrier():  # of a team
+            case ir.Await() | ir.Barrier():  # only in programs of a team
                 return
             case _:
                 raise TypeError(f"no such statement: {statement}")
 
     def _in_groups(self, loop: ir.Loop) -> Iterator[str]:
-        """Print groups of iterations, which load all their entries before they store."""
+        """Print groups of iterations, which load all their entries before they store any."""
         body, i = loop.body.statements, self.value(loop.counter)
         own = {self.value(s.dest) for s in body if isinstance(s, ir.Op | ir.Load)} | {i}
         name = re.compile("|".join(rf"\b{x}\b" for x in own))
@@ -153,7 +154,7 @@ class Printer:
 
 
 def _by_bits(array: ir.Array) -> bool:
-    """Return whether a table has infinities or nan, which CUDA accepts only as bits."""
+    """Return whether a table has infinities or nan, which are printed by their bits."""
     return array.data is not None and array.dtype.kind == "f" and not np.isfinite(array.data).all()
 
 
@@ -181,7 +182,7 @@ def parameters(program: Written, restrict: str) -> str:
 
 
 def sample_index(batch: tuple[int, ...]) -> list[str]:
-    """Return the index along each axis of the batch, from the linear index b."""
+    """Return the C text of the index along each axis of the batch, from the linear index b."""
     out, rest = [], "b"
     for k in reversed(range(len(batch))):
         if k == 0:
@@ -193,6 +194,6 @@ def sample_index(batch: tuple[int, ...]) -> list[str]:
 
 
 def offset(layout: Layout, index: list[str]) -> str:
-    """Return the offset of a sample, as C."""
+    """Return the C text of the offset of a sample, in entries."""
     terms = [f"{i}*{step}ll" for i, step in zip(index, layout.steps, strict=True) if step]
     return "+".join(terms) or "0"

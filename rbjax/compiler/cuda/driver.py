@@ -1,4 +1,4 @@
-"""The CUDA driver: compilation of PTX ahead of its launch, resources of a kernel, device limits."""
+"""Calls of the CUDA driver: early compilation of PTX, kernel resources, and device limits."""
 
 from __future__ import annotations
 
@@ -12,20 +12,25 @@ from dataclasses import dataclass
 
 from rbjax.compiler.cuda.nvrtc import CompileError
 
-# of cuda.h
+# enumerations of cuda.h
 REGISTERS, LOCAL_BYTES, SHARED_BYTES = 4, 3, 1  # CUfunction_attribute
 CLOCK_KHZ, MULTIPROCESSORS, MEMORY_KHZ, BUS_BITS = 13, 16, 36, 37  # CUdevice_attribute
-#: f32 lanes of a multiprocessor, by compute capability; all others have 128. Source: CUDA C++
+#: float32 lanes of a multiprocessor by compute capability; 128 for all others. Source: CUDA C++
 #: Programming Guide, "Throughput of Native Arithmetic Instructions"
 LANES = {"6.0": 64, "7.0": 64, "7.2": 64, "7.5": 64, "8.0": 64}
-#: the shortest PTX, in characters, that is compiled ahead
+#: the shortest PTX, in characters, that is compiled early
 LONG = 50_000
-_compiled: set[bytes] = set()  # digests of the PTX that this process has compiled ahead
+_compiled: set[bytes] = set()  # digests of the PTX that this process has compiled early
 
 
 @dataclass(frozen=True)
 class Resources:
-    """Registers and bytes of local memory of a thread; bytes of shared memory of a block."""
+    """The resources that a kernel uses.
+
+    registers: registers per thread.
+    local_bytes: bytes of local memory per thread.
+    shared_bytes: bytes of shared memory per block.
+    """
 
     registers: int
     local_bytes: int
@@ -34,23 +39,23 @@ class Resources:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the device: instructions and bytes a second."""
+    """The peak rates of a device: instructions per second, and bytes per second."""
 
     instructions: float
     bandwidth: float
 
 
 def lanes(capability: str) -> int:
-    """Return the number of f32 lanes of a multiprocessor, by compute capability ("9.0")."""
+    """Return the number of float32 lanes of a multiprocessor, by compute capability ("9.0")."""
     return LANES.get(capability, 128)
 
 
 def compile_ahead(ptx: str, ordinal: Callable[[], int]) -> threading.Thread | None:
     """Compile PTX in a background thread, to warm the driver's cache on disk (`CUDA_CACHE_PATH`).
 
-    The driver compiles a kernel before its first launch, one second for 5,000 lines. A thread that
-    loads the same PTX does this while XLA compiles the rest of the program. Returns None if the PTX
-    is short or was compiled before, or if there is no driver or its cache is off.
+    The driver compiles a kernel before its first launch, in one second for 5,000 lines. The thread
+    loads the same PTX while XLA compiles the rest of the program. Returns None if the PTX is short
+    or was compiled before, if there is no driver, or if its cache is disabled.
 
     Args:
         ordinal: returns the driver's number of the GPU, whose context this process has open.
@@ -71,13 +76,13 @@ def compile_ahead(ptx: str, ordinal: Callable[[], int]) -> threading.Thread | No
 
 
 def _load(driver: ctypes.CDLL, ptx: str, ordinal: int) -> None:
-    """Load and unload a module. XLA, which loads it again, reports errors."""
+    """Load and unload a module. Errors are ignored, because XLA loads it again and reports them."""
     with contextlib.suppress(CompileError), _context(driver, ordinal), _module(driver, ptx):
         pass
 
 
 def resources(ptx: str, name: str, ordinal: int = 0) -> Resources:
-    """Return the resources of a kernel, as compiled by the driver for a device."""
+    """Return the resources of a kernel after the driver has compiled it for a device."""
     cuda, function, found = _driver(), ctypes.c_void_p(), []
     with _context(cuda, ordinal), _module(cuda, ptx) as module:
         _check(cuda.cuModuleGetFunction(ctypes.byref(function), module, name.encode()), "find it")
@@ -89,7 +94,7 @@ def resources(ptx: str, name: str, ordinal: int = 0) -> Resources:
 
 
 def limits(capability: str, ordinal: int = 0) -> Limits:
-    """Return the limits of a GPU, from its clocks."""
+    """Return the peak rates of a GPU, from its clock rates."""
     cuda = _driver()
 
     def attribute(number: int) -> int:
@@ -100,7 +105,7 @@ def limits(capability: str, ordinal: int = 0) -> Limits:
 
     with _context(cuda, ordinal) as device:
         instructions = attribute(MULTIPROCESSORS) * lanes(capability) * 1e3 * attribute(CLOCK_KHZ)
-        # two transfers a clock
+        # two transfers per clock cycle
         return Limits(instructions, 2e3 * attribute(MEMORY_KHZ) * attribute(BUS_BITS) / 8)
 
 
@@ -113,7 +118,7 @@ def _driver() -> ctypes.CDLL:
 
 @contextlib.contextmanager
 def _context(cuda: ctypes.CDLL, ordinal: int) -> Iterator[ctypes.c_int]:
-    """Make the primary context of a device, JAX's own, current in this thread."""
+    """Make the primary context of a device, which JAX also uses, current in this thread."""
     device, context, before = ctypes.c_int(), ctypes.c_void_p(), ctypes.c_void_p()
     _check(cuda.cuInit(0), "start")
     _check(cuda.cuDeviceGet(ctypes.byref(device), ordinal), "find a device")
@@ -129,7 +134,7 @@ def _context(cuda: ctypes.CDLL, ordinal: int) -> Iterator[ctypes.c_int]:
 
 @contextlib.contextmanager
 def _module(cuda: ctypes.CDLL, ptx: str) -> Iterator[ctypes.c_void_p]:
-    """Load PTX as a module, and unload it."""
+    """Load PTX as a module inside a `with` block."""
     module = ctypes.c_void_p()
     _check(cuda.cuModuleLoadData(ctypes.byref(module), ptx.encode()), "load a kernel")
     try:

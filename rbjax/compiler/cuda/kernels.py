@@ -1,9 +1,9 @@
-"""Prints a program as a CUDA kernel: one thread a sample, one warp a block.
+"""Prints a program as a CUDA kernel with one thread per sample and one warp per block.
 
 The warp loads rows of a batch-first operand through shared memory, so that it reads whole cache
 lines. Batch-first results are stored in the same way (`stores`). Other layouts are read and written
 in place. A result that all samples share (the cotangent of an operand without a batch) is summed
-over the warp, with one partial sum a block.
+over the warp, which stores one partial sum per block.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from rbjax.compiler.ir.statements import Unsupported
 BLOCK = 32
 #: bytes of shared memory in which a block stages its rows
 SHARED_BYTES = 47 * 1024
-#: bytes of constant memory for tables; the others are read through the cache
+#: bytes of constant memory for tables; further tables are read through the cache
 CONSTANT_BYTES = 48 * 1024
-#: NVRTC takes a second for a thousand statements; what is larger takes XLA longer still
+#: larger programs compile slowly: NVRTC needs a second per thousand statements
 STATEMENTS_UP_TO = 100_000
-#: the driver reserves a thread's arrays for all threads that the device can hold at once: 17 GB
+#: the driver reserves a thread's arrays for all threads that the device can hold: 17 GB in total
 ARRAY_BYTES_UP_TO = 64 * 1024
 
 BASICS = """
@@ -78,12 +78,12 @@ class Kernel:
     name: str
     block: int
     grid: int
-    #: for each result, whether it is one partial sum a block
+    #: for each result, whether it is one partial sum per block
     summed: tuple[bool, ...]
 
 
 def kernel(program: Written, name: str = "threads") -> Kernel:
-    """Return the kernel of a program, or raise `Unsupported` if it is too large for a thread."""
+    """Return the kernel of a program. Raise `Unsupported` if it is too large for a thread."""
     if program.statements > STATEMENTS_UP_TO:
         raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
     sums = (a for a, s in zip(program.results, program.summed, strict=True) if s)
@@ -97,13 +97,13 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
 
 @dataclass(frozen=True)
 class SharedMemoryPlan:
-    """The plan of a block's shared memory.
+    """The allocation of a block's shared memory. Arrays are identified by their id.
 
-    staged: entries of a row of each operand that is loaded through it, by id.
-    whole: results whose rows are staged whole, by id.
-    tiled: results that are stored through the tile, by id.
+    staged: for each operand that is loaded through shared memory, the entries of a row.
+    whole: results whose rows are staged as a whole.
+    tiled: results that are stored in chunks through the tile.
     spots: the tile slots of their stores, by the id of the store.
-    tile: bytes of the tile, per thread.
+    tile: bytes of the tile per thread.
     """
 
     staged: dict[int, int]
@@ -114,12 +114,15 @@ class SharedMemoryPlan:
 
 
 def _pitch(row: int) -> int:
-    """Return the odd row pitch, with which the threads of a warp use different banks."""
+    """Return the row pitch, an odd number, with which the threads of a warp use different banks."""
     return row | 1
 
 
 def _plan_shared_memory(program: Written) -> SharedMemoryPlan:
-    """Allocate shared memory: to results staged whole, smallest first, a tile, and operands."""
+    """Allocate shared memory: to results staged as a whole, to the tile, and then to operands.
+
+    Results of short rows are staged first.
+    """
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
     rows = stores.row_sizes(program)
     short = [key for key, row in rows.items() if stores.is_staged(row)]
@@ -161,7 +164,7 @@ def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]
     yield parameters(program, "__restrict__") + "){SPILL_TO_SHARED"
     yield f"const long long first=(long long)blockIdx.x*{BLOCK};"
     yield f"const int rows={size}ll-first<{BLOCK}?(int)({size}ll-first):{BLOCK};"
-    # a thread beyond the batch repeats the last sample, which does no harm
+    # a thread beyond the batch repeats the last sample, which has no effect
     yield "const int own=(int)threadIdx.x<rows?(int)threadIdx.x:rows-1;"
     yield "const long long b=first+own;"
     names: dict[int, str] = {}
@@ -206,7 +209,7 @@ def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]
 
 
 def _sums(program: Written) -> Iterator[str]:
-    """Print sums of results over the batch, with one partial sum a block."""
+    """Print the sums of results over the samples of a block."""
     for k, array in enumerate(program.results):
         if not program.summed[k] or not array.size:
             continue

@@ -1,6 +1,6 @@
 """Compiles CUDA C to PTX by NVRTC, which comes with `jax[cuda12]` and `jax[cuda13]`.
 
-PTX is cached on disk next to JAX's own compilation cache, if the caller has enabled that.
+PTX is cached on disk next to JAX's own compilation cache, if that is enabled.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from pathlib import Path
 from rbjax.compiler.disk_cache import read_or_make
 
 OPTIONS = ("--std=c++17", "--restrict", "-default-device")
-#: for programs that run for seconds only: several times as fast to compile; and since which NVRTC
+#: options for programs that run only for seconds, to compile them faster, and NVRTC's first version
 QUICK, QUICK_SINCE = ("--Ofast-compile=max",), (13, 0)
 _fast: ContextVar[bool] = ContextVar("quick", default=False)
 
 
 class CompileError(RuntimeError):
-    """NVRTC is missing, or does not compile a program."""
+    """An error: NVRTC is missing, or does not compile a program."""
 
 
 @contextlib.contextmanager
 def fast_compile(wanted: bool = True) -> Iterator[None]:
-    """Within this context, kernels are compiled for fast compilation, not for speed."""
+    """Compile kernels quickly instead of for speed, inside a `with` block."""
     before = _fast.set(wanted)
     try:
         yield
@@ -39,14 +39,14 @@ def fast_compile(wanted: bool = True) -> Iterator[None]:
 
 
 def options() -> tuple[str, ...]:
-    """Return NVRTC's options in this context."""
+    """Return NVRTC's options; they differ inside `fast_compile`."""
     new = tuple(map(int, version().split("."))) >= QUICK_SINCE
     return (*OPTIONS, *QUICK) if _fast.get() and new else OPTIONS
 
 
 @functools.cache
 def library() -> ctypes.CDLL:
-    """Load NVRTC of the installed CUDA packages, or of the system."""
+    """Load the NVRTC library of the installed CUDA packages, or of the system."""
     places = []
     with contextlib.suppress(ImportError, ValueError):
         spec = importlib.util.find_spec("nvidia")
@@ -61,13 +61,13 @@ def library() -> ctypes.CDLL:
 
 
 def newest_first(files: list[str]) -> list[str]:
-    """Sort libraries by the version in their names ("libnvrtc.so.13"), the newest first."""
+    """Sort library files by the version in their names ("libnvrtc.so.13"), the newest first."""
     return sorted(files, key=lambda file: [int(n) for n in re.findall(r"\d+", Path(file).name)],
                   reverse=True)  # fmt: skip
 
 
 def ptx(source: str, capability: str) -> str:
-    """Compile a CUDA C source to PTX for a compute capability ("9.0")."""
+    """Compile CUDA C source to PTX for a compute capability ("9.0")."""
     arch = f"compute_{capability.replace('.', '')}"
     key = hashlib.sha256("\n".join((source, arch, *options(), version())).encode()).hexdigest()
     return read_or_make(f"{key}.ptx", lambda: _compile(source, arch).encode()).decode()
@@ -75,7 +75,7 @@ def ptx(source: str, capability: str) -> str:
 
 @functools.cache
 def version() -> str:
-    """Return NVRTC's version."""
+    """Return NVRTC's version, such as "13.0"."""
     major, minor = ctypes.c_int(), ctypes.c_int()
     library().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor))
     return f"{major.value}.{minor.value}"

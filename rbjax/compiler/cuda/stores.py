@@ -1,10 +1,10 @@
-"""Stores batch-first results through shared memory, in whole sectors.
+"""Stores batch-first results through shared memory, in whole memory sectors.
 
-Short rows are staged whole, in any order of their entries: the 32 rows of a warp are consecutive in
-    memory. A longer row that is written once, in order, is stored in chunks through the warp's
-    tile. Chunks start at a memory sector in every row: the tile keeps the last entries of the
-    previous chunk, and a row's chunk is shifted by its misalignment. In other long rows, runs of
-    consecutive stores go through the tile, from any start.
+Short rows are staged whole, with entries in any order, because the 32 rows of a warp are
+    consecutive in memory. A longer row that is written once and in order is stored in chunks
+    through a tile of shared memory. Chunks start at a sector in every row: the tile keeps the last
+    entries of the previous chunk, and a row's chunk is shifted by its misalignment. In other long
+    rows, runs of consecutive stores go through the tile, from any start.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
 
-#: rows with more entries than about a sector, and at most this many, are staged whole
+#: rows of more than `SHORT` entries (about a sector) and at most `WHOLE` are staged whole
 SHORT, WHOLE = 8, 128
-#: 4-byte entries in a piece of a longer row
+#: 4-byte entries in a chunk of a longer row
 TILE = 256
 #: entries of a run that is stored through the tile
 RUN = 32
-#: bytes of a memory sector; pieces start at its multiples
+#: bytes of a memory sector; chunks start at its multiples
 ALIGN = 32
 
 HEAD = """
@@ -84,11 +84,11 @@ QUALIFIED void flush(T* to, T* tile, int rows) {
 class RowTile:
     """The layout of a result's rows in shared memory.
 
-    dtype: type of an entry.
+    dtype: dtype of an entry.
     size: entries of a row.
     width: entries of a chunk; `size` if a row is stored whole.
-    align: chunks start at multiples of this many entries.
-    margin: entries kept from the previous chunk.
+    align: chunks start at multiples of this number of entries.
+    margin: entries that are kept from the previous chunk.
     pitch: entries from a thread's row to the next.
     """
 
@@ -101,22 +101,22 @@ class RowTile:
 
     @property
     def bytes(self) -> int:
-        """Bytes of a thread's row."""
+        """The size of a thread's row, in bytes."""
         return self.pitch * self.dtype.itemsize
 
 
 def is_staged(row: int) -> bool:
-    """Return whether rows of this length go through shared memory."""
+    """Return whether rows of this length are staged in shared memory as a whole."""
     return SHORT < row <= WHOLE
 
 
 def whole_rows(dtype: np.dtype, size: int) -> RowTile:
-    """Lay out rows that are stored whole; without gaps if at most two threads share a bank."""
+    """Return the layout of rows that are stored whole, without gaps if bank conflicts are few."""
     return RowTile(dtype, size, size, 1, 0, size if size % 4 else size | 1)
 
 
 def chunked_rows(dtype: np.dtype, size: int) -> RowTile:
-    """Lay out rows that are stored in chunks, or whole if there is one chunk."""
+    """Return the layout of rows that are stored in chunks, or whole if they fit into one chunk."""
     width = TILE * 4 // max(dtype.itemsize, 4)
     if size <= width:
         return whole_rows(dtype, size)
@@ -126,13 +126,13 @@ def chunked_rows(dtype: np.dtype, size: int) -> RowTile:
 
 
 def rows_of_runs(dtype: np.dtype, size: int) -> RowTile:
-    """Lay out chunks of a row that start anywhere."""
+    """Return the layout of chunks of a row that start anywhere."""
     width = min(TILE * 4 // max(dtype.itemsize, 4), size)
     return RowTile(dtype, size, width, 1, 0, width | 1)
 
 
 def row_sizes(program: Written) -> dict[int, int]:
-    """Return the entries of a row of each batch-first result, by id."""
+    """Return the entries of a row of each batch-first result, by its id."""
     found = {}
     for array, layout in zip(program.results, program.layouts[1], strict=True):
         row = layout.rows(program.batch)
@@ -143,8 +143,11 @@ def row_sizes(program: Written) -> dict[int, int]:
 
 @dataclass(frozen=True)
 class TileSlot:
-    """A slot of the tile: column `at`. With `last`, the entries from `first` to `upto`, counted
-    from the store's own base, are stored to memory.
+    """The position in the tile of one store.
+
+    at: column of the tile.
+    first, upto: the range of entries to store, counted from the base of the store.
+    last: whether this range is now complete and is stored from the tile to memory.
     """
 
     at: int
@@ -158,8 +161,8 @@ def assign_tile(
 ) -> tuple[dict[int, RowTile], dict[int, TileSlot]]:
     """Return the results that are stored through the tile, and the slots of their stores, by id.
 
-    rows: entries of a row of each candidate. No thread reads these results, and all threads reach
-        their stores.
+    rows: entries of a row of each candidate result. A result is stored through the tile only if no
+        thread reads it and all threads reach its stores.
     """
     statements = [s for s in ir.walk(program.builder.block) if isinstance(s, (ir.Load, ir.Store))]
     read = {s.array.id for s in statements if isinstance(s, ir.Load)}
@@ -184,7 +187,7 @@ def assign_tile(
 
 
 def _uniform_indices(program: Written) -> set[ir.Var | None]:
-    """Return the uniform indices, the same for all threads: those made from loop counters."""
+    """Return the indices that are equal in all threads: those computed from loop counters."""
     found: set[ir.Var | None] = {None}
     for s in ir.walk(program.builder.block):
         if isinstance(s, ir.Loop):
@@ -195,7 +198,7 @@ def _uniform_indices(program: Written) -> set[ir.Var | None]:
 
 
 def _consecutive_stores(block: ir.Block, rows: dict[int, int]) -> Iterator[list[ir.Store]]:
-    """Yield runs of stores to consecutive entries of one of these results."""
+    """Yield runs of stores to consecutive entries of a result of `rows`."""
     run: list[ir.Store] = []
     for s in block.statements:
         if isinstance(s, ir.Store) and s.array.id in rows:
@@ -217,7 +220,7 @@ def _consecutive_stores(block: ir.Block, rows: dict[int, int]) -> Iterator[list[
 
 
 def streaming_arrays(program: Written) -> set[int]:
-    """Return the long batch-last float arrays, which are read or written once."""
+    """Return the ids of long batch-last float arrays, whose entries are accessed once."""
     found = set()
     for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
         for array, layout in zip(arrays, layouts, strict=True):

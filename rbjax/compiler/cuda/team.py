@@ -1,12 +1,12 @@
-"""Prints a program as a CUDA kernel of a team of threads: one block a sample.
+"""Prints a program as a CUDA kernel in which a team of threads, one block, runs each sample.
 
-Arrays lie in the block's shared memory. The iterations of a team loop are independent: thread i of
-n runs iterations i, i + n, ... . All threads run the statements outside of such loops with the same
+Arrays are in the block's shared memory. The iterations of a team loop are independent, and thread i
+of n runs iterations i, i + n, ... . All threads run the statements outside such loops with the same
 values, so they take the same branches. Barriers separate writes from the reads of other threads
 (`phases`). This suits matrices of ten to thirty rows, which do not fit into one thread's registers.
 
 Source: Valiant 1990, *A bridging model for parallel computation* (phases between barriers); Haidar
-    et al. 2015, *Batched matrix computations on hardware accelerators* (a block a small matrix).
+    et al. 2015, *Batched matrix computations on hardware accelerators* (a block per small matrix).
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
 
-#: threads of a team where there are fewer samples than this; a warp where there are more
+#: threads of a team for batches of at most this many samples; a warp for larger batches
 TEAMS = {600: 128, 1200: 64}
 WARP = 32
-#: bytes of a block's shared memory; of a multiprocessor's, and those that the driver takes a block
+#: bytes of shared memory of a block, of a multiprocessor, and that the driver reserves per block
 SHARED_BYTES, SHARED_BYTES_IN_ALL, DRIVERS_BYTES = 47 * 1024, 227 * 1024, 1024
-#: blocks for which a multiprocessor should have registers: of a warp, and of larger teams
+#: blocks that should reside on a multiprocessor: of one warp, and of larger teams
 RESIDENT, RESIDENT_LARGE = 16, 4
-#: operations up to which the turns of a thread are written out
+#: the most operations of a thread's iterations that are unrolled
 WRITTEN_OUT = 600
 
 HEAD = """
@@ -46,12 +46,12 @@ QUALIFIED void wait_for_copies() {}
 
 
 def team_size(samples: int) -> int:
-    """Return the number of threads of a team."""
+    """Return the number of threads of a team for a batch of this many samples."""
     return next((n for most, n in TEAMS.items() if samples <= most), WARP)
 
 
 def kernel(program: Written, name: str = "threads", team: int | None = None) -> Kernel:
-    """Return the kernel of a program that was written for a team, and that fits."""
+    """Return the kernel of a program that was lowered for a team. The program must fit (`fits`)."""
     samples = math.prod(program.batch)
     team = team or team_size(samples)
     source = "\n".join(_lines(program, name, team))
@@ -59,19 +59,19 @@ def kernel(program: Written, name: str = "threads", team: int | None = None) -> 
 
 
 def fits(program: Written) -> bool:
-    """Return whether the program's arrays fit into shared memory, and its text into a kernel."""
+    """Return whether the arrays fit into shared memory, and the statements into a kernel."""
     bytes = shared_bytes(program.builder.block)
     return bytes <= SHARED_BYTES and program.statements <= STATEMENTS_UP_TO
 
 
 def _resident(bytes: int, team: int) -> int:
-    """Return the blocks that should reside on a multiprocessor, as its shared memory allows."""
+    """Return the blocks that should reside on a multiprocessor, limited by its shared memory."""
     wanted = RESIDENT if team == WARP else RESIDENT_LARGE
     return min(wanted, SHARED_BYTES_IN_ALL // (bytes + DRIVERS_BYTES))
 
 
 def shared_bytes(block: ir.Block) -> int:
-    """Return the bytes of the arrays that a team shares."""
+    """Return the size of the arrays that a team shares, in bytes."""
     arrays = [s.array for s in ir.walk(block) if isinstance(s, ir.Reserve) and s.array.shared]
     return sum(-(-max(a.size, 1) * a.dtype.itemsize // 16) * 16 for a in arrays)
 
@@ -93,7 +93,7 @@ def _lines(program: Written, name: str, team: int) -> Iterator[str]:
         yield f"const {c_type(array.dtype)}* __restrict__ x{k}=p{k}+({offset(layout, index)});"
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
         names[array.id] = f"y{k}"
-        # of a sum over the batch each block writes its own part
+        # each block stores its own part of a sum over the batch
         start = f"b*{array.size}" if program.summed[k] else offset(layout, index)
         yield f"{c_type(array.dtype)}* __restrict__ y{k}=r{k}+({start});"
     yield from TeamPrinter(names, team).lines(program.builder.block)
@@ -130,7 +130,7 @@ class TeamPrinter(Printer):
                 yield from super()._lines(statement)
 
     def _turns(self, loop: ir.Loop) -> Iterator[str]:
-        """Print the iterations of this thread."""
+        """Print a team loop: the iterations of this thread."""
         i, count, team = self.value(loop.counter), loop.count, self.team
         self._early = loop.prefetch
         body = list(self.lines(loop.body))

@@ -1,1 +1,1 @@
-"""The program of one thread: statements, operations, and the builder that writes it."""
+"""The intermediate representation (IR): statements, operations, and the builder that emits them."""

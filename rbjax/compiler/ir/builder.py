@@ -15,18 +15,18 @@ from rbjax.compiler.ir.operations import OPERATIONS
 
 
 def fold(name: str, dtype: np.dtype, args: tuple) -> ir.Value | None:
-    """Fold an operation on constants; None if the program must compute it."""
+    """Evaluate an operation on constants. Return None if the program must compute it."""
     operation = OPERATIONS[name]
     if operation.fold is None or dtype.kind not in operation.fold_types:
         return None
     if name == "cast" and args[0].dtype.kind == "f" and dtype.kind != "f":
-        return None  # numpy's result for large numbers and nan is not XLA's
+        return None  # numpy and XLA convert large numbers and nan differently
     with np.errstate(all="ignore"):
         return dtype.type(operation.fold(*args))
 
 
 def simplify(builder: Builder, name: str, args: tuple) -> ir.Value | None:
-    """Simplify an operation with a constant argument or a double negation; None if it cannot be."""
+    """Return the simplified result of an operation, such as x + 0 = x; None if there is none."""
     match name, args:
         case ("select", (c, a, b)) if isinstance(c, np.generic):
             return a if c else b
@@ -62,7 +62,7 @@ def simplify(builder: Builder, name: str, args: tuple) -> ir.Value | None:
 
 
 def value_keys(name: str, args: Sequence[ir.Value]) -> list:
-    """Return keys of arguments that are equal for operations with equal results."""
+    """Return keys of an operation's arguments. Operations with equal keys have equal results."""
     keys: list = [(a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args]
     if OPERATIONS[name].commutes and _order(keys[0]) > _order(keys[1]):
         keys.reverse()
@@ -74,29 +74,27 @@ def _order(key: tuple | int) -> tuple:
 
 
 class Builder:
-    """Writes statements. Equal expressions in nested scopes become one variable.
+    """Emits the statements of a program. Equal operations in nested scopes are emitted once.
 
-    platform: "cuda" or "cpu", for functions that depend on it.
-    team: whether a team of threads runs the program.
-    matrices: whether the matrices of one sample fill the vectors of a CPU.
+    platform: "cuda" or "cpu", for lowering rules that depend on it.
+    team: whether a block of GPU threads runs one sample together.
+    matrices: whether the loops over a sample's matrices use the vectors of a CPU.
     """
 
     def __init__(self, platform: str = "cuda", team: bool = False, matrices: bool = False) -> None:
         self.platform, self.matrices = platform, matrices
-        self.in_team = team  # here; not in what each thread of a team does by itself
+        self.in_team = team  # False inside statements that each thread runs by itself
         self._group, self._groups = 0, itertools.count(1)
         self.block = ir.Block()
         self.ids = itertools.count()
-        self.time = 0  # advances whenever earlier loads may be out of date
+        self.time = 0  # advances at each store
         self._tables: dict[tuple, ir.Array] = {}
         self._known: dict[tuple, ir.Value] = {}
         self._scopes: list[list[tuple]] = [[]]
         self.negated: dict[int, ir.Value] = {}
-        self.inverses: dict[
-            ir.Value, ir.Value
-        ] = {}  # of numbers whose inverses were computed first
-        self.solved: dict[ir.Array, Any] = {}  # systems that a team has solved (`factorise`)
-        self._entered = 0  # blocks entered and left: memory differs in a loop's second iteration
+        self.inverses: dict[ir.Value, ir.Value] = {}  # precomputed inverses of values
+        self.solved: dict[ir.Array, Any] = {}  # triangular systems solved by a team (`factorise`)
+        self._entered = 0  # counts entries and exits of blocks, for loads
 
     # ---------------------------------------------------------------- scalars
 
@@ -104,7 +102,7 @@ class Builder:
         return ir.Var(next(self.ids), np.dtype(dtype))
 
     def op(self, name: str, dtype: DTypeLike, *args: ir.Value) -> ir.Value:
-        """Write the operation name(args) with a result of this type."""
+        """Emit the operation name(args) with a result of this dtype, and return the result."""
         dtype = np.dtype(dtype)
         known = [a for a in args if not isinstance(a, ir.Var)]
         if len(known) == len(args):
@@ -126,15 +124,15 @@ class Builder:
         return dest
 
     def cast(self, x: ir.Value, dtype: DTypeLike) -> ir.Value:
-        """Convert x to another type."""
+        """Convert x to another dtype."""
         return x if x.dtype == dtype else self.op("cast", dtype, x)
 
     def select(self, condition: ir.Value, yes: ir.Value, no: ir.Value) -> ir.Value:
-        """Select `yes` if the condition holds, else `no`."""
+        """Return `yes` if the condition is true, else `no`, without a branch."""
         return self.op("select", yes.dtype, condition, yes, no)
 
     def declare(self, dtype: DTypeLike, value: ir.Value | None = None) -> ir.Var:
-        """Declare a variable that is assigned later."""
+        """Declare a variable that may be assigned several times."""
         var = self.var(dtype)
         self.block.statements.append(ir.Declare(var, value))
         return var
@@ -153,11 +151,11 @@ class Builder:
     def external_array(
         self, dtype: DTypeLike, size: int, space: str, index: DTypeLike = ir.I32
     ) -> ir.Array:
-        """Make an operand or a result."""
+        """Return an array that the caller of the program provides: an operand or a result."""
         return ir.Array(next(self.ids), np.dtype(dtype), size, space, index=np.dtype(index))
 
     def table(self, data: np.ndarray) -> ir.Array:
-        """Return constants in memory; equal tables are shared."""
+        """Return a constant array in memory. Equal tables are stored once."""
         key = (data.dtype.char, data.tobytes())
         if key not in self._tables:
             flat = data.reshape(-1)
@@ -169,7 +167,7 @@ class Builder:
         return list(self._tables.values())
 
     def load(self, array: ir.Array, base: ir.Value | None, offset: int) -> ir.Value:
-        """Write the load of array[base + offset]."""
+        """Return the value of array[base + offset], from a new load or an earlier valid one."""
         base, offset = _at(base, offset)
         if array.data is not None and base is None:
             return array.data[offset]
@@ -183,7 +181,7 @@ class Builder:
         return dest
 
     def store(self, array: ir.Array, base: ir.Value | None, offset: int, value: ir.Value) -> None:
-        """Write array[base + offset] = value."""
+        """Emit array[base + offset] = value."""
         base, offset = _at(base, offset)
         self.block.statements.append(ir.Store(array, base, offset, value))
         self.written(array)
@@ -197,7 +195,7 @@ class Builder:
 
     @contextmanager
     def inside(self, block: ir.Block) -> Iterator[None]:
-        """Write into an inner block; its values are out of scope afterwards."""
+        """Emit into an inner block. Its values are out of scope after the `with` block."""
         outer, self.block = self.block, block
         self._scopes.append([])
         self._entered += 1
@@ -211,7 +209,7 @@ class Builder:
 
     @contextmanager
     def loop(self, count: int, *, reverse: bool = False) -> Iterator[ir.Var]:
-        """Write a loop over a counter."""
+        """Emit a loop, whose counter runs over 0 ... count - 1. Its body is the `with` block."""
         counter, body = self.var(ir.I32), ir.Block()
         self.block.statements.append(ir.Loop(counter, count, reverse, body))
         with self.inside(body):
@@ -219,7 +217,10 @@ class Builder:
 
     @contextmanager
     def team_loop(self, count: int, prefetch: bool = False) -> Iterator[ir.Var]:
-        """Write a loop over a counter whose iterations a team shares."""
+        """Emit a loop whose independent iterations are divided among the threads of a team.
+
+        prefetch: the loop copies entries that are first read after the next `Await`.
+        """
         counter, body = self.var(ir.I32), ir.Block()
         loop = ir.Loop(counter, count, False, body, True, prefetch, self._group)
         self.block.statements.append(loop)
@@ -228,7 +229,7 @@ class Builder:
 
     @contextmanager
     def per_thread(self) -> Iterator[None]:
-        """Write statements that each thread of a team runs by itself."""
+        """Emit statements that each thread of a team runs by itself."""
         before, self.in_team = self.in_team, False
         try:
             yield
@@ -237,7 +238,7 @@ class Builder:
 
     @contextmanager
     def disjoint_writes(self) -> Iterator[None]:
-        """Write team loops that write disjoint elements of one array."""
+        """Emit team loops that write disjoint entries of an array, so they need no barriers."""
         before, self._group = self._group, next(self._groups)
         try:
             yield
@@ -246,7 +247,7 @@ class Builder:
 
     @contextmanager
     def when(self, condition: ir.Value) -> Iterator[None]:
-        """Write statements that run if a condition holds."""
+        """Emit statements that run if a condition is true."""
         then = ir.Block()
         self.block.statements.append(ir.If(condition, then, ir.Block()))
         with self.inside(then):
@@ -263,7 +264,7 @@ class Builder:
         return self._known[key]
 
     def index(self, array: ir.Array, *terms: tuple[ir.Value, int]) -> ir.Value | None:
-        """Return the sum of value * stride over the terms, as an index of the array; None for 0."""
+        """Return the sum of value * stride over the terms, as an array index; None for 0."""
         total: ir.Value = array.index.type(0)
         for value, stride in terms:
             step = self.op(

@@ -1,7 +1,7 @@
-"""The C text of operations. Each function here makes or is a `CText`.
+"""The C text of operations. Each function in this module is a `CText` or returns one.
 
-A `CText` gets the type of the result, the type of the first argument, and the arguments' texts. It
-returns None for types that the operation does not support.
+A `CText` maps the dtype of the result, the dtype of the first argument, and the texts of the
+arguments to the text of the operation. It returns None for unsupported dtypes.
 """
 
 from __future__ import annotations
@@ -24,28 +24,29 @@ def c_type(dtype: np.dtype) -> str:
 
 
 def signed(dtype: np.dtype) -> str:
-    """Return the signed integer type with as many bits."""
+    """Return the signed C integer type of the size of dtype."""
     return C_TYPES[f"int{8 * dtype.itemsize}"]
 
 
 def unsigned(dtype: np.dtype, least: int = 0) -> str:
-    """Return the unsigned integer type with as many bits, and with at least so many bytes."""
+    """Return the unsigned C integer type of the size of dtype, with at least `least` bytes."""
     return C_TYPES[f"uint{8 * max(dtype.itemsize, least)}"]
 
 
 def suffix(dtype: np.dtype) -> str:
-    """Return the suffix of the names of C's mathematical functions of this type."""
+    """Return the suffix of C's mathematical functions for this dtype: "f" for float32."""
     return "f" if dtype == np.float32 else ""
 
 
 def narrowed(kind: np.dtype, text: str) -> str:
-    """Cast back integers narrower than int, which C computes as int."""
+    """Cast integers narrower than int back to their type, because C computes them as int."""
     return f"({c_type(kind)})({text})" if kind.kind in "iu" and kind.itemsize < 4 else text
 
 
 def infix(symbol: str, wraps: bool = False) -> CText:
-    """Return the text of an operator. wraps: signed overflow, which C leaves undefined, wraps
-    around.
+    """Return the text of a binary operator.
+
+    wraps: signed integers wrap around on overflow, which C leaves undefined.
     """
 
     def text(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
@@ -67,7 +68,7 @@ def function(name: str) -> CText:
 
 
 def helper(name: str) -> CText:
-    """Return the text of a function template of the preamble, of the type of the result."""
+    """Return the text of a call of a function template of the preamble, for the result's type."""
     return lambda kind, of, x: f"{name}<{c_type(kind)}>({x[0]},{x[1]})"
 
 
@@ -82,7 +83,7 @@ def counted(name: str) -> CText:
 
 
 def larger(symbol: str, logical: str) -> CText:
-    """Return the text of the maximum or minimum; nan if the first argument is nan."""
+    """Return the text of the maximum or minimum. The result is nan if the first argument is nan."""
 
     def text(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         if kind.kind == "b":
@@ -124,7 +125,7 @@ def bitcast(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
 
 
 def shift_right(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
-    """Return the text of a logical shift; 0 for a shift by all bits or more."""
+    """Return the text of a logical right shift. A shift by all bits or more returns 0."""
     inside = f"{x[1]}>=0&&{x[1]}<{8 * kind.itemsize}"
     shifted = f"({c_type(kind)})(({unsigned(kind)}){x[0]}>>{x[1]})"
     return f"({inside})?{shifted}:({c_type(kind)})0"
@@ -135,7 +136,7 @@ def shift_arithmetic(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
     return f"({c_type(kind)})sar<{s}>(({s}){x[0]},({s}){x[1]})"
 
 
-# ------------------------------------------------- operations that C leaves undefined, as in XLA
+# ------------------------------ operations that C leaves undefined for some arguments, as in XLA
 
 IDIV = """
 template <class T> QUALIFIED T idiv(T a, T b) {

@@ -1,8 +1,8 @@
-"""Elementary functions in double precision, as formulas that hold in every lane of a vector.
+"""Elementary functions in double precision, as branch-free formulas for vectors.
 
-The argument is reduced to the range of a polynomial by a constant in several parts, whose multiples
-are exact. A function also returns where its formula does not hold; C's library computes those
-lanes.
+The argument is reduced to the range of a polynomial. The reduction subtracts a multiple of a
+constant (pi / 2, ln 2) that is stored in several parts, so that the multiples are exact. Each
+function also returns a mask of lanes in which its formula is not valid; C's library computes those.
 
 Source: Sun's fdlibm (Ng, 1993) for the polynomials of sine, cosine, logarithm and arctangent; the
     exponential is its Taylor series.
@@ -36,13 +36,13 @@ def _reflected(name: str) -> Callable[[Number, float], Number]:
 
 @dataclass(frozen=True, eq=False)
 class Number:
-    """A value with the operators of numbers, which write operations with a builder."""
+    """A value with arithmetic operators, which emit operations with a builder."""
 
     builder: Builder
     value: Value
 
     def op(self, name: str, *others: Number | float, dtype: np.dtype | None = None) -> Number:
-        """Write an operation on this and others of its type."""
+        """Emit an operation on this value and others of its dtype. dtype: dtype of the result."""
         own = self.value.dtype
         rest = [x.value if isinstance(x, Number) else own.type(x) for x in others]
         return Number(self.builder, self.builder.op(name, dtype or own, self.value, *rest))
@@ -51,15 +51,15 @@ class Number:
         return Number(self.builder, self.builder.cast(self.value, dtype))
 
     def bits(self, dtype: np.dtype) -> Number:
-        """Reinterpret the bits as another type."""
+        """Reinterpret the bits as another dtype."""
         return self.op("bitcast", dtype=dtype)
 
     def known(self, x: float) -> Number:
-        """Return a constant of this type."""
+        """Return the constant x of this value's dtype."""
         return Number(self.builder, self.value.dtype.type(x))
 
     def where(self, yes: Number | float, no: Number | float, dtype: type = np.float64) -> Number:
-        """Select `yes` if this condition holds, else `no`."""
+        """Return `yes` if this condition is true, else `no`."""
         values = [x.value if isinstance(x, Number) else dtype(x) for x in (yes, no)]
         return Number(self.builder, self.builder.select(self.value, *values))
 
@@ -79,25 +79,25 @@ class Number:
         return self.op("abs")
 
 
-#: pi / 2 and ln 2 in parts, whose products with small integers are exact, and the rest
+#: pi / 2 and ln 2 in parts; products of the first parts with small integers are exact
 QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21,
            8.47842766036889956997e-32)  # fmt: skip
 LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 PI_LACKS = 1.2246467991473531772e-16
-#: angles beyond are left to C: their reduction needs more digits of pi
+#: C computes angles beyond this, because their reduction needs more digits of pi
 FAR = 1e6
-#: sin x, tan x and the like are x, its sign included
+#: below this, sin x, tan x and similar functions equal x
 SMALL = 1e-9
-#: (log(1 + f) - f + f^2 / 2 ...) in s^2, with s = f / (2 + f)
+#: coefficients in s^2 of the series of log(1 + f), with s = f / (2 + f)
 LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01,
        2.222219843214978396e-01, 1.818357216161805012e-01, 1.531383769920937332e-01,
        1.479819860511658591e-01)  # fmt: skip
-#: (x - atan x) / x^3 in x^2, for |x| <= 7 / 16
+#: coefficients in x^2 of (x - atan x) / x^3, for |x| <= 7 / 16
 ATAN = (3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01,
         -1.11111104054623557880e-01, 9.09088713343650656196e-02, -7.69187620504482999495e-02,
         6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02,
         -3.65315727442169155270e-02, 1.62858201153657823623e-02)  # fmt: skip
-#: atan of 1/2, 1, 3/2 and infinity, and what they lack
+#: atan of 1/2, 1, 3/2 and infinity, each with its rounding error
 ATAN_OF = (
     (4.63647609000806093515e-01, 2.26987774529616870924e-17),
     (7.85398163397448278999e-01, 3.06161699786838301793e-17),
@@ -106,10 +106,10 @@ ATAN_OF = (
 )
 #: 1 / (k + 2)!
 EXP = tuple(1 / math.factorial(k) for k in range(2, 15))
-#: added to a small integer, it leaves this in the last bits
+#: after this is added to a small integer, the last bits of the sum are the integer
 INTEGER = 1.5 * 2.0**52
 
-# Each function returns its value, and where it does not hold (or None if it holds everywhere).
+# Each function returns its value, and the mask of lanes in which it is not valid (None: no lane).
 Found = tuple[Number, Number | None]
 
 
@@ -123,7 +123,7 @@ def two_sum(a: Number, b: Number) -> tuple[Number, Number]:
 def lifted(x: Number, power: int) -> tuple[Number, Number]:
     """Return |x| 2^power, and whether x is subnormal or zero.
 
-    It is exact although XLA sets the flags by which the processor reads subnormal numbers as zeros.
+    The result is exact although XLA sets the processor's flag that reads subnormal numbers as 0.
     """
     bits = abs(x).bits(I64)
     one = bits | int(np.float64(2.0**52).view(I64))  # 2^52 + 2^1074 |x| for a subnormal x
@@ -133,7 +133,7 @@ def lifted(x: Number, power: int) -> tuple[Number, Number]:
 
 
 def widened(x: Number) -> Number:
-    """Convert to double precision, exactly for subnormal numbers of single precision too."""
+    """Convert to double precision, exactly also for subnormal numbers of single precision."""
     if x.value.dtype != np.float32:
         return x.cast(F64)
     bits = abs(x).bits(I32)
@@ -147,7 +147,7 @@ def widened(x: Number) -> Number:
 
 
 def _reduced(x: Number) -> tuple[Number, Number, Number]:
-    """Return x minus a multiple of pi / 2, the error of that, and the multiple."""
+    """Return x minus the nearest multiple n of pi / 2, its rounding error, and n."""
     n = (x * (2 / math.pi)).op("rint")
     r = x - n * QUARTER[0]
     r, e = two_sum(r, -(n * QUARTER[1]))
@@ -172,7 +172,7 @@ def _cosine(r: Number, e: Number) -> Number:
 
 
 def _turned(x: Number, quarters: int) -> tuple[Number, Number]:
-    """Return sin(x + quarters pi / 2)."""
+    """Return sin(x + quarters * pi / 2), and the mask of large angles."""
     r, e, n = _reduced(x)
     n = n + quarters
     y = (n & 1).equals(0).where(_sine(r, e), _cosine(r, e))
@@ -196,9 +196,9 @@ def tan(x: Number) -> Found:
 
 
 def _of_ratio(a: Number, b: Number) -> Number:
-    """Return atan(a / b) for nonnegative numbers that are not both zero or infinite."""
+    """Return atan(a / b) for nonnegative a and b that are not both zero or both infinite."""
     up, down, high, low = a, b, a.known(0.0), a.known(0.0)
-    # less the angle whose tangent is 1/2, 1, 3/2 or infinity
+    # subtract the angle whose tangent is 1/2, 1, 3/2 or infinity
     steps = (
         (7 / 16, 2.0 * a - b, 2.0 * b + a), (11 / 16, a - b, a + b),
         (19 / 16, a - 1.5 * b, b + 1.5 * a), (39 / 16, -b, a),
@@ -213,14 +213,14 @@ def _of_ratio(a: Number, b: Number) -> Number:
 
 
 def _behind(x: Number, angle: Number) -> Number:
-    """Reflect an angle, pi - angle, if x is negative."""
+    """Return pi - angle if x is negative, else angle."""
     return (x.known(1.0).op("copysign", x) < 0.0).where(math.pi - (angle - PI_LACKS), angle)
 
 
 def atan2(y: Number, x: Number) -> Found:
     a, b = abs(y), abs(x)
     endless = a.equals(math.inf) & b.equals(math.inf)
-    large = a.op("max", b) > 2.0**400  # a subnormal number changes nothing then
+    large = a.op("max", b) > 2.0**400  # then a subnormal number has no effect
     a = endless.where(1.0, large.where(a * 2.0**-100, lifted(a, 600)[0]))
     b = endless.where(1.0, large.where(b * 2.0**-100, lifted(b, 600)[0]))
     b = a.op("max", b).equals(0.0).where(1.0, b)
@@ -281,7 +281,7 @@ def exp2(x: Number) -> Found:
 
 
 def _expm1(x: Number) -> Number:
-    """Return exp x - 1, up to x = 700."""
+    """Return exp x - 1, for x <= 700."""
     p, n = power_of_two(x.op("max", -100.0))
     return scaled(p, n) + (scaled(x.known(1.0), n) - 1.0)
 
@@ -313,12 +313,12 @@ def cosh(x: Number) -> Found:
 
 
 def is_positive(x: Number) -> Number:
-    """Return whether x > 0, for subnormal numbers too."""
+    """Return whether x > 0, also for subnormal numbers."""
     return x.bits(I64) > 0
 
 
 def mantissa(x: Number) -> tuple[Number, Number]:
-    """Return m and k with x = 2^k m, for positive x, and sqrt(1/2) < m <= sqrt(2)."""
+    """Return m and k with x = 2^k m and sqrt(1/2) < m <= sqrt(2), for positive x."""
     high, small = lifted(x, 54)
     bits = small.where(high, x).bits(I64)
     one = 1023 << 52
@@ -335,7 +335,7 @@ def _log(x: Number) -> Number:
     s = f / (2.0 + f)
     z, half = s * s, 0.5 * f * f
     y = k * LN2[0] - ((half - (s * (half + z * horner(LOG, z)) + k * LN2[1])) - f)
-    y = (x < math.inf).where(y, x)  # infinity and nan are their own
+    y = (x < math.inf).where(y, x)  # log of infinity or nan is x
     zero = (x.bits(I64) << 1).equals(0)
     return is_positive(x).where(y, zero.where(-math.inf, y.known(math.nan)))
 

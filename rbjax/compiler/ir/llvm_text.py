@@ -1,8 +1,8 @@
-"""The LLVM text of operations. Each function here makes or is an `LlvmText`.
+"""The LLVM text of operations. Each function in this module is an `LlvmText` or returns one.
 
-An `LlvmText` gets the writer of instructions, the type of the result, the type of the first
-argument, and the arguments' names. It writes all instructions but the last one, whose text it
-returns; None for types that the operation does not support.
+An `LlvmText` maps the writer of instructions, the dtype of the result, the dtype of the first
+argument, and the names of the arguments to the text of the last instruction. It writes any earlier
+instructions. It returns None for unsupported dtypes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike
 
 
 class Instructions(Protocol):
-    """The interface of the writer of instructions (`llvm.operations.Operations`)."""
+    """The interface of the writer of LLVM instructions (`llvm.operations.Operations`)."""
 
     def type(self, dtype: DTypeLike) -> str: ...
     def number(self, x: float | np.generic, dtype: np.dtype | None = None) -> str: ...
@@ -30,14 +30,17 @@ LlvmText = Callable[[Instructions, np.dtype, np.dtype, Sequence[str]], str | Non
 
 
 def instruction(name: str) -> LlvmText:
-    """Return the text of an instruction with two arguments of the type of the result."""
+    """Return the text of an instruction whose two arguments have the type of the result."""
     return lambda w, kind, of, x: f"{name} {w.type(kind)} {x[0]}, {x[1]}"
 
 
 def by_kind(
     f: LlvmText | None = None, i: LlvmText | None = None, b: LlvmText | None = None
 ) -> LlvmText:
-    """Choose the text for floats, integers, and booleans (integers of one bit if None)."""
+    """Choose an operation's text by the kind of its result: f (floats), i (integers), b (booleans).
+
+    Booleans are integers of one bit if b is None.
+    """
     texts = {"f": f, "i": i, "u": i, "b": b or i}
 
     def text(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str | None:
@@ -48,7 +51,7 @@ def by_kind(
 
 
 def arithmetic(f: str | None, i: str, b: str | None = None) -> LlvmText:
-    """Choose the instruction for floats, integers and booleans."""
+    """Return the text of the instruction for floats (f), integers (i) or booleans (b)."""
     return by_kind(*(instruction(name) if name else None for name in (f, i, b)))
 
 
@@ -81,7 +84,7 @@ def mathematical(name: str) -> LlvmText:
 
 
 def larger(name: str, logical: str) -> LlvmText:
-    """Return the text of the maximum or minimum; nan if the first argument is nan."""
+    """Return the text of the maximum or minimum. The result is nan if the first argument is nan."""
 
     def floats(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         t, truth = w.type(kind), w.type(bool)
@@ -130,7 +133,7 @@ def inverse_root(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]
 
 
 def shift(name: str) -> LlvmText:
-    """Return the text of a shift; 0 for a shift by all bits or more."""
+    """Return the text of a shift. A shift by all bits or more returns 0."""
 
     def text(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         t, truth = w.type(kind), w.type(bool)
@@ -151,9 +154,9 @@ def shift_arithmetic(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[
 
 
 def division(name: str) -> LlvmText:
-    """Return the text of an integer division or remainder.
+    """Return the text of an integer division or remainder, defined for all arguments as in XLA.
 
-    a / 0 = -1, a % 0 = a; the least integer by -1 is itself, with remainder 0.
+    a / 0 = -1 and a % 0 = a. The least integer divided by -1 is itself, with remainder 0.
     """
 
     def text(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
@@ -185,7 +188,7 @@ def cast(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str
         return f"{test} {s} {x[0]}, {w.number(0, of)}"
     if of.kind == "f" and kind.kind == "f":
         word = "fpext" if kind.itemsize > of.itemsize else "fptrunc"
-    elif of.kind == "f":  # the nearest integer of the type, 0 for nan
+    elif of.kind == "f":  # the nearest integer; 0 for nan
         name = f"fpto{'s' if kind.kind == 'i' else 'u'}i.sat"
         return w.intrinsic(name, [kind, of], kind, [x[0]])
     elif kind.kind == "f":

@@ -1,7 +1,7 @@
-"""The table of operations: everything that the compiler needs of an operation is in its row.
+"""The table of operations. One row defines an operation for all back ends.
 
-A new operation is one row. `primitives` are the JAX primitives that become this operation, entry by
-entry; a primitive that becomes several operations needs a rule in `lower`.
+To add an operation, add a row. `primitives` are the JAX primitives that are this operation on each
+entry. A primitive that needs several operations has a rule in `lower` instead.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ Formula = Callable[..., elementary.Found]
 class Operation:
     """An operation on scalars.
 
-    name: as in `Op`.
+    name: name in `ir.statements.Op`.
     arity: number of arguments.
     c: its C text.
-    llvm: its LLVM text; None if only the programs of GPUs have it.
-    fold: the numpy function of known arguments; None if the program must compute it.
-    fold_types: the kinds of results that are folded.
-    primitives: the JAX primitives that become this operation.
-    formula: its formula for vectors, of numbers in double precision.
-    sees_subnormals: whether the formula needs subnormal numbers of float32 widened exactly.
+    llvm: its LLVM text; None if only GPU programs use the operation.
+    fold: numpy function that evaluates it on constants; None if the program must compute it.
+    fold_types: dtype kinds of results that `fold` evaluates.
+    primitives: JAX primitives that are this operation on each entry.
+    formula: its formula for vectors, in double precision.
+    sees_subnormals: whether the formula needs an exact conversion of subnormal float32 arguments.
     commutes: whether its two arguments may be exchanged.
-    helper: the C template that its C text calls.
+    helper: C template that its C text calls.
     """
 
     name: str
@@ -54,7 +54,7 @@ def _binary(
     name: str, symbol: str, text: llvm.LlvmText | None, fold: Fold | None = None, *primitives: str,
     wraps: bool = False, commutes: bool = False, fold_types: str = "fiub",
 ) -> Operation:  # fmt: skip
-    """An operation that is an operator in C."""
+    """Return the row of an operation that is a binary operator in C."""
     return Operation(
         name, 2, c.infix(symbol, wraps), text, fold, fold_types, primitives, commutes=commutes
     )
@@ -68,7 +68,7 @@ def _function(
     name: str, formula: Formula | None = None, fold: Fold | None = None, arity: int = 1,
     primitive: bool = True, sees_subnormals: bool = False,
 ) -> Operation:  # fmt: skip
-    """A function of C's mathematics."""
+    """Return the row of a C mathematical function."""
     text = llvm.mathematical(name)
     primitives = (name,) if primitive else ()
     return Operation(
@@ -78,7 +78,7 @@ def _function(
 
 
 def _rounding(name: str, fold: Fold | None, *primitives: str, arity: int = 1) -> Operation:
-    """A function of floats that is an instruction of the machine."""
+    """Return the row of a floating-point function that is a machine instruction."""
     text = llvm.by_kind(f=llvm.intrinsic(name))
     return Operation(name, arity, c.function(name), text, fold, primitives=primitives)
 
@@ -89,7 +89,7 @@ def _shift_left(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 ALL = (
-    # sums and products of floats may become one rounding (fma), as in XLA
+    # a sum of a product may be rounded once (fma), as in XLA
     _binary("add", "+", llvm.arithmetic("fadd contract", "add", "or"), np.add, "add", "add_any",
             wraps=True, commutes=True),
     _binary("sub", "-", llvm.arithmetic("fsub contract", "sub"), np.subtract, "sub", wraps=True),
@@ -120,7 +120,7 @@ ALL = (
     _binary("or", "|", llvm.arithmetic(None, "or"), np.bitwise_or, "or", commutes=True),
     _binary("xor", "^", llvm.arithmetic(None, "xor"), np.bitwise_xor, "xor", commutes=True),
     Operation("not", 1, c.inverted, llvm.inverted, np.invert, primitives=("not",)),
-    # operations that C leaves undefined: as XLA defines them
+    # operations that C leaves undefined for some arguments; defined as in XLA
     Operation("idiv", 2, c.helper("idiv"), llvm.division("idiv"), helper=c.IDIV),
     Operation("irem", 2, c.helper("irem"), llvm.division("irem"), helper=c.IREM),
     Operation("shl", 2, c.helper("shl"), llvm.shift("shl"), _shift_left,
@@ -133,7 +133,7 @@ ALL = (
     Operation("clz", 1, c.counted("clz"), llvm.counted("ctlz"), primitives=("clz",), helper=c.CLZ),
     Operation("cast", 1, c.cast, llvm.cast, lambda x: x, helper=c.TO_INTEGER),
     Operation("bitcast", 1, c.bitcast, llvm.bitcast, helper=c.BITS_OF),
-    # functions of floats that are instructions of the machine
+    # floating-point functions that are machine instructions
     _rounding("sqrt", np.sqrt, "sqrt"),
     _rounding("floor", np.floor, "floor"),
     _rounding("ceil", np.ceil, "ceil"),
@@ -142,7 +142,7 @@ ALL = (
     _rounding("copysign", None, "copysign", arity=2),
     Operation("rsqrt", 1, lambda kind, of, x: f"RSQRT{c.suffix(kind)}({x[0]})",
               llvm.by_kind(f=llvm.inverse_root), primitives=("rsqrt",)),
-    # functions of mathematics
+    # mathematical functions
     _function("cbrt", powers.cbrt, sees_subnormals=True),
     _function("exp", elementary.exp, np.exp),
     _function("exp2", elementary.exp2),

@@ -1,12 +1,13 @@
-"""Powers, roots and the error function of vectors.
+"""Powers, cube roots and the error function, as formulas for vectors.
 
-x^y = exp(y log x), with a logarithm in twice the precision (Dekker, 1971), because its error is
-multiplied by up to 700
+x^y = exp(y log x). The logarithm has twice the precision (Dekker, 1971), because the product with y
+multiplies its error by up to 700.
+
 erf x = x p(x^2), |x| < 1
 erfc a = exp(-a^2) q((a - 4) / (a + 4)) / (1 + 2 a), a >= 0
 
 Source: Shepherd & Laframboise, *Mathematics of Computation* 36, 1981, for the variable of q. The
-    coefficients are Chebyshev's interpolation in 400 bits.
+    coefficients are Chebyshev interpolations, computed with 400 bits.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ from rbjax.compiler.ir.elementary import (
 from rbjax.compiler.ir.statements import BOOL, I64
 from rbjax.lanes.primitives import horner
 
-#: a sum of two numbers that do not overlap
+#: an unevaluated sum of two numbers that do not overlap (double-double)
 Double = tuple[Number, Number]
 
-#: 2/3, and what it lacks
+#: 2/3 and its rounding error
 TWO_THIRDS = 2 / 3, 3.70074341541718826e-17
-#: (log((1 + s) / (1 - s)) - 2 s - 2/3 s^3) / s^5 in s^2, for |s| <= 0.172
+#: coefficients in s^2 of (log((1 + s) / (1 - s)) - 2 s - 2/3 s^3) / s^5, for |s| <= 0.172
 SERIES = tuple(2 / (2 * k + 5) for k in range(13))
-#: a cube root is rounded to so many last bits of zeros; its square is exact
+#: an approximate cube root is rounded to a multiple of this in its last bits: its square is exact
 ROUGH = 1 << 30
 
 
@@ -100,14 +101,14 @@ def cbrt(x: Number) -> Found:
     return small.where(y * 2.0**-18, y).op("copysign", x), None
 
 
-#: erf x / x in x^2, up to 1
+#: coefficients in x^2 of erf x / x, for |x| <= 1
 NEAR = (
     1.1283791670955126, -0.37612638903183754, 0.1128379167095512, -0.026866170645129854,
     0.005223977625423455, -0.0008548327021945428, 0.00012055332903350668, -1.4925647581008593e-05,
     1.6462045711013026e-06, -1.6364645854816389e-07, 1.479243542696247e-08,
     -1.2164764337224506e-09, 8.709755232851789e-11, -4.2320376764874594e-12,
 )  # fmt: skip
-#: (1 + 2 a) exp(a^2) erfc a in (a - 4) / (a + 4)
+#: coefficients in (a - 4) / (a + 4) of (1 + 2 a) exp(a^2) erfc a
 SCALED = (
     1.2329951186255526, -0.1396211168405623, 0.015379652102619604, 0.06809705425466908,
     -0.10103906603630056, 0.0937328349990944, -0.06633036581218697, 0.03716751552655567,
@@ -117,7 +118,7 @@ SCALED = (
     -2.05606492756992e-08, -1.234686604382353e-08, 3.1695881915648173e-09, 9.311744978232572e-10,
     -2.659599690242689e-10,
 )  # fmt: skip
-#: beyond, erfc is below the smallest number
+#: beyond this, erfc is below the smallest number
 FAR = 27.3
 
 

@@ -1,7 +1,7 @@
 """The program of one sample of a batch, and the layout of samples in memory.
 
 A batch has one or several axes, at any positions in an operand. Each thread offsets its pointers to
-its sample and reads entries without copying.
+its sample, so no operand is copied.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ def row_major(shape: Sequence[int]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of samples in an array.
+    """The layout of the samples of a batch in an array.
 
     shape: shape of the array in memory.
-    axes: the position of each axis of the batch in that shape; None if the array lacks it.
+    axes: position in `shape` of each axis of the batch; None if all samples share the array.
     """
 
     shape: tuple[int, ...]
@@ -37,18 +37,18 @@ class Layout:
 
     @property
     def strides(self) -> tuple[int, ...]:
-        """The strides between entries of a sample."""
+        """The strides between entries of a sample, in entries."""
         every = row_major(self.shape)
         return tuple(s for k, s in enumerate(every) if k not in self.axes)
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """The strides between samples along each axis of the batch; 0 without this axis."""
+        """The strides between samples along each axis of the batch, in entries; 0 if shared."""
         every = row_major(self.shape)
         return tuple(0 if axis is None else every[axis] for axis in self.axes)
 
     def rows(self, batch: tuple[int, ...]) -> int | None:
-        """Return the entries of a sample if samples are consecutive rows; else None."""
+        """Return the entries of a sample if samples are consecutive rows in memory; else None."""
         if not self.axes or None in self.axes:
             return None
         n = math.prod(self.sample)
@@ -62,19 +62,24 @@ class Layout:
 
 
 def batch_first(sample: Sequence[int], batch: Sequence[int]) -> Layout:
-    """Lay out an array with the axes of the batch before its own."""
+    """Return the layout of an array whose batch axes come before its own axes."""
     return Layout((*batch, *sample), tuple(range(len(batch))))
 
 
 def batch_last(sample: Sequence[int], batch: Sequence[int]) -> Layout:
-    """Lay out an array with the axes of the batch after its own."""
+    """Return the layout of an array whose batch axes come after its own axes."""
     n = len(sample)
     return Layout((*sample, *batch), tuple(range(n, n + len(batch))))
 
 
 @dataclass(frozen=True)
 class Written:
-    """A program with its operands, results and batch."""
+    """A lowered program with its operands, results and batch.
+
+    builder: contains the statements (`builder.block`) and tables.
+    layouts: layouts of the operands and of the results.
+    summed: for each result, whether it is the sum over the batch.
+    """
 
     builder: Builder
     operands: tuple[Array, ...]
@@ -85,11 +90,11 @@ class Written:
 
     @property
     def statements(self) -> int:
-        """Operations in one thread's code; those of a loop count once."""
+        """The number of operations in the code of one thread. Operations of a loop count once."""
         return sum(isinstance(s, Op) for s in walk(self.builder.block))
 
     @property
     def array_bytes(self) -> int:
-        """Bytes of the local arrays of one thread."""
+        """The size of the local arrays of one thread, in bytes."""
         arrays = [s.array for s in walk(self.builder.block) if isinstance(s, Reserve)]
         return sum(a.size * a.dtype.itemsize for a in arrays)

@@ -18,12 +18,12 @@ F64: np.dtype = np.dtype(np.float64)
 
 
 class Unsupported(Exception):
-    """A primitive, an operation or a type that the compiler does not support."""
+    """An error: the compiler does not support a primitive, an operation or a dtype."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Var:
-    """A scalar that is computed when the program runs."""
+    """A scalar variable that is computed at run time."""
 
     id: int
     dtype: np.dtype
@@ -33,21 +33,21 @@ Value = Var | np.generic
 
 
 def is_number(x: Value, number: int) -> bool:
-    """Return whether a value is the constant `number`."""
+    """Return whether a value is the constant `number`, and not a boolean."""
     return isinstance(x, np.generic) and x.dtype != BOOL and x == number
 
 
 @dataclass(slots=True, eq=False)
 class Array:
-    """Memory of one thread, addressed by element.
+    """An array in memory, addressed by entry.
 
-    space: "local", "constant" (a table with the numbers `data`), "operand" (read only) or "result".
-    index: the type of its indices: int64 if int32 is too small.
-    reference_count: live references while the program is written. Without any, an array may be
-        updated in place.
-    version: the `Builder` time of its last write.
-    shared: a local array that the threads of a team share.
-    write_once: each element is written at most once per iteration.
+    space: "local", "constant" (a table of the numbers `data`), "operand" (read only) or "result".
+    index: dtype of its indices; int64 if int32 is too small.
+    reference_count: number of live references during lowering. At 0, the array may be updated in
+        place.
+    version: `Builder.time` of its last store.
+    shared: whether the threads of a team share it; only for local arrays.
+    write_once: whether each entry is written at most once per iteration.
     """
 
     id: int
@@ -70,21 +70,21 @@ Name = Var | Array
 
 
 class Statement:
-    """A statement. `reads` and `writes` do not include its inner blocks, `children`."""
+    """A base class of statements. `reads` and `writes` exclude the inner blocks (`children`)."""
 
     __slots__ = ()
     is_leaf: ClassVar[bool] = True
 
     def reads(self) -> tuple[Name, ...]:
-        """Return the variables and arrays that it reads."""
+        """Return the variables and arrays that this statement reads."""
         return ()
 
     def writes(self) -> tuple[Name, ...]:
-        """Return the variables and arrays that it changes."""
+        """Return the variables and arrays that this statement changes."""
         return ()
 
     def children(self) -> tuple[Block, ...]:
-        """Return its inner blocks, in the order in which they run."""
+        """Return the inner blocks, in the order in which they run."""
         return ()
 
 
@@ -94,7 +94,7 @@ def _variable(value: Value | None) -> tuple[Var, ...]:
 
 @dataclass(slots=True)
 class Op(Statement):
-    """dest = name(args)."""
+    """An operation: dest = name(args)."""
 
     dest: Var
     name: str
@@ -109,7 +109,7 @@ class Op(Statement):
 
 @dataclass(slots=True)
 class Load(Statement):
-    """dest = array[base + offset]; base is None for 0."""
+    """A load: dest = array[base + offset]. base is None for 0."""
 
     dest: Var
     array: Array
@@ -125,7 +125,7 @@ class Load(Statement):
 
 @dataclass(slots=True)
 class Store(Statement):
-    """array[base + offset] = value."""
+    """A store: array[base + offset] = value. base is None for 0."""
 
     array: Array
     base: Value | None
@@ -141,7 +141,7 @@ class Store(Statement):
 
 @dataclass(slots=True)
 class Declare(Statement):
-    """The declaration of a variable that is assigned later; `value` is its first value or None."""
+    """A declaration of a variable that may be assigned later. value: its initial value, or None."""
 
     var: Var
     value: Value | None
@@ -155,7 +155,7 @@ class Declare(Statement):
 
 @dataclass(slots=True)
 class Assign(Statement):
-    """var = value."""
+    """An assignment: var = value."""
 
     var: Var
     value: Value
@@ -169,18 +169,18 @@ class Assign(Statement):
 
 @dataclass(slots=True)
 class Reserve(Statement):
-    """The declaration of a local array."""
+    """A declaration of a local array."""
 
     array: Array
 
 
 @dataclass(slots=True)
 class Loop(Statement):
-    """A loop whose `counter` runs over 0 ... count - 1, or backwards.
+    """A loop whose `counter` runs over 0 ... count - 1, or backwards if `reverse`.
 
     team: its iterations are independent, and the threads of a team share them.
     prefetch: it copies entries that are first read after the next `Await`.
-    group: loops of an equal number, except 0, write disjoint elements.
+    group: team loops of the same group, except 0, write disjoint entries.
     """
 
     counter: Var
@@ -202,7 +202,7 @@ class Loop(Statement):
 
 @dataclass(slots=True)
 class Await(Statement):
-    """A wait for the copies of the prefetching loops."""
+    """A wait for the copies of prefetching loops."""
 
 
 @dataclass(slots=True)
@@ -212,7 +212,7 @@ class Barrier(Statement):
 
 @dataclass(slots=True)
 class While(Statement):
-    """A loop: run `test`, stop if `condition` is false, run `body`."""
+    """A `while` loop: run `test`, stop if `condition` is false, run `body`, repeat."""
 
     test: Block
     condition: Value
@@ -229,7 +229,7 @@ class While(Statement):
 
 @dataclass(slots=True)
 class If(Statement):
-    """A branch: `then` if the condition holds, else `otherwise`."""
+    """A branch: run `then` if the condition is true, else `otherwise`."""
 
     condition: Value
     then: Block
@@ -252,7 +252,7 @@ class Block:
 
 
 def walk(block: Block) -> Iterator[Statement]:
-    """Yield all statements in order, the inner blocks of a statement after it."""
+    """Yield all statements in order, each one before the statements of its inner blocks."""
     for statement in block.statements:
         yield statement
         if not statement.is_leaf:

@@ -1,4 +1,4 @@
-"""Text of a program, for its reader: one statement a line, inner blocks indented.
+"""A readable text form of a program, with one statement per line and indented inner blocks.
 
 operand a0: float64[3]
 result a1: float64[]
@@ -18,19 +18,19 @@ INDENT = "  "
 
 
 def program_text(program: Written) -> str:
-    """Print a program: its arrays, then its statements."""
+    """Return the text of a program: its arrays, then its statements."""
     arrays = (*program.operands, *program.results, *program.builder.tables)
     lines = [f"{'table' if x.space == 'constant' else x.space} {_array(x)}" for x in arrays]
     return "\n".join([*lines, *_lines(program.builder.block)])
 
 
 def block_text(block: ir.Block) -> str:
-    """Print a block."""
+    """Return the text of a block."""
     return "\n".join(_lines(block))
 
 
 def statement_text(statement: ir.Statement) -> str:
-    """Print a statement without its inner blocks."""
+    """Return the text of a statement without its inner blocks."""
     match statement:
         case ir.Op(dest=dest, name=name, args=args):
             return f"{_typed(dest)} = {name}({', '.join(map(_value, args))})"

@@ -1,6 +1,6 @@
-"""A verifier of programs. It names a statement that is not valid, before a back end fails on it.
+"""A verifier of programs. It reports an invalid statement before a back end fails on it.
 
-The tests verify every program that they write.
+The tests verify every program that they compile.
 """
 
 from __future__ import annotations
@@ -13,27 +13,28 @@ from rbjax.compiler.ir.operations import OPERATIONS
 from rbjax.compiler.ir.program import Written
 from rbjax.compiler.ir.text import statement_text
 
-#: operations whose result has another type than their arguments
+#: operations whose result may have another dtype than their arguments
 FREE = {"cast", "bitcast", "isfinite", "lt", "le", "gt", "ge", "eq", "ne"}
 
 
 class InvalidProgram(Exception):
-    """A program has an invalid statement."""
+    """An error: a program has an invalid statement."""
 
 
 def verify(program: Written) -> None:
     """Raise `InvalidProgram` if a statement of a program is not valid.
 
-    Every variable is defined once and used in its scope. Only declared variables are assigned.
-    Types agree. Arrays are operands, results, tables, or reserved before their use; only local
-    arrays and results are written. No thread waits inside a loop that a team shares.
+    A program is valid if every variable is defined once and used in its scope, only declared
+    variables are assigned, and dtypes agree. Each array must be an operand, a result, a table, or
+    reserved before its use. Only local arrays and results may be written. A loop that a team shares
+    must not contain a barrier.
     """
     arrays = (*program.operands, *program.results, *program.builder.tables)
     verify_block(program.builder.block, arrays)
 
 
 def verify_block(block: ir.Block, arrays: Iterable[ir.Array] = ()) -> None:
-    """Verify a block that may use these arrays."""
+    """Raise `InvalidProgram` if a statement of a block is not valid. arrays: arrays it may use."""
     _Scope(arrays={x.id for x in arrays}).block(block)
 
 
@@ -60,7 +61,7 @@ class _Scope:
         return inner
 
     def statement(self, s: ir.Statement) -> None:
-        if not isinstance(s, ir.While):  # whose condition is a value of its test
+        if not isinstance(s, ir.While):  # the condition of a `while` loop is defined in its test
             for x in s.reads():
                 self.known(x)
         match s:
@@ -136,7 +137,7 @@ def _check_operation(s: ir.Op) -> None:
 
 def _check_entry(array: ir.Array, base: ir.Value | None, offset: int, x: ir.Value) -> None:
     _check(x.dtype == array.dtype, "types differ")
-    if base is None and array.space in ("local", "constant"):  # the others have strides
+    if base is None and array.space in ("local", "constant"):  # operands and results have strides
         _check(0 <= offset < array.size, f"not an entry of {array.size}")
     if base is not None:
         _check(base.dtype.kind in "iu", "the index is not an integer")

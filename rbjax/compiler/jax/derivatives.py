@@ -25,7 +25,7 @@ from rbjax.compiler.jax.garbage import gc_paused
 Atom = Var | Literal
 Flags = tuple[bool, ...]
 
-#: equations that are replaced by their jaxpr
+#: calls that are replaced by the equations of their jaxpr
 INLINED = {"jit", "pjit", "closed_call", "core_call"}
 NO_EFFECTS: frozenset = frozenset()
 
@@ -33,7 +33,7 @@ NO_EFFECTS: frozenset = frozenset()
 def needed(
     eqns: Sequence[JaxprEqn], outs: Sequence[Atom], given: Sequence[Var], effects: bool = False
 ) -> list[JaxprEqn]:
-    """Return the equations that compute `outs` from `given`, and also, if wanted, with effects."""
+    """Return the equations that compute `outs` from `given`, or that have effects if `effects`."""
     wanted, known, kept = {a for a in outs if isinstance(a, Var)}, set(given), []
     for eqn in reversed(eqns):
         if (effects and eqn.effects) or any(v in wanted and v not in known for v in eqn.outvars):
@@ -46,7 +46,7 @@ def close(
     eqns: list[JaxprEqn], ins: Sequence[Var], outs: Sequence[Atom], consts: dict[Var, object],
     effects: frozenset = NO_EFFECTS,
 ) -> ClosedJaxpr:  # fmt: skip
-    """Return equations as a function of `ins`, with those of the constants that they read."""
+    """Return equations as a jaxpr with inputs `ins`, and with the constants that they read."""
     read = {a for eqn in eqns for a in eqn.invars if isinstance(a, Var)}
     read.update(a for a in outs if isinstance(a, Var))
     constvars = [v for v in consts if v in read]
@@ -61,7 +61,7 @@ def _anonymous_info():
 
 
 def dependents(eqns: Sequence[JaxprEqn], start: Sequence[Atom]) -> set[Var]:
-    """Return the variables that depend on some of `start`."""
+    """Return the variables that depend on a variable of `start`, including these."""
     found = {a for a in start if isinstance(a, Var)}
     for eqn in eqns:
         if any(isinstance(a, Var) and a in found for a in eqn.invars):
@@ -79,19 +79,19 @@ def _inner_jaxpr(eqn: JaxprEqn) -> ClosedJaxpr:
 
 
 def _has_subjaxpr(eqn: JaxprEqn) -> bool:
-    """Return whether an equation with a jaxpr may compute values and tangents together."""
+    """Return whether an equation contains a jaxpr that may compute values and tangents together."""
     name = eqn.primitive.name
     plain = name == "threads_tangent" or name.startswith("scatter")
     leaves = jax.tree.leaves(list(eqn.params.values()), is_leaf=callable)
     return not plain and any(callable(x) or isinstance(x, Jaxpr | ClosedJaxpr) for x in leaves)
 
 
-# ------------------------------------------------------------------- rules of one equation
+# ------------------------------------------------------------------- rules for one equation
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of equation, its inputs that have tangents, and its results that have cotangents."""
+    """A kind of equation. `moving`: inputs with tangents; `present`: results with cotangents."""
 
     primitive: core.Primitive
     params: tuple
@@ -101,18 +101,18 @@ class Kind:
     present: Flags
 
     def call(self, args: Sequence[jax.Array]) -> list[jax.Array]:
-        """Evaluate such an equation."""
+        """Evaluate an equation of this kind."""
         ins, outs = [Var(a) for a in self.ins], [Var(a) for a in self.outs]
         eqn = core.new_jaxpr_eqn(ins, outs, self.primitive, dict(self.params), NO_EFFECTS)
         return core.jaxpr_as_fun(close([eqn], ins, outs, {}))(*args)
 
     def merge(self, still: Sequence[jax.Array], moved: Sequence[jax.Array]) -> list[jax.Array]:
-        """Put inputs without and with tangents in order."""
+        """Merge the inputs without and with tangents in their original order."""
         rest, along = iter(still), iter(moved)
         return [next(along) if m else next(rest) for m in self.moving]
 
     def tangent(self) -> tuple[ClosedJaxpr, list[bool]]:
-        """Trace (args, tangents) -> results and their tangents that are not zero."""
+        """Trace (inputs, tangents) -> results and nonzero tangents, and flag these tangents."""
         n, floats = len(self.ins), [jnp.issubdtype(a.dtype, jnp.floating) for a in self.outs]
 
         def both(*xs: jax.Array) -> list[jax.Array]:
@@ -125,7 +125,7 @@ class Kind:
         return _trace_dependent(both, [*self.ins, *tangents], n, len(self.outs), floats)
 
     def transpose(self) -> tuple[ClosedJaxpr, list[bool]]:
-        """Trace (inputs without tangents, present cotangents) -> cotangents that are not zero."""
+        """Trace (inputs without tangents, cotangents) -> nonzero cotangents, and flag these."""
         still, moved = _split(self.ins, self.moving)
         cotangents = list(itertools.compress(self.outs, self.present))
         n = len(still)
@@ -140,16 +140,17 @@ class Kind:
 
 
 def _split(xs: Sequence, moving: Flags) -> tuple[list, list]:
-    """Return the entries that do not move, and those that do."""
+    """Split xs into the entries without and with `moving`."""
     return [x for x, m in zip(xs, moving, strict=True) if not m], [*itertools.compress(xs, moving)]
 
 
 def _trace_dependent(
     f, avals: Sequence[ShapedArray], first: int, plain: int, may: Sequence[bool]
 ) -> tuple[ClosedJaxpr, list[bool]]:
-    """Trace f, without the results after the first `plain` that depend on no input from `first` on.
+    """Trace f without those results that are zero derivatives.
 
-    Also returns which of the results `may` are left.
+    A result after the first `plain` is dropped if it depends on no input from `first` on. Also
+    returns `may` with False for each dropped result.
     """
     closed = jax.make_jaxpr(f)(
         *(jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=a.weak_type) for a in avals)
@@ -171,7 +172,7 @@ CACHED = {name: functools.lru_cache(4096)(f) for name, f in RULES.items()}
 def _rule_of(
     eqn: JaxprEqn, moving: Flags, which: str, present: Flags
 ) -> tuple[ClosedJaxpr, list[bool]]:
-    """Return the derivative of one equation, and which of its results are not zero."""
+    """Return the derivative rule of an equation, and flags of its results that are not zero."""
     params = tuple(sorted(eqn.params.items()))
     kind = Kind(eqn.primitive, params, _avals(eqn.invars), _avals(eqn.outvars), moving, present)
     try:
@@ -186,7 +187,7 @@ def _aval(atom: Atom) -> ShapedArray:
 
 
 def _avals(atoms: Sequence[Atom]) -> tuple:
-    """Return the types of one sample's values, without the mesh axes along which they vary."""
+    """Return the avals of atoms, without the mesh axes along which they vary."""
     return tuple(
         ShapedArray(x.shape, x.dtype, weak_type=x.weak_type) if type(x) is ShapedArray else x
         for x in (a.aval for a in atoms)
@@ -194,20 +195,20 @@ def _avals(atoms: Sequence[Atom]) -> tuple:
 
 
 class Equations:
-    """A jaxpr under construction: its equations, and the constants that they read."""
+    """A jaxpr under construction: its equations and the constants that they read."""
 
     def __init__(self) -> None:
         self.eqns: list[JaxprEqn] = []
         self.consts: dict[Var, object] = {}
 
     def append(self, eqn: JaxprEqn, ins: list[Atom], at: JaxprEqn | None = None) -> list[Var]:
-        """Append `eqn` with other inputs, new results, and the source location of `at`."""
+        """Append a copy of `eqn` with inputs `ins` and the source location of `at`."""
         at, outs = at or eqn, [Var(v.aval) for v in eqn.outvars]
         self.eqns.append(equation(eqn, ins, outs, at))
         return outs
 
     def inline(self, closed: ClosedJaxpr, args: Sequence[Atom], at: JaxprEqn | None) -> list[Atom]:
-        """Append the equations of a jaxpr, and return its results."""
+        """Append the equations of a jaxpr applied to `args`, and return its results."""
         env = self.bind(closed, args)
         for eqn in closed.jaxpr.eqns:
             ins = _substitute(env, eqn.invars)
@@ -219,7 +220,7 @@ class Equations:
         return _substitute(env, closed.jaxpr.outvars)
 
     def bind(self, closed: ClosedJaxpr, args: Sequence[Atom]) -> dict[Var, Atom]:
-        """Return the atoms of a jaxpr's constants and inputs."""
+        """Add the constants of a jaxpr, and return the atoms of its constants and inputs."""
         jaxpr = closed.jaxpr
         self.consts.update(zip(jaxpr.constvars, closed.consts, strict=True))
         env: dict[Var, Atom] = {v: v for v in jaxpr.constvars}
@@ -230,13 +231,13 @@ class Equations:
         return self.inline(_zeros(_aval(of)), [], None)[0]
 
     def close(self, ins: Sequence[Var], outs: Sequence[Atom]) -> ClosedJaxpr:
-        """Return the equations that the results need, as a function of `ins`."""
+        """Return the equations that compute `outs`, as a function of `ins`."""
         return close(needed(self.eqns, outs, ins), ins, outs, self.consts)
 
 
 @dataclass(frozen=True)
 class Linearised:
-    """The equations of (args, tangents of the moving ones) -> results and tangents (None: zero)."""
+    """The linearisation of a jaxpr: (args, tangents) -> results and their tangents (None: zero)."""
 
     eqns: Equations
     args: list[Var]
@@ -247,7 +248,7 @@ class Linearised:
     @classmethod
     @gc_paused()
     def of(cls, closed: ClosedJaxpr, moving: Sequence[bool]) -> Linearised:
-        """Linearise a jaxpr in its moving arguments."""
+        """Linearise a jaxpr. moving: for each argument, whether it has a tangent."""
         eqns, jaxpr = Equations(), closed.jaxpr
         args = [Var(v.aval) for v in jaxpr.invars]
         tangents = [Var(v.aval) for v, m in zip(args, moving, strict=True) if m]
@@ -256,7 +257,7 @@ class Linearised:
         return cls(eqns, args, tangents, out, along)
 
     def tangent(self, residuals: Sequence[ShapedArray]) -> ClosedJaxpr:
-        """Return (args, residuals, tangents) -> tangents of all results; residuals are not read."""
+        """Return the function (args, residuals, tangents) -> tangents; residuals are not read."""
         outs = [
             self.eqns.zeros(x) if along is None else along
             for x, along in zip(self.results, self.result_tangents, strict=True)
@@ -266,9 +267,9 @@ class Linearised:
 
     @gc_paused()
     def transposed(self, has_cotangent: Sequence[bool]) -> Transposed | None:
-        """Transpose: (args, cotangents of results) -> cotangents of the arguments that move.
+        """Return the transpose (args, cotangents of results) -> cotangents of args with tangents.
 
-        None if an equation computes values and tangents together.
+        Returns None if an equation computes values and tangents together.
         """
         eqns = Equations()
         eqns.consts.update(self.eqns.consts)
@@ -315,7 +316,7 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Transposed:
-    """The equations of (args, cotangents) -> outs, of which `forward` compute the results."""
+    """Transpose of a `Linearised`: (args, cotangents) -> outs. forward: equations of results."""
 
     eqns: Equations
     forward: list[JaxprEqn]
@@ -325,18 +326,18 @@ class Transposed:
     outs: list[Atom]
 
     def closed(self, given: Sequence[Var] = ()) -> ClosedJaxpr:
-        """Return (args, given, cotangents) -> outs; given values are not computed."""
+        """Return the function (args, given, cotangents) -> outs; `given` are not computed."""
         return self.eqns.close([*self.args, *given, *self.cotangents], self.outs)
 
     def values(self, more: Sequence[Var]) -> ClosedJaxpr:
-        """Return args -> the results, and more values of these equations."""
+        """Return the function args -> (results, variables `more`)."""
         return self.eqns.close(self.args, [*self.results, *more])
 
 
 def _push_forward(
     eqns: Equations, closed: ClosedJaxpr, args: Sequence[Atom], tangents: Sequence[Atom | None]
 ) -> tuple[list[Atom], list[Atom | None]]:
-    """Append a jaxpr and its tangent, and return the results and their tangents."""
+    """Append a jaxpr and its tangent. Return the results and their tangents (None: zero)."""
     jaxpr = closed.jaxpr
     env = eqns.bind(closed, args)
     along = {v: t for v, t in zip(jaxpr.invars, tangents, strict=True) if t is not None}
@@ -383,7 +384,7 @@ def _is_mixed(linear: set[Var], eqn: JaxprEqn) -> bool:
 
 
 def _barrier(eqn: JaxprEqn, some: Sequence[Atom]) -> JaxprEqn:
-    """Return the barrier `eqn` of other values."""
+    """Return a copy of the barrier `eqn` for other values."""
     return eqn.replace(outvars=[Var(a.aval) for a in some])
 
 

@@ -25,17 +25,19 @@ from rbjax.compiler.passes.analysis import count_operations
 class Explanation:
     """The program of a function of one sample, and the limits of its speed.
 
+    Values from `registers` on are None without a GPU.
+
     statements: arithmetic operations in the code.
-    operations: executed operations; a loop's once per iteration, a `while` loop's once.
+    operations: executed operations: all iterations of a loop, one of a `while` loop.
     array_bytes: bytes of the program's local arrays.
     moved_bytes: bytes of the operands and results of one sample.
-    batch: samples of the timed batch.
-    registers: registers of a thread; None without a GPU, as all that follows.
-    local_bytes: bytes of a thread's arrays and spilled registers.
-    shared_bytes: bytes of shared memory of a block.
+    batch: number of samples in the timed batch.
+    registers: registers per thread.
+    local_bytes: bytes of a thread's local memory (arrays and spilled registers).
+    shared_bytes: bytes of shared memory per block.
     seconds: time of a batch.
-    of_instructions: share of the device's instructions, with one per operation.
-    of_bandwidth: share of the device's bandwidth.
+    of_instructions: fraction of the device's peak instruction rate (one instruction per operation).
+    of_bandwidth: fraction of the device's peak memory bandwidth.
     """
 
     statements: int
@@ -70,16 +72,14 @@ class Explanation:
 
 
 def explain(f: Callable, *args: object, batch: int = 65_536) -> Explanation:
-    """Compile f as a GPU thread, and report statements, registers, memory and shares of the limits.
+    """Compile f as a GPU thread, and report its statements, registers, memory and speed.
 
     Args:
-        f: a function of one sample, as for `threads`.
+        f: function of one sample, as for `threads`.
         args: one sample: arrays, or pytrees of arrays.
         batch: the number of samples to time, on a GPU.
-
     Returns:
         `Explanation`, which prints as a few lines.
-
     Raises:
         Unsupported: f has a primitive that threads do not support; the message names it.
 
@@ -115,7 +115,7 @@ def explain(f: Callable, *args: object, batch: int = 65_536) -> Explanation:
 
 
 def _seconds(run: Callable, args: list[jax.Array], calls: int = 10) -> float:
-    """Measure the seconds of one call among several in a row; the median of seven."""
+    """Return the seconds of one call: the median over seven series of calls."""
     jax.block_until_ready(run(*args))
     times = []
     for _ in range(7):

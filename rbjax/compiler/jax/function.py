@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 
-from rbjax.compiler.jax import tangents  # noqa: F401 (its rules)
+from rbjax.compiler.jax import tangents  # noqa: F401 (registers its rules)
 from rbjax.compiler.jax.derivatives import close
 from rbjax.compiler.jax.garbage import gc_paused
 from rbjax.compiler.jax.launch import has_gpu, kernels_available
@@ -66,8 +66,11 @@ def threads(f: Callable, *, team: bool = False) -> Callable:
 def flatten_call(
     f: Callable, args: tuple, kwargs: dict
 ) -> tuple[list[jax.Array], Callable, list[jax.tree_util.PyTreeDef]]:
-    """Return the arrays of a call, f as a function from them to a list of arrays, and a list to
-    which each trace of that function appends the structure of the results."""
+    """Return the arrays of a call, f as a flat function of them, and the list `structures`.
+
+    The flat function returns a list of arrays. Each of its traces appends the pytree structure of
+    f's results to `structures`.
+    """
     leaves, tree = jax.tree.flatten((args, kwargs))
     structures: list[jax.tree_util.PyTreeDef] = []
 
@@ -81,7 +84,10 @@ def flatten_call(
 
 
 def compile_threads(f: Callable, team: bool = False) -> Callable:
-    """Compile f as `threads` does, but always. f may not close over traced values."""
+    """Compile f like `threads`, but also if no device runs kernels.
+
+    f must not close over traced values.
+    """
 
     @automatic
     def bound(*args: object, **kwargs: object) -> object:
@@ -95,17 +101,17 @@ def compile_threads(f: Callable, team: bool = False) -> Callable:
 
     @functools.wraps(f)
     def call(*args: object, **kwargs: object) -> object:
-        # outside of a trace JAX caches the compiled f
+        # outside of a trace, JAX caches the compiled f
         return (bound if inside_jit() else compiled)(*args, **kwargs)
 
     return call
 
 
 def with_multi_kernel(f: Callable, kernels: Callable, max_batch: int) -> Callable:
-    """Compile f as `threads` does, with `kernels` for batches of up to `max_batch` on a GPU.
+    """Compile f like `threads`, and run `kernels` for batches of up to `max_batch` on a GPU.
 
-    `kernels` is the same function as several kernels, which have more threads. Both may close over
-    traced values, and are traced together.
+    `kernels` computes the same function as several kernels, which use more threads. Both may close
+    over traced values, and are traced together.
     """
     if not has_gpu():
         return threads(f)
@@ -123,9 +129,10 @@ def with_multi_kernel(f: Callable, kernels: Callable, max_batch: int) -> Callabl
 
 
 def map_threads(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> list[jax.Array]:
-    """Map f over slices of xs along `axes`, one thread for each slice of each sample.
+    """Map f over the slices of xs along `axes`, with one thread for each slice of each sample.
 
-    Results have that axis last. All slices share the values that f closes over.
+    axes: for each array of xs, its mapped axis. In the results, this axis is the last. All slices
+    share the values that f closes over.
     """
     size = xs[0].shape[axes[0]]
     one = [
@@ -139,9 +146,9 @@ def map_threads(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> li
 
 
 def trace(f: Callable, args: Sequence) -> tuple[Program, list[jax.Array]]:
-    """Trace a flat function, and return its program and the traced values that it closes over.
+    """Trace a flat function. Return its program, and the traced values that it closes over.
 
-    The inputs of the program are these values, then the arguments.
+    The inputs of the program are these values, followed by the arguments.
     """
     avals = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in args]
     with gc_paused():

@@ -1,9 +1,9 @@
-"""Kernels inside jitted programs, on GPUs and on CPUs, and the devices that run them.
+"""Calls of compiled code from jitted programs, on GPUs and on CPUs, and the devices that run it.
 
 On a GPU, XLA loads PTX and launches it. The name of that custom call is internal to XLA; if a
 version removes it, a typed FFI handler that calls `cuLaunchKernel` can replace it. On a CPU, the
-machine code is itself a typed FFI handler, which is registered by the hash of its IR: executables
-from JAX's cache work in a new process because lowering registers the handler again.
+machine code is itself a typed FFI handler, which is registered by the hash of its IR. Executables
+from JAX's cache work in a new process, because lowering registers the handler again.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from rbjax.compiler.llvm.xla_handler import write_handler
 from rbjax.compiler.lower.write import write_program
 from rbjax.errors import InputError
 
-#: the environment variable that chooses how functions of one sample run on the CPU
+#: the environment variable that chooses the compiler of functions of one sample on the CPU
 VARIABLE = "RBJAX_CPU"
 CHOICES = ("llvm", "xla")
 default_choice = "llvm"
-#: the operand of the self-tests: as many numbers as a block has threads
+#: the operand of the self-tests, with one number per thread of a block
 NUMBERS = np.arange(32, dtype=np.float32)
 SELF_TEST = """
 extern "C" __global__ void self_test(const float* x, float* y) {
@@ -50,7 +50,7 @@ extern "C" __global__ void self_test(const float* x, float* y) {
 
 @functools.cache
 def has_gpu() -> bool:
-    """Return whether this process has a GPU of NVIDIA."""
+    """Return whether this process has an NVIDIA GPU."""
     try:
         return bool(jax.local_devices(backend="cuda"))
     except RuntimeError:
@@ -59,7 +59,7 @@ def has_gpu() -> bool:
 
 @functools.cache
 def uses_llvm() -> bool:
-    """Return whether functions on the CPU run as machine code of LLVM, not under XLA."""
+    """Return whether functions on the CPU are compiled by LLVM, and not by XLA."""
     choice = os.environ.get(VARIABLE, default_choice)
     if choice not in CHOICES:
         raise InputError(f"{VARIABLE}: got {choice!r}, expected one of {', '.join(CHOICES)}")
@@ -72,18 +72,18 @@ def kernels_available() -> bool:
 
 
 def oldest_gpu() -> jax.Device:
-    """Return the GPU of this process with the least compute capability; all others run its code."""
+    """Return this process's GPU with the least compute capability; its code runs on all GPUs."""
     version = lambda d: [int(n) for n in str(d.compute_capability).split(".")]  # noqa: E731
     return min(jax.local_devices(backend="cuda"), key=version)
 
 
 def ordinal() -> int:
-    """Return the CUDA driver's number of that GPU, which need not be 0 with several processes."""
+    """Return the CUDA driver's number of `oldest_gpu()`; not always 0 with several processes."""
     return oldest_gpu().local_hardware_id or 0
 
 
 def capability() -> str:
-    """Return the compute capability for which kernels are compiled."""
+    """Return the compute capability for which kernels are compiled, such as "9.0"."""
     return str(oldest_gpu().compute_capability)
 
 
@@ -91,7 +91,7 @@ def capability() -> str:
 
 
 def typed_call(target: str, ctx, *operands, **attributes: object):
-    """Write a call of a typed FFI handler, marked by StableHLO's own attribute.
+    """Emit a call of a typed FFI handler, marked as typed by StableHLO's own attribute.
 
     JAX marks typed handlers by an attribute that the XLA of jax 0.11 loses when it rewrites a call,
     for example a call with an empty operand.
@@ -110,7 +110,7 @@ _gpu_kernel.def_abstract_eval(lambda *operands, results, **params: list(results)
 def launch_kernel(
     kernel: Kernel, operands: Sequence[jax.Array], results: Sequence[ShapedArray]
 ) -> list[jax.Array]:
-    """Launch a kernel with results of these shapes and types, in a program lowered for CUDA.
+    """Launch a kernel on a GPU. results: shapes and dtypes of its results.
 
     Raises:
         Unsupported: NVRTC rejects the kernel.
@@ -138,7 +138,10 @@ mlir.register_lowering(_gpu_kernel, _lower_gpu_kernel, platform="cuda")
 
 @dataclass(frozen=True)
 class HostKernel:
-    """A registered handler. grid: parts of the batch, the rows of each result summed over it."""
+    """A registered handler of machine code.
+
+    grid: number of parts of the batch. Each summed result has one row per part.
+    """
 
     name: str
     grid: int
@@ -146,13 +149,13 @@ class HostKernel:
 
 #: code that XLA may call; never freed, because XLA does not report when it drops a handler
 _registered: dict[str, llvm_jit.Code] = {}
-_lock = threading.Lock()  # XLA rejects a second handler of one name
+_lock = threading.Lock()  # XLA rejects a second handler of the same name
 
 
 def register_host_kernel(
     program: Written, levels: llvm_jit.Levels = llvm_jit.LEVELS, samples: int | None = None
 ) -> HostKernel:
-    """Compile a program and register its handler. samples: the size of a part of the batch.
+    """Compile a program and register its handler. samples: number of samples per part of the batch.
 
     Raises:
         Unsupported: the program has an operation that LLVM lacks, LLVM rejects it, or XLA rejects
@@ -182,7 +185,7 @@ _host_kernel.def_abstract_eval(lambda *operands, results, name: list(results))
 def call_host_kernel(
     kernel: HostKernel, operands: Sequence[jax.Array], results: Sequence[ShapedArray]
 ) -> list[jax.Array]:
-    """Call a handler with results of these shapes and types, in a program lowered for a CPU."""
+    """Call a handler on a CPU. results: shapes and dtypes of its results."""
     return _host_kernel.bind(*operands, results=tuple(results), name=kernel.name)
 
 
@@ -202,7 +205,7 @@ def passes_self_test(double: Callable[[np.ndarray], jax.Array], warning: str) ->
         if np.array_equal(double(NUMBERS), 2 * NUMBERS):
             return True
         problem = "the self-test's result is wrong"
-    except (Unsupported, RuntimeError) as error:  # errors of JAX and compilers are RuntimeErrors
+    except (Unsupported, RuntimeError) as error:  # errors of JAX and of compilers
         problem = str(error)[:300]
     warnings.warn(warning.format(problem), stacklevel=3)
     return False
@@ -210,7 +213,7 @@ def passes_self_test(double: Callable[[np.ndarray], jax.Array], warning: str) ->
 
 @functools.cache
 def kernels_work() -> bool:
-    """Return whether NVRTC compiles and XLA launches kernels here. The first call tests it."""
+    """Return whether NVRTC compiles and XLA launches kernels. The first call runs a self-test."""
 
     def double(x: np.ndarray) -> jax.Array:
         test = Kernel(SELF_TEST, "self_test", x.size, 1, (False,))
@@ -226,7 +229,7 @@ def kernels_work() -> bool:
 
 @functools.cache
 def host_kernels_work() -> bool:
-    """Return whether machine code runs inside of XLA. The first call tests a batch of two parts."""
+    """Return whether XLA calls machine code on this CPU. The first call runs a self-test."""
 
     def double(x: np.ndarray) -> jax.Array:
         traced, parts = jax.make_jaxpr(lambda x: [x + x])(x[0]), 2
@@ -234,7 +237,7 @@ def host_kernels_work() -> bool:
         program = write_program(traced, x.shape, layouts, layouts, platform="cpu")
         test = register_host_kernel(program, samples=x.size // parts)
         run = jax.jit(lambda x: call_host_kernel(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
-        # with several processes the first device may belong to another process
+        # with several processes, the first device may belong to another process
         own = jax.local_devices(backend="cpu")[0]
         with jax.ensure_compile_time_eval(), jax.default_device(own):
             return run(x)

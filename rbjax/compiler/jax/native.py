@@ -89,11 +89,11 @@ def compile(f: Callable, *example: object) -> Callable:
     return functools.wraps(f)(call.function())
 
 
-Kind = tuple[tuple[int, ...], np.dtype]  # the shape and the dtype of an array
+Kind = tuple[tuple[int, ...], np.dtype]  # shape and dtype of an array
 
 
 class _Call:
-    """A call of a compiled function: its checks and conversions, and the machine code."""
+    """A call of a compiled function, with checks and conversions of its arguments."""
 
     def __init__(
         self, f: Callable, tree: PyTreeDef, structure: PyTreeDef, operands: list[Kind],
@@ -134,13 +134,13 @@ class _Call:
                 converted(args, (result,))
             return result
 
-        plain = self._tree == jax.tree.structure((0,) * n)  # every argument is an array
+        plain = self._tree == jax.tree.structure((0,) * n)  # every argument is one array
         one = call_of_arrays if plain and structure == jax.tree.structure(0) else call
         one.native = self._code is not None  # type: ignore[attr-defined]
         return one
 
     def _run_converted(self, leaves: tuple, results: tuple) -> None:
-        """Convert the arguments to plain arrays of the right type, or reject them, and run."""
+        """Convert the arguments to contiguous arrays of the expected dtypes, and run the code."""
         if len(leaves) != len(self._operands):
             raise InputError(
                 f"{_name(self._f)}: got {len(leaves)} arguments, expected {len(self._operands)}, "
@@ -174,7 +174,7 @@ class _Call:
         return tuple(leaves)
 
     def _convert(self, x: object, k: int) -> np.ndarray:
-        """Convert an argument to a contiguous array of the right shape and type."""
+        """Convert an argument to a contiguous array of the expected shape and dtype, or raise."""
         shape, dtype = self._operands[k]
         if isinstance(x, jax.core.Tracer):
             raise InputError(
@@ -202,19 +202,19 @@ class _Call:
         return fitting
 
     def _argument(self, k: int) -> str:
-        """Return the name of a leaf of the arguments."""
+        """Return the name of the k-th leaf of the arguments, for messages."""
         paths, _ = jax.tree_util.tree_flatten_with_path(
             jax.tree.unflatten(self._tree, [0] * self._tree.num_leaves)
         )
         first, *rest = paths[k][0]
         try:
             name = list(inspect.signature(self._f).parameters)[first.idx]
-        except (IndexError, TypeError, ValueError):  # f(*args), or a function of C
+        except (IndexError, TypeError, ValueError):  # f has *args or is written in C
             name = f"argument {first.idx}"
         return name + jax.tree_util.keystr(tuple(rest))
 
     def _run_jitted(self, jitted: Callable) -> Callable:
-        """Return a function that calls `jax.jit`'s code as if it were machine code."""
+        """Return a function that calls `jax.jit`'s code with the signature of the machine code."""
 
         def run(known: int, leaves: tuple, results: tuple) -> int:
             kinds = [(x.shape, x.dtype) if type(x) is np.ndarray else None for x in leaves]

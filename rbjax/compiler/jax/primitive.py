@@ -1,8 +1,8 @@
 """The primitive `threads`: a batch of a `Program`, which runs as one kernel.
 
-`vmap` adds an axis to the batch, and operands keep their layout. Values that depend on no sample
-are computed once, outside of the kernel (`uniform`). The derivative is a primitive of its own
-(`tangents`), linear in the tangents.
+`vmap` adds an axis to the batch, and operands keep their layout. Values that do not depend on the
+sample are computed once, outside the kernel (`uniform`). The derivative is another primitive
+(`tangents`), which is linear in the tangents.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def run(
 
 
 def _equally_varying(operands: Sequence[jax.Array]) -> list[jax.Array]:
-    """Make all operands vary along the same axes of a mesh."""
+    """Make all operands vary along the same axes of a mesh (see `jax.lax.pcast`)."""
     own = [varying_axes(jax.typeof(x)) for x in operands]
     every = frozenset().union(*own)
     return [
@@ -75,14 +75,14 @@ def _equally_varying(operands: Sequence[jax.Array]) -> list[jax.Array]:
 
 
 def result_aval(shape: tuple[int, ...], dtype: DTypeLike, operands: Sequence) -> ShapedArray:
-    """Return the type of a result, which varies along the mesh axes of the operands."""
+    """Return the aval of a result, which varies along the mesh axes of the operands."""
     if not any(varying_axes(x) for x in operands):
         return ShapedArray(shape, dtype)
     return like(operands[0], shape, dtype)
 
 
 def batched_shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -> tuple[int, ...]:
-    """Return the shape of an array with the axes of the batch at these positions."""
+    """Return the shape of an array of samples. axes: position of each axis of the batch in it."""
     sizes = {axis: n for axis, n in zip(axes, batch, strict=True) if axis is not None}
     rest = iter(sample)
     return tuple(sizes[k] if k in sizes else next(rest) for k in range(len(sizes) + len(sample)))
@@ -106,11 +106,11 @@ def _remaining_axis(axes: Axes, level: int) -> int | None:
 
 
 def under_xla(*operands, program, batch, ins, outs):
-    """Evaluate a program for a batch by `vmap` of the traced function."""
+    """Evaluate a program for a batch under XLA, by `vmap` of the traced function."""
     f: Callable = program
     for level in reversed(range(len(batch))):
         axes = [_remaining_axis(a, level) for a in ins]
-        if all(a is None for a in axes):  # no operand has this axis: one result for all
+        if all(a is None for a in axes):  # no operand has this axis
             f = functools.partial(_repeated, f, batch[level])
         else:
             f = jax.vmap(f, in_axes=axes)
@@ -122,7 +122,7 @@ def _repeated(f: Callable, size: int, *args: jax.Array) -> list[jax.Array]:
 
 
 def place_batch(x: jax.Array, axes: Axes) -> jax.Array:
-    """Move the leading batch axes of a result to their positions, or sum over them."""
+    """Move the leading batch axes of a result to their positions. Sum over those that lack one."""
     gone = tuple(k for k, axis in enumerate(axes) if axis is None)
     x = x.sum(gone) if gone else x
     there = [axis for axis in axes if axis is not None]
@@ -130,7 +130,7 @@ def place_batch(x: jax.Array, axes: Axes) -> jax.Array:
 
 
 def as_kernel(platform, *operands, program, batch, ins, outs):
-    """Evaluate a program by a kernel, or under XLA if a primitive is not supported."""
+    """Evaluate a program for a batch by a kernel, or under XLA if a primitive is not supported."""
     if 0 in batch:
         params = {"program": program, "batch": batch, "ins": ins, "outs": outs}
         avals = threads_p.abstract_eval(*operands, **params)[0]
@@ -154,7 +154,7 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
 
 
 def on_gpu(*operands, program, batch, ins, outs):
-    """Evaluate a program by one or several kernels of a GPU."""
+    """Evaluate a program for a batch on a GPU: by one kernel, by several, or under XLA."""
     params = {"batch": batch, "ins": ins, "outs": outs}
     samples = math.prod(batch)
     if samples and program.compile_fast:
@@ -165,7 +165,7 @@ def on_gpu(*operands, program, batch, ins, outs):
 
 
 def on_cpu(*operands, **params):
-    """Evaluate a program by machine code."""
+    """Evaluate a program for a batch on a CPU by machine code."""
     return as_kernel("cpu", *operands, **params)
 
 
@@ -197,7 +197,7 @@ def _warn(reason: str) -> None:
 
 
 def _lower(evaluate, ctx, *operands, program, batch, ins, outs):
-    """Lower for one device, or for several that each evaluate their part of the batch."""
+    """Lower the primitive for one device, or for several that each evaluate a part of the batch."""
     params = {"program": program, "ins": ins, "outs": outs}
     devices = device_count(ctx)
 
@@ -208,7 +208,7 @@ def _lower(evaluate, ctx, *operands, program, batch, ins, outs):
     if devices > 1 and batch and not is_manual(ctx):
         ranks = [len(a.shape) for a in ctx.avals_in], [len(a.shape) for a in ctx.avals_out]
         run = shard_batch(part, batch, ins, outs, ranks)
-    # each device is independent: constants inside need not vary like operands
+    # each device is independent, so constants inside need not vary like the operands
     own = ctx.replace(avals_in=[ShapedArray(a.shape, a.dtype) for a in ctx.avals_in])
     return mlir.lower_fun(run, multiple_results=True)(own, *operands)
 
@@ -229,7 +229,7 @@ mlir.register_lowering(threads_p, _lower_for_gpu, platform="cuda")
 
 @rule("threads")
 def _inside(low: Lowering, eqn: Equation, ins: list) -> list:
-    """Write a program inside another; a batch of it becomes a loop."""
+    """Lower a program inside another program. A batch of it becomes a loop."""
     if not eqn.params["batch"]:
         return low.closed(eqn.params["program"].closed, ins)
     f = functools.partial(under_xla, **eqn.params)
@@ -240,12 +240,12 @@ def _inside(low: Lowering, eqn: Equation, ins: list) -> list:
 
 
 def add_axis(new: int | None, axes: Axes) -> Axes:
-    """Return the positions of the axes of a batch after a new first one is added at `new`."""
+    """Return the positions of the axes of a batch after a new first axis is inserted at `new`."""
     return (new, *(a if a is None or new is None or a < new else a + 1 for a in axes))
 
 
 def _batched(operands, dims, program, batch, ins, outs):
-    """Add an axis to the batch, before the others."""
+    """Add an axis to the batch, before its other axes: the batching rule of the primitive."""
     size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
     known = tuple(
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
@@ -253,7 +253,7 @@ def _batched(operands, dims, program, batch, ins, outs):
     varying = any(varying_axes(jax.typeof(x)) for x in operands)
     if program.max_batch is not None and not program.uses_multi_kernel(size * math.prod(batch)):
         program = dataclasses.replace(program, multi_kernel=None, max_batch=None)
-    # these variants fix the operand list, so shared work cannot be hoisted
+    # these variants require the original operands, so shared work cannot be hoisted
     variants = program.vjp, program.for_batch_size, program.multi_kernel
     if any(known) and not varying and variants == (None, None, None):
         program, more = hoist_uniform(program, known, operands, run)
@@ -265,7 +265,7 @@ def _batched(operands, dims, program, batch, ins, outs):
     last = _lies_last(operands, dims, ins)
     new, where = [], []
     for a, axes in zip(program.outputs, outs, strict=True):
-        if all(x is None for x in axes) and batch:  # the sum over samples is taken afterwards
+        if all(x is None for x in axes) and batch:  # sum over the samples after the kernel
             axes = tuple(range(len(batch)))
         at = len(a.shape) + sum(x is not None for x in axes) if last else 0
         new.append(add_axis(at, axes))
@@ -282,7 +282,7 @@ def _batched(operands, dims, program, batch, ins, outs):
 
 
 def _lies_last(operands, dims, ins) -> bool:
-    """Return whether all operands with the new axis have it last, after the sample's entries."""
+    """Return whether the new axis is the last axis of each operand that has it."""
     found = [
         d == x.ndim - 1 and x.ndim > 1 + sum(a is not None for a in axes)
         for x, d, axes in zip(operands, dims, ins, strict=True)

@@ -23,22 +23,22 @@ class Program:
     """A traced function of one sample.
 
     closed: its jaxpr.
-    vjp: the transposed derivative, vjp(moving, args, residuals, cotangents) -> cotangents of the
-        arguments that move, from cotangents of the results (None for zero). None: derived from
-        the jaxpr.
+    vjp: vector-Jacobian product vjp(moving, args, residuals, cotangents) -> cotangents of the
+        arguments whose flag in `moving` is True. Zero cotangents of results are None. If `vjp` is
+        None, JAX derives it from the jaxpr.
     forward_with_residuals: maps the moving arguments to the program that replaces this one if it is
         differentiated. It returns the same results, and the residuals that `vjp` reads.
-    first_residual: the index of its first result that is a residual.
+    first_residual: index of the first result of that program that is a residual.
     for_batch_size: maps a batch size and the moving arguments to the program whose derivative is
         used.
     multi_kernel: the same function as several kernels, for a batch on a GPU. Derivatives and other
         programs use the traced function.
     max_batch: the largest batch for which `multi_kernel` is used; None for any.
-    compile_fast: it runs once where others run many times: its compile time matters more than its
-        run time, and a GPU runs it under XLA. Its derivatives run once, too.
-    team: on a GPU, a team of threads runs a sample whose arrays fit into shared memory. A single
+    compile_fast: whether its compile time matters more than its run time, because it runs once. A
+        GPU then runs it under XLA. This also holds for its derivatives.
+    team: whether a block of GPU threads runs a sample, if its arrays fit into shared memory. One
         thread runs its derivatives.
-    derived: programs made from this one, by a key.
+    derived: cache of programs made from this one.
     """
 
     closed: ClosedJaxpr
@@ -61,7 +61,7 @@ class Program:
         return [cast(ShapedArray, v.aval) for v in self.closed.jaxpr.outvars]
 
     def residuals(self, moving: Moving) -> list[ShapedArray]:
-        """Return the inputs of a derivative in addition to the arguments."""
+        """Return the avals of a derivative's inputs that follow the arguments."""
         forward = self.forward_with_residuals
         return forward(moving).outputs[self.first_residual :] if forward else []
 
@@ -69,7 +69,7 @@ class Program:
         return jaxpr_as_fun(self.closed)(*args)
 
     def uses_multi_kernel(self, samples: int) -> bool:
-        """Return whether a batch on a GPU runs as several kernels."""
+        """Return whether a batch of this size runs as several kernels on a GPU."""
         fits = self.max_batch is None or samples <= self.max_batch
         return self.multi_kernel is not None and fits
 
@@ -89,7 +89,7 @@ class Program:
         return self.memoize(key, lambda: self._transposed(moving, has_cotangent))
 
     def transposed_equations(self, moving: Moving, has_cotangent: Moving) -> Transposed | None:
-        """Return the equations of the cotangents of moving arguments; None if they have loops."""
+        """Return the equations of the transposed derivative; None if JAX cannot transpose each."""
         if self.closed.effects or self.vjp is not None:
             return None
         return self._linearised(moving).transposed(has_cotangent)
@@ -105,7 +105,7 @@ class Program:
         def f(*xs: jax.Array) -> list[jax.Array]:
             tangents = list(xs[len(moving) + len(residuals) :])
             found = jax.jvp(*self._restricted(moving, xs[: len(moving)]), tangents)[1]
-            return [  # a zero tangent has dtype float0, which no array here can have
+            return [  # a zero tangent has dtype float0
                 t if jnp.issubdtype(a.dtype, jnp.floating) else jnp.zeros(a.shape, a.dtype)
                 for t, a in zip(found, self.outputs, strict=True)
             ]
@@ -141,7 +141,7 @@ class Program:
     def _restricted(
         self, moving: Moving, args: Sequence[jax.Array]
     ) -> tuple[Callable, list[jax.Array]]:
-        """Return this as a function of the arguments that move, and these arguments."""
+        """Return this program as a function of its moving arguments, and these arguments."""
 
         def restricted(*changed: jax.Array) -> list[jax.Array]:
             rest = iter(changed)
@@ -152,5 +152,5 @@ class Program:
 
 @gc_paused()
 def traced(f: Callable, *avals: jax.ShapeDtypeStruct | ShapedArray) -> Program:
-    """Return the program of a function of flat arrays that closes over no traced values."""
+    """Return the program of a function of flat arrays. f must not close over traced values."""
     return Program(jax.make_jaxpr(f)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)))

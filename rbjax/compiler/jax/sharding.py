@@ -1,8 +1,8 @@
 """Sharding of a batch over devices: each device runs its own samples.
 
-XLA would gather the operands of a custom call on every device. `shard_batch` gives it the sharding
-of the batch axes and the program of a device. A result that is summed over the batch is summed over
-the devices at the end. (Inside `shard_map` each device has its own samples anyway.)
+XLA would gather the operands of a custom call on every device. `shard_batch` tells XLA the sharding
+of the batch axes, and provides the program of one device. A result that is summed over the batch is
+summed over the devices at the end. Inside `shard_map`, each device already has its own samples.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ def shard_batch(
     """Return f(batch) as a function of operands that may be sharded along the axes of the batch.
 
     Args:
-        f: a function of the sizes of a device's part of the batch.
+        f: maps the shape of a device's part of the batch to the function that evaluates it.
         ins, outs: the position of each axis of the batch in each operand and result.
-        ranks: their numbers of axes.
+        ranks: the number of axes of each operand and result.
     """
 
     def batch_axes(operands: Sequence[jax.ShapeDtypeStruct]) -> list[MeshAxes]:
-        """Return the mesh axes of each axis of the batch.
+        """Return the mesh axes over which each axis of the batch is sharded.
 
-        A mesh axis is used for only one axis of the batch, the first. Operands with another
-        sharding are moved.
+        A mesh axis shards only one axis of the batch, the first. Operands with another sharding
+        are moved.
         """
         found: list[MeshAxes] = [None] * len(batch)
         taken: set[str] = set()
@@ -80,7 +80,7 @@ def shard_batch(
         return mesh, run, results, operands
 
     @custom_partitioning
-    def whole(*operands: jax.Array) -> tuple[jax.Array, ...]:  # JAX uses only its shapes
+    def whole(*operands: jax.Array) -> tuple[jax.Array, ...]:  # JAX reads only its shapes
         return tuple(jax.lax.full_like(x, 0) for x in jax.eval_shape(f(batch), *operands))
 
     whole.def_partition(partition, sharding_rule=_rule(len(batch), ins, outs, ranks))
@@ -92,7 +92,7 @@ def _names(over: MeshAxes) -> tuple[str, ...]:
 
 
 def _device_count(mesh: Mesh, over: MeshAxes) -> int:
-    """Return the number of devices of these mesh axes."""
+    """Return the number of devices along these mesh axes."""
     return math.prod(mesh.shape[name] for name in _names(over))
 
 
@@ -100,7 +100,7 @@ def _rule(
     levels: int, ins: Sequence[Axes], outs: Sequence[Axes],
     ranks: tuple[Sequence[int], Sequence[int]],
 ) -> str:  # fmt: skip
-    """Return Shardy's rule: one letter for each axis of the batch, another for every other axis."""
+    """Return Shardy's rule, with one factor per axis of the batch and one per other axis."""
     others = (f"{a}{b}" for a in string.ascii_lowercase for b in range(10_000))
     names = [f"B{level}" for level in range(levels)]
 

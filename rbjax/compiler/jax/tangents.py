@@ -1,6 +1,6 @@
 """Derivatives of programs: a linear primitive for tangents, which JAX transposes for cotangents.
 
-A batch of directions of one sample is a batch of tangents only.
+A batch of directions at one sample batches only the tangents.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rbjax._jax_compat import needs_devices
 from rbjax.compiler.jax.primitive import add_axis, place_batch, result_avals, run, threads_p
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
-#: so many directions fill a sector of a GPU's memory
+#: the number of directions that fill a sector of a GPU's memory
 DIRECTIONS = 8
 
 tangent_p = Primitive("threads_tangent")
@@ -48,7 +48,7 @@ def _tangent_inside(low: Lowering, eqn: Equation, ins: list) -> list:
 def _batched_tangent(operands, dims, program, moving, batch, ins, outs):
     size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
     moved = tuple(add_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
-    # many directions of one sample lie last, as in a Jacobian: threads write side by side
+    # many directions of one sample lie last, as in a Jacobian: threads write adjacent entries
     fixed = len(moving) + len(program.residuals(moving))
     last = size >= DIRECTIONS and all(d is None for d in dims[:fixed])
     at = [len(a.shape) + len(batch) if last else 0 for a in program.outputs]
@@ -63,14 +63,14 @@ batching.primitive_batchers[tangent_p] = _batched_tangent
 
 
 def _moving_tangents(primals, tangents):
-    """Return which arguments have tangents, and these tangents."""
+    """Return a flag for each argument, whether it has a tangent, and the list of these tangents."""
     moving = tuple(type(t) is not ad.Zero and _is_float(x) for x, t in zip(
         primals, tangents, strict=True))  # fmt: skip
     return moving, [t for t, m in zip(tangents, moving, strict=True) if m]
 
 
 def _zero(x: jax.Array) -> ad.Zero:
-    """Return the zero tangent of an argument that does not move."""
+    """Return the zero tangent of an argument."""
     return ad.Zero(jax.typeof(x).to_tangent_aval())
 
 
@@ -89,14 +89,14 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
     if program.forward_with_residuals is None:
         found = run(program, primals, batch, ins, outs)
     else:
-        # residuals have the layout that threads read fastest
+        # residuals have the batch axes last, which threads read fastest
         forward, first = program.forward_with_residuals(moving), program.first_residual
         last = [tuple(range(a.ndim, a.ndim + len(batch))) for a in forward.outputs[n:]]
         found = run(forward, primals, batch, ins, (*outs, *last))
         residuals, positions = found[first:], (*outs, *last)[first:]
     axes = (*ins, *positions, *(a for a, m in zip(ins, moving, strict=True) if m))
     first = tuple(range(len(batch)))
-    whole = tuple(first if None in a else a for a in outs)  # sums over samples are taken here
+    whole = tuple(first if None in a else a for a in outs)  # sums over samples come later
     rate = tangent_p.bind(
         *primals,
         *residuals,
@@ -133,7 +133,7 @@ def _transpose(cotangents, *operands, program, moving, batch, ins, outs):
     first = tuple(range(len(batch)))
     there = [a for a, w in zip(outs, has_cotangent, strict=True) if w]
     axes, positions = ins[n:], []
-    for a in axes:  # summed in the kernel if an operand has no batch at all
+    for a in axes:  # sum in the kernel if an operand lacks all batch axes
         whole = all(k is not None for k in a) or all(k is None for k in a)
         positions.append(a if whole else first)
     transposed = program.transposed(moving, has_cotangent)

@@ -1,4 +1,4 @@
-"""Hoisting of uniform work: values that depend on no sample are computed once, not by each thread.
+"""Hoisting of uniform work: values that are equal for all samples are computed once per batch.
 
 An example is the constants of a robot's links, which depend only on a model that samples share.
 """
@@ -14,31 +14,32 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as
 from rbjax.compiler.jax.derivatives import Atom, close, needed
 from rbjax.compiler.jax.programs import Program
 
-#: equations that only move entries, which cost a thread nothing
+#: primitives that only move entries, at almost no cost for a thread
 FREE = {
     "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev",
     "concatenate", "copy", "iota", "convert_element_type", "split", "unstack", "stack",
 }  # fmt: skip
-#: equations of work on the parameters of a model
+#: primitives of work on the parameters of a model
 LIGHT = FREE | {
     "add", "sub", "mul", "div", "neg", "integer_pow", "square", "sqrt", "rsqrt", "select_n", "eq",
     "ne", "lt", "le", "gt", "ge", "and", "or", "not", "max", "min", "sign", "abs", "reduce_sum",
     "pad", "gather", "scatter-add", "sincos", "sin", "cos", "fusion_barrier", "add_any",
 }  # fmt: skip
-#: the least equations, and the most entries, of uniform work that is a program of its own
+#: the least equations and the most entries of uniform work that becomes a separate program
 LONG_ENOUGH, SHORT = 30, 50_000
-#: the most entries of uniform work that each thread does: a kernel of its own takes a microsecond
+#: the most entries of uniform work that each thread repeats, because a launch takes a microsecond
 FEW = 64
 
 
 def hoist_uniform(
     program: Program, shared: Sequence[bool], operands: Sequence[jax.Array | None], run: Callable
 ) -> tuple[Program, list[jax.Array]]:
-    """Split off the work that depends only on shared operands, and do it here.
+    """Split off the work that depends only on shared operands, and evaluate it.
 
-    Returns the rest of the program, as a function of the operands that samples do not share and of
-    new shared operands, and these. Short work is a program of its own, which `run` evaluates,
-    because machine code compiles sooner than XLA.
+    Returns the remaining program and its new shared operands, the results of the hoisted work. The
+    inputs of the remaining program are the operands that are not shared, then the new ones. Short
+    work becomes a program that `run` evaluates, because machine code compiles faster than XLA.
+    shared: for each operand, whether all samples share it.
     """
     key = "uniform", tuple(shared)
     rest, plain, short = program.memoize(key, lambda: _divide(program, shared))
@@ -62,8 +63,8 @@ def _divide(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable
             after.append(eqn)
     made = {v: eqn for eqn in before for v in eqn.outvars}
     size = _size(before)
-    free = None if size is not None and size <= FEW else FREE  # None: all of it
-    # threads do the equations that only move entries (small operands, wide arrays), and few others
+    free = None if size is not None and size <= FEW else FREE  # None: threads do all of it
+    # threads repeat the equations that only move entries, or all equations if there are few
     frontier: dict[Var, None] = {}
     moves: dict[int, JaxprEqn] = {}
 
@@ -106,7 +107,7 @@ def split_results(program: Program) -> tuple[Program, Program]:
 def _close(
     eqns: list[JaxprEqn], ins: list[Var], outs: Sequence[Atom], program: Program
 ) -> ClosedJaxpr:
-    """Return the equations of a program that `outs` need, as a function of `ins`."""
+    """Return the equations of a program that compute `outs`, as a function of `ins`."""
     jaxpr = program.closed.jaxpr
     consts = dict(zip(jaxpr.constvars, program.closed.consts, strict=True))
     kept = needed(eqns, outs, ins, bool(jaxpr.effects))
@@ -114,13 +115,13 @@ def _close(
 
 
 def _is_short(jaxpr: Jaxpr) -> bool:
-    """Return whether a thread needs microseconds for work that XLA compiles for longer."""
+    """Return whether one thread runs these equations in microseconds, but XLA compiles slowly."""
     size = _size(jaxpr.eqns)
     return size is not None and len(jaxpr.eqns) >= LONG_ENOUGH and size <= SHORT
 
 
 def _size(eqns: Sequence[JaxprEqn]) -> int | None:
-    """Return the number of entries that equations compute; None with a loop or a matrix product."""
+    """Return the number of entries that equations compute; None if one is not in `LIGHT`."""
     total = 0
     for eqn in eqns:
         if eqn.primitive.name == "jit":

@@ -1,1 +1,1 @@
-"""The back end of CPUs: prints a program as LLVM IR, and compiles it by llvmlite."""
+"""The back end for CPUs: prints a program as LLVM IR, and compiles it by llvmlite."""

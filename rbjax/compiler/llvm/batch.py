@@ -1,8 +1,9 @@
-"""Writes a program over a batch as LLVM IR: a function of one part of the samples.
+"""Prints a program over a batch as LLVM IR: a function that computes one part of the samples.
 
-`i32 part(buffers, index)` gets the addresses of the operands and results, and the number of a part
-of the batch. Parts are independent, so threads may share them. It returns 0, or 1 without memory. A
-result that is summed over the batch has one row a part, which the caller adds up.
+`i32 part(buffers, index)` receives the addresses of the operands and results, and the number of a
+part of the batch. Parts are independent, so several threads may compute them. The function returns
+0, or 1 if memory runs out. A result that is summed over the batch has one row per part, and the
+caller adds the rows.
 """
 
 from __future__ import annotations
@@ -20,22 +21,24 @@ from rbjax.compiler.llvm.statements import MALLOC, memory_type, write_sample
 from rbjax.compiler.llvm.vectors import Step, write_samples
 from rbjax.compiler.passes.analysis import count_accesses, count_operations
 
-#: operations that are worth a part of their own: some ten microseconds
+#: the least operations of a part, some ten microseconds
 OPERATIONS_A_PART = 50_000
-#: turns of a `while`, which are not known
+#: assumed iterations of a `while` loop
 TURNS = 10
-#: local arrays of all lanes that a core's own cache holds
+#: the most bytes of the local arrays of all lanes, which must fit into a core's own cache
 ARRAY_BYTES = 512 * 1024
-#: a tile that a loop reads or writes, for all lanes
+#: the most bytes, for all lanes, of a tile that loops read or write
 TILE_BYTES = 64 * 1024
-#: each part keeps a row of its own of every summed result
+#: the most parts, because each one has its own row of every summed result
 PARTS_UP_TO = 1024
 
 
 @dataclass(frozen=True)
 class Parts:
-    """The function `part`. libm: the C functions that it calls. count: the number of parts of the
-    batch.
+    """The LLVM IR of the function `part`.
+
+    libm: the C functions that it calls.
+    count: the number of parts of the batch.
     """
 
     text: str
@@ -44,13 +47,13 @@ class Parts:
 
 
 def write_parts(program: Written, lanes: int | None = None, samples: int | None = None) -> Parts:
-    """Write the function of one part of the program's batch.
+    """Print the function that computes one part of the program's batch.
 
     Args:
-        lanes: samples that run at once, as lanes of vectors, if the batch has so many; by default
-        as many as fit into a register. The last ones of a part may run twice.
-        samples: the size of a part, a divisor of the batch; by default as many as are worth a
-        thread.
+        lanes: number of samples that run at once, in the lanes of vectors; by default, as many as
+            fit into a register. The last samples of a part may run twice.
+        samples: number of samples of a part, a divisor of the batch; by default, enough to make a
+            thread worthwhile.
     """
     size = math.prod(program.batch)
     lanes = _lanes(program) if lanes is None else lanes
@@ -58,9 +61,10 @@ def write_parts(program: Written, lanes: int | None = None, samples: int | None 
 
 
 class _Frame:
-    """Writes the function `part` around the function of one sample, or of one sample per lane.
+    """Prints the function `part`, which calls the function of one sample, or of one per lane.
 
-    Operands and results are numbered together. places: the bytes at %space of each sum or tile.
+    The operands and then the results are numbered consecutively. places: for each sum or tile, its
+    byte offset in the memory %space.
     """
 
     def __init__(self, program: Written, lanes: int):
@@ -87,7 +91,7 @@ class _Frame:
         return self.arrays[k].size * self.arrays[k].dtype.itemsize
 
     def in_tiles(self) -> list[int]:
-        """Return the arrays whose rows are transposed into tiles of vectors, and back.
+        """Return the numbers of the arrays whose rows are transposed to tiles of vectors and back.
 
         An array is tiled only if most of its entries are accessed: by statements, or, if it is
             short, by iterations of loops.
@@ -138,7 +142,7 @@ class _Frame:
         return Parts(text, samples.libm, count)
 
     def begin(self, each: int, count: int) -> list[str]:
-        """Write the range of the part, its memory, and the addresses of the arrays."""
+        """Emit the sample range and the memory of the part. Return the arrays' addresses."""
         lines, names = self.lines, []
         for k in range(len(self.arrays)):
             place = lines.made(f"getelementptr ptr, ptr %buffers, i64 {k}")
@@ -167,7 +171,7 @@ class _Frame:
         return names
 
     def pointers(self, names: list[str]) -> tuple[list[str], Lines]:
-        """Write the arguments of the function of samples from %b on, and the lines after it."""
+        """Return the arguments of the call for the samples from %b on, and the lines after it."""
         lines, batch, out = self.lines, self.program.batch, []
         after = Lines(lines)
         for k, (array, layout) in enumerate(zip(self.arrays, self.layouts, strict=True)):
@@ -189,7 +193,7 @@ class _Frame:
 
 
 def _lanes(program: Written) -> int:
-    """Return the samples that fit into a register; one if local arrays need much memory."""
+    """Return the number of samples that fit into a register; 1 if local arrays need much memory."""
     values = [s.dest for s in walk(program.builder.block) if isinstance(s, Op)]
     dtypes = {x.dtype for x in values} | {x.dtype for x in (*program.operands, *program.results)}
     floats = [t.itemsize for t in dtypes if t.kind == "f"] or [t.itemsize for t in dtypes]
@@ -198,13 +202,13 @@ def _lanes(program: Written) -> int:
 
 
 def _lane_step(layout: Layout, batch: tuple[int, ...], lanes: int) -> int | None:
-    """Return the entries between the samples of a vector, or None if they differ."""
-    if not layout.axes:  # shared, or a sum
+    """Return the distance between the samples of a vector, in entries; None if it varies."""
+    if not layout.axes:  # shared by all samples, or a sum
         return 0
     axes = [(n, step) for n, step in zip(batch, layout.steps, strict=True) if n > 1]
     if not axes:
         return 0
-    together, step = 1, axes[-1][1]  # the samples that lie at equal distances
+    together, step = 1, axes[-1][1]  # number of equally spaced samples
     for n, far in reversed(axes):
         if far != together * step:
             return None if together % lanes else step
@@ -215,7 +219,7 @@ def _lane_step(layout: Layout, batch: tuple[int, ...], lanes: int) -> int | None
 def _shares(program: Written, size: int, lanes: int) -> tuple[int, int]:
     """Return the number of samples of a part, and the number of parts.
 
-    The last part also has the rest of the batch, unless parts are single vectors.
+    The last part also contains the remainder of the batch, unless a part is one vector.
     """
     work = max(count_operations(program.builder.block, TURNS), 1)
     wanted = max(OPERATIONS_A_PART * max(lanes // 2, 1) // work, -(-size // PARTS_UP_TO), 1)

@@ -1,6 +1,6 @@
-"""Compiles LLVM IR to machine code of this processor, by llvmlite, whose wheel carries LLVM.
+"""Compiles LLVM IR to machine code of this processor, by llvmlite, whose wheel contains LLVM.
 
-The code is cached on disk next to JAX's own compilation cache, if the caller has enabled that.
+The code is cached on disk next to JAX's own compilation cache, if that is enabled.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Module:
 class Levels(NamedTuple):
     """Levels of LLVM's optimization.
 
-    passes: passes on the IR, or one of LLVM's own levels.
-    selection: the level of the instruction selection.
-    features: features in addition to those of the processor.
+    passes: names of passes on the IR, or one of LLVM's own levels.
+    selection: level of the instruction selection.
+    features: processor features in addition to those of this processor.
     """
 
     passes: tuple[str, ...] | int
@@ -37,25 +37,27 @@ class Levels(NamedTuple):
     features: str = ""
 
 
-#: Places on the stack become registers, and instructions are combined. There is little else to
-#: improve: all of LLVM's level 1 takes five times as long, and the code is no faster. Without
-#: passes the code of loops takes 1.2 times as long. Level 2 of the selection is no faster either.
+#: Stack variables become registers, and instructions are combined. Higher levels take longer and do
+#: not give faster code; without passes, loops are slower.
 LEVELS = Levels(("sroa", "instruction_combine"), 1)
-#: where only the compile time matters: a tenth of the time, and code of three times the size
+#: for short compile times; the code is slower
 QUICK_LEVELS = Levels((), 0)
-#: for products of matrices within one sample: from level 2 on neighbouring operations become those
-#: of vectors. DDP's backward pass takes 0.55 of the time, and twice as long to compile. One
-#: instruction that reads a column (a gather) takes an AMD processor longer than eight that do
+#: for matrix products within one sample: from level 2 on, neighboring operations become vector
+#: operations. Gather instructions are disabled, because they are slow on AMD processors
 MATRIX_LEVELS = Levels(2, 1, "+prefer-no-gather")
 
 
 class NoCompiler(RuntimeError):
-    """llvmlite is missing, or does not run on this machine."""
+    """An error: llvmlite is missing, or does not run on this machine."""
 
 
 @dataclass(frozen=True)
 class Code:
-    """A compiled function; the engine owns its memory. key: a hash of the IR and the compiler."""
+    """A compiled function. The engine owns its memory.
+
+    address: address of the function `run`.
+    key: hash of the IR and the compiler.
+    """
 
     address: int
     engine: Any
@@ -79,27 +81,27 @@ def _libm() -> ctypes.CDLL:
 
 
 def _address(function: str) -> int | None:
-    """Return the address of a function of C's mathematics, or of the system."""
+    """Return the address of a function of C's mathematical library, or of the system."""
     library = _libm() if hasattr(_libm(), function) else ctypes.CDLL(None)
     return ctypes.cast(getattr(library, function), ctypes.c_void_p).value
 
 
 @functools.cache
 def _processor() -> tuple[str, str, str]:
-    """Return the triple, the name and the features of this processor."""
+    """Return the target triple, the name and the features of this processor."""
     llvm = _llvm()
     features = llvm.get_host_cpu_features().flatten()
     return llvm.get_process_triple(), llvm.get_host_cpu_name(), features
 
 
 def register_bytes() -> int:
-    """Return the size of a vector register of this processor."""
+    """Return the size of a vector register of this processor, in bytes."""
     features = _processor()[2].split(",")
     return 64 if "+avx512f" in features else 32 if "+avx" in features else 16
 
 
 def _machine(levels: Levels) -> Any:
-    """Make a target machine; the engine that gets it destroys it."""
+    """Make a target machine. An engine that receives it destroys it."""
     triple, cpu, features = _processor()
     if levels.features and triple.startswith("x86_64"):
         features = f"{features},{levels.features}"
@@ -109,14 +111,14 @@ def _machine(levels: Levels) -> Any:
     )  # fmt: skip
 
 
-#: the code that was used last, by the hash of its IR and the compiler; the oldest first
+#: the code that was used last, least recently used first, by the hash of its IR and the compiler
 _codes: dict[str, Code] = {}
 KEPT = 128
 _lock = threading.Lock()
 
 
 def compile_module(module: Module, levels: Levels = LEVELS) -> Code:
-    """Compile a module's function `run`, or return the code of an equal module.
+    """Compile a module's function `run`, or return the cached code of an equal module.
 
     Raises:
         NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.

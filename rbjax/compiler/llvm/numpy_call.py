@@ -1,17 +1,17 @@
 """A program of one sample as LLVM IR: a function that is called with numpy arrays.
 
-`int run(known, operands, results)` gets two tuples of arrays and reads their data in place. `known`
-holds the address of numpy's type of arrays and those of the operands' dtypes. It returns 0; or 1 if
-an operand is not a contiguous array of the program's type and shape; or -1 without memory. It does
-not call Python, so it runs without the GIL.
+`int run(known, operands, results)` receives two tuples of arrays and reads their data in place.
+`known` contains the addresses of the type `np.ndarray` and of the operands' dtypes. The function
+returns 0, or 1 if an operand is not a contiguous array of the program's dtype and shape, or -1 if
+memory runs out. It does not call Python, so it runs without the GIL.
 
-The members of tuples and arrays are those of `PyTupleObject` and `PyArrayObject`:
+Tuples and arrays have the memory layout of `PyTupleObject` and `PyArrayObject`:
 
     object header | count | ... | items
     object header | data | nd | dimensions | strides | base | descr | flags
 
 Arrays have had this layout since numpy 1.7. `layout_is_known` compares it with live objects, so
-another Python (without the GIL, of 32 bits) is detected before code relies on it.
+another Python (without the GIL, or of 32 bits) is detected before code relies on the layout.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from rbjax.compiler.llvm.statements import MALLOC, write_sample
 
 TYPE, DATA, ND, DIMENSIONS, DESCR, FLAGS = 8, 16, 24, 32, 56, 64
 COUNT, ITEMS = 16, tuple.__basicsize__
-#: flags: rows one after another, every entry at a multiple of its size
+#: numpy's flags C_CONTIGUOUS and ALIGNED
 PLAIN = 0x1 | 0x100
 
 
 @functools.cache
 def layout_is_known() -> bool:
-    """Return whether arrays of this Python and this numpy have the layout."""
+    """Return whether arrays of this Python and this numpy have the expected memory layout."""
     if np.ndarray.__basicsize__ < FLAGS + 8 or object.__basicsize__ != DATA:
         return False
     x = np.empty((2, 3), np.float32)
@@ -61,7 +61,7 @@ def _has_layout(x: np.ndarray) -> bool:
 
 
 def write_module(program: Written) -> Module:
-    """Write the function `run` of a program without a batch."""
+    """Print the function `run` of a program without a batch."""
     sample, frame = write_sample(program), _Arrays()
     xs = frame.operands(program)
     ys = [frame.data("%ys", k) for k in range(len(program.results))]
@@ -86,7 +86,7 @@ def write_module(program: Written) -> Module:
 
 
 class _Arrays:
-    """Writes instructions that read tuples of numpy arrays."""
+    """Emits instructions that read tuples of numpy arrays."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -98,17 +98,17 @@ class _Arrays:
         return name
 
     def field(self, struct: str, offset: int, t: str) -> str:
-        """Load a member of a struct."""
+        """Emit the load of a member of a struct."""
         place = self.made(f"getelementptr i8, ptr {struct}, i64 {offset}")
         return self.made(f"load {t}, ptr {place}")
 
     def data(self, arrays: str, k: int) -> str:
-        """Load the address of the data of the k-th array of a tuple."""
+        """Emit the load of the data address of the k-th array of a tuple."""
         array = self.field(arrays, ITEMS + 8 * k, "ptr")
         return self.field(array, DATA, "ptr")
 
     def operands(self, program: Written) -> list[str]:
-        """Load the addresses of the operands' data, after checks of their types and shapes."""
+        """Emit checks of the operands' types and shapes. Return the addresses of their data."""
         self._expect("%xs", COUNT, "i64", str(len(program.operands)))
         out = []
         for k, layout in enumerate(program.layouts[0]):
@@ -130,7 +130,7 @@ class _Arrays:
         self._same(t, self.field(x, offset, t), wanted)
 
     def _same(self, t: str, found: str, wanted: str) -> None:
-        """Branch to the failure `other` unless two values are equal."""
+        """Emit a branch to the failure label `other` unless two values are equal."""
         good = f"good{next(self.names)}"
         same = self.made(f"icmp eq {t} {found}, {wanted}")
         self.lines += [f"br i1 {same}, label %{good}, label %other", f"{good}:"]

@@ -16,22 +16,22 @@ from rbjax.compiler.ir.statements import F64, Op, Unsupported, Var
 
 TYPES = {"float32": "float", "float64": "double", "bool": "i1"}
 
-#: of a line of the cache, and of the largest vector
+#: bytes of a cache line, and of the largest vector
 ALIGNMENT = 64
-#: LLVM puts vectors for which there is no register on the stack, aligned to 16 bytes unless a
-#: function requests more. Most of them then cross a cache line: derivatives take 1.2 times as long.
+#: LLVM puts vectors for which there is no register on the stack. Without this attribute they are
+#: aligned to 16 bytes, and most of them cross a cache line, which is slow.
 ATTRIBUTES = f"nounwind alignstack({ALIGNMENT})"
 
 
 @functools.lru_cache(64)
 def llvm_type(dtype: np.dtype) -> str:
-    """Return the type of a value in a register."""
+    """Return the LLVM type of a value in a register."""
     dtype = np.dtype(dtype)
     return TYPES.get(dtype.name) or f"i{8 * dtype.itemsize}"
 
 
 def literal(x: np.generic) -> str:
-    """Return a constant as LLVM IR; floats by their bits, those of float32 as a double."""
+    """Return a constant as LLVM IR. Floats are printed by the bits of their double value."""
     if x.dtype.kind == "b":
         return "true" if x else "false"
     if x.dtype.kind == "f":
@@ -40,32 +40,32 @@ def literal(x: np.generic) -> str:
 
 
 def splat(made: Callable[[str], str], lanes: int, t: str, x: str) -> str:
-    """Write a scalar into every lane. made: writes an instruction and returns its name."""
+    """Emit the broadcast of a scalar to every lane. made: emits an instruction."""
     many = f"<{lanes} x {t}>"
     one = made(f"insertelement {many} poison, {t} {x}, i64 0")
     return made(f"shufflevector {many} {one}, {many} poison, <{lanes} x i32> zeroinitializer")
 
 
 class Operations:
-    """Writes instructions with `emit`, and records the functions that they call.
+    """Emits LLVM instructions by `emit`, and records the functions that they call.
 
-    lanes: entries of a value; with more than one, all values are vectors.
+    lanes: number of lanes of a value. If it is more than 1, all values are vectors.
     """
 
     def __init__(self, emit: Callable[[str], None], lanes: int = 1, like: Operations | None = None):
         self.emit, self.lanes = emit, lanes
         self.declared: dict[str, str] = like.declared if like else {}
         self.names: Iterator[int] = like.names if like else itertools.count()
-        #: mathematical functions that are written as formulas, by name and type
+        #: mathematical functions that are computed by formulas, by name and dtype
         self.functions: dict[tuple[str, np.dtype], None] = {}
 
     @property
     def libm(self) -> list[str]:
-        """The called functions of C's mathematics."""
+        """The C mathematical functions that the instructions call."""
         return sorted(name for name in self.declared if not name.startswith("llvm."))
 
     def type(self, dtype: DTypeLike) -> str:
-        """The type of a value in a register."""
+        """Return the LLVM type of a value in a register."""
         t = llvm_type(np.dtype(dtype))
         return t if self.lanes == 1 else f"<{self.lanes} x {t}>"
 
@@ -77,16 +77,16 @@ class Operations:
         return text if self.lanes == 1 else f"splat ({llvm_type(x.dtype)} {text})"
 
     def made(self, text: str, name: str | None = None) -> str:
-        """Write an instruction, and return the name of its value."""
+        """Emit an instruction, and return the name of its result."""
         name = name or f"%v{next(self.names)}"
         self.emit(f"{name} = {text}")
         return name
 
     def call(self, function: str, result: str, args: list[tuple[str, str]]) -> str:
-        """Return the text of a call."""
+        """Return the text of a call of a function. args: (type, name) of each argument."""
         types = ", ".join(t for t, _ in args)
         own = function.startswith("llvm.")
-        # the functions keep their meaning to the last bit: LLVM may not replace them
+        # nobuiltin: LLVM may not replace the functions, so results stay equal to the last bit
         pure = "" if own else " nobuiltin nounwind willreturn memory(none)"
         self.declared[function] = f"declare {result} @{function}({types}){pure}"
         return f"call {result} @{function}({', '.join(f'{t} {x}' for t, x in args)})"
@@ -94,7 +94,7 @@ class Operations:
     def intrinsic(
         self, name: str, of: Sequence[DTypeLike], result: DTypeLike, x: Sequence[str], *more: str
     ) -> str:
-        """Return the text of a call of `llvm.name`, which is overloaded by the types `of`."""
+        """Return the text of a call of the intrinsic `llvm.name`, overloaded by the dtypes `of`."""
         suffix = ".".join(self.short(dtype) for dtype in of)
         args = [(self.type(of[-1]), a) for a in x] + [("i1", a) for a in more]
         return self.call(f"llvm.{name}.{suffix}", self.type(result), args)
@@ -105,7 +105,7 @@ class Operations:
         return plain if self.lanes == 1 else f"v{self.lanes}{plain}"
 
     def write(self, op: Op, name: str, x: list[str]) -> None:
-        """name = op(x)."""
+        """Emit name = op(x)."""
         text, kind = OPERATIONS[op.name].llvm, op.dest.dtype
         last = text(self, kind, op.args[0].dtype, x) if text else None
         if last is None:
@@ -113,21 +113,21 @@ class Operations:
         self.made(last, name)
 
     def mathematical(self, name: str, kind: np.dtype, x: Sequence[str]) -> str:
-        """Return the call of a C mathematical function, or of its formula for vectors."""
+        """Return the text of a call of a C mathematical function, or of its formula for vectors."""
         t = self.type(kind)
-        if self.lanes == 1 and name != "atan2":  # C's is wrong at subnormal numbers in XLA
+        if self.lanes == 1 and name != "atan2":  # C's atan2 is wrong at subnormal numbers in XLA
             return self.call(of_c(name, kind), t, [(t, a) for a in x])
         self.functions[name, kind] = None
         return f"call {t} @{name}.{self.short(kind)}({', '.join(f'{t} {a}' for a in x)})"
 
 
 def of_c(what: str, kind: np.dtype) -> str:
-    """Return the name of a C mathematical function of this type."""
+    """Return the name of a C mathematical function for this dtype."""
     return what + ("f" if kind.itemsize == 4 else "")
 
 
 def definitions(vectors: Operations) -> list[str]:
-    """Define the mathematical functions that vector operations call."""
+    """Return the definitions of the mathematical functions that vector operations call."""
     out = []
     for what, kind in list(vectors.functions):
         if OPERATIONS[what].formula:
@@ -142,14 +142,14 @@ def name_of(vectors: Operations, what: str, kind: np.dtype) -> str:
 
 
 def _head(vectors: Operations, name: str, kind: np.dtype, takes: list[str]) -> str:
-    """Return the first line of a function."""
+    """Return the first line of a function definition."""
     t = vectors.type(kind)
     given = ", ".join(f"{t} {x}" for x in takes)
     return f"define internal {t} @{name}({given}) noinline {ATTRIBUTES} willreturn memory(none) {{"
 
 
 def _lane_by_lane(vectors: Operations, what: str, kind: np.dtype, name: str) -> str:
-    """Define a function that calls C's function once per lane."""
+    """Return the definition of a function that calls C's function once per lane."""
     t, one = vectors.type(kind), llvm_type(kind)
     takes = ["%x", "%y"][: OPERATIONS[what].arity]
     lines, out = [], "poison"
@@ -163,7 +163,10 @@ def _lane_by_lane(vectors: Operations, what: str, kind: np.dtype, name: str) -> 
 
 
 def _by_formula(vectors: Operations, what: str, kind: np.dtype) -> list[str]:
-    """Define a function by its formula in double precision, and lane by lane where that fails."""
+    """Return the definition of a function by its formula in double precision.
+
+    Lanes in which the formula is not valid are computed by C's function.
+    """
     builder, operation = Builder(), OPERATIONS[what]
     assert operation.formula is not None
     given = [builder.var(kind) for _ in range(operation.arity)]

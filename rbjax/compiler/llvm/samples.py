@@ -1,4 +1,4 @@
-"""Writes accesses to samples in memory as LLVM IR: pointers, tiles of vectors, and sums."""
+"""Emits accesses to samples in memory as LLVM IR: pointers, tiles of vectors, and sums."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rbjax.compiler.llvm.operations import splat
 
 
 class Lines(list):
-    """A list of instructions, with fresh names."""
+    """A list of LLVM instructions, with fresh names."""
 
     def __init__(self, like: Lines | None = None):
         super().__init__()
@@ -23,7 +23,7 @@ class Lines(list):
         return name
 
     def sample(self, base: str, t: str, layout: Layout, batch: tuple[int, ...], sample: str) -> str:
-        """Write the pointer to a sample of an array."""
+        """Emit the pointer to a sample of an array. sample: linear index in the batch."""
         rest, place = sample, base
         for k in reversed(range(len(batch))):
             index = rest
@@ -39,7 +39,7 @@ class Lines(list):
         self, base: str, t: str, layout: Layout, batch: tuple[int, ...], lanes: int,
         step: int | None,
     ) -> list[str]:  # fmt: skip
-        """Write the pointers to the samples from %b on, `step` entries apart or anywhere."""
+        """Emit the pointers to `lanes` samples from %b on. step: entries between them, or None."""
         if step is not None:
             first = self.sample(base, t, layout, batch, "%b")
             return [self.made(f"getelementptr {t}, ptr {first}, i64 {k * step}")
@@ -49,13 +49,13 @@ class Lines(list):
         ]
 
     def fill(self, table: str, pointers: Sequence[str]) -> None:
-        """Write pointers into a table."""
+        """Emit the stores of pointers into a table."""
         for k, place in enumerate(pointers):
             slot = self.made(f"getelementptr ptr, ptr {table}, i64 {k}")
             self.append(f"store ptr {place}, ptr {slot}")
 
     def loop(self, count: int) -> tuple[str, list[str]]:
-        """Begin a loop: return its counter, and the lines that end it."""
+        """Begin a loop. Return its counter, and the lines that end it."""
         n = next(self.names)
         self += [
             f"br label %before{n}", f"before{n}:", f"br label %turn{n}", f"turn{n}:",
@@ -67,10 +67,9 @@ class Lines(list):
         ]  # fmt: skip
 
     def blocks(self, lanes: int, count: int) -> tuple[int, str, list[str]]:
-        """Begin a loop over blocks of entries: return their size, the first entry, and the last
-        lines.
+        """Begin a loop over blocks of entries, of which the last may overlap the one before it.
 
-        The last block may overlap the one before.
+        Return the size of a block, its first entry, and the lines that end the loop.
         """
         size = min(lanes, 1 << count.bit_length() - 1)
         k, end = self.loop(-(-count // size))
@@ -78,7 +77,7 @@ class Lines(list):
         return size, self.made(f"call i64 @llvm.smin.i64(i64 {first}, i64 {count - size})"), end
 
     def tile_of_rows(self, tile: str, rows: Sequence[str], t: str, count: int) -> None:
-        """Transpose rows into a tile, in which each entry of all rows is a vector."""
+        """Emit the transposition of rows, one per lane, to a tile of one vector per entry."""
         lanes = len(rows)
         size, i, end = self.blocks(lanes, count)
         one = f"<{size} x {t}>"
@@ -92,7 +91,7 @@ class Lines(list):
         self += end
 
     def rows_of_tile(self, rows: Sequence[str], tile: str, t: str, count: int) -> None:
-        """Transpose a tile into rows, one per lane."""
+        """Emit the transposition of a tile of one vector per entry to rows, one per lane."""
         lanes = len(rows)
         size, i, end = self.blocks(lanes, count)
         many, one, found = f"<{lanes} x {t}>", f"<{size} x {t}>", []
@@ -108,7 +107,7 @@ class Lines(list):
         self += end
 
     def turned(self, x: Sequence[str], t: str) -> list[str]:
-        """Transpose a square of entries by exchanges of halves, quarters and so on."""
+        """Transpose a square matrix of entries, one vector per row, by recursive exchanges."""
         x, n, far = list(x), len(x), 1
         while far < n:
             for k in (k for k in range(n) if not k & far):
@@ -120,7 +119,7 @@ class Lines(list):
         return x
 
     def joined(self, pieces: Sequence[str], size: int, t: str) -> str:
-        """Concatenate vectors."""
+        """Emit the concatenation of vectors of `size` entries."""
         while len(pieces) > 1:
             pairs = zip(pieces[::2], pieces[1::2], strict=True)
             pieces = [self.shuffled(a, b, range(2 * size), size, t) for a, b in pairs]
@@ -128,14 +127,14 @@ class Lines(list):
         return pieces[0]
 
     def shuffled(self, a: str, b: str, where: Iterable[int], size: int, t: str) -> str:
-        """Select entries of two vectors."""
+        """Emit the selection of entries of two vectors. where: indices into both vectors."""
         indices = [f"i32 {k}" for k in where]
         many = f"<{size} x {t}>"
         return self.made(f"shufflevector {many} {a}, {many} {b}, <{len(indices)} x i32> "
                          f"<{', '.join(indices)}>")  # fmt: skip
 
     def add_up(self, total: str, term: str, t: str, count: int, lanes: int) -> None:
-        """Write total[i] += term[i]."""
+        """Emit total[i] += term[i], summed over the lanes."""
         if not count:
             return
         add = "fadd" if t in ("float", "double") else "add"
@@ -148,7 +147,7 @@ class Lines(list):
         self += [f"store {t} {self.made(f'{add} {t} {x}, {y}')}, ptr {to}", *end]
 
     def sum_of(self, x: str, t: str, lanes: int) -> str:
-        """Write the sum over the lanes whose samples have not run before."""
+        """Emit the sum over lanes, without lanes whose samples were already summed."""
         many, kind = f"<{lanes} x {t}>", {"float": "f32", "double": "f64"}.get(t, t)
         counts = ", ".join(f"i64 {k}" for k in range(lanes))
         again = self.made("sub i64 %wanted, %b")

@@ -1,4 +1,4 @@
-"""Writes the statements of a program as LLVM IR: a function of one sample.
+"""Prints the statements of a program as LLVM IR: a function of one sample.
 
 Scalars are values in SSA form. A variable that is assigned several times is on the stack; LLVM's
 pass `sroa` moves it into a register.
@@ -24,20 +24,20 @@ from rbjax.compiler.llvm.operations import (
 )
 from rbjax.compiler.passes.cutting import Cuts, Frame, split_block
 
-#: larger local arrays lie in the workspace, not on the stack, of which a thread has little
+#: larger local arrays are in the workspace, because a thread has a small stack
 STACK_ARRAY_BYTES = 2048
-#: bytes of all local arrays on the stack
+#: the most bytes of local arrays on the stack
 STACK_BYTES = 128 * 1024
 MALLOC = ("declare noalias ptr @malloc(i64)", "declare void @free(ptr)")
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function of one or several samples, `void name(operands, results, space)`, of pointers.
+    """A function of one or several samples: `void name(operands, results, space)`, all pointers.
 
-    outside: the tables and declarations that it needs.
-    libm: the functions of C's mathematics that it calls.
-    workspace: bytes at `space`.
+    outside: definitions of tables and declarations that it needs.
+    libm: the C mathematical functions that it calls.
+    workspace: bytes of memory that it needs at `space`.
     """
 
     text: str
@@ -47,17 +47,17 @@ class Function:
     workspace: int
 
     def call(self, pointers: list[str], space: str) -> str:
-        """Return a call with these operands and results."""
+        """Return a call with pointers to the operands and results. space: the workspace."""
         return f"call void @{self.name}({', '.join(f'ptr {x}' for x in (*pointers, space))})"
 
 
 def write_sample(program: Written, name: str = "sample") -> Function:
-    """Write the function of one sample of a program."""
+    """Print the function of one sample of a program."""
     return write_function(Writer(), program, name)
 
 
 def write_function(writer: Writer, program: Written, name: str) -> Function:
-    """Write the function of a program with a writer."""
+    """Print the function of a program by a writer."""
     xs = [f"%x{k}" for k in range(len(program.operands))]
     ys = [f"%y{k}" for k in range(len(program.results))]
     for array, place in zip((*program.operands, *program.results), (*xs, *ys), strict=True):
@@ -77,8 +77,9 @@ def write_function(writer: Writer, program: Written, name: str) -> Function:
 
 
 class Writer:
-    """Writes statements for one sample. entry: stack allocations, which LLVM expects in the first
-    block.
+    """Emits the statements of a program for one sample.
+
+    entry: stack allocations, which LLVM expects in the first block.
     """
 
     def __init__(self) -> None:
@@ -91,21 +92,21 @@ class Writer:
         self.pointers: dict[int, str] = {}
         self.workspace = self.stack = 0
         self.frame: Frame | None = None
-        self.here = 0  # the function that is being written
-        self.recalled: dict[int, str] = {}  # what it has read from the frame
+        self.here = 0  # number of the current function (`Cuts`)
+        self.recalled: dict[int, str] = {}  # values that it has loaded from the frame
         self.pieces: list[str] = []
 
     def begin(self, program: Written) -> None:
-        """Write the lines before the statements."""
+        """Emit the lines before the statements."""
 
     def functions(self) -> list[str]:
-        """Define the mathematical functions that the statements call and the C library lacks."""
+        """Return definitions of mathematical functions that the statements call and C lacks."""
         return definitions(self.operations)
 
     # ---------------------------------------------------------------- functions
 
     def parts(self, name: str, program: Written, takes: list[str]) -> None:
-        """Prepare the frame of a program that is split into functions."""
+        """Prepare the frame of a program if the program must be split into functions."""
         cuts = self.cuts(program)
         if cuts is None:
             return
@@ -122,7 +123,7 @@ class Writer:
         return split_block(program.builder.block, branches=True)
 
     def bytes(self, x: ir.Var | ir.Array) -> int:
-        """Return the size of a variable or of a local array."""
+        """Return the size of a variable or of a local array, in bytes."""
         return x.dtype.itemsize * (max(x.size, 1) if isinstance(x, ir.Array) else 1)
 
     def function(self, name: str, takes: list[str], more: str = "") -> list[str]:
@@ -133,7 +134,7 @@ class Writer:
         ]  # fmt: skip
 
     def piece(self, number: int, statements: list) -> None:
-        """Write statements as a function of their own, and call it."""
+        """Emit statements as a separate function, and a call of it."""
         outside = self.entry, [*self.lines]
         self.entry, self.here, self.recalled = [], number, {}
         self.lines.clear()
@@ -146,23 +147,26 @@ class Writer:
         self.lines[:] = [*outside[1], f"call void @{name}({pointers})"]
 
     def shares(self, x: ir.Name) -> bool:
-        """Return whether a variable or an array is in the frame."""
+        """Return whether a variable or an array is in the frame, which all functions share."""
         return self.frame is not None and x in self.frame.places
 
     def framed(self, x: ir.Name, lines: list[str] | None = None) -> str:
-        """Write the address of a variable or an array in the frame."""
+        """Emit the address of a variable or an array in the frame."""
         assert self.frame is not None
         lines, name = self.lines if lines is None else lines, f"%p{next(self.numbers)}"
         lines.append(f"{name} = getelementptr i8, ptr %frame, i64 {self.frame.places[x]}")
         return name
 
     def keep(self, x: ir.Var) -> None:
-        """Store a new value in the frame, if other functions read it."""
+        """Emit the store of a new value in the frame, if other functions read it."""
         if self.shares(x):
             self.lines.append(f"store {self.kind(x)} %t{x.id}, ptr {self.framed(x)}")
 
     def recall(self, x: ir.Var) -> str:
-        """Load a value that another function has stored; again at each use in the main function."""
+        """Emit the load of a value that another function has stored in the frame.
+
+        A function loads a value once, but the main function loads it at each use.
+        """
         if x.id not in self.recalled:
             name = f"%r{next(self.numbers)}"
             lines = self.entry if self.here else self.lines
@@ -200,7 +204,7 @@ class Writer:
         return self.at(memory_type(array.dtype), self.start(array), base, offset)
 
     def at(self, t: str, start: str, base: ir.Value | None, offset: int) -> str:
-        """Write the address start + base + offset, in entries of type t."""
+        """Emit the address start + base + offset, in entries of type t."""
         if base is not None:
             kind, index = llvm_type(base.dtype), self.value(base)
             start = self.made(f"getelementptr {t}, ptr {start}, {kind} {index}")
@@ -214,11 +218,11 @@ class Writer:
         return self.current(x)
 
     def kind(self, x: ir.Var) -> str:
-        """Return the type of a variable."""
+        """Return the LLVM type of a variable."""
         return llvm_type(x.dtype)
 
     def current(self, x: ir.Var) -> str:
-        """Return the present value of a variable."""
+        """Return the current value of a variable."""
         if x.id in self.places:
             return self.made(f"load {self.kind(x)}, ptr {self.place_of(x)}")
         if self.frame is not None and self.shares(x) and self.frame.cuts.home[x] != self.here:
@@ -277,7 +281,7 @@ class Writer:
                 raise TypeError(f"no such statement: {statement}")
 
     def load(self, dest: ir.Var, array: ir.Array, base: ir.Value | None, offset: int) -> None:
-        """Write dest = array[base + offset]."""
+        """Emit dest = array[base + offset]."""
         address = self.address(array, base, offset)
         if dest.dtype.kind == "b":
             byte = self.made(f"load i8, ptr {address}")
@@ -286,7 +290,7 @@ class Writer:
             self.made(f"load {llvm_type(dest.dtype)}, ptr {address}", f"%t{dest.id}")
 
     def store(self, array: ir.Array, base: ir.Value | None, offset: int, value: ir.Value) -> None:
-        """Write array[base + offset] = value."""
+        """Emit array[base + offset] = value."""
         text, address = self.value(value), self.address(array, base, offset)
         if array.dtype.kind == "b":
             text = self.made(f"zext i1 {text} to i8")
@@ -344,7 +348,7 @@ class Writer:
 
 
 def memory_type(dtype: np.dtype) -> str:
-    """Return the type of an entry in memory."""
+    """Return the LLVM type of an entry in memory."""
     return "i8" if dtype.kind == "b" else llvm_type(dtype)
 
 

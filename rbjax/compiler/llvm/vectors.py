@@ -1,8 +1,8 @@
-"""Writes the statements of a program as LLVM IR for several samples, one per lane of vectors.
+"""Prints the statements of a program as LLVM IR for several samples, one per lane of vectors.
 
-Values that are equal in every lane stay scalar (`analysis.divergence`). A local array that differs
-holds a vector per entry. If a condition differs, a block runs if some lane needs it, under a mask:
-variables from outside the block keep their values in the other lanes.
+Values that are equal in every lane stay scalar (`analysis.find_divergence`). A local array that
+differs between lanes has a vector per entry. If a condition differs, a block runs if some lane
+needs it, under a mask: variables from outside the block keep their values in the other lanes.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from rbjax.compiler.llvm.statements import (
 from rbjax.compiler.passes.analysis import find_divergence, region_of
 from rbjax.compiler.passes.cutting import Cuts, split_block
 
-Step = int | None  # entries from a lane's sample to the next; None if lanes lie anywhere
+Step = int | None  # entries from a lane's sample to the next; None if not constant
 
 
 def write_samples(
     program: Written, lanes: int, steps: Sequence[Step], tiles: Collection[int] = (),
     name: str = "samples",
 ) -> Function:  # fmt: skip
-    """Write the function of as many samples of a program as there are lanes.
+    """Print the function that runs one sample of a program in each lane.
 
     Args:
-        steps: for each operand and result, the entries between samples. With None, the function
-        takes a pointer to the pointers of the samples.
-        tiles: the operands and results that are tiles instead, with a vector per entry.
+        steps: for each operand and result, the entries between samples. If a step is None, the
+        argument is a pointer to an array of pointers to the samples.
+        tiles: numbers of the operands and results that are tiles, with one vector per entry.
     """
     apart = {
         array.id: step
@@ -49,10 +49,10 @@ def write_samples(
 
 
 class _Vectors(Writer):
-    """Writes statements for several samples.
+    """Emits the statements of a program for one sample per lane.
 
-    steps: the lane stride of each array that is not a tile.
-    mask: the active lanes; "" for all.
+    steps: distance between the samples of each array that is not a tile, in entries.
+    mask: the active lanes; "" if all are active.
     part: the current divergent region.
     """
 
@@ -66,7 +66,7 @@ class _Vectors(Writer):
         self.splats: list[dict[int, str]] = []
 
     def cuts(self, program: Written) -> Cuts | None:
-        return split_block(program.builder.block, branches=False)  # where all lanes run
+        return split_block(program.builder.block, branches=False)  # all lanes run these blocks
 
     def piece(self, number: int, statements: list) -> None:
         outside, self.splats = self.splats, []
@@ -77,7 +77,7 @@ class _Vectors(Writer):
         return super().bytes(x) * (self.lanes if self.found.of(x) else 1)
 
     def begin(self, program: Written) -> None:
-        # where lanes that do not run read and write
+        # memory that inactive lanes read and write
         self.entry.append("%nowhere = alloca i64")
         for array in (*program.operands, *program.results):
             step = self.steps.get(array.id, 0)
@@ -89,14 +89,14 @@ class _Vectors(Writer):
                 self.entry.append(f"{name} = {t}, {self.counts(step)}")
 
     def counts(self, step: int = 1) -> str:
-        """Return the indices 0, step, 2 step ... ."""
+        """Return the vector of indices 0, step, 2 step, ..."""
         return f"{self.many('i64')} <{', '.join(f'i64 {k * step}' for k in range(self.lanes))}>"
 
     def functions(self) -> list[str]:
         return [*super().functions(), *definitions(self.vectors)]
 
     def many(self, t: str) -> str:
-        """Return the vector of a type."""
+        """Return the type of a vector of entries of type t."""
         return f"<{self.lanes} x {t}>"
 
     # ---------------------------------------------------------------- values
@@ -107,7 +107,7 @@ class _Vectors(Writer):
         self.splats.pop()
 
     def vector(self, x: Value) -> str:
-        """Return a value in every lane."""
+        """Return a value as a vector."""
         if not isinstance(x, Var):
             return self.vectors.number(x)
         if self.found.of(x):
@@ -121,7 +121,7 @@ class _Vectors(Writer):
         return name
 
     def spread(self, t: str, x: str) -> str:
-        """Write a scalar into every lane."""
+        """Emit the broadcast of a scalar to every lane."""
         return splat(self.made, self.lanes, t, x)
 
     def kind(self, x: Var) -> str:
@@ -137,7 +137,7 @@ class _Vectors(Writer):
         return None
 
     def blended(self, t: str, new: str, old: str) -> str:
-        """Select the new value in the active lanes."""
+        """Emit the selection of the new value in active lanes, else of the old value."""
         return self.made(f"select {self.many('i1')} {self.mask}, {t} {new}, {t} {old}")
 
     def statement(self, statement: Statement) -> None:
@@ -190,11 +190,11 @@ class _Vectors(Writer):
         return None
 
     def side_by_side(self, array: Array) -> bool:
-        """Return whether an entry of all lanes is contiguous in memory."""
+        """Return whether the lanes' values of one entry are contiguous in memory."""
         return array.id not in self.steps or self.steps[array.id] == 1
 
     def entry_of(self, array: Array, base: Value | None, offset: int) -> tuple[str, int]:
-        """Write the address of an entry of all lanes, and return its alignment."""
+        """Emit the address of an entry's values in all lanes, and return it with its alignment."""
         t, size = memory_type(array.dtype), array.dtype.itemsize
         if array.id in self.steps:
             return self.address(array, base, offset), size
@@ -202,7 +202,7 @@ class _Vectors(Writer):
         return place, min(ALIGNMENT, size * self.lanes)
 
     def pointers_at(self, array: Array, base: Value | None, offset: int) -> str:
-        """Write the addresses of an entry in each lane."""
+        """Emit the vector of the addresses of an entry in each lane."""
         t, places = memory_type(array.dtype), self.many("ptr")
         whole = t
         if not self.found.of(array):
@@ -227,11 +227,11 @@ class _Vectors(Writer):
         return self.blended(self.many("ptr"), pointers, self.spread("ptr", "%nowhere"))
 
     def lanes_of(self, t: str, x: str) -> list[str]:
-        """Extract the entries of a vector."""
+        """Emit the extraction of the entries of a vector."""
         return [self.made(f"extractelement {self.many(t)} {x}, i64 {k}") for k in range(self.lanes)]
 
     def gathered(self, pointers: str, dtype: np.dtype) -> str:
-        """Load the entries at these addresses; return the text of the last instruction."""
+        """Emit loads from a vector of addresses. Return the text of the last instruction."""
         t = memory_type(dtype)
         text = "poison"
         for k, place in enumerate(self.lanes_of("ptr", pointers)):
@@ -243,19 +243,19 @@ class _Vectors(Writer):
     # ---------------------------------------------------------------- control
 
     def any_of(self, mask: str) -> str:
-        """Write whether a mask has an active lane."""
+        """Emit the condition that a mask has an active lane."""
         bits = self.made(f"bitcast {self.many('i1')} {mask} to i{self.lanes}")
         return self.made(f"icmp ne i{self.lanes} {bits}, 0")
 
     def within(self, condition: str) -> str:
-        """Restrict the active lanes to those in which a condition holds."""
+        """Restrict the active lanes to those in which a condition is true."""
         if not self.mask:
             return condition
         return self.made(f"and {self.many('i1')} {self.mask}, {condition}")
 
     @contextmanager
     def among(self, mask: str, block: Block, condition: Value) -> Iterator[None]:
-        """Write a block for some lanes, and the lines of the context in the same region."""
+        """Emit a block for the lanes of a mask. The `with` block is in the same region."""
         before = self.mask, self.part
         self.mask, self.part = mask, region_of(block, condition, self.part, self.found)
         self.block(block)

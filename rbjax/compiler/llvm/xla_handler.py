@@ -1,9 +1,9 @@
-"""Writes a program over a batch as a handler that XLA calls from a compiled program.
+"""Prints a program over a batch as a handler that XLA calls from a compiled program.
 
 The handler is a function of XLA's typed foreign function interface (`xla/ffi/api/c_api.h`). It
-reads the buffers from the call frame and computes the parts of the batch: one part on the calling
-thread, several on the threads of XLA's pool too. Each thread takes the next part until none is
-left; the caller then waits for the parts in progress.
+reads the buffers from the call frame and computes the parts of the batch. One part is computed on
+the calling thread; several are also computed on the threads of XLA's pool. Each thread computes the
+next part until all are started. Then the caller waits for the parts in progress.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from rbjax.compiler.ir.program import Written
 from rbjax.compiler.llvm.batch import write_parts
 from rbjax.compiler.llvm.jit import Module
 
-# members of the structs of c_api.h, in bytes
+# byte offsets of members of the structs of c_api.h
 EXTENSION, API, CONTEXT, STAGE, ARGS, RESULTS = 8, 16, 24, 32, 72, 112  # XLA_FFI_CallFrame
 EXTENSION_TYPE, EXTENSION_NEXT, METADATA = 8, 16, 24  # XLA_FFI_Metadata_Extension
-VERSION, TRAITS = 24, 32  # XLA_FFI_Metadata: the numbers of api_version
-#: the version of c_api.h with these members; XLA rejects handlers of versions that it dropped
+VERSION, TRAITS = 24, 32  # XLA_FFI_Metadata and its api_version
+#: the version of c_api.h with these members; XLA rejects handlers of versions it no longer supports
 MAJOR, MINOR = 0, 3
 DATA = 24  # XLA_FFI_Buffer
 ERROR, SCHEDULE, THREADS = 48, 136, 144  # XLA_FFI_Api
 METADATA_QUERY, EXECUTE, EXHAUSTED = 1, 3, 8  # values of its enumerations
 
-#: of the state that threads share: next part, parts done, failures, owners; then the buffers
+#: offsets in the state that threads share: next part, parts done, failures, owners, buffers
 NEXT, DONE, FAILED, OWNERS, BUFFERS = 0, 8, 16, 24, 32
 
 METADATA_ANSWER = f"""
@@ -195,7 +195,8 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 def write_handler(program: Written, samples: int | None = None) -> tuple[Module, int]:
     """Return the module of the handler `run`, and the number of parts of the batch.
 
-    Each summed result has one row a part. samples: the size of a part; None: by its work.
+    Each summed result has one row per part. samples: number of samples of a part; None to choose it
+    by the work of a sample.
     """
     made = write_parts(program, samples=samples)
     n = len(program.operands)

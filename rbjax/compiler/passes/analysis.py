@@ -1,8 +1,9 @@
 """Analyses of a program: operation counts, and values that differ between the lanes of a vector.
 
-A value that derives only from loop counters, constants and shared operands is the same in every
-lane, and stays a scalar. If a condition differs, the lanes diverge: a block runs for some of them.
-A variable that is declared outside of a divergent block and assigned in it becomes lane-dependent.
+A value that depends only on loop counters, constants and shared operands is the same in every
+lane, so it stays scalar. If a condition differs between lanes, the lanes diverge, and a block runs
+for some of them. A variable that is declared outside a divergent block and assigned inside it
+differs between lanes.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from rbjax.compiler.ir import statements as ir
 
 
 def count_operations(block: ir.Block, turns: int = 1) -> int:
-    """Count the operations that run: the longer branch, `turns` iterations of a `while`."""
+    """Count the executed operations: the longer branch, `turns` iterations of a `while` loop."""
     total = 0
     for s in block.statements:
         inner = [count_operations(x, turns) for x in s.children()]
@@ -25,7 +26,7 @@ def count_operations(block: ir.Block, turns: int = 1) -> int:
 
 
 def count_accesses(block: ir.Block) -> Counter[int]:
-    """Count the reads and writes of each array, with one iteration of a `while`."""
+    """Count the reads and writes of each array, by its id, with one iteration of a `while` loop."""
     total: Counter[int] = Counter()
     for s in block.statements:
         if isinstance(s, ir.Load | ir.Store):
@@ -43,7 +44,7 @@ def _iterations(s: ir.Statement, turns: int = 1) -> int:
 class Divergence:
     """The ids of variables and arrays that differ between lanes.
 
-    home: the divergent region that declares a variable or an array, by its id.
+    home: for each id, the divergent region in which the variable or array is declared.
     """
 
     different: set[int] = field(default_factory=set)
@@ -59,10 +60,10 @@ class Divergence:
 
 
 def find_divergence(block: ir.Block, different: Iterable[ir.Array]) -> Divergence:
-    """Find the values that differ between lanes if these arrays do."""
+    """Find the values that differ between lanes if the content of these arrays does."""
     found = Divergence({a.id for a in different})
     size = -1
-    while size != len(found.different):  # a loop's later turns may change its earlier ones
+    while size != len(found.different):  # a later iteration may change an earlier statement
         size = len(found.different)
         _visit(block, 0, found)
     return found

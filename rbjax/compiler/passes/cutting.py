@@ -1,7 +1,7 @@
-"""Splits long straight code into functions, because LLVM's compile time grows faster than length.
+"""Splits long straight-line code into functions, because LLVM's compile time is superlinear.
 
-Values that one function computes and another reads lie in a frame, to which all have a pointer. The
-bodies of long loops are not split: they would run slower and compile as long.
+Values that one function computes and another reads lie in a frame, to which all functions have a
+pointer. The bodies of long loops are not split, because they would run slower and compile as long.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from dataclasses import dataclass, field
 
 from rbjax.compiler.ir import statements as ir
 
-#: statements of a block from which on it is cut, and of a function
+#: the most statements of a block that is not split; the statements of a function
 CUT_ABOVE, EACH = 12_000, 1_500
 
 
 @dataclass
 class Cuts:
-    """The functions of a program: 0, which calls the others, and 1, 2, ...
+    """The functions into which a program is split: 0, which calls the others, and 1, 2, ...
 
     runs: for each block that is split, by its id, a list of (function, statements).
-    home: the function that computes a variable.
-    shared: the variables that other functions read too.
+    home: the function that computes each variable.
+    shared: variables that other functions also read.
     arrays: the local arrays.
     """
 
@@ -32,7 +32,7 @@ class Cuts:
 
 
 def split_block(block: ir.Block, branches: bool) -> Cuts | None:
-    """Split a block into functions; None if it is short.
+    """Split a block into functions. Return None if it is short.
 
     branches: whether to split the blocks of branches and of `while` loops too.
     """
@@ -40,7 +40,7 @@ def split_block(block: ir.Block, branches: bool) -> Cuts | None:
 
     def note(statement: ir.Statement, here: int) -> None:
         read = statement.reads()
-        if isinstance(statement, ir.Assign):  # the variable has been declared before
+        if isinstance(statement, ir.Assign):  # the variable was declared before
             read = (statement.var, *read)
         else:
             cuts.home.update((x, here) for x in statement.writes() if isinstance(x, ir.Var))
@@ -89,7 +89,7 @@ def split_block(block: ir.Block, branches: bool) -> Cuts | None:
 def _pieces(
     statements: list[ir.Statement], sizes: list[int]
 ) -> Iterator[tuple[bool, list[ir.Statement]]]:
-    """Yield pieces of about `EACH` statements, and longer statements, which are not moved."""
+    """Yield pieces of about `EACH` statements (True), and longer statements, not split (False)."""
     piece: list[ir.Statement] = []
     length = 0
     for statement, n in zip(statements, sizes, strict=True):
@@ -113,7 +113,7 @@ def _size(statement: ir.Statement) -> int:
 
 
 class Frame:
-    """The layout of a frame, in bytes. size_of: returns the bytes of a variable or an array."""
+    """The byte layout of a frame. size_of: maps a variable or an array to its size in bytes."""
 
     def __init__(self, cuts: Cuts, size_of: Callable[[ir.Name], int], alignment: int):
         self.cuts, self.bytes = cuts, 0

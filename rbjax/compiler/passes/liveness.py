@@ -36,7 +36,7 @@ def _needed(block: ir.Block) -> set[ir.Name]:
 
 
 def _keep(block: ir.Block, needed: set[ir.Name]) -> None:
-    """Remove the other statements of a block and its inner blocks."""
+    """Remove the statements of a block and its inner blocks that are not needed."""
     kept = []
     for statement in block.statements:
         for inner in () if statement.is_leaf else statement.children():
@@ -60,7 +60,7 @@ def _is_needed(statement: ir.Statement, needed: set[ir.Name]) -> bool:
 
 @dataclass
 class LiveRange:
-    """The live range of an array, by statement numbers."""
+    """The live range of an array, from its first to its last statement number."""
 
     first: int
     last: float
@@ -72,9 +72,9 @@ class LiveRange:
 def share_memory(block: ir.Block) -> None:
     """Give arrays with disjoint live ranges the same memory, declared at the start.
 
-    An array lives from its declaration to its last use; in a loop that uses but does not declare
-    it, to the end of the loop. Arrays of one type are placed largest first, in the first free place
-    (greedy interval colouring). An array that a team shares lives until the next barrier.
+    An array lives from its declaration to its last use. If a loop uses but does not declare it, the
+    array lives to the end of the loop. An array that a team shares lives until the next barrier.
+    Arrays of one dtype are placed largest first, in the first free place (interval coloring).
     """
     spans = _live_ranges(block)
     places: list[tuple[ir.Array, list[LiveRange]]] = []
@@ -96,11 +96,11 @@ def share_memory(block: ir.Block) -> None:
 def _live_ranges(block: ir.Block) -> dict[ir.Array, LiveRange]:
     """Return the live range of each local array of a block."""
     spans: dict[ir.Array, LiveRange] = {}
-    barriers: list[float] = []  # those that every run meets
+    barriers: list[float] = []  # barriers outside of branches
     count = unsure = 0
 
     def visit(block: ir.Block) -> set[ir.Array]:
-        """Number the statements, and return the arrays that are used in them."""
+        """Number the statements of a block, and return the arrays that they use."""
         nonlocal count, unsure
         used: set[ir.Array] = set()
         for statement in block.statements:
@@ -126,7 +126,7 @@ def _live_ranges(block: ir.Block) -> dict[ir.Array, LiveRange]:
         return {array for block in blocks for array in visit(block)}
 
     def turns(*blocks: ir.Block) -> set[ir.Array]:
-        """Number the statements of a loop; arrays from outside live until its end."""
+        """Number the statements of a loop. Arrays from outside the loop live until its end."""
         nonlocal count
         start = count
         used = {array for array in branches(*blocks) if spans[array].first <= start}
@@ -144,7 +144,7 @@ def _live_ranges(block: ir.Block) -> dict[ir.Array, LiveRange]:
 
 
 def _redirect(block: ir.Block, shared: dict[ir.Array, ir.Array]) -> None:
-    """Replace arrays by the arrays whose memory they share, and remove the declarations."""
+    """Replace arrays by the arrays whose memory they share, and remove all declarations."""
     for statement in ir.walk(block):
         if isinstance(statement, ir.Load | ir.Store):
             statement.array = shared.get(statement.array, statement.array)

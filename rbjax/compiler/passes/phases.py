@@ -1,9 +1,9 @@
-"""Places barriers between the statements of a team of threads.
+"""Inserts barriers between the statements of a team of threads.
 
 A barrier is needed before a statement that reads entries that other threads have written since the
-last one, or writes entries that they may still read. Before it is placed, later team loops that
-need no barrier are hoisted into the phase, after the statements that they depend on (list
-scheduling, Graham 1969).
+previous barrier, or writes entries that they may still read. A phase is the code between two
+barriers. Before a barrier is inserted, later team loops that need no barrier are moved into the
+phase, after the statements on which they depend (list scheduling, Graham 1969).
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from rbjax.compiler.ir import statements as ir
 
 
 def insert_barriers(block: ir.Block) -> ir.Block:
-    """The statements in an order with few barriers, with these."""
+    """Return a block with barriers, and with its statements in an order that needs few of them."""
     return _Phases(Pending()).ordered(block)
 
 
 @dataclass
 class Pending:
-    """Accesses since the last barrier.
+    """The accesses of arrays since the last barrier.
 
     read: arrays that were read.
-    uniform: entries that all threads wrote with equal values, by array.
-    spread: groups of the team loops that wrote an array.
+    uniform: for each array, the entries (base, offset) that all threads wrote with equal values.
+    spread: for each array, the groups of the team loops that wrote it.
     """
 
     read: set[ir.Array] = field(default_factory=set)
@@ -47,7 +47,7 @@ class Pending:
         self.spread.clear()
 
     def needs_no_barrier(self, s: ir.Statement) -> bool:
-        """Return whether a leaf statement or a team loop needs no barrier."""
+        """Return whether a leaf statement or a team loop needs no barrier before it."""
         match s:
             case ir.Load(array=array):
                 return array not in self.spread
@@ -68,7 +68,7 @@ class Pending:
         return array not in self.read and array not in self.uniform and not others
 
     def record(self, s: ir.Statement) -> None:
-        """Record the accesses of a statement."""
+        """Record the array accesses of a statement."""
         match s:
             case ir.Load(array=array) if _is_seen(array):
                 self.read.add(array)
@@ -82,7 +82,7 @@ class Pending:
 
 
 def _is_seen(array: ir.Array) -> bool:
-    """Return whether several threads access an array that changes."""
+    """Return whether several threads may access an array that changes."""
     return array.shared or array.space == "result"
 
 
@@ -94,7 +94,7 @@ def _touched(*blocks: ir.Block) -> tuple[set[ir.Array], set[ir.Array]]:
 
 
 class _Phases:
-    """Writes the statements of a block and its inner blocks, with barriers."""
+    """The ordering of the statements of a block and its inner blocks, with barriers."""
 
     def __init__(self, now: Pending):
         self.now = now
@@ -120,7 +120,7 @@ class _Phases:
     def _hoist(
         self, statements: list[ir.Statement], before: list[set[int]], left: dict[int, None], k: int
     ) -> None:
-        """Hoist a team loop, with its dependencies, if none of them needs a barrier."""
+        """Move a team loop and its dependencies into the phase, if none of them needs a barrier."""
         wanted, reached = {k}, [k]
         while reached:
             more = {j for j in before[reached.pop()] if j in left} - wanted
@@ -137,7 +137,7 @@ class _Phases:
             del left[j]
 
     def _waits(self, s: ir.Statement) -> bool:
-        """Return whether a barrier precedes a statement, or is in it."""
+        """Return whether a barrier is needed before a statement, or may be inside it."""
         return _has_phases(s) or not self.now.needs_no_barrier(s)
 
     def _write(self, s: ir.Statement) -> None:
@@ -166,7 +166,7 @@ class _Phases:
         self.out.append(s)
 
     def _turn(self, block: ir.Block, *others: ir.Block) -> ir.Block:
-        """Write the body of a loop, with a barrier first if an iteration changes arrays."""
+        """Order the body of a loop. It starts with a barrier if the loop accesses shared arrays."""
         if not any(_touched(block, *others)):
             return _Phases(self.now).ordered(block)
         self.now.clear()
@@ -186,7 +186,7 @@ def _has_phases(s: ir.Statement) -> bool:
 
 
 def _declared(statements: list[ir.Statement], own: set[ir.Array]) -> list[ir.Statement]:
-    """Declare each of a block's own arrays before its first use."""
+    """Insert the declaration of each of a block's own arrays before its first use."""
     out: list[ir.Statement] = []
     left = set(own)
     for s in statements:
@@ -199,7 +199,7 @@ def _declared(statements: list[ir.Statement], own: set[ir.Array]) -> list[ir.Sta
 
 
 def _uses(s: ir.Statement) -> tuple[set[ir.Name], set[ir.Name]]:
-    """Return the variables and arrays that a statement reads and writes, with its inner blocks."""
+    """Return the variables and arrays that a statement and its inner blocks read, and write."""
     reads: set[ir.Name] = set()
     writes: set[ir.Name] = set()
     for x in ir.walk(ir.Block([s])):
@@ -209,7 +209,7 @@ def _uses(s: ir.Statement) -> tuple[set[ir.Name], set[ir.Name]]:
 
 
 def _dependencies(statements: list[ir.Statement]) -> list[set[int]]:
-    """Return, for each statement, the earlier statements that it depends on."""
+    """Return, for each statement, the numbers of the earlier statements on which it depends."""
     out: list[set[int]] = []
     writers: dict[ir.Name, list[int]] = {}
     readers: dict[ir.Name, list[int]] = {}
@@ -221,7 +221,7 @@ def _dependencies(statements: list[ir.Statement]) -> list[set[int]]:
             before.update(writers.get(x, ()))
             readers.setdefault(x, []).append(k)
         for x in writes:
-            if isinstance(x, ir.Array) and x.write_once:  # each entry once
+            if isinstance(x, ir.Array) and x.write_once:  # each entry is written once
                 writers.setdefault(x, []).append(k)
                 continue
             before.update(writers.get(x, ()), readers.get(x, ()))

@@ -1,7 +1,7 @@
 """The footprint of a robot in the plane, and its clearance from obstacles.
 
 A footprint is a union of discs that covers the robot's outline. A disc is free if the distance of
-its centre from obstacles exceeds its radius: one lookup in a `DistanceField` for each disc.
+its centre from obstacles exceeds its radius, which is one lookup in a `DistanceField`.
 (Ziegler & Stiller, *Fast collision checking for intelligent vehicle motion planning*, IV 2010)
 """
 
@@ -24,9 +24,11 @@ from rbjax.rotations.arguments import takes
 
 
 class Footprint(Record):
-    """Discs in the robot's frame, x ahead and y to the left.
+    """Discs in the robot's frame that cover the robot; x is forward and y to the left.
 
-    Fields: centers (n, 2) m; radii (n,) m.
+    Fields:
+        centers: (n, 2), m.
+        radii: (n,), m.
 
     Example:
         >>> car = Footprint.rectangle(ahead=0.9, behind=0.3, width=0.6, discs=3)
@@ -48,7 +50,7 @@ class Footprint(Record):
 
     @property
     def reach(self) -> jax.Array:
-        """The largest distance () m of a covered point from the frame's origin."""
+        """The largest distance () of a covered point from the frame's origin, m."""
         square = (self.centers**2).sum(-1)
         off = square > 0  # a norm has no derivative at zero
         far = jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
@@ -62,9 +64,9 @@ class Footprint(Record):
 
     @classmethod
     def rectangle(cls, ahead: float, behind: float, width: float, discs: int = 4) -> Footprint:
-        """Cover a rectangle, -behind <= x <= ahead, |y| <= width / 2, in m, by a row of discs.
+        """Cover the rectangle -behind <= x <= ahead, |y| <= width / 2, in m, by a row of discs.
 
-        The discs reach sqrt((length / discs)^2 + width^2) / 2 - width / 2 beyond its sides.
+        The discs extend sqrt((length / discs)^2 + width^2) / 2 - width / 2 beyond its sides.
         """
         where = "Footprint.rectangle"
         ahead, behind = (real_number(where, *x) for x in (("ahead", ahead), ("behind", behind)))
@@ -78,9 +80,9 @@ class Footprint(Record):
 
     @classmethod
     def polygon(cls, vertices: Any, excess: float) -> Footprint:
-        """Cover a simple polygon, convex or not, by discs that reach at most `excess` m beyond it.
+        """Cover a simple polygon, convex or not, by discs that extend at most `excess` m beyond it.
 
-        vertices: (n, 2) m, in order. There are about 2 area / excess^2 discs.
+        vertices: (n, 2), in order, m. The number of discs is about 2 area / excess^2.
 
         Example:
             >>> wedge = Footprint.polygon([[0, 0], [1, 0], [0, 1]], excess=0.2)
@@ -106,13 +108,13 @@ class Footprint(Record):
 
 
 def _distances(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Distances (k,) of points (k, 2) from a polygon (n, 2); zero inside."""
+    """Compute the distances (k,) of points (k, 2) from a polygon (n, 2); zero inside."""
     a, b = corners, np.roll(corners, -1, 0)
     edge = b - a
     along = ((points[:, None] - a) * edge).sum(-1) / np.maximum((edge * edge).sum(-1), 1e-300)
     nearest = a + np.clip(along, 0, 1)[..., None] * edge
     distance = np.sqrt(((points[:, None] - nearest) ** 2).sum(-1)).min(1)
-    # a ray in x crosses the edges an odd number of times
+    # a point is inside if a ray from it along x crosses the edges an odd number of times
     x, y = points[:, :1], points[:, 1:]
     across = (a[:, 1] > y) != (b[:, 1] > y)
     level = np.where(across, edge[:, 1], 1.0)
@@ -121,7 +123,7 @@ def _distances(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def check_map(where: str, field: Any, footprint: Any) -> None:
-    """`InputError` unless these are a distance field and a footprint."""
+    """Raise `InputError` unless the arguments are a distance field and a footprint."""
     made = "rb.planning.DistanceField, of OccupancyGrid.distance_field()"
     instance(where, "field", field, DistanceField, made)
     shape = "rb.planning.Footprint, such as Footprint.rectangle(...)"
@@ -129,7 +131,7 @@ def check_map(where: str, field: Any, footprint: Any) -> None:
 
 
 def disc_centers(poses: jax.Array, footprint: Footprint) -> jax.Array:
-    """Centres of discs (..., n, 2) m in the world."""
+    """Compute the centres of discs (..., n, 2) in the world, m."""
     x, y, heading = (poses[..., k, None] for k in range(3))
     c, s = jnp.cos(heading), jnp.sin(heading)
     a, b = footprint.centers[:, 0], footprint.centers[:, 1]
@@ -138,9 +140,11 @@ def disc_centers(poses: jax.Array, footprint: Footprint) -> jax.Array:
 
 @takes(poses="planar_pose")
 def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.Array:
-    """Compute the distance of a footprint from obstacles, negative if they overlap; differentiable.
+    """Compute the signed distance of a footprint from obstacles, negative if they overlap.
 
         min over discs of  d(center) - radius
+
+    It is differentiable.
 
     Args:
         field: `OccupancyGrid.distance_field()`.
@@ -148,7 +152,7 @@ def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> j
         footprint: `Footprint`.
 
     Returns:
-        (...) m, by interpolation between cells: within resolution / sqrt(2) of the exact one.
+        (...) in m, by interpolation between cells: within resolution / sqrt(2) of the exact value.
 
     Raises:
         InputError: wrong types or shapes, poses that are not finite.
@@ -167,8 +171,8 @@ def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> j
 def clear(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.Array:
     """Test whether a footprint is certainly free of obstacles.
 
-    True only if every disc is free. It may be false if the exact clearance is less than
-    resolution * sqrt(2).
+    The result is true only if every disc is free. It may be false if the exact clearance is less
+    than resolution * sqrt(2).
 
     Args:
         field, poses, footprint: as for `clearance`.

@@ -1,15 +1,16 @@
-"""Maps of the plane: cells that are free or occupied, and exact distances from obstacles.
+"""Occupancy grids of the plane, and exact signed distances from obstacles.
 
-Cell (i, j) is the square of side h whose lower left corner is origin + h (i, j): x counts first.
+Cell (i, j) is the square of side h whose lower left corner is origin + h (i, j); i counts along x.
 The signed distance d is positive in free space, negative in obstacles, and zero on the edges of
 their cells. At the centres of cells it is exact:
 
     d = D(occupied) - D(free),   D(set)^2 = min over its cells of  a(i - i')^2 + a(j - j')^2
 
 with a(k) = h max(|k| - 1/2, 0), the distance of a centre from a square k cells away. The minimum
-is taken axis after axis (Felzenszwalb & Huttenlocher, Theory of Computing 8 (2012) 415).
+is computed one axis after the other (Felzenszwalb & Huttenlocher, Theory of Computing 8 (2012)
+415).
 
-Between centres. d has slope one, so the bilinear interpolation `at` is within h / sqrt(2) of it,
+Between centres: d has slope one, so the bilinear interpolation `at` is within h / sqrt(2) of it,
 on either side, and is differentiable. `below` is never more than d, and at least d - h sqrt(2), so
 tests with it are conservative.
 """
@@ -31,13 +32,13 @@ from rbjax.planning.maps.ros_map import read
 
 
 class DistanceField(Record):
-    """Signed distances from obstacles.
+    """Signed distances from the obstacles of a map.
 
     Fields:
-        values: (nx + 2, ny + 2) m, at the centres of a map's cells and of one ring of cells around
-            it, at most the map's diagonal.
-        resolution: () m.
-        origin: (2,) m, of the map.
+        values: (nx + 2, ny + 2), m, at the centres of the map's cells and of a ring of cells around
+            the map. They are limited to the map's diagonal.
+        resolution: (), the side of a cell, m.
+        origin: (2,), the corner of cell (0, 0) of the map, m.
     """
 
     values: jax.Array
@@ -45,9 +46,9 @@ class DistanceField(Record):
     origin: jax.Array
 
     def at(self, points: jax.Array) -> jax.Array:
-        """Interpolate the distance (...) m at points (..., 2) m.
+        """Interpolate the distance (...), m, at points (..., 2), m.
 
-        Beyond the map it falls with the distance from the ring.
+        Beyond the ring around the map, the distance from the ring is subtracted.
         """
         u, v, away = self._place(points)
         nx, ny = self.values.shape
@@ -59,7 +60,8 @@ class DistanceField(Record):
         return (1 - a) * low + a * high - away
 
     def below(self, points: jax.Array) -> jax.Array:
-        """A lower bound (...) m of the distance at points (..., 2) m, by the nearest centre."""
+        """Compute a lower bound (...) of the distance at points (..., 2), m, from the nearest
+        centre."""
         u, v, away = self._place(points)
         i, j = jnp.round(u), jnp.round(v)
         square = (u - i) ** 2 + (v - j) ** 2
@@ -68,7 +70,8 @@ class DistanceField(Record):
         return self.values[i.astype(int), j.astype(int)] - off - away
 
     def _place(self, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """The nearest place between the centres, in cells, and its distance in m."""
+        """Compute the nearest position within the grid of centres, in cells, and its distance in
+        m."""
         nx, ny = self.values.shape
         u, v = ((points[..., k] - self.origin[k]) / self.resolution + 0.5 for k in (0, 1))
         inside, also = jnp.clip(u, 0.0, nx - 1.0), jnp.clip(v, 0.0, ny - 1.0)
@@ -79,10 +82,12 @@ class DistanceField(Record):
 
 
 class OccupancyGrid(Record):
-    """A map of cells.
+    """A map of free and occupied cells.
 
-    Fields: occupied (nx, ny), bool; resolution () m, the side of a cell; origin (2,) m, the corner
-    of cell (0, 0).
+    Fields:
+        occupied: (nx, ny), bool.
+        resolution: (), the side of a cell, m.
+        origin: (2,), the corner of cell (0, 0), m.
 
     Example:
         >>> walls = np.zeros((40, 30), bool)
@@ -110,33 +115,35 @@ class OccupancyGrid(Record):
 
     @classmethod
     def from_ros(cls, file: Any, *, unknown: str = "occupied") -> OccupancyGrid:
-        """Read a map of ROS's map_server: a `map.yaml` and the image that it names.
+        """Read a map of ROS's map_server: a `map.yaml` and its image.
 
         Args:
-            file: path of the YAML file, with image, resolution, origin, negate, occupied_thresh
-                and free_thresh; mode trinary or scale.
-            unknown: "occupied" or "free": how cells between the thresholds are treated.
+            file: path of the YAML file, with image, resolution, origin, negate, occupied_thresh and
+                free_thresh. Mode is trinary or scale.
+            unknown: "occupied" or "free", the treatment of cells between the thresholds.
 
         Raises:
             InputError: a file that cannot be read, keys that are missing, numbers out of range, a
-                map with a yaw. UnknownName: another mode.
+                map with a yaw.
+            UnknownName: another mode.
         """
         return cls(*map(jnp.asarray, read(file, unknown)))
 
     def cell(self, points: jax.Array) -> jax.Array:
-        """Cells (..., 2) of points (..., 2) m; beyond the map, indices are out of its range."""
+        """Return the cells (..., 2) of points (..., 2), m. Indices beyond the map are out of
+        range."""
         return jnp.floor((points - self.origin) / self.resolution).astype(int)
 
     def center(self, cells: jax.Array) -> jax.Array:
-        """Centres (..., 2) m of cells (..., 2)."""
+        """Return the centres (..., 2), m, of cells (..., 2)."""
         return self.origin + self.resolution * (cells + 0.5)
 
     def distance_field(self, closed: bool = True) -> DistanceField:
         """Compute the exact signed distances. closed: whether cells beyond the map count as
         occupied.
 
-        A pure function of `occupied`, for `jit` and `vmap`. It takes nx^2 ny operations. A map of
-        known values keeps the result, so that several searches on it compute the field once.
+        It requires nx^2 ny operations, and may be used in `jit` and `vmap`. For a map of known
+        values the result is cached.
         """
         if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(self)):
             return _distance_field(self, closed=closed)
@@ -147,7 +154,7 @@ class OccupancyGrid(Record):
 
     @functools.cached_property
     def _fields(self) -> dict[bool, DistanceField]:
-        """The distance fields of a known map, by `closed`."""
+        """Cache of the distance fields: `closed` -> field."""
         return {}
 
 
@@ -176,7 +183,8 @@ _distance_field = compiled(_field, static_argnames=("closed",))
 
 
 def _distance(cells: jax.Array, dtype: Any) -> jax.Array:
-    """The distance D of a set of cells, in cells, at all centres; infinite for an empty set."""
+    """Compute the distance D of a set of cells, in cells, at all centres; infinite for an empty
+    set."""
     nx, ny = cells.shape
     j = jnp.arange(ny)
     before = jax.lax.cummax(jnp.where(cells, j, -jnp.inf).astype(dtype), axis=1)
@@ -188,5 +196,5 @@ def _distance(cells: jax.Array, dtype: Any) -> jax.Array:
 
 
 def _gap(k: jax.Array) -> jax.Array:
-    """The distance of a centre from a square k cells away."""
+    """Compute the distance of a centre from a square k cells away, in cells."""
     return jnp.maximum(k - 0.5, 0.0)

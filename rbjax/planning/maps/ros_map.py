@@ -23,7 +23,8 @@ UNKNOWN = ("occupied", "free")
 
 
 def read(file: Any, unknown: str) -> tuple[np.ndarray, float, tuple[float, float]]:
-    """The occupied cells (nx, ny), the resolution in m, and the origin (2,) m of a map."""
+    """Read a map. Return the occupied cells (nx, ny), the resolution in m, and the origin (2,) in
+    m."""
     where = f"OccupancyGrid.from_ros({str(file)!r})"
     if unknown not in UNKNOWN:
         raise UnknownName("unknown=", unknown, UNKNOWN)
@@ -62,7 +63,7 @@ def read(file: Any, unknown: str) -> tuple[np.ndarray, float, tuple[float, float
 
 
 def fields(text: str) -> dict[str, Any]:
-    """The keys of a flat YAML file: scalars as text, lists in either style."""
+    """Parse a flat YAML file: scalars as text, lists in either style."""
     out: dict[str, Any] = {}
     key = None
     for line in text.splitlines():
@@ -108,7 +109,7 @@ def _flag(where: str, text: Any) -> bool:
 
 
 def _image(where: str, path: Path) -> np.ndarray:
-    """Pixels between 0 and 1, the mean over channels."""
+    """Read an image as pixels between 0 and 1, the mean over channels."""
     try:
         with Image.open(path) as opened:
             image = opened.convert("L") if opened.mode in ("1", "P") else opened

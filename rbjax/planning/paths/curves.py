@@ -1,11 +1,11 @@
-"""Shortest paths of a car whose turning radius is bounded, in the plane without obstacles.
+"""Shortest paths of a car with a smallest turning radius, in the plane without obstacles.
 
     x' = u cos(theta),  y' = u sin(theta),  theta' = u k,     |k| <= 1 / radius
 
-forwards only (u = 1, Dubins) or in both directions (|u| = 1, Reeds and Shepp). The shortest path
-has at most three or five segments: arcs of the smallest radius, and straights. Its length is a
-lower bound of the length of all paths among obstacles: a heuristic for planners, and for a
-Reeds-Shepp car a metric of SE(2).
+The car drives only forwards (u = 1, Dubins) or in both directions (|u| = 1, Reeds and Shepp). The
+shortest path has at most three or five segments: arcs of the smallest radius, and straight
+segments. Its length is a lower bound for all paths among obstacles, so it is an admissible
+heuristic for planners. For a Reeds-Shepp car it is a metric of SE(2).
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from rbjax.rotations.arguments import takes
 
 @takes(positive=["radius"], start="planar_pose", goal="planar_pose", radius="scalar")
 def dubins(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
-    """The shortest path of a car that only drives forwards: the best of six words.
+    """Compute the shortest path of a car that only drives forwards: the best of six words.
 
         LSL, LSR, RSL, RSR, RLR, LRL
 
     Args:
         start, goal: poses (..., 3): x and y in m, the heading in rad.
-        radius: the smallest turning radius (...) in m.
+        radius: the smallest turning radius (...), m.
 
     Returns:
-        `Path` of five steps, of which some may be zero. Its length jumps where the best word
-        changes, by up to 2 pi radius. Its derivatives are those of the best word.
+        `Path` of five steps, some of which may be zero. Its length is discontinuous where the best
+        word changes, by up to 2 pi radius. Its derivatives are the derivatives of the best word.
 
     Raises:
         InputError: wrong shapes, values that are not finite, a radius that is not above zero.
@@ -49,18 +49,18 @@ def dubins(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
 
 @takes(positive=["radius"], start="planar_pose", goal="planar_pose", radius="scalar")
 def reeds_shepp(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
-    """The shortest path of a car that drives in both directions: the best of 48 words.
+    """Compute the shortest path of a car that drives in both directions: the best of 48 words.
 
         C|C|C, C|CC, CC|C, CSC, CCu|CuC, C|CuCu|C, C|CSC, CSC|C, C|CSC|C      (| is a cusp)
 
     Args:
         start, goal: poses (..., 3): x and y in m, the heading in rad.
-        radius: the smallest turning radius (...) in m.
+        radius: the smallest turning radius (...), m.
 
     Returns:
-        `Path` of five steps, of which some may be zero. Its length is a continuous distance between
-        poses. Its derivatives are those of the best word; among equally short ones (turning about,
-        C|C|C in every order) the first of the table, with the fewest segments.
+        `Path` of five steps, some of which may be zero. Its length is a continuous distance between
+        poses. Its derivatives are the derivatives of the best word. Of equally short words (for a
+        half turn, C|C|C in every order) it is the first of the table, with the fewest segments.
 
     Raises:
         InputError: wrong shapes, values that are not finite, a radius that is not above zero.
@@ -76,14 +76,14 @@ def reeds_shepp(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
 
 
 def shortest(table: Any, wrap: Any, start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
-    """The shortest path of a table of `words`, for use in traced code."""
+    """Compute the shortest path among the words of a table. It is for use in traced code."""
     dx, dy = (goal[..., i] - start[..., i] for i in (0, 1))
     heading, phi = start[..., 2], goal[..., 2] - start[..., 2]
     c, s = jnp.cos(heading), jnp.sin(heading)
     x, y = (c * dx + s * dy) / radius, (c * dy - s * dx) / radius
     lengths, turns, exists = words.candidates(table, wrap, x, y, jnp.broadcast_to(phi, x.shape))
     total = jnp.where(exists, jnp.abs(lengths).sum(-1), jnp.inf)
-    # several words may be equally short; the first of the table has the fewest segments
+    # of several equally short words, the first one of the table has the fewest segments
     tie = 1 + words.SLACK * jnp.finfo(total.dtype).eps
     best = jnp.argmax(total <= tie * total.min(-1, keepdims=True), -1)[..., None]
     parts = jnp.take_along_axis(lengths, best[..., None], -2)[..., 0, :]

@@ -1,13 +1,13 @@
 """Paths in the plane as chains of twists, and the plans of searches.
 
-A step xi = (a, b, phi) is a constant twist of the robot's frame over one unit of time: a ahead and
-b to the left, in m, while the heading turns by phi. From pose to pose, exactly,
+A step xi = (a, b, phi) is a constant twist of the robot's frame over one unit of time. a is the
+motion forwards and b to the left, in m, while the heading turns by phi. From pose to pose, exactly,
 
     (x, y) += R(theta + phi / 2) (a, b) sinc(phi / 2),   theta += phi
 
 A car's arc has b = 0, the length |a| and the curvature phi / a. Turning on the spot has a = b = 0.
-Sliding sideways has b != 0. A step of zeros does nothing, so paths of several lengths are one
-batch.
+Sliding sideways has b != 0. A step of zeros has no effect, so paths of several lengths can be
+padded to one batch.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.maps.footprint import Footprint, check_map, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
 
-#: the largest number of parts of a step that `clear_along` takes
+#: the largest number of parts of a step that `clear_along` accepts
 MOST_PARTS = 1_000_000
 
 
 def displacements(heading: Any, steps: Any, xp: Any = jnp) -> tuple[Any, Any]:
-    """Displacements (...) m in the world by steps (..., 3) from headings (...)."""
+    """Compute the displacements (...), m, in the world by steps (..., 3) from headings (...)."""
     a, b, phi = (steps[..., i] for i in range(3))
     c, s = xp.cos(heading + phi / 2), xp.sin(heading + phi / 2)
     chord = xp.sinc(phi / (2 * math.pi))
@@ -40,7 +40,7 @@ def displacements(heading: Any, steps: Any, xp: Any = jnp) -> tuple[Any, Any]:
 
 
 def chain(start: Any, steps: Any, xp: Any = jnp) -> Any:
-    """Poses (..., n + 1, 3) before and after each of the steps (..., n, 3) from a pose (..., 3)."""
+    """Integrate steps (..., n, 3) from a pose (..., 3). Return the poses (..., n + 1, 3)."""
     turned = xp.cumsum(steps[..., 2], -1)
     turned = xp.concatenate([xp.zeros_like(start[..., 2:]), turned], -1)
     headings = start[..., 2:] + turned
@@ -54,10 +54,11 @@ MOST_STEPS = 1e7
 
 
 class Path(Record):
-    """A chain of twists; leading axes are a batch.
+    """A path as a chain of twists. Leading axes are a batch.
 
-    Fields: start (..., 3), the pose (x, y, heading) in m and rad; steps (..., n, 3): m ahead, m to
-    the left, rad to the left.
+    Fields:
+        start: (..., 3), the initial pose: x and y in m, the heading in rad.
+        steps: (..., n, 3), m forwards, m to the left, rad to the left.
 
     Example:
         >>> quarter = Path([0.0, 0.0, 0.0], [[np.pi / 2, 0.0, np.pi / 2], [-1.0, 0.0, 0.0]])
@@ -88,13 +89,13 @@ class Path(Record):
 
     @property
     def end(self) -> jax.Array:
-        """The pose (..., 3) at the end. Its heading is not reduced to one turn."""
+        """The last pose (..., 3). Its heading is not wrapped."""
         return self.poses[..., -1, :]
 
     def pose_at(self, s: Any) -> jax.Array:
-        """The pose (..., 3) after a length s (...) m of the path, integrated exactly.
+        """Compute the pose (..., 3) after a length s (...) m of the path, by exact integration.
 
-        Before the start it is the start, beyond the end the end.
+        s is clipped to the length of the path.
         """
         length = self.lengths
         left = jnp.asarray(s, length.dtype)[..., None] - (jnp.cumsum(length, -1) - length)
@@ -105,7 +106,8 @@ class Path(Record):
         return chain(start, steps)[..., -1, :]
 
     def sample_poses(self, n: int) -> jax.Array:
-        """n poses (..., n, 3) at equal lengths from the start to the end."""
+        """Compute n poses (..., n, 3) at equal distances along the path, from the start to the
+        end."""
         integer("Path.sample_poses", "n", n, least=2)
         wide = Path(self.start[..., None, :], self.steps[..., None, :, :])
         share = jnp.linspace(0.0, 1.0, n, dtype=self.steps.dtype)
@@ -113,10 +115,10 @@ class Path(Record):
 
     @property
     def word(self) -> str:
-        """Kinds and directions of the steps of one path, as in "L+R-S-L-": left, straight, right;
-        ahead, backwards.
+        """Kinds and directions of the steps of one path, such as "L+R-S-L-".
 
-        Steps shorter than rounding are left out.
+        L, S and R are left, straight and right; + and - are forwards and backwards. Steps within
+        rounding of zero are omitted.
         """
         if self.start.ndim != 1:
             raise InputError(
@@ -131,24 +133,24 @@ class Path(Record):
 
     @property
     def lengths(self) -> jax.Array:
-        """Lengths (..., n) m of the way of the frame's origin in each step."""
+        """Path lengths (..., n), m, of the frame's origin in each step."""
         square = self.steps[..., 0] ** 2 + self.steps[..., 1] ** 2
         return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
     @property
     def length(self) -> jax.Array:
-        """The length (...) m from the start to the end."""
+        """The total length (...), m."""
         return self.lengths.sum(-1)
 
     @property
     def gears(self) -> jax.Array:
-        """Signs (..., n) of the speed ahead."""
+        """Signs (..., n) of the forward speed."""
         return jnp.sign(self.steps[..., 0])
 
     @property
     def curvatures(self) -> jax.Array:
-        """Curvatures (..., n) 1/m, positive to the left when driven ahead, infinite for turns on
-        the spot."""
+        """Curvatures (..., n), 1/m, positive to the left when driven forwards; infinite for turns
+        on the spot."""
         length, turn = self.lengths, self.steps[..., 2]
         signed = jnp.where(self.steps[..., 0] < 0, -length, length)
         still = length == 0
@@ -166,9 +168,9 @@ class Path(Record):
         return (last[..., 1:] * last[..., :-1] < 0).sum(-1)
 
     def split(self, spacing: float) -> Path:
-        """The same path in steps of at most `spacing` m or rad; one path, outside of traced code.
+        """Divide one path into steps of at most `spacing` m or rad. It requires known values.
 
-        Equal steps in a row are joined first.
+        Neighbouring steps with proportional twists are joined first.
         """
         real_number("Path.split", "spacing", spacing, "a number above zero", above=0.0, traced=True)
         if self.start.ndim != 1:
@@ -191,7 +193,7 @@ def _rounding(steps: Any) -> float:
 
 
 def _joined(steps: np.ndarray) -> np.ndarray:
-    """Join neighbours with proportional twists, and drop steps of zeros."""
+    """Join neighbouring steps with proportional twists, and drop steps of zeros."""
     same = _rounding(steps)
     out: list[np.ndarray] = []
     for step in steps.astype(float)[np.abs(steps).max(1, initial=0.0) > 0]:
@@ -207,8 +209,8 @@ def _joined(steps: np.ndarray) -> np.ndarray:
 def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: int) -> jax.Array:
     """Test whether a footprint is certainly free of obstacles all along a path.
 
-    Each step is tested at the middles of equal parts. A disc is enlarged by half of its way in a
-    part, so the moments between are covered too.
+    Each step is tested at the middles of equal parts. Each disc is enlarged by half of its path
+    length in a part, so the motion between the tested poses is covered too.
 
     Args:
         field: `OccupancyGrid.distance_field()`.
@@ -252,11 +254,11 @@ class Plan:
     Fields:
         status: "found", "no path", "start in collision", "goal in collision" or "count exhausted".
         cost: in the unit of the controls, or None.
-        poses: (n + 1, 3), from the start to the goal or its set, one after each control.
-        controls: (n,), the numbers of the controls, -1 on a connection that is not made of them.
+        poses: (n + 1, 3), the start, and the pose after each control.
+        controls: (n,), indices of the controls; -1 for steps of a direct connection.
         expanded: the number of visited cells.
         path: the exact motion, or None.
-        refinement: of the path by `plan`: "none", "smoothed", or "as it was" if that failed.
+        refinement: by `plan`: "none", "smoothed", or "as it was" if smoothing failed.
     """
 
     status: str

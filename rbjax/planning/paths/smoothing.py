@@ -1,18 +1,18 @@
-"""Smoothing of a path by gradients: shorter, less bent, further from obstacles.
+"""Gradient-based smoothing of a path: shorter, with less curvature, further from obstacles.
 
-The unknowns are the lengths l_i and the curvatures k_i of the arcs; r is the turning radius, m the
-margin, d_ij the clearance of disc j after arc i:
+The unknowns are the lengths l_i and the curvatures k_i of the arcs. r is the turning radius, m the
+margin, and d_ij the clearance of disc j after arc i:
 
     min   1/2 sum l_i^2 / (r e_i)  +  1/2 sum (k_i+1 - k_i)^2 r^3 w / e_i
           +  1/2 sum max(1 - d_ij / m, 0)^2 c e_i / r
     with  the end at the goal,   |k_i| <= 1 / r,   e_i / 4 <= |l_i| <= 4 e_i
 
-e_i is the initial length of an arc. Differences of curvature count within a gear only; a standing
-car steers at no price. Gears do not change, nor do steps that are not arcs (turning on the spot,
-sliding). Poses are integrated exactly from the start, so each iterate is a path that a robot can
-drive.
+e_i is the initial length of an arc. Differences of curvature count only within a gear, since a
+standing car can steer at no cost. Gears do not change, nor do steps that are not arcs (turning on
+the spot, sliding). Poses are integrated exactly from the start, so each iterate is a path that a
+robot can drive.
 
-Gauss-Newton steps with a Levenberg-Marquardt damping and the linearised end as an equality.
+The method is Gauss-Newton with Levenberg-Marquardt damping and the linearised end as an equality.
 Variables at active bounds are fixed in a step. Then Newton's method restores the end. A step is
 accepted only if the cost falls, the end is met, the bounds hold, and the whole path is clear of
 obstacles. So every iterate is feasible, and the worst result is the initial path.
@@ -39,14 +39,16 @@ from rbjax.planning.paths.path import Path, chain, clear_along
 
 BENDING, CLEARANCE = 0.2, 10.0  # w and c
 RESTORING = 3  # Newton steps to the goal
-FACTOR = 4.0  # of a length, at most
+FACTOR = 4.0  # the largest change of a length
 
 
 class Smoothed(Record):
-    """A smoothed path; leading axes are a batch.
+    """A smoothed path. Leading axes are a batch.
 
-    Fields: path; steps_taken (...), the number of accepted steps, 0 if the path is unchanged; cost
-    (..., 2), before and after.
+    Fields:
+        path: the `Path`.
+        steps_taken: (...), the number of accepted steps; 0 if the path is unchanged.
+        cost: (..., 2), the cost before and after.
     """
 
     path: Path
@@ -55,13 +57,20 @@ class Smoothed(Record):
 
     @property
     def status(self) -> str:
-        """Of one path: "smoothed", or "as it was" if no step was accepted."""
+        """Status of one path: "smoothed", or "as it was" if no step was accepted."""
         return "smoothed" if int(self.steps_taken) else "as it was"
 
 
 class _Problem(NamedTuple):
-    """Fields: path; field; footprint; radius; margin; arcs (n,), which steps are; unit (n,) m,
-    their lengths; same (n - 1,), whether two neighbours are arcs in one gear; goal (3,)."""
+    """The smoothing problem of one path.
+
+    path: the initial path. field: the distance field. footprint: of the robot.
+    radius: the smallest turning radius, m. margin: the desired clearance, m.
+    arcs: (n,), whether a step is an arc.
+    unit: (n,), initial lengths of the arcs, m.
+    same: (n - 1,), whether two neighbouring steps are arcs in one gear.
+    goal: (3,), the end of the initial path.
+    """
 
     path: Path
     field: DistanceField
@@ -74,13 +83,17 @@ class _Problem(NamedTuple):
     goal: jax.Array
 
     def steps(self, z: jax.Array) -> jax.Array:
-        """z (2, n): lengths in units of the first ones, curvatures in units of 1 / radius."""
+        """Compute the steps (n, 3) of an iterate.
+
+        z: (2, n), lengths in units of the initial ones, and curvatures in units of 1 / radius.
+        """
         length = jnp.where(self.path.steps[:, 0] < 0, -1.0, 1.0) * z[0] * self.unit
         arcs = jnp.stack([length, jnp.zeros_like(length), z[1] / self.radius * length], -1)
         return jnp.where(self.arcs[:, None], arcs, self.path.steps)
 
     def residuals(self, z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """All terms whose squares are the cost, and the end's deviation (3,) in m."""
+        """Compute the residuals whose half sum of squares is the cost, and the end's deviation
+        (3,), m."""
         poses = chain(self.path.start, self.steps(z))
         share = jnp.sqrt(self.unit / self.radius)  # zero for padding
         jump = jnp.where(self.same, z[1, 1:] - z[1, :-1], 0.0)
@@ -106,7 +119,7 @@ class _Problem(NamedTuple):
 
 
 def _step(p: _Problem, z: jax.Array, damping: jax.Array) -> jax.Array:
-    """The iterate after a damped step with the linearised end, within the limits."""
+    """Compute the next iterate: a damped step with the linearised end, clipped to the bounds."""
     (r, off), (J, A) = p.residuals(z), jax.jacfwd(p.residuals)(z)
     J, A = J.reshape(len(r), -1), A.reshape(3, -1)
     low, high = (x.ravel() for x in p.limits(z))
@@ -125,7 +138,8 @@ def _step(p: _Problem, z: jax.Array, damping: jax.Array) -> jax.Array:
 
 
 def _restored(p: _Problem, z: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """The nearest z whose path ends at the goal, by changes of variables within their limits."""
+    """Project an iterate on the paths that end at the goal, with variables kept within their
+    bounds."""
 
     def end(x):
         return p.residuals(x.reshape(z.shape))[1]
@@ -187,23 +201,24 @@ def smooth(
     iterations: int = 30,
     parts: int = 4,
 ) -> Smoothed:
-    """Smooth a path: the same ends and gears, but shorter, less bent, further from obstacles.
+    """Smooth a path with fixed ends and gears: shorter, with less curvature, further from
+    obstacles.
 
-    Use it after a search; `plan` does so for a car.
+    Use it after a search. `plan` calls it for a car.
 
     Args:
-        path: one `Path` in steps that are short compared with obstacles, by `Path.split`. The
+        path: one `Path` in steps that are short compared with obstacles, as from `Path.split`. The
             number of steps does not change. Use `jax.vmap` for many.
         field: `OccupancyGrid.distance_field()`.
         footprint: `Footprint`.
-        radius: the smallest turning radius () in m.
-        margin: the desired clearance () m; None for four cells.
+        radius: the smallest turning radius (), m.
+        margin: the desired clearance (), m; None for four cells.
         iterations: the number of steps to try.
-        parts: the parts of each step of the path in the test for obstacles.
+        parts: the number of parts of each step of the path in the collision test.
 
     Returns:
-        `Smoothed`. Its path is certainly clear and its curvature at most 1 / radius, or it is the
-        given path.
+        `Smoothed`. Its path is clear of obstacles with a curvature of at most 1 / radius, or it is
+        the given path.
 
     Raises:
         InputError: wrong types, a batch, a radius or margin that is not above zero.

@@ -1,13 +1,13 @@
-"""The formulas of Dubins and of Reeds and Shepp: arcs and straights that end at a given pose.
+"""The formulas of Dubins and of Reeds and Shepp: arcs and straight segments to a given pose.
 
-A word is a sequence of arcs to the left (L) and to the right (R) and of straights (S). Unit radius;
-the start is at the origin, with heading zero; the goal is (x, y, phi). A length is signed: negative
-is driven backwards. A left arc of length t turns the heading by t, a right one by -t.
+A word is a sequence of arcs to the left (L) and to the right (R) and of straight segments (S). The
+radius is 1, the start is at the origin with heading zero, and the goal is (x, y, phi). A length is
+signed; negative means backwards. A left arc of length t turns the heading by t, a right one by -t.
 
-The endpoint is an analytic function of the lengths, and 2 pi-periodic in those of arcs. So each
-formula below solves its equation for any sign of its lengths, and full turns may be subtracted. A
-Dubins car drives arcs in [0, 2 pi), a Reeds-Shepp car in [-pi, pi]. Therefore a candidate is only
-rejected if a root or an arc cosine does not exist, and its length is the sum of absolute values.
+The endpoint is an analytic function of the lengths, and 2 pi-periodic in the lengths of arcs. So
+each formula below solves its equation for any sign of its lengths, and full turns may be
+subtracted. A Dubins car drives arcs in [0, 2 pi), a Reeds-Shepp car in [-pi, pi]. A candidate is
+rejected only if a root or an arc cosine does not exist. Its length is the sum of absolute values.
 All candidates are admissible paths, and the shortest path is one of them.
 
 A formula gives four words by two symmetries of the car's equations, and four more in reverse order
@@ -31,14 +31,16 @@ import jax
 import jax.numpy as jnp
 
 QUARTER = math.pi / 2
-#: a root or an arc cosine exists up to so many units in the last place beyond its range
+#: tolerance beyond the range of a root or an arc cosine, in units of the last place
 SLACK = 64.0
 
 
 class Word(NamedTuple):
-    """A sequence of kinds, the formula of its lengths, and whether the reverse order is another.
+    """A sequence of segment kinds, and the formula of its lengths.
 
+    kinds: letters L, S and R.
     formula: (x, y, phi) -> the signed lengths, and whether they exist.
+    reversible: whether the reverse order is another word.
     """
 
     kinds: str
@@ -47,7 +49,7 @@ class Word(NamedTuple):
 
 
 def _polar(x, y):
-    """r and theta of a point, with derivatives of zero at the origin."""
+    """Compute r and theta of a point, with derivatives of zero at the origin."""
     square = x * x + y * y
     origin = square == 0
     r = jnp.where(origin, 0.0, jnp.sqrt(jnp.where(origin, 1.0, square)))
@@ -55,14 +57,15 @@ def _polar(x, y):
 
 
 def _root(square):
-    """The root of a number, and whether it exists. At zero its derivative is zero."""
+    """Compute a square root, and whether it exists. At zero its derivative is zero."""
     inside = square > 0
     root = jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
     return root, square >= -SLACK * jnp.finfo(square.dtype).eps
 
 
 def _arccos(c):
-    """The arc cosine, and whether it exists. At the ends of its range its derivative is zero."""
+    """Compute an arc cosine, and whether it exists. At the ends of its range its derivative is
+    zero."""
     inside = jnp.abs(c) < 1
     end = jnp.where(c < 0, math.pi, 0.0)
     angle = jnp.where(inside, jnp.arccos(jnp.where(inside, c, 0.0)), end)
@@ -70,12 +73,14 @@ def _arccos(c):
 
 
 def _same_side(x, y, phi):
-    """The centre of the goal's left circle, from that of the start's."""
+    """Compute the centre of the goal's left circle, relative to the centre of the start's left
+    circle."""
     return x - jnp.sin(phi), y - 1 + jnp.cos(phi)
 
 
 def _other_side(x, y, phi):
-    """The centre of the goal's right circle, from that of the start's left one."""
+    """Compute the centre of the goal's right circle, relative to the centre of the start's left
+    circle."""
     return x + jnp.sin(phi), y - 1 - jnp.cos(phi)
 
 
@@ -100,7 +105,7 @@ def _lrl(x, y, phi):  # 8.3 and 8.4
 
 
 def _ends(u, v, xi, eta, phi):
-    """The outer arcs of four, whose inner ones are u and v."""
+    """Compute the lengths of the outer arcs of four arcs whose inner ones are u and v."""
     delta = u - v
     a, b = jnp.sin(u) - jnp.sin(delta), jnp.cos(u) - jnp.cos(delta) - 1
     _, t = _polar(xi * a + eta * b, eta * a - xi * b)
@@ -162,24 +167,25 @@ TURN = {"L": 1, "S": 0, "R": -1}
 
 
 def forwards(angle):
-    """An angle in [0, 2 pi); an angle that is a full turn up to rounding gives zero."""
+    """Wrap an angle to [0, 2 pi). An angle that is a full turn up to rounding gives zero."""
     full = 2 * math.pi
     angle = angle - full * jnp.floor(angle / full)
     return jnp.where(angle > full - SLACK * jnp.finfo(angle.dtype).eps, 0.0, angle)
 
 
 def either_way(angle, xp=jnp):
-    """An angle in [-pi, pi]."""
+    """Wrap an angle to [-pi, pi]."""
     return angle - 2 * math.pi * xp.round(angle / (2 * math.pi))
 
 
 def candidates(
     words: tuple[Word, ...], wrap: Callable, x: jax.Array, y: jax.Array, phi: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """All paths to a goal (x, y, phi) (...), for unit radius.
+    """Compute all candidate paths to a goal (x, y, phi) (...), for unit radius.
 
-    words: of one of the tables above. wrap: `forwards`, without the symmetry of driving backwards,
-    or `either_way`, with it.
+    Args:
+        words: `DUBINS` or `REEDS_SHEPP`.
+        wrap: `forwards` for forward driving only, or `either_way` for both directions.
 
     Returns:
         lengths (..., n, 5), signed, 0 beyond the end of a word; turns (n, 5), 1 left, 0 straight,
@@ -204,7 +210,7 @@ def candidates(
     return jnp.concatenate(lengths, -2), jnp.concatenate(turns), jnp.concatenate(exists, -1)
 
 
-#: whether backwards too -> signs of the direction, signs of the side
+#: whether the car also drives backwards -> signs of the direction, signs of the side
 SYMMETRIES = {
     False: ((1, 1), (1, -1)),
     True: ((1, -1, 1, -1), (1, 1, -1, -1)),

@@ -1,23 +1,24 @@
-"""A*: nodes of least f first, many at once, on the way to a goal set or exactly to a pose.
+"""A* search by waves: many nodes of least f are expanded at once.
 
     OPEN <- {root};  f(node) = g(node) + weight * h(node)
     while a node of OPEN has f less than the price of the best path:
-        for the nodes of least f: connect them with the target, if that is possible: a path. Then,
-            for each control: integrate it for dt; if the motion is free, and the cell of its end
-            has no node of no greater g, put its end into OPEN
+        for the nodes of least f: connect them with the target, if possible, which gives a path.
+            Then for each control: integrate it for dt. If the motion is free, and the cell of its
+            end has no node with g as low, put its end into OPEN
 
-g is the price of the way to a node, as `Controls` counts it. h is the greater of two lower bounds
-of the price to the target: that of the connection without obstacles (`connections`), and that of
-the way of a point around obstacles (`holonomic`). So the price found is at most `weight` times the
-least one among the paths of nodes that are kept. A cell keeps one node at a time. A cheaper node
-takes its place, and is expanded again, so nodes can be expanded in any order, many at once.
+g is the price of the path to a node, as `Controls` counts it. h is the larger of two lower bounds
+of the price to the target: the price of the connection without obstacles (`connections`), and the
+price of the shortest path of a point around obstacles (`holonomic`). So the result costs at most
+`weight` times the least price among the paths of nodes that are kept. A cell keeps one node at a
+time. A cheaper node replaces it and is expanded again. Therefore nodes can be expanded in any
+order, and many at once.
 
-Connections are computed for nodes of least f only. If the bound of a connection exceeds the other
-one, the node returns to OPEN with its new f.
+Connections are computed only for nodes of least f. If the bound of a connection exceeds the other
+bound, the node returns to OPEN with its new f.
 
-Hybrid A* connects by a motion that ends exactly at the target, for a car Reeds and Shepp's curve.
-It needs room, so the root of the search is the end with less clearance. From the goal, controls
-are driven backwards in time.
+Hybrid A* connects by a motion that ends exactly at the target; for a car this is the Reeds-Shepp
+curve. It needs free space, so the root of the search is the end with less clearance. In a search
+from the goal, controls are driven backwards in time.
 
 Source: Hart, Nilsson & Raphael, IEEE Trans. SSC 4 (1968) 100; Pohl, Artificial Intelligence 1
 (1970) 193, for the weight; Dolgov, Thrun, Montemerlo & Diebel, *Path planning for autonomous
@@ -54,8 +55,8 @@ from rbjax.planning.search.wave_search import (
 #: the largest number of cells of a search: 4 GB of costs and indices
 MOST_CELLS = 500_000_000
 NEVER = np.iinfo(np.int32).max
-SMALLEST_WAVE = 64  # nodes expanded at once, at least, from one interval of f after the other
-TESTED = 32  # connections tested for obstacles in a wave, those of least price
+SMALLEST_WAVE = 64  # intervals of f are added to a wave until it has this many nodes
+TESTED = 32  # the number of cheapest connections that are tested for obstacles in a wave
 
 
 def hybrid_a_star(
@@ -70,30 +71,30 @@ def hybrid_a_star(
     max_count: int | None = None,
     root: str | None = None,
 ) -> Plan:
-    """A cheap path of controls and of one direct connection, from a pose exactly to another.
+    """Search a cheap path from a pose exactly to another: controls, then one direct connection.
 
     Args:
-        grid: the map; what is beyond it counts as occupied.
-        footprint: what the robot covers.
+        grid: the map. Cells beyond it count as occupied.
+        footprint: the area that the robot covers.
         start, goal: poses (3,): x and y in m, the heading in rad.
-        controls: each turns by a multiple of 2 pi / headings, and leaves a cell in its dt. To the
-            left and to the right, the smallest turning radius is the same.
-        headings: the number of cells of a turn.
-        cell: the side of a cell in m; None for the map's resolution.
-        weight: at least 1. The price is at most `weight` times the least one; fewer cells are
-            expanded for a greater weight.
+        controls: each turns by a multiple of 2 pi / headings, and leaves a cell in its dt. The
+            smallest turning radius must be the same to the left and to the right.
+        headings: the number of cells of a full turn.
+        cell: the side of a cell, m; None for the map's resolution.
+        weight: at least 1. The price is at most `weight` times the least price. A larger weight
+            expands fewer cells.
         max_count: the largest number of nodes to expand; None for no limit. If it is exhausted,
-            the best path so far is the result, if there is one.
-        root: "start" or "goal", the end from which the search grows; None for the one with less
+            the result is the best path so far, if there is one.
+        root: "start" or "goal", the end from which the search grows; None for the end with less
             clearance.
 
     Returns:
-        `Plan`. Its `path` ends at the goal, to rounding. A map without a path is a status, not an
-        error.
+        `Plan`. Its `path` ends at the goal, up to rounding. If there is no path, `status` has the
+        reason; that is not an error.
 
     Raises:
-        InputError: wrong types or shapes, values that are not finite, controls whose turns are no
-            multiples of a heading's cell, that cannot turn, or whose radii differ.
+        InputError: wrong types or shapes, values that are not finite; controls whose turns are not
+            multiples of a heading's cell, that cannot turn, or whose turning radii differ.
 
     Source: Dolgov, Thrun, Montemerlo & Diebel, Int. J. Robotics Research 29 (2010) 485.
 
@@ -153,21 +154,22 @@ def grid_a_star(
     max_count: int | None = None,
     weight: float = 1.0,
 ) -> Plan:
-    """`grid_dijkstra` for one goal, with fewer cells.
+    """Search a cheap sequence of controls to one goal, with fewer cells than `grid_dijkstra`.
 
-    On a lattice, where all nodes of a cell coincide, the cost is the same. Elsewhere another node
-    may represent a cell, and the cost may be a little more or less.
+    On a lattice, where all nodes of a cell coincide, the cost is the same as by `grid_dijkstra`.
+    Otherwise another node may represent a cell, and the cost may be slightly lower or higher.
 
     Args:
-        weight: at least 1. The cost is at most `weight` times the least one; fewer cells are
-            expanded for a greater weight.
-        others: as for `grid_dijkstra`.
+        grid, footprint, start, goal, controls, tolerance, headings, max_count: as for
+            `grid_dijkstra`.
+        weight: at least 1. The cost is at most `weight` times the least cost. A larger weight
+            expands fewer cells.
 
     Returns:
-        `Plan`; `expanded` counts a cell as often as it is expanded.
+        `Plan`. `expanded` counts a cell each time that it is expanded.
 
     Raises:
-        InputError: as `grid_dijkstra`; controls that cannot drive, a weight below 1.
+        InputError: as for `grid_dijkstra`; controls that cannot drive, a weight below 1.
 
     Source: Hart, Nilsson & Raphael, IEEE Trans. SSC 4 (1968) 100.
 
@@ -201,7 +203,7 @@ def grid_a_star(
 
 
 def _check_cells(where: str, grid: OccupancyGrid, cell: float, headings: int) -> None:
-    """`InputError` for more cells than a search has memory for."""
+    """Raise `InputError` if the search would have more cells than `MOST_CELLS`."""
     cells = np.prod(np.ceil(np.array(grid.occupied.shape) * float(grid.resolution) / cell))
     if cells * headings > MOST_CELLS:
         raise InputError(
@@ -211,8 +213,15 @@ def _check_cells(where: str, grid: OccupancyGrid, cell: float, headings: int) ->
 
 
 class _Nodes(NamedTuple):
-    """Fields: x, y; cell; parent; control; g; known, whether f has the bound of the connection
-    already."""
+    """Nodes of the search, one row each.
+
+    x, y: position, m.
+    cell: index of the cell.
+    parent: number of the parent's visit, -1 for the root.
+    control: index of the control that leads to the node, -1 for the root.
+    g: price of the path to the node.
+    known: whether f already includes the lower bound of the connection.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -224,13 +233,13 @@ class _Nodes(NamedTuple):
 
 
 class _AStar(WaveSearch):
-    """The search with OPEN by intervals of f."""
+    """A* search whose OPEN list is sorted by intervals of f."""
 
     def __init__(
         self, distances: DistanceField, footprint: Footprint, controls: Controls, ends: np.ndarray,
         headings: int, side: float, weight: float, ending: DirectMotion | GoalSet,
     ):  # fmt: skip
-        """ends (2, 3): the root and the target."""
+        """Prepare a search. ends (2, 3): the poses of the root and of the target."""
         spacing = float(distances.resolution) / 2
         table = MotionTable.of(controls, footprint, ends[0, 2], headings, spacing)
         super().__init__(distances, controls, table, ends[0], side, np.int32(NEVER))
@@ -242,7 +251,7 @@ class _AStar(WaveSearch):
         self.untested: list[tuple[_Nodes, np.ndarray, np.ndarray]] = []
 
     def run(self, max_count: int | None) -> tuple[Plan, np.ndarray]:
-        """A plan from the root to the target, and its steps."""
+        """Search a path. Return the plan from the root to the target, and its steps (n, 3)."""
         limit = 2**63 - 1 if max_count is None else max_count
         zero = np.zeros(1, np.intp)
         x, y = self.root[:1], self.root[1:2]
@@ -267,15 +276,17 @@ class _AStar(WaveSearch):
         return self.plan(*self.end)
 
     def around(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """The lower bound of the price by the way around obstacles."""
+        """Compute the lower bound of the price to the target by the shortest path around
+        obstacles."""
         return self.ending.rate * np.maximum(self.holonomic(x, y) - self.ending.near, 0.0)
 
     def put(self, nodes: _Nodes, f: np.ndarray) -> None:
-        """Put nodes into OPEN."""
+        """Put nodes into OPEN, in their intervals of f."""
         add_to(self.open, (f / self.width).astype(int), nodes)
 
     def cheapest(self) -> tuple[_Nodes, int]:
-        """The nodes of least f that represent their cells, and the last of their intervals."""
+        """Remove the nodes of least f from OPEN. Return those that represent their cells. Also
+        return the index of the last interval of f that was removed."""
         some: list[_Nodes] = []
         number = 0
         for interval in sorted(self.open):
@@ -288,11 +299,12 @@ class _AStar(WaveSearch):
         return join(some), last
 
     def poses(self, nodes: _Nodes) -> np.ndarray:
-        """Poses (n, 3) of nodes."""
+        """Return the poses (n, 3) of nodes."""
         return np.column_stack([nodes.x, nodes.y, self.table.headings[nodes.cell % self.shape[2]]])
 
     def connected(self, nodes: _Nodes, interval: int) -> _Nodes:
-        """Connect nodes with the target. Those whose f moves beyond the interval return to OPEN."""
+        """Connect nodes with the target. Return the nodes whose f stays within the interval. Nodes
+        whose new f is beyond the interval return to OPEN."""
         new = np.flatnonzero(~nodes.known)
         if not len(new):
             return nodes
@@ -307,7 +319,8 @@ class _AStar(WaveSearch):
         return take(nodes, ~later)
 
     def test(self, nodes: _Nodes, steps: np.ndarray, price: np.ndarray, most: int) -> None:
-        """Test the cheapest connections for obstacles. Keep the others until OPEN is empty."""
+        """Test the cheapest connections for obstacles. Keep the rest, to test them when OPEN is
+        empty."""
         wanted = np.flatnonzero(price < self.price)
         wanted = wanted[np.argsort(price[wanted], kind="stable")]
         if len(wanted) > most:
@@ -322,7 +335,7 @@ class _AStar(WaveSearch):
             self.price, self.end = float(price[at]), (take(nodes, slice(at, at + 1)), steps[at])
 
     def expand(self, wave: _Nodes) -> None:
-        """Visit the nodes of a wave, and put their children into OPEN."""
+        """Mark the nodes of a wave as visited, and put their children into OPEN."""
         self.visited.append(wave)
         n = len(self.table.turns)
         x, y, heading = self.children(wave)
@@ -340,7 +353,7 @@ class _AStar(WaveSearch):
         self.put(take(new, kept), new.g[kept] + self.weight * h.ravel()[wanted[kept]])
 
     def plan(self, last: _Nodes, connection: np.ndarray) -> tuple[Plan, np.ndarray]:
-        """The plan that ends by a connection, and its steps."""
+        """Make the plan that ends by a connection. Return it with its steps (n, 3)."""
         poses, controls = self.way_to(last)
         size = np.abs(connection).max(1, initial=0.0)
         ends = connection[size > 1e-12 * (1 + size.max(initial=0.0))]

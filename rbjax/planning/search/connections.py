@@ -1,16 +1,16 @@
-"""How a search ends at its target: lower bounds of the price to it, and the last motions.
+"""Ends of a search: lower bounds of the price to the target, and the last motions.
 
-`GoalSet`: poses near the target are the end. `DirectMotion`: a motion that ignores obstacles ends
-exactly at the target.
+`GoalSet` ends the search at any pose near the target. `DirectMotion` adds a motion that ignores
+obstacles and ends exactly at the target:
 
-    a car                    Reeds and Shepp's curve; Dubins', if it drives in one gear
-    a robot that can turn    turn towards the goal, drive, turn: with the front or the back ahead
+    a car                    the Reeds-Shepp curve; the Dubins curve, if it drives in one gear
+    a robot that can turn    turn towards the goal, drive, turn: forwards or backwards
     on the spot
-    one that also slides     turn, slide
+    a robot that can slide   turn, slide
 
-Its price, in the unit of `Controls`, counts lengths and angles at the rate of the cheapest control
-of that kind, changes of gear and of curvature. The shortest motion at the cheapest rate, without
-these changes, is a lower bound of every price (admissible).
+The price of a motion, in the unit of `Controls`, counts lengths and angles at the rate of the
+cheapest control of that kind, and changes of gear and of curvature. The shortest motion at the
+cheapest rate, without these changes, is an admissible lower bound of the price.
 """
 
 from __future__ import annotations
@@ -27,11 +27,14 @@ from rbjax.planning.paths import words
 from rbjax.planning.paths.curves import shortest
 from rbjax.planning.search.controls import Controls
 
-CHUNK = 64  # poses at once, in programs of constant shape
+CHUNK = 64  # poses in one call of the compiled program
 
 
 def _car_curves(gears: int, start: jax.Array, goal: jax.Array, radius: jax.Array) -> jax.Array:
-    """Steps (..., 5, 3). gears: 0 for both, 1 ahead, -1 backwards."""
+    """Compute the steps (..., 5, 3) of the shortest curves.
+
+    gears: 0 for both directions, 1 for forwards only, -1 for backwards only.
+    """
     if gears == 0:
         return shortest(words.REEDS_SHEPP, words.either_way, start, goal, radius).steps
     ends = (start, goal) if gears > 0 else (goal, start)
@@ -43,7 +46,7 @@ _compiled_curves = compiled(_car_curves, options=wide_vectors, static_argnums=0)
 
 
 def price_per_metre(where: str, controls: Controls) -> float:
-    """The least price of driving one metre."""
+    """Compute the least price of driving one metre."""
     way = np.hypot(controls.speeds, controls.sideways) * controls.dt
     if not way.any():
         raise InputError(f"{where}: these controls cannot drive; add one that can")
@@ -51,7 +54,7 @@ def price_per_metre(where: str, controls: Controls) -> float:
 
 
 class GoalSet:
-    """Poses near the target, within m and rad."""
+    """Goal set: poses within a distance in m and an angle in rad from the target."""
 
     def __init__(self, where: str, controls: Controls, tolerance: tuple[float, float]):
         self.near, self.turn = tolerance
@@ -60,7 +63,11 @@ class GoalSet:
     def __call__(
         self, poses: np.ndarray, goal: np.ndarray, after: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As `DirectMotion`, with empty connections (m, 0, 3)."""
+        """Return the results of `DirectMotion` for a goal set.
+
+        These are lower bounds of zero, empty connections (m, 0, 3), and prices that are zero for
+        poses in the goal set and infinite otherwise.
+        """
         off = poses - goal
         there = np.hypot(off[:, 0], off[:, 1]) <= self.near
         there &= np.abs(_reduced(off[:, 2])) <= self.turn
@@ -69,7 +76,7 @@ class GoalSet:
 
 
 class DirectMotion:
-    """Motions to a target that ignore obstacles, of a robot with some controls."""
+    """Motions of a robot to a target that ignore obstacles."""
 
     near = 0.0
 
@@ -100,7 +107,8 @@ class DirectMotion:
         return 1 / tight[0]
 
     def _rates(self) -> np.ndarray:
-        """Prices per metre by gear and bend (3, 3), each -1, 0, 1; infinite without a control."""
+        """Compute prices per metre (3, 3) by gear and by bend, each -1, 0 or 1. They are infinite
+        for a gear and bend without a control."""
         rates = np.full((3, 3), np.inf)
         for step, cost in zip(self.controls.steps, self.controls.costs, strict=True):
             way = math.hypot(step[0], step[1])
@@ -112,13 +120,17 @@ class DirectMotion:
     def __call__(
         self, poses: np.ndarray, goal: np.ndarray, after: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lower bounds (m,) of the price from poses (m, 3) to a goal; connections (m, 5, 3), and
-        their prices (m,) after controls (m,)."""
+        """Compute connections from poses (m, 3) to a goal, after controls (m,).
+
+        Returns:
+            Lower bounds (m,) of the price to the goal, connections (m, 5, 3), and their prices
+            (m,).
+        """
         bound, steps = self.connections(poses, goal)
         return bound, steps, self.price(steps, after)
 
     def connections(self, poses: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lower bounds (m,) and connections (m, 5, 3) from poses (m, 3) to a goal."""
+        """Compute lower bounds (m,) and connections (m, 5, 3) from poses (m, 3) to a goal."""
         if self.kind == "car":
             steps = self._curves(poses, goal)
             return self.rate * np.abs(steps[..., 0]).sum(1), steps
@@ -129,7 +141,8 @@ class DirectMotion:
         return bound, self._straight(poses, far, np.arctan2(dy, dx), turn)
 
     def price(self, steps: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Prices (m,) of connections (m, n, 3) after controls (m,), -1 for no control."""
+        """Compute the prices (m,) of connections (m, n, 3) after controls (m,), -1 for no
+        control."""
         way, turn = np.hypot(steps[..., 0], steps[..., 1]), steps[..., 2]
         drives = way > 1e-12 * (1 + way.max(initial=0.0))
         there = drives | (np.abs(turn) > 1e-12)
@@ -172,7 +185,7 @@ class DirectMotion:
             return steps
         ahead = _reduced(course - poses[:, 2])
         back = _reduced(ahead + math.pi)
-        # in the gear with less turning, of those that the robot has
+        # in the gear that needs less turning, if the robot has both gears
         rest = [np.abs(a) + np.abs(_reduced(turn - a)) for a in (ahead, back)]
         reverse = (rest[1] < rest[0]) if self.gears == 0 else np.full(len(far), self.gears < 0)
         first = np.where(far == 0, 0.0, np.where(reverse, back, ahead))
@@ -182,5 +195,5 @@ class DirectMotion:
 
 
 def _reduced(angle: np.ndarray) -> np.ndarray:
-    """An angle in [-pi, pi]."""
+    """Wrap an angle to [-pi, pi]."""
     return words.either_way(angle, np)

@@ -5,8 +5,8 @@ A control is a speed v and a turning rate w, constant over a time dt:
     x' = v cos(theta),  y' = v sin(theta),  theta' = w
 
 A robot that slides sideways also has a speed u to the left. The motion is an arc, integrated
-exactly. If w dt is a multiple of the width of a heading's cell, headings stay on a ring of n
-values, and all motions are a table by heading and control.
+exactly. If w dt is a multiple of the width of a heading's cell, only n headings occur, and all
+motions can be tabulated by heading and control.
 (Lynch & Park, *Modern Robotics*, 10.4.2, figure 10.14)
 """
 
@@ -24,22 +24,23 @@ from rbjax.errors import InputError
 from rbjax.planning.maps.footprint import Footprint
 from rbjax.planning.paths.path import Path, displacements
 
-HEADINGS = 72  # cells of a turn
+HEADINGS = 72  # heading cells of a full turn
 UNIT = 10  # the price of driving a cell's diagonal straight ahead
 
 
 @dataclass(frozen=True, eq=False)
 class Controls:
-    """Controls of a planner.
+    """The finite set of controls of a planner.
 
     Fields:
-        speeds: (n,) m/s.
-        turn_rates: (n,) rad/s.
-        dt: s.
+        speeds: (n,), m/s, negative backwards.
+        turn_rates: (n,), rad/s.
+        dt: the duration of each control, s.
         costs: (n,), positive integers; None for 1 each.
-        reversal: the cost of a change between driving ahead and backwards, an integer from zero.
-        steering: the cost of a change of the curvature, an integer from zero.
-        sideways: (n,) m/s to the left; None for 0 each.
+        reversal: the cost of a change between driving forwards and backwards, a nonnegative
+            integer.
+        steering: the cost of a change of curvature, a nonnegative integer.
+        sideways: (n,), m/s to the left; None for 0 each.
 
     Example:
         >>> car = Controls.car(radius=1.0, turn=np.deg2rad(15.0), reversal=2)
@@ -93,10 +94,12 @@ class Controls:
         cls, radius: float, turn: float, speed: float = 1.0, costs: Any = None, reversal: int = 0,
         steering: int = 0,
     ) -> Controls:  # fmt: skip
-        """Make six controls: ahead and backwards; to the left, straight, and to the right.
+        """Make the six controls of a car: forwards and backwards; left, straight and right.
 
-        radius: turning radius, m. turn: the angle of an arc, rad. speed: m/s. costs: (6,), ahead
-        before backwards, and from left to right.
+        radius: the turning radius, m.
+        turn: the angle of an arc, rad.
+        speed: m/s.
+        costs: (6,), forwards before backwards, and from left to right.
         """
         for name, x in (("radius", radius), ("turn", turn), ("speed", speed)):
             real_number("Controls.car", name, x, "a number above zero", above=0.0, traced=True)
@@ -106,18 +109,19 @@ class Controls:
 
     @property
     def steps(self) -> np.ndarray:
-        """Twists (n, 3) of the motions: m ahead, m to the left, rad."""
+        """Displacement twists (n, 3) of the motions: m forwards, m to the left, rad."""
         return self.dt * np.column_stack([self.speeds, self.sideways, self.turn_rates])
 
     @property
     def curvatures(self) -> np.ndarray:
-        """w / v (n,) in 1/m; zero for controls that do not drive."""
+        """Curvatures w / v (n,), 1/m; zero for controls that do not drive."""
         still = self.speeds == 0
         return np.where(still, 0.0, self.turn_rates / np.where(still, 1.0, self.speeds))
 
     @property
     def prices(self) -> np.ndarray:
-        """Costs (n + 1, n) of control j after control i; in the last row, of the first control."""
+        """Costs (n + 1, n) of control j after control i; the last row is for the first control of a
+        path."""
         v, bend = self.speeds, self.curvatures
         reversed_ = v[:, None] * v < 0
         bent = ~np.isclose(bend[:, None], bend, rtol=1e-9, atol=0)
@@ -125,17 +129,17 @@ class Controls:
         return np.vstack([after, self.costs])
 
     def in_reverse(self) -> Controls:
-        """The same motions backwards in time, at the same costs."""
+        """Return the controls whose motions run backwards in time, with the same costs."""
         return replace(
             self, speeds=-self.speeds, turn_rates=-self.turn_rates, sideways=-self.sideways
         )
 
     def path(self, start: np.ndarray, controls: np.ndarray) -> Path:
-        """The motion by numbers (n,) of controls, from a pose (3,)."""
+        """Make the path of a sequence of control indices (n,), from a pose (3,)."""
         return Path(jnp.asarray(start), jnp.asarray(self.steps[controls].reshape(-1, 3)))
 
     def turns(self, headings: int) -> np.ndarray:
-        """Turns w dt (n,) in cells of heading."""
+        """Compute the turns w dt (n,) as integer numbers of heading cells."""
         exact = self.turn_rates * self.dt * headings / (2 * math.pi)
         whole = np.round(exact)
         off = int(np.abs(exact - whole).argmax())
@@ -147,15 +151,19 @@ class Controls:
         return whole.astype(int)
 
     def displacements(self, heading: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements (..., n) m by all controls from a heading (...), after a time t (...)."""
+        """Compute the displacements (..., n), m, by all controls from a heading (...), after a time
+        t (...)."""
         heading, t = np.broadcast_arrays(heading, t)
         steps = t[..., None, None] / self.dt * self.steps
         return displacements(heading[..., None], steps, np)
 
 
 def car_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Controls of a car: arcs to both sides and straight segments. Driving backwards costs a little
-    more; a reversal costs as much as driving `radius` metres forwards."""
+    """Make the controls of a car: arcs to both sides and straight segments.
+
+    Driving backwards costs slightly more. A reversal costs as much as driving `radius` metres
+    forwards.
+    """
     cell = 2 * math.pi / HEADINGS
     turn = cell * max(1, math.ceil(least / (radius * cell) * (1 - 1e-9)))
     reversal = max(1, round(UNIT * radius / (radius * turn)))
@@ -167,8 +175,10 @@ def car_controls(radius: float, least: float, backwards: bool) -> Controls:
 
 
 def differential_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Controls of a differential drive: straights, and turns on the spot by two cells of heading,
-    which take the same time."""
+    """Make the controls of a differential drive: straight segments and turns on the spot.
+
+    Turns are by two heading cells, and last as long as a straight segment.
+    """
     spin = 2 * 2 * math.pi / HEADINGS / least
     speeds = np.array([1.0, -1.0, 0.0, 0.0])
     chosen = np.array([0, 1, 2, 3] if backwards else [0, 2, 3])
@@ -178,8 +188,10 @@ def differential_controls(radius: float, least: float, backwards: bool) -> Contr
 
 
 def omnidirectional_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Controls of an omnidirectional robot: eight directions, and turns on the spot by two cells of
-    heading."""
+    """Make the controls of an omnidirectional robot: eight directions, and turns on the spot.
+
+    Turns are by two heading cells.
+    """
     spin = 2 * 2 * math.pi / HEADINGS / least
     course = np.arange(8) * math.pi / 4
     speeds = np.concatenate([np.cos(course), [0.0, 0.0]]).round(15)
@@ -190,14 +202,14 @@ def omnidirectional_controls(radius: float, least: float, backwards: bool) -> Co
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """All motions from the origin, by heading first + 2 pi k / K and control.
+    """Table of all motions from the origin, by initial heading first + 2 pi k / K and by control.
 
     Fields:
-        headings: (K,) rad.
-        step: (2, K, n) m, displacements.
-        turns: (n,), in cells of heading.
-        discs: (2, K, n, m) m, centres of the footprint's discs at moments of the motion.
-        radii: (K, n, m) m, of the discs, enlarged to cover the footprint between those moments.
+        headings: (K,), rad.
+        step: (2, K, n), displacements, m.
+        turns: (n,), turns in heading cells.
+        discs: (2, K, n, m), centres of the footprint's discs at sampled times of the motion, m.
+        radii: (K, n, m), radii of these discs, enlarged to cover the footprint between samples, m.
     """
 
     headings: np.ndarray
@@ -207,7 +219,7 @@ class MotionTable:
     radii: np.ndarray
 
     def along(self, start: float, controls: np.ndarray) -> np.ndarray:
-        """Headings (n + 1,) rad of a path, by the numbers (n,) of its controls."""
+        """Compute the headings (n + 1,), rad, along a sequence of control indices (n,)."""
         turned = np.concatenate([[0], np.cumsum(self.turns[controls])])
         return start + turned * (2 * math.pi / len(self.headings))
 
@@ -215,11 +227,14 @@ class MotionTable:
     def of(
         cls, controls: Controls, footprint: Footprint, first: float, headings: int, spacing: float
     ) -> MotionTable:
-        """Tabulate the motions. spacing: the largest distance in m between two moments."""
+        """Tabulate the motions of controls.
+
+        spacing: the largest distance between two sampled discs, m.
+        """
         turns = controls.turns(headings)
         angles = first + 2 * math.pi * np.arange(headings) / headings
         centers, radii = np.asarray(footprint.centers, float), np.asarray(footprint.radii, float)
-        # the largest way of a disc: that of the origin, and by the turn about it
+        # a bound of the path length of a disc: of the origin, plus of the turn about it
         far = np.hypot(*centers.T)
         way = controls.dt * (
             np.hypot(controls.speeds, controls.sideways)[:, None]

@@ -8,25 +8,26 @@
             visit it
             for each control: integrate it for dt; if the motion is free, put its end into OPEN
 
-A cell is (x, y, heading). A node keeps the configuration that was integrated, not its cell's
-centre, so a path is exactly the motion of its controls. Cells only thin out the search: the first
-node popped in a cell represents it, later ones are dropped. Therefore the cost is the least among
-paths of nodes that are kept, not among all sequences of controls. With a price on reversals, the
-node of a cell also determines the direction of arrival.
+A cell is (x, y, heading). A node keeps the integrated configuration, not its cell's centre, so a
+path is exactly the motion of its controls. Cells only prune the search: the first node popped in a
+cell represents it, and later ones are dropped. Therefore the cost is the least among the paths of
+nodes that are kept, not among all sequences of controls. With a cost of reversals, the node of a
+cell also determines the direction of arrival.
 
 Ties. The order of two nodes of equal cost determines the configuration that represents a cell, and
-with it later costs. The book leaves it open; here the older node is first, as in a queue. Then the
-result is a function of the problem, so that two programs can be compared.
+therefore later costs. The book does not specify it. In this implementation the older node is
+first, as in a queue, so the result is a function of the problem.
 
 Waves. With this rule the algorithm needs no heap. Costs of controls are positive integers, so the
-children of nodes of one cost have greater costs: all nodes of OPEN of one cost are a wave. In a
-wave, by age, the first node of a cell that is not visited wins it. Children are appended in the
-order of parents and of controls, which is that of their ages. So visited cells, their nodes, the
-path and the count are exactly those of the heap, and a wave is a few operations on arrays.
+children of nodes of one cost have larger costs: all nodes of OPEN of one cost are a wave. In a
+wave, the oldest node of a cell that is not visited represents it. Children are appended in the
+order of parents and of controls, which is the order of their ages. So visited cells, their nodes,
+the path and the count are exactly the same as with a heap, and a wave is a few array operations.
 
-Tests saved. A node of a visited cell can never win, nor one of a cell for which OPEN has a free
-node of no greater cost: such a node is dropped before its motion is tested, unless it is in the
-goal set. If obstacles are further than the robot moves in dt, motions need no test.
+Skipped tests. A node of a visited cell can never represent it, nor can a node of a cell for which
+OPEN has a free node of the same or lower cost. Such a node is dropped before its motion is tested,
+unless it is in the goal set. If obstacles are further than the robot moves in dt, motions need no
+test.
 
 If all motions end at the centres of cells (a state lattice), all nodes of a cell coincide, and this
 is Dijkstra's algorithm on the lattice.
@@ -69,22 +70,22 @@ def grid_dijkstra(
     headings: int = 72,
     max_count: int | None = None,
 ) -> Plan:
-    """The cheapest sequence of controls that takes a robot to a goal on a grid of cells.
+    """Search the cheapest sequence of controls that moves a robot to a goal, on a grid of cells.
 
     Args:
-        grid: the map; what is beyond it counts as occupied.
-        footprint: what the robot covers.
+        grid: the map. Cells beyond it count as occupied.
+        footprint: the area that the robot covers.
         start, goal: poses (3,): x and y in m, the heading in rad.
         controls: each turns by a multiple of 2 pi / headings, and leaves a cell in its dt.
-        tolerance: of the goal set: m from the goal's position, rad from its heading.
-        headings: the number of cells of a turn.
-        max_count: visit at most so many cells; None for all.
+        tolerance: of the goal set: distance from the goal in m, angle from its heading in rad.
+        headings: the number of cells of a full turn.
+        max_count: the largest number of cells to visit; None for no limit.
 
     Returns:
-        `Plan`. A map without a path is a status, not an error.
+        `Plan`. If there is no path, `status` has the reason; that is not an error.
 
     Raises:
-        InputError: wrong types or shapes, values that are not finite, controls whose turns are no
+        InputError: wrong types or shapes, values that are not finite, controls whose turns are not
             multiples of a heading's cell.
 
     Source: Lynch & Park, *Modern Robotics*, Algorithm 10.2.
@@ -111,7 +112,14 @@ def grid_dijkstra(
 
 
 class _Nodes(NamedTuple):
-    """Nodes by age. Fields: x, y; cell; parent; control; age."""
+    """Nodes of the search, ordered by age.
+
+    x, y: position, m.
+    cell: index of the cell.
+    parent: number of the parent's visit, -1 for the root.
+    control: index of the control that leads to the node, -1 for the root.
+    age: counter of created nodes.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -125,10 +133,10 @@ NONE = _Nodes(np.zeros(0), np.zeros(0), *np.zeros((4, 0), np.intp))
 
 
 class _Dijkstra(WaveSearch):
-    """The search with a shelf of OPEN for each cost, and another of nodes in the goal set."""
+    """Dijkstra search that stores the nodes of OPEN, and the nodes in the goal set, by cost."""
 
     def run(self, goal: np.ndarray, tolerance: tuple[float, float], max_count: int) -> Plan:
-        """The cheapest plan to the goal set."""
+        """Search the cheapest path to the goal set. Return the plan."""
         turn = np.abs(np.remainder(self.table.headings - goal[2] + math.pi, 2 * math.pi) - math.pi)
         self.goal, self.near, self.towards = goal, tolerance[0], turn <= tolerance[1]
         self.reached: Shelves = {}
@@ -146,7 +154,7 @@ class _Dijkstra(WaveSearch):
         while self.open or self.reached:
             cost = min([*self.open, *self.reached])
             wave = join(self.open.pop(cost, [NONE]))
-            wave = take(wave, self.best[wave.cell] == cost)  # those that win their cells
+            wave = take(wave, self.best[wave.cell] == cost)  # nodes that represent their cells
             if cost in self.reached:
                 last = join(self.reached[cost])
                 oldest = int(last.age.argmin())
@@ -162,7 +170,7 @@ class _Dijkstra(WaveSearch):
         return Plan("no path", expanded=self.count)
 
     def expand(self, wave: _Nodes, cost: int) -> None:
-        """Visit the nodes of a wave, and put their children into OPEN."""
+        """Mark the nodes of a wave as visited, and put their children into OPEN."""
         self.best[wave.cell] = VISITED
         self.visited.append(wave)
         n = len(self.table.turns)
@@ -186,6 +194,6 @@ class _Dijkstra(WaveSearch):
         self.count += len(wave.x)
 
     def is_goal(self, x: np.ndarray, y: np.ndarray, k: np.ndarray) -> np.ndarray:
-        """Whether nodes are in the goal set."""
+        """Return, for each node, whether it is in the goal set."""
         near = np.hypot(x - self.goal[0], y - self.goal[1]) <= self.near
         return near & self.towards[k]

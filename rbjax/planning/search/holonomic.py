@@ -1,18 +1,18 @@
-"""The length of the way of a point around obstacles: a lower bound for every robot.
+"""Lower bounds of path lengths around obstacles, valid for every robot.
 
-Let a robot's origin keep a distance of at least r from obstacles. It stays in cells that contain
-a point with that distance: the passable ones. The shortest way within them bends only at corners of
-cells, so the graph is that of corners. A straight piece of the way from one corner to another
-crosses passable cells. The chain of moves (1,0), (1,1), (2,1) (and those turned and mirrored) that
-follows it from below uses corners of those cells only. It is at most
+Let a robot's origin keep a distance of at least r from obstacles. It stays in passable cells,
+which contain a point with that distance. The shortest path within them bends only at corners of
+cells, so the graph has the corners as nodes. A straight piece of the path from one corner to
+another crosses passable cells. The chain of moves (1,0), (1,1), (2,1) (and their rotations and
+reflections) that follows it from below only uses corners of these cells. It is at most
 
     kappa = 1 / cos(phi / 2) = 1.0275,     phi = atan(1/2)
 
-times as long. So D / kappa, with D the shortest chain in the graph, is a lower bound of the way
-between two corners; between two points, after subtraction of the distances from their corners.
+times as long. So D / kappa, with D the length of the shortest chain, is a lower bound of the path
+between two corners. Between two points, the distances from their nearest corners are subtracted.
 
-The moves have lengths of at least one cell. Therefore all corners with D in [k, k + 1) cells are
-final after those below k: Dijkstra's algorithm by waves.
+All moves are at least one cell long. Therefore all corners with D in [k, k + 1) cells are final
+once the ones below k are: Dijkstra's algorithm can proceed by waves.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ KAPPA = 1 / math.cos(math.atan(0.5) / 2)
 
 
 class HolonomicDistance:
-    """Lower bounds of the way of a footprint's origin to one point of a map."""
+    """Lower bounds of the path length from a footprint's origin to one point of a map."""
 
     def __init__(self, distances: DistanceField, footprint: Footprint, goal: Any):
-        """goal: (2,) m, on the map."""
+        """Compute the bounds on a map. goal: (2,) m, on the map."""
         self.h, self.origin = float(distances.resolution), np.asarray(distances.origin, float)
         passable = np.asarray(distances.values)[1:-1, 1:-1] > _least(footprint, self.h)
         self.shape = tuple(n + 1 for n in passable.shape)
@@ -41,13 +41,13 @@ class HolonomicDistance:
         self.values = self.h * _from_corner(_touching(passable), at) / KAPPA
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Lower bounds (...) m of the way from places (...) m to the goal; infinite if there is
-        none."""
+        """Compute lower bounds (...) m of the path from positions (...) m to the goal. The bound is
+        infinite if there is no path."""
         at, off = self._corner(x, y)
         return np.maximum(self.values[at] - off - self.off, 0.0)
 
     def _corner(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """The number of the nearest corner, and its distance in m."""
+        """Find the index of the nearest corner, and its distance in m."""
         u, v = (x - self.origin[0]) / self.h, (y - self.origin[1]) / self.h
         i = np.clip(np.rint(u), 0, self.shape[0] - 1)
         j = np.clip(np.rint(v), 0, self.shape[1] - 1)
@@ -55,10 +55,11 @@ class HolonomicDistance:
 
 
 def _least(footprint: Footprint, h: float) -> float:
-    """A distance that the centre of each passable cell exceeds.
+    """Compute a distance from obstacles that the centre of each passable cell exceeds.
 
-    A disc at c with radius r that is free keeps the origin r - |c| away, and the centre of the
-    origin's cell h / sqrt(2) less. If c is the origin, `clear` looks into that cell itself.
+    A free disc with centre c and radius r keeps the origin at least r - |c| away from obstacles,
+    and the centre of the origin's cell h / sqrt(2) less. If c is the origin, `clear` tests that
+    cell itself.
     """
     away = np.hypot(*np.asarray(footprint.centers, float).T)
     lost = np.where(away > 0, away + h / math.sqrt(2), 0.0)
@@ -66,7 +67,7 @@ def _least(footprint: Footprint, h: float) -> float:
 
 
 def _touching(passable: np.ndarray) -> np.ndarray:
-    """Whether each corner (nx + 1, ny + 1) belongs to a passable cell."""
+    """Return, for each corner (nx + 1, ny + 1), whether it belongs to a passable cell."""
     out = np.zeros((passable.shape[0] + 1, passable.shape[1] + 1), bool)
     for i in (slice(0, -1), slice(1, None)):
         for j in (slice(0, -1), slice(1, None)):
@@ -75,7 +76,8 @@ def _touching(passable: np.ndarray) -> np.ndarray:
 
 
 def _from_corner(open_: np.ndarray, at: int) -> np.ndarray:
-    """Lengths, in cells, of the shortest chains of moves from a corner to all, row by row."""
+    """Compute the lengths, in cells, of the shortest chains from a corner to all corners, row by
+    row."""
     rim = 2  # of the longest move, so that neighbours need no test of the map's edge
     wide = np.pad(open_, rim)
     ny = wide.shape[1]
@@ -92,7 +94,7 @@ def _from_corner(open_: np.ndarray, at: int) -> np.ndarray:
         shelves.append([])
         if shelf:
             nodes = np.concatenate(shelf)
-            nodes = np.unique(nodes[distance[nodes] >= level])  # the others were final before
+            nodes = np.unique(nodes[distance[nodes] >= level])  # the rest is final already
             to = (nodes[:, None] + jumps).ravel()
             length = (distance[nodes, None] + far).ravel()
             better = length < distance[to]

@@ -1,10 +1,10 @@
-"""Many searches on one map at once, for an accelerator: the waves of `grid_dijkstra`, side by side.
+"""Many grid searches on one map at once, for an accelerator: batched `grid_dijkstra`.
 
-A cell belongs to a search, so the nodes of one cost of all searches make one wave. Nodes are stored
-in one list, by age. Those of cost c were appended since the wave of c - w, where w is the largest
-cost of a step. A wave is expanded in parts of constant size, by age, since compiled programs need
-constant shapes. Per search, the visited cells, their nodes, the path and the count are those of
-`grid_dijkstra`, but for rounding where a node is on the edge of a cell.
+Each search has its own cells, so the nodes of one cost of all searches form one wave. Nodes are
+stored in one list, by age. All nodes of cost c were appended since the wave of cost c - w, with w
+the largest cost of a step. A wave is expanded in parts of constant size, by age, since compiled
+programs need constant shapes. For each search, the visited cells, their nodes, the path and the
+count are the same as by `grid_dijkstra`, except for rounding if a node is on the edge of a cell.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LEAST, MOST = 512, 65536  # nodes expanded at once
 
 
 class _Problem(Record):
-    """The constant part. q searches, K headings, n controls, m discs of a motion."""
+    """Constants of q searches, with K headings, n controls and m discs of a motion."""
 
     distances: DistanceField
     start: jax.Array  # (q, 3)
@@ -49,7 +49,7 @@ class _Problem(Record):
         return self.step.shape[1] // self.turns.shape[0]
 
     def cells(self, x: jax.Array, y: jax.Array, k: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Numbers of cells (0 beyond the map), and whether they are on the map."""
+        """Return the indices of cells (0 beyond the map), and whether they are on the map."""
         nx, ny = (n - 2 for n in self.distances.values.shape)
         origin, h = self.distances.origin, self.distances.resolution
         i, j = jnp.floor((x - origin[0]) / h), jnp.floor((y - origin[1]) / h)
@@ -66,8 +66,15 @@ class _Problem(Record):
 
 
 class _Nodes(Record):
-    """Nodes by age. Fields: x, y; search; cell; parent, a node; control; cost, -1 if the node won
-    no cell and is only in the goal set."""
+    """Nodes of all searches, ordered by age.
+
+    x, y: position, m.
+    search: index of the search.
+    cell: index of the cell.
+    parent: index of the parent node, -1 for a start.
+    control: index of the control that leads to the node, -1 for a start.
+    cost: -1 if the node does not represent a cell and is only in the goal set.
+    """
 
     x: jax.Array
     y: jax.Array
@@ -79,16 +86,20 @@ class _Nodes(Record):
 
 
 class _Searches(Record):
-    """The variable part.
+    """Variables of all searches.
 
     Fields:
-        nodes, size: the nodes, and their number.
+        nodes: the stored nodes.
+        size: the number of stored nodes.
         best: (q, cells), the least cost of a cell's nodes in OPEN, -1 once visited.
-        first: (q, cells), memory to find the first node of a cell.
-        sizes: (w,), the numbers of nodes before the last waves.
-        cost, last: of this wave, and the greatest.
-        reached, at: (q,), the first node in the goal set and its cost.
-        status, visited: (q,).
+        first: (q, cells), work array for the first node of a cell.
+        sizes: (w,), the numbers of nodes before the last w waves.
+        cost: the cost of the current wave.
+        last: the largest cost of a stored node.
+        reached: (q,), the index of the first node in the goal set.
+        at: (q,), the cost of that node.
+        status: (q,), SEARCHING, FOUND or EXHAUSTED.
+        visited: (q,), the number of visited cells.
     """
 
     nodes: _Nodes
@@ -110,8 +121,8 @@ def _turned(angle: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _children(p: _Problem, s: _Searches, at: jax.Array) -> tuple[_Nodes, jax.Array, jax.Array]:
-    """Ends of motions from nodes `at`, by parent and then by control; whether they are on the map,
-    and whether the motions are free."""
+    """Compute the ends of all controls from nodes `at`, by parent and then by control. Also return
+    whether they are on the map, and whether their motions are free."""
     n, old = p.turns.shape[0], jax.tree.map(lambda a: a[at], s.nodes)
     k, angle = old.cell % p.headings, p.start[old.search, 2][:, None]
     motion = k[:, None] * n + jnp.arange(n)
@@ -127,7 +138,8 @@ def _children(p: _Problem, s: _Searches, at: jax.Array) -> tuple[_Nodes, jax.Arr
 
 
 def _expand(p: _Problem, s: _Searches, at: jax.Array, valid: jax.Array) -> _Searches:
-    """Visit nodes `at` of the wave that are valid. An index out of range is dropped."""
+    """Visit the valid nodes among `at`, and store their children. An index out of range is
+    dropped."""
     searches = s.best.shape[0]
     here = jnp.where(valid, s.nodes.search[at], searches)
     best = s.best.at[here, s.nodes.cell[at]].set(-1, mode="drop")
@@ -143,7 +155,7 @@ def _expand(p: _Problem, s: _Searches, at: jax.Array, valid: jax.Array) -> _Sear
     first = s.first.at[which, new.cell].min(number, mode="drop")
     least = first[new.search, new.cell]
     wins = better & (least == number)
-    # cleared after it was read: where the order is a dependence, XLA makes no copy
+    # cleared only after it was read: the data dependence lets XLA update in place
     first = first.at[jnp.where(least < NEVER, which, searches), new.cell].set(NEVER, mode="drop")
     best = best.at[jnp.where(wins, new.search, searches), new.cell].min(new.cost, mode="drop")
 
@@ -163,11 +175,12 @@ def _expand(p: _Problem, s: _Searches, at: jax.Array, valid: jax.Array) -> _Sear
 
 
 def _wave(p: _Problem, s: _Searches, width: int) -> _Searches:
-    """Visit all nodes of a cost, in searches that reach the goal only those before it.
+    """Visit all nodes of the current cost.
 
-    width: the number of nodes that are expanded at once, in programs of constant shape.
+    In searches whose goal set has this cost, only the nodes before the goal node are visited.
+    width: the number of nodes that are expanded at once, a constant shape of the program.
     """
-    looked = 4 * width  # nodes of the list, of which some belong to the wave
+    looked = 4 * width  # stored nodes that are scanned at once for members of the wave
     slot = s.cost % s.sizes.shape[0]
     low, high = s.sizes[slot], s.size
     s = dataclasses.replace(s, sizes=s.sizes.at[slot].set(s.size))
@@ -220,22 +233,22 @@ def grid_dijkstra_many(
     max_count: int | None = None,
     nodes: int | None = None,
 ) -> list[Plan]:
-    """Run `grid_dijkstra` from many starts to as many goals on one map, all at once.
+    """Run `grid_dijkstra` from q starts to q goals on one map, all at once.
 
-    Use it on accelerators: on a CPU, one search after the other by `grid_dijkstra` is faster. It
-    takes 8 bytes a cell of each search and 28 bytes a node (36 in f64).
+    Use it on accelerators. On a CPU, sequential calls of `grid_dijkstra` are faster. It requires 8
+    bytes per cell of each search, and 28 bytes per node (36 in f64).
 
     Args:
+        grid, footprint, controls, tolerance, headings, max_count: as for `grid_dijkstra`.
         starts, goals: poses (q, 3): x and y in m, the heading in rad.
         nodes: the largest number of nodes of all searches; None for a quarter of the cells.
             Searches that are not finished by then have the status "count exhausted".
-        others: as for `grid_dijkstra`.
 
     Returns:
-        A `Plan` for each.
+        A list of q `Plan`.
 
     Raises:
-        InputError: as `grid_dijkstra`.
+        InputError: as for `grid_dijkstra`.
 
     Example:
         >>> grid = OccupancyGrid(np.zeros((20, 20), bool), 0.1)
@@ -270,7 +283,7 @@ def grid_dijkstra_many(
 
 
 def _first_state(p: _Problem, bad: np.ndarray, room: int, dearest: int) -> _Searches:
-    """The state before the first wave: the starts are the first nodes."""
+    """Make the state before the first wave, in which the starts are the only nodes."""
     q, zero = len(bad), jnp.zeros(len(bad), jnp.int32)
     search = jnp.arange(q, dtype=jnp.int32)
     x, y = p.start[:, 0], p.start[:, 1]

@@ -1,7 +1,7 @@
-"""The common part of the searches on the host: cells, nodes by cost, tests for obstacles.
+"""Common parts of the searches on the host: cells, nodes by cost, collision tests.
 
-A search expands a wave of nodes at once, by operations on arrays. Nodes are NamedTuples of arrays
-with the fields x, y, cell, parent (the number of its visit, -1 for the root), control, and others.
+A search expands a wave of nodes at once, by array operations. Nodes are NamedTuples of arrays with
+the fields x, y, cell, parent (the number of its visit, -1 for the root), control, and others.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from rbjax.planning.search.controls import Controls, MotionTable
 Nodes = TypeVar("Nodes", bound=tuple)
 Shelves = dict[int, list[Nodes]]  # lists of nodes by an integer cost
 
-#: the largest numbers of cells of a turn, and of nodes that an index can count
+#: the largest number of heading cells of a full turn, and of nodes that an index can count
 LARGEST = {"headings": 100_000, "max_count": 2**31 - 1}
 
 
 def take(nodes: Nodes, which: Any) -> Nodes:
-    """The nodes of these indices."""
+    """Select nodes by indices, a mask or a slice."""
     return type(nodes)(*(x[which] for x in nodes))
 
 
 def join(parts: list[Nodes]) -> Nodes:
-    """Lists of nodes as one list."""
+    """Concatenate lists of nodes."""
     if len(parts) == 1:
         return parts[0]
     return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def add_to(shelves: Shelves, costs: np.ndarray, nodes: Any) -> None:
-    """Add nodes to the shelves of their costs (n,), in order."""
+    """Add nodes to the lists of their costs (n,), in order."""
     order = np.argsort(costs, kind="stable")
     values, first = np.unique(costs[order], return_index=True)
     for cost, *ends in zip(values, first, [*first[1:], None], strict=False):
@@ -46,7 +46,7 @@ def add_to(shelves: Shelves, costs: np.ndarray, nodes: Any) -> None:
 
 
 class SweptMap:
-    """The distances of a map, and the discs that cover a footprint along each motion."""
+    """Collision tests of tabulated motions on a map, with discs that cover the swept footprint."""
 
     def __init__(self, distances: DistanceField, table: MotionTable):
         self.values = np.asarray(distances.values)
@@ -60,7 +60,7 @@ class SweptMap:
         self.safe = far.max() + self.h * math.sqrt(2) * (1 + 1e-9)
 
     def below(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """`DistanceField.below`, valid where it is positive."""
+        """Compute `DistanceField.below` in numpy. It is valid only if it is positive."""
         u = (x - self.origin[0]) * (1 / self.h) + 0.5
         v = (y - self.origin[1]) * (1 / self.h) + 0.5
         nx, ny = self.values.shape
@@ -71,7 +71,12 @@ class SweptMap:
         return self.values.ravel()[(i * ny + j).astype(np.intp)] - self.h * np.sqrt(u * u + v * v)
 
     def free(self, x: np.ndarray, y: np.ndarray, k: np.ndarray, control: np.ndarray) -> np.ndarray:
-        """Whether motions (n,) are free, from x, y (n,) m with headings of indices k (n,)."""
+        """Test whether motions (n,) are free of obstacles.
+
+        x, y: (n,), positions of their starts, m.
+        k: (n,), indices of the headings of their starts.
+        control: (n,), indices of the controls.
+        """
         free = self.below(x, y) > self.safe
         test = np.flatnonzero(~free)
         motion = k[test] * self.controls + control[test]
@@ -82,7 +87,8 @@ class SweptMap:
     def free_chains(
         self, starts: np.ndarray, steps: np.ndarray, footprint: Footprint
     ) -> np.ndarray:
-        """Whether chains of steps (m, n, 3) from poses (m, 3) are free, as `clear_along` tests."""
+        """Test whether chains of steps (m, n, 3) from poses (m, 3) are free, as `clear_along`
+        does."""
         centers, radii = np.asarray(footprint.centers, float), np.asarray(footprint.radii, float)
         way = np.hypot(steps[..., 0], steps[..., 1])[..., None] + np.abs(steps[..., 2:]) * np.hypot(
             *centers.T
@@ -110,13 +116,19 @@ class SweptMap:
 
 
 class WaveSearch:
-    """A search from a root on cells (x, y, heading): OPEN, the least cost of each cell, visits."""
+    """Base of a search on cells (x, y, heading): OPEN, the least cost of each cell, visited
+    nodes."""
 
     def __init__(
         self, distances: DistanceField, controls: Controls, table: MotionTable, root: np.ndarray,
         side: float, never: Any,
     ):  # fmt: skip
-        """side: of a cell, m. never: the cost of a cell without nodes, of the dtype of costs."""
+        """Prepare a search.
+
+        root: (3,), the pose from which the search grows.
+        side: the side of a cell, m.
+        never: the cost of a cell without nodes, in the dtype of costs.
+        """
         self.map, self.table, self.controls = SweptMap(distances, table), table, controls
         self.root, self.side, self.prices = root, side, controls.prices
         size = (np.array(distances.values.shape) - 2) * self.map.h  # without the ring
@@ -128,14 +140,15 @@ class WaveSearch:
         self.count = 0  # of visits
 
     def cells(self, x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of cells (0 beyond the map), and whether they are on the map."""
+        """Return the indices of cells (0 beyond the map), and whether they are on the map."""
         i, j = (np.floor((p - o) / self.side) for p, o in zip((x, y), self.map.origin, strict=True))
         inside = (i >= 0) & (j >= 0) & (i < self.shape[0]) & (j < self.shape[1])
         cell = ((i * self.shape[1] + j) * self.shape[2] + k).astype(np.intp)
         return np.where(inside, cell, 0), inside
 
     def children(self, wave: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """x, y and the index of the heading (n, controls) after each control from nodes (n,)."""
+        """Compute x, y and the heading's index, each (n, controls), after each control from n
+        nodes."""
         k = wave.cell % self.shape[2]
         x, y = (
             p[:, None] + step[k] for p, step in zip((wave.x, wave.y), self.table.step, strict=True)
@@ -145,12 +158,21 @@ class WaveSearch:
     def admit(
         self, wave: Any, new: Any, cost: np.ndarray, better: Any, tests: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Which children (m,) of a wave are free, if that was tested, and the indices of those that
-        represent their cells from now on: the first free one of each cell.
+        """Select the free children (m,) of a wave that represent their cells from now on.
 
-        cost (m,): in rising order. better: whether it is less than that of the cell. tests: whether
-        the motion is tested in the first of two passes. In the second are those whose cells have no
-        node of their cost or less yet.
+        In each cell this is the first free child. A first pass tests the motions of `tests`. A
+        second pass tests the rest, if their cells still have no node of the same or lower cost.
+
+        Args:
+            wave: the parents.
+            new: the children, in order of rising cost.
+            cost: (m,), costs of the children.
+            better: (m,), whether the cost is lower than the cell's.
+            tests: (m,), whether the motion is tested in the first pass.
+
+        Returns:
+            free (m,), whether a child was tested and is free; and the indices of the selected
+            children.
         """
         free = np.zeros(len(cost), bool)
         kept = np.zeros(0, np.intp)
@@ -166,13 +188,16 @@ class WaveSearch:
         return free, kept
 
     def first_of(self, cell: np.ndarray) -> np.ndarray:
-        """Whether each number is the first of equal ones."""
+        """Return, for each number, whether it is the first occurrence of its value."""
         number = np.arange(len(cell), dtype=np.int32)
-        self.first[cell[::-1]] = number[::-1]  # the last of several that are assigned stays
+        self.first[cell[::-1]] = number[::-1]  # of several assignments, the last one remains
         return self.first[cell] == number
 
     def way_to(self, last: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Poses (n + 1, 3) and controls (n,) from the root to a node, given as a list of one."""
+        """Trace the path from the root to a node. Return its poses (n + 1, 3) and controls (n,).
+
+        last: the node, as nodes of length one.
+        """
         firsts = np.cumsum([0, *(len(wave.x) for wave in self.visited)])
         places: list[tuple[float, float]] = []
         used: list[int] = []
@@ -193,7 +218,7 @@ class WaveSearch:
 def collision(
     distances: DistanceField, footprint: Footprint, start: np.ndarray, goal: np.ndarray
 ) -> Plan | None:
-    """The plan of a search whose start or goal is not clear."""
+    """Return the plan of a search whose start or goal is in collision, or None if both are free."""
     free = np.asarray(clear(distances, np.stack([start, goal]), footprint))
     if free.all():
         return None
@@ -201,7 +226,7 @@ def collision(
 
 
 def check_poses(where: str, start: Any, goal: Any, axes: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Start and goal as arrays (3,), or of as many poses each (q, 3)."""
+    """Check start and goal, and convert them to arrays (3,), or (q, 3) each if `axes` is 2."""
     shape = "(3,)" if axes == 1 else "(q, 3)"
     poses = []
     for name, x in (("start", start), ("goal", goal)):
@@ -222,7 +247,7 @@ def check_problem(
     where: str, grid: Any, footprint: Any, controls: Any, tolerance: Any, headings: Any,
     max_count: Any,
 ) -> None:  # fmt: skip
-    """Check the arguments that all searches have."""
+    """Check the arguments that all searches have in common."""
     for name, x, kind in (
         ("grid", grid, OccupancyGrid), ("footprint", footprint, Footprint),
         ("controls", controls, Controls),

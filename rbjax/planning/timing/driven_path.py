@@ -1,17 +1,19 @@
-"""A path as a robot drives it: its coordinates, and the torques that a motion along it needs.
+"""The coordinates of a robot along a path, and the torques that a motion along it requires.
 
-A path is a chain of twists. Along it a length s counts m, and rad times the robot's reach r:
+A path is a chain of twists. The path length s counts m, and rad times the robot's reach r:
 ds = |(a, b, r phi)|. The robot's free velocities are nu = g(s) s', and its steerings turn at
 b(s)' s'. So its torques are linear in s'' and in x = s'^2,
 
     tau = A(s) s'' + B(s) x + C(s),      nu' = g s'' + (dg/ds) x
 
-by the equations of the reduced model at nu' = 0 and at unit torques. Of more drives than free
-velocities it takes the torques of the least norm, in units of their limits.
+A, B and C follow from the equations of the reduced model, evaluated at nu' = 0 and at unit
+torques. If there are more drives than free velocities, the torques have the least norm in units of
+their limits.
 
-Where neighbours have nearly the same direction, g and b change evenly from the middle of a step to
-that of the next: corners are rounded within a step. Elsewhere the robot stops: at a reversal, or
-between driving and turning on the spot. There, and at the start, it steers while it stands.
+If neighbouring steps have nearly the same direction, g and b change linearly from the middle of a
+step to the middle of the next, so corners are rounded within a step. Elsewhere the robot stops: at
+a reversal, or between driving and turning on the spot. At stops and at the start, it steers while
+it stands still.
 
 Source: Bobrov, Dubowsky & Gibson, IJRR 4 (1985) 3, section 2; Lynch & Park, *Modern Robotics*, 9.4.
 """
@@ -34,14 +36,19 @@ from rbjax.wheeled.models.robot_model import RobotModel, with_twist
 from rbjax.wheeled.motion.following import commands
 
 TURN = 0.5  # the cosine of the largest change of direction that is rounded: 60 degrees
-PARTS = 4  # steps of the fourth order that integrate the coordinates over one of the path
-#: when each stage is, how far along the slope before it, and its weight
+PARTS = 4  # Runge-Kutta steps that integrate the coordinates over one step of the path
+#: for each stage, the fraction of the step and the weight
 RK4 = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6
 
 
 class Sides(NamedTuple):
-    """One end of each step: coordinates q (n, nq), velocities nu (n, nv) and twists (n, 3) by s',
-    and A, B, C (n, drives) of the torques."""
+    """Robot and torque coefficients at one end of each of n steps of a path.
+
+    q: (n, nq), coordinates.
+    nu: (n, nv), free velocities per s'.
+    twist: (n, 3), twist of the chassis per s'.
+    A, B, C: (n, drives), the coefficients of the torques.
+    """
 
     q: jax.Array
     nu: jax.Array
@@ -52,14 +59,15 @@ class Sides(NamedTuple):
 
 
 class DrivenPath(NamedTuple):
-    """The steps of a path, as a robot drives them.
+    """The steps of a path with the robot's coordinates and torques.
 
     Fields:
         size: (n,), lengths ds.
-        stops: (n,), whether the robot stands before the step.
-        turns: (n, steerings) rad, the steering while it stands.
+        stops: (n,), whether the robot stands still before the step.
+        turns: (n, steerings), the steering motion before the step, while it stands still, rad.
         bends: (n, steerings), db/ds.
-        first, last: `Sides` at the begin and at the end.
+        first: `Sides` at the beginnings of the steps.
+        last: `Sides` at the ends of the steps.
     """
 
     size: jax.Array
@@ -71,10 +79,9 @@ class DrivenPath(NamedTuple):
 
 
 def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
-    """A step of the classical Runge-Kutta method. slope: a function of y and of the fraction of the
-    step.
+    """Integrate one step of the classical Runge-Kutta method.
 
-    Stages are scanned, which makes the compiled program four times smaller.
+    slope: (y, fraction of the step) -> y'. Stages are scanned, which compiles to a smaller program.
     """
 
     def stage(carry, weights):
@@ -89,7 +96,8 @@ def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
 
 
 def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> jax.Array:
-    """Torques (drives,) with which v changes at rates (nv,) while the steerings turn."""
+    """Compute the torques (drives,) for velocity rates (nv,), while the steerings turn at given
+    rates."""
     drives = len(vehicle.robot.drives)
 
     def accelerations(tau):
@@ -106,8 +114,11 @@ def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> ja
 
 
 def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
-    """The coordinates and torques along one path, from straight steerings. Zero steps have no
-    effect."""
+    """Compute the coordinates and torque coefficients along one path, with steerings initially
+    straight.
+
+    Steps of zeros have no effect.
+    """
     robot, steps = vehicle.robot, path.steps
     steerings, dtype = robot.layout.steerings, path.steps.dtype
     one = jnp.ones((), dtype)
@@ -115,7 +126,7 @@ def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
     size = _norm(steps * unit)
     moves = size > 0
     twist = steps / jnp.where(moves, size, 1.0)[:, None]
-    # a step of zeros has the direction of the one before it, so it changes nothing
+    # a step of zeros copies the direction of the previous step, so it has no effect
     twist = _held(twist, moves)
     before, after = jnp.roll(twist, 1, 0), jnp.roll(twist, -1, 0)
     cosine = (before * twist * unit**2).sum(-1)
@@ -159,7 +170,7 @@ def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
 
 
 def reach_of(vehicle: RobotModel, dtype) -> jax.Array:
-    """The largest distance of a wheel of the chassis from its origin, m."""
+    """Compute the largest distance of a wheel of the chassis from its origin, m."""
     places = [jnp.asarray(w.position, dtype) for w in vehicle.robot.wheels if w.body == 0]
     return jnp.maximum(largest(_norm(jnp.stack(places))), 1e-2)
 
@@ -170,7 +181,8 @@ def _norm(x: jax.Array) -> jax.Array:
 
 
 def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
-    """Rows (n, k), of which unknown ones are replaced by the last known one, or else the first."""
+    """Replace unknown rows of (n, k) by the last known row before them, or else by the first known
+    row."""
     at = jnp.where(known, jnp.arange(len(known)), -1)
     at = jax.lax.cummax(at)
     return rows[jnp.where(at < 0, jnp.argmax(known), at)]
@@ -183,7 +195,8 @@ def _angles(vehicle: RobotModel, twists: jax.Array) -> jax.Array:
 
 
 def _coordinates(vehicle: RobotModel, start, size, turns, bends, nu) -> jax.Array:
-    """Coordinates (2, n, nq) at the begin and at the end of each step, integrated along it."""
+    """Integrate the coordinates along the path. Return (2, n, nq), at the begin and end of each
+    step."""
     at = vehicle.robot.layout.steerings
     drives = jnp.zeros(len(vehicle.robot.drives), start.dtype)
 

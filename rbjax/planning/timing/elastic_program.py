@@ -1,13 +1,14 @@
-"""Quadratic programs in a box whose other constraints may give way at a price.
+"""Quadratic programs in a box with elastic inequality constraints.
 
     min   1/2 d^T H d + c^T d + p^T s
     with  G d <= g + s,   s >= 0,   low <= d <= high
 
-It has a solution for any G and g. With s_i = 0 wherever that is possible at a price p_i above the
-multiplier, it is the program without s (an exact penalty).
+It has a solution for any G and g. If s = 0 is possible and the prices p exceed the multipliers, the
+solution is the solution of the program without s (an exact penalty).
 
-Primal-dual interior points with Mehrotra's corrector. y, s and the distances from the box are kept
-above zero; l and p - l are the multipliers of y = g + s - G d and of s. All but d is eliminated:
+The method is a primal-dual interior-point method with Mehrotra's corrector. y, s and the distances
+from the box are kept above zero; l and p - l are the multipliers of y = g + s - G d and of s. All
+variables but d are eliminated:
 
     (H + Z + G^T D G) d' = ...,    D = l / (y + l s / (p - l))
 
@@ -23,12 +24,18 @@ import jax.numpy as jnp
 
 from rbjax.lanes.arrays import smallest
 
-SHORT = 0.99  # of the way to where something is zero
-FIRST = 0.1  # slack to begin with
+SHORT = 0.99  # fraction of the longest step that keeps all positive variables positive
+FIRST = 0.1  # initial slack
 
 
 class _Point(NamedTuple):
-    """Fields: d (n,); y, s and l (m,), of the rows; zl and zu (n,), multipliers of the box."""
+    """Iterate of the interior-point method.
+
+    d: (n,), the solution.
+    y, s: (m,), distance from the bound of each row, and slack.
+    l: (m,), multipliers of the rows.
+    zl, zu: (n,), multipliers of the box.
+    """
 
     d: jax.Array
     y: jax.Array
@@ -42,10 +49,13 @@ def solve(
     H: jax.Array, c: jax.Array, G: jax.Array, g: jax.Array, price: jax.Array,
     low: jax.Array, high: jax.Array, iterations: int,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """Solve the program: d (n,), within the box, and the multipliers (m,) of the rows.
+    """Solve the elastic program. Return d (n,), within the box, and the multipliers (m,) of the
+    rows.
 
-    H: (n, n), positive semidefinite. price: (m,), above zero. low < high. Every iteration factors
-    one matrix (n, n).
+    H: (n, n), positive semidefinite.
+    price: (m,), above zero.
+    low, high: (n,), with low < high.
+    iterations: a fixed number; each one factors one matrix (n, n).
     """
     n, m = len(c), len(g)
 
@@ -60,7 +70,7 @@ def solve(
         return _Point(d, y, s, *(x + b * dx for x, dx in zip(p[3:], step[3:], strict=True)))
 
     def longest(p: _Point, step: _Point) -> tuple[jax.Array, jax.Array]:
-        """The longest steps of d, y, s and of the multipliers that keep all of them positive."""
+        """Compute the longest steps of (d, y, s) and of the multipliers that keep all positive."""
         rates = [
             (step.y, step.l), (step.s, -step.l), (step.d, step.zl), (-step.d, step.zu)
         ]  # fmt: skip
@@ -83,7 +93,8 @@ def solve(
         off = H @ p.d + c + G.T @ l - zl + zu
 
         def step(mu, ry, rs, rl, ru) -> _Point:
-            """The Newton step of a barrier mu, with products of second order ry, rs, rl, ru."""
+            """Compute the Newton step for a barrier mu, with second-order terms ry, rs, rl and
+            ru."""
             ry, rs = mu - y * l - ry, mu - s * t - rs
             rl, ru = mu - yl * zl - rl, mu - yu * zu - ru
             part = (ry - l * rs / t) / w

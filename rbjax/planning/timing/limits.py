@@ -1,4 +1,4 @@
-"""Limits of motors, wheels and steering, and a motion in time."""
+"""Limits of motors, wheels and steering, and motions in time."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def _number(default: float) -> Any:
 
 
 class Limits(Record):
-    """Limits of a motion, each on the absolute value; infinity is no limit.
+    """Limits of a motion on absolute values. Infinity means no limit.
 
     Fields:
-        torque: () N m, of every drive, or (drives,).
-        speed: () m/s, of the origin of the chassis.
-        turn_rate: () rad/s, of the chassis.
-        steering_rate: () rad/s.
-        steering: () rad, the angle; infinity for the largest on the path.
+        torque: () or (drives,), of the drives, N m.
+        speed: (), of the origin of the chassis, m/s.
+        turn_rate: (), of the chassis, rad/s.
+        steering_rate: (), rad/s.
+        steering: (), the steering angle, rad; infinity for the largest angle on the path.
 
     Example:
         >>> Limits(torque=0.5, speed=1.0).torque.shape
@@ -56,13 +56,16 @@ class Limits(Record):
         return name != "torque"
 
     def torques(self, vehicle: RobotModel) -> jax.Array:
-        """The largest torques (drives,) N m."""
+        """Return the largest torques (drives,), N m."""
         return jnp.broadcast_to(self.torque, (len(vehicle.robot.drives),))
 
 
 def check_can_follow(where: str, vehicle: Any, limits: Any) -> None:
-    """`InputError` for a robot without torques for every path: one that slips or has no inertia,
-    whose motors are not torque sources, or with fewer drives than free velocities."""
+    """Raise `InputError` unless a robot has torques for every path, and its limits are valid.
+
+    The robot must roll and have inertia. Its motors must be torque sources, with at least as many
+    drives as free velocities. Its steerings must have no lag and a finite rate limit.
+    """
     if not isinstance(vehicle, Rolling):
         raise InputError(
             f"{where}: vehicle is {type(vehicle).__name__}, expected a robot that rolls and has "
@@ -104,11 +107,13 @@ def check_can_follow(where: str, vehicle: Any, limits: Any) -> None:
 
 
 class Timed(Record):
-    """A motion with its controls, which are constant in each interval.
+    """A motion in time, with controls that are constant in each interval. Leading axes are a batch.
 
-    Fields: ts (n + 1,) s, from 0 and never falling; q (n + 1, nq); v (n + 1, nv); controls (n, nu),
-    torques in N m of the drives, then rates in rad/s of the steerings. Intervals may be empty.
-    Leading axes are a batch.
+    Fields:
+        ts: (n + 1,), from 0 and not decreasing, s. Intervals may be empty.
+        q: (n + 1, nq), coordinates.
+        v: (n + 1, nv), velocities.
+        controls: (n, nu), torques of the drives in N m, then rates of the steerings in rad/s.
 
     Example:
         >>> m = Timed(jnp.array([0.0, 1.0, 3.0]), jnp.zeros((3, 1)), jnp.zeros((3, 1)),
@@ -125,19 +130,20 @@ class Timed(Record):
 
     @property
     def time(self) -> jax.Array:
-        """The time (...) s from the start to the end."""
+        """The duration (...) of the motion, s."""
         return self.ts[..., -1]
 
     @property
     def durations(self) -> jax.Array:
-        """Durations (..., n) s of the intervals."""
+        """Durations (..., n) of the intervals, s."""
         return self.ts[..., 1:] - self.ts[..., :-1]
 
     def sampled(self, steps: int) -> tuple[jax.Array, jax.Array]:
-        """Resample to controls (steps, nu) for `wheeled.rollout`, and its dt.
+        """Resample the controls to (steps, nu) for `wheeled.rollout`. Return them and the step dt,
+        s.
 
-        They are means over equal times, so every torque has the same impulse. Of one motion; use
-        `jax.vmap` for many.
+        They are means over equal times, which preserves the impulse of every torque. It is for one
+        motion; use `jax.vmap` for many.
         """
         impulse = jnp.cumsum(self.durations[:, None] * self.controls, 0)
         impulse = jnp.concatenate([jnp.zeros_like(impulse[:1]), impulse])

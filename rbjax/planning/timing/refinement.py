@@ -1,16 +1,9 @@
 """Time-optimal motions near a path, by gradients through the dynamics.
 
-The fastest motion along a path (`time_scaling`) is the first guess. Its controls and durations are
-resampled to intervals and improved step by step (`shooting`), so the motion may leave the path.
-Then it is replayed in finer steps, and the result has the residuals: distance to the goal,
-clearance, limits.
-
-Times of plans of `plan` (tests/planning/test_refinement.py), in s:
-
-                                       along the path    refined
-    a small car through a gap                    13.2       10.1
-    a differential drive around a wall           14.6        5.8
-    three omnidirectional wheels, there          11.8        5.6
+The fastest motion along the path (`time_scaling`) is the first guess. Its controls and durations
+are resampled to intervals and improved iteratively (`shooting`), so the motion may leave the path.
+Then it is replayed in finer steps to compute the residuals: distance to the goal, clearance,
+limits.
 
 Source: Betts, *Practical Methods for Optimal Control and Estimation*, ch. 4; Fletcher, *Practical
 Methods of Optimization*, 14.4.
@@ -39,22 +32,24 @@ from rbjax.planning.timing.time_scaling import check_path, time_scaling
 from rbjax.wheeled import RobotModel
 from rbjax.wheeled.models.robot_model import start
 
-NEAR = 2e-3  # deviations in m, rad and of a limit that a feasible motion may have
-FINER = 4  # steps of the replay for one of the search
-PLAIN = 0.05  # rad, that a robot may steer on any path
+NEAR = 2e-3  # tolerance of a feasible motion: m, rad, and relative to limits
+FINER = 4  # steps of the replay for each step of the search
+PLAIN = 0.05  # rad, the least steering limit if none is given
 
 
 class Residuals(Record):
-    """The residuals of a motion, replayed in steps a quarter as long.
+    """The residuals of a motion, replayed with steps a quarter as long.
 
     Fields, each ():
-        distance, turn: m and rad, from the end to the goal.
-        speed: at the end, over the largest of the motion along the path.
-        torque, rate, angle: the largest, over their limits (rate: of speed and turning rate; angle:
-            of steering).
-        clearance: m, the smallest; infinite without a map.
+        distance: from the end to the goal, m.
+        turn: the heading error at the end, rad.
+        speed: at the end, relative to the typical speed of the motion along the path.
+        torque: the largest torque relative to its limit.
+        rate: the largest speed or turning rate relative to its limit.
+        angle: the largest steering angle relative to its limit.
+        clearance: the smallest, m; infinite without a map.
         free: whether all poses are certainly free of obstacles.
-        defect: m, the distance between the ends of the replay and of the coarser steps.
+        defect: the distance between the ends of the replay and of the coarser steps, m.
     """
 
     distance: jax.Array
@@ -69,19 +64,20 @@ class Residuals(Record):
 
     @property
     def feasible(self) -> jax.Array:
-        """Whether (...) the goal is met within 2 mm and 2 mrad, and limits within 0.2 %."""
+        """Boolean (...): the goal is met within 2 mm and 2 mrad, limits within 0.2 %, and the
+        motion is free."""
         off = jnp.stack([self.distance, self.turn, self.speed])
         most = jnp.stack([self.torque, self.rate, self.angle])
         return (off <= NEAR).all(0) & (most <= 1 + NEAR).all(0) & self.free
 
 
 class Refined(Record):
-    """A motion that is faster than its path allows.
+    """A motion that may leave its path to be faster than any motion along it.
 
     Fields:
         motion: a `Timed`.
         residuals: its `Residuals`.
-        start_time: () s, of the fastest motion along the path.
+        start_time: (), the duration of the fastest motion along the path, s.
         steps_taken: (), the number of accepted steps.
         ok: (), whether a motion along the path exists.
     """
@@ -94,11 +90,13 @@ class Refined(Record):
 
     @property
     def status(self) -> str:
-        """The status of one motion.
+        """Status of one motion.
 
-        "refined", or "as it was" if no step was accepted: feasible, and no longer than
-        `start_time`. "not converged": see the residuals. "infeasible": the limits do not hold even
-        on the path.
+        "refined": feasible, and faster than `start_time`. "as it was": feasible, but not faster.
+            "not
+        converged": not feasible or slower, see the residuals. "infeasible": the limits do not hold
+            even on
+        the path.
         """
         if not bool(self.ok):
             return "infeasible"
@@ -122,33 +120,34 @@ def refine(
     iterations: int = 40,
     parts: int = 2,
 ) -> Refined:
-    """Find a faster motion than any along a path, with the same ends, within limits, off obstacles.
+    """Compute a faster motion than any along a path, with the same ends, within limits and
+    collision-free.
 
-    The first guess is `time_scaling`; then controls and durations change by gradients through the
+    The first guess is `time_scaling`. Then controls and durations change by gradients through the
     robot's dynamics. The motion may leave the path: it cuts corners if the map allows it, and may
-    reverse elsewhere. It is a local optimum near the path, or an iterate before one.
+    reverse elsewhere. The result is a local optimum near the path, or an earlier iterate.
 
     The time has derivatives by limits and by parameters of the robot, in forward mode.
 
     Args:
-        vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
-            starts at rest, its steerings and trailers straight, and ends at rest.
-        path: one `Path` of the chassis in short steps, by `Path.split` or `smooth`; its end is the
-            goal. Use `jax.vmap` for many.
+        vehicle: a model of a rolling robot with torque sources, `wheeled.at(robot, "kinematical")`.
+            It starts at rest, with steerings and trailers straight, and ends at rest.
+        path: one `Path` of the chassis in short steps, as from `Path.split` or `smooth`. Its end is
+            the goal. Use `jax.vmap` for many.
         limits: `Limits`.
-        field: `OccupancyGrid.distance_field()`, None for no obstacles.
+        field: `OccupancyGrid.distance_field()`; None for no obstacles.
         footprint: of the chassis. Trailers are not checked for collisions.
-        margin: the required clearance in m, or that of the motion along the path if it is less;
-            None for one cell.
+        margin: the required clearance, m; None for one cell. If the motion along the path has less
+            clearance, only that is required.
         intervals: the number of intervals of constant controls.
         iterations: the number of steps to try.
-        parts: Runge-Kutta steps of an interval. A caster turns within its trail, so its steps
-            must be as short: about 10. `residuals.defect` is the error of the steps.
+        parts: Runge-Kutta steps of an interval. A robot with casters needs about 10, because a
+            caster turns within its trail. `residuals.defect` is the integration error.
 
     Returns:
-        `Refined`; its motion in `intervals` intervals. Replay `motion.sampled(steps)` by
-        `wheeled.rollout`. Torques and steering rates are within their limits exactly, the rest up
-        to `Refined.residuals`.
+        `Refined`, with a motion of `intervals` intervals. Replay `motion.sampled(steps)` by
+        `wheeled.rollout`. Torques and steering rates are within their limits exactly, all other
+        limits up to `Refined.residuals`.
 
     Raises:
         InputError: wrong types, a batch, a robot whose drives give no torques for a path.
@@ -186,7 +185,7 @@ def _refine(
     vehicle: RobotModel, path: Path, limits: Limits, field: DistanceField | None,
     footprint: Footprint | None, margin: Any, intervals: int, iterations: int, parts: int,
 ) -> Refined:  # fmt: skip
-    # a path that needs more than the steering limit is allowed as a first guess
+    # the first guess may exceed the steering limit
     first = time_scaling(vehicle, path, limits.replace(steering=jnp.inf))
     motion = first.motion
     dtype = motion.ts.dtype
@@ -226,7 +225,8 @@ def _refine(
 
 
 def _speed_units(nv: int, speed: jax.Array, reach: jax.Array) -> jax.Array:
-    """Units of the free velocities. The last of several is a turning rate."""
+    """Return units (nv,) of the free velocities. The last of several velocities is a turning
+    rate."""
     units = jnp.full(nv, speed)
     return units.at[-1].divide(reach) if nv > 1 else units
 
@@ -238,7 +238,7 @@ def _as_motion(s: Shooting, w: jax.Array, z: jax.Array) -> Timed:
 
 
 def _residuals(s: Shooting, w: jax.Array, coarse: jax.Array) -> Residuals:
-    """The residuals of a replay. coarse: the last state, in the steps of the search."""
+    """Compute the residuals of a replay. coarse: the last state, in the steps of the search."""
     z = s._replace(parts=FINER * s.parts).states(w)
     z = z.reshape(-1, z.shape[-1])
     end = z[-1]

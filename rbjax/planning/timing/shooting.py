@@ -1,21 +1,22 @@
-"""The shortest time by single shooting and steps of linearised programs: the Sl1QP method.
+"""Minimum-time control by single shooting and the Sl1QP method (sequential linearised programs).
 
 n intervals have constant controls u_k, a torque for each drive and a rate for each steering, and
 durations h_k. States z = (coordinates, velocities) follow from the start by the classical
-Runge-Kutta method, a few steps an interval. The constraints are
+Runge-Kutta method, with a few steps per interval. The constraints are
 
-    e   (end - goal) and the velocities at the end                 = 0
-    b   speeds and angles against their limits, and the required  <= 0
+    e   (end - goal), and the velocities at the end                = 0
+    b   speeds and angles minus their limits, and the required    <= 0
         clearance minus the clearance of each disc
 
-Their derivatives by all controls are products of those of the intervals. With T the final time,
+Their derivatives by all controls are products of the derivatives of the intervals. With T the final
+time,
 
     min   T / T_0 + p (|e|_1 + |max(b, 0)|_1)        controls and durations in their ranges
 
-Each iteration linearises e and b, solves the program of the step in a box, the trust region
-(`elastic_program`), and corrects its end by e at the new controls (a correction of second order).
-It accepts the step if the sum falls, and widens or narrows the box by the ratio of actual to
-predicted decrease. The last iterations minimise only the constraint violation.
+Each iteration linearises e and b, and solves the program of the step in a trust region, which is a
+box (`elastic_program`). A second-order correction by e at the new controls restores the end. The
+step is accepted if the sum falls. The box grows or shrinks by the ratio of actual to predicted
+decrease. The last iterations minimise only the constraint violation.
 
 Source: Fletcher, *Practical Methods of Optimization*, 14.4; Nocedal & Wright, *Numerical
 Optimization*, 18.3, 18.5; Betts, *Practical Methods for Optimal Control*, 3.
@@ -38,27 +39,29 @@ from rbjax.wheeled.kinematics.parameters import stack_lanes
 from rbjax.wheeled.models.robot_model import RobotModel
 
 PRICE = 3.0  # p
-SHORTEST, LONGEST = 0.05, 4.0  # durations, of the first one
+SHORTEST, LONGEST = 0.05, 4.0  # range of durations, relative to the initial one
 INNER = 12  # iterations of a program
-CORRECTIONS = 3  # evaluations of a step, each corrected by the one before
+CORRECTIONS = 3  # second-order corrections of a step
 PROXIMAL = 0.3
-FIRST, LEAST = 0.3, 1e-6  # half a side of the trust region, of the ranges
-LAST, SMALL = 6, 1e-5  # last iterations, which only lower |e| + |b|, down to this
+FIRST, LEAST = 0.3, 1e-6  # initial and smallest trust-region radius, relative to the ranges
+LAST, SMALL = 6, 1e-5  # number of last iterations, which only reduce |e| + |b|, and its target
 
 
 class Shooting(NamedTuple):
-    """A motion as a function of w (n, nu + 1), the controls and durations of intervals in their
-    units.
+    """A motion as a function of w (n, nu + 1), the scaled controls and durations of intervals.
 
     Fields:
         vehicle: the robot.
         limits: with a finite steering angle.
-        units: (nu,), the largest controls.
+        units: (nu,), the largest controls, the units of w.
         duration: the unit of durations, s.
-        length, reach, speeds: units of deviations: m, the lever arm in m of a rad, and (nv,).
-        start, goal: (nz,) and (3,).
+        length: the unit of distances, m.
+        reach: the lever arm by which rad are converted to m, m.
+        speeds: (nv,), the units of velocities.
+        start: (nz,), the initial state.
+        goal: (3,), the goal pose.
         field, footprint: None without a map.
-        due: (n parts, discs) m, the required clearances.
+        due: (n parts, discs), the required clearances, m.
         parts: steps of an interval, static.
     """
 
@@ -91,7 +94,7 @@ class Shooting(NamedTuple):
         return stack_lanes([*q[: self.tracked], *v], z.dtype)
 
     def over(self, z: jax.Array, w: jax.Array) -> jax.Array:
-        """States (parts, nz) in an interval, the last at its end."""
+        """Integrate one interval. Return its states (parts, nz), the last at its end."""
         u, h = w[:-1] * self.units, w[-1] * self.duration / self.parts
 
         def step(z, _):
@@ -101,7 +104,7 @@ class Shooting(NamedTuple):
         return jax.lax.scan(step, z, length=self.parts)[1]
 
     def states(self, w: jax.Array) -> jax.Array:
-        """States (n, parts, nz) in all intervals."""
+        """Integrate all intervals. Return the states (n, parts, nz)."""
 
         def interval(z, w):
             inside = self.over(z, w)
@@ -110,7 +113,7 @@ class Shooting(NamedTuple):
         return jax.lax.scan(interval, self.start, w)[1]
 
     def equal(self, z: jax.Array) -> jax.Array:
-        """The residuals e (3 + nv,) of the last state."""
+        """Compute the end constraints e (3 + nv,) of the last state."""
         off = z[:3] - self.goal
         return jnp.concatenate(
             [off[:2] / self.length, off[2:3] * self.reach / self.length,
@@ -118,7 +121,8 @@ class Shooting(NamedTuple):
         )  # fmt: skip
 
     def below(self, z: jax.Array, due: jax.Array) -> jax.Array:
-        """The rows b of a state."""
+        """Compute the inequality constraints b of a state, with required clearances `due`
+        (discs,)."""
         x, y, turn = self.twist(z)
         square = x * x + y * y
         speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
@@ -130,12 +134,12 @@ class Shooting(NamedTuple):
         return jnp.concatenate([*rows, (due - self.clearances(z)) / self.length])
 
     def twist(self, z: jax.Array) -> jax.Array:
-        """The twist (3,) of the chassis."""
+        """Compute the twist (3,) of the chassis."""
         now = self.vehicle.context(self.state(z))
         return stack_lanes(self.vehicle.full_velocities(now)[:3], z.dtype)
 
     def clearances(self, z: jax.Array) -> jax.Array:
-        """Clearances of the discs, m."""
+        """Compute the clearance of each disc, m."""
         assert self.field is not None and self.footprint is not None
         return self.field.at(disc_centers(z[:3], self.footprint)) - self.footprint.radii
 
@@ -146,7 +150,7 @@ class Shooting(NamedTuple):
         return self.equal(flat[-1]), jax.vmap(self.below)(flat, self.due).ravel()
 
     def linear(self, w: jax.Array) -> tuple[tuple[jax.Array, jax.Array], ...]:
-        """Evaluate (e, de/dw) and (b, db/dw), with w as a row."""
+        """Evaluate (e, de/dw) and (b, db/dw), with w flattened."""
         z = self.states(w)
         n, parts, nz = z.shape
         before = jnp.concatenate([self.start[None], z[:-1, -1]])
@@ -155,7 +159,7 @@ class Shooting(NamedTuple):
 
         def chain(S, AB):
             A, B, e = AB
-            # S (nz, n, nu + 1): this interval's own controls act from here on
+            # S (nz, n, nu + 1): states by all controls, to which this interval's are added
             inside = jnp.einsum("pij,jkc->pikc", A, S) + B[:, :, None, :] * e[:, None]
             return inside[-1], inside
 
@@ -172,8 +176,13 @@ class Shooting(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """Fields: w (n, nu + 1); radius (), of the trust region; iterations_done and taken, numbers of
-    iterations and of accepted steps."""
+    """Iterate of the optimisation.
+
+    w: (n, nu + 1), the scaled controls.
+    radius: (), of the trust region.
+    iterations_done: the number of iterations.
+    taken: the number of accepted steps.
+    """
 
     w: jax.Array
     radius: jax.Array
@@ -182,7 +191,7 @@ class Iterate(NamedTuple):
 
 
 def optimise(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
-    """Minimise from controls w (n, nu + 1)."""
+    """Minimise the penalty function from initial controls w (n, nu + 1)."""
     n = len(w)
     one = jnp.ones_like(w)
     lowest = (-one).at[:, -1].set(SHORTEST)
@@ -211,7 +220,8 @@ def optimise(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
         S = S + jnp.eye(len(e), dtype=w.dtype) * (1e-12 * jnp.trace(S) + jnp.finfo(w.dtype).tiny)
 
         def corrected(d, _):
-            """A step, its merit, and the next step, corrected by the residual of the end."""
+            """Evaluate a step. Return the next step, corrected by the end residual; the new w; its
+            merit."""
             new = jnp.clip(w + d.reshape(w.shape), lowest, highest)
             equal, below = s.rows(new)
             value = (cost * new).sum() + penalty(equal, below)

@@ -1,16 +1,15 @@
-"""The fastest motion along a path: torques, speeds and steering rates within their limits.
+"""Time-optimal motion along a path, within limits of torques, speeds and steering rates.
 
 Along a path the torques are linear in s'' and in x = s'^2 (`driven_path`). With s'' = u constant in
 a step of length ds, x+ = x + 2 ds u, and all limits are half-planes of (u, x):
 
     |A u + B x + C| <= tau_max           at both ends of the step
     x <= min (v_max / |v|)^2, ...        of speeds and of steering rates, all linear in s'
-    x = 0                                where the robot stops
+    x = 0                                at the stops of the robot
 
-Backwards from the end: the interval K of x from which the rest of the path can be driven. u is
-eliminated from the half-planes (Fourier, Motzkin), which leaves bounds of x. Then ahead from the
-start, each time with the largest u that leads into the next K. That motion is the fastest, and no
-state on it is a dead end.
+A backward pass computes, for each step, the interval K of x from which the rest of the path can be
+driven. u is eliminated from the half-planes (Fourier-Motzkin), which leaves bounds of x. A forward
+pass from the start uses the largest u that leads into the next K. That motion is the fastest.
 
 Source: Pham & Pham, *A new approach to time-optimal path parameterization based on reachability
 analysis*, IEEE T-RO 34 (2018) 645, algorithm 1; Lynch & Park, *Modern Robotics*, 9.4.
@@ -36,8 +35,9 @@ from rbjax.wheeled import RobotModel
 class TimeScaled(Record):
     """The fastest motion along a path.
 
-    Fields: motion, a `Timed` of 2 n intervals, standing and driving in turn, of which some have no
-    duration; ok (), whether such a motion exists.
+    Fields:
+        motion: a `Timed` of 2 n intervals, alternately standing and driving; some have no duration.
+        ok: (), whether such a motion exists.
     """
 
     motion: Timed
@@ -45,8 +45,11 @@ class TimeScaled(Record):
 
     @property
     def status(self) -> str:
-        """The status of one path: "found"; or "infeasible" if the limits do not hold even at rest,
-        or the path needs steering angles beyond the limit."""
+        """Status of one path: "found" or "infeasible".
+
+        It is infeasible if the limits do not hold even at rest, or if the path requires steering
+        angles beyond the limit.
+        """
         return "found" if bool(self.ok) else "infeasible"
 
 
@@ -54,21 +57,21 @@ def time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     """Compute the time-optimal motion of a robot along a path, at rest at both ends.
 
     The robot stops and steers at reversals and at turns of more than 60 degrees. Elsewhere it
-    rounds a corner between two steps within half of each. In short steps (`Path.split`) a corner is
-    rounded more closely, and more slowly.
+    rounds a corner between two steps, within half of each step. With shorter steps (`Path.split`)
+    corners are rounded less, and the motion is slower.
 
     Args:
-        vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
-            starts with its steerings and trailers straight.
-        path: one `Path` of the chassis. Steps of zeros may fill it up. Use `jax.vmap` for many.
+        vehicle: a model of a rolling robot with torque sources, `wheeled.at(robot, "kinematical")`.
+            It starts with its steerings and trailers straight.
+        path: one `Path` of the chassis. It may be padded by steps of zeros. Use `jax.vmap` for
+            many.
         limits: `Limits`. The path determines the steering angles, so a path that exceeds their
             limit is infeasible at any speed.
 
     Returns:
-        `TimeScaled`. Its coordinates are those of the robot on the path with rounded corners. Its
-        controls, replayed without feedback, end off in proportion to the steps' length (a cart
-        after 16 s: 0.3 m with steps of 0.1 m, 4 cm with 0.02 m); `refine` ends at the goal.
-        Trailers are not checked for collisions.
+        `TimeScaled`. Its coordinates are on the path with rounded corners. A replay of its controls
+        without feedback misses the goal in proportion to the steps' length; `refine` ends at the
+        goal. Trailers are not checked for collisions.
 
     Raises:
         InputError: wrong types, a batch, a robot whose drives give no torques for a path.
@@ -91,7 +94,7 @@ def time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
 
 
 def check_path(where: str, path: Any) -> None:
-    """`InputError` unless the argument is one path."""
+    """Raise `InputError` unless the argument is one path."""
     if not isinstance(path, Path):
         raise InputError(f"{where}: path is {type(path).__name__}, expected rbjax.planning.Path")
     if path.start.ndim != 1 or not path.steps.shape[0]:
@@ -108,19 +111,19 @@ def _time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled
     most = limits.torques(vehicle)
     caps = jnp.stack([_cap(p, side, limits) for side in (p.first, p.last)])
     zero = jnp.zeros((), dtype)
-    # a cap of the begin of a step holds for the end of the one before
+    # x at the beginning of a step is also x at the end of the previous step
     cap = jnp.minimum(caps[0], jnp.concatenate([zero[None], caps[1, :-1]]))
     cap = jnp.where(p.stops, 0.0, cap)
 
     flat = jnp.sqrt(jnp.finfo(dtype).eps)
 
     def rows(k, low, high):
-        """Half-planes a u + b x <= c of step k, whose end is in [low, high]."""
+        """Return the half-planes a u + b x <= c of step k, whose final x is in [low, high]."""
         step, (A0, B0, C0), (A1, B1, C1) = k
         A, B = jnp.stack([A0, A1 + 2 * step * B1]) / most, jnp.stack([B0, B1]) / most
         C, one = jnp.stack([C0, C1]) / most, jnp.ones(1, dtype)
         a, b, c = (jnp.ravel(x) for x in (A, B, C))
-        # where a torque hardly depends on u, rounding is all that it says of u
+        # a torque that hardly depends on u bounds u only by rounding errors
         a = jnp.where(jnp.abs(a) > flat * jnp.abs(a).max(), a, 0.0)
         return (
             jnp.concatenate([a, -a, 2 * step * one, -2 * step * one]),
@@ -155,12 +158,12 @@ def _time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled
 
 
 def _fastest(rates: jax.Array) -> jax.Array:
-    """The largest absolute rate of steering of each step; zero if nothing steers."""
+    """Compute the largest absolute steering rate of each step; zero without steerings."""
     return largest(jnp.abs(rates)) if rates.shape[-1] else jnp.zeros(rates.shape[:-1], rates.dtype)
 
 
 def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
-    """The largest x (n,) by limits of rates, at one end of the steps."""
+    """Compute the largest x (n,) by the limits of rates, at one end of the steps."""
     v = side.twist
     steer = _fastest(p.bends) / limits.steering_rate
     ways = [
@@ -170,8 +173,8 @@ def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
 
 
 def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
-    """The bounds of x in [0, cap] for which some u satisfies a u + b x <= c."""
-    # row i bounds u from above, row j from below; a row without u, with a 1 for the other
+    """Compute the bounds of x in [0, cap] for which some u satisfies a u + b x <= c."""
+    # row i bounds u from above, row j from below; a row without u bounds x directly
     i, j, flat = a > 0, a < 0, a == 0
     eps = 64 * jnp.finfo(a.dtype).eps
     p, r = a[:, None], b[:, None]
@@ -185,13 +188,13 @@ def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
     ratio = gamma / jnp.where(alpha == 0, 1.0, alpha)
     high = jnp.minimum(cap, smallest(jnp.where(alpha > 0, ratio, jnp.inf)))
     low = jnp.maximum(0.0, largest(jnp.where(alpha < 0, ratio, -jnp.inf)))
-    # rounding may leave nothing of an interval that is a point
+    # rounding may make an interval that is a single point empty
     off = ((alpha == 0) & (gamma < -eps)).any() | (low > high + eps * (1 + cap))
     return jnp.where(off, jnp.inf, jnp.minimum(low, high)), high
 
 
 def _timed(vehicle: RobotModel, p: DrivenPath, limits: Limits, x: jax.Array) -> Timed:
-    """The motion with s'^2 (n + 1,) between the steps."""
+    """Make the motion with x = s'^2 (n + 1,) at the ends of the steps."""
     n = len(p.size)
     speed = jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
     both = speed[1:] + speed[:-1]

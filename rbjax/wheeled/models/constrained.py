@@ -133,8 +133,8 @@ class Constrained(RobotModel):
 
 
 def full_state(now: RobotContext, w: Sequence[Lane]) -> tuple[Model, State]:
-    """Make the multibody model at the current steering rates, and its state at full velocities w.
-    """
+    """Make the multibody model at the current steering rates, and its state at full velocities
+    w."""
     n = now.n
     layout, rates = n.layout, coordinate_rates(now, w)
     steering = steering_rates(now)

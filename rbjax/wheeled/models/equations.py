@@ -78,8 +78,7 @@ def momentum(body: BodyParameters, V: Twist) -> Twist:
 
 def _gyroscopic(body: BodyParameters, V: Twist) -> Twist:
     """Compute the gyroscopic wrench of a body: the force w x p, and the moment v x p about its
-    origin.
-    """
+    origin."""
     p, w = momentum(body, V), V[2]
     return Twist(neg(mul(w, p[1])), mul(w, p[0]), cross((V[0], V[1]), (p[0], p[1])))
 
@@ -175,10 +174,8 @@ def motion_and_rate(
 
 
 def _steering_torques(now: RobotContext, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
-    """Compute the reaction moments of wheels of Ackermann steerings, as pairs (body, moment).
-
-    At a constant steering rate such wheels still accelerate about the vertical.
-    """
+    """Compute the reaction moments of wheels of Ackermann steerings, as pairs (body, moment). At a
+    constant steering rate such wheels still accelerate about the vertical."""
     n = now.n
     uneven = [
         i

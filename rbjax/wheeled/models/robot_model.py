@@ -92,8 +92,7 @@ class RobotModel(Record):
 
     def wheel_forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
         """Compute the loads of the wheels, and the horizontal forces on them in the axes of their
-        bodies, N.
-        """
+        bodies, N."""
         raise InputError(
             f"contacts: the fidelity is {self.name!r}, which has no forces of wheels; expected "
             "'slipping' or 'constrained'"
@@ -194,8 +193,7 @@ def start(model: RobotModel, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0
 
 def with_twist(model: RobotModel, q: jax.Array, twist: jax.Array) -> State:
     """Make the state at coordinates q (nq,) with the projection of a chassis twist (3,) on allowed
-    ones.
-    """
+    ones."""
     now = model.context(State(q, jnp.zeros(model.nv, q.dtype), jnp.zeros(model.nx, q.dtype)))
     V = Twist(*(twist[i] for i in range(3)))
     w = rolling_velocities(now.n, now.shape, free_velocities(now.n, now.shape, V))
@@ -249,8 +247,7 @@ class Contacts(NamedTuple):
     @property
     def lifts(self) -> jax.Array:
         """Boolean (n,): whether the load is negative. Such a wheel would lift; the motion is not
-        valid.
-        """
+        valid."""
         return self.loads < 0
 
 

@@ -197,9 +197,7 @@ def _contact_velocities(now: RobotContext, w: Sequence[Lane]) -> list[tuple[Lane
 
 def _sliding(wheel: WheelParameters, along: Lane, across: Lane, roll: Lane) -> tuple[Lane, ...]:
     """Compute the sliding velocity of a contact in the directions in which it transmits a force.
-
-    These are along and across a plain wheel, along a caster, and along the axes of rollers.
-    """
+    These are along and across a plain wheel, along a caster, and along the axes of rollers."""
     along = sub(along, roll)
     if wheel.kind == "caster":
         return (along,)
