@@ -135,7 +135,7 @@ def _rounding_error(y: jax.Array, d: jax.Array, total: jax.Array) -> jax.Array:
 
 
 class _Increment(diffrax.AbstractTerm):
-    """Term of the increment z = y - y0."""
+    """Diffrax term of the increment z = y - y0."""
 
     term: diffrax.AbstractTerm
     y0: Any

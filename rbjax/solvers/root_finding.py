@@ -25,8 +25,8 @@ from rbjax.lanes import matvec
 
 MAX_STEPS = 100  # chord iterations are cheap, and a stiff spring on a heavy arm needs many
 ROUNDING = 4  # units in the last place of the state
-LOST = 0.2  # share of the digits lost to conditioning: constant corrections below it are rounding
-FAST = 0.1  # rate after which corrections that grow are rounding, below sqrt(eps) of the state
+LOST = 0.2  # share of digits lost to conditioning; constant corrections of this size are rounding
+FAST = 0.1  # after this convergence rate, growing corrections below sqrt(eps) are rounding
 
 
 class RootFinder(optx.AbstractRootFinder):

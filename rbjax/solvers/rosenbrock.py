@@ -31,8 +31,8 @@ from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
 
 def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]) -> np.ndarray:
-    """Return the elementary weights Phi_i of a tree. `kinds`, which is consumed, marks the nodes
-    with one branch that have a factor J."""
+    """Return the elementary weights Phi_i (s,) of a rooted tree. `kinds`, which is consumed, marks
+    the nodes with one branch that have a factor J."""
     matrix = gamma if len(tree) == 1 and kinds.pop(0) else alpha
     out = np.ones(len(alpha))
     for branch in tree:
@@ -41,7 +41,7 @@ def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]
 
 
 def _single(tree: Tree) -> int:
-    """Return the number of nodes with one branch."""
+    """Return the number of nodes of a rooted tree that have one branch."""
     return (len(tree) == 1) + sum(map(_single, tree))
 
 
@@ -60,8 +60,7 @@ class RosenbrockTableau:
     """Coefficients of a Rosenbrock-W method.
 
     Fields:
-        alpha: (s, s), strictly lower triangular.
-        gamma: (s, s), lower triangular with a constant diagonal.
+        alpha, gamma: (s, s), strictly lower triangular; lower triangular with a constant diagonal.
         b: (s,) weights of the method.
         companion: (s,) weights of the embedded method, whose order is one less.
         order: order of the method.

@@ -49,8 +49,8 @@ from rbjax.solvers.tableau import Tableau
 
 
 class RK4(diffrax.AbstractERK):
-    """The classical Runge-Kutta method of order 4, with an error estimate of order 3. The estimate
-    also uses the rate at y1."""
+    """The classical Runge-Kutta method of order 4. Its error estimate of order 3 uses the rate at
+    y1."""
 
     tableau: ClassVar[diffrax.ButcherTableau] = diffrax.ButcherTableau(
         a_lower=tuple(np.array(row[:i]) for i, row in enumerate(TABLE.a) if i),
@@ -94,7 +94,7 @@ def _(primals: Any, tangents: Any) -> Any:
 
 
 class Stages(eqx.Module):
-    """Residual of the stage equations, as a function of the increments k (s, n)."""
+    """Residual of implicit stage equations, as a function of the increments k (s, n)."""
 
     f: Field
     h: Any
@@ -110,7 +110,7 @@ class Stages(eqx.Module):
 
 
 class Chord(eqx.Module):
-    """The linear map (1 - h A (x) J) k, whose derivative replaces the derivative of `Stages`."""
+    """The linear map k - h (A (x) J) k, whose derivative a chord iteration uses."""
 
     h: Any
     a: jax.Array
@@ -132,7 +132,7 @@ def solve(
 
 
 def damped(f: Field, gamma_h: Any, start: Start, raw: jax.Array, finder: Any) -> jax.Array:
-    """Return (1 - gamma h J)^-1 raw for an error estimate raw, with J at the start of the step."""
+    """Return (1 - gamma h J)^-1 raw: an error estimate without its stiff components."""
     if start.jacobian is None:
         _, push = jax.linearize(lambda y: f(start.t, y), start.y)
         operator: Any = lx.FunctionLinearOperator(
@@ -200,7 +200,8 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         return damped(f, self.tableau.filter * h, here, raw, self.root_finder)
 
     def polynomial(self, k: jax.Array) -> jax.Array:
-        """Return the coefficients of theta, theta^2, ... in sum_i b_i(theta) k_i."""
+        """Return the coefficients of theta, theta^2, ... of the dense output sum_i b_i(theta)
+        k_i."""
         return weighted_sums(tuple(zip(*self.tableau.dense, strict=True)), k)
 
 

@@ -45,12 +45,13 @@ def size(tree: Tree) -> int:
 
 
 def density(tree: Tree) -> int:
-    """Return gamma(tree): the number of nodes times the densities of the branches."""
+    """Return gamma of a rooted tree: the number of nodes times the densities of the branches."""
     return size(tree) * int(np.prod([density(branch) for branch in tree], dtype=int))
 
 
 def weights(a: np.ndarray, tree: Tree) -> np.ndarray:
-    """Return Phi_i(tree): the product over the branches of sum_j a_ij Phi_j(branch)."""
+    """Return the elementary weights Phi_i (s,) of a rooted tree. They are the products over the
+    branches of sum_j a_ij Phi_j(branch)."""
     out = np.ones(len(a))
     for branch in tree:
         out = out * (a @ weights(a, branch))

@@ -158,13 +158,13 @@ class KKT(Dense):
 
 @dataclass(frozen=True)
 class Minimal(Dense):
-    """Base class of methods that compute L and Z. Subclasses implement `split`."""
+    """Base class of null-space methods. Subclasses implement `split`."""
 
     family: ClassVar[str] = "minimal"
     index: ClassVar[int] = 0
 
     def split(self, G: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return L (nv, rows) and Z (nv, nv)."""
+        """Return L (nv, rows) with G L G = G, and Z (nv, nv) that spans the null space of G."""
         raise NotImplementedError(f"{type(self).__name__} has no method split(G) -> L, Z")
 
     def solution(self, M: jax.Array, G: jax.Array, f: jax.Array, c: jax.Array) -> Solution:

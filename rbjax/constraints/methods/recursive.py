@@ -159,10 +159,10 @@ class EliminatedCluster(NamedTuple):
     Fields:
         cluster: the cluster.
         u: force at each joint, for the unit multiplier of each row.
-        e: u / D.
+        e: u / D, with the joint-space inertia D of each joint.
         W: wrench at the parent, for the unit multiplier of each row.
         Y: A^-1 W; empty if the parent is the world.
-        A: factors of A.
+        A: factors of the Delassus matrix of the rows.
     """
 
     cluster: Cluster
@@ -240,7 +240,7 @@ class ClusterTree:
         return pack(a, self._like), pack(l, self._like)
 
     def _inward(self, u: list[Lane], pending: dict[int, Force], c: Sequence[Lane]) -> list[Lane]:
-        """Compute the multipliers l_0 for parents without acceleration.
+        """Compute the multipliers of the rows for clusters whose parents do not accelerate.
 
         Args:
             u: generalized forces, which are replaced by the forces at the joints.
@@ -272,7 +272,7 @@ class ClusterTree:
         return l
 
     def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
-        """Compute the accelerations. Correct l for the accelerations of the parents."""
+        """Return the accelerations of all dofs. Correct l for the accelerations of the parents."""
         a, out = {WORLD: Motion.zero()}, []
 
         def arrived(link: int) -> None:

@@ -171,17 +171,17 @@ class System:
         return self.sizes.n
 
     def stages(self, x: jax.Array, at: StageProblem) -> tuple[jax.Array, ...]:
-        """Return t, y, rates and w of each stage, from x = (rates, w)."""
+        """Return time, y, rates and algebraic unknowns w of each stage, from x = (rates, w)."""
         k, w = x[:, : self.n], x[:, self.n :]
         return at.t, at.y + at.h * weighted_sums(at.weights.a, k), k, w
 
     def residual(self, x: jax.Array, at: StageProblem) -> jax.Array:
-        """Return the equations (s, n + m) at x = (rates, w), with the last rows times (h A)^-p."""
+        """Return the stage equations (s, n + m) at x = (rates, w), with scaled algebraic rows."""
         out = each(lambda *stage: self.f(*stage, *at.read), *self.stages(x, at))
         return self.weighted(out, at.h, at.weights)
 
     def weighted(self, rows: jax.Array, h: Any, weights: Weights) -> jax.Array:
-        """Multiply the last m of the rows (s, n + m, ...) by (h A)^-p."""
+        """Multiply the algebraic rows, the last m of (s, n + m, ...), by (h A)^-depth."""
         back, parts, at = weights.inverse / h, [rows[:, : self.n]], self.n
         for p in self.sizes.depth:
             row = rows[:, at]
@@ -216,7 +216,7 @@ class System:
         return lambda d: jax.jvp(lambda x: self.residual(x, at), (x,), (d,))[1]
 
     def complement(self, x: jax.Array, shared: Simplified, at: StageProblem) -> Complement:
-        """Compute the Schur complement of the w of all stages, at x."""
+        """Compute the Schur complement of the algebraic unknowns w of all stages, at x."""
         near = rank_tolerance("stages", at.y.dtype)
         push = self.push_residual(x, at)
         return complement(push, shared.free, at.free_diagonal, len(at.y), self.n, near)
@@ -342,7 +342,7 @@ class System:
 def choose_by_memory(
     unknowns: int, f: Callable, smaller: Callable, otherwise: Callable
 ) -> Callable:
-    """Return f, which needs a matrix of all unknowns, or another function on a GPU without memory."""
+    """Return f, which needs a matrix of all unknowns, or another function on a small GPU."""
     if unknowns <= COUPLED_UP_TO:
         return f
     on_gpu = smaller if unknowns <= SWEPT_UP_TO else otherwise

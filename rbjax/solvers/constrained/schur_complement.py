@@ -36,7 +36,7 @@ Solve = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 class Matrix(NamedTuple):
-    """The blocks K, C, B, D of the matrix of all stages, in this order."""
+    """The four blocks of the Newton matrix of all stages: equations and rows by rates and by w."""
 
     rates: jax.Array
     w: jax.Array
@@ -49,12 +49,13 @@ class Matrix(NamedTuple):
 
 
 class Factored:
-    """A matrix of all stages, factored by its regularized Schur complement.
+    """A Newton matrix of all stages, factored by its regularized Schur complement.
 
     Args:
         matrix: blocks of the matrix.
-        free_diagonal: (m,) diagonal of S for free bodies, of one stage; 0 if unknown.
-        least_squares: eps of the least-squares problem; None adds E to S instead.
+        free_diagonal: (m,) diagonal of the Schur complement for free bodies, of one stage; 0 if
+            unknown.
+        least_squares: eps of the least-squares problem; None adds a shift E instead.
     """
 
     def __init__(

@@ -68,7 +68,7 @@ def spectrum(a: np.ndarray) -> Spectrum:
 
 
 class Weights(NamedTuple):
-    """The matrix A (s, s) of a method, its inverse, and its real form."""
+    """Coefficients A (s, s) of an implicit method, their inverse, and their real form."""
 
     a: Any
     inverse: Any
@@ -114,7 +114,7 @@ class Sizes(NamedTuple):
 
 
 class GGLBlocks(NamedTuple):
-    """Blocks of mu: M^-1 in the field M, M^-1 G^T in Y, G, and S_mu^-1 in S."""
+    """Blocks of the GGL multipliers: inverse of M, Y = M^-1 G^T, G, inverse of S = G M^-1 G^T."""
 
     M: jax.Array
     Y: jax.Array
@@ -123,8 +123,9 @@ class GGLBlocks(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Inverted blocks: K^-1 and S^-1 of each eigenvalue, the gradient B of the rows, and the blocks
-    of mu or None."""
+    """Inverted blocks of the simplified Newton matrix: K^-1 of the velocities and S^-1 of the rows
+    for each eigenvalue, the gradient B of the rows, and the blocks of the GGL multipliers or None.
+    """
 
     K: list[Inverse]
     S: list[Inverse]
@@ -133,7 +134,7 @@ class Blocks(NamedTuple):
 
 
 class Simplified(NamedTuple):
-    """Approximate inverse of the matrix of all stages."""
+    """Approximate inverse of the Newton matrix of all stages."""
 
     sizes: Sizes
     h: Any
@@ -141,7 +142,7 @@ class Simplified(NamedTuple):
     blocks: Blocks
 
     def solved(self, r: jax.Array) -> jax.Array:
-        """Solve matrix x = r approximately, for x (s, n + m)."""
+        """Solve the Newton equations of all stages approximately, for x (s, n + m)."""
         n, k, depth, _ = self.sizes
         m = n + self.sizes.rows
         du, acting, rows, last = r[:, :k], r[:, k:n], r[:, n:m], r[:, m:]
@@ -164,7 +165,7 @@ class Simplified(NamedTuple):
         return jnp.concatenate([du + _times(ggl.Y, mu), rates, w, mu], 1)
 
     def free(self, r: jax.Array) -> jax.Array:
-        """Solve the equations without rows approximately: rates (s, n) of a residual r (s, n)."""
+        """Solve the Newton equations without constraint rows approximately, for rates (s, n)."""
         n, k, *_ = self.sizes
         du, acting = r[:, :k], r[:, k:n]
         if self.blocks.ggl:
@@ -175,7 +176,7 @@ class Simplified(NamedTuple):
         return jnp.concatenate([du, rates], 1)
 
     def _by_eigenvalue(self, blocks: list[Inverse], x: jax.Array) -> jax.Array:
-        """Multiply each block by its rows of x: one for a real eigenvalue, two for a complex pair."""
+        """Multiply each block by its rows of x: one for a real eigenvalue, two for a pair."""
         out, at = [], 0
         for block in blocks:
             if len(block) == 1:
@@ -191,7 +192,7 @@ def simplified(
     push: Callable[[jax.Array], jax.Array], sizes: Sizes, h: Any, weights: Weights,
     free_diagonal: jax.Array,
 ) -> Blocks:  # fmt: skip
-    """Compute and invert the blocks.
+    """Compute and invert the blocks of the simplified Newton matrix.
 
     Args:
         push: derivative of the equations (n + m,) along a change of (y, y', w) (2 n + m,) at the
@@ -199,7 +200,7 @@ def simplified(
         sizes: sizes of the equations.
         h: step.
         weights: weights of the method.
-        free_diagonal: (m,) diagonals of S and S_mu for free bodies; 0 if unknown.
+        free_diagonal: (m,) diagonals of the Schur complements for free bodies; 0 if unknown.
     """
     n, k, depth, ggl = sizes
     dtype, m, rows = free_diagonal.dtype, len(depth), n + sizes.rows
