@@ -1,4 +1,4 @@
-"""Checks of the arguments of algorithms: shapes, dtypes, finite values, quaternions, models."""
+"""Checks of algorithm arguments: shapes, dtypes, finite values, quaternions, models."""
 
 from __future__ import annotations
 
@@ -44,8 +44,13 @@ def check_arrays(
     batch: tuple[int, ...] = (),
     required: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Check the shapes of the named arrays, and their values if these are not traced. Cast them to
-    the dtype of q and v. Each may have leading batch axes. Those in `required` may not be None."""
+    """Check the shapes and the untraced values of arrays, and cast them to the dtype of q and v.
+
+    Args:
+        given: argument name -> value; a `State` is the argument "state".
+        batch: the leading axes of every array.
+        required: the names of optional arguments that must not be None.
+    """
     check_model(where, model)
     given, stated = dict(given), "state" in given
     step = given.pop("dt", None)
@@ -72,7 +77,7 @@ def check_arrays(
     if step is not None:
         out["dt"] = check_step(where, "dt", step, dtype)
     if stated:
-        x = out.pop("x", None) if model.nx else None  # one form of no states
+        x = out.pop("x", None) if model.nx else None  # without force states, x is always None
         start = model.start(dtype) if x is None else None
         if start is not None:
             x = jnp.broadcast_to(start, (*batch, model.nx))
@@ -81,7 +86,7 @@ def check_arrays(
 
 
 def check_model(where: str, model: Any, fix: str = "for a batch of models, use jax.vmap") -> None:
-    """Raise `InputError` unless this is one model; `fix` is the advice for a batch of models."""
+    """Raise `InputError` unless `model` is one model. `fix` is the advice for a batch of models."""
     if not isinstance(model, Model):
         raise InputError(f"{where}: model is {type(model).__name__}, expected a Model (rbjax.load)")
     several = model.several()
@@ -94,8 +99,10 @@ def check_model(where: str, model: Any, fix: str = "for a batch of models, use j
 
 
 def check_static(where: str, kind: str, value: Any) -> None:
-    """`InputError` unless value has the type of its kind: a name or index of a body or site, an
-    integrator, a dynamics. None and unknown names are checked by the algorithm."""
+    """Raise `InputError` unless a static argument has the type that its kind requires.
+
+    The kinds are "body", "site", "integrator" and "dynamics". None and strings always pass.
+    """
     index = kind in ("body", "site") and isinstance(value, int) and not isinstance(value, bool)
     if value is None or isinstance(value, str) or index:
         return
@@ -112,7 +119,7 @@ def check_static(where: str, kind: str, value: Any) -> None:
 
 
 def check_moves(where: str, model: Model) -> None:
-    """`InputError` if the model has no joints."""
+    """Raise `InputError` if the model has no joints."""
     if not model.nv:
         raise InputError(
             f"{where}: the model has no joints, so nothing moves; give a body of the file a "
@@ -123,7 +130,7 @@ def check_moves(where: str, model: Model) -> None:
 def check_array(
     where: str, name: str, value: Any, *shapes: tuple[int, ...], fix: str = ""
 ) -> jax.Array:
-    """Convert a value to a floating array of one of the shapes. Known values must be finite."""
+    """Convert a value to a floating-point array of one of the shapes, finite unless traced."""
     expected = " or ".join(map(str, shapes)) + fix
     given = getattr(value, "shape", ())
     if shapes[0] in (given[1:], given[:-1]) and not fix:
@@ -132,7 +139,7 @@ def check_array(
     if not isinstance(x, jax.core.Tracer):
         on_host = isinstance(value, np.ndarray) and value.dtype == x.dtype
         xp, values = module_for_check(value if on_host else x)
-        with jax.ensure_compile_time_eval():  # within a program known values stay known
+        with jax.ensure_compile_time_eval():  # constants in traced code stay concrete
             finite = np.asarray(xp.isfinite(values))
         if not finite.all():
             at = tuple(np.argwhere(~finite)[0])
@@ -143,15 +150,17 @@ def check_array(
 
 
 def module_for_check(x: Any) -> tuple[Any, Any]:
-    """numpy or jax.numpy, and the array for it: small arrays are checked on the host, large ones
-    on their device."""
+    """Return the module that checks an array, and the array: numpy if it is small, else jax.numpy.
+
+    Large arrays are checked on their device.
+    """
     if isinstance(x, jax.Array) and x.size > FEW:
         return jnp, x
     return np, np.asarray(x)
 
 
 def shape_of(where: str, name: str, value: Any) -> tuple[int, ...]:
-    """The shape of an array."""
+    """Return the shape of an array. Raise `InputError` if its rows have different lengths."""
     try:
         return tuple(map(int, np.shape(value)))
     except (TypeError, ValueError) as error:
@@ -162,7 +171,7 @@ def shape_of(where: str, name: str, value: Any) -> tuple[int, ...]:
 
 
 def check_step(where: str, name: str, value: Any, dtype: Any) -> jax.Array:
-    """Check a positive step, and cast it to the dtype."""
+    """Check that a time step is a positive number, and cast it to the dtype."""
     step = check_array(where, name, value, (), fix=": a positive step in seconds")
     if not isinstance(step, jax.core.Tracer) and not np.asarray(step) > 0:  # also while tracing
         raise InputError(f"{where}: {name} is {value}, expected a positive step in seconds")
@@ -170,7 +179,7 @@ def check_step(where: str, name: str, value: Any, dtype: Any) -> jax.Array:
 
 
 def check_takes(where: str, name: str, f: Any, *arguments: str) -> None:
-    """`InputError` unless f is a function of these arguments. An unknown signature is accepted."""
+    """Raise `InputError` unless f accepts these arguments. Functions without a signature pass."""
     due = f"a function ({', '.join(arguments)})"
     if not callable(f) or isinstance(f, type):
         got = f"the class {f.__name__}" if isinstance(f, type) else type(f).__name__
@@ -186,7 +195,7 @@ def check_takes(where: str, name: str, f: Any, *arguments: str) -> None:
 
 
 def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None:
-    """`InputError` if a quaternion has no direction. Traced values are not checked."""
+    """Raise `InputError` if an untraced q contains a zero or infinite quaternion."""
     if isinstance(q, jax.core.Tracer):
         return
     xp, values = module_for_check(q)

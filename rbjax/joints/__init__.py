@@ -1,8 +1,8 @@
 """Kinds of joints.
 
-hinge, slide, ball, free                  those of MuJoCo's files
-screw, cylindrical, planar, universal     the other lower pairs, and Cardan's
-node                                      any pose T(q) of k coordinates
+hinge, slide, ball, free                  the joints of MuJoCo's files
+screw, cylindrical, planar, universal     the other lower pairs and the Cardan joint
+node                                      a user-defined pose T(q) of k coordinates
 """
 
 from rbjax.joints.joint import (

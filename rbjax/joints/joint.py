@@ -1,12 +1,12 @@
-"""Joints: chains of degrees of freedom (dofs), and the motion of each.
+"""Joints: chains of degrees of freedom (dofs), and the motion of each dof.
 
 The frame of a dof is rotated so that the axis of the dof is z:
 
     S = [angular z; linear z]
 
 A joint is a chain of dofs (a cylindrical joint is a slide, then a hinge), or a *node*: several dofs
-that share one frame. The first dof of a node has the whole motion; the others are rigid to it and
-contribute their axes (a ball).
+that share one frame. The first dof of a node has the whole motion. All further dofs are rigid to it
+and contribute only their axes. A ball is a node of three dofs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rbjax.spatial import Motion, Transform
 
 
 class Placed(Protocol):
-    """The constants of a dof that its motion reads."""
+    """The constants of a dof that determine its motion."""
 
     @property
     def R(self) -> Mat3: ...
@@ -45,10 +45,10 @@ class JointMotion:
     """The motion of a dof whose axis S is constant in its frame.
 
     Fields:
-        J: rotation of the frame in its parent, beyond the constant one.
-        at: displacement of the frame.
-        S: axis.
-        rate: angular velocity that the joint adds, in the axes of the frame.
+        J: rotation of the frame relative to its orientation at zero displacement.
+        at: displacement of the frame, m, in its axes at zero displacement.
+        S: axis, in the axes of the frame.
+        rate: angular velocity of the frame relative to its parent, in the axes of the frame.
         qd: speed along S.
     """
 
@@ -59,30 +59,32 @@ class JointMotion:
     qd: Lane
 
     def transform(self, dof: Placed) -> Transform:
-        """The pose of the frame in its parent."""
+        """Return the pose of the frame in its parent."""
         return Transform(dof.R @ self.J, dof.p + dof.R @ self.at)
 
     @property
     def twist(self) -> Motion:
-        """The velocity that the joint adds, in the axes of the frame."""
+        """The spatial velocity of the frame relative to its parent, in the axes of the frame."""
         return Motion(self.rate, (self.S * self.qd).lin)
 
     @property
     def bias(self) -> Motion:
-        """The acceleration relative to the parent at qdd = 0: [w'; r''], in the frame's axes."""
+        """The acceleration [w'; r''] relative to the parent at qdd = 0, in the frame's axes."""
         return Motion.zero()
 
     @property
     def S_rate(self) -> Motion:
-        """S' in the axes of the frame."""
+        """The time derivative of S, in the axes of the frame."""
         return Motion.zero()
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class NodeMotion(JointMotion):
-    """The motion of a dof whose axis S depends on q: `lin`, `drift` and `turn` are the linear part
-    of `twist`, `bias` and `S_rate`."""
+    """The motion of a dof whose axis S depends on q.
+
+    Fields: `lin` is the linear part of `twist`, `drift` is `bias`, and `turn` is `S_rate`.
+    """
 
     lin: Vec3
     drift: Motion
@@ -90,7 +92,7 @@ class NodeMotion(JointMotion):
 
     @classmethod
     def of(cls, motion: JointMotion) -> NodeMotion:
-        """The same motion in this form."""
+        """Convert a joint motion to a `NodeMotion`."""
         if isinstance(motion, cls):
             return motion
         none = Motion.zero()
@@ -111,13 +113,13 @@ class NodeMotion(JointMotion):
 
 
 class PosedJoint:
-    """A joint motion with the pose of its frame, computed once."""
+    """A joint motion with a precomputed pose of its frame."""
 
     def __init__(self, motion: JointMotion, dof: Placed):
         self._motion, self.pose = motion, motion.transform(dof)
 
     def transform(self, dof: Placed) -> Transform:
-        """The pose of the frame in its parent."""
+        """Return the pose of the frame in its parent."""
         return self.pose
 
     def __getattr__(self, name: str) -> Any:
@@ -125,14 +127,14 @@ class PosedJoint:
 
 
 class DofKind(abc.ABC):
-    """How one dof moves.
+    """A kind of motion of one dof.
 
     Class attributes:
-        angular, linear: the axis, if it is constant in the frame and the same for all joints.
-        constant_axis: whether S is constant in the frame.
-        shared_axis: whether S is the same for all joints of the kind; else `axis` returns it.
-        rigid_to_previous: whether the frame does not move relative to that of the previous dof,
-            which has the motion of both.
+        angular, linear: the z components of S, if S is the same for all joints of the kind.
+        constant_axis: True if S is constant in the frame.
+        shared_axis: True if S is the same for all joints of the kind; otherwise override `axis`.
+        rigid_to_previous: True if the frame does not move relative to the frame of the previous
+            dof, which has the motion of both.
     """
 
     angular: ClassVar[float] = 0.0
@@ -142,31 +144,31 @@ class DofKind(abc.ABC):
     rigid_to_previous: ClassVar[bool] = False
 
     def axis(self, params: Sequence[Lane]) -> Motion:
-        """S in the frame's axes, if it is constant; `params` are the parameters of the joint."""
+        """Return S in the frame's axes, if it is constant, from the parameters of the joint."""
         return Motion(Vec3(0.0, 0.0, self.angular), Vec3(0.0, 0.0, self.linear))
 
     @abc.abstractmethod
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> JointMotion:
-        """The motion, from the coordinates that the `DofSpec` lists."""
+        """Compute the motion from the coordinates q and v that the `DofSpec` lists."""
 
 
 @dataclass(frozen=True)
 class DofSpec:
-    """One dof of a joint: its kind, the coordinates that its motion reads, and its frame."""
+    """One dof of a joint: its kind, the coordinates that determine its motion, and its frame."""
 
     kind: DofKind
-    #: among the coordinates of the joint
+    #: indices among the coordinates of the joint
     q: range
     v: range
-    #: the axis of the joint's frame that is z of the dof: 0, 1, 2
+    #: the axis of the joint's frame that is the z axis of the dof: 0, 1, 2
     axis: int = 2
-    #: the first of three parameters of the joint that are z of the dof instead, or None
+    #: the index of three parameters of the joint that are the z axis of the dof instead, or None
     own_axis: int | None = None
-    #: the dofs of the joint that share one frame
+    #: the dofs of the joint that share the frame of this dof
     node: range = range(1)
-    #: whether the coordinate is relative to the model's reference
+    #: True if the displacement is the coordinate minus the model's reference
     from_reference: bool = True
-    #: whether the motion rotates the body's frame, not the frame of the dof
+    #: True if the motion rotates the body's frame instead of the frame of the dof
     turns_body: bool = False
 
 
@@ -174,14 +176,14 @@ class Joint:
     """A kind of joint. Register an instance with `rbjax.joints.register`.
 
     Class attributes:
-        name: of the kind.
+        name: the name of the kind.
         dofs: a `DofSpec` for each velocity coordinate.
-        params: parameters other than an axis and an anchor: name -> default, a number or several.
-        quaternion: whether the last coordinates are a unit quaternion, with an angular velocity in
-            body axes.
-        aligned: whether the joint's frame is rotated so that the model's axis is its z.
-        shortest_turn: whether that rotation is the shortest one, because x and y matter.
-        on_world: whether the coordinates are relative to the world.
+        params: name -> default value of each parameter other than axis and anchor.
+        quaternion: True if the last four coordinates of q are a unit quaternion, and the last three
+            of v its angular velocity in body axes.
+        aligned: True if the joint's frame is rotated so that its z axis is the axis of the model.
+        shortest_turn: True if this rotation must be the shortest one, which determines x and y.
+        on_world: True if the coordinates are relative to the world.
     """
 
     name: ClassVar[str]
@@ -194,24 +196,26 @@ class Joint:
 
     @property
     def nv(self) -> int:
-        """Velocity coordinates."""
+        """The number of velocity coordinates."""
         return len(self.dofs)
 
     @property
     def nq(self) -> int:
-        """Configuration coordinates."""
+        """The number of configuration coordinates."""
         return len(self.dofs) + self.quaternion
 
     @property
     def defaults(self) -> tuple[float, ...]:
-        """The default values of the parameters, flat."""
+        """The default values of the parameters, as one flat tuple."""
         values = (x if isinstance(x, tuple) else (x,) for x in self.params.values())
         return tuple(float(a) for x in values for a in x)
 
 
 def chain(*dofs: tuple[DofKind, int]) -> tuple[DofSpec, ...]:
-    """The dofs of a joint that each have a coordinate and a frame of their own: the kind of each,
-    and the axis of the joint's frame that is its z."""
+    """Return the specs of dofs that each have their own coordinate and frame.
+
+    Each argument is a pair: the kind of a dof, and the axis (0, 1, 2) of the joint that is its z.
+    """
     own = [range(n, n + 1) for n in range(len(dofs))]
     return tuple(
         DofSpec(kind, at, at, axis, node=at) for (kind, axis), at in zip(dofs, own, strict=True)

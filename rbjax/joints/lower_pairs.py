@@ -1,6 +1,6 @@
-"""The lower pairs as joints: hinge, slide, ball, screw, cylindrical, planar; free and universal.
+"""The lower pairs, and the free and the universal joint (Featherstone, 4.4-4.5).
 
-(Featherstone, 4.4-4.5.) The frame of each dof has its axis along z.
+The z axis of the frame of each dof is the axis of the dof.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _CYCLE = Mat3(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # z to x, x to y, y 
 
 
 def hinge_motion(c: Lane, s: Lane, qd: Lane) -> JointMotion:
-    """The motion of a hinge, from its cosine, sine and speed."""
+    """Return the motion of a hinge from the cosine and sine of its angle and its speed."""
     return JointMotion(rotation_z(c, s), Vec3.zero(), TURN, Vec3(0.0, 0.0, qd), qd)
 
 
@@ -42,7 +42,7 @@ class SlideDof(DofKind):
 
 
 class ScrewDof(DofKind):
-    """Rotation about z by q, and translation along it, `params[0]` metres a radian."""
+    """Rotation about z by q, with a translation along z of `params[0]` metres per radian."""
 
     shared_axis = False
 
@@ -57,7 +57,7 @@ class ScrewDof(DofKind):
 
 
 class BallFirstDof(DofKind):
-    """The whole rotation and angular velocity of a ball; its axis is x of the body."""
+    """The first dof of a ball, with its whole rotation and velocity. The axis is x of the body."""
 
     angular = 1.0
 
@@ -67,7 +67,7 @@ class BallFirstDof(DofKind):
 
 
 class BallAxisDof(DofKind):
-    """An axis of a ball without a motion of its own: y or z of the body."""
+    """The second or third dof of a ball. It adds the axis y or z of the body but no motion."""
 
     angular, rigid_to_previous = 1.0, True
 
@@ -80,10 +80,10 @@ _BALL_FIRST, _BALL_AXIS = BallFirstDof(), BallAxisDof()
 
 
 def ball_dofs(q: int, v: int) -> tuple[DofSpec, ...]:
-    """The dofs of an attitude whose coordinates start at q and v.
+    """Return the dofs of an attitude whose coordinates start at index q of q and index v of v.
 
-    The axes are fixed in the body. So the joint's part of the bias acceleration is w x S qd for all
-    three, with w the angular velocity of the body (Featherstone, 4.5).
+    The axes are fixed in the body. The bias acceleration of all three dofs is therefore w x S qd,
+    with w the angular velocity of the body (Featherstone, 4.5).
     """
     node = range(v, v + 3)
     first = DofSpec(
@@ -111,16 +111,21 @@ class Slide(Joint):
 
 
 class Ball(Joint):
-    """Ball (spherical joint): q is a unit quaternion (4,), v the angular velocity (3,) in body
-    axes, rad/s."""
+    """Ball (spherical joint): q is a unit quaternion (4,).
+
+    v is the angular velocity (3,) in body axes, rad/s.
+    """
 
     name = "ball"
     dofs, quaternion, aligned = ball_dofs(0, 0), True, False
 
 
 class Free(Joint):
-    """Free joint: q = [position in the world, m; unit quaternion], v = [its rate in world axes;
-    angular velocity in body axes]. Three slides, then a ball."""
+    """Free joint: three slides, then a ball.
+
+    q: [position in the world, m; unit quaternion].
+    v: [linear velocity in world axes, m/s; angular velocity in body axes, rad/s].
+    """
 
     name = "free"
     dofs = (
@@ -134,8 +139,10 @@ class Free(Joint):
 
 
 class Screw(Joint):
-    """Screw (helical joint): rotation about the axis with a translation along it, q in rad; pitch
-    in m/rad."""
+    """Screw (helical joint): rotation about the axis, q in rad, with a translation along it.
+
+    The parameter `pitch` is the translation per angle, m/rad.
+    """
 
     name = "screw"
     params = MappingProxyType({"pitch": 0.0})
@@ -152,8 +159,8 @@ class Cylindrical(Joint):
 class Planar(Joint):
     """Planar joint: q = [x, y, m; rotation about the normal, rad]. The axis is the normal.
 
-    The directions of x and y are the body's x and y axes after the shortest rotation that takes z
-    to the normal. If the normal is z, they are the body's own axes. If it is -z, the rotation is a
+    The directions of x and y are the body's x and y axes after the shortest rotation that maps z to
+    the normal. If the normal is z, they are the body's own axes. If it is -z, the rotation is a
     half turn about x.
     """
 
@@ -165,8 +172,8 @@ class Planar(Joint):
 class Universal(Joint):
     """Universal joint (Cardan, Hooke): q = [rotation about the axis, about the second axis], rad.
 
-    `second_axis` (3,) is in the body's frame, like the axis, and rotates with the first. The two
-    are usually at right angles; other angles are allowed.
+    The parameter `second_axis` (3,) is in the body's frame, like the axis, and rotates about the
+    axis. Any angle between the two axes is allowed.
     """
 
     name = "universal"

@@ -1,9 +1,9 @@
-"""Node: k coordinates that move a body along any pose T(q), with axes S(q) that depend on q.
+"""Node: a joint with any pose T(q) of k coordinates, and axes S(q) that depend on q.
 
     twist = S(q) qd,   bias = S'(q, qd) qd,   S_i = [vee(R^T dR/dq_i); R^T dr/dq_i]
 
-in the body's axes. Only `pose` is needed; by default JAX differentiates it for the axes and their
-rates. Nodes are for joints on curves and surfaces, rolling contacts, linkages in closed form, and
+in the body's axes. Only `pose` is required: by default JAX differentiates it for the axes and their
+rates. Use nodes for joints on curves and surfaces, rolling contacts, linkages in closed form, and
 frames on flexible bodies.
 """
 
@@ -45,11 +45,11 @@ class Node(Joint):
         )
 
     def pose(self, q: Sequence[Lane], params: Sequence[Lane]) -> Transform:
-        """The pose of the body's frame against the joint's frame, both at the anchor."""
+        """Return the pose of the body's frame in the joint's frame, both at the anchor."""
         raise NotImplementedError(f"{type(self).__name__} needs a pose(q, params)")
 
     def axis(self, q: Sequence[Lane], params: Sequence[Lane], k: int) -> Motion:
-        """S_k in the body's axes."""
+        """Return the axis S_k of dof k in the body's axes."""
         qs = _arrays(q)
 
         def lanes(*q: Lane) -> list[jax.Array]:
@@ -65,7 +65,7 @@ class Node(Joint):
     def axis_rate(
         self, q: Sequence[Lane], v: Sequence[Lane], params: Sequence[Lane], k: int
     ) -> Motion:
-        """S_k' in the body's axes."""
+        """Return the time derivative of the axis S_k in the body's axes."""
         qs = _arrays(q)
 
         def lanes(*q: Lane) -> list[jax.Array]:
@@ -76,7 +76,7 @@ class Node(Joint):
 
 
 class NodeDof(DofKind):
-    """The k-th dof of a node: the first has the motion of all, each other only its axis."""
+    """Dof k of a node. Dof 0 has the whole motion, and all further dofs only their axes."""
 
     constant_axis = False
 
@@ -99,7 +99,7 @@ class NodeDof(DofKind):
         every = [own(k) for k in range(joint.coordinates)]
         for (axis, rate), speed in zip(every, v, strict=True):
             twist, bias = twist + axis * speed, bias + rate * speed
-        # relative to the parent, whose axes do not rotate with the body
+        # add omega x v: the bias is relative to the parent, whose axes do not rotate with the body
         bias = Motion(bias.ang, bias.lin + twist.ang.cross(twist.lin))
         axis, rate = every[0]
         return NodeMotion(at.R, at.p, axis, twist.ang, v[0], twist.lin, bias, rate)

@@ -15,7 +15,7 @@ _BUILT_IN = frozenset(_KINDS)
 
 
 def kinds() -> dict[str, Joint]:
-    """All kinds of joints, by name.
+    """Return all kinds of joints, by name.
 
     Example:
         >>> import rbjax as rb
@@ -26,7 +26,7 @@ def kinds() -> dict[str, Joint]:
 
 
 def kind(name: str) -> Joint:
-    """A kind of joint.
+    """Return a kind of joint, by its name.
 
     Raises:
         UnknownName: no such kind; the message lists the names.
@@ -42,19 +42,19 @@ def kind(name: str) -> Joint:
 
 
 def register(joint: Joint) -> None:
-    """Add a kind of joint, for `Model.with_joint` and whatever makes a `Topology`.
-
-    Args:
-        joint: an instance of a subclass of `Node`, or of `Joint` with dofs of its own.
+    """Register a kind of joint, for `Model.with_joint` and for `Topology`.
 
     A class that is defined again, as in a notebook, replaces the earlier class of the same module
     and name.
+
+    Args:
+        joint: an instance of a subclass of `Node`, or of `Joint` with its own dofs.
 
     Raises:
         InputError: `joint` is not a joint, its name is not a string, or its name belongs to a
             built-in kind or to another class.
 
-    Example: see `rbjax.joints.Node`.
+    See `rbjax.joints.Node` for an example.
     """
     if not isinstance(joint, Joint):
         raise InputError(

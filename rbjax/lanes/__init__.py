@@ -5,7 +5,7 @@
     factorization     L D L^T of small symmetric matrices, regularization of singular ones
     primitives        fusion barrier, batch axis, inverse, cosine and sine
 
-There are no frames and no physics here.
+This package has no frames and no physics.
 """
 
 from rbjax.lanes.algebra import (

@@ -1,9 +1,9 @@
 """Lanes: 3-vectors and 3 by 3 matrices as tuples of scalars.
 
-A *lane* is one scalar of an algorithm. It is a Python float if its value is a constant of the
-program (a structural zero, a one, a constant of a model that is closed over), otherwise an array of
-shape () or (batch,). Products with a literal 0 or 1 vanish while tracing, so an axis along z or a
-planar chain costs only the arithmetic it needs. No `dot` is ever emitted, so f32 is true f32.
+A *lane* is one scalar of an algorithm. It is a *literal*, a Python float, if its value is a
+compile-time constant (a structural zero, a one, a constant of a model that is closed over).
+Otherwise it is an array of shape () or (batch,). Products with a literal 0 or 1 vanish while
+tracing. The program contains no `dot`, so float32 products have full precision on every device.
 """
 
 from __future__ import annotations
@@ -19,23 +19,22 @@ Tracer = jax.core.Tracer
 
 
 def is_literal(x: Lane) -> bool:
-    """Whether the lane's value is a constant of the program."""
+    """Return True if the lane is a literal, a compile-time constant."""
     return isinstance(x, (int, float))
 
 
 def is_zero(x: Lane) -> bool:
-    """Whether the lane is a structural zero."""
+    """Return True if the lane is a structural zero."""
     return isinstance(x, (int, float)) and x == 0
 
 
 def neg(a: Lane) -> Lane:
-    """-a."""
+    """Compute -a. A structural zero stays one."""
     return 0.0 if is_zero(a) else -a
 
 
 def _typed(a: Lane, b: Lane) -> tuple[Lane, Lane] | None:
-    """Return both as arguments of a `lax` primitive, which traces in half the time of an operator;
-    None if an operator must promote or broadcast them."""
+    """Return both lanes as operands of a `lax` primitive, or None if they need promotion."""
     if isinstance(a, Tracer):
         if isinstance(b, Tracer):
             return (a, b) if a.dtype == b.dtype and a.shape == b.shape else None
@@ -50,7 +49,7 @@ def _is_floating(a: Any) -> bool:
 
 
 def add(a: Lane, b: Lane) -> Lane:
-    """a + b."""
+    """Compute a + b. Structural zeros are not added."""
     if is_zero(a):
         return b
     if is_zero(b):
@@ -60,7 +59,7 @@ def add(a: Lane, b: Lane) -> Lane:
 
 
 def sub(a: Lane, b: Lane) -> Lane:
-    """a - b."""
+    """Compute a - b. Structural zeros are not subtracted."""
     if is_zero(b):
         return a
     if is_zero(a):
@@ -70,7 +69,7 @@ def sub(a: Lane, b: Lane) -> Lane:
 
 
 def mul(a: Lane, b: Lane) -> Lane:
-    """a b."""
+    """Compute the product a b. Products with a literal 0, 1 or -1 are not evaluated."""
     if is_literal(b) and not is_literal(a):
         a, b = b, a
     if is_literal(a):
@@ -87,7 +86,7 @@ def mul(a: Lane, b: Lane) -> Lane:
 
 
 def total(terms: Any) -> Lane:
-    """The sum of the lanes, from the left."""
+    """Sum the lanes from left to right."""
     out: Lane = 0.0
     for term in terms:
         out = add(out, term)
@@ -95,7 +94,7 @@ def total(terms: Any) -> Lane:
 
 
 def inner(a: Any, b: Any) -> Lane:
-    """Sum of products of two equally long sequences of lanes."""
+    """Compute the inner product of two sequences of lanes of equal length."""
     out: Lane = 0.0
     for x, y in zip(a, b, strict=True):
         out = add(out, mul(x, y))
@@ -103,7 +102,7 @@ def inner(a: Any, b: Any) -> Lane:
 
 
 class Lanes:
-    """A fixed tuple of lanes, a pytree, with entrywise + and - and scaling by a lane."""
+    """A tuple of lanes as a pytree, with entrywise + and - and multiplication by a lane."""
 
     __slots__ = ("_lanes",)
     _lanes: tuple[Lane, ...]
@@ -124,7 +123,7 @@ class Lanes:
         return type(self)(*(add(a, b) for a, b in zip(self, other, strict=True)))
 
     def __radd__(self, other):
-        return self + other if hasattr(other, "shape") else NotImplemented  # an array before it
+        return self + other if hasattr(other, "shape") else NotImplemented  # array + Lanes
 
     def __sub__(self, other):
         return type(self)(*(sub(a, b) for a, b in zip(self, other, strict=True)))
@@ -145,7 +144,7 @@ class Lanes:
 
 
 class Vec3(Lanes):
-    """x, y, z."""
+    """A 3-vector (x, y, z) of lanes."""
 
     __slots__ = ()
 
@@ -169,17 +168,17 @@ class Vec3(Lanes):
     __rmul__ = __mul__
 
     def norm(self, least: float = 0.0) -> Lane:
-        """sqrt(|v|^2 + least^2): smooth at zero, with finite derivatives, where least > 0."""
+        """Compute sqrt(|v|^2 + least^2), which is smooth at v = 0 if least > 0."""
         return jnp.sqrt(self.dot(self) + least * least)
 
     @property
     def array(self) -> jax.Array:
-        """As an array (3,)."""
+        """The vector as an array (3,)."""
         return jnp.stack([jnp.asarray(x) for x in self])
 
 
 class Mat3(Lanes):
-    """A 3 by 3 matrix, row by row."""
+    """A 3 by 3 matrix of lanes, row by row."""
 
     __slots__ = ()
 
@@ -193,7 +192,7 @@ class Mat3(Lanes):
 
     @classmethod
     def skew(cls, r: Vec3) -> Mat3:
-        """[r], with [r] a = r x a."""
+        """Return the cross-product matrix [r], with [r] a = r x a."""
         x, y, z = r
         return cls(0.0, neg(z), y, z, 0.0, neg(x), neg(y), x, 0.0)
 
@@ -221,7 +220,7 @@ class Mat3(Lanes):
 
 
 class Sym3(Lanes):
-    """A symmetric 3 by 3 matrix: xx, yy, zz, xy, xz, yz."""
+    """A symmetric 3 by 3 matrix of lanes, in the order xx, yy, zz, xy, xz, yz."""
 
     __slots__ = ()
 
@@ -231,17 +230,17 @@ class Sym3(Lanes):
 
     @classmethod
     def upper(cls, m: Mat3) -> Sym3:
-        """The symmetric matrix whose upper triangle is that of m."""
+        """Return the symmetric matrix with the same upper triangle as m."""
         return cls(m[0], m[4], m[8], m[1], m[2], m[5])
 
     @classmethod
     def outer(cls, a: Vec3, b: Vec3) -> Sym3:
-        """a b^T, which must be symmetric."""
+        """Return a b^T, which must be symmetric."""
         return cls(*(mul(a[i], b[j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))))
 
     @property
     def isotropic(self) -> bool:
-        """Whether this is structurally a multiple of the identity."""
+        """True if the matrix is structurally a multiple of the identity."""
         xx, yy, zz, *rest = self
         one = xx is yy and yy is zz
         one = one or (is_literal(xx) and is_literal(yy) and is_literal(zz) and xx == yy == zz)
@@ -256,7 +255,7 @@ class Sym3(Lanes):
         return self.dense @ v
 
     def rotated(self, R: Mat3) -> Sym3:
-        """R S R^T."""
+        """Compute R S R^T."""
         if self.isotropic:
             return self
         half = (R @ self).rows
@@ -268,12 +267,15 @@ class Sym3(Lanes):
 
 
 def rotation_z(c: Lane, s: Lane) -> Mat3:
-    """Rotation about z by the angle whose cosine and sine are given."""
+    """Return the rotation about z by an angle, from its cosine and sine."""
     return Mat3(c, neg(s), 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
 
 
 def quaternion_matrix(w: Lane, x: Lane, y: Lane, z: Lane) -> Mat3:
-    """R = 1 + (2 / |q|^2) (w [u] + [u][u]) of a quaternion (w, u) of any nonzero length."""
+    """Compute the rotation matrix of a quaternion (w, u) of any nonzero length.
+
+    R = 1 + (2 / |q|^2) (w [u] + [u][u])
+    """
     s = 2.0 / (w * w + x * x + y * y + z * z)
     sx, sy, sz = s * x, s * y, s * z
     wx, wy, wz = w * sx, w * sy, w * sz
@@ -287,7 +289,7 @@ def quaternion_matrix(w: Lane, x: Lane, y: Lane, z: Lane) -> Mat3:
 
 
 def as_arrays(tree: Any, like: jax.Array) -> Any:
-    """Convert every lane to an array of at least the shape of `like`, for the carry of a loop."""
+    """Convert all lanes to arrays, broadcast with the shape of `like`, for the carry of a loop."""
 
     def array(x: Lane) -> jax.Array:
         x = jnp.asarray(x, like.dtype)

@@ -1,8 +1,8 @@
 """Operations on arrays: packing of lanes, products without `dot`, extreme entries, maps over rows.
 
-Products of stacks of matrices and vectors do not use `dot`, so that f32 is f32 on every device. The
-derivative of an extreme entry is that of one entry, chosen by its index. That of `jnp.min` divides
-by the number of equal entries, which XLA may compute as zero.
+Products of stacks of matrices and vectors do not use `dot`, so that float32 products have full
+float32 precision on every device. The derivative of an extreme entry is the derivative of one of
+the equal entries. The derivative of `jnp.min` divides by their number, which XLA may compute as 0.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ import jax.numpy as jnp
 from rbjax.lanes.algebra import Lane
 from rbjax.lanes.primitives import fusion_barrier
 
-Array = Any  # of numpy, of JAX, or an object array of cells
+Array = Any  # a numpy array, a JAX array, or an object array of cells
 
 
 def matmat(A: Array, B: Array) -> Array:
-    """A B for stacks of matrices (..., m, n) and (..., n, k)."""
+    """Compute A B for stacks of matrices (..., m, n) and (..., n, k)."""
     return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
 
 
 def matvec(A: Array, x: Array) -> Array:
-    """A x for stacks of matrices (..., m, n) and vectors (..., n)."""
+    """Compute A x for stacks of matrices (..., m, n) and vectors (..., n)."""
     return (A * x[..., None, :]).sum(-1)
 
 
 def matrix_transpose(A: Array) -> Array:
-    """A^T for stacks of matrices."""
+    """Transpose stacks of matrices."""
     return A.swapaxes(-1, -2)
 
 
 def outer(a: Array, b: Array) -> Array:
-    """a b^T for stacks of vectors (..., m) and (..., n)."""
+    """Compute a b^T for stacks of vectors (..., m) and (..., n)."""
     return a[..., :, None] * b[..., None, :]
 
 
@@ -45,7 +45,7 @@ Pair = tuple[jax.Array, jax.Array]
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
 def smallest(x: jax.Array, axis: int = -1) -> jax.Array:
-    """The minimum along an axis that is not empty."""
+    """Return the minimum along an axis that is not empty."""
     return x.min(axis)
 
 
@@ -56,7 +56,7 @@ def _smallest_jvp(axis: int, primals: tuple[jax.Array], tangents: tuple[jax.Arra
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
 def largest(x: jax.Array, axis: int = -1) -> jax.Array:
-    """The maximum along an axis that is not empty."""
+    """Return the maximum along an axis that is not empty."""
     return x.max(axis)
 
 
@@ -66,12 +66,15 @@ def _largest_jvp(axis: int, primals: tuple[jax.Array], tangents: tuple[jax.Array
 
 
 def unpack(x: jax.Array) -> list[Lane]:
-    """The rows of an array (n, ...) as lanes (...)."""
+    """Return the rows of an array (n, ...) as lanes (...)."""
     return [x[i] for i in range(x.shape[0])]
 
 
 def pack(lanes: Sequence[Lane], like: jax.Array) -> jax.Array:
-    """Materialized lanes as the rows of an array of the dtype and row shape of `like`."""
+    """Stack lanes as the rows of an array, with the dtype and the row shape of `like`.
+
+    A fusion barrier computes each lane once.
+    """
     if not lanes:
         return jnp.zeros((0, *like.shape[1:]), like.dtype)
     rows = [jnp.broadcast_to(jnp.asarray(x, like.dtype), like.shape[1:]) for x in lanes]
@@ -86,8 +89,8 @@ def _picked(index: jax.Array, axis: int, x: jax.Array, dx: jax.Array) -> Pair:
 def each(f: Callable, *xs: Any) -> Any:
     """Map f over the rows of the arguments and stack the results.
 
-    On a CPU this is `vmap`. A GPU thread computes one row after another in a loop, so that its
-    program contains f once and holds the intermediate values of one row.
+    On a CPU this is `vmap`. On a GPU it is a loop over the rows, so that the program of a thread
+    contains f once and stores the intermediate values of one row.
     """
 
     def loop(*xs: Any) -> Any:

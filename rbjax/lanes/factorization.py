@@ -3,9 +3,9 @@
     A = L D L^T,  L unit lower triangular, D diagonal                   (n^3 / 6 products)
     A x = b:      L y = b,  z = D^-1 y,  L^T x = z                      (n^2)
 
-Structural zeros cost nothing and fill in only where elimination couples them. So a matrix of
-separate blocks costs only its blocks. A pivot that is not above `least` times its original diagonal
-entry belongs to a redundant row; its solution and its derivative are zero.
+Structural zeros cost nothing and fill in only if elimination couples their rows. A block-diagonal
+matrix costs only its blocks. A pivot that is not above `least` times its original diagonal entry
+belongs to a redundant row, for which the solution and its derivative are zero.
 
 A singular system is regularized by E = eps diag(A) + e B, whose effect iteration removes:
 
@@ -31,15 +31,15 @@ Rows = Sequence[Sequence[Lane]]
 
 
 class LDLT(NamedTuple):
-    """The factors of A after its rows and columns are taken in `order`."""
+    """The factors of A with its rows and columns permuted to `order`."""
 
     order: tuple[int, ...]
-    #: below the diagonal, row by row
+    #: entries below the diagonal, row by row
     L: list[list[Lane]]
     inverse_D: list[Lane]
 
     def solve(self, b: Sequence[Lane]) -> list[Lane]:
-        """x (n lanes) of A x = b."""
+        """Solve A x = b for x (n lanes)."""
         x = [b[i] for i in self.order]
         for i, row in enumerate(self.L):
             for j, l in enumerate(row):
@@ -60,7 +60,7 @@ def ldlt(A: Rows, *, least: float = 0.0, order: Sequence[int] | None = None) -> 
     Args:
         A: (n, n) lanes.
         least: the relative size below which a pivot counts as zero.
-        order: the order of elimination of the rows; that of `elimination_order` if None.
+        order: the order of elimination of the rows; `elimination_order(A)` if None.
     """
     n = len(A)
     taken = tuple(elimination_order(A) if order is None else order)
@@ -94,9 +94,9 @@ def _inverse(pivot: Lane, entry: Lane, least: float) -> Lane:
 
 
 def elimination_order(A: Rows) -> list[int]:
-    """An order of rows with little fill-in: the row with the fewest neighbours first.
+    """Return a minimum-degree order of elimination, which causes little fill-in.
 
-    Source: Tinney & Walker 1967; George & Liu 1989 (minimum degree).
+    (Tinney & Walker 1967; George & Liu 1989.)
     """
     n = len(A)
     near = [
@@ -113,13 +113,13 @@ def elimination_order(A: Rows) -> list[int]:
     return order
 
 
-#: refinements after which components of A above 1e-3 of the diagonal are exact to rounding, by
-#: bytes of a number
+#: bytes of a number -> refinements after which components of the solution along eigenvalues of A
+#: above 1e-3 of the diagonal are exact to rounding
 REFINEMENTS = {4: 3, 8: 2}
 
 
 def regularization(dtype: Any, damping: float | None = None) -> tuple[float, float, int]:
-    """Return eps, e and the number of refinements; with `damping`, eps = e = damping and one."""
+    """Return eps, e and the number of refinements: (damping, damping, 1) if it is given."""
     if damping is not None:
         return damping, damping, 1
     eps, e = (rank_tolerance(name, dtype) for name in ("regularization", "vanishing row"))
@@ -129,20 +129,24 @@ def regularization(dtype: Any, damping: float | None = None) -> tuple[float, flo
 def diagonal_floor(
     diagonal: jax.Array, usual: jax.Array | float, factor: float, unknown: float | None = None
 ) -> jax.Array:
-    """Return `factor` times `usual`, the diagonal of a configuration without vanishing rows. Where
-    that is 0 (not known), return the sum of the diagonal times `unknown`, by default eps."""
+    """Return a lower bound of the diagonal of a matrix: `factor * usual`.
+
+    Args:
+        usual: the diagonal in a configuration without vanishing rows, 0 if it is not known.
+        unknown: the bound is `unknown` times the sum of the diagonal if `usual` is 0; None is eps.
+    """
     unknown = float(jnp.finfo(diagonal.dtype).eps) if unknown is None else unknown
     usual = jnp.asarray(usual, diagonal.dtype)
     return jnp.where(usual > 0, factor * usual, unknown * diagonal.sum())
 
 
 class LeastNorm:
-    """The solution of least norm of A x = b, for a symmetric A on lanes.
+    """A solver of A x = b for the solution of least norm, with a symmetric A on lanes.
 
     Args:
-        A: its lower triangle, row by row.
-        usual: its diagonal in a configuration without vanishing rows; 0 where that is not known.
-        damping: eps and e, with one refinement; None: those of the dtype.
+        A: the lower triangle of A, row by row.
+        usual: the diagonal of A in a configuration without vanishing rows, 0 if it is not known.
+        damping: the value of eps and e, with one refinement; None uses the values of the dtype.
     """
 
     def __init__(

@@ -1,13 +1,13 @@
 """JAX primitives on lanes: fusion barrier, position of a batch, inverse, cosine and sine.
 
-XLA's CPU fusion copies a producer into every consumer. In a long recursion on lanes each link's
-arithmetic is then evaluated again for every use, exponentially often. A variadic `reduce` over an
+XLA's CPU fusion copies a producer into every consumer. In a long recursion on lanes the arithmetic
+of each link is then evaluated again for every use, exponentially often. A variadic `reduce` over an
 axis of two equal rows survives the simplifier, fuses with its producers into one vectorised loop
 with many results, and is not itself copied. `fusion_barrier` is this reduction on the CPU, and the
-identity on other platforms. Each array costs 0.1 us a call of the compiled program, so pass only
-values that are expensive to recompute.
+identity on other platforms. Each array in a barrier has a cost at run time, so pass only values
+that are expensive to recompute.
 
-XLA's own cosine and sine are scalar calls on the CPU; `sincos` uses polynomials there.
+On the CPU, XLA's own cosine and sine are scalar calls, and `sincos` uses polynomials instead.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _fusion_barrier.multiple_results = True
 
 
 def fusion_barrier(tree: Any, known: Any = ()) -> Any:
-    """Return the pytree with its arrays computed once, at this point. Literals stay literals.
+    """Return a pytree whose arrays are computed once, at this point. Literals stay literals.
 
-    Arrays that are also in `known` bypass the barrier, because arrays in one barrier are transposed
-    together: constants of a linear solve must not join its unknowns.
+    Arrays that are also in `known` bypass the barrier. Use it for the constants of a linear solve:
+    arrays in one barrier are transposed together, so constants must not share it with unknowns.
     """
     leaves, treedef = jax.tree.flatten(tree)
     passed = {id(x) for x in jax.tree.leaves(known)}
@@ -71,12 +71,14 @@ def _bind_nonzero(values):
 
 
 def whole_cotangent(x: jax.Array) -> jax.Array:
-    """Return x, with a symbolic zero cotangent replaced by an array of zeros: the transpose of a
-    `scan` does not accept symbolic zeros for its columns (jax 0.10.2)."""
+    """Return x, and replace a symbolic zero cotangent by an array of zeros.
+
+    The transpose of a `scan` does not accept symbolic zeros for its columns (jax 0.10.2).
+    """
     return _whole.bind(x)[0]
 
 
-_whole = Primitive("fusion_barrier")  # the compiler's name of an identity
+_whole = Primitive("fusion_barrier")  # a name that `rbjax.compiler` treats as an identity
 _whole.multiple_results = True
 _whole.def_impl(_identity)
 _whole.def_abstract_eval(_identity)
@@ -102,19 +104,18 @@ _batch_first, _batch_last = Primitive("batch_first"), Primitive("batch_last")
 
 
 def batch_first(tree: Any, like: Any = ()) -> Any:
-    """Put the batch axis of `vmap` first in all arrays. If an array of `like` is batched, all are.
+    """Move the batch axis of `vmap` to the front of all arrays.
 
-    A function with a custom rule and the rule itself must return the batch at the same axis. JAX
-    confuses the two if `vmap` transforms the function inside a `jit`, and loses the batch of a
-    constant result.
+    If an array of `like` is batched, all results are batched. Use it in functions with a custom
+    derivative rule: the function and its rule must return the batch at the same axis. JAX confuses
+    the two if `vmap` transforms the function inside a `jit`, and loses the batch of a constant.
     """
     arrays = jax.tree.leaves(like)
     return jax.tree.map(lambda x: _batch_first.bind(x, *arrays), tree)
 
 
 def batch_last(tree: Any) -> Any:
-    """Put the batch axis of `vmap` last in all arrays, the layout in which a warp of GPU threads
-    writes whole cache lines."""
+    """Move the `vmap` axis to the end, so that GPU warps write whole cache lines."""
     return jax.tree.map(_batch_last.bind, tree)
 
 
@@ -150,10 +151,10 @@ _inverse.multiple_results = True
 
 
 def inverse(*parts: jax.Array) -> list[jax.Array]:
-    """Invert a matrix (n, n), real or given by its real and imaginary parts; dX = -X dA X.
+    """Invert a matrix (n, n), given as a real array or as its real and imaginary part.
 
-    Use it for many solves with one matrix: a product is faster than two triangular solves, and GPU
-    threads have no complex numbers (`rbjax.compiler.lower.linear`).
+    The derivative is dX = -X dA X. Use the inverse for many solves with one matrix: a product is
+    faster than two triangular solves. GPU threads (`rbjax.compiler`) have no complex numbers.
     """
     return _inverse.bind(*parts)
 
@@ -173,7 +174,7 @@ def _inverse_jvp(parts, changes):
 
 
 def _product(a, b):
-    """A B of matrices given by their parts."""
+    """Multiply two matrices, each given as [real] or as [real, imaginary]."""
     precision = jax.lax.Precision.HIGHEST
     of = [[jnp.matmul(x, y, precision=precision) for y in b] for x in a]
     return of[0] if len(a) == 1 else [of[0][0] - of[1][1], of[0][1] + of[1][0]]
@@ -197,8 +198,11 @@ _sincos.multiple_results = True
 
 
 def sincos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute cos x and sin x. On the CPU and in GPU threads the error is 1.2e-16 for |x| <= 1e6
-    (f64) and 8e-8 for |x| <= 1e4 (f32), and the spacing of x for larger x."""
+    """Compute cos x and sin x.
+
+    On the CPU and in GPU threads the error is at most 1.2e-16 for |x| <= 1e6 in float64, 8e-8 for
+    |x| <= 1e4 in float32, and the spacing of floating-point numbers at x for larger |x|.
+    """
     c, s = _sincos.bind(x)
     return c, s
 
@@ -207,8 +211,9 @@ def _native_sincos(x):
     return [jnp.cos(x), jnp.sin(x)]
 
 
-# Pi / 2 in parts whose multiples are exact, and minimax polynomials on |r| <= pi / 4, of
-# (sin r - r) / r^3 and (cos r - 1 + r^2 / 2) / r^4 in r^2: fdlibm's, and Remez' to 0.06 ulp of f32.
+# dtype -> pi / 2 as a sum of parts whose multiples are exact, and the coefficients of
+# (sin r - r) / r^3 and (cos r - 1 + r^2 / 2) / r^4 in r^2: minimax polynomials on |r| <= pi / 4,
+# from fdlibm for float64, and by the Remez algorithm for float32.
 SERIES = {
     jnp.dtype(jnp.float64): (
         (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21),
@@ -230,7 +235,7 @@ SERIES = {
 
 
 def polynomial_sincos(x: jax.Array) -> list:
-    """cos x and sin x by polynomials of the angle reduced to |r| <= pi / 4."""
+    """Compute [cos x, sin x] by polynomials, after reduction of the angle to |r| <= pi / 4."""
     if x.dtype not in SERIES:
         return _native_sincos(x)
     (first, second, third), sines, cosines = SERIES[x.dtype]
@@ -250,7 +255,7 @@ def polynomial_sincos(x: jax.Array) -> list:
 
 
 def horner(coefficients, z):
-    """sum_k coefficients_k z^k."""
+    """Evaluate the polynomial sum_k coefficients_k z^k."""
     out = coefficients[-1]
     for a in coefficients[-2::-1]:
         out = out * z + a

@@ -1,8 +1,8 @@
-"""Link constants entry by entry, if some leaves are known or fixed and others are traced.
+"""Link constants entry by entry, if some leaves of a model are constant and others are traced.
 
-A cell is an entry of a numpy object array with the algebra of lanes. With cells the whole-array
-code of `prepare` runs number by number: products with a known zero vanish, the rest is traced.
-`Model.fix_zeros` makes entries of leaves known.
+A cell is a lane in a numpy object array. On arrays of cells the array code of `prepare` computes
+each entry separately: products with a constant zero vanish, and all other products are traced.
+`Model.fix_zeros` makes entries of leaves constant.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rbjax.model.record import Record
 
 
 class Cell:
-    """One lane inside an object array."""
+    """A lane as an entry of a numpy object array."""
 
     __slots__ = ("lane",)
 
@@ -50,26 +50,32 @@ class Cell:
 
 
 def lane_of(x: Any) -> Lane:
-    """The lane of a cell, or a number as a literal."""
+    """Return the lane of a cell, or convert a number to a literal."""
     return x.lane if isinstance(x, Cell) else float(x)
 
 
 def literals(x: Any, *, units: bool) -> tuple[float | None, ...]:
-    """The values of the entries that are 0 (with `units`, also 1 or -1), None for the others."""
+    """Return the pattern of an array: the constant 0 (with `units`, also 1 and -1) or None.
+
+    The pattern has one value for each entry, in row-major order.
+    """
     known = (0.0, 1.0, -1.0) if units else (0.0,)
     lanes = map(lane_of, np.asarray(x).ravel())
     return tuple(v if is_literal(v) and v in known else None for v in lanes)
 
 
 def with_pattern(x: Any, pattern: tuple[float | None, ...]) -> Any:
-    """Replace the entries of an array that a pattern of `literals` fixes."""
+    """Replace the entries of an array for which a pattern (`literals`) has a value."""
     xp = jnp if isinstance(x, jax.core.Tracer) else np
     values = np.array([np.nan if v is None else v for v in pattern], x.dtype).reshape(x.shape)
     return xp.where(np.isnan(values), x, values)
 
 
 def cells(x: Any, pattern: tuple[float | None, ...], known: bool) -> np.ndarray:
-    """Convert an array to an object array of literals, if known or fixed, and cells."""
+    """Convert an array to an object array of literals and cells.
+
+    An entry is a literal if the array is constant (`known`) or the pattern has a value for it.
+    """
     if known:
         return with_pattern(np.asarray(x, np.float64), pattern).astype(object)
     out = np.empty(len(pattern), object)
@@ -80,7 +86,7 @@ def cells(x: Any, pattern: tuple[float | None, ...], known: bool) -> np.ndarray:
 
 
 def cast_cells(x: np.ndarray, dtype: Any) -> np.ndarray:
-    """Convert the traced entries of an object array to a dtype."""
+    """Convert the traced entries of an object array of cells to a dtype."""
     out = [Cell(c.lane.astype(dtype)) if isinstance(c, Cell) and not is_literal(c.lane) else c
            for c in x.ravel()]  # fmt: skip
     return np.fromiter(out, object, len(out)).reshape(x.shape)
@@ -88,14 +94,14 @@ def cast_cells(x: np.ndarray, dtype: Any) -> np.ndarray:
 
 @jax.tree_util.register_pytree_node_class
 class Sparse:
-    """A column as a pytree: zeros (and ones) are part of the program, the others are leaves."""
+    """A column as a pytree: its zeros (and ones) are static, all other entries are one leaf."""
 
     def __init__(self, pattern: tuple[float | None, ...], others: Any):
         self.pattern, self.others = pattern, others
 
     @classmethod
     def of(cls, column: Any, dtype: Any, *, units: bool = False) -> Sparse:
-        """From numbers, cells, or a traced column."""
+        """Make a `Sparse` from a column of numbers, of cells, or a traced column."""
         if isinstance(column, jax.Array):
             return cls((None,) * column.shape[0], column.astype(dtype))
         pattern = literals(column, units=units)
@@ -105,7 +111,7 @@ class Sparse:
         return cls(pattern, jnp.stack([jnp.asarray(x, dtype) for x in others]))
 
     def column(self) -> Any:
-        """The column, as literals and cells, or as an array if no entry is known."""
+        """Return the column: literals and cells, or an array if no entry is static."""
         if all(x is None for x in self.pattern):
             return self.others
         others = iter(self.others)
@@ -120,7 +126,7 @@ class Sparse:
 
 
 def stacked(x: Any, dtype: Any) -> Any:
-    """Convert an object array to an array."""
+    """Convert an array of numbers or cells to a JAX array."""
     if x.dtype != object:
         return jnp.asarray(x, dtype)
     rows = [jnp.asarray(lane_of(v), dtype) for v in x.ravel()]
@@ -128,11 +134,11 @@ def stacked(x: Any, dtype: Any) -> Any:
 
 
 def all_literal(row: Any) -> bool:
-    """Whether every entry is a number."""
+    """Return True if every entry is a constant."""
     return all(is_literal(lane_of(v)) for v in row)
 
 
-#: the leaves of bodies and joints from which, with gravity, the link constants follow
+#: the leaves of bodies and joints that, with gravity, determine the link constants
 _CONSTANTS = (
     "mass", "com", "inertia", "position", "orientation",
     "placement", "axis", "reference", "armature", "params",
@@ -140,13 +146,13 @@ _CONSTANTS = (
 
 
 def constant_leaves(model: Any) -> dict[str, Any]:
-    """The leaves from which the link constants follow."""
+    """Return the leaves that determine the link constants, by name."""
     leaves = _fields(model.bodies) | _fields(model.joints)
     return {name: leaves[name] for name in _CONSTANTS} | {"gravity": model.gravity}
 
 
 def with_fixed_entries(changes: dict[str, Any], zeros: dict[str, tuple]) -> dict[str, Any]:
-    """Reset every fixed entry of changed leaves to its fixed value."""
+    """Restore the entries of changed leaves that `Model.fix_zeros` has fixed."""
 
     def record(r: Record) -> Record:
         given = {n: x for n, x in _fields(r).items() if n in zeros}
@@ -163,7 +169,10 @@ def _fields(record: Record) -> dict[str, jax.Array]:
 
 
 def known_entries(model: Any) -> tuple[tuple[str, tuple[float | None, ...]], ...]:
-    """The entries of each leaf that are zero (or one, of axes and attitudes), else None."""
+    """Return the name and the pattern (`literals`) of each leaf that determines link constants.
+
+    Patterns of axes and orientations contain 0, 1 and -1, all others only 0.
+    """
     leaves = constant_leaves(model)
     return tuple(
         (

@@ -1,4 +1,4 @@
-"""A frame of a robot, fixed to a body, a site or the world."""
+"""A frame fixed to a body, a site or the world."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 
 class Frame(NamedTuple):
-    """A frame of a robot, as one value: the frame of a body or a site, or a point with its axes.
+    """A frame of a robot: the axes of a body or a site, with the origin at a point of it.
 
-    Functions of a frame, such as `rb.frame_pose` and `rb.jacobian`, take it in place of `body`.
+    Functions of a frame, such as `rb.frame_pose` and `rb.jacobian`, accept it in place of `body`.
 
     Args:
-        body: the name of a body; "world" is the frame that does not move.
-        point: (3,) m in the frame of the body or site; its origin if None.
+        body: the name of a body, or "world" for the fixed frame.
+        point: the origin (3,) in the frame of the body or site, m; zero if None.
         site: the name of a site, instead of a body.
 
     Example:

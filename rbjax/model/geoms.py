@@ -9,25 +9,26 @@ from rbjax.model.record import Record
 
 
 class Geoms(Record):
-    """Shapes fixed to bodies, with the numbers and names of MuJoCo's geoms. `rb.contact.detect`
-    finds their contacts; no contact force acts yet.
+    """Shapes fixed to bodies, with the parameters of MuJoCo's geoms.
+
+    `rb.contact.detect` computes their contacts. No contact force acts on them.
 
     Fields:
-        size: (ng, 3) m. A sphere's radius; radius and half length of a capsule or cylinder;
+        size: (ng, 3) m. Radius of a sphere; radius and half length of a capsule or cylinder;
             semi-axes of an ellipsoid; half sides of a box; half sides of a plane, 0 if it is
-            infinite; half sides of the box about a mesh.
+            infinite; half sides of the bounding box of a mesh.
         position: (ng, 3) m, in the frame of the body.
         orientation: (ng, 4) quaternion, in the frame of the body.
         friction: (ng, 3) sliding, torsional (m) and rolling (m).
-        solref: (ng, 2) reference of the contact.
-        solimp: (ng, 5) impedance of the contact.
-        margin, gap: (ng,) m, distance from which a contact counts, and acts.
-        names, types: of each geom; a type is MuJoCo's, such as "box"; static.
+        solref: (ng, 2) reference of the contact, as in MuJoCo.
+        solimp: (ng, 5) impedance of the contact, as in MuJoCo.
+        margin, gap: (ng,) m, a contact exists below the distance margin, acts below margin - gap.
+        names, types: of each geom; a type is a name of MuJoCo, such as "box"; static.
         bodies: the body of each geom, -1 for the world; static.
-        contype, conaffinity: bit masks of what may collide; static.
+        contype, conaffinity: bit masks of the pairs that may collide; static.
         condim, priority, group: as in MuJoCo; static.
         rgba: colour and opacity; static.
-        pairs: the geoms that may touch by the rules of the file, two by two; static.
+        pairs: the pairs of geoms that may touch by the rules of the file; static.
     """
 
     size: jax.Array

@@ -1,4 +1,4 @@
-"""Leaves of a model as lanes: literals if they are known while tracing, so zeros cost nothing."""
+"""Leaves of a model as lanes. Leaves that are constant while tracing become literals."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ from rbjax.spatial import Transform
 
 
 def table(x: Any, dtype: Any) -> Any:
-    """Convert an array to numpy if it is known while tracing, else to the dtype."""
+    """Convert a constant array to numpy, and a traced array to the dtype."""
     if isinstance(x, jax.core.Tracer):
         return x.astype(dtype)
     return np.asarray(x, np.float64) if isinstance(x, (jax.Array, np.ndarray)) else x
 
 
 def tables(dtype: Any, *numbers: Any) -> tuple[Any, list]:
-    """Return numpy and arrays of it if all numbers are known while tracing, else jax.numpy and
-    arrays of the dtype. Use it for a computation with several leaves."""
+    """Convert the leaves of one computation to arrays of one module, and return it with them.
+
+    The module is numpy if all leaves are constant, else jax.numpy, with arrays of the dtype.
+    """
     found = [table(x, dtype) for x in numbers]
     if any(isinstance(x, jax.core.Tracer) for x in found):
         return jnp, [jnp.asarray(x, dtype) for x in found]
@@ -31,18 +33,18 @@ def tables(dtype: Any, *numbers: Any) -> tuple[Any, list]:
 
 
 def scalar(x: jax.Array, dtype: Any) -> Lane:
-    """An array () as a lane."""
+    """Return an array of shape () as a lane."""
     return lane(table(x, dtype)[None], 0)
 
 
 def numbers(x: jax.Array, dtype: Any) -> list[Lane]:
-    """The entries of an array (n,) as lanes."""
+    """Return the entries of an array (n,) as lanes."""
     column = table(x, dtype)
     return [lane(column, i) for i in range(x.shape[0])]
 
 
 def site_transform(model: Model, site: int, dtype: Any) -> Transform:
-    """The pose of a site in its body."""
+    """Return the pose of a site in the frame of its body."""
     sites = model.sites
     position, orientation = (table(x, dtype) for x in (sites.position, sites.orientation))
     return Transform(

@@ -1,8 +1,8 @@
-"""Link constants: poses, inertias and armatures of the links, from the leaves of a model.
+"""Link constants: poses, inertias and armatures of the links, computed from the leaves of a model.
 
-They are computed with whole arrays, once, outside every recursion: one column per number, over the
-links. If the leaves are concrete (the model is closed over), the columns are numpy, so their zeros
-and ones vanish from the program. If the leaves are traced, the columns are traced.
+They are computed once, outside every recursion, as columns over the links. If the leaves are
+concrete (the model is closed over), the columns are numpy arrays, and their zeros and ones vanish
+from the program. If the leaves are traced, the columns are traced.
 """
 
 from __future__ import annotations
@@ -40,15 +40,20 @@ from rbjax.model.model import Model
 from rbjax.model.topology import WORLD, Topology
 from rbjax.spatial import RigidInertia, Transform
 
-#: concrete entries of rotations below this are rounding of pi/2 and the like, not geometry
+#: concrete entries of rotations that are this close to 0, 1 or -1 are rounded to it
 SNAP = 1e-15
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LinkConstants:
-    """The constants of a link: its pose (R, p) in its parent at zero motion, inertia, armature and
-    the reference of its coordinate. Each lane is a scalar, or a column over all links."""
+    """The constants of one link as lanes, or of all links as columns.
+
+    R, p: pose of the link in its parent link at zero displacement of the joint.
+    inertia: inertia of all bodies that move with the link, about its origin, in its axes.
+    armature: rotor inertia of the dof.
+    reference: value of the coordinate at zero displacement.
+    """
 
     R: Mat3
     p: Vec3
@@ -62,7 +67,7 @@ class LinkConstants:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Prepared:
-    """The `LinkConstants` as columns, the poses of bodies in their links, and gravity."""
+    """The link constants of a model as columns, the poses of bodies in their links, and gravity."""
 
     columns: LinkConstants
     body_R: Any  # (nb, 3, 3)
@@ -70,7 +75,7 @@ class Prepared:
     gravity: Vec3
 
     def link(self, i: int) -> LinkConstants:
-        """The lanes of link i."""
+        """Return the constants of link i as lanes."""
         return jax.tree.map(lambda column: lane(column, i), self.columns)
 
     @property
@@ -81,16 +86,16 @@ class Prepared:
         return Transform(axes, Vec3(*(p[:, i] for i in range(3))))
 
     def weld(self, body: int) -> Transform:
-        """The pose of one body in the link that carries it, as lanes."""
+        """Return the pose of one body in the link that carries it, as lanes."""
         return jax.tree.map(lambda column: lane(column, body), self.welds)
 
 
 def prepare(model: Model, dtype: Any) -> Prepared:
-    """Compute the link constants of a model, in the given dtype if they are traced.
+    """Compute the link constants of a model. Traced constants have the given dtype.
 
-    Frames: each link's z is its joint axis; a joint at anchor a with axis s has the pose (A, a) in
-    its body's frame, A z = s. With B the body's frame in its carrier's and F a link's frame in its
-    body, the pose of a link in its parent link is F_parent^-1 B F.
+    The z axis of each link is its joint axis. A joint at anchor a with axis s has the pose (A, a)
+    in the frame of its body, with A z = s. Let B be the pose of a body in the body that carries it,
+    and F the pose of a link in its body. The pose of a link in its parent is F_parent^-1 B F.
     """
     if model.execution.constants is not None:
         return _columns(model.execution.constants)
@@ -101,7 +106,7 @@ def prepare(model: Model, dtype: Any) -> Prepared:
         return _prepare(model.topology, known, np, np.float64)
     if all(traced) and not zeros:
         return _prepare(model.topology, leaves, jnp, dtype)
-    # some entries are known: entry by entry
+    # some entries are constant: compute entry by entry
     entries = {
         name: cells(x, zeros.get(name, (None,) * x.size), known=not moves)
         for (name, x), moves in zip(leaves.items(), traced, strict=True)
@@ -110,8 +115,10 @@ def prepare(model: Model, dtype: Any) -> Prepared:
 
 
 def with_constants(model: Model, dtype: Any) -> Model:
-    """Precompute the link constants and store them in the model, so that a program which has the
-    model as an argument neither recomputes them nor loses their structural zeros."""
+    """Precompute the link constants and store them in the model.
+
+    A program that has this model as an argument does not recompute them and keeps their zeros.
+    """
     if model.execution.constants is not None:
         return model
 
@@ -129,12 +136,12 @@ def with_constants(model: Model, dtype: Any) -> Model:
 
 
 def without_constants(model: Model) -> Model:
-    """Drop precomputed link constants, for user code that may change leaves."""
+    """Remove precomputed link constants. Call it before user code that may change leaves."""
     return model if model.execution.constants is None else model.replace(constants=None)
 
 
 def _columns(made: Any) -> Prepared:
-    """Rebuild the constants that `with_constants` has stored."""
+    """Rebuild the link constants that `with_constants` has stored."""
     columns, body_R, body_p, gravity = jax.tree.map(
         lambda x: x.column() if isinstance(x, Sparse) else x, made,
         is_leaf=lambda x: isinstance(x, Sparse),
@@ -151,7 +158,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     links, n = top.dofs, top.nv
     weld_R, weld_p, body_R = _welds(top, given, xp)
 
-    # each link's frame in its body, before (own) and after (moved) a motion that rotates the body
+    # axes of each link in its body, before (own) and after (moved) the motion of the joint
     joint = np.array([link.joint for link in links], int)
     params = _joint_params(top, given.params, xp)
     moved_R = _link_axes(top, given.axis, given.params, xp)
@@ -159,7 +166,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     own_R = xp.where(starts, np.eye(3), moved_R)
     anchor = given.placement[joint]
 
-    # the pose of the body in the carrier of its parent body, where the link is the body's first
+    # for the first link of each body: the pose of the body in the carrier of its parent body
     body = np.array([link.body for link in links], int)
     parent_body = np.array(top.body_parents, int)[body]
     free = np.array([top.joints[j].on_world for j in joint], bool)
@@ -180,7 +187,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
 
     # inertia about the link's origin, in its axes, of all bodies that move with it
     carrier_link = np.array(top.body_links, int)
-    own = np.where(carrier_link == WORLD, n, carrier_link)  # the world is the frame after the last
+    own = np.where(carrier_link == WORLD, n, carrier_link)  # index n is the frame of the world
     frame_R = xp.concatenate([moved_R, np.eye(3)[None]])[own]
     frame_p = xp.concatenate([anchor, np.zeros((1, 3))])[own]
     to_link_R = matmat(matrix_transpose(frame_R), weld_R)
@@ -227,7 +234,10 @@ _SYM = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def _welds(top: Topology, bodies, xp):
-    """Pose of each body in its carrier (identity for those with joints), and body rotations."""
+    """Compute the pose of each body in its carrier, and its orientation in its parent.
+
+    A body with joints is its own carrier.
+    """
     body_R = _quaternion_to_matrix(bodies.orientation, xp)
     depth = np.array(top.weld_depth, int)
     parent = np.array(top.body_parents, int)
@@ -242,7 +252,7 @@ def _welds(top: Topology, bodies, xp):
 
 
 def _joint_params(top: Topology, given, xp):
-    """The parameters of each link's joint (nv, most), padded with zeros."""
+    """Return the joint parameters of each link (nv, most), padded with zeros."""
     counts = [len(joint.defaults) for joint in top.joints]
     most, starts = max(counts, default=0), np.cumsum([0, *counts])
     out = xp.concatenate([given, np.zeros(1)])  # the last entry is the padding
@@ -254,7 +264,7 @@ def _joint_params(top: Topology, given, xp):
 
 
 def _link_axes(top: Topology, axis, given, xp):
-    """The axes (nv, 3, 3) of each link in its body, with z along the axis of the dof."""
+    """Compute the orientation (nv, 3, 3) of each link in its body, with z along the dof's axis."""
     links, starts = top.dofs, np.cumsum([0, *(len(joint.defaults) for joint in top.joints)])
     shortest = np.array([joint.shortest_turn for joint in top.joints], bool)
     align = _alignments(axis, xp, shortest)[np.array([link.joint for link in links], int)]
@@ -274,11 +284,10 @@ def _link_axes(top: Topology, axis, given, xp):
 
 
 def _alignments(axis, xp, shortest=False):
-    """A (nj, 3, 3) with A z = axis / |axis| (Duff et al. 2017); zero axes count as z.
+    """Compute rotations A (nj, 3, 3) with A z = axis / |axis| (Duff et al. 2017).
 
-    If z >= 0, A is the shortest rotation of z to the axis. If z < 0, the shortest rotation is A
-    with an additional turn about the axis, whose angle is undefined at -z. Only the joints marked
-    in `shortest` (nj,) get this turn.
+    A zero axis counts as z. If the z component of an axis is negative, A is not the shortest
+    rotation from z to the axis, except for the joints marked in `shortest` (nj,).
     """
     shortest = np.broadcast_to(shortest, len(axis))
     if axis.dtype == object:
@@ -306,7 +315,7 @@ def _alignments(axis, xp, shortest=False):
 
 
 def _alignment_of_cells(row: np.ndarray, shortest: bool = False) -> np.ndarray:
-    """`_alignments` of one axis, as numbers or cells."""
+    """Compute `_alignments` of one axis of numbers or cells."""
     if all_literal(row):
         known = np.array([[float(lane_of(x)) for x in row]])
         return _alignments(known, np, shortest)[0].astype(object)
@@ -319,7 +328,7 @@ def _quaternion_to_matrix(q, xp):
 
 
 def _gather(x, index: np.ndarray, n: int, xp):
-    """Sum over the bodies of each link, without those welded to the world (index -1)."""
+    """Sum values of bodies over each link. Bodies welded to the world (index -1) are left out."""
     slot = np.where(index == WORLD, n, index)
     if xp is np:
         out = np.zeros((n + 1, *x.shape[1:]), x.dtype)
@@ -329,7 +338,7 @@ def _gather(x, index: np.ndarray, n: int, xp):
 
 
 def _snap(x: np.ndarray) -> np.ndarray:
-    """Round known entries that differ from 0, 1 or -1 by rounding."""
+    """Round constant entries that are within `SNAP` of 0, 1 or -1."""
     if x.dtype == object:
         known = np.array([is_literal(lane_of(v)) for v in x.ravel()], bool).reshape(x.shape)
         x = x.copy()
@@ -340,13 +349,13 @@ def _snap(x: np.ndarray) -> np.ndarray:
 
 
 def _snap_relative(x: np.ndarray) -> np.ndarray:
-    """Set entries to zero that are rounding of the largest of their row."""
+    """Set entries to zero that are smaller than `SNAP` times the largest entry of their row."""
     rows = np.abs(x).max(axis=tuple(range(1, x.ndim)), initial=0.0)
     return np.where(np.abs(x) < SNAP * rows.reshape(-1, *(1,) * (x.ndim - 1)), 0.0, x)
 
 
 def lane(column, i: int) -> Lane:
-    """One entry of a column, a Python float if it is concrete."""
+    """Return one entry of a column, as a Python float if the column is concrete."""
     if isinstance(column, np.ndarray):
         return lane_of(column[i])
     return column[i]

@@ -1,7 +1,7 @@
 """Model and State: a robot as a pytree.
 
-Static fields determine the program (`Topology`, the kinds of actuators). Leaves are its operands:
-masses, gains and gravity can be differentiated, and changed without recompilation.
+Static fields, such as `Topology`, determine the compiled program. Leaves are its inputs: masses,
+gains and gravity can be differentiated, and changed without recompilation.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class State(Record):
 
     q: (nq,) configuration, in MuJoCo's layout.
     v: (nv,) velocity.
-    x: (nx,) states of the force elements that have one; None if none has, or for their start.
-    memory: (m,) memory of a dynamics that has one (`rbjax.motion.field.VelocityDynamics`).
+    x: (nx,) states of the force elements; None stands for their initial states, or for no states.
+    memory: (m,) values that a dynamics keeps between steps (`VelocityDynamics`), or None.
     """
 
     q: jax.Array
@@ -55,10 +55,13 @@ class State(Record):
 
 
 class Bodies(Record):
-    """The moving bodies, in the order of the file; each in its own frame unless stated.
+    """The moving bodies, in the order of the file.
 
-    Fields: mass (nb,) kg; com (nb, 3) m; inertia (nb, 3, 3) kg m^2 about the com; position (nb, 3)
-    m and orientation (nb, 4) quaternion of the body's frame in its parent's at zero joint motion.
+    mass: (nb,) kg.
+    com: (nb, 3) m, center of mass in the body's frame.
+    inertia: (nb, 3, 3) kg m^2, about the center of mass, in the body's axes.
+    position: (nb, 3) m, of the body's frame in its parent's at zero joint displacement.
+    orientation: (nb, 4) quaternion of the body's frame in its parent's at zero joint displacement.
     """
 
     mass: jax.Array
@@ -69,16 +72,18 @@ class Bodies(Record):
 
 
 class Joints(Record):
-    """The joints.
+    """The joints. Coordinates are in rad or m.
 
-    Fields: placement (nj, 3) m, the joint's anchor in its body's frame; axis (nj, 3) in its body's
-    frame (of a ball and a free joint not used); reference (nq,), the configuration in which the
-    file draws the robot; armature (nv,) kg m^2 or kg, damping (nv,), both with what actuators at
-    the joint add; stiffness (nj,); springref (nq,), the springs' rest; forcerange (nj, 2), limits
-    of the actuators' sum on a joint; range (nj, 2) rad or m, the least and the largest coordinate
-    (of a ball 0 and the largest angle of rotation); params (n,), parameters of kinds of joints,
-    such as the pitch of a screw, one joint after the other. Limits are infinite where the file sets
-    none. A range stops nothing: `rbjax.forces.JointLimits` does.
+    placement: (nj, 3) anchor of the joint in the frame of its body.
+    axis: (nj, 3) in the frame of the joint's body; not used by ball and free joints.
+    reference: (nq,) configuration in which the file draws the robot.
+    armature, damping: (nv,) including the contributions of actuators at the joint.
+    stiffness, springref: (nj,) and (nq,), of the joint's spring and its rest position.
+    forcerange: (nj, 2) limits of the sum of the actuator forces on the joint.
+    range: (nj, 2) limits of the coordinate; of a ball 0 and the largest angle of rotation.
+    params: (n,) parameters of the joint kinds, such as the pitch of a screw, joint by joint.
+
+    Limits that the file does not set are infinite. `rbjax.forces.JointLimits` enforces `range`.
     """
 
     placement: jax.Array
@@ -94,12 +99,14 @@ class Joints(Record):
 
 
 class Actuators(Record):
-    """force = clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l'), with u clipped, l = gear . q.
+    """Actuators with force = clip((g0 + g1 l + g2 l') clip(u) + b0 + b1 l + b2 l'), l = gear . q.
 
-    Fields: gear (nu, 6); gain (nu, 3); bias (nu, 3); ctrlrange, forcerange (nu, 2), infinite
-    where the file sets no limit. Static: `joints`, the joint that each one drives (or -1), and
-    `sites`, the site at which gear is a wrench [force; torque] in the site's axes (or -1). One row
-    for each control; rows of actuators that are elements of `Model.forces` are zero.
+    There is one row for each control. Rows of actuators in `Model.forces` are zero.
+
+    gear: (nu, 6); at a site it is a wrench [force; torque] in the axes of the site.
+    gain, bias: (nu, 3), g and b.
+    ctrlrange, forcerange: (nu, 2) limits of u and of the force, infinite if the file sets none.
+    joints, sites: the joint or the site on which each actuator acts, or -1; static.
     """
 
     gear: jax.Array
@@ -119,8 +126,7 @@ class Sites(Record):
 
 
 class Keyframes(Record):
-    """Named states: q (nk, nq), v (nk, nv), ctrl (nk, nu), and x (nk, n) of the force elements that
-    the file has."""
+    """Named states: q (nk, nq), v (nk, nv), ctrl (nk, nu), and x (nk, n) of the file's elements."""
 
     q: jax.Array
     v: jax.Array
@@ -149,11 +155,11 @@ class Model(Record):
     timestep: float = eqx.field(static=True)
     dropped: tuple[str, ...] = eqx.field(static=True)
     execution: Execution = Execution()
-    #: force elements (`rbjax.forces.Element`) other than the joints' springs and the actuators
+    #: force elements (`rbjax.forces.Element`), without the springs of `joints` and the `actuators`
     forces: tuple = ()
-    #: `rbjax.constraints.Constraint`s on its motion
+    #: constraints on the motion (`rbjax.constraints.Constraint`)
     constraints: tuple = ()
-    geoms: Geoms | None = None  # None: not from a file
+    geoms: Geoms | None = None  # None if the model is not from a file
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)
@@ -165,9 +171,10 @@ class Model(Record):
             )
 
     def replace(self, **changes: Any) -> Model:
-        """A copy with the given fields changed, those of `execution` too; shapes of arrays must
-        stay. Entries that `fix_zeros` has fixed keep their values; precomputed constants of leaves
-        that change are dropped."""
+        """Return a copy with the given fields, or fields of `execution`, changed.
+
+        Arrays must keep their shapes. Entries that `fix_zeros` has fixed keep their values.
+        """
         how = {name: changes.pop(name) for name in EXECUTION if name in changes}
         if changes.keys() & {"bodies", "joints", "gravity"} or "zeros" in how:
             how = {"constants": None} | how
@@ -180,11 +187,11 @@ class Model(Record):
 
     @property
     def driver(self) -> str:
-        """How the recursions run: one of `DRIVER_NAMES`."""
+        """The name of the driver of the recursions: one of `DRIVER_NAMES`."""
         return self.execution.driver
 
     def several(self) -> tuple[str, tuple[int, ...], int] | None:
-        """The (name, shape, expected axes) of a leaf with other axes, as in a batch; else None."""
+        """Return (name, shape, expected number of axes) of a leaf with a batch axis, or None."""
         leaves = jax.tree.leaves((self.bodies, self.joints, self.actuators, self.gravity))
         if [getattr(x, "ndim", 0) for x in leaves] == _AXES:
             return None
@@ -194,27 +201,27 @@ class Model(Record):
 
     @property
     def nq(self) -> int:
-        """Configuration coordinates."""
+        """The number of configuration coordinates."""
         return self.topology.nq
 
     @property
     def nv(self) -> int:
-        """Velocity coordinates."""
+        """The number of velocity coordinates."""
         return self.topology.nv
 
     @property
     def nu(self) -> int:
-        """Controls."""
+        """The number of controls."""
         return len(self.topology.actuator_names)
 
     @property
     def nx(self) -> int:
-        """The states of the force elements, in number."""
+        """The number of states of the force elements."""
         return sum(element.size for element in self.forces)
 
     @property
     def nb(self) -> int:
-        """Bodies, without the world."""
+        """The number of bodies, without the world."""
         return self.topology.nb
 
     @property
@@ -238,15 +245,15 @@ class Model(Record):
         return self.topology.keyframe_names
 
     def body(self, name: str | int) -> int:
-        """The index of a body, for arrays over bodies; an index is checked and returned."""
+        """Return the index of a body from its name. An index is checked and returned."""
         return _index("body", name, self.body_names)
 
     def joint(self, name: str | int) -> int:
-        """The index of a joint; `q_slice` and `v_slice` say where its coordinates are."""
+        """Return the index of a joint from its name. An index is checked and returned."""
         return _index("joint", name, self.joint_names)
 
     def q_slice(self, joint: str) -> slice:
-        """Where a joint's coordinates are in q: 7 of a free joint, 4 of a ball, 1 of a hinge.
+        """Return the slice of a joint's coordinates in q: 7 if free, 4 of a ball, 1 of a hinge.
 
         Example:
             >>> import rbjax as rb
@@ -258,36 +265,35 @@ class Model(Record):
         return slice(top.joint_q[i], top.joint_q[i] + top.joints[i].nq)
 
     def v_slice(self, joint: str) -> slice:
-        """Where a joint's coordinates are in v: 6 of a free joint, 3 of a ball, 1 of a hinge."""
+        """Return the slice of a joint's coordinates in v: 6 if free, 3 of a ball, 1 of a hinge."""
         i, top = self.joint(joint), self.topology
         return slice(top.joint_v[i], top.joint_v[i] + top.joints[i].nv)
 
     def actuator(self, name: str | int) -> int:
-        """The index of an actuator, for controls."""
+        """Return the index of an actuator from its name, which is the index of its control."""
         return _index("actuator", name, self.actuator_names)
 
     def site(self, name: str | int) -> int:
-        """The index of a site."""
+        """Return the index of a site from its name."""
         return _index("site", name, self.site_names)
 
     def geom(self, name: str | int) -> int:
-        """The index of a geom."""
+        """Return the index of a geom from its name."""
         return _index("geom", name, () if self.geoms is None else self.geoms.names)
 
     def fix_zeros(self) -> Model:
-        """Make the zeros of the leaves constants of compiled programs.
+        """Return a copy in which zeros of bodies, joints and gravity are compile-time constants.
 
-        Zeros of masses, centres, inertias, placements, armatures, references and gravity, and
-        zeros and ones of axes and attitudes, then cost no arithmetic although the leaves stay
-        inputs: for a batch of robots that differ in masses and lengths. A fixed entry is no
-        longer a parameter: `replace` keeps its value, and its derivative is zero.
+        Use it for a batch of robots that differ in masses and lengths: the leaves stay inputs of
+        the compiled program, but their zeros cost no arithmetic. Ones of axes and orientations are
+        fixed in addition. `replace` keeps the value of a fixed entry, and its derivative is zero.
         """
         return self.replace(zeros=known_entries(self))
 
     def astype(self, dtype: Any) -> Model:
         """Convert the floating-point leaves of the model.
 
-        Algorithms compute in the dtype of q and v; states and keyframes come in the model's.
+        Algorithms compute in the dtype of q and v. The states of a model have its own dtype.
 
         Raises:
             InputError: the dtype is neither float32 nor float64.
@@ -299,7 +305,7 @@ class Model(Record):
         """
         try:
             floating = dtype is not None and np.dtype(dtype) in FLOATS
-        except TypeError:  # numpy raises it if this is not a dtype
+        except TypeError:  # not a dtype
             floating = False
         if not floating:
             raise InputError(f"Model.astype: got {dtype}, expected float32 or float64")
@@ -311,22 +317,22 @@ class Model(Record):
         return jax.tree.map(cast, self.replace(constants=None))
 
     def default_state(self) -> State:
-        """The configuration in which the file draws the robot, at rest."""
+        """Return the state at rest in the configuration in which the file draws the robot."""
         q = self.joints.reference
         return State(q, jnp.zeros(self.nv, q.dtype), self.start(q.dtype))
 
     def start(self, dtype: Any) -> jax.Array | None:
-        """The initial states x (nx,) of the force elements; None if none has a state."""
+        """Return the initial states x (nx,) of the force elements, or None if none has a state."""
         if not self.nx:
             return None
         return jnp.concatenate([e.start().astype(dtype) for e in self.forces if e.size])
 
     def with_forces(self, *elements: Any) -> Model:
-        """Add force elements (`rbjax.forces`). The actuators of the model still act."""
+        """Return a copy with more force elements (`rbjax.forces`). The actuators still act."""
         return self._with("forces", "Element", "loads", with_warning(self, elements))
 
     def with_constraints(self, *constraints: Any) -> Model:
-        """Add constraints (`rbjax.constraints`)."""
+        """Return a copy with more constraints (`rbjax.constraints`)."""
         return self._with("constraints", "Constraint", "rows", constraints)
 
     def _with(self, room: str, kind: str, method: str, given: tuple) -> Model:
@@ -337,22 +343,22 @@ class Model(Record):
         return self.replace(**{room: (*getattr(self, room), *given)})
 
     def with_joint(self, name: str, kind: str, **given: Any) -> Model:
-        """Replace a joint by one of another kind (`rbjax.joints.kinds()`).
+        """Return a copy with a joint replaced by one of another kind (`rbjax.joints.kinds()`).
 
-        The new joint keeps the anchor and the axis, in its body's frame. If it has as many
-        coordinates as the old one, it keeps their armature, damping and reference; if
-        both have one, it keeps the spring and the ranges too. Actuators drive its coordinates one
-        for one.
+        The new joint keeps the anchor and the axis, in the frame of its body. If it has as many
+        coordinates as the old joint, it keeps armature, damping and reference. If both joints have
+        one coordinate, it keeps the spring and the ranges too. Entry k of the gear of an actuator
+        acts on coordinate k of the new joint.
 
         Args:
             name: the joint.
-            kind: the name of a kind.
-            given: axis (3,), reference (nq of the joint,), and the kind's own numbers by name.
+            kind: the name of the new kind.
+            given: axis (3,), reference (nq of the joint,), and parameters of the kind by name.
 
         Raises:
-            UnknownName: no such joint, kind or number. InputError: a wrong shape; numbers that are
-                not real or not finite; an axis or quaternion without a length; forces that hold a
-                number for each coordinate of a joint that will have others.
+            UnknownName: no such joint, kind or parameter.
+            InputError: a value of the wrong shape, not real or not finite; a zero axis or
+                quaternion; a force element with a parameter for each coordinate of the old joint.
 
         Example:
             >>> import rbjax as rb
@@ -363,7 +369,7 @@ class Model(Record):
         return with_joint(self, name, kind, **given)
 
     def keyframe(self, name: str) -> State:
-        """The state of a keyframe of the file."""
+        """Return the state of a keyframe of the file."""
         i = _index("keyframe", name, self.keyframe_names)
         q, own, x = self.keyframes.q[i], self.keyframes.x, self.start(self.keyframes.q.dtype)
         if x is not None and own is not None and own.shape[1] <= x.size:
@@ -371,9 +377,12 @@ class Model(Record):
         return State(q, self.keyframes.v[i], x)
 
     def random_state(self, key: jax.Array) -> State:
-        """A random state. Coordinates are uniform within 1 of the default state and within the
-        joints' ranges. Attitudes are uniform; the angle of a ball joint with a range is scaled into
-        it. Velocities have a standard deviation of 1."""
+        """Draw a random state.
+
+        Coordinates are uniform within 1 of the default state and within the ranges of the joints.
+        Attitudes are uniform. The angle of a ball joint with a range is scaled into the range.
+        Velocities are normal with standard deviation 1.
+        """
         return State(*random_coordinates(self, key), self.start(self.joints.reference.dtype))
 
 

@@ -12,7 +12,7 @@ from rbjax.rotations import quaternion
 
 
 def random_coordinates(model: Any, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Draw the q (nq,) and v (nv,) of `Model.random_state`."""
+    """Draw q (nq,) and v (nv,) for `Model.random_state`."""
     kq, kr, kv = jax.random.split(key, 3)
     q, top, ranges = model.joints.reference, model.topology, model.joints.range
     dtype = q.dtype
@@ -34,6 +34,6 @@ def random_coordinates(model: Any, key: jax.Array) -> tuple[jax.Array, jax.Array
 
 
 def _within_angle(turn: jax.Array, largest: jax.Array) -> jax.Array:
-    """Scale the angle of an attitude, at most pi, by largest / pi, if `largest` is below pi."""
+    """Multiply the angle of an attitude by largest / pi, if `largest` is below pi."""
     share = jnp.minimum(jnp.where(jnp.isfinite(largest), largest, jnp.pi) / jnp.pi, 1.0)
     return jnp.where(share < 1, quaternion.exp(share * quaternion.log(turn)), turn)

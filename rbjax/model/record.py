@@ -37,14 +37,14 @@ class Record(eqx.Module):
         return type(self)(**fields)
 
     def may_be_infinite(self, name: str) -> bool:
-        """Whether a field may be infinite, as a range without limits."""
+        """Return True if a field may be infinite: a range without limits."""
         return name.endswith("range")
 
 
 def array_like(
     where: str, value: Any, shape: tuple[int, ...], dtype: Any, *, infinite: bool, fix: str = ""
 ) -> jax.Array:
-    """Convert a value to an array of the shape and dtype, and check its numbers."""
+    """Convert a value to an array of the given shape and dtype, and check that it is finite."""
     try:
         new = jnp.asarray(value)
         new = new.astype(dtype) if _is_real(new.dtype) else new
@@ -59,7 +59,7 @@ def array_like(
 
 
 def check_numbers(where: str, x: Any, *, infinite: bool) -> None:
-    """Raise `InputError` if known values are NaN, infinite (unless allowed) or not real."""
+    """Raise `InputError` if untraced values are NaN, infinite (unless allowed) or not real."""
     if not hasattr(x, "dtype"):
         x = np.asarray(x)
     if not _is_real(x.dtype):
@@ -78,7 +78,7 @@ def _is_real(dtype: Any) -> bool:
 
 
 def floats(x: Any) -> Any:
-    """Convert a field to an array, if it can be; `check_fields` rejects anything else."""
+    """Convert a field to an array. Return a value that cannot be converted unchanged."""
     if isinstance(x, (str, bytes)):  # NumPy reads "1" as a number
         return x
     try:
@@ -88,7 +88,7 @@ def floats(x: Any) -> Any:
 
 
 def check_number(record: Record, name: str, *, positive: bool = False) -> None:
-    """Raise `InputError` if a field is not a number, or, with `positive`, not above zero."""
+    """Raise `InputError` unless a field is a number, and above zero if `positive` is set."""
     check_fields(record)
     value, where = getattr(record, name), f"{type(record).__name__}({name}=...)"
     if jnp.shape(value) != ():
@@ -98,7 +98,7 @@ def check_number(record: Record, name: str, *, positive: bool = False) -> None:
 
 
 def check_above_zero(where: str, value: Any) -> None:
-    """Raise if a value that is not traced is not above zero."""
+    """Raise `InputError` if an untraced value has an entry that is not above zero."""
     if isinstance(value, jax.core.Tracer):
         return
     wrong = ~(np.asarray(value) > 0)
@@ -110,7 +110,7 @@ def check_above_zero(where: str, value: Any) -> None:
 
 
 def check_fields(record: Record) -> None:
-    """Raise `InputError` if a field annotated as an array or a tuple is something else."""
+    """Raise `InputError` if a field annotated as an array or a tuple has another type."""
     for f in dataclasses.fields(record):
         value, where = getattr(record, f.name), f"{type(record).__name__}({f.name}=...)"
         optional = f.type == "jax.Array | None" and value is not None
@@ -136,17 +136,17 @@ def cast_floats(tree: Any, dtype: Any) -> Any:
     return jax.tree.map(cast, tree)
 
 
-#: the drivers of the recursions; `rbjax.dynamics.drivers.choice` chooses for "auto"
+#: the drivers of the recursions; "auto" is resolved by `rbjax.dynamics.drivers.choice`
 DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
 
 
 class Execution(Record):
-    """How algorithms run on a model; nothing here changes their results.
+    """Options for the execution of algorithms on a model. They do not change the results.
 
     Fields:
         driver: one of `DRIVER_NAMES`.
-        zeros: the entries of leaves that are part of the program (`Model.fix_zeros`), or None.
-        constants: the link constants, if they were computed before a loop (`with_constants`).
+        zeros: the entries of leaves that are compile-time constants (`Model.fix_zeros`), or None.
+        constants: the precomputed link constants (`with_constants`), or None.
     """
 
     driver: str = eqx.field(static=True, default="auto")
@@ -158,5 +158,5 @@ class Execution(Record):
             raise UnknownName("driver", self.driver, DRIVER_NAMES)
 
 
-#: the names of its fields
+#: the names of the fields of `Execution`
 EXECUTION = tuple(f.name for f in dataclasses.fields(Execution))

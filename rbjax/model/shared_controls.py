@@ -1,4 +1,4 @@
-"""A warning for force elements that read controls of actuators which also exert forces."""
+"""A warning about force elements that read the control of an actuator that also exerts a force."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 
 
 def with_warning(model: Any, elements: tuple) -> tuple:
-    """Return the elements. Warn for each that reads a control of an actuator in `model.actuators`
-    which exerts a force."""
+    """Warn about each force element that reads the control of an acting actuator.
+
+    An actuator acts if its gain or bias is not zero. The elements are returned unchanged.
+    """
     acting = _acting(model.actuators)
     for one in elements:
         taken = getattr(one, "controls", ()) if getattr(one, "actuates", False) else ()
@@ -27,7 +29,7 @@ def with_warning(model: Any, elements: tuple) -> tuple:
 
 
 def _acting(actuators: Any) -> np.ndarray:
-    """The mask (nu,) of rows that exert forces; empty if they are traced."""
+    """Return the mask (nu,) of actuators that exert forces, empty if their leaves are traced."""
     if any(isinstance(x, jax.core.Tracer) for x in (actuators.gain, actuators.bias)):
         return np.zeros(0, bool)
     rows = np.concatenate([np.asarray(actuators.gain), np.asarray(actuators.bias)], -1)

@@ -1,14 +1,13 @@
 """The static part of a robot: its tree, joint kinds and names, and its isomorphic limbs.
 
 A *dof* is one velocity coordinate: a hinge has one, a ball three (`rbjax.joints`). Each dof moves a
-*link*, which may have no mass, whose frame is rotated so that the axis of the dof is z. Recursions
-run over the links. Bodies without joints are merged into the last link of the body that carries
-them.
+*link*, which may have no mass. The frame of a link is rotated so that the axis of the dof is z.
+Recursions run over the links. Bodies without joints are merged into the last link of the body that
+carries them.
 
-A *limb* is a link that begins a joint, with its subtree. Limbs with the same tree of joints of the
-same kinds form a *group*, which one program serves. The links of no group are the *trunk*. A limb
-begins where the tree branches, so that a leg is not cut in the middle to match an arm. Groups are
-chosen greedily, the one that saves most links first.
+A *limb* is the subtree of a joint whose parent link is the world or has several children. Limbs
+with equal trees of joint kinds form a *group* and share one program. All links outside groups are
+the *trunk*. Groups are chosen greedily: the group that saves most links is chosen first.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ WORLD = -1
 
 
 class Span(NamedTuple):
-    """The coordinates of a joint in q and v: first those that add, then those of an attitude."""
+    """The slices of a joint in q and v: coordinates that add, followed by an attitude."""
 
     q: slice
     v: slice
@@ -35,7 +34,7 @@ class Span(NamedTuple):
 
 
 def spans(top: Any) -> Iterator[Span]:
-    """The span of each joint of a topology."""
+    """Yield the span of each joint of a topology."""
     for joint, at, dat in zip(top.joints, top.joint_q, top.joint_v, strict=True):
         added = joint.nv - 3 if joint.quaternion else joint.nv
         q, v = slice(at, at + added), slice(dat, dat + added)
@@ -52,7 +51,7 @@ class Dof:
     parent: int  # link, or WORLD
     first_on_body: bool
     spec: DofSpec
-    #: the coordinates in q and in v that its motion reads
+    #: the coordinates in q and in v that determine its motion
     q: range
     v: range
     #: the dofs that share its frame
@@ -60,13 +59,13 @@ class Dof:
 
     @property
     def kind(self) -> DofKind:
-        """How the dof moves."""
+        """The kind of motion of the dof."""
         return self.spec.kind
 
 
 @dataclass(frozen=True)
 class Topology:
-    """The static part of a model: tuples only."""
+    """The static part of a model, as hashable tuples."""
 
     body_parents: tuple[int, ...]
     joint_kinds: tuple[str, ...]
@@ -77,7 +76,7 @@ class Topology:
     site_names: tuple[str, ...] = ()
     site_bodies: tuple[int, ...] = ()
     keyframe_names: tuple[str, ...] = ()
-    #: the kinds, by identity: a name that is registered again gives another program
+    #: the joint kinds, compared by identity: registering a name again gives another program
     joints: tuple[Joint, ...] = ()
 
     def __post_init__(self) -> None:
@@ -85,7 +84,7 @@ class Topology:
             object.__setattr__(self, "joints", tuple(kind(name) for name in self.joint_kinds))
 
     def __reduce__(self) -> tuple:
-        """Pickle the names of the kinds, not the kinds."""
+        """Pickle the names of the joint kinds instead of the kinds."""
         given = [getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "joints"]
         return Topology, tuple(given)
 
@@ -118,7 +117,7 @@ class Topology:
 
     @cached_property
     def turn_starts(self) -> tuple[int, ...]:
-        """The index of each attitude's angular velocity in v."""
+        """The index of the angular velocity of each attitude in v."""
         return tuple(span.attitude[1].start for span in spans(self) if span.attitude)
 
     @cached_property
@@ -148,14 +147,14 @@ class Topology:
         }
 
     def _carrier(self, body: int) -> int:
-        """The nearest body, itself or an ancestor, that has joints; or WORLD."""
+        """Return the body, if it has joints, else its nearest ancestor with joints, or WORLD."""
         while body != WORLD and body not in self.last_links:
             body = self.body_parents[body]
         return body
 
     @cached_property
     def carriers(self) -> tuple[int, ...]:
-        """The body that each body is welded to (itself, if it has joints), or WORLD."""
+        """The nearest body with joints at or above each body in the tree, or WORLD."""
         return tuple(self._carrier(b) for b in range(self.nb))
 
     @cached_property
@@ -187,7 +186,7 @@ class Topology:
 
     @cached_property
     def constant_axes(self) -> bool:
-        """Whether the axis of each dof is constant in the frame of the dof."""
+        """True if the axis of each dof is constant in the frame of the dof."""
         return all(dof.kind.constant_axis for dof in self.dofs)
 
 
@@ -204,35 +203,35 @@ LEAST_SAVED = 2
 
 
 class Group(NamedTuple):
-    """Limbs of one shape; position k of each is the same place in the shape."""
+    """Limbs with equal trees. Position k is the same place in the tree of each limb."""
 
     #: the links of each limb, parents before children
     links: tuple[tuple[int, ...], ...]
-    #: the position of the parent of each position, WORLD for the limb's first link
+    #: the position of the parent of each position, WORLD for position 0
     parents: tuple[int, ...]
     #: the link of the trunk that carries each limb, or WORLD
     carriers: tuple[int, ...]
 
 
 class Partition(NamedTuple):
-    """The trunk and the groups: each link is in the trunk or in one limb."""
+    """The trunk and the groups of a robot. Each link is in the trunk or in one limb."""
 
     trunk: tuple[int, ...]
     groups: tuple[Group, ...]
 
     @property
     def written(self) -> int:
-        """The number of links whose steps are written out."""
+        """The number of links in a program: the trunk, and one limb of each group."""
         return len(self.trunk) + sum(len(group.parents) for group in self.groups)
 
 
 @lru_cache(maxsize=256)
 def partition(top: Topology) -> Partition:
-    """The trunk of a robot and its groups of limbs."""
+    """Partition the links of a robot into a trunk and groups of equal limbs."""
     children: dict[int, list[int]] = {}
     for i, parent in enumerate(top.parents):
         children.setdefault(parent, []).append(i)
-    numbers: dict[tuple, int] = {}  # of the shapes, in the order in which they are met
+    numbers: dict[tuple, int] = {}  # shape of a subtree -> its number
     shapes = [0] * top.nv
     members: list[tuple[int, ...]] = [()] * top.nv
     for i in reversed(range(top.nv)):
@@ -266,7 +265,7 @@ def partition(top: Topology) -> Partition:
 
 
 def _saved(roots: list[int], members: list[tuple[int, ...]]) -> int:
-    """The number of links that a group of these limbs saves."""
+    """Return the number of links that a group of these limbs saves."""
     return (len(roots) - 1) * len(members[roots[0]]) if roots else 0
 
 

@@ -18,7 +18,7 @@ from rbjax.model.topology import WORLD
 
 
 def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
-    """As `Model.with_joint`."""
+    """Replace a joint of a model by one of another kind, for `Model.with_joint`."""
     j, new, top = model.joint(name), kind_of(kind), model.topology
     old, joints, keys = top.joints[j], model.joints, model.keyframes
     given = _numbers(given, new, kind, joints.params.dtype)
@@ -75,7 +75,7 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
 
 
 def start_of(joint: Joint) -> np.ndarray:
-    """The coordinates (nq,) of a joint without displacement."""
+    """Return the coordinates (nq,) of a joint at zero displacement."""
     out = np.zeros(joint.nq)
     if joint.quaternion:
         out[-4] = 1.0
@@ -83,13 +83,13 @@ def start_of(joint: Joint) -> np.ndarray:
 
 
 def _spliced(x: Any, at: slice, put: Any) -> jax.Array:
-    """Replace a slice of the last axis of x (..., n) by the numbers `put` (m,)."""
+    """Replace a slice of the last axis of x (..., n) by the values `put` (m,)."""
     put = jnp.broadcast_to(jnp.asarray(put, x.dtype), (*x.shape[:-1], *np.shape(put)))
     return jnp.concatenate([x[..., : at.start], put, x[..., at.stop :]], -1)
 
 
 def _numbers(given: dict[str, Any], joint: Joint, kind: str, dtype: Any) -> dict[str, jax.Array]:
-    """Check the given numbers, and add the default parameters of the kind."""
+    """Check the given values, and add the default values of missing parameters."""
     shapes = {"axis": (3,), "reference": (joint.nq,)}
     shapes |= {key: np.shape(x) for key, x in joint.params.items()}
     for key in given:
@@ -110,7 +110,7 @@ def _numbers(given: dict[str, Any], joint: Joint, kind: str, dtype: Any) -> dict
 
 
 def _check_length(where: str, x: jax.Array, what: str) -> None:
-    """Raise `InputError` if a known vector has no direction."""
+    """Raise `InputError` if an untraced vector has zero or infinite length."""
     if isinstance(x, jax.core.Tracer):
         return
     with np.errstate(over="ignore", under="ignore"):
@@ -120,8 +120,10 @@ def _check_length(where: str, x: jax.Array, what: str) -> None:
 
 
 def _check_on_world(model: Any, joint: int, name: str, kind: str) -> None:
-    """Raise if the coordinates of a joint are relative to the world and its body is carried by
-    another body, or has another joint."""
+    """Raise `InputError` unless the parent of a joint is the world and its body has no other joint.
+
+    A joint whose coordinates are relative to the world requires this.
+    """
     top = model.topology
     body = top.joint_bodies[joint]
     parent = top.body_parents[body]
