@@ -3,13 +3,11 @@
     arm   two links on two hinges, with springs, dampers and position servos: a `Model`
     body  a rigid body about a fixed point in gravity: `rb.solvers.RigidBody`, or the same equations
           for a quaternion and an angular velocity, for solvers without groups
-Arms and bodies differ only in their parameters, so one compiled program of a solver runs all arms
-or all bodies.
+One compiled program of a solver runs all arms, and one all bodies.
 
 The reference for an arm are Lagrange's equations in absolute angles, written by hand. Near gimbal
 lock it is the pendulum in Cartesian coordinates, which have no gimbal lock. The reference for a
-body uses a quaternion. Dormand-Prince 8 solves them at two small steps, and the difference bounds
-the error.
+body uses a quaternion. The difference of two small steps of Dormand-Prince 8 bounds the error.
 """
 
 from __future__ import annotations
@@ -58,13 +56,11 @@ class Arm:
     """An arm of two links of 1 m that hang along -z at q = 0.
 
     Fields:
-        mass: kg.
-        com: distance of the centre of mass from the hinge, m.
+        mass, com: kg, and distance of the centre of mass from the hinge, m.
         inertia: about the centre of mass, kg m^2; None for a rod.
         stiffness, damping: of the joints.
         kp, kv: gains of servos with target 0.
-        gimbal: if True, the first link is only a vertical axis, and the second link a point on a
-            massless rod.
+        gimbal: the first link is only a vertical axis, the second a point on a massless rod.
     """
 
     mass: tuple[float, float] = (1.0, 1.0)
@@ -130,8 +126,7 @@ def _base() -> Model:
 
 
 def planar(t: Any, y: Any, numbers: jax.Array) -> Any:
-    """Return the rates of an arm in absolute angles, by Lagrange's equations. y = (angles (2,),
-    rates (2,))."""
+    """Return the rates of an arm by Lagrange's equations, y = (absolute angles (2,), rates)."""
     (t1, t2), (w1, w2) = y
     a, b, c, g1, g2, k1, k2, d1, d2 = numbers
     first = -k1 * t1 - d1 * w1
@@ -156,7 +151,7 @@ class Body:
 
     Fields:
         inertia: (3,) principal moments, kg m^2.
-        weight: moment of its weight, N m: weight times distance from the fixed point.
+        weight: weight times distance from the fixed point, N m.
     """
 
     inertia: tuple[float, float, float]
@@ -210,17 +205,12 @@ class Scene:
     """A system, its initial state, and 200 samples of `every` equal steps each.
 
     Fields:
-        title: description.
-        system: an `Arm` or a `Body`.
         start: (q, v) of an arm, or (quaternion, w) of a body.
-        dt: step, s.
-        every: number of steps between samples.
+        dt, every: step, s, and number of steps between samples.
         refine: number of steps of the reference in one dt.
-        scale: unit of energy, J; 0 if energy is not conserved.
-        adaptive: whether a controller chooses the steps, with a tolerance of 1e-6 and at most
-            10,000 steps.
+        scale, speed: energy unit, J (0: energy is not conserved), and typical speed, rad/s.
+        adaptive: whether a controller chooses the steps (tolerance 1e-6, at most 10,000 steps).
         single: whether f32 is compared with the same steps in f64.
-        speed: typical speed of the motion, rad/s.
     """
 
     title: str
@@ -253,16 +243,16 @@ class Truth(NamedTuple):
 
 
 def truth(scene: Scene) -> Truth:
-    """Compute the true motion of a scene, and the bound of its error.
+    """Compute the true motion of a scene, and the bound max_k |r_k(h) - r_k(h / 2)| of its error.
 
-    The error is max_k |r_k(h) - r_k(h / 2)| of Dormand-Prince 8 at h = dt / refine.
+    The reference r is by Dormand-Prince 8 at h = dt / refine.
 
     Args:
         scene: one of `rb.stability.scenes()`, or a user-defined one.
 
     Returns:
-        `Truth`: error, and observed, which is (201, 2) joint angles, rad; (201, 3) positions of the
-        bob near gimbal lock, m; or (201, 4) quaternions.
+        `Truth`: error, and observed: (201, 2) joint angles, rad; (201, 3) positions of the bob near
+        gimbal lock, m; or (201, 4) quaternions.
 
     Source: Hairer, Norsett & Wanner, *Solving ODEs I*, II.10.
 
@@ -306,8 +296,8 @@ def kept(t: Any, y: Any, args: Any) -> Any:
 
 
 def deviation(scene: Scene, q: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """Return the error (T, n) of configurations q (T, nq): angles in rad, or the bob in m. The
-    error of an attitude is the angle to the true attitude."""
+    """Return the error (T, n) of configurations q (T, nq): angles in rad (of attitudes, the angle
+    to the true attitude), or the bob in m."""
     if isinstance(scene.system, Body):
         unit, real = unit_rows(q), unit_rows(observed)
         gap = np.minimum(np.linalg.norm(unit - real, axis=1), np.linalg.norm(unit + real, axis=1))
