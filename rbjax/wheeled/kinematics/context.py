@@ -14,10 +14,8 @@ from rbjax.wheeled.kinematics.velocities import Shape, caster_rates, shape_along
 
 @dataclass(frozen=True)
 class RobotContext:
-    """Parameters, coordinates, velocities, tyre states and controls as lanes.
-
-    Functions of the angles are computed once.
-    """
+    """Parameters, coordinates, velocities, tyre states and controls as lanes. Functions of the
+    angles are computed once."""
 
     n: Parameters
     q: list[Lane]

@@ -56,10 +56,8 @@ def rotate_back(a: Pair, e: Pair) -> Pair:
 
 
 class Dual:
-    """A dual number: a lane with its rate of change. A lane without a rate is constant.
-
-    Structural zeros of rates are kept. Value and rate may be `Dual` themselves, for second rates.
-    """
+    """A dual number: a lane with its rate of change. A lane without a rate is constant. Structural
+    zeros of rates are kept. Value and rate may be `Dual` themselves, for second rates."""
 
     __slots__ = ("rate", "value")
     __array_ufunc__ = None  # numpy's scalars leave operations to this class
