@@ -58,8 +58,7 @@ class LinearStatus(eqx.Enumeration):
 
 
 def raise_failure(where: str, status: Any) -> None:
-    """Raise InputError unless the status is `success`. Traced or batched statuses are not checked.
-    """
+    """Raise InputError unless the status is `success`. Traced or batched ones pass."""
     values = jax.tree.leaves(status)
     if any(isinstance(x, jax.core.Tracer) or x.ndim for x in values):
         return

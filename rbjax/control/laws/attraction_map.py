@@ -1,6 +1,6 @@
 """Map of a region of attraction: the initial states that return to an equilibrium under feedback.
 
-    x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back if |x(T) (-) x*| <= tolerance
+x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back if |x(T) (-) x*| <= tolerance
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ class RegionMap(Record):
     x, y: deviations of the initial state along two tangent coordinates, (nx,) and (ny,), SI units.
     back: true if the final state is within the tolerance, (ny, nx).
     distance: largest entry of |x(T) (-) x*|, (ny, nx); infinite if the motion is not finite.
-    time: time in s after which the motion stays within the tolerance, (ny, nx); nan if back is
-    false.
+    time: s, after which the motion stays within the tolerance, (ny, nx); nan if back is false.
     names: names of the two coordinates.
     """
 

@@ -42,10 +42,8 @@ def weight_matrix(where: str, name: str, value: Any, n: int) -> jax.Array:
 
 
 def check_regulator(where: str, A: Any, B: Any, Q: Any, R: Any, S: Any) -> tuple[jax.Array, ...]:
-    """Check A, B, Q, R and S of a regulator and convert them to one dtype.
-
-    Raise InputError if Q or R is not symmetric; traced values pass.
-    """
+    """Check A, B, Q, R and S of a regulator and convert them to one dtype. Raise InputError if Q or
+    R is not symmetric; traced values pass."""
     A, B = check_matrices(where, ("A", A, "nn"), ("B", B, "nm"))
     n, m = B.shape
     Q, R = weight_matrix(where, "Q", Q, n), weight_matrix(where, "R", R, m)

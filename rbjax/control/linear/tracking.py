@@ -47,10 +47,8 @@ class Tracking(Record):
     success: jax.Array
 
     def __call__(self, t: Any, state: State) -> jax.Array:
-        """Return the controls (nu,) at a time in s since the start of the motion.
-
-        Times before the start use the first step, and times after the end use the last step.
-        """
+        """Return the controls (nu,) at a time in s since the start of the motion. Times before the
+        start use the first step, and times after the end use the last step."""
         k = jnp.floor(t / self.dt + 1e-3).astype(jnp.int32)  # times of knots are rounded
         k = jnp.clip(k, 0, self.ctrls.shape[0] - 1)
         K, u = self.K[k], self.ctrls[k]
@@ -144,6 +142,5 @@ def time_varying_lqr(
 def regulator_along(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, terminal: jax.Array
 ) -> Gains:
-    """Compute the gains for A (N, n, n) and B (N, n, m) with the same weights Q and R at each step.
-    """
+    """Compute the gains for A (N, n, n) and B (N, n, m), with the same Q and R at each step."""
     return backward(constant_weights(A, B, Q, R, terminal))
