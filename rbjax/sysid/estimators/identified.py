@@ -89,8 +89,7 @@ class Identified(HasStatus):
         return self.setup.model
 
     def summary(self) -> str:
-        """Return status, verdict, notes, and 95 % intervals of the unknowns, one sentence a line.
-        """
+        """Return status, verdict, notes and intervals of the unknowns, one sentence a line."""
         first = [f"{self.status.text} in {self.evaluations} evaluations", self.verdict.summary()]
         return "\n".join([*first, *self.notes, *self.estimates.sentences()[: len(self.values)]])
 

@@ -110,10 +110,7 @@ class Predicted(HasStatus):
 
     @in_double
     def whitened(self, recordings: Sequence[Recording] | None = None) -> dict[str, np.ndarray]:
-        """Compute the whitened innovations L^-1 z, by recording.
-
-        For a true model they are white with variance 1.
-        """
+        """Compute the whitened innovations L^-1 z, by recording. Their true variance is 1."""
         off = self.innovations(recordings)
         S = np.asarray(self._filter(recordings)[2].innovation_covariance)
         each = np.linalg.solve(np.linalg.cholesky(S), np.nan_to_num(list(off.values()))[..., None])

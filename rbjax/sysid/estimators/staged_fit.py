@@ -102,7 +102,7 @@ class StagedFit:
             x = self._minimise(of, x, last=False, prior_weights=weights).x
         if not self.error(self.recordings).own:
             return x[: self.shared]
-        # the error of a chaotic motion is very steep: a prior at the first guess would lose the minimum
+        # the error of a chaotic motion is steep: a prior at the first guess would lose the minimum
         self.prior = of.merge(x)
         return self.prior
 
@@ -186,10 +186,7 @@ class StagedFit:
         return self._refit(fit.error.on(data), fit.minimum.x)._replace(noise_estimated=True)
 
     def shorten_steps(self) -> None:
-        """Shorten the steps until their error at the first guess is below the noise.
-
-        Longer steps may hide the right minimum.
-        """
+        """Shorten the steps until their error at the first guess is below the noise."""
         if not self.checks_steps:
             return
         of = self.error(self.recordings)
@@ -235,7 +232,7 @@ class StagedFit:
             if not matters and best.minimum.success:
                 break
             found = self._refit(other, best.minimum.x)
-            if found.minimum.cost > 2 * best.minimum.cost:  # the recordings were simulated with the longer steps
+            if found.minimum.cost > 2 * best.minimum.cost:  # simulated data with long steps
                 break
             worst, needed = max(worst, error), needed or matters or found.minimum.success
             best = found._replace(noise_estimated=fit.noise_estimated)

@@ -138,10 +138,7 @@ class Job:
         return Results(found, verdict, diagnosis, files, (note,) if note else ())
 
     def _robot(self, model: Model) -> tuple[Path, str]:
-        """Write the estimates into a copy of the robot's file, or into a new MJCF file.
-
-        Return the path, and the reason for a new file.
-        """
+        """Write the estimates into a copy of the robot's file, or a new file with the reason."""
         own = Path(self.source)
         path = self.folder / (f"{own.stem}-found{own.suffix or '.xml'}")
         try:

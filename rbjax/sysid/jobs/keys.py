@@ -285,10 +285,7 @@ def _checked(leaf: str, value: np.ndarray, found: Any) -> Any:
 
 
 def _names(setup: Setup, leaf: str, value: np.ndarray) -> Sequence[str]:
-    """Return the name of each entry on the first axis of a leaf, or () without names.
-
-    The name of a joint is repeated for each coordinate.
-    """
+    """Return the names of the entries on the first axis of a leaf, or () without names."""
     model = setup.model
     parts = leaf.removeprefix("model.").split(".")
     kind, size = parts[0], len(value) if value.ndim else 0
