@@ -112,7 +112,7 @@ class Kind:
         return [next(along) if m else next(rest) for m in self.moving]
 
     def tangent(self) -> tuple[ClosedJaxpr, list[bool]]:
-        """Trace (inputs, tangents) -> results and nonzero tangents, and flag these tangents."""
+        """Return the jaxpr (inputs, tangents) -> (results, nonzero tangents), and nonzero flags."""
         n, floats = len(self.ins), [jnp.issubdtype(a.dtype, jnp.floating) for a in self.outs]
 
         def both(*xs: jax.Array) -> list[jax.Array]:
@@ -125,7 +125,7 @@ class Kind:
         return _trace_dependent(both, [*self.ins, *tangents], n, len(self.outs), floats)
 
     def transpose(self) -> tuple[ClosedJaxpr, list[bool]]:
-        """Trace (inputs without tangents, cotangents) -> nonzero cotangents, and flag these."""
+        """Return the jaxpr (other inputs, cotangents) -> nonzero cotangents, and nonzero flags."""
         still, moved = _split(self.ins, self.moving)
         cotangents = list(itertools.compress(self.outs, self.present))
         n = len(still)
