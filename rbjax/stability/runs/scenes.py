@@ -296,8 +296,7 @@ def kept(t: Any, y: Any, args: Any) -> Any:
 
 
 def deviation(scene: Scene, q: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """Return the error (T, n) of configurations q (T, nq): angles in rad (of attitudes, the angle
-    to the true attitude), or the bob in m."""
+    """Return the error (T, n) of configurations q (T, nq): angles in rad, or the bob in m."""
     if isinstance(scene.system, Body):
         unit, real = unit_rows(q), unit_rows(observed)
         gap = np.minimum(np.linalg.norm(unit - real, axis=1), np.linalg.norm(unit + real, axis=1))
