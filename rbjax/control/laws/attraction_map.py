@@ -73,8 +73,8 @@ def region_of_attraction(
 ) -> RegionMap:
     """Simulate a grid of initial states about an equilibrium and map which of them return to it.
 
-    Initial states are x(0) = x* (+) (a e_i + b e_j). A state is back if every entry of |x(T) (-)
-    x*| is at most `tolerance`.
+    Initial states are x(0) = x* (+) (a e_i + b e_j). The field `back` is true if
+    every entry of |x(T) (-) x*| is at most `tolerance`.
 
     Args:
         model: the robot.
