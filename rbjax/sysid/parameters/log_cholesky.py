@@ -190,8 +190,7 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
         margin: least ratio of the smallest to the largest eigenvalue, above 0.
 
     Returns:
-        (..., 4, 4), nearest to P in the Frobenius norm. P is returned unchanged if it is
-        consistent.
+        (..., 4, 4), nearest to P in the Frobenius norm. A valid P is returned unchanged.
 
     Source: Higham, Linear Algebra Appl. 103, 1988.
 

@@ -69,7 +69,7 @@ class TorqueRows:
 
     @functools.cached_property
     def slopes(self) -> Array:
-        """Compute dW/dz, one direction of z at a time to save memory."""
+        """The derivatives dW/dz (N, nv, p, nv), computed at the first access."""
         return self.slopes_of()
 
     def at(self, zeros: Any) -> Array:
@@ -210,7 +210,7 @@ def torque_rows(
 
     @in_double
     def slopes() -> Array:
-        """dW/dz, one direction of z at a time, to keep only its decimated rows."""
+        """Compute dW/dz, one direction of z at a time to save memory."""
         each = (_slope(double, at, jnp.asarray(e), motion, **how) for e in np.eye(z.size))
         return np.stack([filtered(np.asarray(x)[:n]) for x in each], -1)
 
