@@ -283,7 +283,7 @@ def log_determinant_divergence(P: jax.Array, Q: jax.Array) -> jax.Array:
 
     Args:
         P: (..., 4, 4) positive definite pseudo-inertia.
-        Q: (..., 4, 4) positive definite pseudo-inertia, such as that of the CAD model.
+        Q: (..., 4, 4) positive definite pseudo-inertia, such as a prior from the CAD model.
 
     Raises:
         InputError: a matrix that is not positive definite (only outside of a trace).

@@ -70,7 +70,7 @@ def make_programs(
     ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
         """Compute r and the gaps, with their derivatives by each entry of the segment's x.
 
-        The derivatives are those of r, of the gap after the segment, and of the gap before it.
+        Derivatives are returned of r, of the gap after the segment, and of the gap before it.
         """
         gaps = jax.vmap(functools.partial(gap, weight=weight))
 
