@@ -1,7 +1,7 @@
 """rbjax: differentiable rigid-body dynamics in JAX.
 
-A robot file goes in. Fast, accurate and differentiable motion comes out, for one sample or for a
-batch of a million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
+Load a robot file; compute fast, accurate and differentiable motion, for one sample or a batch of a
+million. Every function accepts one sample and composes with jit, vmap, grad, jvp and vjp.
 """
 
 import importlib
@@ -75,8 +75,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-#: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
-#: several times as long as the rest
+#: packages imported on first use: they import diffrax, MuJoCo and SciPy, which takes several times
+#: as long as the rest of rbjax
 _PACKAGES = (
     "body", "constraints", "contact", "control", "estimation", "forces", "kinematics", "loading",
     "motion", "planning", "plotting", "recommend", "sensors", "solvers", "stability", "sysid",
@@ -100,15 +100,15 @@ _MODULES = {
 
 
 def _of(module: str, name: str | None = None) -> Any:
-    """Import a module on the first use; return it, or its attribute `name`. The first use may be
-    inside a trace: `ensure_compile_time_eval` keeps the module's constants from being traced."""
+    """Import a module on first use; return it, or its attribute `name`. The first use may be inside
+    a trace: `ensure_compile_time_eval` prevents tracing of the module's constants."""
     with jax.ensure_compile_time_eval():
         found = importlib.import_module(module)
     return found if name is None else getattr(found, name)
 
 
 def __getattr__(name: str) -> Any:
-    """A package or a name that is imported on the first use."""
+    """Return a package or a name that is imported on first use."""
     if name in _PACKAGES:
         return _of(f"rbjax.{name}")
     if name in _MODULES:

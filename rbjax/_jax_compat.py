@@ -1,11 +1,11 @@
 """All private or unstable names of JAX and its libraries that this package uses.
 
-Each has a function or a constant here, with its purpose. If a version of JAX lacks a name, only
-this file changes. The upper bounds in `pyproject.toml` are the newest versions that were tested.
+Each has a function or a constant with its purpose in this file. If a version of JAX lacks a name,
+only this file changes. The upper bounds in `pyproject.toml` are the newest tested versions.
 
-Not private, but without JAX's promise of stability, and used elsewhere: `jax.extend.core`
-(jaxprs, their equations and primitives) and `jax.interpreters` (rules of primitives). The layout of
-XLA's foreign function interface is in `compiler.llvm.xla_handler`, the layout of numpy's arrays in
+Public, but without JAX's promise of stability, and used elsewhere: `jax.extend.core` (jaxprs, their
+equations and primitives) and `jax.interpreters` (rules of primitives). The layout of XLA's foreign
+function interface is in `compiler.llvm.xla_handler`, the layout of NumPy arrays in
 `compiler.llvm.numpy_call`; both are checked before use.
 """
 
@@ -21,13 +21,13 @@ from jax.interpreters import xla
 
 # ------------------------------------------------------------------- names of primitives
 
-#: primitives that evaluate a jaxpr once, and the parameters that may hold it
+#: primitives that evaluate a jaxpr once, and their parameters that may contain it
 CALLS = {
     "jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
     "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_vmap_call", "eval_jaxpr",
 }  # fmt: skip
 JAXPRS = "jaxpr", "call_jaxpr", "call", "fun_jaxpr"
-#: Equinox's reductions over a batch, and the operation of each
+#: Equinox's reductions over a batch -> the operation
 UNVMAP = {"unvmap_any": "or", "unvmap_all": "and", "unvmap_max": "max"}
 #: the custom call by which XLA loads PTX
 GPU_KERNEL = "__gpu$xla.gpu.ptx"
@@ -36,8 +36,8 @@ ERRORS_OF_EQUINOX = "equinox._errors"
 
 
 def expanded(eqn: JaxprEqn) -> Callable | None:
-    """The function of flat arrays that an equation of JAX's high-level primitives stands for
-    (`searchsorted`, `nonzero`, `einsum` and others, since jax 0.12); None for other equations."""
+    """Return the function of flat arrays that expands a high-level primitive of JAX 0.12
+    (`searchsorted`, `nonzero`, `einsum` and others). Return None for other equations."""
     high = eqn.params.get("_prim")
     if eqn.primitive.name != "call_hi_primitive" or high is None:
         return None
@@ -45,7 +45,7 @@ def expanded(eqn: JaxprEqn) -> Callable | None:
 
 
 def is_error(eqn: JaxprEqn) -> bool:
-    """Whether an equation raises an error of `equinox.error_if`."""
+    """Check whether an equation raises an error of `equinox.error_if`."""
     if eqn.primitive.name != "pure_callback":
         return False
     callback = getattr(eqn.params["callback"], "callback_func", None)
@@ -67,17 +67,17 @@ def needs_devices(primitive: Primitive) -> None:
 
 
 def apply_primitive(primitive: Primitive, *args: Any, **params: Any) -> Any:
-    """Compile and run one primitive, outside of any trace."""
+    """Compile and run one primitive, outside any trace."""
     return xla.apply_primitive(primitive, *args, **params)
 
 
 def device_count(ctx: Any) -> int:
-    """The number of devices of the program that is being lowered."""
+    """Return the number of devices of the program that is being lowered."""
     return getattr(ctx.module_context.axis_context, "num_devices", None) or 1
 
 
 def is_manual(ctx: Any) -> bool:
-    """Whether each device already runs its own program, as in `shard_map`."""
+    """Check whether each device already runs its own program, as in `shard_map`."""
     return bool(getattr(ctx.module_context.axis_context, "manual_axes", ()))
 
 
@@ -85,19 +85,19 @@ def is_manual(ctx: Any) -> bool:
 
 
 def varying_axes(aval: Any) -> frozenset:
-    """The axes of a mesh along which an array varies, if `shard_map` tracks them."""
+    """Return the mesh axes along which an array varies, if `shard_map` tracks them."""
     return getattr(getattr(aval, "manual_axis_type", None), "varying", frozenset())
 
 
 def like(aval: Any, shape: tuple[int, ...], dtype: Any) -> ShapedArray:
-    """The abstract value of an array that varies over the devices as `aval` does."""
+    """Make an abstract value that varies over the devices as `aval` does."""
     mesh = aval.sharding.mesh
     whole = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*[None] * len(shape)))
     return aval.update(shape=shape, dtype=dtype, weak_type=False, sharding=whole)
 
 
 def key_implementation(dtype: Any) -> Any:
-    """The implementation of a key type: seed, split, fold_in and random_bits of raw keys."""
+    """Return the implementation of a key type: seed, split, fold_in and random_bits of raw keys."""
     return dtype._impl
 
 
@@ -105,18 +105,18 @@ def key_implementation(dtype: Any) -> Any:
 
 
 def without_names(jaxpr: Jaxpr) -> Any:
-    """The debug info of a jaxpr without argument names, for a jaxpr that is derived from it."""
+    """Return the debug info of a jaxpr without argument names, for a derived jaxpr."""
     return jaxpr.debug_info._replace(arg_names=None, result_paths=None)
 
 
 def equation(eqn: JaxprEqn, ins: list, outs: list, at: JaxprEqn) -> JaxprEqn:
-    """`eqn` with other variables, and with the source location and the context of `at`."""
+    """Copy `eqn` with other variables, and with the source location and the context of `at`."""
     return JaxprEqn(ins, outs, eqn.primitive, eqn.params, eqn.effects, at.source_info, at.ctx)
 
 
 def custom_rule(eqn: JaxprEqn, moving: tuple[bool, ...]) -> tuple[ClosedJaxpr, list[bool]] | None:
-    """The rule of a `custom_jvp` for the arguments that have tangents (`moving`), and which of its
-    output tangents are not zero. None if JAX stores the rule in another form."""
+    """Return the rule of a `custom_jvp` for the arguments with tangents (`moving`), and the mask of
+    its nonzero output tangents. Return None if JAX stores the rule in another form."""
     rule = eqn.params.get("jvp_jaxpr_fun")
     if rule is None or not eqn.params.get("symbolic_zeros"):
         return None
@@ -125,7 +125,7 @@ def custom_rule(eqn: JaxprEqn, moving: tuple[bool, ...]) -> tuple[ClosedJaxpr, l
 
 
 def inside(x: Any) -> Any:
-    """The value inside nested batch and tangent tracers."""
+    """Return the value inside nested batch and tangent tracers."""
     while isinstance(x, jax.core.Tracer):
         x = getattr(x, "val", getattr(x, "primal", None))
     return x
@@ -147,28 +147,28 @@ def typed(attributes: Any, version: Any) -> None:
 
 
 def any_of_batch(x: jax.Array) -> jax.Array:
-    """Whether x is true for any sample of a batch that `vmap` adds."""
+    """Check whether x is true for any sample of a batch that `vmap` adds."""
     from equinox.internal import unvmap_any
 
     return unvmap_any(x)
 
 
-#: the option by which diffrax passes the state of an iteration from stage to stage
+#: option by which diffrax passes the state of an iteration from stage to stage
 FIRST_STATE = "init_state"
 
 
 def correction(state: Any) -> Any:
-    """The last correction of a root finder of optimistix (Newton, Chord)."""
+    """Return the last correction of a root finder of optimistix (Newton, Chord)."""
     return state.diff
 
 
 def corrections(state: Any) -> Any:
-    """The number of corrections that a root finder of optimistix has made."""
+    """Return the number of corrections that a root finder of optimistix has made."""
     return state.step
 
 
 def scan_kind(solver: Any) -> Any:
-    """How a Runge-Kutta method of diffrax loops over its stages ("lax", "checkpointed", ...).
+    """Return how a diffrax Runge-Kutta method loops over its stages ("lax", "checkpointed", ...).
 
     None: diffrax chooses. "": the solver has no such field."""
     return getattr(solver, "scan_kind", "")

@@ -1,4 +1,4 @@
-"""Checks of arguments, outside of traced code: numbers, integers, arrays, flags, names, objects."""
+"""Argument checks outside traced code: numbers, integers, arrays, flags, names, objects."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 
-#: the dtypes of all computations; half precision has too few digits for dynamics
+#: dtypes of all computations; half precision has too few digits for dynamics
 FLOATS = (jnp.float32, jnp.float64)
 
 
@@ -22,11 +22,11 @@ def floating_array(
     """Convert a value to a JAX array in f32 or f64. Integers become floats.
 
     Args:
-        where: the function, for the message.
-        name: the argument, for the message.
-        value: what the user gave.
-        fits: whether a shape is accepted.
-        expected: the accepted shapes, for the message.
+        where: function, for the message.
+        name: argument, for the message.
+        value: value from the user.
+        fits: function that checks a shape.
+        expected: accepted shapes, for the message.
 
     Raises:
         InputError: not an array, another shape or dtype.
@@ -57,19 +57,19 @@ def real_array(
     finite: bool = True,
     complex_numbers: bool = False,
 ) -> np.ndarray:
-    """A float64 array.
+    """Convert a value to a float64 array.
 
     Args:
-        where: the function, for the message.
-        name: the argument, for the message.
-        value: what the user gave.
-        expected: what is expected, for the message, if numbers say too little.
-        ndim: the number of axes, if it is fixed.
+        where: function, for the message.
+        name: argument, for the message.
+        value: value from the user.
+        expected: expected value, for the message; None for a default text.
+        ndim: number of axes; None for any.
         finite: whether NaN and infinity are rejected.
-        complex_numbers: whether complex numbers are accepted; the array is complex128 then.
+        complex_numbers: whether complex numbers are accepted; the array is then complex128.
 
     Raises:
-        InputError: not real numbers; another number of axes; values that are not finite.
+        InputError: not real numbers, another number of axes, or values that are not finite.
     """
     numbers = "numbers" if complex_numbers else "real numbers"
     try:
@@ -101,18 +101,18 @@ def real_number(
     finite: bool = True,
     traced: bool = False,
 ) -> Any:
-    """A float.
+    """Convert a value to a float in a range.
 
     Args:
-        where: the function, for the message.
-        name: the argument, for the message.
-        value: what the user gave.
-        expected: what is expected, for the message, if a number and its limits say too little.
-        above: the value must be larger.
-        least: the value must be at least this.
-        most: the value must be at most this; `least` is given too.
-        finite: whether infinity is rejected. NaN always is.
-        traced: whether a traced number is accepted; it is returned as it is.
+        where: function, for the message.
+        name: argument, for the message.
+        value: value from the user.
+        expected: expected value, for the message; None for a default text.
+        above: exclusive lower limit.
+        least: inclusive lower limit.
+        most: inclusive upper limit, which requires `least`.
+        finite: whether infinity is rejected. NaN is always rejected.
+        traced: whether a traced number is accepted and returned unchanged.
 
     Raises:
         InputError: not a real number, or out of range.
@@ -147,18 +147,18 @@ def integer(
     most: int | None = None,
     why: str = "",
 ) -> int:
-    """An int.
+    """Convert a value to an int in a range.
 
     Args:
-        where: the function, for the message.
-        name: the argument, for the message.
-        value: what the user gave.
-        least: the value must be at least this.
-        most: the value must be at most this; `least` is given too.
-        why: the reason of the limits, which ends the message.
+        where: function, for the message.
+        name: argument, for the message.
+        value: value from the user.
+        least: inclusive lower limit.
+        most: inclusive upper limit, which requires `least`.
+        why: reason for the limits, appended to the message.
 
     Raises:
-        InputError: not an integer, out of range, or more than floats count exactly.
+        InputError: not an integer, out of range, or too large for an exact float.
     """
     known = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     if known and abs(value) > 2**53:
@@ -172,10 +172,10 @@ def integer(
 
 
 def flag(where: str, name: str, value: Any) -> bool:
-    """True or False.
+    """Check that a value is True or False, and return it.
 
     Raises:
-        InputError: anything else.
+        InputError: any other value.
     """
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{where}: {name} is {shown(value)}, expected True or False")
@@ -183,7 +183,7 @@ def flag(where: str, name: str, value: Any) -> bool:
 
 
 def choice(kind: str, name: Any, known: Collection[str]) -> str:
-    """A name among those that are known.
+    """Check that a name is one of the known names, and return it.
 
     Raises:
         UnknownName: another name, or not a string.
@@ -194,14 +194,16 @@ def choice(kind: str, name: Any, known: Collection[str]) -> str:
 
 
 def instance(where: str, name: str, value: Any, kind: Any, public: str) -> None:
-    """`InputError` unless the value is an instance of a class, or of one of several; public: their
-    name for the message."""
+    """Raise InputError unless the value is an instance of a class, or of one of several classes.
+
+    public: name of the classes, for the message.
+    """
     if not isinstance(value, kind):
         raise InputError(f"{where}: {name} is {shown(value)}, expected {public}")
 
 
 def shown(value: Any) -> str:
-    """A value for a message; its type if it is long or has no short text."""
+    """Format a value for a message; return its type if it is long or has no short text."""
     plain = isinstance(value, bool | str | int | float | complex | list | tuple | np.ndarray)
     text = repr(value) if plain or value is None or isinstance(value, np.generic) else ""
     if 0 < len(text) <= 60:

@@ -1,8 +1,8 @@
 """The command line: `rbjax info | simulate | identify | validate | bench | demo`, and
 `rbjax --version`.
 
-Commands compute in f64, inside `jax.enable_x64`. A `RbjaxError` prints one sentence and gives exit
-code 2. `validate` exits with 1 when a quantity is out of tolerance.
+Commands compute in f64, inside `jax.enable_x64`. A `RbjaxError` prints one sentence and sets exit
+code 2. `validate` exits with 1 if a quantity is out of tolerance.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Floating = Annotated[bool, typer.Option("--floating-base", help="Free a URDF's r
 
 @contextlib.contextmanager
 def _session() -> Iterator[None]:
-    """f64, no warnings about features left out (they are printed), errors as one sentence."""
+    """Set f64, silence warnings about features left out (they are printed), print errors."""
     with warnings.catch_warnings(), jax.enable_x64(True):
         warnings.filterwarnings("ignore", message=".*left out of the model")
         try:
@@ -67,8 +67,10 @@ def _options(
 
 @contextlib.contextmanager
 def _progress(*, log: bool = False) -> Iterator[Any]:
-    """A line with a spinner and the time on stderr; yields (say, advance). `log`: if stderr is no
-    terminal, each step prints its own line instead of nothing."""
+    """Show a spinner with the time on stderr; yield the functions (say, advance).
+
+    log: whether each step prints a line if stderr is not a terminal.
+    """
     if log and not err.is_terminal:
         begin = time.perf_counter()
 
@@ -92,7 +94,7 @@ def _progress(*, log: bool = False) -> Iterator[Any]:
 
 
 def operations(model: Model) -> dict[str, OperationCount]:
-    """Operations of each algorithm, as traced, on a model whose numbers are constants.
+    """Count the traced operations of each algorithm, for a model as a compile-time constant.
 
     Example:
         >>> import rbjax as rb
@@ -143,7 +145,7 @@ def info(file: File, as_json: AsJson = False, floating_base: Floating = False) -
 
 
 def _tree(model: Model, file: str) -> Tree:
-    """The tree of bodies with their joints."""
+    """Make the tree of bodies with their joints."""
     top, mass = model.topology, np.asarray(model.bodies.mass)
     head = f"[bold]{escape(Path(file).name)}[/]: {model.nb} bodies, nq {model.nq}, nv {model.nv}, "
     tree = Tree(head + f"nu {model.nu}, {mass.sum():.4g} kg, step {model.timestep:g} s")
@@ -389,7 +391,7 @@ def demo(
 
 
 def main() -> None:
-    """The `rbjax` command."""
+    """Run the `rbjax` command."""
     app()
 
 

@@ -1,4 +1,4 @@
-"""Options of the XLA compiler with which programs on lanes run fastest on the CPU.
+"""Options of the XLA compiler that make programs on lanes fastest on the CPU.
 
 By default LLVM uses vectors of 256 bits, even if a core has 512. The fusion emitters of jaxlib
 0.10, on by default, compile a loop with many results (`fusion_barrier`) slower and to slower code
@@ -22,26 +22,26 @@ WITHOUT_EMITTERS = ("xla_cpu_use_fusion_emitters", False)
 
 @functools.cache
 def xla_accepts(option: str, value: Any) -> bool:
-    """Whether this jaxlib's compiler knows an option. The options change with jaxlib's version."""
+    """Check whether this jaxlib's compiler has an option; the options change with its version."""
     try:
         jax.jit(lambda x: x + 1, compiler_options={option: value}).lower(1.0).compile()
-    except jax.errors.JaxRuntimeError:  # its text varies; another cause recurs without the option
+    except jax.errors.JaxRuntimeError:  # any other cause recurs when compiling without the option
         return False
     return True
 
 
 def compiler_options() -> dict[str, Any]:
-    """Options for `jax.jit` with which rbjax runs fastest on the CPU; none on other platforms.
+    """Return the options of `jax.jit` that make rbjax fastest on the CPU; none on other platforms.
 
-    Vectors of 512 bits (a core with fewer uses those), and no fusion emitters if jaxlib can switch
-    them off. Rollouts in f64 take 0.7 of the time for an arm, 0.9 for a humanoid
-    (benchmarks/results/work-precision-*.json, "options"). Implicit methods on an arm compile in 0.5
-    to 0.9 of the time (benchmarks/results/cpu-implicit-*.json). JAX accepts options only at the
-    outermost `jit`, so you pass them to your own `jit`. An algorithm, a `rollout` or a `simulate`
-    outside of any `jit` already uses them.
+    The options are vectors of 512 bits (a core with fewer uses its own width), and no fusion
+    emitters if jaxlib can switch them off. They shorten run times of rollouts in f64
+    (benchmarks/results/work-precision-*.json, "options") and compile times of implicit methods
+    (benchmarks/results/cpu-implicit-*.json). JAX accepts options only at the outermost `jit`, so
+    pass them to your own `jit`. An algorithm, a `rollout` or a `simulate` outside any `jit` already
+    uses them.
 
     Returns:
-        name -> value, of those that this jaxlib knows.
+        name -> value, of the options that this jaxlib has.
 
     Example:
         >>> import rbjax as rb, jax
@@ -54,7 +54,8 @@ def compiler_options() -> dict[str, Any]:
 
 
 def wide_vectors() -> dict[str, Any]:
-    """The option for arctangents and logarithms, which are computed twice without the emitters."""
+    """Return only the option of wide vectors, for arctangents and logarithms, which are computed
+    twice without the fusion emitters."""
     return _known(WIDE)
 
 
@@ -65,19 +66,18 @@ def _known(*options: tuple[str, Any]) -> dict[str, Any]:
 
 
 def alone() -> bool:
-    """Whether a call is outside of any trace and any transformation."""
+    """Check that a call is outside any trace and any transformation."""
     return get_opaque_trace_state() == _AT_IMPORT and _imported_alone()
 
 
 @functools.cache
 def _imported_alone() -> bool:
-    """Whether the import was outside of any trace; valid if the trace state has not changed
-    since."""
+    """Check that the import was outside any trace; valid while the trace state has not changed."""
     return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
 def inside_jit() -> bool:
-    """Whether a program is being traced (by jit, scan ...). A vmap or grad outside of any jit is
+    """Check whether a program is being traced (by jit, scan ...). A vmap or grad outside any jit is
     not such a trace."""
     return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)
 
@@ -88,7 +88,7 @@ def compiled(
     options: Callable[[], dict[str, Any]] = compiler_options,
     **how: Any,
 ) -> Callable:
-    """`jit(f, **how)`, with `options` for calls outside of any trace."""
+    """Return `jit(f, **how)`, with `options` for calls outside any trace."""
     program = jitted(f, jit, options, **how)
 
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -103,8 +103,8 @@ def jitted(
     options: Callable[[], dict[str, Any]] = compiler_options,
     **how: Any,
 ) -> Callable[[], Callable]:
-    """A function that returns `jit(f, **how)`: with `options` outside of any trace, without them
-    inside. JAX accepts options only at the outermost `jit`."""
+    """Return a function that returns `jit(f, **how)`, with `options` only outside any trace,
+    because JAX accepts options only at the outermost `jit`."""
 
     @functools.cache
     def program(with_options: bool) -> Callable:

@@ -1,39 +1,39 @@
-"""The errors of rbjax. Each message says what was got, what was expected, and the fix."""
+"""The errors of rbjax. Each message contains the received value, the expected one, and the fix."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
 
-#: the message of an `UnknownName` lists all names up to this number; above it, half as many, the
-#: nearest ones
+#: largest number of names of which an `UnknownName` lists all; of more names it lists half as many,
+#: the nearest ones
 LISTED = 40
 
 
 def listed(names: Sequence[str], shown: int) -> str:
-    """Names for a message: the first few, and the number of the others."""
+    """Format names for a message: the first few, and the number of the rest."""
     more = f" and {len(names) - shown} more" if len(names) > shown else ""
     return ", ".join(names[:shown]) + more
 
 
 class RbjaxError(Exception):
-    """The base class of all errors of rbjax."""
+    """Base class of all errors of rbjax."""
 
 
 class ModelError(RbjaxError, ValueError):
-    """A robot file, or a model built from it, that cannot be simulated."""
+    """Error of a robot file, or of a model built from it, that cannot be simulated."""
 
 
 class UnsupportedFeature(RbjaxError, ValueError):
-    """The file has a feature that rbjax leaves out. Raised with ``strict=True``."""
+    """Error of a file with a feature that rbjax does not support, raised with ``strict=True``."""
 
 
 class InputError(RbjaxError, ValueError):
-    """An argument of the wrong shape, dtype or value."""
+    """Error of an argument with a wrong shape, dtype or value."""
 
 
 def _nearest(known: Sequence[str], name: object) -> str:
-    """Names for a message: all, or the nearest to a name that does not exist."""
+    """Format known names for a message: all, or the nearest to an unknown name."""
     more = ""
     if len(known) > LISTED:
         text = [str(n) for n in known]
@@ -44,9 +44,9 @@ def _nearest(known: Sequence[str], name: object) -> str:
 
 
 class UnknownName(RbjaxError, KeyError):
-    """A name that does not exist. The message lists the valid names, and the nearest one.
+    """Error of a name that does not exist. The message lists the valid names, and the nearest one.
 
-    apart: names of several kinds, listed one kind after the other, by the word for the kind.
+    apart: valid names by the word for their kind, for a message with several lists.
     """
 
     def __init__(

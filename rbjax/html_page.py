@@ -1,4 +1,4 @@
-"""Pages of HTML in one file: headings, paragraphs, tables and pictures."""
+"""HTML pages in one file: headings, paragraphs, tables and pictures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ footer { margin-top: 3rem; border-top: 1px solid #d9dee3; padding-top: 1rem; }
 
 
 def page(title: str, lead: str, body: Sequence[str], footer: str) -> str:
-    """The HTML of a page; the parts of its body are HTML, the others are plain text.
+    """Format a page. The parts of its body are HTML, the other arguments plain text.
 
     Example:
         >>> from rbjax.html_page import page, table
@@ -44,28 +44,28 @@ def page(title: str, lead: str, body: Sequence[str], footer: str) -> str:
 
 
 def element(tag: str, words: str, kind: str = "") -> str:
-    """Text within a tag."""
+    """Format text within a tag."""
     attribute = f' class="{kind}"' if kind else ""
     return f"<{tag}{attribute}>{html.escape(words)}</{tag}>"
 
 
 def link(to: str, words: str) -> str:
-    """A paragraph with a link to a file in the same folder."""
+    """Format a paragraph with a link to a file in the same folder."""
     return f'<p><a href="{html.escape(to)}">{html.escape(words)}</a></p>'
 
 
 def code(text: str) -> str:
-    """Preformatted code."""
+    """Format preformatted code."""
     return f"<pre><code>{html.escape(text)}</code></pre>"
 
 
 def listed(items: Sequence[str]) -> str:
-    """A list with bullets."""
+    """Format a bulleted list."""
     return f"<ul>{''.join(element('li', item) for item in items)}</ul>"
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table that scrolls on narrow pages."""
+    """Format a table that scrolls on narrow pages."""
     lines = ["".join(element("td", cell) for cell in row) for row in rows]
     head = "".join(element("th", name) for name in columns)
     body = "".join(f"<tr>{line}</tr>" for line in lines)
@@ -73,7 +73,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def picture(png: bytes, caption: str) -> str:
-    """A picture with its caption below."""
+    """Format a picture with its caption below."""
     data, words = base64.b64encode(png).decode(), html.escape(caption)
     return (
         f'<figure><img alt="{words}" src="data:image/png;base64,{data}">\n'

@@ -1,4 +1,4 @@
-"""Batches on a mesh of explicit axes, as `jax.make_mesh` makes it: types contain the sharding.
+"""Batches on a device mesh with explicit axes (`jax.make_mesh`), whose array types have a sharding.
 
 rbjax lets XLA shard a batch, as on automatic axes. So arguments are moved to automatic axes on
 entry, and results get explicit types again.
@@ -23,7 +23,7 @@ NOWHERE = NamedSharding(AbstractMesh((), ()), PartitionSpec())
 
 
 def automatic(f: F) -> F:
-    """Wrap f so that its arguments may be on explicit axes. If they are, the results are too."""
+    """Wrap f to accept arguments on explicit axes. Its results are then on explicit axes too."""
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -35,17 +35,18 @@ def automatic(f: F) -> F:
 
 
 def on_explicit_axes(*args: Any) -> bool:
-    """Whether arrays among the arguments, or the traced program, are on explicit axes."""
+    """Check whether arrays among the arguments, or the traced program, are on explicit axes."""
     if jax.sharding.get_abstract_mesh().explicit_axes:
         return True
     return any(_on(x).mesh.explicit_axes for x in jax.tree.leaves(args))
 
 
 def on_auto_axes(f: Callable, *args: Any, along: Sequence[jax.Array] = ()) -> Any:
-    """f(*args), run on automatic axes if arrays among the arguments are on explicit ones.
+    """Return f(*args), run on automatic axes if arrays among the arguments are on explicit axes.
 
-    along: every result has the first axis of these, and is sharded like the first that is sharded.
-    Known arrays that are replicated on every device stay known.
+    along: arrays whose first axis is the first axis of every result. Results are sharded like the
+        first of these arrays that is sharded.
+    Untraced arrays that are replicated on every device remain constants.
     """
 
     def moves(x: Any) -> bool:
@@ -81,5 +82,5 @@ def on_auto_axes(f: Callable, *args: Any, along: Sequence[jax.Array] = ()) -> An
 
 
 def _on(x: Any) -> NamedSharding:
-    """The sharding in the type of a leaf."""
+    """Return the sharding in the type of a leaf."""
     return jax.typeof(x).sharding if isinstance(x, jax.Array) else NOWHERE

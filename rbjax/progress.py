@@ -1,4 +1,4 @@
-"""A line on a terminal with the current task and its time."""
+"""A terminal line with the current task and its time."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ Say = Callable[[str], None]
 
 @contextlib.contextmanager
 def progress_line(label: str, show: bool = True) -> Iterator[Say]:
-    """Show a transient line on stderr, if that is a terminal.
+    """Show a transient line on stderr, if stderr is a terminal.
 
     Args:
-        label: who works, which begins the line.
-        show: false for no line at all.
+        label: name of the running task, at the start of the line.
+        show: False for no line.
 
     Returns:
-        A context that yields a function, which puts a text on the line.
+        A context manager that yields a function to set the text of the line.
 
     Example:
         >>> from rbjax.progress import progress_line

@@ -1,8 +1,8 @@
 """Tolerances of all rank decisions, by precision.
 
-A decision of rank compares a number with the largest one, or with a scaled unit. Below the
-tolerance it is rounding error. f32 stores 7 digits and f64 16; each row of `TABLE` says how many of
-these the decision leaves, and why.
+A rank decision compares a number with the largest one, or with a scaled unit. A number below the
+tolerance is rounding error. f32 has 7 digits and f64 has 16. Each row of `TABLE` has the tolerance
+of a decision in both precisions, and the reason.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ TABLE = {
 
 
 def rank_tolerance(decision: str, dtype: Any) -> float:
-    """Return the tolerance of a decision, a name of `TABLE`, in a dtype.
+    """Return the tolerance of a decision (a name of `TABLE`) in a dtype.
 
     >>> rank_tolerance("unknowns", "float64"), rank_tolerance("unknowns", "float32")
     (1e-09, 0.0001)

@@ -1,4 +1,4 @@
-"""rbjax's colours, and its style for matplotlib: `with plt.rc_context(STYLE): ...`."""
+"""The colors of rbjax, and its matplotlib style: `with plt.rc_context(STYLE): ...`."""
 
 from __future__ import annotations
 

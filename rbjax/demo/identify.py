@@ -1,6 +1,6 @@
 """Identification of an arm's payload and a joint's damping from noisy joint angles.
 
-MuJoCo simulates the "measurement" of an arm whose numbers differ from the file; rbjax does not know
+MuJoCo simulates the measurement of an arm whose parameters differ from the file. rbjax estimates
 them.
 """
 
@@ -44,8 +44,8 @@ rb.sysid.report(found, "identification.html")"""
 
 
 def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
-    """Make controls (steps, nu) and MuJoCo's angles (1 + steps / EVERY, nq), with noise and
-    without."""
+    """Simulate a measurement by MuJoCo. Return controls (steps, nu), and joint angles (1 + steps /
+    EVERY, nq) without and with noise."""
     reference, _ = smooth("arm7")
     body = reference.body("link7").id
     reference.body_mass[body] += TRUTH["payload mass"][2]
@@ -63,7 +63,7 @@ def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
 
 
 def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> Section:
-    """Measure, fit and draw."""
+    """Run the identification: measure, fit and draw. Return the section of the report."""
     say("identification: MuJoCo measures, Gauss-Newton compiles")
     model = load("arm7").replace(driver="rolled")
     assert model.body("link7") == 7

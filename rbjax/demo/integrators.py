@@ -1,7 +1,7 @@
-"""Time against error: the integrators of rbjax and MJX, on one batch of robots.
+"""Computing time against error: integrators of rbjax and MJX, on one batch of robots.
 
-The reference is Dormand-Prince 8 with so small a step that its error does not matter. Every engine
-runs the same batch in f64 without contacts. Compilation is not counted. A point is one step size.
+The reference is Dormand-Prince 8 with a much smaller step. Every engine runs the same batch in f64
+without contacts. Compilation time is not counted. Each point is one step size.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ Run = Callable[[int], tuple[Any, Any]]  # steps -> final (q, v) of the batch
 
 
 def start(model: Model, scene: str, batch: int) -> State:
-    """Initial states around a keyframe."""
+    """Draw random initial states around a keyframe."""
     keyframe, spread, _, _ = SCENES[scene]
     state = model.keyframe(keyframe)
     rng = np.random.default_rng(0)
@@ -58,12 +58,12 @@ def start(model: Model, scene: str, batch: int) -> State:
 
 
 def held(model: Model, scene: str) -> np.ndarray:
-    """The keyframe's controls (nu,), constant in every engine."""
+    """Return the keyframe's controls (nu,), which are constant in every engine."""
     return np.asarray(model.keyframes.ctrl[model.keyframe_names.index(SCENES[scene][0])])
 
 
 def ours(model: Model, state: State, ctrl: np.ndarray, seconds: float) -> dict[str, Run]:
-    """rbjax's integrators: `rollout` in compiled chunks, `simulate` with fixed steps."""
+    """Make rbjax's integrators: `rollout` in compiled chunks, and `simulate` with fixed steps."""
 
     ctrls = jnp.broadcast_to(ctrl, (CHUNK, model.nu))
 
@@ -109,7 +109,8 @@ def ours(model: Model, state: State, ctrl: np.ndarray, seconds: float) -> dict[s
 def measure(
     scene: str, batch: int, refined: tuple[int, ...], say: Callable[[str], None], mjx: bool
 ) -> dict[str, list[tuple[int, float, float]]]:
-    """method -> rows (steps, microseconds per simulated second and robot, relative error)."""
+    """Measure all methods on a scene. Return method -> rows (steps, microseconds per simulated
+    second and robot, relative error)."""
     _, _, seconds, coarse = SCENES[scene]
     model = load(scene)
     if model.nv > 4:
@@ -149,7 +150,7 @@ def measure(
 
 
 def _compile(run: Run) -> None:
-    with jax.enable_x64(True):  # which is a thread's own
+    with jax.enable_x64(True):  # this setting is per thread
         jax.block_until_ready(run(CHUNK))
 
 
@@ -166,7 +167,8 @@ def integrators(
     refined: tuple[int, ...] = REFINED,
     mjx: bool = True,
 ) -> Section:
-    """Measure and draw."""
+    """Measure time and error of the integrators, and draw them. Return the section of the
+    report."""
     found = {scene: measure(scene, batch, refined, say, mjx) for scene in scenes}
     _picture(folder / "integrators.png", found)
     rows = []

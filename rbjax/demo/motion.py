@@ -1,4 +1,4 @@
-"""A batch of motions of every bundled scene, drawn without GL."""
+"""A batch of motions of every bundled scene, drawn without OpenGL."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from rbjax.plotting import STYLE, Camera, strobe
 
 @dataclass(frozen=True)
 class Show:
-    """The start and the view of a scene."""
+    """The initial state, the duration and the view of a scene."""
 
     keyframe: str
     seconds: float
     spread: float  # of the batch's initial velocities
     dt: float
     camera: Camera
-    drawn: int  # poses
-    push: tuple[float, ...] = ()  # added to the first velocities
+    drawn: int  # number of poses
+    push: tuple[float, ...] = ()  # added to the keyframe's first velocities
     trace: str | None = None
 
 
@@ -48,7 +48,7 @@ SHOWS = {
 
 
 def initial_states(model: Model, show: Show, batch: int) -> State:
-    """Initial states: the first exactly as in `show`, the others around it."""
+    """Draw random initial states around `show`; the first is exactly as in `show`."""
     rng = np.random.default_rng(1)
     state = model.keyframe(show.keyframe)
     noise = show.spread * rng.normal(size=(batch, model.nv))
@@ -62,7 +62,7 @@ def initial_states(model: Model, show: Show, batch: int) -> State:
 def gallery(
     folder: Path, say: Callable[[str], None], *, batch: int, scenes: tuple[str, ...] = tuple(SHOWS)
 ) -> tuple[tuple[str, ...], ...]:
-    """Draw a panel for each scene; rows (scene, dof, robots, steps, steps a second)."""
+    """Draw a panel for each scene. Return rows (scene, dof, robots, steps, steps per second)."""
     rows = []
     with plt.rc_context(STYLE):
         columns = min(3, len(scenes))
@@ -99,7 +99,7 @@ class Flight:
     @classmethod
     def of(cls, scene: str, batch: int) -> Flight:
         """Compile the rollout of a scene, in f32."""
-        with jax.enable_x64(False):  # which is a thread's own
+        with jax.enable_x64(False):  # this setting is per thread
             show, model = SHOWS[scene], load(scene)
             if model.nv > 4:
                 model = model.replace(driver="rolled")
@@ -111,7 +111,7 @@ class Flight:
             return cls(model, state, steps, run.lower(state).compile())
 
     def timed(self) -> tuple[Trajectory, float]:
-        """Run it: the motion, and the number of steps a second."""
+        """Run the rollout. Return the motion, and the number of steps per second."""
         path = jax.block_until_ready(self.program(self.state))
         begin = time.perf_counter()
         jax.block_until_ready(self.program(self.state))
@@ -125,7 +125,7 @@ def motion(
     batch: int = 256,
     scenes: tuple[str, ...] = tuple(SHOWS),
 ) -> Section:
-    """Simulate and draw."""
+    """Simulate batches of the scenes and draw them. Return the section of the report."""
     with jax.enable_x64(False):
         rows = gallery(folder, say, batch=batch, scenes=scenes)
     return Section(

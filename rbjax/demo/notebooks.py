@@ -1,8 +1,8 @@
-"""Sections of the report from notebooks: the title, the first paragraph and the figures of each.
+"""Sections of the report from notebooks: title, first paragraph and figures of each.
 
-A notebook is a script with cells, in the percent format of jupytext. It runs in a process of its
-own (`python -m rbjax.demo.notebooks SOURCE FOLDER`), because it may change JAX's configuration. The
-process saves the figures, and prints their names and captions as its last line, in JSON.
+A notebook is a script with cells, in the percent format of jupytext. It runs in a separate process
+(`python -m rbjax.demo.notebooks SOURCE FOLDER`), because it may change JAX's configuration. The
+process saves the figures, and prints their names and captions in JSON as its last line.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rbjax.errors import RbjaxError
 
 #: the notebooks of a checkout
 FOLDER = Path(__file__).parents[2] / "notebooks"
-#: notebook -> its share of the time, as a guide for progress bars
+#: notebook -> its weight in progress bars
 NOTEBOOKS = {
     "forces": 10, "joints": 10, "loops": 15, "wheels": 15, "planning": 10, "gpu_threads": 5,
     "swing_up": 30,
@@ -28,7 +28,7 @@ NOTEBOOKS = {
 
 
 def cells(source: str) -> Iterator[tuple[bool, str]]:
-    """Whether each cell of a notebook is code, and its text."""
+    """Split a notebook into cells. Yield, for each, whether it is code, and its text."""
     for cell in re.split(r"^# %%", source, flags=re.MULTILINE)[1:]:
         head, _, text = cell.partition("\n")
         is_code = "[markdown]" not in head
@@ -38,7 +38,7 @@ def cells(source: str) -> Iterator[tuple[bool, str]]:
 def notebook(
     folder: Path, say: Callable[[str], None], *, name: str, notebooks: Path = FOLDER
 ) -> Section:
-    """Run a notebook and make a section of it.
+    """Run a notebook and make a section of the report from it.
 
     Raises:
         RbjaxError: an error in the notebook.

@@ -11,8 +11,15 @@ from rbjax.html_page import code, element, link, page, picture, table
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report: title, paragraphs, pictures (file, caption), a table, its seconds;
-    links, files in the same folder and what they are."""
+    """A part of the report.
+
+    title, text: the heading and the paragraphs.
+    pictures: (file, caption) of each.
+    columns, rows: a table.
+    note, code: text below the table, and an example.
+    links: (file in the same folder, description) of each.
+    seconds: the computing time.
+    """
 
     title: str
     text: tuple[str, ...]
@@ -26,7 +33,7 @@ class Section:
 
 
 def write(folder: Path, title: str, lead: str, sections: Sequence[Section], footer: str) -> Path:
-    """report.md beside the pictures, report.html with the pictures inside; returns the latter."""
+    """Write report.md, and report.html with embedded pictures. Return the path of report.html."""
     (folder / "report.md").write_text(_markdown(title, lead, sections, footer))
     path = folder / "report.html"
     path.write_text(_html(folder, title, lead, sections, footer))

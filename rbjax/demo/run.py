@@ -1,4 +1,7 @@
-"""The whole demo, in f64, and its report: four sections, and those of notebooks in a checkout."""
+"""The whole demo in f64, and its report.
+
+It has four sections and, in a checkout of the repository, one for each notebook.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
 from rbjax.demo.report import Section, write
 from rbjax.demo.validate import validate
 
-#: section -> its function and, as a guide for progress bars, its share of the time
+#: section -> its function, and its weight in progress bars
 PARTS: dict[str, tuple[Callable[..., Section], float]] = {
     "motion": (motion, 15),
     "validate": (validate, 35),
@@ -51,15 +54,15 @@ def demo(
 ) -> Path:
     """Run the demo and write pictures, report.md and report.html.
 
-    Use it to see on your machine what rbjax computes, and how fast.
+    Use it to see what rbjax computes on this machine, and how fast.
 
     Args:
         folder: for the output; created if absent.
         say: called with the name of each stage before it starts.
-        done: called with a part's name and share after it ends.
-        options: part -> keyword arguments, for smaller runs; a part given as None is skipped. The
-            parts are motion, validate, identify, integrators and, in a checkout of the repository,
-            the notebooks forces, joints, loops, wheels, planning, gpu_threads and swing_up.
+        done: called with a part's name and weight after it ends.
+        options: part -> keyword arguments, for smaller runs; None skips the part. The parts are
+            motion, validate, identify, integrators and, in a checkout of the repository, the
+            notebooks forces, joints, loops, wheels, planning, gpu_threads and swing_up.
 
     Returns:
         The path of report.html.

@@ -1,4 +1,4 @@
-"""Bundled scenes against MuJoCo C, in one table."""
+"""Comparison of bundled scenes with MuJoCo C, in one table."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import jax
 from rbjax.demo.report import Section
 from rbjax.validation import Report, compare
 
-#: scene -> whether the gradient of its trajectory is compared too
+#: scene -> whether to compare the gradient of its trajectory too
 SCENES = {
     "pendulum": True,
     "double_pendulum": True,
@@ -31,11 +31,11 @@ def _say(say: Callable[[str], None], scene: str, stage: str) -> None:
 def validate(
     folder: Path, say: Callable[[str], None], *, scenes: dict[str, bool] | None = None
 ) -> Section:
-    """Compare, and make a table."""
+    """Compare the scenes with MuJoCo C, and make a table. Return the section of the report."""
     chosen = SCENES if scenes is None else scenes
 
     def compared(scene: str) -> Report:
-        with jax.enable_x64(True):  # which is a thread's own
+        with jax.enable_x64(True):  # this setting is per thread
             return compare(
                 scene,
                 states=20,

@@ -80,8 +80,7 @@ def kalman_filter(
     Args:
         space: the model.
         start: mean of the first state, before the first update.
-        covariance: covariance (n, n) or variances (n,) of the first state; 0 if it is known
-            exactly.
+        covariance: of the first state, (n, n) or the variances (n,); 0 if it is known exactly.
         inputs: u, a pytree of arrays (N, ...); input k moves state k to state k + 1.
         readings: y, a pytree of arrays (N + 1, ...); reading k is of state k.
         process: W, (l, l) or the variances (l,).

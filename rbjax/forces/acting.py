@@ -2,7 +2,7 @@
 
     M(q) a + b(q, v) = sum of tau_k + sum of J_k^T w_k,      x' = the rates of the elements' states
 The elements of a model are the springs and dampers of its joints, its actuators, and
-`model.forces`. All motion functions use these sums; no other file depends on a kind of element.
+`model.forces`. All motion functions use these sums; no other file depends on a type of element.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def elements(model: Model) -> tuple[Element, ...]:
 
 
 def element_contexts(model: Model, now: Context) -> list[tuple[Element, Context]]:
-    """Pair each element with a context that has its own part of x."""
+    """Pair each element with a context that contains its own part of x."""
     out, at = [], 0
     for element in elements(model):
         check_shapes(element, model)
@@ -46,7 +46,7 @@ def element_contexts(model: Model, now: Context) -> list[tuple[Element, Context]
 
 
 def loads(model: Model, now: Context) -> tuple[list[Lane], LinkForces]:
-    """Sum the generalized forces, one lane a velocity coordinate, and the forces on links."""
+    """Sum the generalized forces, one lane per dof, and the forces on links."""
     passive, driven, later = Loads(), Loads(), []
     for element, seen in element_contexts(model, now):
         if element.after_actuators:
@@ -73,10 +73,10 @@ def _given(element: Element, seen: Context) -> Loads:
 
 
 def _limited(model: Model, driven: Loads, now: Context) -> Loads:
-    """Actuators' forces within the force ranges of the joints."""
+    """Clip the sum of the actuator forces to the force ranges of the joints."""
     top, limits = model.topology, table(model.joints.forcerange, now.v.dtype)
     endless = isinstance(limits, np.ndarray) and bool(np.isinf(limits).all())
-    if driven.wrenches and not endless:  # the share that a joint carries counts too
+    if driven.wrenches and not endless:  # site forces also count towards the limits of joints
         summed = now.generalized_of(driven.wrenches)
         driven = Loads(driven.tau) + Loads({i: summed[i] for i in range(model.nv)})
     tau = dict(driven.tau)
@@ -87,7 +87,7 @@ def _limited(model: Model, driven: Loads, now: Context) -> Loads:
 
 
 def states(model: Model, now: Context, dt: Any = None) -> jax.Array | None:
-    """Compute x' (nx,), or x after a step dt if one is given; None if no element has a state."""
+    """Compute x' (nx,), or x after a step dt if dt is given. Return None if nx is 0."""
     if not model.nx:
         return None
     found: list[Lane] = []
@@ -102,7 +102,7 @@ def states(model: Model, now: Context, dt: Any = None) -> jax.Array | None:
 
 
 def implicit_stiffness(model: Model, t: Any, state: State, ctrl: Any, dt: Any) -> dict[int, Lane]:
-    """Sum `Element.implicit_stiffness` by velocity coordinate, without structural zeros."""
+    """Sum `Element.implicit_stiffness` by dof, without structural zeros."""
     out: dict[int, Lane] = {}
     for element, seen in element_contexts(model, Context.of(model, t, state, ctrl, dt)):
         if ctrl is not None or not element.actuates:
@@ -131,8 +131,11 @@ def applied(
     dt: Any = None,
     advance: bool = False,
 ) -> tuple[jax.Array, LinkForces, jax.Array | None]:
-    """Compute generalized forces (nv,), forces on links, and x' (with `advance`: x after the step),
-    of checked arrays. dt: the step that elements read, or None."""
+    """Compute the generalized forces (nv,), forces on links, and x' of checked arrays.
+
+    dt: step in s that elements read, or None.
+    advance: return x after the step instead of x'.
+    """
     now = Context.of(model, t, state, inputs.ctrl, dt)
     tau, f_ext = loads(model, now)
     if inputs.tau is not None:
@@ -147,19 +150,19 @@ def applied(
 def applied_forces(
     model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
 ) -> jax.Array:
-    """Generalized forces (nv,) of all that acts on the model: its springs, dampers and actuators,
-    and the force elements of `model.forces`.
+    """Compute the generalized forces (nv,) of all springs, dampers and actuators of a model and of
+    the force elements of `model.forces`.
 
     tau = -K (q - q_rest) - D v + sum of moment^T f(u, l, l') + sum of tau_k + sum of J_k^T w_k.
 
     Args:
         model: the robot.
-        state: `State(q (nq,), v (nv,))`, with x (nx,) where elements have states.
-        ctrl: (nu,) controls, clipped to their ranges; None for no actuation at all.
-        t: time in seconds, for elements that look at it.
+        state: `State(q (nq,), v (nv,))`, with x (nx,) if elements have states.
+        ctrl: (nu,) controls, clipped to their ranges; None for no actuation.
+        t: time in s, for elements that depend on it.
 
     Returns:
-        (nv,) N m or N, to be given to `forward_dynamics` as tau.
+        (nv,) N m or N, the argument tau of `forward_dynamics`.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite.
@@ -184,8 +187,8 @@ def applied_forces(
 
 @algorithm("q")
 def elastic_energy(model: Model, q: jax.Array) -> jax.Array:
-    """Energy that the force elements store at rest, in joules: sum of k |q - q_rest|^2 / 2 of the
-    joint springs, and the energies of the other elements.
+    """Compute the potential energy of the force elements at rest, in J: sum of k |q - q_rest|^2 / 2
+    over the joint springs, and the energies of the other elements.
 
     Args:
         model: the robot.

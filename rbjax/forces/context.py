@@ -1,9 +1,8 @@
-"""The state of motion that a force element, a constraint or a sensor reads: frames and joints.
+"""`Context`, the state of motion as an argument of force elements, constraints and sensors.
 
-Vectors are `Vec3` of lanes: they add, subtract, scale, have `dot`, `cross` and `norm`, and take
-(3,) arrays as operands. Poses and velocities are computed on first use, once. `on_each` sums one
-force over many bodies: written out body by body, or as a loop whose program contains the force once
-(for 30 bodies in a GPU thread a tenth of the statements).
+Vectors are `Vec3` of lanes: they add, subtract, scale, have `dot`, `cross` and `norm`, and accept
+(3,) arrays as operands. Poses and velocities are computed once, on first use. `on_each` sums one
+force over many bodies, by unrolled code or by a loop whose program contains the force once.
 """
 
 from __future__ import annotations
@@ -33,15 +32,15 @@ from rbjax.spatial import Force, Motion, Transform
 
 @dataclass(frozen=True)
 class Context:
-    """The state of motion at an instant, as a force element, a constraint or a sensor reads it.
+    """The state of motion at an instant, as the argument of a force element, constraint or sensor.
 
     Fields:
         t: time in s.
         q, v: configuration (nq,), velocity (nv,).
         ctrl: controls (nu,), or None.
-        x: the element's own state (size,).
-        dt: the time step in s, None if no step is fixed.
-        a: accelerations (nv,) for those of frames; zero if None.
+        x: state (size,) of the element.
+        dt: time step in s; None if no step is fixed.
+        a: accelerations (nv,), used by the accelerations of frames; None for zero.
     """
 
     model: Model
@@ -53,19 +52,19 @@ class Context:
     links: LinkMotion
     dt: Any = None
     a: Any = None
-    #: generalized forces of the actuators by velocity coordinate, clipped to the joints' force
-    #: ranges; only elements with `after_actuators` get them
+    #: generalized forces of the actuators by dof, clipped to the joints' force ranges; only for
+    #: elements with `after_actuators`
     driven: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def state(self) -> State:
-        """q, v and x."""
+        """The state with q, v and x."""
         return State(self.q, self.v, self.x)
 
     @property
     def h(self) -> Any:
-        """The length of the step: dt, or the model's timestep if none is fixed."""
+        """The time step in s: dt, or the model's timestep if dt is None."""
         return self.model.timestep if self.dt is None else self.dt
 
     @classmethod
@@ -78,45 +77,45 @@ class Context:
         dt: Any = None,
         d: Driver | None = None,
     ) -> Context:
-        """The context of a state, with x of all elements. d: the driver; the model's if None."""
+        """Make the context of a state with the x of all elements, on a driver (None: default)."""
         links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
-        own = without_constants(model)  # a user's element may change the leaves
+        own = without_constants(model)  # a user's element may change the leaves of the model
         return cls(own, t, state.q, state.v, ctrl, state.x, links, dt)
 
     def accelerating(self, a: jax.Array) -> Context:
-        """A copy with the accelerations a (nv,)."""
+        """Return a copy with the accelerations a (nv,)."""
         return replace(self, a=a, links=self.links.accelerating(a))
 
     def with_own(self, x: Any) -> Context:
-        """A copy with the state x of one element."""
+        """Return a copy with the state x of one element."""
         return replace(self, x=x)
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """The result of `make`, computed once for this key (an object) and this context. Use it for
-        values that depend only on t, q, v and ctrl and are needed by both `loads` and `rate`."""
+        """Return the result of `make`, computed once per key (an object) and context. Use it for
+        values that depend only on t, q, v and ctrl, and that both `loads` and `rate` need."""
         if id(key) not in self.found:
             self.found[id(key)] = key, make()
         return self.found[id(key)][1]
 
     def link(self, link: int) -> Frame:
-        """The frame of a link."""
+        """Return the frame of a link."""
         return Frame(self.links, link)
 
     def body(self, body: str | int) -> Frame:
-        """The frame of a body."""
+        """Return the frame of a body."""
         if isinstance(body, int) and body == WORLD:
             return Frame(self.links, WORLD)
         b = self.model.body(body)
         return Frame(self.links, self.model.topology.body_links[b], self.links.weld(b))
 
     def site(self, site: str | int) -> Frame:
-        """The frame of a site."""
+        """Return the frame of a site."""
         s = self.model.site(site)
         placed = site_transform(self.model, s, self.q.dtype)
         return self.body(self.model.topology.site_bodies[s]).then(placed)
 
     def joint(self, joint: str | int) -> Joint:
-        """A joint's coordinates."""
+        """Return a joint with its coordinates q and v."""
         top = self.model.topology
         j = self.model.joint(joint)
         nq, nv = top.joints[j].nq, top.joints[j].nv
@@ -125,69 +124,69 @@ class Context:
         return Joint(top.joint_kinds[j], q, v, vs)
 
     def dofs(self, joints: Iterable[str | int]) -> list[tuple[int, Lane]]:
-        """The index and the velocity of each velocity coordinate of joints."""
+        """List the index and the velocity of each dof of joints."""
         return [(i, v) for j in map(self.joint, joints) for i, v in enumerate(j.v, j.start)]
 
     def generalized(self, tau: Any) -> Loads:
-        """Generalized forces (nv,)."""
+        """Make loads from generalized forces (nv,)."""
         nv = self.model.nv
         if np.shape(tau) != (nv,):
             raise InputError(f"generalized: tau has shape {np.shape(tau)}, expected ({nv},)")
         return Loads({i: tau[i] for i in range(nv)})
 
     def generalized_of(self, wrenches: LinkForces) -> jax.Array:
-        """The generalized forces (nv,) of forces on links: sum of J_i^T f_i."""
+        """Compute the generalized forces (nv,) of forces on links, the sum of J_i^T f_i."""
         d = self.links.driver
         return d.pack(generalized_of_links(d, self.links.joints, wrenches), self.v)
 
 
 class Frame:
-    """A frame fixed to a link, at an instant: a body or a site."""
+    """A frame of a body or site, fixed to a link, at an instant."""
 
     def __init__(self, links: LinkMotion, link: int, *placed: Transform):
         self._links, self.link, self._placed = links, link, placed
 
     def then(self, placed: Transform) -> Frame:
-        """A frame whose pose in this one is `placed`."""
+        """Return the frame with the pose `placed` in this frame."""
         return Frame(self._links, self.link, *self._placed, placed)
 
     def at(self, point: Any) -> Frame:
-        """The frame with its origin at a point (3,), given in its own axes."""
+        """Return the parallel frame with its origin at a point (3,) in this frame."""
         return self.then(Transform(Mat3.identity(), _vector("at", point)))
 
     @cached_property
     def pose(self) -> Transform:
-        """Its pose in the world."""
+        """The pose in the world."""
         return functools.reduce(Transform.then, self._placed, self._links.pose(self.link))
 
     @property
     def position(self) -> Vec3:
-        """Its origin in the world, m."""
+        """The origin of the frame in the world, m."""
         return self.pose.p
 
     @property
     def rotation(self) -> Mat3:
-        """From its axes to the world's."""
+        """The rotation matrix from frame axes to world axes."""
         return self.pose.R
 
     @cached_property
     def twist(self) -> Motion:
-        """Angular and linear velocity in its own axes, at its origin."""
+        """The angular and linear velocity at the frame's origin, in frame axes."""
         return functools.reduce(lambda V, X: X(V), self._placed, self._links.twist(self.link))
 
     @cached_property
     def velocity(self) -> Vec3:
-        """The velocity of its origin in world axes, m/s."""
+        """The velocity of the frame's origin in world axes, m/s."""
         return self.rotation @ self.twist.lin
 
     @cached_property
     def angular_velocity(self) -> Vec3:
-        """In world axes, rad/s."""
+        """The angular velocity in world axes, rad/s."""
         return self.rotation @ self.twist.ang
 
     @cached_property
     def _accelerated(self) -> Motion:
-        """Angular and classical linear acceleration in its own axes, at its origin."""
+        """The angular and classical linear acceleration at the frame's origin, in frame axes."""
         V, a = self._links.twist(self.link), self._links.acceleration(self.link)
         for X in self._placed:
             centripetal = X.E @ V.ang.cross(V.ang.cross(X.p))
@@ -196,18 +195,21 @@ class Frame:
 
     @cached_property
     def acceleration(self) -> Vec3:
-        """The acceleration of its origin in world axes, m/s^2, without gravity. For a force element
-        it has only the terms of velocities (v' = 0)."""
+        """The acceleration of the frame's origin in world axes, m/s^2, without gravity. In a force
+        element it contains only the velocity terms (v' = 0)."""
         return self.rotation @ self._accelerated.lin
 
     @cached_property
     def angular_acceleration(self) -> Vec3:
-        """In world axes, rad/s^2; of a force element as `acceleration`."""
+        """The angular acceleration in world axes, rad/s^2. In a force element v' = 0."""
         return self.rotation @ self._accelerated.ang
 
     def push(self, force: Any, torque: Any = None, *, at: Any = None) -> Loads:
-        """A force (3,) N and a torque (3,) N m in world axes, at a point of the world; at the
-        frame's origin if None. The world itself cannot be pushed."""
+        """Make loads of a force (3,) N and a torque (3,) N m in world axes.
+
+        at: point (3,) in the world at which the force acts; None for the frame's origin.
+        A frame of the world gives no loads.
+        """
         force = _vector("push", force)
         moment = Vec3.zero() if torque is None else _vector("push", torque)
         if at is not None:
@@ -216,14 +218,14 @@ class Frame:
         return self.push_own(Force(E @ moment, E @ force))
 
     def push_own(self, wrench: Force) -> Loads:
-        """A wrench [torque; force] in the frame's own axes, at its origin."""
+        """Make loads of a wrench [torque; force] in frame axes, at the frame's origin."""
         return Loads() if self.link == WORLD else Loads({}, {self.link: self._on_link(wrench)})
 
     def _on_link(self, wrench: Force) -> Force:
         return functools.reduce(lambda f, X: X.T(f), reversed(self._placed), wrench)
 
     def arms(self, wrench: Force) -> dict[int, Lane]:
-        """J^T w of a wrench in the frame's axes, by velocity coordinate."""
+        """Compute J^T w of a wrench in frame axes at the frame's origin, by dof."""
         if not self._links.driver.listed:
             return self.world_arms(self.rotation @ wrench.lin, self.rotation @ wrench.ang)
         wrench, out, at = self._on_link(wrench), {}, self.link
@@ -235,7 +237,7 @@ class Frame:
         return out
 
     def world_arms(self, force: Vec3, torque: Vec3) -> dict[int, Lane]:
-        """J^T w of a force and a torque in world axes, at the frame's origin."""
+        """Compute J^T w of a force and a torque in world axes at the frame's origin, by dof."""
         d = self._links.driver
         if d.listed:
             E = self.rotation.T
@@ -250,7 +252,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint at an instant: its kind, its coordinates q and velocities v, as lanes."""
+    """A joint at an instant: its kind, and its coordinates q and velocities v as lanes."""
 
     kind: str
     q: Sequence[Lane]
@@ -258,7 +260,7 @@ class Joint:
     start: int
 
     def push(self, *tau: Any) -> Loads:
-        """Loads of generalized forces on its velocity coordinates: N m of a rotation, N of a
+        """Make loads of generalized forces on the dofs of the joint: N m for a rotation, N for a
         translation."""
         if len(tau) == 1 and np.ndim(tau[0]) == 1:
             tau = tuple(tau[0])
@@ -284,17 +286,17 @@ def _vector(where: str, x: Any) -> Vec3:
 
 
 def on_each(now: Context, bodies: Sequence[int], act: Callable[..., Loads], *numbers: Any) -> Loads:
-    """The sum of act(frame, *numbers) over bodies.
+    """Sum act(frame, *numbers) over bodies.
 
     Args:
-        now: the instant.
-        bodies: their indices; one may come twice. Those that cannot move are left out.
-        act: a function of a body's frame and its parameters that returns `Loads`, a sum of results
+        now: context.
+        bodies: body indices, which may repeat. Bodies fixed to the world are skipped.
+        act: function of a body's frame and its parameters that returns `Loads`, a sum of results
             of `push`. It computes with lanes and does not branch on their values. If it pushes only
             its body and reads only the body's pose and velocity, the bodies can be evaluated in a
             loop. Otherwise the code is unrolled.
-        numbers: arrays (n,), of which `act` is given a lane, arrays (n, 3), of which it is given a
-            `Vec3`, and pytrees of such.
+        numbers: parameters of all bodies: arrays (n,), passed to `act` as a lane; arrays (n, 3),
+            passed as a `Vec3`; or pytrees of these arrays.
 
     Example:
         >>> import rbjax as rb, jax
@@ -339,7 +341,7 @@ def on_each(now: Context, bodies: Sequence[int], act: Callable[..., Loads], *num
     return Loads({}, now.links.scattered(index, forces))
 
 
-#: the index that stands for the body's link in a loop over bodies
+#: placeholder index of the body's link in a loop over bodies
 _OWN = -2
 
 
@@ -349,7 +351,7 @@ class _NotItsOwn(Exception):
 
 
 class _Still:
-    """The motion of one link, in place of `LinkMotion`."""
+    """The pose and twist of one link, in place of `LinkMotion`."""
 
     def __getattr__(self, name: str) -> Any:
         raise _NotItsOwn

@@ -1,7 +1,7 @@
 """The protocol of force elements, and the loads that an element returns.
 
 An element is a record of parameters with a method `loads`, from a `Context` to generalized forces,
-wrenches on bodies, or both. An element with a state of its own has a `size`, a `start` and a
+wrenches on bodies, or both. An element with a state of its own also defines `size`, `start` and
 `rate`:
 
     tau, w = loads(t, q, v, x, ctrl),      x' = rate(t, q, v, x, ctrl)
@@ -31,7 +31,7 @@ from rbjax.spatial import Force
 if TYPE_CHECKING:
     from rbjax.forces.context import Context
 
-#: the shapes of an element's parameters by the names of its fields; None for any length
+#: field name -> shape of the parameter; None in a shape for any length
 Shapes = Mapping[str, tuple[int | None, ...]]
 
 
@@ -39,10 +39,10 @@ Shapes = Mapping[str, tuple[int | None, ...]]
 class Loads:
     """Forces on a robot, which can be added. `Frame.push` and `Joint.push` make them.
 
-    tau: generalized forces by velocity coordinate.
-    wrenches: forces by link, in the link's axes at its origin, or columns over all links.
-    internal: whether the wrenches are actions and reactions between links; a joint that carries
-        both has no force of them.
+    tau: generalized forces by dof.
+    wrenches: forces by link, in link axes at the link's origin, or columns over all links.
+    internal: whether the wrenches are actions and reactions between links. They cancel in a joint
+        that carries both links of a pair.
     """
 
     tau: Mapping[int, Lane] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class Loads:
         return Loads(_summed(self.tau, other.tau), wrenches, internal)
 
     def __radd__(self, other: Any) -> Loads:
-        return self if isinstance(other, int) and other == 0 else NotImplemented  # of sum()
+        return self if isinstance(other, int) and other == 0 else NotImplemented  # start of sum()
 
     def __neg__(self) -> Loads:
         return self * -1.0
@@ -78,10 +78,10 @@ def _summed(a: Mapping[int, Lane], b: Mapping[int, Lane]) -> dict[int, Lane]:
 
 
 class Element(Record):
-    """A force on a robot. A subclass has the element's parameters as fields.
+    """Base class of a force on a robot. The fields of a subclass are the element's parameters.
 
-    Only `loads` must be written. The other methods are for elements with a state of their own, and
-    for elements that store energy.
+    Only `loads` is required. The other methods are for elements with a state of their own, and for
+    elements that store energy.
 
     Example:
         >>> import rbjax as rb, jax, jax.numpy as jnp
@@ -96,9 +96,9 @@ class Element(Record):
         [40.0, 0.0, 0.0]
     """
 
-    #: fields whose values must be above zero
+    #: fields whose values must be positive
     positive: ClassVar[tuple[str, ...]] = ()
-    #: fields whose values may be infinite; None for all
+    #: fields whose values may be infinite; None: all fields
     unlimited: ClassVar[tuple[str, ...] | None] = None
 
     def __check_init__(self) -> None:
@@ -110,18 +110,18 @@ class Element(Record):
         return self.unlimited is None or name in self.unlimited
 
     def shapes(self, model: Model) -> Shapes:
-        """The shapes of its parameters on a model, by field, checked when the element acts; None
-        for any length."""
+        """Return the shapes of the parameters on a model, by field name, for a check when the
+        element is evaluated. None in a shape stands for any length."""
         return {}
 
     @property
     def size(self) -> int:
-        """The size of its own state."""
+        """The size of the element's own state."""
         return 0
 
     @property
     def actuates(self) -> bool:
-        """Whether its generalized forces are an actuator's: absent without controls, and clipped to
+        """Whether the generalized forces are an actuator's: zero without controls, and clipped to
         the force ranges of the joints."""
         return False
 
@@ -131,43 +131,43 @@ class Element(Record):
         return False
 
     def loads(self, now: Context) -> Loads:
-        """The forces on the robot at an instant."""
+        """Compute the forces on the robot at an instant."""
         raise NotImplementedError(f"{type(self).__name__} has no method loads(self, now) -> Loads")
 
     def start(self) -> jax.Array:
-        """The initial state (size,), unless a `State` gives one."""
+        """Return the initial state (size,), used unless a `State` contains x."""
         return jnp.zeros(self.size)
 
     def rate(self, now: Context) -> Sequence[Lane]:
-        """The rate (size,) of its own state."""
+        """Compute the rate (size,) of the element's own state."""
         raise NotImplementedError(
             f"{type(self).__name__} has a state of size {self.size}, and no method "
             "rate(self, now) -> (size,)"
         )
 
     def advance(self, now: Context, dt: Any) -> Sequence[Lane]:
-        """Its own state after a step dt of `semi_implicit_euler`: x + dt x', unless the element
-        overrides it, for limits or an exact solution."""
+        """Compute the element's own state after a step dt of `semi_implicit_euler`. The default is
+        x + dt x'; override it for limits or an exact solution."""
         return [add(x, mul(dt, rate)) for x, rate in zip(now.x, self.rate(now), strict=True)]
 
     def implicit_stiffness(self, now: Context, h: Any) -> Mapping[int, Lane]:
-        """h D / 2 + h^2 K / 4 by velocity coordinate, where -D and -K are the slopes of its
-        generalized forces: the diagonal terms that forces at the middle of a step h add to the mass
-        matrix. They affect only the convergence of an implicit step."""
+        """Compute h D / 2 + h^2 K / 4 by dof, with -D and -K the derivatives of the generalized
+        forces by velocity and position. An implicit step of length h adds these diagonal terms to
+        its iteration matrix. They affect only its convergence."""
         return {}
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
-        """Clip the element's state x to its range. `rollout` does so after each step, with any
+        """Clip the element's state x to its range. `rollout` calls it after each step, with any
         integrator."""
         return list(x)
 
     def energy(self, now: Context) -> Lane:
-        """The energy that it stores, in joules."""
+        """Compute the potential energy of the element, J."""
         return 0.0
 
 
 def check_shapes(element: Element, model: Model) -> None:
-    """Raise if the shape of a parameter is not that of the element on the model."""
+    """Raise InputError if a parameter has another shape than `Element.shapes` on the model."""
     for name, due in element.shapes(model).items():
         shape = np.shape(getattr(element, name))
         alike = [n in (m, None) for m, n in zip(shape, due, strict=False)]
@@ -182,8 +182,8 @@ def check_shapes(element: Element, model: Model) -> None:
 def columns_of(
     where: str, model: Model, joints: Sequence[str | int], given: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Parameters (n,) of the velocity coordinates of joints, each from one number for all or (n,);
-    None stays None."""
+    """Convert parameters of joints to arrays (n,) over their dofs. Each is one number for all dofs
+    or (n,); None stays None."""
     check_model(where, model)
     n, dtype = coordinates(model, joints), model.gravity.dtype
 
@@ -194,5 +194,5 @@ def columns_of(
 
 
 def coordinates(model: Model, joints: Iterable[str | int]) -> int:
-    """The number of velocity coordinates of joints."""
+    """Count the dofs of joints."""
     return sum(model.topology.joints[model.joint(j)].nv for j in joints)

@@ -1,30 +1,30 @@
 """Fluid forces on bodies: drag on the inertia box of a body; drag, lift and added mass of
 ellipsoids.
 
-v and w are the velocity of the centre relative to the fluid and the angular velocity, along the
-axes of the box or ellipsoid (MuJoCo documentation, *Fluid forces*).
+v is the velocity of the center relative to the fluid and w the angular velocity, in the axes of the
+box or ellipsoid (MuJoCo documentation, *Fluid forces*).
 
 Box:
     s_i = sqrt(6 (I_j + I_k - I_i) / m),   d = (s_1 + s_2 + s_3) / 3
     f_i = -(3 pi mu d + rho s_j s_k |v_i| / 2) v_i
     n_i = -(pi mu d^3 + rho s_i (s_j^4 + s_k^4) |w_i| / 64) w_i
 s are the edges of the uniform box with the mass m and principal moments I of the body. The box
-follows the model's masses, centres and inertias; only its axes are parameters of the element. The
-I_i are the diagonal of the inertia in these axes, whose derivative is that of the principal
-moments. The dependence of the axes on the inertia is not differentiated.
+follows the model's masses, centers and inertias. Its axes are parameters of the element, and their
+dependence on the inertia is not differentiated. I_i are the diagonal of the inertia in these axes,
+which has the same derivative as the principal moments.
 
 Ellipsoid:
     added mass   f = p x w,  n = p x v + h x w,     p_i = rho m_i v_i,  h_i = rho J_i w_i
     drag         f = -(3 pi mu D + rho |v| (c_b A + c_s (A_max - A))) v
-    turning      n = -(pi mu D^3 + rho |g|) w,      g_i = (c_a I_i + c_s (I_max - I_i)) w_i
+    angular drag n = -(pi mu D^3 + rho |g|) w,      g_i = (c_a I_i + c_s (I_max - I_i)) w_i
     Magnus lift  f = c_m rho V w x v
     Kutta lift   f = c_k rho A cos(alpha) |v|^2 (n x u) x u
-r are its semi-axes, V its volume, D = 2 (r_1 + r_2 + r_3) / 3. A is the area that it projects along
-u = v / |v|, and n = N / |N| the normal of the cross-section of this outline:
+r are the semi-axes, V is the volume, D = 2 (r_1 + r_2 + r_3) / 3. A is the projected area along
+u = v / |v|, and n = N / |N| is the normal of the cross-section with this outline:
     N_i = (r_j r_k)^2 u_i,   A = pi |N| / sqrt(N . u),   cos(alpha) = n . u
 I_i = 8 pi / 15 r_i max(r_j, r_k)^4 are moments of drag, A_max and I_max the largest area and
-moment. At rest there is no u: all forces and their derivatives except the viscous ones are zero. Of
-the added mass, the part that depends on the acceleration is left out, as in MuJoCo.
+moment. At rest u is undefined, and all forces and their derivatives except the viscous ones are
+zero. The acceleration term of the added mass is left out, as in MuJoCo.
 """
 
 from __future__ import annotations
@@ -47,19 +47,22 @@ from rbjax.model.links import lane
 from rbjax.rotations import quaternion
 from rbjax.spatial import Force, Motion, Transform
 
-#: MuJoCo's least value of divisors and radicands
+#: MuJoCo's lower limit of divisors and radicands
 LEAST = 1e-15
 
 
 class InertiaBoxFluid(Element):
-    """A fluid that drags on bodies as on boxes with their masses and inertias.
+    """Fluid drag on bodies, as on boxes with their masses and inertias.
 
-    f_i = -(3 pi mu d + rho s_j s_k |v_i| / 2) v_i, and a torque of the same form, of a box with
+    f_i = -(3 pi mu d + rho s_j s_k |v_i| / 2) v_i, and a torque of the same form, for a box with
     edges s.
 
-    Fields: density rho () kg/m^3; viscosity mu () Pa s; wind (3,) m/s, the velocity of the fluid in
-    the world; orientation (n, 4), quaternions of the boxes' axes in the bodies' frames. Static:
-    `bodies`, the index of each. `InertiaBoxFluid.of` finds the axes.
+    density: rho () kg/m^3.
+    viscosity: mu () Pa s.
+    wind: (3,) m/s, velocity of the fluid in the world.
+    orientation: (n, 4) quaternions of the boxes' axes in the bodies' frames, computed by
+        `InertiaBoxFluid.of`.
+    bodies: index of each body; static.
 
     Source: MuJoCo documentation, *Fluid forces*, inertia model.
 
@@ -92,7 +95,7 @@ class InertiaBoxFluid(Element):
         wind: Any = (0.0, 0.0, 0.0),
         bodies: Sequence[str] | None = None,
     ) -> InertiaBoxFluid:
-        """The fluid around these bodies of a model, by name; around all that move if None."""
+        """Make the fluid around bodies of a model, by name; None: around all that can move."""
         top, dtype = model.topology, model.bodies.mass.dtype
         if bodies is None:
             some = [b for b, k in enumerate(top.body_links) if k != WORLD]
@@ -107,7 +110,7 @@ class InertiaBoxFluid(Element):
         return cls(rho, mu, wind, orientation, tuple(index))
 
     def loads(self, now: Context) -> Loads:
-        """The drag of each body's box."""
+        """Compute the drag on the box of each body."""
         com = now.model.bodies.com[np.array(self.bodies)]
         wind, axes = in_lanes(self.wind, now), rotations(table(self.orientation, now.q.dtype))
 
@@ -120,7 +123,7 @@ class InertiaBoxFluid(Element):
         return on_each(now, self.bodies, dragged, axes, com, self._drag(now))
 
     def _drag(self, now: Context) -> _Drag:
-        """The boxes' drag coefficients, columns over the bodies."""
+        """Compute the drag coefficients of the boxes, as columns over the bodies."""
         bodies, index = now.model.bodies, np.array(self.bodies)
         own = bodies.mass[index], bodies.inertia[index], self.orientation
         xp, found = tables(now.q.dtype, *own, self.density, self.viscosity)
@@ -128,7 +131,7 @@ class InertiaBoxFluid(Element):
         full = Mat3(*(inertia[:, i, j] for i in range(3) for j in range(3)))
         moments = Vec3(*(axis.dot(full @ axis) for axis in rotations(orientation).columns))
         trace = moments[0] + moments[1] + moments[2]
-        tiny = 10 * np.finfo(mass.dtype).eps * trace  # of a flat box: rounding
+        tiny = 10 * np.finfo(mass.dtype).eps * trace  # rounding error of a flat box
         edges = []
         for moment in moments:
             twice = trace - 2.0 * moment
@@ -146,7 +149,7 @@ class InertiaBoxFluid(Element):
 
 
 class _Drag(NamedTuple):
-    """Drag by velocity, and along each axis by its square."""
+    """Drag coefficients: by velocity, and along each axis by its square."""
 
     viscous_force: Lane
     viscous_torque: Lane
@@ -155,12 +158,12 @@ class _Drag(NamedTuple):
 
 
 def _against(u: Vec3, viscous: Lane, quadratic: Vec3) -> Vec3:
-    """-(k + c_i |u_i|) u_i."""
+    """Compute the drag -(k + c_i |u_i|) u_i."""
     return -Vec3(*(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True)))
 
 
 def relative_twist(frame: Frame, wind: Vec3) -> Motion:
-    """The twist of a frame relative to a fluid that streams without turning."""
+    """Compute the twist of a frame relative to a fluid that flows at `wind` without rotation."""
     V = frame.twist
     if all(map(is_zero, wind)):
         return V
@@ -168,28 +171,31 @@ def relative_twist(frame: Frame, wind: Vec3) -> Motion:
 
 
 def rotations(orientation: Any) -> Mat3:
-    """Quaternions (n, 4) as matrices whose lanes are columns."""
+    """Convert quaternions (n, 4) to rotation matrices whose lanes are columns."""
     return quaternion_matrix(*(orientation[:, k] for k in range(4)))
 
 
 def in_lanes(vector: Any, now: Context) -> Vec3:
-    """An element's vector (3,) in lanes."""
+    """Convert a vector (3,) of an element to lanes."""
     x = table(vector, now.q.dtype)
     return Vec3(*(lane(x, k) for k in range(3)))
 
 
 class EllipsoidFluid(Element):
-    """A fluid that acts on ellipsoids fixed to bodies: drag, lift and added mass.
+    """Fluid forces on ellipsoids fixed to bodies: drag, lift and added mass.
 
     f = -(3 pi mu D + rho |v| (c_b A + c_s (A_max - A))) v + c_m rho V w x v + Kutta lift + p x w,
     and a torque of the same form.
 
-    Fields: density rho () kg/m^3; viscosity mu () Pa s; wind (3,) m/s, the velocity of the fluid in
-    the world; of each ellipsoid semi_axes (n, 3) m, position (n, 3) m and orientation (n, 4) in its
-    body's frame, the coefficients blunt_drag, slender_drag, angular_drag, kutta_lift, magnus_lift
-    (n,), its added mass over density virtual_mass (n, 3) m^3 and virtual_inertia (n, 3) m^5 along
-    its axes, and interaction (n,), by which all is multiplied. Static: `bodies`, the index of the
-    body of each. The added mass does not follow the semi-axes.
+    density: rho () kg/m^3.
+    viscosity: mu () Pa s.
+    wind: (3,) m/s, velocity of the fluid in the world.
+    semi_axes, position, orientation: (n, 3) m, (n, 3) m and (n, 4) in the body's frame.
+    blunt_drag, slender_drag, angular_drag, kutta_lift, magnus_lift: (n,) coefficients.
+    virtual_mass, virtual_inertia: (n, 3) m^3, m^5, added mass over density along the axes. It does
+        not follow the semi-axes.
+    interaction: (n,) factor of all forces.
+    bodies: index of the body of each ellipsoid; static.
 
     Source: MuJoCo documentation, *Fluid forces*, ellipsoid model.
 
@@ -227,7 +233,7 @@ class EllipsoidFluid(Element):
         return alone | rows | dict.fromkeys(("virtual_mass", "virtual_inertia"), (n, 3))
 
     def loads(self, now: Context) -> Loads:
-        """The forces on each ellipsoid."""
+        """Compute the forces on each ellipsoid."""
         wind, axes = in_lanes(self.wind, now), rotations(table(self.orientation, now.q.dtype))
 
         def acted(frame: Frame, axes: Mat3, position: Vec3, own: _Ellipsoid) -> Loads:
@@ -237,7 +243,7 @@ class EllipsoidFluid(Element):
         return on_each(now, self.bodies, acted, axes, self.position, self._ellipsoids(now))
 
     def _ellipsoids(self, now: Context) -> _Ellipsoid:
-        """The coefficients of the forces, columns over the ellipsoids."""
+        """Compute the coefficients of the forces, as columns over the ellipsoids."""
         drags = self.blunt_drag, self.slender_drag, self.angular_drag
         lifts = self.kutta_lift, self.magnus_lift
         fluid = self.virtual_mass, self.virtual_inertia, self.density, self.viscosity
@@ -269,9 +275,9 @@ class EllipsoidFluid(Element):
 
 
 class _Ellipsoid(NamedTuple):
-    """The coefficients of the forces on an ellipsoid, with the fluid's density and viscosity."""
+    """Coefficients of the forces on an ellipsoid, with the fluid's density and viscosity."""
 
-    squares: Vec3  # (r_j r_k)^2, the largest of them 1
+    squares: Vec3  # (r_j r_k)^2, scaled to a maximum of 1
     area: Lane  # A_max
     viscous_force: Lane
     viscous_torque: Lane
@@ -286,13 +292,13 @@ class _Ellipsoid(NamedTuple):
 
 
 def _moment(length: Lane, radius: Lane) -> Lane:
-    """The moment of drag about an axis of that half length."""
+    """Compute the moment of drag about an axis with a half length and a largest radius."""
     square = radius * radius
     return 8.0 / 15.0 * math.pi * length * square * square
 
 
 def _wrench(V: Motion, own: _Ellipsoid) -> Force:
-    """The forces on an ellipsoid with that twist in the fluid, in its axes at its centre."""
+    """Compute the fluid forces on an ellipsoid at a twist, in its axes at its center."""
     w, v = V.ang, V.lin
     p, h = _scaled(own.mass, v), _scaled(own.inertia, w)
     turning = mul(own.density, root(_squared(_scaled(own.moments, w))))
@@ -303,7 +309,7 @@ def _wrench(V: Motion, own: _Ellipsoid) -> Force:
 
 
 def _quadratic(v: Vec3, own: _Ellipsoid) -> Vec3:
-    """Drag and lift by the square of the speed."""
+    """Compute the drag and lift that are quadratic in the speed."""
     square = _squared(v)
     speed, moves = root(square), square > 0
     u = v * (1.0 / jnp.where(moves, speed, 1.0))
@@ -315,7 +321,7 @@ def _quadratic(v: Vec3, own: _Ellipsoid) -> Vec3:
 
 
 def _scaled(a: Vec3, b: Vec3) -> Vec3:
-    """Entry by entry."""
+    """Multiply two vectors entry by entry."""
     return Vec3(*map(mul, a, b))
 
 
@@ -324,7 +330,7 @@ def _squared(a: Vec3) -> Lane:
 
 
 def root(x: Lane) -> Lane:
-    """sqrt(x); its derivative is zero where x is."""
+    """Compute sqrt(x) with a zero derivative at x = 0."""
     if is_literal(x):
         return math.sqrt(x)
     some = x > 0

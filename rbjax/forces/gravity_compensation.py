@@ -1,12 +1,12 @@
-"""Gravity compensation: bodies held up against their own weight, wholly or in part.
+"""Gravity compensation: forces that carry all or a part of the weight of bodies.
 
-    w_b = -c_b m_b g   at the body's centre of mass,      tau = sum over bodies of J_b^T w_b
+    w_b = -c_b m_b g   at the body's center of mass,      tau = sum over bodies of J_b^T w_b
 
-c = 1 makes a body weightless, c = 2 lets it rise as fast as it would fall. On all joints this is a
-field of constant forces, of energy V = sum of c_b m_b g . p_b, p_b the centre of mass. A robot may
-leave the share of some joints to their actuators; their share then stays within their force ranges,
-and the share of the other joints is passive (MuJoCo: `actuatorgravcomp` of a joint). Two elements
-make up such a robot, one for the passive joints and one for the actuated ones.
+c = 1 makes a body weightless; c = 2 lets it rise as fast as it would fall. On all joints these are
+constant forces with the energy V = sum of c_b m_b g . p_b, p_b the center of mass. The actuators of
+some joints may apply their part, which is then clipped to the force ranges of these joints (MuJoCo:
+`actuatorgravcomp` of a joint). The part of the other joints is passive. Such a robot has two
+elements, one for the passive joints and one for the actuated ones.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from rbjax.model.links import lane
 class GravityCompensation(Element):
     """Forces against the weight of bodies.
 
-    w_b = -c_b m_b g at the centre of mass of each body.
+    w_b = -c_b m_b g at the center of mass of each body.
 
-    Fields: fraction c (n,), of each body's weight. Static: `bodies`, their names or indices;
-    `joints`, names or indices of the joints at which the forces act, None for all; `actuated`,
-    whether they count as actuators' forces: absent without controls, and within the joints' ranges
-    of force.
+    fraction: c (n,), compensated fraction of each body's weight.
+    bodies: names or indices of the bodies; static.
+    joints: names or indices of the joints on which the forces act, None for all; static.
+    actuated: whether the forces are actuator forces: absent without controls, and clipped to the
+        force ranges of the joints; static.
 
     Source: MuJoCo, XML reference, body gravcomp and joint actuatorgravcomp.
 
@@ -72,14 +73,14 @@ class GravityCompensation(Element):
         return Loads({i: tau[i] for i in at})
 
     def energy(self, now: Context) -> Lane:
-        """sum of c m g . p, where the forces act on all joints; those on only some of them are
-        the gradient of no energy, and count as none."""
+        """Compute the energy sum of c m g . p if the forces act on all joints. On only some joints
+        the forces are not conservative, and the energy is 0."""
         if self.joints is not None:
             return 0.0
         return total(-inner(force, frame.position) for frame, force in self._lifted(now))
 
     def _lifted(self, now: Context) -> list:
-        """The frame at the centre of mass of each lifted body, and the force on it."""
+        """List the frame at the center of mass of each body, and the force on it."""
         model, dtype, out = now.model, now.q.dtype, []
         mass, com = table(model.bodies.mass, dtype), table(model.bodies.com, dtype)
         fraction, gravity = table(self.fraction, dtype), table(model.gravity, dtype)

@@ -1,4 +1,4 @@
-"""Inputs of a robot from outside its model: controls, generalized forces, wrenches on bodies."""
+"""Inputs of a robot: controls, generalized forces, wrenches on bodies."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import jax.numpy as jnp
 from rbjax.dynamics.arguments import check_array
 from rbjax.model import Model, State
 
-#: (t, state) -> an input
+#: function (t, state) -> value of an input
 Source = Callable[[Any, State], jax.Array]
 
 
 class Inputs(NamedTuple):
-    """The inputs of a robot; None for those that are absent.
+    """The inputs of a robot; None for an absent input.
 
     ctrl: controls (nu,).
     tau: generalized forces (nv,).
@@ -30,12 +30,12 @@ class Inputs(NamedTuple):
 
 NO_INPUTS = Inputs()
 
-#: the subject of a message about an input
+#: subject of an error message about each input
 NAMES = Inputs("the control returned", "what tau returned", "what wrenches returned")
 
 
 def shapes(model: Model) -> Inputs:
-    """The shapes of a model's inputs."""
+    """Return the shapes of a model's inputs."""
     return Inputs((model.nu,), (model.nv,), (model.nb, 6))
 
 
@@ -47,7 +47,7 @@ def check_returned(where: str, model: Model, k: int, value: Any, dtype: Any) -> 
 
 
 def evaluated(where: str, model: Model, sources: Inputs, t: Any, state: State) -> Inputs:
-    """Evaluate the inputs at a time: functions by their values, arrays unchanged."""
+    """Evaluate the inputs that are functions at a time and state; keep arrays unchanged."""
 
     def value(k: int, source: Any) -> Any:
         if not callable(source):

@@ -1,4 +1,4 @@
-"""Where a force or a constraint acts: a frame fixed to a body, to a site, or to the world."""
+"""`Place`: a frame fixed to a body, to a site, or to the world."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from rbjax.spatial import Transform
 
 
 class Place(Record):
-    """A frame fixed to a body, to a site, or to the world if neither is named. It is an end of a
-    spring or a bushing, or of a constraint, whose axis is its z.
+    """A frame fixed to a body, to a site, or to the world if both are None. It is an end of a
+    spring, a bushing or a constraint. The axis of a constraint is the z axis of the frame.
 
-    Fields: position (3,) m and orientation (4,), a quaternion, in the frame of the body or site.
-    Static: `body`, `site`, its name or index.
+    position: (3,) m in the frame of the body or site.
+    orientation: (4,) quaternion in the frame of the body or site.
+    body, site: name or index; static.
 
     Example:
         >>> import rbjax as rb
@@ -56,19 +57,19 @@ class Place(Record):
         point: Any = (0.0, 0.0, 0.0),
         axis: Any = (0.0, 0.0, 1.0),
     ) -> Place:
-        """The frame at a point, its z along an axis; both in the frame of the body or site."""
+        """Make a frame at a point with z along an axis, both in the frame of the body or site."""
         point = check_array("Place.on", "point", point, (3,)).astype(float)
         axis = check_array("Place.on", "axis", axis, (3,)).astype(float)
         return cls(point, turn_z_to(axis), body, site)
 
     def frame(self, now: Context) -> Frame:
-        """The frame at an instant."""
+        """Return the frame at an instant."""
         quat = table(self.orientation, now.q.dtype)
         turn = quaternion_matrix(*(lane(quat, k) for k in range(4)))
         return _named_frame(self, now).then(Transform(turn, self._position(now)))
 
     def point(self, now: Context) -> Frame:
-        """A frame with the same origin, in the axes of the body or site."""
+        """Return the frame with the same origin, in the axes of the body or site."""
         return _named_frame(self, now).at(self._position(now))
 
     def _position(self, now: Context) -> Vec3:
@@ -77,7 +78,7 @@ class Place(Record):
 
 
 def _check_named(place: Any) -> None:
-    """Raise if a `body` and a `site` name no frame, or two."""
+    """Raise InputError unless at most one of `body` and `site` of a place is a name or an index."""
     kind = type(place).__name__
     if place.body is not None and place.site is not None:
         raise InputError(
@@ -90,14 +91,14 @@ def _check_named(place: Any) -> None:
 
 
 def _named_frame(place: Any, now: Context) -> Frame:
-    """The frame of the body or site of a place; of the world if it has neither."""
+    """Return the frame of the body or site of a place; the world's if both are None."""
     if place.site is not None:
         return now.site(place.site)
     return now.body(WORLD if place.body is None else place.body)
 
 
 def check_places(record: Any) -> None:
-    """Raise if the ends a and b of an element or a constraint are not places."""
+    """Raise InputError if the ends a and b of an element or a constraint are not places."""
     for end in ("a", "b"):
         got = getattr(record, end)
         if not isinstance(got, Place):
@@ -108,16 +109,16 @@ def check_places(record: Any) -> None:
 
 
 def turn_z_to(axis: jax.Array) -> jax.Array:
-    """The quaternion (4,) of a rotation that takes z to an axis (3,) of any length.
+    """Compute the quaternion (4,) of a rotation from z to the direction of an axis (3,).
 
-    If the axis's z is not negative, it is the shortest rotation. Otherwise it is a half turn about
-    x, followed by the shortest rotation of -z to the axis.
+    If the z coordinate of the axis is not negative, it is the shortest rotation. Otherwise it is a
+    half turn about x, followed by the shortest rotation from -z to the axis.
     """
     length = jnp.sqrt((axis * axis).sum())
     if not isinstance(length, jax.core.Tracer) and not np.asarray(length) > 0:
         raise InputError(f"an axis is {np.asarray(axis).tolist()}, expected a direction")
     x, y, z = axis / length
-    down = z < 0  # then -z is turned to it, after a half turn about x
+    down = z < 0  # after a half turn about x, -z is rotated to the axis
     side = jnp.where(down, -1.0, 1.0)
     q = jnp.stack([1.0 + jnp.abs(z), -side * y, side * x, jnp.zeros_like(x)])
     half_turn = jnp.array([0.0, 1.0, 0.0, 0.0], q.dtype)

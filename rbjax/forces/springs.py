@@ -1,24 +1,24 @@
 """Springs and dampers between two frames: along the line of two points, or in all six directions.
 
-Two points at the distance l, u the direction from a to b, l' = u . (v_b - v_a):
+Two points at the distance l, with u the direction from a to b and l' = u . (v_b - v_a):
 
     x = l - l_high  if l > l_high,    l - l_low  if l < l_low,    else 0
     F = x (k_0 + k_1 x + k_2 x^2 + ...) + l' (d_0 + d_1 |l'| + d_2 |l'|^2 + ...)
 
-F pulls a along u and b against it. Between l_low and l_high the spring is slack; with l_low = 0 it
-is a rope. It stores V = x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...). At l = 0 there is no
-direction, and the force counts as 0. For l_high = 0 that is exact: F u = (k_0 + k_1 l + ...)
-(p_b - p_a) has no singularity, and is computed in this form.
+F pulls a along u and b against u. Between l_low and l_high the spring is slack; with l_low = 0 it
+is a rope. Its energy is V = x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...). At l = 0 the direction
+is undefined and the force is set to 0. For l_high = 0 the force has no singularity, F u = (k_0 +
+k_1 l + ...) (p_b - p_a), and is computed in this form.
 
-Two frames, in the axes of a: d the vector from a's origin to b's, R = exp(phi) the attitude of b, w
-and d' the velocities of b relative to a:
+Two frames, in the axes of a: d is the vector from the origin of a to the origin of b, R = exp(phi)
+the attitude of b, and w and d' are the velocities of b relative to a:
 
     force on b at its origin:   f = -K_l d - D_l d'
     torque on b:                n = -J_l(phi)^-T K_a phi - D_a w
 
-and the opposite on a, at the same point. J_l is the left Jacobian of SO(3), phi' = J_l^-1 w, so the
-spring has the energy V = (d . K_l d + phi . K_a phi) / 2 at any angle. With equal angular
-stiffnesses J_l drops out, because J_l^-T phi = phi. At |phi| = pi the axis is not defined.
+The opposite force and torque act on a, at the same point. J_l is the left Jacobian of SO(3),
+phi' = J_l^-1 w, so the spring has the energy V = (d . K_l d + phi . K_a phi) / 2 at any angle. With
+equal angular stiffnesses J_l^-T phi = phi. At |phi| = pi the axis is not defined.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class PointSpring(Element):
         damping: d (c,) N s/m, N s^2/m^2, ...
         slack: (2,) m, the lengths between which the spring is slack.
 
-    `PointSpring.of` makes it from single numbers.
+    `PointSpring.of` makes a spring from scalars.
 
     Source: MuJoCo, XML reference, tendon spatial (stiffness, damping, springlength).
 
@@ -79,7 +79,7 @@ class PointSpring(Element):
     def of(
         cls, a: Place, b: Place, *, stiffness: Any = 0.0, damping: Any = 0.0, length: Any = 0.0
     ) -> PointSpring:
-        """The spring of a length at rest, or slack between two lengths."""
+        """Make a spring with a length at rest, or two lengths between which it is slack."""
         at, given = "PointSpring.of", {"stiffness": stiffness, "damping": damping}
         row = {n: (max(1, *shape_of(at, n, x), 1),) for n, x in given.items()}
         k, d = (check_array(at, n, x, (), row[n]) for n, x in given.items())
@@ -113,7 +113,7 @@ class PointSpring(Element):
         return a.push(force) + b.push(-force)
 
     def energy(self, now: Context) -> Lane:
-        """x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
+        """Compute the energy x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
         k = _coefficients(self.stiffness, now.q.dtype)
         if all(map(is_zero, k)):
             return 0.0
@@ -123,7 +123,7 @@ class PointSpring(Element):
         return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
 
     def _stretch(self, length: Lane, inverse: Lane, dtype: Any) -> tuple[Lane, Lane]:
-        """x, and x / l if each is smooth."""
+        """Compute the stretch x, and the ratio x / l in a form without cancellation."""
         low, high = numbers(self.slack, dtype)
         x, ratio = sub(length, high), sub(1.0, mul(high, inverse))
         if is_literal(low) and is_literal(high) and low == high:
@@ -135,7 +135,7 @@ class PointSpring(Element):
 
 
 def _coefficients(x: jax.Array, dtype: Any) -> list[Lane]:
-    """The coefficients (n,) of a polynomial without the highest ones that are zero."""
+    """Return the coefficients (n,) of a polynomial without trailing structural zeros."""
     found = numbers(x, dtype)
     while len(found) > 1 and is_zero(found[-1]):
         found.pop()
@@ -143,7 +143,7 @@ def _coefficients(x: jax.Array, dtype: Any) -> list[Lane]:
 
 
 def _distance(line: Vec3, dtype: Any) -> tuple[Lane, Lane]:
-    """The length of a vector and its inverse; the inverse of 0 counts as 1."""
+    """Compute the length of a vector and its inverse; the inverse of 0 is set to 1."""
     square = jnp.asarray(line.dot(line), dtype)
     some = square > 0
     root = jnp.sqrt(where(some, square, jnp.ones_like(square)))
@@ -151,12 +151,12 @@ def _distance(line: Vec3, dtype: Any) -> tuple[Lane, Lane]:
 
 
 class Bushing(Element):
-    """A spring and a damper in all directions between two frames, at rest where these coincide.
+    """A spring and a damper in all directions between two frames, at rest if the frames coincide.
 
     f = -K_l d - D_l d', n = -J_l^-T K_a phi - D_a w on b, in the axes of a.
 
     Fields:
-        a, b: the frames, `Place`s. Their orientations turn the axes, or the attitude at rest.
+        a, b: the frames, `Place`s. Their orientations set the axes and the attitude at rest.
         stiffness: (6,), N m/rad about the axes of a, then N/m along them.
         damping: (6,), N m s/rad and N s/m.
 
@@ -182,7 +182,7 @@ class Bushing(Element):
 
     @classmethod
     def of(cls, a: Place, b: Place, *, stiffness: Any = 0.0, damping: Any = 0.0) -> Bushing:
-        """The bushing with six numbers of each kind, or one for all."""
+        """Make a bushing from six stiffnesses and six dampings, or one value for all six."""
         given = {"stiffness": stiffness, "damping": damping}
         k, d = (check_array("Bushing.of", n, x, (), (6,)) for n, x in given.items())
         return cls(a, b, *(jnp.broadcast_to(x.astype(float), (6,)) for x in (k, d)))
@@ -211,7 +211,7 @@ class Bushing(Element):
         return a.push(force, torque, at=b.position) + b.push(-force, -torque)
 
     def energy(self, now: Context) -> Lane:
-        """(d . K_l d + phi . K_a phi) / 2."""
+        """Compute the energy (d . K_l d + phi . K_a phi) / 2."""
         a, b, k = self.a.frame(now), self.b.frame(now), numbers(self.stiffness, now.q.dtype)
         E = a.rotation.T
         way, turns = E @ (b.position - a.position), not all(map(is_zero, k[:3]))

@@ -185,8 +185,7 @@ class GoalErrors:
             self.rows.append([columns[i][k] if i in columns else 0.0 for i in range(self.model.nv)])
 
     def _column(self, i: int) -> tuple[Vec3, Any]:
-        """Return the angular velocity per unit of dof i, and a function p -> velocity of the point
-        p (world axes)."""
+        """Return angular velocity per unit of dof i, and p -> velocity of the point p (world)."""
         if i not in self._columns:
             pose, S = self._motion.pose(i), self._axes[i]
             self._columns[i] = pose.R @ S.ang, pose.R @ S.lin, pose.p
@@ -194,8 +193,7 @@ class GoalErrors:
         return spin, lambda p: spin.cross(p - origin) + slide
 
     def size(self, turns: bool) -> Lane:
-        """Return the squared norm of the largest rotation error (turns) or of the largest position
-        error."""
+        """Return the square of the largest rotation error (turns) or position error."""
         out: Lane = 0.0
         for turning, start, stop in self.groups:
             if turning == turns:

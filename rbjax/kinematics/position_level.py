@@ -56,8 +56,7 @@ class InverseKinematics(Record):
     position_error: largest position error of any goal, m.
     success: true if both errors are within the tolerance.
     iterations: total number of iterations of all starts.
-    start: index of the start that converged; 0 is the argument `start`. With side_by_side searches,
-    the first starts of all searches have the lowest indices.
+    start: index of the start that converged; 0 is the argument `start`.
     """
 
     q: jax.Array
@@ -275,8 +274,7 @@ _program = compiled(_inlined, static_argnames=("searches", "how"))
 
 
 def _best(found: Found, weights: Any) -> Found:
-    """Return the parallel search that converged in the fewest steps, or the one with the least
-    error."""
+    """Return the search that converged in the fewest steps, or the one with the least error."""
     side = found.converged.shape[0]
     off = jnp.hypot(weights[0] * found.rotation, weights[1] * found.position)
     last = jnp.where(jnp.isfinite(off), off, jnp.inf)
@@ -303,11 +301,8 @@ def _middle(model: Model, dtype: Any) -> jax.Array:
 
 
 def _stationarity_conditions(model: Model, goals: Any, posture: Any, q: jax.Array) -> Any:
-    """Return the residuals that are zero at a solution q: e, or with a posture (e, p - q, J).
-
-    With a posture the condition is (p - q) - J^T y = 0; the multipliers y are not part of the
-    result.
-    """
+    """Return the residuals that are zero at a solution q: e, or with a posture (e, p - q, J). With
+    a posture the condition is (p - q) - J^T y = 0; the multipliers y are not part of the result."""
     e, J = errors(model, goals, q)
     if posture is None:
         return e

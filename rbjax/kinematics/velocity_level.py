@@ -65,8 +65,7 @@ def differential_inverse_kinematics(
     rest: Any = None,
     damping: Any = 1e-6,
 ) -> DifferentialInverseKinematics:
-    """Compute the velocity (nv,) that moves frames towards their goals, within speeds and joint
-    ranges.
+    """Compute the velocity (nv,) that moves frames towards goals, within speeds and joint ranges.
 
         min |W (J v - rate e)|^2 + damping |v - rest|^2,   l <= v <= u
 
@@ -164,10 +163,8 @@ def bounded_quadratic(
     H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Solve min x^T H x / 2 - g^T x, low <= x <= high, for positive definite H, by an active set.
-
     Returns x and the largest entry of the projected gradient at x. Unlike the projected Newton
-    steps of `box_qp`, the active set also converges for ill-conditioned H.
-    """
+    steps of `box_qp`, the active set also converges for ill-conditioned H."""
     n, dtype = g.shape[0], g.dtype
     program = jax.lax.stop_gradient((H, g, low, high))
     size = jnp.abs(program[1]).max() + jnp.abs(program[0]).max()

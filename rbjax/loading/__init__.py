@@ -1,4 +1,4 @@
-"""Robot files: read MJCF and URDF, write MJCF or a user's own file; bundled scenes."""
+"""Robot files: load MJCF and URDF, write MJCF, update a user's own file; bundled scenes."""
 
 from rbjax.loading.builder import ModelBuilder
 from rbjax.loading.loader import load

@@ -1,9 +1,9 @@
-"""A robot file at one configuration: positions of its joints and bodies, masses, extents of shapes.
+"""Geometry and masses of a robot file at one configuration: joints, bodies, extents of shapes.
 
-MuJoCo computes them at load time, in f64; nothing is traced. Vectors are in world axes. A joint
-carries the bodies behind it; the chain of a body is the joints between the world and it.
+MuJoCo computes them in f64 at load time, so they are not traced. Vectors are in world axes. A joint
+carries the bodies of its subtree. The chain of a body is the joints between the world and the body.
 
-The extent of a convex shape across an axle is its support h(d) = max over its points of d . x:
+The extent of a convex shape in the direction d is its support h(d) = max over its points of d . x:
 
     sphere, capsule     h = r |d|  (+ l |d_z|)         cylinder    h = r |(d_x, d_y)| + l |d_z|
     ellipsoid           h = |s d|                      box         h = s . |d|
@@ -31,14 +31,14 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 @dataclass(frozen=True)
 class Composite:
-    """Several bodies as one: mass, com (3,), inertia (3, 3) about com."""
+    """Several bodies as one rigid body: mass, com (3,), inertia (3, 3) about com."""
 
     mass: float
     com: np.ndarray
     inertia: np.ndarray
 
     def about(self, axis: np.ndarray, point: np.ndarray) -> float:
-        """The moment of inertia about a line."""
+        """Compute the moment of inertia about a line through a point."""
         away = self.com - point
         away = away - (away @ axis) * axis
         return float(axis @ self.inertia @ axis + self.mass * away @ away)
@@ -48,8 +48,8 @@ class Composite:
 class FileActuator:
     """An actuator on hinges: tau_j = arm_j f,  f = gain u + b0 + b1 l + b2 l',  l' = sum arm_j v_j.
 
-    arms: joint -> arm.
-    odd: the reason for which it has no such law; empty if it has.
+    arms: moment arms by joint.
+    odd: reason why the actuator does not have this force law; empty if it has.
     """
 
     name: str
@@ -62,7 +62,7 @@ class FileActuator:
 
 @dataclass(frozen=True)
 class AtRest:
-    """A file at the configuration q (nq,) of its own compiled model."""
+    """A robot file at the configuration q (nq,) of its compiled MuJoCo model."""
 
     source: Any
     m: mujoco.MjModel
@@ -70,23 +70,23 @@ class AtRest:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """All joints; one without a name is called joint0, joint1, ... by its number."""
+        """The names of all joints; a joint without a name is called joint0, joint1, ..."""
         return names_of(self.m, _OBJ.mjOBJ_JOINT, self.m.njnt)
 
     def kind(self, j: int) -> str:
-        """free, ball, slide or hinge."""
+        """Return the type of a joint: free, ball, slide or hinge."""
         return mujoco.mjtJoint(int(self.m.jnt_type[j])).name[6:].lower()
 
     def anchor(self, j: int) -> np.ndarray:
-        """A point of the axis of a joint."""
+        """Return a point on the axis of a joint."""
         return self.d.xanchor[j].copy()
 
     def axis(self, j: int) -> np.ndarray:
-        """The direction of the axis of a joint."""
+        """Return the direction of the axis of a joint."""
         return self.d.xaxis[j].copy()
 
     def chain(self, body: int) -> tuple[int, ...]:
-        """The joints between the world and a body, first to last."""
+        """List the joints between the world and a body, from the world on."""
         up: list[int] = []
         while body:
             first, count = int(self.m.body_jntadr[body]), int(self.m.body_jntnum[body])
@@ -95,27 +95,27 @@ class AtRest:
         return tuple(reversed(up))
 
     def above(self, j: int) -> tuple[int, ...]:
-        """The joints between the world and a joint."""
+        """List the joints between the world and a joint."""
         chain = self.chain(int(self.m.jnt_bodyid[j]))
         return chain[: chain.index(j)]
 
     def behind(self, j: int) -> tuple[int, ...]:
-        """The bodies that a joint carries."""
+        """List the bodies that a joint carries."""
         return tuple(b for b in range(1, self.m.nbody) if j in self.chain(b))
 
     def root(self, j: int) -> int:
-        """The body on the world from which a joint hangs."""
+        """Return the child of the world whose tree contains a joint."""
         return int(self.m.body_rootid[self.m.jnt_bodyid[j]])
 
     def tree(self, root: int) -> tuple[int, ...]:
-        """All bodies that hang from a body on the world, with it."""
+        """List all bodies of the tree of a root body, including the root."""
         return tuple(int(b) for b in np.flatnonzero(self.m.body_rootid == root))
 
     def body_name(self, body: int) -> str:
         return self.m.body(body).name
 
     def composite(self, bodies: Iterable[int]) -> Composite:
-        """Several bodies as one rigid body."""
+        """Combine several bodies into one rigid body."""
         rows = list(bodies)
         mass = self.m.body_mass[rows]
         whole = float(mass.sum())
@@ -128,7 +128,8 @@ class AtRest:
         return Composite(whole, com, inertia)
 
     def frame(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """The origin and the rotation (3, 3) of a body, or of a site if no body has the name."""
+        """Return the origin and the rotation (3, 3) of a body, or of a site if no body has the
+        name."""
         bodies = names_of(self.m, _OBJ.mjOBJ_BODY, self.m.nbody)[1:]
         sites = names_of(self.m, _OBJ.mjOBJ_SITE, self.m.nsite)
         if name in bodies:
@@ -145,18 +146,18 @@ class AtRest:
         return np.zeros(3) if off else self.m.opt.gravity.copy()
 
     def armature(self, j: int) -> float:
-        """The armature of a hinge, with that of its actuators."""
+        """Return the armature of a hinge, including its actuators' armature."""
         at = self.m.jnt_dofadr[j]
         return float(self.m.dof_armature[at] + reflected(self.m)[0][at])
 
     def damping(self, j: int) -> float:
-        """The damping of a hinge in N m s/rad, with that of its actuators."""
+        """Return the damping of a hinge in N m s/rad, including its actuators' damping."""
         at = self.m.jnt_dofadr[j]
         off = self.m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
         return 0.0 if off else float(self.m.dof_damping[at] + reflected(self.m)[1][at])
 
     def resisting(self, j: int) -> tuple[str, ...]:
-        """The names of further forces that resist the motion of a hinge."""
+        """List the further passive forces of a hinge: friction loss, spring, nonlinear damping."""
         at = self.m.jnt_dofadr[j]
         found = {
             "friction loss": self.m.dof_frictionloss[at],
@@ -166,9 +167,10 @@ class AtRest:
         return tuple(name for name, x in found.items() if x > 0)
 
     def round_shapes(self, joints: Sequence[int]) -> list[Round | None]:
-        """The extents about each joint's axis of the shapes that the joint carries, or None.
+        """Compute the extents about each joint's axis of the shapes that the joint carries; None
+        without shapes.
 
-        The links of a URDF are compiled with their shapes for this.
+        A URDF is compiled again with the shapes of these links.
         """
         carried = [self.behind(j) for j in joints]
         m, names = self.m, {self.body_name(b) for bodies in carried for b in bodies}
@@ -185,20 +187,22 @@ class AtRest:
         return out
 
     def actuators(self) -> tuple[FileActuator, ...]:
-        """The actuators of joints of one coordinate."""
+        """List the enabled actuators of hinges and slides."""
         found = (_actuator(self.m, i) for i in range(self.m.nactuator) if not is_off(self.m, i))
         return tuple(x for x in found if x.arms)
 
 
 def at_rest(source: Any, q: Any = None) -> AtRest:
-    """A file, at its reference configuration or at q.
+    """Compute the geometry and masses of a file at its reference configuration or at q.
 
     Args:
         source: as for `rbjax.load`; a URDF gets a floating base.
-        q: None, the name of a keyframe, values by names of hinges and slides, or (nq,).
+        q: None for the reference, the name of a keyframe, a mapping from hinges and slides to
+            values, or an array (nq,).
 
     Raises:
-        ModelError: the source cannot be read. UnknownName, InputError: q is none of these.
+        ModelError: the source cannot be read.
+        UnknownName, InputError: q is not valid.
     """
     m = compile_model(source, floating_base=None)
     d = data_of(m)
@@ -260,14 +264,14 @@ def _actuator(m: mujoco.MjModel, i: int) -> FileActuator:
     return FileActuator(name, arms, gain, bias, (float(low), float(high)), odd)
 
 
-#: directions across the axle in which a shape is measured that is not round about it
+#: number of directions across the axle in which a shape that is not round about it is measured
 DIRECTIONS = 360
-#: shapes that reach this much of the farthest make the rim
+#: part of the largest radius that a shape must reach to belong to the rim
 RIM = 1.0 - 1e-6
 
-#: vertices of a mesh that reach this much of the farthest are its rim, without hub and spokes
+#: part of the largest radius that a vertex of a mesh must reach to belong to its rim
 TREAD = 0.99
-#: the sine of an angle up to which a cylinder lies along the axle: that of a file with pi/2 = 1.57
+#: sine of the angle up to which a cylinder is aligned with the axle (a file may have pi/2 = 1.57)
 ALIGNED = 1e-3
 
 _GEOM = mujoco.mjtGeom
@@ -278,8 +282,8 @@ Frame = tuple[np.ndarray, np.ndarray]
 class Round(NamedTuple):
     """The extent of shapes about an axle.
 
-    radius: m, the distance of the farthest point from the axle.
-    centre: (3,), on the axle, the middle of the shapes that reach that far.
+    radius: m, distance of the farthest point from the axle.
+    centre: (3,) m, on the axle, midpoint of the shapes on the rim.
     """
 
     radius: float
@@ -289,9 +293,9 @@ class Round(NamedTuple):
 def round_shape(
     m: mujoco.MjModel, frames: Mapping[int, Frame], anchor: np.ndarray, axis: np.ndarray
 ) -> Round | None:
-    """The extents about an axis of the shapes of bodies whose frames are given.
+    """Compute the extent of bodies' shapes about an axis, at given frames of the bodies.
 
-    Shapes that touch others count; if there are none, the visual ones count.
+    Collision shapes are used; if there are none, the visual shapes.
     """
     own = [g for g in range(m.ngeom) if int(m.geom_bodyid[g]) in frames]
     touching = [g for g in own if m.geom_contype[g] or m.geom_conaffinity[g]]
@@ -308,8 +312,8 @@ def round_shape(
 def _extents(
     m: mujoco.MjModel, g: int, frame: Frame, anchor: np.ndarray, axis: np.ndarray
 ) -> tuple[float, float, float] | None:
-    """The distance of the farthest point from the axis, and both ends along it; of a mesh, those of
-    its rim."""
+    """Compute the distance of the farthest point of a geom from the axis, and both ends of the geom
+    along the axis; for a mesh the ends of its rim. Return None for a plane or a height field."""
     origin, turn = frame
     place = origin + turn @ m.geom_pos[g]
     own = np.empty(9)
@@ -336,7 +340,7 @@ def _extents(
 
 
 def _directions(axis: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """Unit vectors across an axis, the first towards a shape that is off it."""
+    """Return unit vectors across an axis, the first towards the off-axis shape."""
     first = away - (away @ axis) * axis
     if np.linalg.norm(first) < 1e-12:
         first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
@@ -346,7 +350,8 @@ def _directions(axis: np.ndarray, away: np.ndarray) -> np.ndarray:
 
 
 def _support(kind: int, size: np.ndarray, d: np.ndarray) -> np.ndarray | None:
-    """h in unit directions (n, 3) of the shape's own axes; None of planes and height fields."""
+    """Compute the support h in unit directions (n, 3) in the shape's axes; None for planes and
+    height fields."""
     if kind == int(_GEOM.mjGEOM_SPHERE):
         return np.full(len(d), size[0])
     if kind == int(_GEOM.mjGEOM_CAPSULE):

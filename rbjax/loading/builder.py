@@ -1,4 +1,4 @@
-"""Robots built by calls: bodies, joints, shapes, sites, motors, and other robots attached to them.
+"""`ModelBuilder`: robots built by calls, from bodies, joints, shapes, sites, motors and robots.
 
 The robot is a `mujoco.MjSpec`, which `build` loads.
 """
@@ -32,8 +32,9 @@ class ModelBuilder:
     given body, or of the world if it is None.
 
     Args:
-        source: a robot to begin with, of any kind that `attach` takes; None for an empty world.
-        gravity: (3,) m/s^2. timestep: s. None keeps those of the source.
+        source: initial robot, of any type that `attach` accepts; None for an empty world.
+        gravity: (3,) m/s^2; None for the gravity of the source.
+        timestep: s; None for the timestep of the source.
 
     Example:
         >>> import rbjax as rb
@@ -64,11 +65,12 @@ class ModelBuilder:
         """Add a body, welded to its parent until it has joints.
 
         Args:
-            name: of the body.
-            parent: a body; None for the world.
-            position: (3,) m. orientation: (4,).
-            mass: kg; None takes mass and inertia from the body's geoms.
-            com: (3,) m.
+            name: name of the body.
+            parent: parent body; None for the world.
+            position: (3,) m.
+            orientation: (4,) quaternion.
+            mass: kg; None computes mass and inertia from the body's geoms.
+            com: (3,) m, center of mass.
             inertia: kg m^2 about the com in the body's axes: (3,) diagonal, or (3, 3).
         """
         where = "ModelBuilder.add_body"
@@ -87,16 +89,16 @@ class ModelBuilder:
         self, name: str, body: str, kind: str = "hinge", *, axis: Any = (0, 0, 1),
         position: Any = (0, 0, 0), range: Any = None, **numbers: float,
     ) -> None:  # fmt: skip
-        """Add a joint between a body and its parent, after those that the body has.
+        """Add a joint between a body and its parent, after the existing joints of the body.
 
         Args:
-            name: of the joint.
-            body: the body that it moves.
+            name: name of the joint.
+            body: child body of the joint.
             kind: "hinge", "slide", "ball" or "free".
-            axis: (3,) of a hinge or slide, in the body's frame.
+            axis: (3,) axis of a hinge or slide, in the body's frame.
             position: (3,) m, the anchor in the body's frame.
-            range: (2,) rad or m, least and largest coordinate.
-            numbers: damping, stiffness, springref, armature, frictionloss, ref, in MuJoCo's words.
+            range: (2,) rad or m, smallest and largest coordinate.
+            numbers: MuJoCo's attributes damping, stiffness, springref, armature, frictionloss, ref.
         """
         choice("kind of joint", kind, _JOINTS)
         given: dict[str, Any] = {"name": name, "type": _JOINTS[kind]}
@@ -123,12 +125,13 @@ class ModelBuilder:
         """Add a shape to a body.
 
         Args:
-            name: of the geom.
+            name: name of the geom.
             body: None for the world.
             kind: "sphere", "capsule", "ellipsoid", "cylinder", "box" or "plane".
-            size: one to three numbers in m, as `model.geoms.size` has them.
-            position: (3,) m. orientation: (4,).
-            numbers: MuJoCo's, such as friction, density, mass, contype, conaffinity, rgba.
+            size: one to three numbers in m, as in `model.geoms.size`.
+            position: (3,) m.
+            orientation: (4,) quaternion.
+            numbers: MuJoCo's attributes, such as friction, density, mass, contype, rgba.
         """
         choice("kind of geom", kind, _GEOMS)
         sizes = np.zeros(3)
@@ -141,12 +144,12 @@ class ModelBuilder:
         self, name: str, body: str | None, *, position: Any = (0, 0, 0),
         orientation: Any = (1, 0, 0, 0),
     ) -> None:  # fmt: skip
-        """Add a frame to a body. position: (3,) m. orientation: (4,)."""
+        """Add a site (a frame) to a body, at position (3,) m with orientation (4,)."""
         pose = _pose("ModelBuilder.add_site", position, orientation)
         self._body(body).add_site(name=name, **pose)
 
     def add_motor(self, name: str, joint: str, *, gear: float = 1.0, ctrlrange: Any = None) -> None:
-        """Add a motor to a joint: gear times its control, in N m or N."""
+        """Add a motor to a joint with the force gear times control, in N m or N."""
         self._joint(joint)
         given: dict[str, Any] = {} if ctrlrange is None else {"ctrlrange": ctrlrange}
         self.spec.add_actuator(
@@ -161,11 +164,12 @@ class ModelBuilder:
         """Attach another robot to a body, with its joints, actuators, sites and shapes.
 
         Args:
-            source: a source of `load`, a `Model`, or another builder. A model and a URDF come
-                without shapes, every robot without its floor.
-            parent: a body; None for the world.
-            prefix: for all names of the robot. Names must differ from those that are here.
-            position: (3,) m. orientation: (4,).
+            source: a source of `load`, a `Model`, or another builder. Models and URDFs are attached
+                without shapes, and every robot without its floor.
+            parent: parent body; None for the world.
+            prefix: prefix of all names of the robot, which must differ from the existing names.
+            position: (3,) m.
+            orientation: (4,) quaternion.
         """
         pose = _pose("ModelBuilder.attach", position, orientation)
         other = _spec(source)
@@ -177,10 +181,10 @@ class ModelBuilder:
         self._forget_keyframes()
 
     def lock(self, joint: str, q: Any = None) -> None:
-        """Remove a joint, at the coordinates q; None for those in which the robot is drawn.
+        """Remove a joint, at the coordinates q; None for the reference configuration.
 
-        Its actuators, equalities and sensors go too, and the keyframes of the robot. A robot with
-        a tendon over the joint cannot be built any more.
+        The joint's actuators, equalities and sensors and the robot's keyframes are removed too. A
+        robot with a tendon over the joint cannot be built after that.
         """
         own = self._joint(joint)
         body, kind = own.parent, mujoco.mjtJoint(own.type).name[6:].lower()
@@ -196,7 +200,7 @@ class ModelBuilder:
         self._forget_keyframes()
 
     def build(self, **options: Any) -> Model:
-        """Load the model. options: those of `load`."""
+        """Load the model, with the options of `load`."""
         return load(self.spec.copy(), **options)
 
     def _forget_keyframes(self) -> None:
@@ -219,7 +223,7 @@ class ModelBuilder:
 
 
 def _spec(source: Any) -> mujoco.MjSpec:
-    """A new spec of a source of `ModelBuilder.attach`."""
+    """Make a new spec from a source of `ModelBuilder.attach`."""
     if isinstance(source, ModelBuilder):
         return source.spec.copy()
     if isinstance(source, Model):
@@ -229,7 +233,7 @@ def _spec(source: Any) -> mujoco.MjSpec:
 
 
 def _vector(where: str, name: str, value: Any, size: int) -> np.ndarray:
-    """Numbers (size,)."""
+    """Convert a value to an array (size,) of finite numbers, or raise InputError."""
     found = real_array(where, name, value, f"({size},) numbers", ndim=1)
     if found.size != size:
         raise InputError(f"{where}: {name} has {found.size} numbers, expected {size}")
@@ -242,8 +246,8 @@ def _pose(where: str, position: Any, orientation: Any) -> dict[str, np.ndarray]:
 
 
 def _move(body: Any, joint: Any, kind: str, q: np.ndarray) -> None:
-    """Move a body as a joint at q would. Joints before it, whose axes are in the body's frame, keep
-    their place in the parent's."""
+    """Move a body by a joint at q. Keep the axes of its earlier joints, given in the body's frame,
+    unchanged in the parent's frame."""
     turn, identity = np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
     shift = np.zeros(3)
     if kind in ("ball", "free"):

@@ -1,6 +1,6 @@
-"""Checks of a compiled model: numbers that are not finite, joints that move no mass.
+"""Checks of a compiled model: values that are not finite, and joints that move no mass.
 
-MuJoCo compiles both. If the motions of two joints cancel, M is singular and M a = tau has no unique
+MuJoCo accepts both. If the motions of two joints cancel, M is singular and M a = tau has no unique
 solution.
 """
 
@@ -17,12 +17,12 @@ from rbjax.errors import ModelError
 from rbjax.loading.mjcf.fields import reflected
 from rbjax.model.record import Record
 
-#: leaves in which an infinite number means no limit
+#: leaves in which an infinite value means no limit
 _LIMITS = ("range", "limits", "windup", "slew", "drive", "current_rate", "strongest")
 
 
 def check_finite(record: Record) -> None:
-    """Raise if a number of a force element is not finite."""
+    """Raise if a parameter of a force element is not finite."""
     for at, leaf in jax.tree_util.tree_leaves_with_path(record):
         name, values = jax.tree_util.keystr(at).lstrip("."), np.asarray(leaf)
         bad = np.isnan(values) if name.endswith(_LIMITS) else ~np.isfinite(values)
@@ -70,9 +70,9 @@ def check_finite_fields(m: mujoco.MjModel) -> None:
         raise ModelError(f"gravity is {m.opt.gravity}, which is not finite; correct the file")
 
 
-#: part of the largest below which an eigenvalue of M is rounding, for each velocity
+#: ratio of eigenvalues of M to the largest one below which they are rounding, per dof
 _SINGULAR = 1e-15
-_SMALL = 300  # velocities up to which eigenvalues take no time
+_SMALL = 300  # number of dofs up to which the eigenvalues are cheap
 
 
 def data_of(m: mujoco.MjModel) -> mujoco.MjData:
@@ -88,7 +88,7 @@ def data_of(m: mujoco.MjModel) -> mujoco.MjData:
 
 
 def mass_matrix(m: mujoco.MjModel) -> np.ndarray:
-    """M (nv, nv) at a generic pose."""
+    """Compute the mass matrix M (nv, nv) at a generic configuration."""
     data = data_of(m)
     mujoco.mj_integratePos(m, data.qpos, np.cos(np.arange(1.0, m.nv + 1)), 1.0)
     m = copy.copy(m)  # do not write into the caller's model
@@ -104,8 +104,8 @@ def mass_matrix(m: mujoco.MjModel) -> np.ndarray:
 
 
 def joints_that_cancel(m: mujoco.MjModel, M: np.ndarray | None = None) -> list[str]:
-    """The names of joints whose motions cancel, so that M is singular at a generic pose. A large
-    model is not examined."""
+    """List the joints whose motions cancel, so that M is singular at a generic configuration.
+    Return none for a large model, which is not checked."""
     if not 0 < m.nv <= _SMALL:
         return []
     M = mass_matrix(m) if M is None else M

@@ -1,4 +1,4 @@
-"""From a robot file to a `Model`, through MuJoCo's compiler; motors for files without actuators.
+"""`load`: a robot file as a `Model`, through MuJoCo's compiler; motors for files without actuators.
 
 `model.dropped` lists the features of the compiled model that rbjax does not support.
 """
@@ -62,30 +62,30 @@ def load(
     constraints: bool = True,
     compliant: bool = False,
 ) -> Model:
-    """A `Model` from an MJCF or URDF file.
+    """Load a `Model` from an MJCF or URDF file.
 
     Args:
         source: a path, an XML string, `mujoco.MjSpec`, `mujoco.MjModel`, or a bundled scene's name.
         floating_base: whether a URDF's root link gets a free joint, so that its mass has an effect.
             False and None fix it to the world; None warns if it has a mass.
-        strict: raise, instead of warning, if the model leaves out features of the file, or if
-            damping, stiffness, armature or friction is negative.
-        limits: hold joints within their ranges by compliant stops (`rbjax.forces.JointLimits`).
-        motors: add a motor of gear 1, named as the joint, to each hinge and slide without a motor.
-        friction: take the file's friction loss of joints as `rbjax.forces.JointFriction`.
-        constraints: take the file's connects, welds, joint equalities and mimics as rigid
-            constraints (`model.constraints`).
-        compliant: let the file's equalities yield as its solref and solimp say, by MuJoCo's law
+        strict: raise, instead of warning, if features of the file are not supported, or if damping,
+            stiffness, armature or friction is negative.
+        limits: add compliant stops at the joint limits (`rbjax.forces.JointLimits`).
+        friction: load the friction loss of joints as `rbjax.forces.JointFriction`.
+        motors: add a motor of gear 1, with the joint's name, to each hinge and slide without one.
+        constraints: load connects, welds, joint equalities and mimics as rigid constraints
+            (`model.constraints`).
+        compliant: make the equalities compliant by MuJoCo's solref and solimp
             (`rbjax.constraints.Soft`); mimics stay rigid.
 
     Returns:
-        The model; `model.dropped` lists the features that were left out. A URDF's inertials are the
-        file's own; a warning names links whose inertial no rigid body can have, and joints whose
-        motions cancel. A URDF's link 'world' that is not the ground becomes 'world_link'.
+        The model. `model.dropped` lists the unsupported features. The inertials of a URDF are not
+        changed; a warning lists the links with physically impossible inertials, and the joints
+        whose motions cancel. A URDF link 'world' that is not the ground is renamed 'world_link'.
 
     Raises:
         ModelError: the source cannot be read; the message names the file, the cause and the fix.
-        UnsupportedFeature: with `strict=True`, the list of features that would be left out.
+        UnsupportedFeature: with `strict=True`, the list of unsupported features.
 
     Example:
         >>> import rbjax as rb
@@ -111,7 +111,7 @@ def load(
         )
     taken = {"limits": limits, "friction": friction, "constraints": constraints}
     dropped = features.dropped_features(compiled, **taken) + features.unread_features(compiled)
-    if any(x.startswith(features.COLLISION) for x in lost):  # of a URDF, which names the links
+    if any(x.startswith(features.COLLISION) for x in lost):  # from a URDF, with the link names
         dropped = tuple(x for x in dropped if not x.startswith(features.CONTACTS))
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
@@ -124,7 +124,7 @@ def load(
         raise UnsupportedFeature(f"{'. '.join(texts)}. Load with strict=False to get a warning.")
     for text in texts:
         warnings.warn(text, stacklevel=2)
-    with jax.ensure_compile_time_eval():  # within jit too, numbers of a file are constants
+    with jax.ensure_compile_time_eval():  # numbers of a file are constants in jit too
         model = from_compiled(compiled, dropped, **taken, compliant=compliant)
     if constraints:
         model = model.with_constraints(*mimics.couplings)
@@ -148,7 +148,7 @@ def from_compiled(
     constraints: bool = True,
     compliant: bool = False,
 ) -> Model:
-    """The `Model` of a compiled MuJoCo model."""
+    """Convert a compiled MuJoCo model to a `Model`."""
     check_finite_fields(m)
 
     def array(x):
@@ -231,7 +231,7 @@ def _keyframes(m: mujoco.MjModel, array) -> Keyframes:
 
 
 def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
-    """All geoms, in the file's order. array: makes a leaf of a model."""
+    """Read all geoms, in the file's order. array: function that makes a leaf of a model."""
 
     def static(x: np.ndarray) -> tuple:
         return tuple(x.tolist())
@@ -263,11 +263,11 @@ _UNLIMITED = np.array([-np.inf, np.inf])
 
 
 def with_motors(model: Model) -> Model:
-    """The model with a motor of gear 1 on each hinge and slide that no actuator drives and that
-    follows no other joint.
+    """Add a motor of gear 1 to each hinge and slide without an actuator that is not coupled to
+    another joint.
 
-    A motor has its joint's name, followed by "_motor" if an actuator has that name. Its control is
-    a torque in N m or a force in N. The joint's force range (a URDF's effort) limits it.
+    A motor has its joint's name, with "_motor" appended if an actuator has that name. Its control
+    is a torque in N m or a force in N, limited by the joint's force range (a URDF's effort).
     """
     top, keys = model.topology, model.keyframes
     taken = _driven(model) | _followers(model)
@@ -299,8 +299,8 @@ def _motor(joint: int, control: int) -> Actuator:
 
 
 def _driven(model: Model) -> set[int]:
-    """The joints that an actuator drives by a joint or tendon transmission. A wrench at a site does
-    not count as a motor of the joints that carry the site."""
+    """Return the joints that an actuator drives by a joint or tendon transmission. A wrench at a
+    site does not count."""
     transmissions = [x.transmission for x in elements(model) if isinstance(x, Actuator)]
     now = Context.of(model, 0.0, model.default_state(), None)
     dofs = {
@@ -310,6 +310,6 @@ def _driven(model: Model) -> set[int]:
 
 
 def _followers(model: Model) -> set[int]:
-    """The joints that a mimic or a joint equality couples to another joint, or holds."""
+    """Return the joints that a mimic or a joint equality couples to another joint, or fixes."""
     couplings = [c for c in model.constraints if isinstance(c, JointPolynomial)]
     return {model.joint(c.joint) for c in couplings}

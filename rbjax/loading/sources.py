@@ -1,4 +1,4 @@
-"""Robot files compiled by MuJoCo: reading, error messages with their fix, missing mesh files.
+"""Robot files compiled by MuJoCo: reading, error messages with a fix, missing mesh files.
 
 A missing mesh is ignored if it is only visual. It is an error if a mass is computed from it.
 """
@@ -20,12 +20,12 @@ from rbjax.loading.urdf.inertials import write_inertials
 from rbjax.loading.urdf.reader import Mimics, read_urdf
 from rbjax.loading.urdf.tree import is_urdf
 
-_LONG = 300  # characters of a path that a message shows
+_LONG = 300  # largest number of characters of a path in a message
 _SCENES = Path(__file__).parent / "scenes"
 
 
 def scenes() -> tuple[str, ...]:
-    """The names of the bundled scenes, for `load`.
+    """List the names of the bundled scenes, for `load`.
 
     Example:
         >>> import rbjax as rb
@@ -38,9 +38,10 @@ def scenes() -> tuple[str, ...]:
 def compile_model(
     source: Any, *, floating_base: bool | None = False, shapes: Collection[str] = ()
 ) -> mujoco.MjModel:
-    """Compile the `mujoco.MjModel` of any source that `load` takes.
+    """Compile the `mujoco.MjModel` of any source that `load` accepts.
 
-    floating_base None: a URDF floats, MJCF is as it is. shapes: links of a URDF that keep theirs.
+    floating_base: None lets a URDF float, and does not change MJCF.
+    shapes: links of a URDF whose shapes are compiled.
     """
     return compile_source(source, floating_base=floating_base, shapes=shapes)[0]
 
@@ -48,8 +49,11 @@ def compile_model(
 def compile_source(
     source: Any, *, floating_base: bool | None, shapes: Collection[str] | None = ()
 ) -> tuple[mujoco.MjModel, str, Mimics, tuple[str, ...]]:
-    """Compile a source. Of a URDF also return a text about impossible inertials, its mimic joints,
-    and its entries of `Model.dropped`. shapes None: the shapes of a URDF other than meshes."""
+    """Compile a source; return the model, and for a URDF a text about impossible inertials, the
+    mimic joints, and the entries of `Model.dropped`.
+
+    shapes: links of a URDF whose shapes are compiled; None for all shapes except meshes.
+    """
     if isinstance(source, mujoco.MjModel):
         return source, "", Mimics(), ()
     name, spec = describe(source), spec_of(source)
@@ -68,7 +72,7 @@ def compile_source(
 
 
 def spec_of(source: Any) -> mujoco.MjSpec | None:
-    """The spec of an MJCF source; None for a URDF."""
+    """Parse the spec of an MJCF source; return None for a URDF."""
     if isinstance(source, mujoco.MjSpec):
         return source
     if not isinstance(source, (str, Path)):
@@ -88,7 +92,7 @@ def spec_of(source: Any) -> mujoco.MjSpec | None:
 
 
 def read_text(source: str | Path) -> tuple[str, Path | None]:
-    """Read the text of a source, and its path if it has one."""
+    """Return the text of a source, and its path if it has one."""
     if isinstance(source, str):
         if source.lstrip().startswith("<"):
             return source, None
@@ -99,7 +103,7 @@ def read_text(source: str | Path) -> tuple[str, Path | None]:
         if isinstance(source, str) and path.suffix == "":
             raise UnknownName("scene", describe(source), scenes())
         raise ModelError(f"{describe(path)}: no such file; give an existing MJCF or URDF path")
-    if not path.is_file():  # reading a device or a pipe may never end
+    if not path.is_file():  # reading a device or a pipe may not end
         raise ModelError(f"{path}: not a regular file; give an MJCF or URDF file")
     try:
         raw = path.read_bytes()
@@ -114,7 +118,7 @@ def read_text(source: str | Path) -> tuple[str, Path | None]:
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except (OSError, ValueError):  # a name too long, or with a zero in it
+    except (OSError, ValueError):  # a name that is too long, or contains a zero byte
         return False
 
 
@@ -128,7 +132,7 @@ def describe(source: Any) -> str:
 
 
 def _compile(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
-    """Compile a spec without missing visual meshes; the spec is not changed."""
+    """Compile a copy of a spec without missing visual meshes."""
     while True:
         try:
             return spec.compile()
@@ -141,10 +145,11 @@ def _compile(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
 
 
 def _without_missing_mesh(spec: mujoco.MjSpec, message: str) -> mujoco.MjSpec | None:
-    """Copy a spec without the mesh, and its geoms, whose file MuJoCo cannot open, by its message.
+    """Copy a spec without the mesh, and its geoms, whose file MuJoCo cannot open.
 
-    Only MuJoCo has all its search paths: the file's folder, `meshdir`, `strippath`, attached
-    models, files in memory. None if the message is not about a mesh.
+    The mesh is read from MuJoCo's error message, because only MuJoCo has all its search paths: the
+    file's folder, `meshdir`, `strippath`, attached models, files in memory. Return None if the
+    message is not about a mesh.
     """
     found = re.search(r"Error opening file '(.*)'", message)
     if found is None:
@@ -170,7 +175,7 @@ def _without_missing_mesh(spec: mujoco.MjSpec, message: str) -> mujoco.MjSpec | 
 
 
 def _mesh_path(spec: mujoco.MjSpec, mesh: mujoco._specs.MjsMesh) -> str:
-    """The path of a mesh as in MuJoCo's messages."""
+    """Return the path of a mesh as in MuJoCo's messages."""
     file = mesh.file.replace("\\", "/")
     return _normal(
         posixpath.join(mesh.compiler.meshdir, posixpath.basename(file) if spec.strippath else file)
@@ -182,7 +187,7 @@ def _normal(path: str) -> str:
 
 
 def _gives_mass(geom: mujoco._specs.MjsGeom) -> bool:
-    """Whether MuJoCo computes mass from a geom."""
+    """Check whether MuJoCo computes mass from a geom."""
     body, rule = geom.parent, mujoco.mjtInertiaFromGeom
     compiler = body.compiler
     lowest, highest = compiler.inertiagrouprange
@@ -194,6 +199,6 @@ def _gives_mass(geom: mujoco._specs.MjsGeom) -> bool:
 
 
 def _unless_overruled(body: mujoco._specs.MjsBody) -> str:
-    """The further fix if the file lets MuJoCo ignore an <inertial>."""
+    """Return a further fix for the message if the file lets MuJoCo ignore an <inertial>."""
     overruled = body.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     return " and <compiler inertiafromgeom='auto'/>, which lets it count" if overruled else ""

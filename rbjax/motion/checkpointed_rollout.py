@@ -1,10 +1,10 @@
-"""Fixed steps of one sample as one program of a thread, with a reverse gradient of bounded memory.
+"""Rollout of one sample as one thread program, with a reverse gradient of bounded memory.
 
-The forward program keeps the state before every k-th step. The reverse program takes the k steps
-from each kept state again, holds their states in the thread's own memory, and transposes them from
-the last to the first. A sample keeps steps / k states, and holds k more at a time. If memory
-allows, each step is kept with its residuals for the vjp: the acceleration and the factors of the
-mass matrix, which `forward_dynamics` names; the vjp computes everything else again.
+The forward program stores a checkpoint, the state before every k-th step. The reverse program
+computes the k steps from each checkpoint again, keeps their states in the thread's own memory, and
+transposes them from the last to the first. A sample stores steps / k checkpoints and k states. If
+memory allows, each step is stored with its residuals for the vjp: the acceleration and the factors
+of the mass matrix, which `forward_dynamics` names. The vjp computes all other values again.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from rbjax.dynamics.algorithms.aba import LEFT
 
 Arrays = tuple[jax.Array, ...]
 
-#: bytes of its own memory in which a thread holds the residuals of repeated steps
+#: bytes of its own memory that a thread may use for the residuals of recomputed steps
 HELD_UP_TO = 16 * 1024
 
 
 @dataclass(frozen=True)
 class CheckpointedRollout:
-    """A program of steps `step(i, *state, control, *others) -> state`.
+    """A loop of steps `step(i, *state, control, *others) -> state` as a program.
 
-    size: the number of arrays of the state.
+    size: number of arrays of the state.
     driven: whether the step has a control.
-    k: the number of steps from one kept state to the next, a divisor of save_every.
+    k: number of steps from one checkpoint to the next, a divisor of save_every.
     keep_residuals: whether the residuals of the steps are saved too; then k is 1.
     """
 
@@ -49,8 +49,9 @@ class CheckpointedRollout:
     keep_residuals: bool = False
 
     def program(self, plain: Program | None = None) -> Program:
-        """(*state, controls (steps, nu), *others) -> states (1 + steps / save_every, ...).
+        """Build the program (*state, controls (steps, nu), *others) -> states.
 
+        The states have the shape (1 + steps / save_every, ...).
         plain: the program without a derivative, if it has been traced.
         """
         avals: list[Any] = list(self.step.inputs[1:])
@@ -58,7 +59,7 @@ class CheckpointedRollout:
             u = avals[self.size]
             avals[self.size] = jax.ShapeDtypeStruct((self.steps, *u.shape), u.dtype)
         plain = plain or traced(lambda *args: self._forward(args)[0], *avals)
-        every = self.k == self.save_every  # every kept state is also a result
+        every = self.k == self.save_every  # every checkpoint is also a result
 
         @functools.cache
         def keeping(moving: Moving) -> Program:
@@ -81,7 +82,7 @@ class CheckpointedRollout:
         )
 
     def step_vjp(self, moving: Sequence[bool]) -> StepVjp:
-        """The vjp of the step with respect to the moving arguments of the rollout."""
+        """Return the vjp of the step by the differentiated (`moving`) arguments of the rollout."""
         first = self.size + self.driven
         own = (False, *[True] * self.size, *moving[self.size : first], *moving[first:])
         return StepVjp.of(self.step, own)
@@ -94,14 +95,14 @@ class CheckpointedRollout:
 
     @property
     def _turns(self) -> tuple[int, int, int]:
-        """The number of saved states, of kept states for each of them, of steps for each of
-        these."""
+        """Lengths of the three nested loops: saved states, checkpoints per saved state, steps per
+        checkpoint."""
         return self.steps // self.save_every, self.save_every // self.k, self.k
 
     def _forward(
         self, args: Sequence[Any], step_vjp: StepVjp | None = None
     ) -> tuple[list, list, list]:
-        """Saved states, checkpoints, and the residuals of the steps for `step_vjp`."""
+        """Run all steps; return saved states, checkpoints, and the residuals for `step_vjp`."""
         state, controls, others = self._parts(args)
         saved, kept, k = self._turns
 
@@ -126,17 +127,17 @@ class CheckpointedRollout:
         )
 
     def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: StepVjp | None) -> Any:
-        """The index and state of the next step, and the residuals of the step for `step_vjp`."""
+        """Advance the index and the state by a step; return the residuals for `step_vjp` too."""
         i, state = carry
         step = step_vjp.forward if step_vjp else self.step
-        new = run(step, [i, *state, *_given(u), *others])  # one equation, however long it is
+        new = run(step, [i, *state, *_given(u), *others])  # one equation for any length
         return (i + 1, tuple(new[: self.size])), tuple(new[self.size :])
 
     def _vjp(self, moving: Moving, args: Sequence[Any], kept: Any, bars: Any) -> list:
         state, controls, others = self._parts(args)
         saved, chunks, k = self._turns
         kept, left = list(kept[: self.size]), kept[self.size :]
-        if self.k == self.save_every:  # the results, without the last
+        if self.k == self.save_every:  # the checkpoints are the results without the last
             kept = [x[:-1] for x in kept]
         kept, left = (
             tuple(x.reshape(saved, chunks, *x.shape[1:]) for x in xs) for xs in (kept, left)
@@ -145,7 +146,7 @@ class CheckpointedRollout:
             jnp.zeros((saved + 1, *x.shape), x.dtype) if bar is None else bar
             for x, bar in zip(state, bars, strict=True)
         ]
-        first = self.size + self.driven  # of the others
+        first = self.size + self.driven  # index of the first of `others`
         which = [n for n in range(len(others)) if moving[first + n]]
         steered = self.driven and moving[self.size]
         step_vjp = self.step_vjp(moving)
@@ -203,8 +204,8 @@ def _given(u: Any) -> tuple:
 
 
 def checkpoint_interval(save_every: int, steps: int, bytes_each: int, budget: float) -> int:
-    """The smallest divisor k of save_every for which steps / k states fit into the budget;
-    save_every if none does.
+    """Return the smallest divisor k of save_every for which steps / k states fit into the budget;
+    save_every if none fits.
 
     >>> checkpoint_interval(100, 1000, 4, 4000), checkpoint_interval(100, 1000, 4, 500),
     checkpoint_interval(7, 7, 4, 1) (1, 10, 7)
@@ -216,25 +217,25 @@ def checkpoint_interval(save_every: int, steps: int, bytes_each: int, budget: fl
 
 
 class StepVjp:
-    """The vjp of a step with respect to some of its arguments, from saved residuals.
+    """The vjp of a step by some of its arguments, from saved residuals.
 
-    forward: the arguments -> the results, and the residuals as a vector.
+    forward: program from the arguments to the results and the vector of residuals.
     """
 
     def __init__(self, forward: Program, back: Callable):
-        """back(args, residuals, bars) -> the cotangents of the arguments."""
+        """back: function (args, residuals, bars) -> cotangents of the arguments."""
         self.forward, self._back = forward, back
 
     @classmethod
     def of(cls, step: Program, moving: tuple[bool, ...]) -> StepVjp:
-        """The vjp of a step, built once."""
+        """Build the vjp of a step, or return the cached one."""
         key = "step_vjp", moving
         vjps = (f(step, moving) for f in (_vjp_of_equations, _vjp_of_checkpoint))
         return step.memoize(key, lambda: cls(*next(x for x in vjps if x is not None)))
 
     @property
     def residuals(self) -> Any:
-        """The vector of residuals."""
+        """The abstract value of the vector of residuals."""
         return self.forward.outputs[-1]
 
     @property
@@ -242,12 +243,13 @@ class StepVjp:
         return self.residuals.size * self.residuals.dtype.itemsize
 
     def __call__(self, args: Sequence[Any], left: jax.Array, bars: Sequence[Any]) -> list[Any]:
-        """The cotangents of the arguments, from those of the results."""
+        """Compute the cotangents of the arguments from residuals and cotangents of the results."""
         return self._back(args, left, bars)
 
 
 def _vjp_of_equations(step: Program, moving: tuple[bool, ...]) -> tuple[Program, Callable] | None:
-    """The vjp of a step without loops: the named values are inputs of the transposed step."""
+    """Build the vjp of a step without loops, with the named values as residuals; None if the step
+    cannot be transposed as equations."""
     back = step.transposed_equations(moving, (True,) * len(step.outputs))
     if back is None:
         return None
@@ -281,7 +283,7 @@ def _vector(parts: Sequence[jax.Array], dtype: Any) -> jax.Array:
 
 
 def _vjp_of_checkpoint(step: Program, moving: Sequence[bool]) -> tuple[Program, Callable]:
-    """The vjp of any step: JAX keeps the named values of a checkpoint."""
+    """Build the vjp of any step by `jax.checkpoint`, which saves the named values."""
     trees: list[Any] = []
 
     def linearised(*args: Any) -> list[Any]:

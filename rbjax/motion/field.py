@@ -1,9 +1,9 @@
-"""The motion of a robot as a field: its forces, and the dynamics from forces to motion.
+"""The equations of motion of a robot as a vector field, with a choice of `Dynamics`.
 
     tau, f_ext, x' = elements(t, q, v, x, ctrl),   v' = dynamics(t, q, v, tau, f_ext),   q' = v
 A `Dynamics` maps applied forces to accelerations, `VelocityDynamics` to the velocity after a step.
-Both are functions with their own derivative rules; `step`, `rollout`, `simulate`, `linearise` and
-GPU threads take them. An integrator maps a field and a state to the state after a step.
+`step`, `rollout`, `simulate`, `linearise` and GPU threads accept any `Dynamics`, which may define
+its own derivative rules. An integrator maps a field and a state to the state after a step.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from rbjax.model import Model, State, without_constants
 
 
 class Dynamics(Protocol):
-    """A map from applied forces to accelerations (nv,), of one sample.
+    """A map from applied forces to accelerations (nv,), for one sample.
 
-    It is called with the model, the time, the `State`, generalized forces tau (nv,) and f_ext,
-    forces on links, in link axes at the links' origins. It must be differentiable in all of them.
+    Its arguments are the model, the time, the `State`, generalized forces tau (nv,) and the forces
+    f_ext on links, in link axes at the link origins. It must be differentiable in all of them.
     """
 
     def __call__(
@@ -38,37 +38,37 @@ class Dynamics(Protocol):
 
 @runtime_checkable
 class VelocityDynamics(Protocol):
-    """A map from applied forces to the velocity after a step, with a memory from step to step.
+    """A map from applied forces to the velocity after a step, with a memory between steps.
 
     The memory (m,) is `State.memory`: warm starts, multipliers, flags of active contacts. `rollout`
-    and `step` carry it; only the dynamics reads it.
+    and `step` pass it on; only the dynamics reads it.
     """
 
     def initial_memory(self, model: Model) -> jax.Array:
-        """The memory (m,) before the first step."""
+        """Return the memory (m,) before the first step."""
         ...
 
     def advance_velocity(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any
     ) -> tuple[jax.Array, jax.Array]:
-        """The velocity (nv,) and the memory (m,) after a step dt."""
+        """Compute the velocity (nv,) and the memory (m,) after a step dt."""
         ...
 
 
 def free_motion(model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
-    """v' = M^-1 (tau - b + sum of J_i^T f_i)."""
+    """Compute the unconstrained acceleration v' = M^-1 (tau - b + sum of J_i^T f_i)."""
     return aba.acceleration(model, state.q, state.v, tau, f_ext)
 
 
 @dataclass(frozen=True)
 class Field:
-    """The motion of a model under a dynamics.
+    """The equations of motion of a model under a dynamics.
 
-    model: without precomputed link constants, so that a user's dynamics or integrator may change
-        its leaves (`eqx.tree_at`, `jax.tree.map`).
-    dynamics: from forces to accelerations, or to the velocity after a step.
-    dt: the step that force elements read; None if no step is fixed.
-    precomputed: the model with its link constants, for code that does not change the leaves.
+    model: model without precomputed link constants, so that a user's dynamics or integrator may
+        change its leaves (`eqx.tree_at`, `jax.tree.map`).
+    dynamics: map from forces to accelerations, or to the velocity after a step.
+    dt: step in s that force elements read; None if no step is fixed.
+    precomputed: model with its link constants, for code that does not change the leaves.
     """
 
     model: Model
@@ -81,12 +81,12 @@ class Field:
         object.__setattr__(self, "model", without_constants(self.model))
 
     def rates(self, t: Any, state: State, u: Inputs) -> tuple[jax.Array, jax.Array | None]:
-        """v' (nv,) and x' (nx,)."""
+        """Compute the rates v' (nv,) and x' (nx,)."""
         tau, f_ext, x = self.applied(t, state, u)
         return self._acceleration(t, state, tau, f_ext), x
 
     def advance_velocity(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
-        """v (nv,), x (nx,) and the memory after a step in which the forces are held."""
+        """Compute v (nv,), x (nx,) and the memory after a step dt with constant forces."""
         tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
         if not isinstance(self.dynamics, VelocityDynamics):
             return state.v + dt * self._acceleration(t, state, tau, f_ext), x, state.memory
@@ -95,7 +95,7 @@ class Field:
         return self._checked("velocity", v, state), x, memory
 
     def applied(self, t: Any, state: State, u: Inputs) -> tuple:
-        """Generalized forces (nv,), forces on links, and x' (nx,)."""
+        """Compute the applied generalized forces (nv,), forces on links, and x' (nx,)."""
         return applied(self.precomputed, t, state, u, self.dt)
 
     def _acceleration(self, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
@@ -114,8 +114,8 @@ class Field:
     def forces(
         self, t: Any, state: State, u: Inputs
     ) -> tuple[jax.Array, LinkForces, jax.Array | None]:
-        """Generalized forces (nv,), forces on links, and x' (nx,). Unless the dynamics is free
-        motion, they are the inverse dynamics of its acceleration, so with constraint forces."""
+        """Compute all generalized forces (nv,), forces on links, and x' (nx,). If the dynamics is
+        not free motion, tau is its inverse dynamics and includes the constraint forces."""
         tau, f_ext, x = self.applied(t, state, u)
         if self.dynamics is not free_motion:
             a = self._acceleration(t, state, tau, f_ext)
@@ -123,48 +123,48 @@ class Field:
         return tau, f_ext, x
 
     def retract(self, q: jax.Array, dq: jax.Array) -> jax.Array:
-        """q (+) dq."""
+        """Return the configuration q (+) dq."""
         return retract(self.precomputed, q, dq)
 
     def implicit_stiffness(self, t: Any, state: State, u: Inputs, dt: Any) -> dict:
-        """The implicit stiffness of forces at the middle of a step: their diagonal terms in the
-        mass matrix, by velocity coordinate."""
+        """Compute the implicit stiffness of the forces: the diagonal terms that they add to the
+        mass matrix of a linearly implicit step, by dof."""
         return implicit_stiffness(self.precomputed, t, state, u.ctrl, dt)
 
     def stage_state(self, t: Any, state: State, t0: Any, start: State) -> State:
-        """The state at which a stage evaluates its rates, of a step that began at t0 in `start`."""
+        """Return the state at which a stage of a step from `start` at t0 evaluates its rates."""
         if not moves_stages(self.dynamics):
             return state
         return self.dynamics.stage_state(self.precomputed, t, state, t0, start)
 
     def project(self, t: Any, state: State) -> State:
-        """The state after a step, projected onto the constraints if the dynamics is a formulation
-        that projects."""
+        """Project the state after a step onto the constraints, if the dynamics is a formulation
+        with a projection."""
         if not isinstance(self.dynamics, Formulation):
             return state
         return self.dynamics.project(self.precomputed, t, state)
 
     def within(self, x: jax.Array | None) -> jax.Array | None:
-        """The states (nx,) of force elements, clipped to their ranges."""
+        """Clip the states (nx,) of force elements to their ranges."""
         return within(self.precomputed, x)
 
     def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:
-        """u' of the increment u of a configuration that moves at v."""
+        """Compute the rate of an increment u at velocity v: u' = J_r(u)^-1 v on attitudes."""
         return increment_rate(self.precomputed, u, v)
 
 
 def moves_stages(dynamics: Any) -> TypeGuard[Formulation]:
-    """Whether a dynamics evaluates the rates of a stage at another state."""
+    """Check whether a dynamics projects the state of a stage before its rates are evaluated."""
     return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, StageProjection)
 
 
 def dynamics_of(
     where: str, model: Model, dynamics: Any, constraints: Any, *, steps: bool = False
 ) -> Any:
-    """The dynamics of a motion: the caller's, a formulation that enforces the model's constraints,
-    or free motion.
+    """Return the dynamics of a motion: the given one, a formulation of the model's constraints, or
+    free motion.
 
-    steps: whether the motion has fixed steps, as `VelocityDynamics` need.
+    steps: whether the motion has fixed steps, which `VelocityDynamics` require.
 
     Raises:
         InputError: neither a dynamics nor a formulation, or both.

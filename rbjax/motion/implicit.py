@@ -1,16 +1,16 @@
-"""Steps of constrained motion as differential-algebraic equations, by implicit methods.
+"""Implicit steps of constrained motion as a differential-algebraic equation (DAE).
 
 The unknowns of a step are u', v', x' and the multipliers of its stages, with increments u of the
-configuration, q = q0 (+) u. `rollout` takes `ByStages`, which carries nothing from step to step;
-`simulate` takes the diffrax solvers `StagesSolver` (Runge-Kutta) and `BDFSolver`:
+configuration, q = q0 (+) u, relative to the state at the start of the step. `rollout` uses
+`ByStages`, which has no memory between steps. `simulate` uses the diffrax solvers `StagesSolver`
+(Runge-Kutta) and `BDFSolver`:
 
     f(t1, u1, Q'(t1), w) = 0,      Q through u1 and the past increments u_k, q_k = q0 (+) u_k
-The increments are relative to the state at the start of the step. Radau IIA of three stages (for
-BDF 1 of one) starts BDF, and restarts it after a jump. Variational steps (`variational`) have other
-unknowns, momenta, and a fixed number of iterations.
-(`rbjax.constraints.methods.differential_algebraic` has the equations, `rbjax.solvers` the methods.
-Hairer & Wanner, *Solving Ordinary Differential Equations II*, VII.3: BDF of orders 1 to 6 keeps its
-order for index 2; Lotstedt & Petzold, *Mathematics of Computation* 46, 1986, for index 3.)
+Radau IIA with three stages (one stage for BDF 1) starts BDF, and restarts it after a jump.
+`rbjax.constraints.methods.differential_algebraic` has the equations, `rbjax.solvers` the methods.
+
+Source: Hairer & Wanner, *Solving Ordinary Differential Equations II*, VII.3 (BDF of orders 1 to 6
+keeps its order for index 2); Lotstedt & Petzold, *Math. Comp.* 46, 1986 (index 3).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from rbjax.solvers.runge_kutta import ImplicitRungeKutta
 from rbjax.solvers.steps import AbstractGroupSolver, weighted_sums
 from rbjax.solvers.tableau import Tableau
 
-#: of rbjax.solvers.all(), by name
+#: names in rbjax.solvers.all() of the methods that support these formulations
 FITTING = (
     "radau_iia2", "radau_iia3", "gauss_legendre2", "gauss_legendre3", "implicit_midpoint",
     "lobatto_iiic2", "lobatto_iiic3",
@@ -49,12 +49,12 @@ FITTING = (
 
 
 class Stages(NamedTuple):
-    """The result of a step.
+    """The stages of an implicit Runge-Kutta step.
 
-    k: rates of the stages (s, 2 nv + nx) times h.
-    w: their multipliers (s, rows).
+    k: (s, 2 nv + nx) rates of the stages, times h.
+    w: (s, rows) multipliers of the stages.
     ok: whether the iteration converged.
-    start: the initial point.
+    start: initial point.
     """
 
     k: jax.Array
@@ -63,7 +63,7 @@ class Stages(NamedTuple):
     start: Point
 
     def polynomial(self, tableau: Tableau, h: Any) -> jax.Array:
-        """Coefficients of theta, theta^2, ... of the increment."""
+        """Return the coefficients of theta, theta^2, ... of the dense output of the increment."""
         if tableau.dense:
             return weighted_sums(tuple(zip(*tableau.dense, strict=True)), self.k)
         first = h * self.start.rate
@@ -79,7 +79,7 @@ def stages(
     state: State,
     h: Any,
 ) -> Stages:
-    """The stages of a Runge-Kutta step."""
+    """Solve the equations of the stages of a Runge-Kutta step."""
     dtype = state.q.dtype
     equations, start = initial_equations(dynamics, model, forces, t, state)
     c = jnp.asarray(tableau.c, jnp.result_type(h))
@@ -97,7 +97,7 @@ def error_of(
     state: State,
     h: Any,
 ) -> jax.Array:
-    """The error of a step by the tableau's weights, damped."""
+    """Compute the damped error estimate of a step by the embedded weights of the tableau."""
     dynamics, start = dynamics.damping, found.start
     at_start, *others = tableau.error
     raw = weighted_sums(others, found.k) + at_start * h * start.rate
@@ -107,14 +107,15 @@ def error_of(
 
 
 def _padded(w: jax.Array, size: int) -> jax.Array:
-    """Pad multipliers with zeros."""
+    """Pad multipliers with zeros to a size."""
     return jnp.concatenate([w, jnp.zeros(size - len(w), w.dtype)])
 
 
 def initial_equations(
     dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
 ) -> tuple[Equations, Point]:
-    """The equations from a state on, and its rates and multipliers by the equations of index 1."""
+    """Return the DAE relative to a state, and its initial rates and multipliers by the index-1
+    formulation."""
     tau, f_ext, dx = forces(t, state)
     a, l = constrained_motion(model, t, state, tau, f_ext)
     equations = equations_of(dynamics, model, forces, t, state)
@@ -128,22 +129,22 @@ def initial_equations(
 def equations_of(
     dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
 ) -> Equations:
-    """The equations from a state on."""
+    """Return the DAE in increments relative to a state."""
     f = dynamics.equations(model, state.q, forces)
     depth, usual, again = dynamics.algebraic(model, t, state)
     return Equations(f, depth, usual, model.nv, again)
 
 
 def increment(model: Model, u: jax.Array) -> State:
-    """The parts of (..., 2 nv + nx), each a tangent vector."""
+    """Split (..., 2 nv + nx) into the tangent vectors of q, v and x."""
     q, v, x = jnp.split(u, (model.nv, 2 * model.nv), -1)
     return State(q, v, x if model.nx else None)
 
 
 @dataclass(frozen=True)
 class ByStages:
-    """An integrator of `rollout` for formulations of index 2 and 3. A step whose equations do not
-    converge is nan, and `Trajectory.ok` is False."""
+    """Implicit Runge-Kutta integrator of `rollout` for formulations of index 2 and 3. A step that
+    does not converge is nan, and `Trajectory.ok` is False."""
 
     formulation: DifferentialAlgebraic
     tableau: Tableau
@@ -161,7 +162,7 @@ class ByStages:
 
 
 class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
-    """A diffrax solver of `simulate` for formulations of index 2 and 3: the method of a tableau."""
+    """Diffrax solver for formulations of index 2 and 3 by an implicit Runge-Kutta tableau."""
 
     formulation: DifferentialAlgebraic = eqx.field(static=True)
     tableau: Tableau = eqx.field(static=True)
@@ -189,7 +190,7 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
 
 
 def parts_of_field(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
-    """The model, the forces and the first time of the vector field of `simulate`."""
+    """Return the model, the forces and the initial time of the vector field of `simulate`."""
     model = vector_field.model(args)
 
     def forces(t: Any, state: State) -> tuple:
@@ -200,8 +201,11 @@ def parts_of_field(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
 
 
 def tableau_of(where: str, dynamics: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
-    """The tableau of the implicit method for a formulation. given: a name, a solver, or None for
-    the default; also: further methods that the caller supports."""
+    """Return the tableau of the implicit method for a formulation.
+
+    given: a name, a solver, or None for the default.
+    also: names of further methods of the caller, for the error message.
+    """
     if given is None:
         return radau_iia(3).tableau
     solver = solvers()[given].make() if isinstance(given, str) and given in FITTING else given
@@ -217,7 +221,7 @@ def tableau_of(where: str, dynamics: DifferentialAlgebraic, given: Any, also: st
 
 
 class History(NamedTuple):
-    """The states before the current one, latest first, and the number of them that are filled."""
+    """Past states of BDF, latest first, and the number of valid ones."""
 
     ts: jax.Array  # (n,)
     states: State  # a leading axis n
@@ -232,7 +236,7 @@ class Step(NamedTuple):
 
 
 class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
-    """BDF of an order from 1 to 6 for formulations of index 2 and 3."""
+    """Diffrax solver for formulations of index 2 and 3 by BDF of a fixed order from 1 to 6."""
 
     formulation: DifferentialAlgebraic = eqx.field(static=True)
     formula_order: int = eqx.field(static=True)
@@ -245,7 +249,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
 
     def init(self, terms, t0, t1, y0, args):
         n = self.formula_order  # one more than the formula needs, for the extrapolation
-        # distinct times, so that the formula stays finite where it is not used yet
+        # distinct times keep the formula finite before it is used
         ts = t0 - (t1 - t0) * jnp.arange(1, n + 1, dtype=t0.dtype)
         same = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), y0)
         return History(ts, same, jnp.array(0))
@@ -297,8 +301,8 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         past = jax.vmap(lambda y: term.group.difference(y0, y))(states)
         past = jnp.concatenate([past.q, past.v, *([] if past.x is None else [past.x])], -1)
         nodes = jnp.concatenate([jnp.array([1.0, 0.0], ts.dtype), (ts - t0) / h])
-        weights = basis(nodes[1:])  # of y0, whose increment is zero, and the past
-        predicted = weighted_sums(weights[1:].sum(1), past)  # the polynomials at 1
+        weights = basis(nodes[1:])  # of y0, whose increment is zero, and of the past increments
+        predicted = weighted_sums(weights[1:].sum(1), past)  # the extrapolation to theta = 1
         nodes, past = nodes[:-1], past[:-1]
         slopes = slopes_at_one(nodes).astype(past.dtype)
         known = weighted_sums(slopes[2:], past)

@@ -1,4 +1,4 @@
-"""Controls, generalized forces and wrenches of a motion: constants, arrays, or functions."""
+"""Controls, generalized forces and wrenches over time: constants, arrays, or functions."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _FIXES = (
 
 
 def check_functions(where: str, given: Inputs) -> None:
-    """Raise if an input that is callable is not a function of (t, state)."""
+    """Raise InputError if a callable input is not a function of (t, state)."""
     for name, f in zip(NAMES, given, strict=True):
         if callable(f):
             check_takes(where, name, f, "t", "state")
 
 
 def inputs_at(where: str, model: Model, given: Inputs, t: Any, state: State) -> Inputs:
-    """Evaluate the inputs at a time."""
+    """Evaluate the inputs at a time and state."""
     if not any(map(callable, given)):
         return given
     check_functions(where, given)
@@ -39,10 +39,10 @@ def inputs_at(where: str, model: Model, given: Inputs, t: Any, state: State) -> 
 
 
 class Held(eqx.Module):
-    """A function (t, state) of time that is constant between given times.
+    """A piecewise constant function (t, state) of time.
 
-    starts: (n,) the first time of each interval.
-    rows: (n, ...) the values.
+    starts: (n,) start time of each interval, s.
+    rows: (n, ...) value on each interval.
     """
 
     starts: jax.Array
@@ -54,8 +54,8 @@ class Held(eqx.Module):
 
 
 def inputs_between(where: str, model: Model, given: Inputs, ts: jax.Array) -> Inputs:
-    """The inputs of a motion through the times ts (T,): constants, functions of (t, state), and
-    arrays with T - 1 rows, each held from one time to the next."""
+    """Check the inputs of a motion over the times ts (T,). Make arrays with T - 1 rows piecewise
+    constant functions; keep constants and functions of (t, state)."""
     check_functions(where, given)
     out: list[Any] = []
     for name, x, own, fix in zip(NAMES, given, shapes(model), _FIXES, strict=True):
@@ -70,9 +70,9 @@ def inputs_between(where: str, model: Model, given: Inputs, ts: jax.Array) -> In
 class Sources(eqx.Module):
     """The inputs of the steps of a rollout.
 
-    rows: (steps, k), or (B, steps, k) for a batch, the inputs that are arrays; None if none is.
-    functions: the inputs that are functions; None for the others.
-    listed: the inputs that a row contains, in this order.
+    rows: (steps, k), or (B, steps, k) for a batch: the array inputs side by side; None if none.
+    functions: the inputs that are functions; None for each other input.
+    listed: indices of the inputs in a row, in the order of its columns.
     """
 
     rows: jax.Array | None
@@ -85,7 +85,7 @@ class Sources(eqx.Module):
         return any(f is not None for f in self.functions)
 
     def evaluate(self, model: Model, t: Any, state: State) -> jax.Array:
-        """The values of the functions, side by side."""
+        """Evaluate the input functions and concatenate their values."""
         found = [
             check_returned("rollout", model, k, f(t, state), state.q.dtype).reshape(-1)
             for k, f in enumerate(self.functions)
@@ -94,7 +94,7 @@ class Sources(eqx.Module):
         return joined(found)
 
     def inputs(self, model: Model, *given: Any) -> Inputs:
-        """The inputs of a step, from its row and the values of the functions, if there are any."""
+        """Split the row of a step and the values of the functions into `Inputs`."""
         of_functions = tuple(k for k, f in enumerate(self.functions) if f is not None)
         out: list[Any] = [None, None, None]
         for numbers, which in zip(given, filter(None, (self.listed, of_functions)), strict=True):
@@ -110,7 +110,7 @@ class Sources(eqx.Module):
 def check_sources(
     model: Model, given: Inputs, steps: int | None, batch: tuple[int, ...], dtype: Any
 ) -> tuple[Sources, int]:
-    """The checked inputs of a rollout, and its number of steps."""
+    """Check the inputs of a rollout; return them as `Sources` with the number of steps."""
     arrays = {k: x for k, x in enumerate(given) if x is not None and not callable(x)}
     check_functions("rollout", given)
     if steps is None:
@@ -133,7 +133,7 @@ def check_sources(
         x = check_array("rollout", NAMES[k], x, *due, own, fix=f": a row a step, or {_FIXES[k]}")
         if x.ndim == len(own):
             x = jnp.broadcast_to(x, due[0])
-        if math.prod(own):  # without actuators the controls only give the number of steps
+        if math.prod(own):  # without actuators, ctrl gives only the number of steps
             listed.append(k)
             rows.append(x.reshape(*x.shape[: x.ndim - len(own)], -1).astype(dtype))
     functions = Inputs(*(x if callable(x) else None for x in given))

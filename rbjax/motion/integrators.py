@@ -1,12 +1,12 @@
-"""Steps of fixed length on the manifold of configurations, for `rollout`.
+"""Fixed-step integrators on the configuration manifold, for `rollout`.
 
     semi-implicit Euler   v+ = v + h a(q, v),   q+ = q (+) h v+
-    variational midpoint  of momenta: `variational`
+    variational midpoint  on momenta, see `variational`
     Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
 
-A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: it has the order
-of its tableau, attitudes included (Munthe-Kaas 1998; Hairer, Lubich & Wanner, *Geometric Numerical
-Integration*, IV.8). Controls are held over a step.
+A Runge-Kutta method integrates the increments (u, v - v0), which are a vector space. So it has the
+order of its tableau on attitudes too (Munthe-Kaas 1998; Hairer, Lubich & Wanner, *Geometric
+Numerical Integration*, IV.8). Controls are constant over a step.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.steps import combine, explicit_stages, scale
 from rbjax.solvers.tableau import DOP853, KUTTA4, Tableau, of_diffrax
 
-#: stages times velocity coordinates up to which the stages of a step are written out
+#: stages times dofs up to which the stages of a step are unrolled
 WRITTEN_UP_TO = 13
 
 TABLEAUS = {
@@ -41,14 +41,14 @@ TABLEAUS = {
 
 
 class Integrator(Protocol):
-    """A step: the state after dt. Inputs are held over it."""
+    """A function that advances a state by a step dt with constant inputs."""
 
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State: ...
 
 
 def semi_implicit_euler(field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
-    """v+ = v + dt a(q, v);  q+ = q (+) dt v+;  x+ = x + dt x'. First order; symplectic where the
-    mass matrix is constant and no force depends on v, not for a mass matrix that moves with q."""
+    """Advance a state by v+ = v + dt a(q, v), q+ = q (+) dt v+, x+ = x + dt x'. The order is 1.
+    The step is symplectic if the mass matrix is constant and no force depends on v."""
     v, x, memory = field.advance_velocity(t, state, u, dt)
     return State(field.retract(state.q, dt * v), v, x, memory)
 
@@ -57,8 +57,10 @@ def runge_kutta(
     table: Tableau, field: Field, t: Any, state: State, u: Inputs, dt: Any,
     *, written: bool | None = None,
 ) -> State:  # fmt: skip
-    """A step of an explicit tableau. If `written` is None, many stages are a loop, and few are
-    written out."""
+    """Advance a state by a step of an explicit tableau.
+
+    written: whether to unroll the stages; None: unroll them if there are few.
+    """
     q0, v0, x0 = state.q, state.v, state.x
     t0 = t
 
@@ -90,7 +92,7 @@ INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.
 
 
 def loop_stages(name: str) -> Integrator:
-    """The integrator with its stages in a loop, for a short program."""
+    """Return the integrator of a name with its stages in a loop, for a short program."""
     if name not in TABLEAUS:
         return INTEGRATORS[name]
     return functools.partial(runge_kutta, TABLEAUS[name], written=False)
@@ -99,7 +101,7 @@ def loop_stages(name: str) -> Integrator:
 def integrator_of(
     where: str, integrator: str | Integrator | None, dynamics: Any = free_motion
 ) -> Integrator:
-    """The integrator of a dynamics: the caller's, by its name, or the default."""
+    """Return the integrator for a dynamics: a given function, by name, or the default."""
     formulation = differential_algebraic_method(dynamics)
     if formulation is not None:
         return ByStages(formulation, tableau_of(where, formulation, integrator))
@@ -129,7 +131,7 @@ def integrator_of(
 def advance_state(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
-    """Advance a state by a step of any integrator; clip the states of force elements to their
+    """Advance a state by a step of any integrator, clip the states of force elements to their
     ranges, and project the state onto the constraints of a formulation."""
     after: Any = integrator(field, t, state, u, dt)
     due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]

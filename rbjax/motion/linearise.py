@@ -1,13 +1,13 @@
-"""The motion of a robot linearised about a state.
+"""Linearisation of the motion of a robot about a state.
 
     d/dt dx = A dx + B du,     dx = [dq; dv; dx_e],     A = [[-[w]x, 1, 0], [a_q, a_v, a_x], [..]]
     dx+ = A dx + B du          with a step dt
-with dq on the tangent space of the configuration (body axes for attitudes, hence -[w]x) and x_e the
-states of force elements.
+dq is in the tangent space of the configuration (body axes for attitudes, hence -[w]x), and x_e are
+the states of force elements.
 
-If all elements are springs, dampers and actuators of the joints, a force depends only on its own
-joint: the Jacobian has a block for each joint, and one tangent gives a column of all blocks at once
-(Curtis, Powell & Reid 1974). A chain of 40 hinges takes 3 tangents, not 120.
+If all elements are springs, dampers and actuators of joints, a force depends only on its own joint.
+The Jacobian is then block diagonal, and one tangent gives a column of all blocks (Curtis, Powell &
+Reid 1974): a chain of 40 hinges needs 3 tangents instead of 120.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from rbjax.motion.step import with_memory
 class Linear(Record):
     """A linearisation, with n = 2 nv + nx. `A, B = linearise(...)` unpacks the matrices.
 
-    A: (n, n).
-    B: (n, nu).
-    acceleration: (nv,) v' at the point; with dt, the mean of v' over the step. It is zero if the
-        controls hold the robot at rest there.
+    A: (n, n) derivative by the state.
+    B: (n, nu) derivative by the controls.
+    acceleration: (nv,) v' at the point, or with dt the mean of v' over the step. It is zero at an
+        equilibrium.
     """
 
     A: jax.Array
@@ -69,35 +69,35 @@ def linearise(
     dynamics: Dynamics | VelocityDynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> Linear:
-    """Linearise the motion about a state and controls, with all forces that act.
+    """Linearise the motion about a state and controls, with all forces that act on the model.
 
-    d/dt dx = A dx + B du; with a step dt: dx+ = A dx + B du, the derivative of `rb.step`.
+    Without dt: d/dt dx = A dx + B du. With a step dt: dx+ = A dx + B du, the derivative of `step`.
 
     Args:
         model: the robot.
         state: `State(q (nq,), v (nv,))` about which to linearise, with x (nx,) if force elements
             have states.
-        ctrl: controls (nu,); None for no actuation, then B has no columns. With a policy
-            (t, state) -> (nu,), A is that of the closed loop, and du is added to the controls.
-        dt: step in s of the discrete form; None for the continuous one.
+        ctrl: controls (nu,). None: no actuation, and B has no columns. A policy
+            (t, state) -> (nu,): A is of the closed loop, and du is added to the controls.
+        dt: step in s of the discrete form; None for the continuous form.
         tau: generalized forces (nv,) in addition to those of the model, or a function (t, state).
         wrenches: (nb, 6) [moment N m; force N] on bodies, in world axes at their origins, or a
             function (t, state).
         t: time in s, for force elements that depend on it.
-        integrator: of the discrete form, as in `rollout`.
-        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`); of the discrete form
-            also to the velocity after the step.
-        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
+        integrator: integrator of the discrete form, as in `rollout`.
+        dynamics: map from forces to accelerations (`rbjax.motion.field.Dynamics`); in the discrete
+            form also to the velocity after the step (`VelocityDynamics`).
+        constraints: how to enforce the constraints of the model: a name of
+            `rbjax.constraints.formulations`, a `Formulation`, or None for "projected".
 
     Returns:
-        `Linear` with A (n, n), B (n, nu) and the acceleration (nv,) at the point, n = 2 nv + nx;
-        rows and columns are dq on the tangent space, in the coordinates of v, then dv, then the
+        `Linear` with A (n, n), B (n, nu) and the acceleration (nv,) at the point, n = 2 nv + nx.
+        Rows and columns are dq in the tangent space, in the coordinates of v, then dv, then the
         states of force elements.
 
     Raises:
-        InputError: shapes, dtypes, values that are not finite, an unknown integrator, a step that
-            is not positive.
+        InputError: wrong shapes or dtypes, values that are not finite, an unknown integrator, a
+            step that is not positive.
 
     Source: Carpentier & Mansard, *Analytical derivatives of rigid body dynamics*, RSS 2018.
 
@@ -132,13 +132,13 @@ def linearise(
 
 
 def _zero(model: Model, state: State, given: Inputs) -> tuple[jax.Array, jax.Array]:
-    """dx (2 nv + nx,) and du (nu,) of zeros; du is empty without controls."""
+    """Return zeros dx (2 nv + nx,) and du (nu,); du is empty without controls."""
     nu, dtype = 0 if given.ctrl is None else model.nu, state.q.dtype
     return jnp.zeros(2 * model.nv + model.nx, dtype), jnp.zeros(nu, dtype)
 
 
 def _inputs(model: Model, given: Inputs, t: Any, state: State, du: jax.Array) -> Inputs:
-    """The inputs at a state, with du added to the controls."""
+    """Evaluate the inputs at a state and add du to the controls."""
     u = evaluated("linearise", model, given, t, state)
     return u if u.ctrl is None else u._replace(ctrl=u.ctrl + du)
 
@@ -146,7 +146,7 @@ def _inputs(model: Model, given: Inputs, t: Any, state: State, du: jax.Array) ->
 def linearise_rates(
     model: Model, state: State, given: Inputs, t: Any = 0.0, dynamics: Any = free_motion
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The rates (nv + nx,) of v and of the elements' states, A and B of the continuous form."""
+    """Compute the rates (nv + nx,) of v and x, and A and B of the continuous form."""
     n, dtype = model.nv, state.q.dtype
     if dynamics is free_motion and n:
         found, lower, B = _free_rates(model, state, given, t)
@@ -164,7 +164,7 @@ def linearise_rates(
 def _rates(
     model: Model, state: State, given: Inputs, t: Any, dynamics: Dynamics
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The rates (nv + nx,) of any dynamics and their derivatives by dx and du."""
+    """Compute the rates (nv + nx,) of any dynamics and their derivatives by dx and du (jacfwd)."""
 
     def rates(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
         at = box_plus(model, state, dx)
@@ -180,8 +180,8 @@ def _rates(
 def _free_rates(
     model: Model, state: State, given: Inputs, t: Any, dt: Any = None
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The rates (nv + nx,) of free motion and their derivatives by dx and du, by the closed form of
-    the derivatives of forward dynamics, which compiles in a tenth of the time of jacfwd."""
+    """Compute the rates (nv + nx,) of free motion and their derivatives by dx and du, by the
+    analytical derivatives of forward dynamics, which compile faster than jacfwd."""
     n, zero = model.nv, _zero(model, state, given)
 
     def forces(dx: jax.Array, du: jax.Array) -> jax.Array:
@@ -203,7 +203,7 @@ def _free_rates(
 def generalized_forces(
     model: Model, t: Any, state: State, inputs: Inputs, dt: Any = None
 ) -> tuple[jax.Array, jax.Array | None]:
-    """All forces that act, as generalized forces (nv,), and x' (nx,)."""
+    """Compute the sum of all applied forces as generalized forces (nv,), and x' (nx,)."""
     tau, f_ext, x = applied(model, t, state, inputs, dt)
     if f_ext:
         tau = tau + Context.of(model, t, state, None).generalized_of(f_ext)
@@ -211,14 +211,14 @@ def generalized_forces(
 
 
 def box_plus(model: Model, state: State, dx: jax.Array) -> State:
-    """The state (+) dx = [dq; dv; dx_e]."""
+    """Retract a state by a tangent vector: state (+) dx, dx = [dq; dv; dx_e]."""
     n = model.nv
     x = None if state.x is None else state.x + dx[2 * n :]
     return State(integrate(model, state.q, dx[:n]), state.v + dx[n : 2 * n], x, state.memory)
 
 
 def box_minus(model: Model, one: State, other: State) -> jax.Array:
-    """dx from one state to another."""
+    """Compute the tangent vector dx with one (+) dx = other."""
     dx = [difference(model, one.q, other.q), other.v - one.v]
     if one.x is not None and other.x is not None:
         dx.append(other.x - one.x)
@@ -228,8 +228,8 @@ def box_minus(model: Model, one: State, other: State) -> jax.Array:
 def linearise_euler_step(
     model: Model, t: Any, state: State, given: Inputs, dt: Any
 ) -> tuple[State, jax.Array, jax.Array] | None:
-    """The state after a semi-implicit Euler step of free motion, A and B, by the closed form of
-    the derivatives of forward dynamics; None if elements have states.
+    """Compute the state after a semi-implicit Euler step of free motion, A and B, by the analytical
+    derivatives of forward dynamics. Return None if elements have states.
 
     dv+ = dv + dt da,   dq+ = E dq + dt J dv+,   da = a_q dq + a_v dv + M^-1 dtau
     """
@@ -262,14 +262,14 @@ Forces = Callable[[jax.Array, jax.Array], jax.Array]
 def times_jacobian(
     model: Model, forces: Forces, nu: int, M: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """M F_x (n, 2 n) and M F_u (n, nu) of forces(dx, du), at zero, with M (n, n), if each force
-    depends only on the state of its own joint."""
+    """Compute M F_x (n, 2 n) and M F_u (n, nu) with the Jacobians F_x, F_u of forces(dx, du) at
+    zero, if each force depends only on the state of its own joint."""
     n, dtype = model.nv, M.dtype
     zero, none = jnp.zeros(2 * n, dtype), jnp.zeros(nu, dtype)
     top = model.topology
     sizes = [joint.nv for joint in top.joints]
     joint = np.repeat(np.arange(len(sizes)), sizes)
-    place = np.concatenate([np.arange(k) for k in sizes])  # of each dof within its joint
+    place = np.concatenate([np.arange(k) for k in sizes])  # index of each dof within its joint
     drives = np.array(model.actuators.joints[:nu], int).reshape(nu)
     rank = np.array([(drives[:k] == drives[k]).sum() for k in range(nu)], int)
     b, c = max(sizes), max(rank, default=-1) + 1
@@ -288,13 +288,13 @@ def times_jacobian(
         F_x = [jnp.where(same, block[:, place], 0.0) for block in (by_q, by_v)]
         F_u = jnp.where(joint[:, None] == drives, by_u[:, rank], 0.0)
         return matmat(M, jnp.concatenate(F_x, 1)), matmat(M, F_u)
-    at = np.maximum(drives, 0)  # a joint is a dof; without a joint there is no force
+    at = np.maximum(drives, 0)  # one dof per joint; an actuator without a joint has no force
     share = jnp.where(drives >= 0, by_u[at, rank], 0.0)
     return jnp.concatenate([M * by_q[:, 0], M * by_v[:, 0]], 1), M[:, at] * share
 
 
 def by_joint(model: Model) -> bool:
-    """Whether each force depends only on the state of its own joint, in a model so large that this
-    shortens the program."""
+    """Check whether each force depends only on the state of its own joint, and the model is so
+    large that compressed Jacobians shorten the program."""
     local = not model.forces and all(site < 0 for site in model.actuators.sites)
     return local and model.nv > CPU_UNROLLED_UP_TO

@@ -1,11 +1,11 @@
-"""`rollout`: fixed steps for throughput.
+"""`rollout`: integration of a batch of states with fixed steps, for throughput.
 
-All steps of a sample are one program (`checkpointed_rollout`): a thread on a GPU, a lane of machine
-code on a CPU. Without either, XLA maps the loop of one sample over the batch.
+All steps of a sample are one program (`checkpointed_rollout`): a GPU thread, or a lane of machine
+code on a CPU. If neither is available, XLA maps the loop of one sample over the batch.
 
-Memory of the reverse gradient under XLA: the scan over saved states keeps one state
-each; between two saved states only the first is kept and the steps are run again. So a sample keeps
-(T / save_every + save_every) states and one step's intermediate values.
+The reverse gradient under XLA keeps each saved state. The steps between two saved states are
+computed again. So a sample keeps (T / save_every + save_every) states and the intermediate values
+of one step.
 """
 
 from __future__ import annotations
@@ -58,30 +58,29 @@ def rollout(
     kernel: bool | None = None,
     memory: float | None = None,
 ) -> Trajectory:
-    """Integrate one state or a batch of states with fixed steps: the throughput path.
+    """Integrate one state or a batch of states with fixed steps, for throughput.
 
-    v+ = v + dt a(q, v, u), q+ = q (+) dt v+ (`semi_implicit_euler`): order 1, one evaluation. It is
-    symplectic in (q, v) only if the mass matrix is constant: a double pendulum loses energy.
+    `semi_implicit_euler`: v+ = v + dt a(q, v, u), q+ = q (+) dt v+. It has order 1 and one
+    evaluation. It is symplectic in (q, v) only if the mass matrix is constant: a double pendulum
+    loses energy.
 
-    `variational_midpoint`: order 2, symplectic in (q, p = M v) on attitudes too, implicit in all
-    forces, with dampers, springs and servo gains of joints in the matrix of its iteration. Energy
-    does not drift. Its 6 evaluations cost as much as 4.5 to 8 steps of semi-implicit Euler
-    (`VariationalMidpoint(evaluations)` sets another number). A step that does not converge is nan.
-    Its derivative is that of the 6 evaluations with a constant matrix of the iteration: it differs
-    from that of the equations as the step differs from their solution.
+    `variational_midpoint`: order 2, symplectic in (q, p = M v), attitudes included, and implicit in
+    all forces. Energy does not drift. A step has 6 evaluations (`VariationalMidpoint(evaluations)`
+    changes the number) and costs as much as 4.5 to 8 steps of semi-implicit Euler. A step that does
+    not converge is nan. The derivative is the derivative of the 6 evaluations with a constant
+    iteration matrix. Its error is of the size of the error of the iteration.
 
-    Explicit Runge-Kutta methods on the manifold: `rk4`, `tsit5`, `dopri8`, `dop853`, of order 4, 5,
-    8, 8 with 4, 6, 13, 12 evaluations. In f64 `dop853` needs 10 to 15 % fewer than `dopri8` for an
-    error of 1e-6 (on an arm and a humanoid); in f32 it reaches 1.1e-6, `dopri8` 2.4e-7. They
-    diverge, and `ok` is False, if a body turns by more than about 3 rad in a step.
+    `rk4`, `tsit5`, `dopri8`, `dop853`: explicit Runge-Kutta methods on the manifold, of order 4, 5,
+    8, 8 with 4, 6, 13, 12 evaluations. They diverge, and `ok` is False, if a body turns by more
+    than about 3 rad in a step.
 
     Force elements read the step dt. Their states end each step within their ranges.
 
-    A function (policy, tau, wrenches, dynamics, integrator) is compared by the values that it
-    reads, and not by identity: lambdas that differ in floats and arrays compile once. One that
-    branches on a float compiles for each value. One that cannot be read (it counts its calls, or
-    draws numpy's random numbers) compiles for each object. Programs of the last 64 functions are
-    kept.
+    The functions (policy, tau, wrenches, dynamics, integrator) are compared by the values that they
+    read, and not by identity: lambdas that differ only in floats and arrays compile once. A
+    function that branches on a float compiles for each value. A function with side effects (it
+    counts its calls, or draws numpy's random numbers) compiles for each object. The programs of the
+    last 64 functions are cached.
 
     Args:
         model: the robot.
@@ -99,38 +98,39 @@ def rollout(
             "dop853"; or a function (field, t, state, inputs, dt) -> state
             (`rbjax.motion.integrators.Integrator`); "semi_implicit_euler" if None. For constraints
             of index 2 and 3 a fully implicit method (`rbjax.constraints.DifferentialAlgebraic`).
-        dynamics: from forces to accelerations, or to the velocity after a step with a memory
+        dynamics: map from forces to accelerations, or to the velocity after a step with a memory
             (`rbjax.motion.field.Dynamics`, `VelocityDynamics`).
-        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
-        save_every: keep every so many states; it must divide the number of steps.
+        constraints: how to enforce the constraints of the model: a name of
+            `rbjax.constraints.formulations`, a `Formulation`, or None for "projected" (see
+            `rbjax.recommend.formulation`).
+        save_every: number of steps from one saved state to the next, a divisor of the steps.
         steps: the number of steps, if no input has a row for each step.
-        kernel: whether a sample is a thread of a GPU or a lane of machine code (False: a scan under
-            XLA). None: if either runs.
-        memory: bytes in which a reverse gradient of threads may keep states, for the whole batch;
-            the fewer, the more steps run twice. None: an eighth of the memory of the devices over
-            which a batch can be spread. Without threads it is not used.
+        kernel: True: a sample is a GPU thread or a lane of machine code. False: a scan under XLA.
+            None: True if the platform supports it.
+        memory: bytes in which a reverse gradient of threads may keep states, for the whole batch.
+            With less memory more steps are computed twice. None: an eighth of the memory of the
+            devices over which a batch can be spread. Not used under XLA.
 
     Returns:
-        `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
-        (B, T, nq) for a batch; `ok`: whether all values are finite. Outside of traced code a
-        warning gives the number of samples that are not, the first time, and a stable step.
+        `Trajectory` of 1 + steps / save_every states, beginning with the initial state. q is
+        (T, nq), or (B, T, nq) for a batch. `ok`: whether all values are finite. Outside traced code
+        the first failure warns with the number of failed samples and a stable step.
 
     Raises:
-        InputError: shapes, dtypes, values that are not finite, unknown integrator, a step that is
-            not positive, no steps, a policy that does not return nu numbers.
+        InputError: wrong shapes or dtypes, values that are not finite, an unknown integrator, a
+            step that is not positive, no steps, a policy that does not return nu numbers.
 
     Differentiable in state, ctrl, model and the values that a policy closes over, in forward and
-    in reverse mode. The reverse gradient keeps steps / save_every + save_every states a sample.
+    reverse mode. The reverse gradient keeps steps / save_every + save_every states per sample.
 
     On a GPU (docs/threads.md):
 
-    - f32 and f64, forward mode, reverse mode and derivatives of these, as on a CPU;
+    - f32 and f64, forward mode, reverse mode and their derivatives work as on a CPU;
     - a derivative keeps every k-th state, in forward mode too: k = 1 if that fits into `memory`,
-      else the smallest divisor of save_every that does, or save_every;
+      else the smallest divisor of save_every that fits, or save_every;
     - a policy of more than 4,000 operations runs under XLA between the steps;
-    - a step with more than 100,000 statements or 64 KiB of arrays, or with a primitive that threads
-      do not support (svd, eigh, a callback), makes the rollout run under XLA; a warning names it.
+    - the rollout runs under XLA, with a warning, if a step has more than 100,000 statements or
+      64 KiB of arrays, or a primitive that threads do not support (svd, eigh, a callback).
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8; Marsden & West,
     *Discrete mechanics and variational integrators*, Acta Numerica 2001; Tsitouras (2011);
@@ -158,7 +158,7 @@ def run_rollout(
     save_every: int = 1,
     steps: int | None = None, kernel: bool | None = None, memory: float | None = None,
 ) -> tuple[Trajectory, jax.Array, Dynamics]:  # fmt: skip
-    """The trajectory of `rollout` without its warning; the step in s, and the dynamics."""
+    """Compute the trajectory of `rollout` without its warning, the step in s and the dynamics."""
     dynamics = dynamics_of("rollout", model, dynamics, constraints, steps=True)
     advance = integrator_of("rollout", integrator, dynamics)
     _check_where(kernel, memory)
@@ -213,16 +213,16 @@ def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
     )  # fmt: skip
 
 
-@functools.lru_cache(64, typed=True)  # a program keeps some MB
+@functools.lru_cache(64, typed=True)  # a compiled program occupies some MB
 def _compiled(*key: Any) -> Callable:
-    """The compiled `_run` of the functions of one key."""
+    """Return the compiled `_run` for one key of functions."""
     del key
-    run = functools.partial(_run)  # a new function to `jit`, dropped with its programs
+    run = functools.partial(_run)  # a new object, so that `jit` drops its programs with it
     return compiled(run, static_argnames=("key", "how", "threads", "memory"))
 
 
 def _under_xla(model: Model, state: State, sources: Sources, dt: jax.Array, how: Steps) -> State:
-    """The states (..., T, nq), (..., T, nv) and (..., T, nx) by a loop under XLA, mapped over the
+    """Compute the states (..., T, nq), (..., T, nv), (..., T, nx) by an XLA loop, vmapped over the
     batch."""
     rows = sources.rows
 
@@ -238,7 +238,7 @@ def _under_xla(model: Model, state: State, sources: Sources, dt: jax.Array, how:
 def _states(
     model: Model, state: State, rows: Any, sources: Sources, dt: jax.Array, how: Steps
 ) -> State:
-    """The states of one sample from the first one on."""
+    """Integrate one sample and return all saved states, beginning with the initial one."""
     field = Field(model, how.dynamics, dt)
 
     def once(state: State, i: jax.Array) -> tuple[State, None]:
@@ -261,7 +261,7 @@ def _states(
 def _checked(
     model: Model, state: State, given: Inputs, steps: int | None
 ) -> tuple[State, Sources, int, bool]:
-    """State and inputs in one dtype, the number of steps, and whether there is a batch."""
+    """Check state and inputs; return them in one dtype, the number of steps, and the batch flag."""
     shape = shape_of("rollout", "q", state.q) if isinstance(state, State) else ()
     batched = len(shape) == 2
     batch = shape[:1] if batched else ()
@@ -278,7 +278,7 @@ def _checked(
 
 
 def _check_where(kernel: Any, memory: Any) -> None:
-    """Raise if kernel is not True, False or None, or memory not a positive number."""
+    """Raise InputError unless kernel is True, False or None, and memory positive or None."""
     if not (kernel is None or isinstance(kernel, bool)):
         raise InputError(f"rollout: kernel is {kernel!r}, expected True, False or None to choose")
     if not (memory is None or (isinstance(memory, (int, float)) and memory > 0)):
@@ -286,9 +286,9 @@ def _check_where(kernel: Any, memory: Any) -> None:
 
 
 def _warn_if_not_finite(model: Model, path: Trajectory, dt: jax.Array, dynamics: Dynamics) -> None:
-    """Warn of the samples of a rollout that are not finite: their number, the first time, and the
-    largest stable step. The trajectory must not be traced."""
-    if not path.ok.is_fully_addressable:  # a part is on another process
+    """Warn of the number of samples that are not finite, of the first failure, and of the largest
+    stable step. The trajectory must not be traced."""
+    if not path.ok.is_fully_addressable:  # another process holds a part of the batch
         return
     ok = np.atleast_1d(np.asarray(path.ok))
     if ok.all():

@@ -1,4 +1,4 @@
-"""`simulate`: motion through diffrax, with any of its solvers."""
+"""`simulate`: integration of the motion by any diffrax solver."""
 
 from __future__ import annotations
 
@@ -62,56 +62,55 @@ def simulate(
 ) -> Trajectory:
     """Integrate the motion from ts[0] to ts[-1] by a diffrax solver, and save it at ts.
 
-    q' = N(q) v, v' = M^-1 (applied forces - b). The equations are solved in the time since ts[0],
-    so that a late start costs no digits.
+    q' = N(q) v, v' = M^-1 (applied forces - b). The solver's time is relative to ts[0], so that a
+    late start loses no digits.
 
-    Numbers of the model can change without recompilation, unless a zero of the links' numbers
-    (placements, axes, masses, centres, inertias, armatures, references) or of gravity appears or
-    disappears: these zeros are part of the program. Without them a step of one arm takes 1.4 times
-    as long, and of 256 arms at once 1.14 times; a quadruped and a humanoid take about as long (CPU,
-    f64).
+    Parameters of the model can change without recompilation, unless a structural zero appears or
+    disappears in the links (placements, axes, masses, centers, inertias, armatures, references) or
+    in gravity.
 
-    Inside `jit` a sample is a thread on a GPU, and a lane of machine code on a CPU. So is its
-    reverse gradient if `max_steps` or the adjoint's checkpoints are few; otherwise it runs under
-    XLA (docs/threads.md).
+    Inside `jit` a sample is a GPU thread or a lane of machine code on a CPU. Its reverse gradient
+    is one too if `max_steps` or the checkpoints of the adjoint are few; otherwise it runs under XLA
+    (docs/threads.md).
 
-    A new function (ctrl, tau, wrenches, dynamics) is not compiled if it differs from an earlier
-    one only in numbers that it reads (see `rollout`). For arrays on a mesh with explicit axes call
-    `simulate` inside `jax.jit`: outside, each call compiles.
+    A new function (ctrl, tau, wrenches, dynamics) is not compiled again if it differs from an
+    earlier one only in numbers that it reads (see `rollout`). For arrays on a mesh with explicit
+    axes call `simulate` inside `jax.jit`; outside it, each call compiles.
 
     Args:
         model: the robot.
-        state: initial q (nq,), v (nv,).
-        ts: (T,) increasing times in s, the first that of the state.
+        state: initial state with q (nq,), v (nv,), and x (nx,) if force elements have states.
+        ts: (T,) increasing times in s; ts[0] is the time of the initial state.
         ctrl: controls: (nu,); (T - 1, nu), a row for each interval of ts; a policy
             (t, state) -> (nu,); or None for no actuation.
         tau: generalized forces in addition to those of the model: (nv,), (T - 1, nv), or
             (t, state) -> (nv,).
         wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6),
             (T - 1, nb, 6), or (t, state) -> (nb, 6).
-        solver: any diffrax solver, `rb.solvers` among them; Tsit5 if None. Those for second-order
-            form, splittings and Lie groups move along the manifold of configurations. Constraints
-            of index 2 and 3 take radau_iia, gauss_legendre, lobatto_iiic or bdf; radau_iia(3) if
-            None.
-        dt: the first step in s, or the fixed step without a controller.
-        stepsize_controller: diffrax's; without it and without dt, adaptive to 1e-8 (f64) or 1e-5.
-        adjoint: diffrax's. None: checkpointed reverse mode, for `grad` and `jacrev`. Give
+        solver: any diffrax solver, including those of `rb.solvers`; Tsit5 if None. Second-order,
+            splitting and Lie group solvers integrate on the configuration manifold. Constraints of
+            index 2 and 3 require radau_iia, gauss_legendre, lobatto_iiic or bdf; None:
+            radau_iia(3).
+        dt: first step in s, or the fixed step without a controller.
+        stepsize_controller: a diffrax controller. If it and dt are None: adaptive with tolerance
+            1e-8 (f64) or 1e-5 (f32).
+        adjoint: a diffrax adjoint. None: checkpointed reverse mode, for `grad` and `jacrev`. Use
             diffrax.ForwardMode() for `jvp` and `jacfwd`, diffrax.DirectAdjoint() for both.
-        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
-        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
-        progress: show diffrax's meter.
-        throw: raise if the solve fails; otherwise `result` and `ok` report it.
-        max_steps: the largest number of steps.
+        dynamics: map from forces to accelerations (`rbjax.motion.field.Dynamics`).
+        constraints: how to enforce the constraints of the model: a name of
+            `rbjax.constraints.formulations`, a `Formulation`, or None for "projected".
+        progress: whether to show diffrax's progress meter.
+        throw: whether to raise if the solve fails; otherwise `result` and `ok` report it.
+        max_steps: largest number of steps.
 
     Returns:
         `Trajectory`: q (T, nq) with unit quaternions, v (T, nv), `result`, `stats`, `ok`.
 
     Raises:
-        InputError: shapes, dtypes, times that do not increase, a step that is not positive or is
-            below the rounding of time; a policy that does not return nu numbers; something other
-            than a solver, or a solver without an estimate of its error and no dt; a forward
-            derivative through the default adjoint.
+        InputError: wrong shapes or dtypes, times that do not increase, a step that is not positive
+            or below the rounding of time, a policy that does not return nu numbers, a value that is
+            not a solver, no dt for a solver without an error estimate, or forward derivatives with
+            the default adjoint.
 
     Source: Kidger, *On Neural Differential Equations*, 2021 (diffrax).
 
@@ -122,7 +121,7 @@ def simulate(
         (5, 1)
     """
     state = check_arrays("simulate", model, {"state": state})["state"]
-    state = State(state.q, state.v, state.x)  # a memory is of dynamics with fixed steps
+    state = State(state.q, state.v, state.x)  # only dynamics with fixed steps have a memory
     check_moves("simulate", model)
     ts, elapsed = _times(ts, state.q.dtype)
     inputs = inputs_between("simulate", model, Inputs(ctrl, tau, wrenches), ts)
@@ -154,8 +153,8 @@ def simulate(
         diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         max_steps, throw and not by_kernel, progress, by_kernel,
     )  # fmt: skip
-    # Inside a caller's jit the caller's constants stay constants. Outside, the model is an
-    # argument: a number that changes compiles nothing again.
+    # In a caller's jit, the caller's constants remain constants. Outside it, the model is an
+    # argument, so that a changed parameter does not recompile.
     run = _solved if inside_jit() else _compiled
 
     def solved(*functions: Any) -> tuple:
@@ -166,7 +165,7 @@ def simulate(
     q, failed = path.q, result != diffrax.RESULTS.successful
     ok = all_finite(path) & ~failed
     if throw and not inside_jit():
-        q = result.error_if(q, failed)  # with the reason
+        q = result.error_if(q, failed)  # raises with the reason
     if throw:
         q = eqx.error_if(
             q,
@@ -180,8 +179,10 @@ def simulate(
 
 
 class _How(NamedTuple):
-    """Options of the solve. by_kernel: whether it is one program of one robot, which cannot raise,
-    so that `throw` is False."""
+    """Options of the solve.
+
+    by_kernel: whether one robot is one kernel program, which cannot raise, so `throw` is False.
+    """
 
     solver: diffrax.AbstractSolver
     dt: Any
@@ -196,7 +197,7 @@ class _How(NamedTuple):
 def _solved(
     model: Model, state: State, start: jax.Array, elapsed: jax.Array, functions: tuple, how: _How
 ) -> tuple:
-    """The saved states, the result and the statistics of diffrax."""
+    """Solve by diffrax; return the saved states, the result and the statistics."""
     *given, dynamics = functions
     args, of_args = split_tracers(model)
 
@@ -231,7 +232,7 @@ _compiled = compiled(_solved, jit=eqx.filter_jit)
 
 
 class _Saved(eqx.Module):
-    """The saved form of a state: with unit quaternions, and projected onto the constraints."""
+    """The map of a state to its saved form: unit quaternions, projected onto the constraints."""
 
     model: Callable[[Any], Model]
     dynamics: Dynamics
@@ -244,7 +245,7 @@ class _Saved(eqx.Module):
 
 
 def _check_kind(name: str, value: Any, kind: type) -> None:
-    """Raise if a value has the wrong type, such as a class in place of an instance."""
+    """Raise InputError if a value has the wrong type, such as a class instead of an instance."""
     if value is None or isinstance(value, kind):
         return
     got = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
@@ -255,7 +256,7 @@ def _check_kind(name: str, value: Any, kind: type) -> None:
 
 
 def _times(ts: Any, dtype) -> tuple[jax.Array, jax.Array]:
-    """The times, and the time since the first, taken before it is rounded to the dtype."""
+    """Check the times; return them and the times since the first, subtracted before rounding."""
     known = not isinstance(ts, jax.core.Tracer)
     shape_of("simulate", "ts", ts)
     ts = np.asarray(ts) if known else ts
@@ -270,7 +271,7 @@ def _times(ts: Any, dtype) -> tuple[jax.Array, jax.Array]:
 
 
 def _advances(step: jax.Array, elapsed: jax.Array) -> None:
-    """Raise if adding the step to the time has no effect; traced values are not checked."""
+    """Raise InputError if adding the step to the time has no effect. Ignore traced values."""
     if isinstance(step, jax.core.Tracer) or isinstance(elapsed, jax.core.Tracer):
         return
     least = np.spacing(np.asarray(elapsed)[-1])

@@ -1,5 +1,5 @@
-"""The acceleration of a robot at a state, and its state after one step, with all forces that
-act."""
+"""`acceleration` and `step`: the acceleration at a state and the state after one step, with all
+forces on the model."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def acceleration(
     """Compute the acceleration v' (nv,) of the whole model: actuators, springs and dampers, force
     elements and constraints.
 
-    v' = M^-1 (tau(q, v, x, ctrl) + tau_given + J^T w - b), and with constraints the acceleration
-    that fulfils them. `forward_dynamics` has only the bodies and the given forces.
+    v' = M^-1 (tau(q, v, x, ctrl) + tau_given + J^T w - b), or the constrained acceleration if the
+    model has constraints. `forward_dynamics` has only the bodies and the given forces.
 
     Args:
         model: the robot.
@@ -43,15 +43,15 @@ def acceleration(
         wrenches: (nb, 6) [moment N m; force N] on bodies, in world axes at their origins. Each of
             ctrl, tau and wrenches may be a function (t, state).
         t: time in s, for force elements that depend on it.
-        dynamics: from forces to accelerations (`rbjax.motion.field.Dynamics`).
-        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected".
+        dynamics: map from forces to accelerations (`rbjax.motion.field.Dynamics`).
+        constraints: how to enforce the constraints of the model: a name of
+            `rbjax.constraints.formulations`, a `Formulation`, or None for "projected".
 
     Returns:
-        (nv,).
+        (nv,) in the units of v per second.
 
     Raises:
-        InputError: shapes, dtypes, values that are not finite.
+        InputError: wrong shapes or dtypes, values that are not finite.
 
     Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 7, 8.
 
@@ -90,7 +90,7 @@ def step(
     dynamics: Dynamics | VelocityDynamics = free_motion,
     constraints: str | Formulation | None = None,
 ) -> State:
-    """Advance a state by one step, with the inputs held over it: one step of `rollout`.
+    """Advance a state by one step of `rollout`, with constant inputs over the step.
 
     Args:
         model: the robot.
@@ -103,19 +103,19 @@ def step(
             ctrl, tau and wrenches may be a function (t, state).
         t: time in s, for force elements that depend on it.
         integrator: as in `rollout`.
-        dynamics: from forces to accelerations, or to the velocity after the step
+        dynamics: map from forces to accelerations, or to the velocity after the step
             (`rbjax.motion.field.Dynamics`, `VelocityDynamics`).
-        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
+        constraints: how to enforce the constraints of the model: a name of
+            `rbjax.constraints.formulations`, a `Formulation`, or None for "projected".
 
     Returns:
-        `State`.
+        `State` after the step.
 
     Raises:
-        InputError: shapes, dtypes, values that are not finite, an unknown integrator, a step that
-            is not positive.
+        InputError: wrong shapes or dtypes, values that are not finite, an unknown integrator, a
+            step that is not positive.
 
-    Source: as `rollout`.
+    Source: see `rollout`.
 
     Example:
         >>> import rbjax as rb
@@ -144,7 +144,7 @@ def _step(
 
 
 def with_memory(model: Model, state: State, dynamics: Any, batch: tuple[int, ...] = ()) -> State:
-    """The state with the memory of the dynamics: its own, or the initial one."""
+    """Fill the memory of a state with the initial memory of the dynamics, unless it has one."""
     if not isinstance(dynamics, VelocityDynamics):
         return State(state.q, state.v, state.x)
     if state.memory is not None:

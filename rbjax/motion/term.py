@@ -1,10 +1,10 @@
-"""The motion of a robot as a term of diffrax, and solvers that project its states.
+"""The equations of motion as a diffrax term, and diffrax solvers that project states.
 
-    q' = the motion of the configuration at velocity v (for attitudes q quaternion (0, w / 2)),
+    q' = the rate of the configuration at velocity v (for attitudes q quaternion (0, w / 2)),
     v' = dynamics(q, v, forces),   x' = the rates of force elements
-The attitude enters only as the direction of its quaternion, and its rate is linear in the
-quaternion. So the length that a solver's error adds or removes has no effect until it overflows
-(Euler, 0.4 rad a step, 40,000 steps), which `ok` shows; returned quaternions have unit length.
+Only the direction of a quaternion has an effect, and its rate is linear in the quaternion. So an
+error of its length has no effect until it overflows, and `ok` is False then. Returned quaternions
+have unit length.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rbjax.solvers.compensated import Wrapped
 
 
 def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
-    """q' (nq,) of the velocity v (nv,): for attitudes q (0, w) / 2."""
+    """Compute the rate q' (nq,) at velocity v (nv,); for a quaternion the product q (0, w) / 2."""
     out = [jnp.zeros(0, q.dtype)]
     for span in spans(top):
         out.append(v[span.v])
@@ -45,7 +45,7 @@ def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def unit_quaternions(top: Topology, q: jax.Array) -> jax.Array:
-    """q with quaternions of unit length."""
+    """Normalize the quaternions of a configuration."""
     for start in top.quaternion_starts:
         rows = slice(start, start + 4)
         q = q.at[rows].set(quaternion.normalize(q[rows]))
@@ -53,12 +53,12 @@ def unit_quaternions(top: Topology, q: jax.Array) -> jax.Array:
 
 
 class VectorField(eqx.Module):
-    """The vector field of a robot under its own forces and inputs, for diffrax.
+    """The equations of motion as a vector field of diffrax.
 
-    model: from diffrax' args, which contain its traced leaves; the other leaves stay constants.
-        start: the time at which diffrax' own begins. tangent: the configuration's rate is v itself,
-        for solvers that move along the manifold. begun: time and state at which the step began, for
-        laws that take the rates of a stage elsewhere; None: at the state itself.
+    model: function of diffrax' args, which contain the traced leaves of the model.
+    start: time in s at diffrax' time zero.
+    tangent: whether the rate of the configuration is v, for solvers on the manifold.
+    begun: time and state at the start of the step, for `stage_state`; None for the current ones.
     """
 
     inputs: Inputs
@@ -68,7 +68,7 @@ class VectorField(eqx.Module):
     tangent: bool = eqx.field(static=True, default=False)
     begun: tuple[Any, State] | None = None
 
-    @eqx.filter_jit  # diffrax calls it in many places: traced once
+    @eqx.filter_jit  # diffrax calls it in many places; trace it once
     def __call__(self, t: Any, y: State, args: Any) -> State:
         model = self.model(args)
         t = t if self.start is None else self.start + t
@@ -82,7 +82,7 @@ class VectorField(eqx.Module):
 
 
 class Manifold(AbstractGroup):
-    """The states of a robot as a Lie group: attitudes turn, everything else adds."""
+    """The states of a robot as a Lie group: rotations for attitudes, addition for the rest."""
 
     topology: Topology = eqx.field(static=True)
 
@@ -103,7 +103,7 @@ class Manifold(AbstractGroup):
 
 
 class Momentum(eqx.Module):
-    """M v (nv,)."""
+    """The generalized momentum M v (nv,) as a function of diffrax."""
 
     model: Callable[[Any], Model]
 
@@ -126,8 +126,10 @@ def make_term(
     dynamics: Dynamics = free_motion,
     start: Any = None,
 ) -> tuple[diffrax.AbstractTerm, State]:
-    """The term of a robot's motion for a solver, and the initial state: solvers on groups move
-    along the manifold, from quaternions of unit length. The args of the term contain the model."""
+    """Return the diffrax term of the equations of motion for a solver, and the initial state.
+
+    Solvers on Lie groups get a term on the manifold and normalized quaternions.
+    """
     if not isinstance(solver, AbstractGroupSolver):
         return diffrax.ODETerm(VectorField(inputs, of_args, dynamics, start)), state
     top = model.topology
@@ -138,7 +140,7 @@ def make_term(
 
 
 def check_for_robots(solver: diffrax.AbstractSolver) -> None:
-    """Raise if a solver is for other equations."""
+    """Raise InputError if a group solver does not solve the equations of a robot."""
     if not isinstance(solver, AbstractGroupSolver):
         return
     name = type(solver).__name__
@@ -151,10 +153,10 @@ def check_for_robots(solver: diffrax.AbstractSolver) -> None:
 
 class ProjectedSolver(Wrapped):
     """A solver with the projections of a formulation: `stage_state` at the stages and at the end of
-    each step, `project` after it.
+    each step, `project` after the step.
 
     The error is estimated before the projection. A solver that reuses the slope at the end of a
-    step uses the slope of the state before the projection, which differs by less than the error.
+    step uses the slope before the projection, which differs by less than the error.
     """
 
     formulation: Formulation = eqx.field(static=True)
@@ -175,8 +177,8 @@ class ProjectedSolver(Wrapped):
 
 
 def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffrax.AbstractSolver:
-    """The solver of a dynamics: the caller's, the implicit solver of the equations of a formulation
-    of index 2 or 3, or the default."""
+    """Return the diffrax solver for a dynamics: the given one, the implicit solver for a
+    formulation of index 2 or 3, or the default."""
     if given is not None:
         _check_solver("simulate", given)
     formulation = differential_algebraic_method(dynamics)
@@ -189,7 +191,7 @@ def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffr
 
 
 def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
-    """The terms, with the time and state at which their step began."""
+    """Set the time and state of the start of the step in the vector fields of the terms."""
 
     def of(x: Any) -> Any:
         return dataclasses.replace(x, begun=begun) if is_field(x) else x
@@ -203,14 +205,14 @@ def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
 def project_after_steps(
     solver: diffrax.AbstractSolver, dynamics: Dynamics, model: Callable[[Any], Model], start: Any
 ) -> diffrax.AbstractSolver:
-    """The solver, with the projection of the dynamics after each step if it has one."""
+    """Wrap a solver to project after each step, if the dynamics has a projection."""
     if not isinstance(dynamics, Formulation) or dynamics.projection is None:
         return solver
     return ProjectedSolver(solver, dynamics, model, start)
 
 
 def _check_solver(function: str, solver: Any) -> None:
-    """`InputError` unless solver is an instance of a diffrax solver."""
+    """Raise InputError unless solver is an instance of a diffrax solver."""
     if isinstance(solver, diffrax.AbstractSolver):
         return
     got, fix = repr(solver), ""

@@ -1,4 +1,4 @@
-"""A rollout whose sample is one program: the program of a step, and the calls around it."""
+"""Rollouts on threads: one sample is one program, and threads run the batch."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from rbjax.motion.field import Dynamics, Field
 from rbjax.motion.inputs import Sources
 from rbjax.motion.integrators import Integrator, advance_state
 
-#: operations of a step above which it is faster to keep its residuals than to compute it again
+#: operations of a step above which saving its residuals is faster than recomputing them
 SAVE_RESIDUALS_ABOVE = 4_000
-#: a policy of more operations runs between the steps
+#: operations of a policy above which XLA evaluates it between the steps
 POLICY_UP_TO = 4_000
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Options of a rollout: `count` steps, of which every `save_every`-th state is saved."""
+    """Options of a rollout: `count` steps; every `save_every`-th state is saved."""
 
     dynamics: Dynamics
     integrator: Integrator
@@ -46,10 +46,11 @@ class Steps:
 def rollout_on_threads(
     model: Model, state: State, sources: Sources, dt: jax.Array, how: Steps, memory: float
 ) -> State:
-    """The states (..., T, nq), (..., T, nv) and (..., T, nx) of a rollout, one sample a thread.
+    """Compute the states (..., T, nq), (..., T, nv) and (..., T, nx) of a rollout, one thread per
+    sample.
 
-    A policy of few operations is part of the thread. A larger one is evaluated for the whole batch
-    between the steps, by XLA's matrix products.
+    A small policy is part of the thread program. XLA evaluates a larger one for the whole batch
+    between the steps.
     """
     dtype = state.q.dtype
     model = choice.on_threads(model, dtype)
@@ -91,7 +92,7 @@ def rollout_on_threads(
     def sized(batch: int, moving: Moving) -> Program:
         left = run_steps(1).step_vjp(moving).bytes
         fits = left and steps * batch * (each + left) <= memory
-        whole = functools.partial(_run, step)  # one equation: nothing is traced again
+        whole = functools.partial(_run, step)  # one equation, which is not traced again
         if fits and operation_count(whole, *step.inputs).total > SAVE_RESIDUALS_ABOVE:
             return run_steps(1, keep_residuals=True).program(plain)
         return run_steps(checkpoint_interval(save_every, steps, batch * each, memory)).program(
@@ -119,7 +120,7 @@ def _is_large(sources: Sources, model: Model, dt: jax.Array, one: State) -> bool
 
 
 def _width(sources: Sources, model: Model, rows: jax.Array | None, between: bool) -> int:
-    """The size of a step's row, and of the inputs that are evaluated between steps."""
+    """Return the number of columns of an input row, and of the inputs evaluated between steps."""
     asked = sum(
         math.prod(shape)
         for f, shape in zip(sources.functions, shapes(model), strict=True)
@@ -132,7 +133,7 @@ def _between(
     model: Model, step: Program, shared: list, state: State, sources: Sources, dt: jax.Array,
     how: Steps, memory: float,
 ) -> State:  # fmt: skip
-    """A rollout whose policy is evaluated by XLA, and whose steps are a kernel each."""
+    """Compute a rollout whose policy XLA evaluates, with one kernel call per step."""
     given, treedef = jax.tree.flatten(state)
     batched, save_every = how.batched, how.save_every
     rows, per_sample = sources.rows, sources.rows is not None and sources.rows.ndim == 3
@@ -156,13 +157,13 @@ def _between(
         row = rows[:, i] if per_sample else rows[i]
         return joined([row, asked])
 
-    @functools.partial(jax.checkpoint, prevent_cse=False)  # the network's inside is not kept
+    @functools.partial(jax.checkpoint, prevent_cse=False)  # keep no activations of the network
     def once(carry: Any, _: None) -> tuple[Any, None]:
         i, *state = carry
         return (i + 1, *advance(i, *state, numbers(i, act([i, *state])))), None
 
     def segment(carry: Any, _: None) -> tuple[Any, Any]:
-        # a turn of XLA's loop costs as much as a small kernel
+        # an iteration of XLA's loop costs as much as a small kernel
         carry, _ = jax.lax.scan(once, carry, None, length=save_every, unroll=min(4, save_every))
         return carry, carry[1:]
 

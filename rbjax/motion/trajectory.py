@@ -1,4 +1,4 @@
-"""Trajectories: states at times, and the outcome of the motion."""
+"""Trajectories: states at times, and whether the integration succeeded."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rbjax.model import State
 
 
 class Trajectory(eqx.Module):
-    """States along time.
+    """States of a motion at increasing times.
 
-    ts: (T,) s.
+    ts: (T,) times, s.
     q, v: (T, nq) and (T, nv), or (B, T, nq) and (B, T, nv) for a batch.
     ok: () or (B,), whether every value is finite.
-    result: of the solver; None for `rollout`.
+    result: result of the diffrax solver; None for `rollout`.
     stats: counts of steps.
-    x: (T, nx) or (B, T, nx), the states of force elements; None if none has one.
-    memory: (T, m) or (B, T, m), the memory of the dynamics; None if it has none.
+    x: (T, nx) or (B, T, nx), states of force elements; None if no element has a state.
+    memory: (T, m) or (B, T, m), memory of the dynamics; None if it has none.
     """
 
     ts: jax.Array
@@ -34,7 +34,7 @@ class Trajectory(eqx.Module):
     memory: jax.Array | None = None
 
     def state(self, i: int) -> State:
-        """The state at ts[i] (of each sample of a batch)."""
+        """Return the state at ts[i], for each sample of a batch."""
         states = State(self.q, self.v, self.x, self.memory)
         return jax.tree.map(lambda x: x[..., i, :], states)
 
@@ -43,6 +43,6 @@ class Trajectory(eqx.Module):
 
 
 def all_finite(states: State) -> jax.Array:
-    """Whether all of a trajectory is finite, per sample."""
+    """Check that all values of a trajectory are finite, per sample."""
     finite = [jnp.isfinite(x).all((-2, -1)) for x in jax.tree.leaves(states)]
     return functools.reduce(jnp.logical_and, finite)

@@ -1,25 +1,27 @@
 """The variational midpoint method with a fixed number of evaluations, for `rollout`.
 
-The discrete Euler-Lagrange equations of L_d = h L(m, w), q1 = q0 (+) h w, m = q0 (+) h w / 2. With
-p = M(m) w, its rate p' at the midpoint, forces included (the discrete d'Alembert principle), and
+The discrete Euler-Lagrange equations of L_d = h L(m, w), with q1 = q0 (+) h w, m = q0 (+) h w / 2.
+Let p = M(m) w, p' its rate at the midpoint with forces (discrete d'Alembert principle), and
 F = p' + w x p on attitudes, F = p' elsewhere:
 
     0  = R(w) = M(m) w - S E p0 - h/2 J F        for w
     p1 = E (E p0 + h F)                          then v1 = M(q1)^-1 p1
 
-where on attitudes, with y = h w / 2 in body axes, E = exp(-[y]), J = J_r(y), S = 1 + c_3(|y|^2)
-[y]^2, and 1 elsewhere: the derivative of exp, so that the step is symplectic in (q, p) on attitudes
-too. (Marsden & West, *Acta Numerica* 2001; Bou-Rabee & Marsden, *Foundations of Computational
-Mathematics* 9, 2009, on Lie groups.) The states of force elements go by the implicit midpoint rule.
+On attitudes, with y = h w / 2 in body axes, E = exp(-[y]), J = J_r(y), S = 1 + c_3(|y|^2) [y]^2.
+Elsewhere E, J and S are 1. They are the derivative of exp, so the step is symplectic in (q, p) on
+attitudes too. The states of force elements follow the implicit midpoint rule.
 
-R = 0 is solved by a chord iteration: w - (M + h D / 2 + h^2 K / 4)^-1 R(w), the matrix at q0 (+) h
-v0 / 2 with the dampers D and springs K of joints and the gains of their servos, by its
-articulated-body factors. Each evaluation is O(n), and divides the error by about h |dM/dq v| / |M|.
-Of an element without its implicit stiffness, a spring k on a mass m converges for h < 2 sqrt(m /
-k), as explicit methods are stable. The chord matrix has no constraint terms: at a singular value
-sigma of its rows each evaluation multiplies a velocity across them by about h v / sigma, so a step
-whose midpoint comes that near to a singular position does not converge in f64; in f32 the
-constraint equations damp sigma below 1e-2.
+R = 0 is solved by a simplified Newton (chord) iteration: w - (M + h D / 2 + h^2 K / 4)^-1 R(w). The
+matrix is evaluated at q0 (+) h v0 / 2, with the dampers D, the springs K and the servo gains of
+joints, and is factored once (articulated-body factors). An evaluation is O(n), and divides the
+error by about h |dM/dq v| / |M|. A spring k on a mass m whose element has no implicit stiffness
+converges for h < 2 sqrt(m / k), the stability limit of explicit methods. The matrix has no
+constraint terms: near a singular position, with singular value sigma of the constraint Jacobian,
+an evaluation multiplies a velocity across the constraints by about h v / sigma, and the step may
+not converge in f64. In f32 the constraint equations damp sigma below 1e-2.
+
+Source: Marsden & West, *Acta Numerica* 2001; on Lie groups Bou-Rabee & Marsden, *Foundations of
+Computational Mathematics* 9, 2009.
 """
 
 from __future__ import annotations
@@ -43,27 +45,24 @@ from rbjax.model import State, Topology, spans
 from rbjax.motion.field import Field
 from rbjax.rotations.coefficients import stumpff
 
-#: evaluations times velocity coordinates up to which they are written out
+#: evaluations times dofs up to which the loop is unrolled
 WRITTEN_UP_TO = 13
-#: a step has not converged where its last correction is larger than half of the first, than this
-#: part of the velocity, and moves half of the digits of the configuration: at rest all is rounding
+#: A step has not converged if its last correction exceeds all three of: half of the first one, this
+#: part of the velocity, and sqrt(eps) of the configuration (at rest corrections are rounding).
 LOST = 1e-3
 
 
 @dataclass(frozen=True)
 class VariationalMidpoint:
-    """An integrator of `rollout`: symplectic in (q, p = M v), symmetric, of order 2, on the
-    manifold.
+    """Integrator of `rollout`: symplectic in (q, p = M v), symmetric, of order 2, on the manifold.
 
-    Each evaluation costs a pass over the tree and a solve with factors computed already, half as
-    much as forward dynamics; a step has two further eliminations. The derivative is that of the
-    evaluations with constant
-    factors: it differs from that of the equations as the step differs from their solution. A step
-        whose equations do not converge is nan, and `Trajectory.ok` is False. One that has converged
-        in part is as accurate as any, but symplectic only to that part: more evaluations, or
-        shorter steps, help.
+    An evaluation costs a pass over the tree and a solve with existing factors, half as much as
+    forward dynamics. A step has two further eliminations. The derivative is the derivative of the
+    evaluations with constant factors. Its error is of the size of the error of the iteration. A
+    step that does not converge is nan, and `Trajectory.ok` is False. A partly converged step has
+    order 2 but is symplectic only approximately: use more evaluations or shorter steps.
 
-    Fields: evaluations of the equations in a step, at least 2.
+    evaluations: number of evaluations of the equations in a step, at least 2.
     """
 
     evaluations: int = 6
@@ -83,7 +82,7 @@ class VariationalMidpoint:
         correction = linearly_implicit_velocity(model, middle, jax.lax.stop_gradient(extra))
 
         def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
-            """R(w), F and x' at the midpoint."""
+            """Compute R(w), F and x' at the midpoint."""
             at = State(field.retract(q0, half * w), w, x)
             tau, f_ext, rate = field.forces(t + half, at, u)
             p, dp = momentum_and_rate(model, at.q, w, tau, f_ext)
@@ -119,14 +118,14 @@ variational_midpoint = VariationalMidpoint()
 
 
 def largest(x: jax.Array) -> jax.Array:
-    """max |x| over coordinates; it does not move."""
+    """Compute max |x| over coordinates, without a derivative."""
     return jnp.max(jnp.abs(jax.lax.stop_gradient(x)), 0)
 
 
 def residual(
     top: Topology, half: Any, w: jax.Array, p: jax.Array, p0: jax.Array, force: jax.Array
 ) -> jax.Array:
-    """p - S E p0 - h/2 J F."""
+    """Compute the residual p - S E p0 - h/2 J F."""
 
     def turned(y: Vec3, p: Vec3, p0: Vec3, force: Vec3) -> Vec3:
         c1, c2, c3 = stumpff(y.dot(y), 1, 2, 3)
@@ -139,7 +138,7 @@ def residual(
 
 
 def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Array) -> jax.Array:
-    """p1 = E (E p0 + h F)."""
+    """Compute the momentum after the step, p1 = E (E p0 + h F)."""
 
     def turned(y: Vec3, p0: Vec3, force: Vec3) -> Vec3:
         c1, c2 = stumpff(y.dot(y), 1, 2)
@@ -149,18 +148,18 @@ def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Ar
 
 
 def with_spin(top: Topology, w: jax.Array, p: jax.Array, rate: jax.Array) -> jax.Array:
-    """p' + w x p on attitudes, p' elsewhere."""
+    """Compute F = p' + w x p on attitudes, p' elsewhere."""
     return _on_attitudes(top, rate, lambda w, p, rate: rate + w.cross(p), w, p, rate)
 
 
 def _back(y: Vec3, p: Vec3, c1: Lane, c2: Lane) -> Vec3:
-    """exp(-[y]) p."""
+    """Rotate a vector backwards: exp(-[y]) p."""
     across = y.cross(p)
     return p - across * c1 + y.cross(across) * c2
 
 
 def _on_attitudes(top: Topology, plain: jax.Array, f: Any, *given: jax.Array) -> jax.Array:
-    """f of the rows of each attitude, and the rows of `plain` elsewhere."""
+    """Replace the rows of each attitude in `plain` by f of the rows of the given arrays."""
     if not top.turn_starts:
         return plain
     out: list[Lane] = list(plain)

@@ -1,8 +1,8 @@
-"""Pictures of robots with only matplotlib, no OpenGL and no window: postures, motions, charts.
+"""Pictures of robots with matplotlib, without OpenGL or a window: postures, motions, charts.
 
-`draw` shows one posture, `strobe` a motion in one picture; `animate` writes a GIF, an MP4 or a
-page. Each draws a model from its numbers (rods and ellipsoids of inertia) or from its file (geoms).
-`top_view` and `animate_top_view` show wheeled robots from above.
+`draw` shows one posture, and `strobe` a motion in one picture. `animate` writes a GIF, an MP4 or an
+HTML page. All draw a model from its parameters (rods and ellipsoids of inertia) or from its file
+(geoms). `top_view` and `animate_top_view` show wheeled robots from above.
 """
 
 from rbjax.plotting.animation import animate

@@ -1,4 +1,4 @@
-"""A trajectory as a moving picture: GIF, MP4, or a page whose view the mouse turns."""
+"""Animation of a trajectory as a GIF, an MP4, or an HTML page with an interactive view."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def animate(
     """Write an animation of a trajectory.
 
     Without `source` the robot is drawn from its parameters, as rods from joint to joint and
-    ellipsoids of inertia. The file's name decides the format: .gif; .mp4, for which ffmpeg must
-    be installed; .html, one file that needs nothing else, where the mouse turns the view.
+    ellipsoids of inertia. The suffix of the file determines the format: .gif; .mp4, which requires
+    ffmpeg; or .html, a self-contained page in which the mouse turns the view.
 
     Args:
         model: the robot that moved.
@@ -57,17 +57,18 @@ def animate(
         path: the file to write, .gif, .mp4 or .html.
         source: the argument of `rbjax.load`, to draw the file's geoms.
         floating_base: as in `rbjax.load`, for a source that is a URDF.
-        fps: frames a second of the animation.
-        speed: seconds of motion in a second of the animation; 0.1 is slow motion.
-        samples: the number of samples of a batch to draw, the first strongly, the others faded.
-        camera: line of sight; None looks across a flat motion, at any other from a corner.
-        follow: whether the picture moves with the robot; None: only if it goes far.
+        fps: frames per second of the animation.
+        speed: seconds of motion per second of the animation; 0.1 is slow motion.
+        samples: the number of samples of a batch to draw. All but the first are faded.
+        camera: the line of sight. None chooses a right angle to a flat motion, or else a corner.
+        follow: whether the view moves with the robot; None: only if the robot moves far.
         trace: one body or several, whose origins leave a line.
         title: text at the top.
         size: width and height in pixels (of .gif and .mp4).
-        renderer: "drawing", or "mujoco" for MuJoCo's own pictures of `source`, which need OpenGL
-            (EGL or OSMesa where there is no display); they show the first sample.
-        progress: called with the frames done and their total; None shows a bar in a terminal.
+        renderer: "drawing", or "mujoco" to render `source` by MuJoCo. That requires OpenGL (EGL or
+            OSMesa if there is no display), and shows the first sample.
+        progress: called with the number of frames done and their total; None displays a progress
+            bar in a terminal.
 
     Returns:
         The path.
@@ -103,7 +104,8 @@ def animate(
 
 
 def writable(path: Path) -> None:
-    """Raise InputError if `animate` cannot write such a file, before anything is computed."""
+    """Raise InputError if `animate` cannot write a file with this path, before anything is
+    computed."""
     movie_files.check("animate", path, SUFFIXES)
 
 
@@ -116,7 +118,7 @@ def _check(fps: float, speed: float, samples: int, renderer: str, source: Any) -
 
 
 def _figure(film: Film, title: str, speed: float, size: tuple[int, int]) -> tuple[Any, Any, Any]:
-    """Make a canvas with one axis, and the text of the time."""
+    """Make a canvas with one axis, and a text object for the time."""
     canvas, figure = canvas_of(size)
     ax = figure.add_axes((0, 0, 1, 1))
     height = 12 * min(1.0, size[0] / 600)
@@ -126,7 +128,7 @@ def _figure(film: Film, title: str, speed: float, size: tuple[int, int]) -> tupl
 
 
 def _drawn(film: Film, title: str, speed: float, size: tuple[int, int]) -> Iterator[np.ndarray]:
-    """Frames (height, width, 3) of the film, drawn by matplotlib."""
+    """Draw the frames (height, width, 3) of a film with matplotlib."""
     canvas, ax, label = _figure(film, title, speed, size)
     stage = Stage(ax, film)
     for frame in range(len(film.ts)):
@@ -138,7 +140,7 @@ def _drawn(film: Film, title: str, speed: float, size: tuple[int, int]) -> Itera
 def _labelled(
     rendered: Iterable[np.ndarray], film: Film, title: str, speed: float, size: tuple[int, int]
 ) -> Iterator[np.ndarray]:
-    """Add title and time to MuJoCo's pictures."""
+    """Add the title and the time to MuJoCo's pictures."""
     canvas, ax, label = _figure(film, title, speed, size)
     ax.axis("off")
     shown = None
@@ -154,9 +156,8 @@ def _labelled(
 
 
 def _write_page(path: Path, film: Film, title: str, *, fps: float, speed: float) -> None:
-    """Write a film as one HTML page that needs no network, with a script that draws it.
-
-    Poses are 32-bit floats, position and quaternion, in base64."""
+    """Write a film as one self-contained HTML page, with a script that draws it. Poses are 32-bit
+    floats, position and quaternion, in base64."""
     data: dict[str, Any] = {
         "fps": fps,
         "speed": speed,

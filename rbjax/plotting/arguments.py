@@ -1,4 +1,4 @@
-"""Checks of the arguments of pictures."""
+"""Checks of the arguments of plotting functions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rbjax.model import Model
 
 
 def check_axis(where: str, ax: Any, name: str = "ax") -> None:
-    """`InputError` unless the argument is an axis of matplotlib."""
+    """Raise `InputError` unless the argument is a matplotlib axis."""
     if not hasattr(ax, "add_collection"):
         raise InputError(
             f"{where}: {name} is {type(ax).__name__}, expected an axis of matplotlib, such as "
@@ -23,10 +23,10 @@ def check_axis(where: str, ax: Any, name: str = "ax") -> None:
 
 
 def configurations(where: str, model: Model, q: Any) -> np.ndarray:
-    """Configurations (T, nq) of one robot, as an array.
+    """Convert configurations (T, nq) of one robot to an array.
 
     Raises:
-        InputError: not a model, or q of another shape or not finite.
+        InputError: not a model, or q has another shape or is not finite.
     """
     check_model(where, model)
     x = real_array(where, "q", q)
@@ -36,7 +36,7 @@ def configurations(where: str, model: Model, q: Any) -> np.ndarray:
 
 
 def check_solids(where: str, shapes: Any, R: Any, p: Any, alpha: Any) -> tuple[Any, Any]:
-    """Rotations (nb, 3, 3) and positions (nb, 3) of bodies, as arrays.
+    """Check solids, and convert rotations (nb, 3, 3) and positions (nb, 3) of bodies to arrays.
 
     Raises:
         InputError: other shapes, values that are not finite, an opacity outside of 0 to 1.

@@ -18,9 +18,9 @@ def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str
 
     Args:
         axes: two axes, for q and for v.
-        ts: (T,) s.
-        q: (T, nq) m, rad, or quaternions' numbers.
-        v: (T, nv) m/s, rad/s.
+        ts: (T,), s.
+        q: (T, nq), in m, rad, or quaternion components.
+        v: (T, nv), in m/s, rad/s.
         names: names of the first coordinates, for a legend.
 
     Example:

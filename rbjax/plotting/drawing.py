@@ -1,4 +1,4 @@
-"""Postures on a matplotlib axis, without GL or a window.
+"""Pictures of robots on a matplotlib axis, without OpenGL or a window.
 
 The points of each solid are projected along the line of sight, and their convex hull is filled,
 far solids first. The shadow is the projection on the floor.
@@ -45,7 +45,7 @@ def outlines(
     shapes: Sequence[Solid], R: Array, p: Array, camera: Camera, *, alpha: float = 1.0,
     world: bool = True,
 ) -> list[Outline]:  # fmt: skip
-    """Outlines of solids in the view, from far to near. R (nb, 3, 3), p (nb, 3)."""
+    """Compute the outlines of solids in the view, from far to near. R (nb, 3, 3), p (nb, 3)."""
     axes, found = camera.axes, []
     for s in shapes:
         if s.body < 0 and not world:
@@ -64,7 +64,7 @@ def shadows(
     shapes: Sequence[Solid], R: Array, p: Array, camera: Camera, *, floor: float = 0.0,
     world: bool = True,
 ) -> list[Array]:  # fmt: skip
-    """Outlines (n, 2) of the solids' shadows, straight below them on the floor."""
+    """Compute the outlines (n, 2) in the view of the solids' vertical shadows on the floor."""
     hulls = []
     for s in shapes:
         if s.body >= 0 or world:
@@ -75,7 +75,7 @@ def shadows(
 def _hull(points: Array) -> Array | None:
     try:
         return points[ConvexHull(points).vertices]
-    except QhullError:  # seen edge on
+    except QhullError:  # a flat solid in the line of sight
         return None
 
 
@@ -95,14 +95,14 @@ def draw_solids(
 
     Args:
         ax: the axis.
-        shapes: of `solids` or `skeleton`.
+        shapes: a list from `solids` or `skeleton`.
         R: (nb, 3, 3), body to world axes.
-        p: (nb, 3) m, the bodies' origins in the world's frame.
-        camera: line of sight.
+        p: (nb, 3), the bodies' origins in the world's frame, m.
+        camera: the line of sight.
         alpha: opacity.
         shadow: whether they cast a shadow on z = 0.
-        world: whether the solids that are fixed to the world are drawn.
-        zorder: of the farthest solid, in matplotlib.
+        world: whether to draw the solids that are fixed to the world.
+        zorder: matplotlib's zorder of the farthest solid.
 
     Example:
         >>> import matplotlib.figure, numpy as np
@@ -126,13 +126,13 @@ def draw_solids(
 
 
 class Stage:
-    """An axis that shows one frame of a film after another."""
+    """A matplotlib axis that displays the frames of a film."""
 
     def __init__(self, ax: Axes, film: Film):
         self.ax, self.film = ax, film
         self.disc = PolyCollection([], facecolors=_GROUND, linewidths=0, zorder=0)
         self.grid = LineCollection([], colors=GRID, linewidths=0.8, zorder=0.5)
-        # blended once, so that overlapping shadows do not become black
+        # opaque, so that overlapping shadows do not become darker
         self.shadow = PolyCollection([], facecolors="#e3e7eb", linewidths=0, zorder=1)
         first = [(*to_rgb(BLUE), 1.0 if strong else FADED) for strong in film.strong]
         self.paths = LineCollection([], colors=first, linewidths=1.6, zorder=1.5)
@@ -143,10 +143,10 @@ class Stage:
         ax.set_aspect("equal", adjustable="datalim")
 
     def show(self, frame: int) -> None:
-        """Draw a frame in place of the last."""
+        """Draw a frame, and remove the previous one."""
         f, axes = self.film, self.film.camera.axes[:2]
         centre, half = f.centre[frame] @ axes.T, f.size / 2 * [1.0, 1.15]  # title and time
-        width, height = self.ax.get_window_extent().size  # the larger side of the axis
+        width, height = self.ax.get_window_extent().size
         half = np.maximum(half, half[::-1] * [width / height, height / width])
         self.ax.set(
             xlim=(centre[0] - half[0], centre[0] + half[0]),
@@ -160,7 +160,7 @@ class Stage:
         )
         self.paths.set_segments([path[: frame + 1] @ axes.T for path in f.paths])
         shown = []
-        for sample in reversed(range(len(f.R))):  # the first over the others
+        for sample in reversed(range(len(f.R))):  # the first sample is in front
             style: Any = {"alpha": 1.0 if sample == 0 else FADED, "world": sample == 0}
             shown += outlines(f.shapes, f.R[sample, frame], f.p[sample, frame], f.camera, **style)
         self.solids.set_verts([one.points for one in shown])
@@ -169,7 +169,8 @@ class Stage:
 
 
 def ground(film: Film, frame: int, reach: float) -> tuple[Array, list[Array]]:
-    """A disc (n, 3) of the ground below the middle of a frame, and the lines of its grid."""
+    """Compute a disc (n, 3) of the ground below the middle of a frame, and the lines of its
+    grid."""
     x, y, _ = film.centre[frame]
     radius, spacing = 1.1 * reach, _even(reach / 2.5)
     turn = np.linspace(0, 2 * np.pi, 97)
@@ -189,13 +190,13 @@ def ground(film: Film, frame: int, reach: float) -> tuple[Array, list[Array]]:
 
 
 def _even(length: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten below a length."""
+    """Return the largest of 1, 2 and 5 times a power of ten that does not exceed a length."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(power * max(k for k in (1, 2, 5) if k * power <= length * 1.0000001))
 
 
 def shapes_of(model: Model, source: Any, floating_base: bool = False) -> list[Solid]:
-    """The geoms of a file, or a skeleton if there is no file or no geom in it."""
+    """Return the geoms of a file, or a skeleton if there is no file or no geom in it."""
     found = [] if source is None else solids(source, floating_base=floating_base)
     if source is not None and not found:
         warnings.warn(
@@ -221,12 +222,12 @@ def draw(
         model: one robot.
         q: (nq,) configuration.
         ax: the axis to draw on; None makes a figure.
-        source: the argument of `rbjax.load`, to draw the file's geoms; None draws rods from joint
+        source: the argument of `rbjax.load`, to draw the file's geoms. None draws rods from joint
             to joint and ellipsoids of inertia.
-        camera: line of sight; None chooses one.
+        camera: the line of sight; None chooses one.
 
     Returns:
-        The axis; `ax.figure.savefig(path)` writes it.
+        The axis. `ax.figure.savefig(path)` writes it to a file.
 
     Raises:
         InputError: q has another shape or is not finite.
@@ -259,7 +260,7 @@ def bare(ax: Axes, margin: float = 0.05) -> None:
 
     Args:
         ax: the axis.
-        margin: on each side, as a share of the larger extent.
+        margin: on each side, as a fraction of the larger extent.
 
     Example:
         >>> import matplotlib.figure
@@ -290,14 +291,14 @@ def strobe(
     shadow: bool = True,
     floating_base: bool = False,
 ) -> None:
-    """Draw poses along a motion over one another, later ones stronger.
+    """Draw poses along a motion in one picture, with increasing opacity.
 
     Args:
         ax: the axis.
         source: an argument of `rbjax.load`, for the shapes; None draws rods and ellipsoids.
         model: the robot.
-        q: (T, nq) configurations, one drawn pose each.
-        camera: line of sight.
+        q: (T, nq), the configurations to draw.
+        camera: the line of sight.
         trace: a body whose origin leaves a line.
         color: the colour of that line.
         shadow: whether the last pose casts a shadow on the floor.

@@ -1,4 +1,4 @@
-"""The content of a picture before it is drawn: poses at equal times, and a view that fits them."""
+"""Content of a picture before it is drawn: poses at equal times, and a view that fits them."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from rbjax.plotting.solid_shapes import Solid
 Array = np.ndarray
 #: the number of frames from which the view is computed
 _PROBED = 60
-#: the picture follows a motion across it of more than this many sizes of the robot
+#: the camera follows the robot if it moves more than this many times its size
 _FAR = 4.0
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A line of sight by azimuth and elevation in degrees, orthographic.
+    """An orthographic camera, by azimuth and elevation in degrees.
 
     Example:
         >>> from rbjax.plotting import Camera
@@ -42,7 +42,7 @@ class Camera:
 
     @property
     def axes(self) -> Array:
-        """Rows: right, up, towards the eye."""
+        """Unit vectors (3, 3) by row: right, up, towards the eye."""
         a, e = np.radians(self.azimuth), np.radians(self.elevation)
         eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         right = np.array([-np.sin(a), np.cos(a), 0.0])
@@ -50,9 +50,9 @@ class Camera:
 
 
 def facing(points: Array) -> Camera:
-    """Choose the camera for a cloud of points (n, 3): across a flat one, else from a corner.
+    """Choose the camera for points (n, 3): at a right angle to a vertical plane, or from a corner.
 
-    A mechanism that moves in a vertical plane is seen at right angles to it.
+    The first case applies if the points are nearly in a vertical plane.
     """
     spread = np.cov(points[:, :2].T)
     values, vectors = np.linalg.eigh(spread)
@@ -66,17 +66,18 @@ def facing(points: Array) -> Camera:
 
 @dataclass(frozen=True)
 class Film:
-    """Poses of samples at frames, and their view, in the world's frame, in m.
+    """Poses of samples at all frames, and the view, in the world's frame, in m.
 
     Fields:
-        ts: (F,) s.
-        R, p: (S, F, nb, 3, 3) and (S, F, nb, 3), of the bodies of each sample.
+        ts: (F,), s.
+        R: (S, F, nb, 3, 3), rotations of the bodies of each sample.
+        p: (S, F, nb, 3), positions of the bodies of each sample.
         shapes: solids.
-        camera: line of sight.
+        camera: the line of sight.
         floor: the height of the ground.
         centre: (F, 3), the middle of the picture.
-        size: (2,), its least width and height.
-        paths: (n, F, 3), of bodies that leave a line.
+        size: (2,), the least width and height of the picture.
+        paths: (n, F, 3), positions of bodies whose paths are drawn.
         strong: (n,), whether each path is of the first sample.
     """
 
@@ -102,10 +103,10 @@ def poses(model: Model, q: Array) -> tuple[Array, Array]:
 def frames(
     model: Model, trajectory: Trajectory, fps: float, speed: float, samples: int
 ) -> tuple[Array, Array]:
-    """Times (F,) s, one every 1/fps s of playing, and configurations (S, F, nq) at them.
+    """Compute the times (F,) of frames, s, and the configurations (S, F, nq) at them.
 
-    Between saved states a body moves along the shortest way, attitudes included. States after one
-    that is not finite are left out, with a warning.
+    Frames are 1/fps s apart. Between saved states, configurations are interpolated along geodesics.
+    States after one that is not finite are omitted, with a warning.
     """
     ts, q = np.asarray(trajectory.ts, float), np.asarray(trajectory.q)
     q = q[None] if q.ndim == 2 else q[:samples]
@@ -142,8 +143,9 @@ def film(
 ) -> Film:
     """Make a film of configurations q (S, F, nq), with a view that fits them.
 
-    camera: None chooses one by how flat the motion is. follow: whether the picture moves with the
-    robot; None: only if it goes far. trace: bodies whose origins leave a line.
+    camera: None chooses one by how flat the motion is.
+    follow: whether the view moves with the robot; None: only if the robot moves far.
+    trace: names of bodies whose origins leave a line.
     """
     samples, count = q.shape[:2]
     R, p = poses(model, q.reshape(-1, model.nq))

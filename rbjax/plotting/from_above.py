@@ -1,4 +1,4 @@
-"""Wheeled robots from above: poses of their parts, and forces on their wheels."""
+"""Top views of wheeled robots: poses of their parts, and forces on their wheels."""
 
 from __future__ import annotations
 
@@ -19,29 +19,33 @@ from rbjax.wheeled.kinematics.planar import rotate
 from rbjax.wheeled.models.robot_model import RobotModel, contacts
 
 SQUARE = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-THICK = 0.3  # of a wheel, over its radius
+THICK = 0.3  # half the thickness of a wheel, relative to its radius
 FORCES, SLIDING = BLUE, RED
 
 
 class Places(NamedTuple):
-    """Origins (..., n, 2) m and directions (..., n, 2) of bodies, and directions (..., m, 2) of
-    wheels, on the ground."""
+    """Poses of bodies and wheels on the ground.
+
+    origins: (..., n, 2), of bodies, m.
+    bodies: (..., n, 2), directions of bodies.
+    wheels: (..., m, 2), directions of wheels.
+    """
 
     origins: np.ndarray
     bodies: np.ndarray
     wheels: np.ndarray
 
     def at(self, k: int) -> Places:
-        """The places at one time."""
+        """Select the poses at one time."""
         return Places(*(x[k] for x in self))
 
     def points(self, body: int, p: Any) -> np.ndarray:
-        """Points (n, 2) of a body, on the ground."""
+        """Convert points p (n, 2) of a body from its frame to the world's."""
         return self.origins[body] + vectors(p, self.bodies[body])
 
 
 def vectors(p: Any, e: np.ndarray) -> np.ndarray:
-    """Vectors (n, 2), turned by the angle of the direction e."""
+    """Rotate vectors (n, 2) by the angle of the direction e."""
     x, y = np.moveaxis(np.asarray(p, float), -1, 0)
     return np.stack([x * e[0] - y * e[1], x * e[1] + y * e[0]], -1)
 
@@ -69,7 +73,7 @@ def _places(vehicle: RobotModel, q: jax.Array) -> tuple[jax.Array, ...]:
 
 
 def centers(robot: Any, at: Places) -> np.ndarray:
-    """Centres (m, 2) of the wheels."""
+    """Compute the centres (m, 2) of the wheels."""
     out = []
     for wheel, e in zip(robot.wheels, at.wheels, strict=True):
         trail = float(wheel.trail) if wheel.kind == "caster" else 0.0
@@ -80,7 +84,8 @@ def centers(robot: Any, at: Places) -> np.ndarray:
 def wheel_forces(
     vehicle: RobotModel, state: State, controls: Any, at: Places
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Forces (m, 2) N on wheels, and the sliding velocities (m, 2) m/s, both on the ground."""
+    """Compute the forces (m, 2) on wheels, N, and their sliding velocities (m, 2), m/s, in world
+    axes."""
     found = contacts(vehicle, state, controls)
     forces, sliding = np.asarray(found.forces), np.asarray(found.sliding)
     turn = [at.bodies[wheel.body] for wheel in vehicle.robot.wheels]
@@ -91,12 +96,12 @@ def wheel_forces(
 
 
 def reach(robot: Any) -> float:
-    """The length of the longest arrow of a robot, m."""
+    """Compute the length of the longest arrow for a robot, m."""
     return 2 * max(float(np.hypot(*np.asarray(w.position))) for w in robot.wheels)
 
 
 class Drawing:
-    """A robot on an axis, which can be drawn again at another place."""
+    """Artists of a robot on an axis, which can be moved to other poses."""
 
     def __init__(self, ax: Axes, robot: Any, zorder: float = 2):
         self.robot = robot
@@ -109,7 +114,7 @@ class Drawing:
             ax.add_collection(collection)
 
     def show(self, at: Places) -> np.ndarray:
-        """Draw the robot at these places. Returns the corners of its bodies (n, 2)."""
+        """Draw the robot at given poses. Return the corners (n, 2) of its bodies."""
         outlines, lines = [], []
         for k, body in enumerate(self.robot.bodies):
             box, nose = _outline(self.robot, k)
@@ -137,7 +142,7 @@ class Drawing:
 
 
 def _outline(robot: Any, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """A box around the wheels of a body, and a mark of its front."""
+    """Compute a box around the wheels of a body, and a mark of its front."""
     wheels = [w for w in robot.wheels if w.body == k]
     at = np.array([np.asarray(w.position) for w in wheels]).reshape(-1, 2)
     at = at if len(at) else np.zeros((1, 2))
@@ -149,7 +154,7 @@ def _outline(robot: Any, k: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def quiver(ax: Axes, at: Any, arrows: Any, color: str, zorder: float = 5) -> Quiver:
-    """Draw arrows (n, 2) in the unit of the axis at points (n, 2)."""
+    """Draw arrows (n, 2), in the unit of the axis, at points (n, 2)."""
     at, arrows = np.reshape(at, (-1, 2)), np.reshape(arrows, (-1, 2))
     return ax.quiver(
         *at.T, *arrows.T, angles="xy", scale_units="xy", scale=1, color=color, width=0.006,

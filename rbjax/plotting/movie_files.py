@@ -1,4 +1,4 @@
-"""Moving pictures: times of frames, a canvas, and files (GIF by Pillow, MP4 by ffmpeg)."""
+"""Movie files: times of frames, a canvas, and writers of GIF (Pillow) and MP4 (ffmpeg)."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rbjax.errors import InputError, RbjaxError
 
-#: colours of a GIF; drawn robots have few
+#: the number of colours of a GIF
 _COLORS = 128
 _DPI = 100
 
 
 def check(where: str, path: Path, suffixes: Sequence[str]) -> None:
-    """Raise InputError if such a file cannot be written."""
+    """Raise InputError if a file with this path cannot be written."""
     if path.suffix not in suffixes:
         raise InputError(
             f"{where}: got the file name {path.name!r}, expected one that ends in "
@@ -48,7 +48,10 @@ def write(
     fps: float,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Write `total` pictures as a GIF or an MP4. progress: a function; None for a bar."""
+    """Write `total` pictures as a GIF or an MP4.
+
+    progress: a function of the number done and the total; None for a progress bar.
+    """
     into = gif if path.suffix == ".gif" else mp4
     if progress is not None:
         into(path, _counted(pictures, total, progress), fps)
@@ -71,7 +74,8 @@ def _counted(
 
 
 def gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
-    """Write pictures (height, width, 3) of bytes; a GIF counts time in hundredths of a second."""
+    """Write pictures (height, width, 3) of bytes as a GIF, whose durations are multiples of 10
+    ms."""
     images = [
         Image.fromarray(picture).quantize(_COLORS, dither=Image.Dither.NONE) for picture in pictures
     ]
@@ -85,12 +89,12 @@ def gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
 
 
 def ffmpeg() -> str | None:
-    """The path of the ffmpeg program, or None."""
+    """Return the path of the ffmpeg program, or None."""
     return shutil.which("ffmpeg")
 
 
 def mp4(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
-    """Write pictures (height, width, 3) of bytes as H.264, which every browser plays."""
+    """Write pictures (height, width, 3) of bytes as an MP4 in H.264, which every browser plays."""
     program, process = ffmpeg(), None
     assert program is not None, "animate has looked"
     with tempfile.TemporaryFile() as said:
@@ -105,7 +109,7 @@ def mp4(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
             assert process.stdin is not None
             try:
                 process.stdin.write(picture.tobytes())
-            except BrokenPipeError:  # it has ended and said why
+            except BrokenPipeError:  # ffmpeg has ended; its message is in `said`
                 break
         assert process is not None and process.stdin is not None, "a film has a frame"
         process.communicate()
@@ -118,13 +122,13 @@ def mp4(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
 
 def _command(program: str, path: Path, shape: tuple[int, ...], fps: float) -> list[str]:
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{shape[1]}x{shape[0]}", "-r", f"{fps}"]
-    # H.264 in yuv420p, as browsers want it, has even numbers of pixels
+    # browsers require yuv420p, which needs even numbers of pixels
     wanted = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", "-pix_fmt", "yuv420p", "-crf", "18"]
     return [program, "-y", "-loglevel", "error", *given, "-i", "-", *wanted, str(path)]
 
 
 def check_positive(where: str, **given: float) -> None:
-    """`InputError` for rates and counts that are not above zero."""
+    """Raise `InputError` unless all rates and counts are above zero."""
     for name, value in given.items():
         if not value > 0:
             raise InputError(f"{where}: {name} is {value}, expected more than 0")
@@ -133,9 +137,9 @@ def check_positive(where: str, **given: float) -> None:
 def schedule(
     where: str, ts: np.ndarray, q: np.ndarray, fps: float, speed: float
 ) -> tuple[int, np.ndarray]:
-    """The number of states that are drawn, and times (F,) s of frames, one every 1/fps s.
+    """Compute the number of states to draw, and the times (F,) of frames, s, 1/fps s apart.
 
-    ts (T,), q (..., T, nq). States after one that is not finite are left out, with a warning.
+    ts is (T,), q (..., T, nq). States after one that is not finite are omitted, with a warning.
     """
     others = tuple(k for k in range(q.ndim) if k != q.ndim - 2)
     whole = np.isfinite(q).all(others) & np.isfinite(ts)
@@ -152,18 +156,18 @@ def schedule(
 
 
 def canvas_of(size: tuple[int, int]) -> tuple[FigureCanvasAgg, Figure]:
-    """A canvas of a size in pixels, and its figure."""
+    """Make a canvas of a size in pixels, and its figure."""
     figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
     return FigureCanvasAgg(figure), figure
 
 
 def picture(canvas: Any) -> np.ndarray:
-    """The pixels (height, width, 3) of a canvas."""
+    """Draw a canvas. Return its pixels (height, width, 3)."""
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3]
 
 
 def clock(t: float, speed: float) -> str:
-    """The text of the time."""
+    """Format the time and the speed of playback as text."""
     rate = "" if speed == 1 else f"   {speed:g} x real time"
     return f"t = {t:.2f} s{rate}"

@@ -1,8 +1,8 @@
-"""MuJoCo's renderer without a window, in a process of its own.
+"""MuJoCo's renderer without a window, in a separate process.
 
-MuJoCo reads which OpenGL to use from the environment when it is first imported, and a driver that
-is missing may end the process. So another process renders. It tries EGL, then OSMesa, unless
-`MUJOCO_GL` names one. This process keeps its environment.
+MuJoCo chooses the OpenGL backend from the environment when it is first imported, and a missing
+driver may end the process. So another process renders. It tries EGL, then OSMesa, unless the
+variable `MUJOCO_GL` selects one. The environment of this process does not change.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ with mujoco.Renderer(m, height, width) as renderer:
 def render(
     source: Any, floating_base: bool, q: np.ndarray, film: Film, size: tuple[int, int]
 ) -> Iterator[np.ndarray] | None:
-    """Pictures (height, width, 3) of configurations q (F, nq) of a robot file.
+    """Render pictures (height, width, 3) of configurations q (F, nq) of a robot file.
 
-    None, with a warning that says why, where no OpenGL renders without a display.
+    Return None, with a warning, if no OpenGL backend renders without a display.
     """
     chosen = os.environ.get("MUJOCO_GL")
     for gl in [chosen] if chosen else ["egl", "osmesa"]:
@@ -77,7 +77,7 @@ def _write(
     m = compile_model(source, floating_base=floating_base)
     mujoco.mj_saveModel(m, str(folder / "model.mjb"))
     np.save(folder / "q.npy", np.asarray(q, float))
-    # as far away that the film's height fits the lens; MuJoCo's azimuth is where it looks to
+    # the distance fits the film's height; MuJoCo's azimuth is the direction of view
     half = max(film.size[1], film.size[0] * size[1] / size[0]) / 2
     view = {
         "size": list(size),

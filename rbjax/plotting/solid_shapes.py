@@ -1,4 +1,4 @@
-"""Convex solids fixed to bodies, from the geoms of a MuJoCo file."""
+"""Convex solids fixed to bodies, made from the geoms of a MuJoCo file."""
 
 from __future__ import annotations
 
@@ -15,14 +15,19 @@ from rbjax.model import Model
 from rbjax.model.geoms import Geoms
 
 Array = np.ndarray
-#: more points than this add nothing that is seen
+#: the largest number of points of a mesh that is drawn without reduction
 _MOST_POINTS = 400
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A convex solid: surface points (n, 3) in its body's frame, body (-1: world), colour (r, g, b)
-    from 0 to 1, opacity."""
+    """A convex solid fixed to a body.
+
+    points: (n, 3), on the surface, in the body's frame.
+    body: index of the body; -1 for the world.
+    color: red, green, blue from 0 to 1.
+    alpha: opacity.
+    """
 
     points: Array
     body: int
@@ -30,7 +35,8 @@ class Solid:
     alpha: float
 
     def placed(self, R: Array, p: Array) -> Array:
-        """Points (..., n, 3) in the world, at the bodies' R (..., nb, 3, 3) and p (..., nb, 3)."""
+        """Compute the points (..., n, 3) in the world, at the bodies' R (..., nb, 3, 3) and p (...,
+        nb, 3)."""
         if self.body < 0:
             return np.broadcast_to(self.points, (*R.shape[:-3], *self.points.shape))
         turn, origin = R[..., self.body, :, :], p[..., None, self.body, :]
@@ -41,11 +47,11 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
     """Make solids of the visible geoms of a robot, without floors.
 
     Args:
-        source: what `rbjax.load` takes, or a model, which has no meshes.
+        source: an argument of `rbjax.load`, or a model, which has no meshes.
         floating_base: as in `rbjax.load`, for a URDF.
 
     Returns:
-        One `Solid` a geom; a mesh is its convex hull.
+        One `Solid` for each geom. A mesh becomes its convex hull.
 
     Raises:
         ModelError: the source is not a robot file.
@@ -67,8 +73,7 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
 
 
 def _of_geoms(geoms: Geoms, hulls: Mapping[int, Array] | None = None) -> list[Solid]:
-    """The solids of geoms. hulls: points of the geoms that are meshes; other meshes are left
-    out."""
+    """Make the solids of geoms. hulls: geom index -> points of a mesh; other meshes are omitted."""
     out = []
     for i, (kind, body) in enumerate(zip(geoms.types, geoms.bodies, strict=True)):
         points = (hulls or {}).get(i) if kind == "mesh" else _surface(kind, *geoms.size[i])
@@ -83,29 +88,29 @@ def _of_geoms(geoms: Geoms, hulls: Mapping[int, Array] | None = None) -> list[So
 
 
 def sphere(radius: float) -> Array:
-    """Points (n, 3) of a sphere about the origin."""
+    """Return points (n, 3) of a sphere about the origin."""
     return radius * _SPHERE
 
 
 def ellipsoid(a: float, b: float, c: float) -> Array:
-    """Points (n, 3) of an ellipsoid with semi-axes a, b, c along x, y, z."""
+    """Return points (n, 3) of an ellipsoid with semi-axes a, b, c along x, y, z."""
     return _SPHERE * [a, b, c]
 
 
 def capsule(start: Array, end: Array, radius: float) -> Array:
-    """Points (n, 3) of a rod with round ends between two points."""
+    """Return points (n, 3) of a rod with round ends between two points."""
     return np.concatenate([sphere(radius) + start, sphere(radius) + end])
 
 
 def cylinder(radius: float, half: float) -> Array:
-    """Points (n, 3) of a cylinder about z from -half to half."""
+    """Return points (n, 3) of a cylinder about z from -half to half."""
     ring = np.stack([radius * np.cos(_TURN), radius * np.sin(_TURN), 0 * _TURN], -1)
     up = np.array([0, 0, half])
     return np.concatenate([ring + up, ring - up])
 
 
 def _surface(kind: str, a: float, b: float, c: float) -> Array | None:
-    """Points of a geom's surface in its own frame; None for planes and the like."""
+    """Return points of a geom's surface in its own frame; None for other types, such as planes."""
     if kind == "sphere":
         return sphere(a)
     if kind == "ellipsoid":
@@ -121,7 +126,7 @@ def _surface(kind: str, a: float, b: float, c: float) -> Array | None:
 
 
 def _outermost(points: Array) -> Array:
-    """The points that are farthest in one of many directions, which determine the hull."""
+    """Return the points that are farthest in one of many directions, to approximate the hull."""
     if len(points) <= _MOST_POINTS:
         return points
     return points[np.unique((points @ _SPHERE.T).argmax(0))]

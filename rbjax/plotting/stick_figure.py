@@ -1,8 +1,8 @@
 """Solids of a model without geoms: rods between joints, and ellipsoids of inertia.
 
-The ellipsoid touches the box of even density with the mass and inertia of its body, of half lengths
-a_i: m a_i^2 / 3 = (I_1 + I_2 + I_3) / 2 - I_i. So a rod shows as a rod of its length, a plate as a
-plate. Where an inertia asks for more than the robot's size, the ellipsoid has that size.
+The ellipsoid is inscribed in the box of uniform density with the mass and inertia of the body. The
+box has the half lengths a_i: m a_i^2 / 3 = (I_1 + I_2 + I_3) / 2 - I_i. An axis that would be
+larger than the robot is limited to the robot's size.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def skeleton(model: Model) -> list[Solid]:
         model: one robot; lengths in m.
 
     Returns:
-        Rods from joint to joint and to the ends of last bodies, a pin at each hinge, a
-        rail along each slide, ellipsoids of inertia, red, green and blue axes on floating bodies.
+        Rods from joint to joint and to the ends of last bodies, a pin at each hinge, a rail along
+        each slide, ellipsoids of inertia, and red, green and blue axes on floating bodies.
 
     Example:
         >>> import rbjax as rb
@@ -42,7 +42,7 @@ def skeleton(model: Model) -> list[Solid]:
 
 
 class _Skeleton:
-    """The parameters of a model as arrays, and the solids made of them."""
+    """The parameters of a model as arrays, and the solids made from them."""
 
     def __init__(self, model: Model):
         top = model.topology
@@ -67,19 +67,19 @@ class _Skeleton:
         self.radius = 0.016 * self.size
 
     def hub(self, body: int) -> Array:
-        """The point by which a body is attached to its parent, in its own frame: its joint, or its
-        origin."""
+        """Return the joint by which a body is attached to its parent, in the body's frame. Without
+        a joint it is the body's origin; for a free body it is the centre of mass."""
         held = [j for j in self.joints[body] if self.kinds[j] != "free"]
         if held:
             return self.anchor[held[-1]]
         return self.com[body] if self.joints[body] else np.zeros(3)
 
     def held_at(self, body: int) -> Array:
-        """The same point in the parent's frame, joints at zero."""
+        """Compute the hub of a body in the frame of its parent, with joints at zero."""
         return self.position[body] + self.turn[body] @ self.hub(body)
 
     def _size(self) -> float:
-        """The extent of the robot in m, with its joints at zero."""
+        """Compute the extent of the robot with its joints at zero, m."""
         R: list[Array] = []
         p: list[Array] = []
         points: list[Array] = []
@@ -95,7 +95,8 @@ class _Skeleton:
         return extent if extent > 1e-9 else 2.0 * max([*axes, 0.0]) or 1.0
 
     def _semi_axes(self, body: int) -> tuple[Array, Array]:
-        """Lengths (3,) and directions (3, 3), as columns, of the ellipsoid of inertia."""
+        """Compute the lengths (3,) and directions (3, 3), by column, of the ellipsoid of
+        inertia."""
         if not self.mass[body] > 0:
             return np.zeros(3), np.eye(3)
         values, vectors = np.linalg.eigh(self.inertia[body])
@@ -103,7 +104,7 @@ class _Skeleton:
         return np.sqrt(np.maximum(square, 0.0)), vectors
 
     def colors(self) -> list[tuple[float, float, float]]:
-        """A colour for each limb, lighter from body to body along it."""
+        """Choose a colour for each limb, lighter from body to body along it."""
         limb, depth = [0] * len(self.parents), [0] * len(self.parents)
         limbs = 0
         for body, parent in enumerate(self.parents):
@@ -120,7 +121,7 @@ class _Skeleton:
         out: list[Solid] = []
         colors, ink, r = self.colors(), to_rgb(INK), self.radius
         for body, color in enumerate(colors):
-            # an ellipsoid before the rod inside it: of two at one depth the later is in front
+            # the ellipsoid before the rod inside it: at equal depth, the later solid is in front
             out += self._ellipsoid(body, color)
             hub = self.hub(body)
             ends = [self.held_at(child) for child in self.children[body]] or [self._tip(body, hub)]
@@ -131,7 +132,8 @@ class _Skeleton:
         return out
 
     def _tip(self, body: int, hub: Array) -> Array:
-        """The end of a last body: beyond its centre of mass, on its ellipsoid."""
+        """Compute the end of a last body: on its ellipsoid, in the direction of its centre of
+        mass."""
         com, (axes, directions) = self.com[body], self._semi_axes(body)
         way = com - hub
         if not np.linalg.norm(way) > 0 or not axes.min() > 0:
@@ -171,7 +173,7 @@ class _Skeleton:
 
 
 def _towards(axis: Array) -> Array:
-    """A rotation that takes z to an axis."""
+    """Compute a rotation that maps z to an axis."""
     z = axis / np.linalg.norm(axis)
     x = np.cross(np.eye(3)[np.abs(z).argmin()], z)
     x /= np.linalg.norm(x)
@@ -179,6 +181,6 @@ def _towards(axis: Array) -> Array:
 
 
 def _lighter(color: object, by: float) -> tuple[float, float, float]:
-    """A colour moved towards white by a share from 0 to 1."""
+    """Lighten a colour towards white. by: a fraction from 0 to 1."""
     hue, light, saturation = colorsys.rgb_to_hls(*to_rgb(color))  # type: ignore[arg-type]
     return colorsys.hls_to_rgb(hue, light + by * (1 - light), saturation)

@@ -1,4 +1,4 @@
-"""Wheeled robots from above: a motion in one picture, or as a moving picture."""
+"""Top views of wheeled robots: a motion in one picture, or as an animation."""
 
 from __future__ import annotations
 
@@ -42,16 +42,15 @@ def top_view(
     controls: Any = None,
     grid: Any = None,
 ) -> None:
-    """Draw a motion from above: the path of the chassis' origin, and the robot at some of its
-    times.
+    """Draw a motion from above: the path of the chassis' origin, and the robot at some times.
 
     Args:
         ax: an axis.
         vehicle: `rbjax.wheeled.at(robot, fidelity)`.
-        path: of one vehicle, as `rbjax.wheeled.rollout` gives it.
-        robots: at how many times the robot is drawn, evenly along the saved states.
-        controls: (nu,), (T, nu) or a function (t, state) -> (nu,), to draw the forces on wheels
-            too, at a fidelity that has them; the longest is as long as the robot.
+        path: the trajectory of one vehicle, from `rbjax.wheeled.rollout`.
+        robots: the number of times at which the robot is drawn, evenly along the saved states.
+        controls: (nu,), (T, nu) or a function (t, state) -> (nu,), to draw also the forces on
+            wheels, at a fidelity that has them. The longest arrow is as long as the robot.
         grid: a map, an `rbjax.planning.OccupancyGrid`.
 
     Raises:
@@ -103,24 +102,26 @@ def animate_top_view(
     size: tuple[int, int] = (800, 600),
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a motion from above as a GIF or an MP4.
+    """Write an animation of a motion from above as a GIF or an MP4.
 
-    It shows the robot, its wheels, its way so far; with controls, the forces on wheels (blue) and
-    the velocities at which they slide (red). The longest arrow of each is as long as the robot.
+    It shows the robot, its wheels and its past path. With controls, it also shows the forces on
+    wheels (blue) and their sliding velocities (red). The longest arrow of each is as long as the
+    robot.
 
     Args:
         vehicle: `rbjax.wheeled.at(robot, fidelity)`.
-        path: of one vehicle, as `rbjax.wheeled.rollout` gives it.
-        file: ends in .gif, or in .mp4, for which ffmpeg must be installed.
+        path: the trajectory of one vehicle, from `rbjax.wheeled.rollout`.
+        file: a path with the suffix .gif, or .mp4, which requires ffmpeg.
         controls: (nu,), (T, nu) or a function (t, state) -> (nu,), at a fidelity with forces on
             wheels: "slipping" or "constrained".
         grid: a map, an `rbjax.planning.OccupancyGrid`.
         footprint: an `rbjax.planning.Footprint` of the chassis.
-        fps: frames a second of the animation.
-        speed: seconds of motion in a second of the animation.
+        fps: frames per second of the animation.
+        speed: seconds of motion per second of the animation.
         title: text at the top.
         size: width and height in pixels.
-        progress: called with the frames done and their total; None shows a bar in a terminal.
+        progress: called with the number of frames done and their total; None displays a progress
+            bar in a terminal.
 
     Returns:
         The path of the file.
@@ -148,7 +149,7 @@ def animate_top_view(
 
 
 class _Film:
-    """The frames of a motion: coordinates, places, forces and sliding."""
+    """The frames of a motion: coordinates, poses of parts, forces and sliding velocities."""
 
     def __init__(
         self, vehicle: RobotModel, path: Trajectory, controls: Any, fps: float, speed: float
@@ -207,7 +208,7 @@ class _Film:
 
 
 class _Discs:
-    """The discs of a footprint on an axis."""
+    """The discs of a footprint as artists on an axis."""
 
     def __init__(self, ax: Axes, footprint: Any):
         self.centers = np.asarray(footprint.centers, float)
@@ -234,7 +235,7 @@ def _ground(ax: Axes, grid: Any) -> None:
 
 
 def _scale(vehicle: RobotModel, arrows: np.ndarray) -> float:
-    """The factor of arrows with which the longest is as long as the robot."""
+    """Compute the factor of arrows by which the longest one is as long as the robot."""
     longest = float(np.hypot(arrows[..., 0], arrows[..., 1]).max())
     return reach(vehicle.robot) / longest if longest > 1e-9 else 0.0
 
@@ -248,7 +249,7 @@ def _between(t: np.ndarray, ts: np.ndarray, table: Any) -> Any:
 
 
 def _given(controls: Any, t: Any, state: State, k: int) -> Any:
-    """Controls at a time."""
+    """Return the controls at a time."""
     if callable(controls):
         return controls(t, jax.tree.map(jax.numpy.asarray, state))
     return controls if np.ndim(controls) == 1 else controls[k]

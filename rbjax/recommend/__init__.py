@@ -1,11 +1,11 @@
-"""Recommendations: which solver, formulation, fidelity or method of control fits a motion.
+"""Recommend a solver, formulation, fidelity or control method for a motion.
 
     solver            a solver and its step, for a robot from a state
     formulation       a formulation and its step, for a robot with constraints
     fidelity          a fidelity and its step, for a wheeled robot on a manoeuvre
     control_method    a method of `rb.control.solve`, for a problem
-Each measures its candidates on the motion itself and returns a `Recommendation`: the choice, its
-cost, the measured candidates, and the reason in a sentence.
+Each function measures its candidates on the motion itself and returns a `Recommendation`: the
+choice, its cost, the measured candidates, and the reason in a sentence.
 """
 
 from rbjax.recommend.control_methods import MethodRecommendation, control_method

@@ -18,14 +18,21 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.progress import progress_line
 from rbjax.recommend.recommendation import Recommendation, fastest
 
-SAME = 1e-6  # relative: costs that count as equal
+SAME = 1e-6  # relative tolerance within which costs are equal
 
 
 class Trial(NamedTuple):
-    """A method. Fields: name; status of the solution from the first guess 0, the plain one;
-    objective, the cost of the motion; iterations; cost, milliseconds of a compiled solution;
-    solved, the share of first guesses from which it converged; failed, the indices of the
-    others."""
+    """A measured method.
+
+    Fields:
+        name: of the method.
+        status: of the solution from zero controls.
+        objective: the cost of the motion.
+        iterations: of this solution.
+        cost: the time of a compiled solution, milliseconds.
+        solved: the fraction of first guesses from which the method converged.
+        failed: the indices of the first guesses from which it did not converge.
+    """
 
     name: str
     status: str
@@ -44,7 +51,7 @@ class Trial(NamedTuple):
 class MethodRecommendation(Recommendation):
     """A method of `rb.control.solve`.
 
-    Fields, in addition to those of `Recommendation` (cost: milliseconds of a solution):
+    Fields, in addition to the fields of `Recommendation` (cost: milliseconds per solution):
         objective: the cost of the motion.
         guesses: (G, N, nu), the first guesses of the controls.
     """
@@ -64,29 +71,31 @@ def control_method(
     seed: int = 0,
     progress: bool = True,
 ) -> MethodRecommendation:
-    """Recommend a method for a problem, by solutions from the plain first guess and random ones.
+    """Recommend a method for a problem, by solutions from zero controls and random first guesses.
 
-    It is the fastest of the methods that converge to the least cost.
+    The recommendation is the fastest of the methods that converge to the least cost.
 
     Args:
         problem: `rb.control.Problem`.
-        start: the start.
-        candidates: names of `rb.control.methods()`; if None all that support the problem's
+        start: the initial state.
+        candidates: names of `rb.control.methods()`; None for all that support the problem's
             constraints.
-        guesses: the number of first guesses of the controls, the first of them zero.
-        scale: the others are uniform within the bounds, or within -scale .. scale without bounds.
-        iterations: the largest number of iterations of each search.
+        guesses: the number of first guesses of the controls. The first is zero.
+        scale: random guesses are uniform within the bounds, limited to -scale .. scale.
+        iterations: the largest number of iterations of each solution.
         seed: of the random numbers.
-        progress: show the progress on the terminal.
+        progress: whether to display the progress on the terminal.
 
     Returns:
         `MethodRecommendation`.
 
     Raises:
-        InputError: not a problem, no candidate. UnknownName: no such method.
+        InputError: not a problem, no candidate.
+        UnknownName: no such method.
 
-    Source: the measurement itself; a search by derivatives finds a local optimum, which depends on
-    the first guess (Betts, *Practical Methods for Optimal Control*, 2010, 1.15).
+    Source: Betts, *Practical Methods for Optimal Control*, 2010, 1.15 (a gradient-based solution is
+        a
+    local optimum, which depends on the first guess).
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -144,7 +153,7 @@ def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iteratio
 
 
 def _best(trials: Sequence[Trial]) -> Trial:
-    """Choose the fastest method with the least cost; if none converges, that of least cost."""
+    """Choose the fastest method with the least cost. If none converges, choose the least cost."""
     done = [t for t in trials if t.ok]
     if not done:
         return min(trials, key=lambda t: t.objective)

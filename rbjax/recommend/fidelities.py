@@ -1,12 +1,13 @@
 """`fidelity`: choose the fidelity of a wheeled robot for a manoeuvre, by trial runs.
 
-    1. the manoeuvre at the finest fidelity, "slipping", with steps that are halved until they agree
-    2. each coarser one in the same way, with its deviation from the next finer one
-    3. for each, the largest stable step whose motion is accurate enough
-    4. the cheapest of these per second of motion
-All fidelities take the same controls, in the units of the robot's motors. "kinematic" moves at the
-free speeds of the motors, so it takes no torques. The fidelities that roll with inertia have equal
-motions, so one of them is measured, and if it is chosen the costs of all of them decide.
+    1. run the manoeuvre at the finest fidelity, "slipping", with steps halved until it converges
+    2. run each coarser fidelity in the same way, and compare it with the next finer one
+    3. for each, find the largest stable step whose motion is accurate enough
+    4. choose the cheapest per second of motion
+All fidelities accept the same controls, in the units of the robot's motors. "kinematic" moves at
+the no-load speeds of the motors, so it does not accept torques. The rolling fidelities with inertia
+have equal motions, so only one of them is measured. If it is chosen, the costs of all of them are
+compared.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from rbjax.wheeled.models.robot_model import with_twist
 from rbjax.wheeled.models.rolling import Rolling
 from rbjax.wheeled.models.slipping import Slipping
 
-#: tried only if it is named: it compiles for a minute, and its equals cost a tenth
+#: tried only on request, because it compiles slowly and costs more than equivalent fidelities
 ON_REQUEST = ("constrained",)
 
 
@@ -40,16 +41,16 @@ ON_REQUEST = ("constrained",)
 class FidelityRecommendation(Recommendation):
     """A fidelity and a step: `rb.wheeled.rollout(r.model, r.state, ctrl, r.dt)`.
 
-    Fields, in addition to those of `Recommendation` (cost: microseconds per second of motion):
+    Fields, in addition to the fields of `Recommendation` (cost: microseconds per second of motion):
         model: the robot at the fidelity.
-        state: its start.
-        dt: seconds.
-        error: the largest deviation of the chassis' place, m, or heading, rad, from the motion at
-            the finest fidelity.
-        share: the part of the tyres' traction that rolling needs at least, with the loads of the
-            robot at rest; above 1 it cannot roll. nan without "slipping" among the fidelities.
-        lifts: the time in seconds at which the load of a wheel first becomes negative; inf for
-            never, nan without "slipping".
+        state: its initial state.
+        dt: the step, s.
+        error: the largest deviation of the chassis' position, m, or heading, rad, from the motion
+            at the finest fidelity.
+        share: the largest fraction of the tyres' traction that rolling requires, with the loads at
+            rest. Above 1 the robot cannot roll. nan without "slipping" among the fidelities.
+        lifts: the first time at which the load of a wheel is negative, s; inf for never, nan
+            without "slipping".
     """
 
     model: RobotModel
@@ -75,24 +76,25 @@ def fidelity(
 ) -> FidelityRecommendation:
     """Recommend the cheapest fidelity, with its step, whose motion is accurate enough.
 
-    Of the fidelities with stable steps dt, dt/2, dt/4, ... (rk4) whose chassis stays within the
-    accuracy of the motion at the finest fidelity: the one that is cheapest per second of motion, by
-    this machine's clock.
+    Fidelities run with stable steps dt, dt/2, dt/4, ... (rk4) until the chassis is within the
+    accuracy of the motion at the finest fidelity. The recommendation is the cheapest per second of
+    motion, measured on this machine.
 
     Args:
         robot: `Robot`.
-        ctrl: (steps, nu), each for a time dt; or (nu,), constant; or a function (t, state) ->
-            (nu,), which may read `state.q`: other sizes depend on the fidelity. In the units of the
-            robot's motors.
-        accuracy: the largest deviation of the chassis' place, m, and heading, rad, at least 1e-10.
-        q: (nq,), the coordinates at the start; zeros if None.
-        twist: (3,), that of the chassis at the start, m/s and rad/s in its axes.
-        horizon: seconds of motion, 1 if None; steps dt if ctrl is (steps, nu).
+        ctrl: in the units of the robot's motors: (steps, nu), each for a time dt; or (nu,),
+            constant; or a function (t, state) -> (nu,), which may read only `state.q`, because the
+            sizes of v and x depend on the fidelity.
+        accuracy: the largest deviation of the chassis' position, m, and heading, rad, at least
+            1e-10.
+        q: (nq,), the initial coordinates; zeros if None.
+        twist: (3,), the initial twist of the chassis in its axes, m/s and rad/s.
+        horizon: duration of the motion, s; 1 if None, or steps dt if ctrl is (steps, nu).
         dt: the largest step, s.
-        tyre: the law of "slipping", or a tuple of one a wheel; its default if None.
-        among: the names of fidelities to choose from; all but "constrained" if None, because that
-            compiles for a minute and costs ten times what its equals do.
-        progress: show the progress on the terminal.
+        tyre: the tyre law of "slipping", or a tuple with one for each wheel; its default if None.
+        among: the names of fidelities to choose from. None for all but "constrained", which
+            compiles slowly and costs more than equivalent fidelities.
+        progress: whether to display the progress on the terminal.
 
     Returns:
         `FidelityRecommendation`.
@@ -133,14 +135,14 @@ def fidelity(
         with progress_line("recommend", progress) as say:
             run = Manoeuvre(models, start, twist, *given, float(accuracy), say)
             found = _choose(run, models, why_not)
-    # as given, and in the caller's dtype
+    # the model that was given, and the state in the caller's dtype
     model, dtype = made[names.index(found.name)], jnp.result_type(float)
     state = with_twist(model, *(jnp.asarray(np.asarray(x), dtype) for x in (start, twist)))
     return replace(found, model=model, state=state)
 
 
 def _controls(robot: Robot, ctrl: Any, horizon: float | None, dt: float) -> tuple[Any, float, int]:
-    """Return the controls as a table or a function, a step, and the number of steps."""
+    """Return the controls as a table or a function, the step, and the number of steps."""
     seconds = 1.0 if horizon is None else float(horizon)
     steps = max(1, math.ceil(seconds / dt * (1 - 1e-9)))
     if callable(ctrl):
@@ -160,7 +162,8 @@ def _controls(robot: Robot, ctrl: Any, horizon: float | None, dt: float) -> tupl
 
 
 def _possible(robot: Robot, names: Sequence[str]) -> tuple[list[str], str]:
-    """Return the fidelities that take the controls, the coarsest first; why others do not."""
+    """Return the fidelities that accept the controls, coarsest first, and why "kinematic" does
+    not."""
     ordered = [x for x in fidelities() if x in names]
     why_not = ""
     if "kinematic" in ordered:
@@ -221,7 +224,7 @@ def _choose(run: Manoeuvre, models: Sequence[RobotModel], why_not: str) -> Fidel
 
 
 def _contacts(run: Manoeuvre, names: Sequence[str], paths: list[State]) -> tuple[Demand, float]:
-    """Compute the traction that rolling needs, and the time at which a wheel lifts."""
+    """Compute the traction that rolling requires, and the time at which a wheel lifts."""
     unknown = Demand(math.nan, math.nan)
     slipping, *others = (run.models[name] for name in names)
     if not isinstance(slipping, Slipping):
@@ -237,7 +240,7 @@ def _reason(
     run: Manoeuvre, best: Trial, trials: list[Trial], finest: str, why_not: str, needed: Demand,
     lifts: float,
 ) -> str:  # fmt: skip
-    """Explain the choice by the deciding criterion, with its number."""
+    """Explain the choice by the deciding criterion and its number."""
     truth = "its limit" if best.name == finest else finest
     lifted = f"; a wheel lifts at {lifts:.2g} s, which no fidelity follows"
     return (

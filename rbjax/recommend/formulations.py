@@ -1,17 +1,16 @@
 """`formulation`: choose the formulation of a model's constraints for a motion, by trial runs.
 
-    1. the motion itself, by "projected" with steps that are halved until they agree
-    2. the rank of the rows along it: redundant rows, singular positions
-    3. each candidate with steps halved until the residual of the rows (the gap) and the error are
+    1. compute the motion by "projected", with steps that are halved until it converges
+    2. compute the rank of the constraint rows along it: redundant rows, singular positions
+    3. halve the step of each candidate until the residual of the rows (the gap) and the error are
        as requested
-    4. the cheapest of these per second of motion
-Beyond the trial run, errors and residuals of positions are assumed to grow with t^2 and residuals
+    4. choose the cheapest candidate per second of motion
+Beyond the trial run, errors and residuals of positions are assumed to grow with t^2, and residuals
 of velocities with t, unless the formulation corrects them.
 
-If rows are redundant, the candidates are those without a decision on the rank: proximal
-multipliers. If the motion meets a singular position, where residuals are divided by a singular
-value near zero, they must also correct the residual
-(benchmarks/results/work-formulations-*.json).
+If rows are redundant, only formulations that do not decide a rank are candidates: proximal
+multipliers. If the motion passes a singular position, where residuals are divided by a singular
+value near zero, candidates must also correct the residual.
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ from rbjax.recommend.recommendation import Recommendation, check_request, double
 MOST_SECONDS = 2.0
 #: the number of times at which motions are compared
 MOST_LOOKS = 64
-#: singular values of scaled rows above this count
+#: scaled rows are independent if their singular value is above this
 INDEPENDENT = 1e-7
-#: a position is singular where the least singular value is below this part of its median
+#: a position is singular if the least singular value is below this fraction of its median
 SINGULAR = 0.05
 #: the formulations that correct the residual of the rows, so that it does not grow
 RESTORING = ("baumgarte", "projected")
 HALVINGS = 8  # of the step
-CLOSED = 1e-6  # m, rad, and per second: the largest residual of a start
+CLOSED = 1e-6  # the largest residual of the initial state: m, rad, and per second
 PROXIMAL = ("multipliers", *RESTORING)
 BY_RANK = ("null_space_qr",)
 FREE = "nothing decides: the model has 0 rows, its motion is free"
@@ -65,16 +64,17 @@ WHY = {
 @dataclass(frozen=True)
 class FormulationRecommendation(Recommendation):
     """A formulation and a step: `rb.rollout(model, state, None, r.dt, constraints=r.formulation)`.
+
     Measured values are nan if no motion was given.
 
-    Fields, in addition to those of `Recommendation` (cost: microseconds per second of motion):
+    Fields, in addition to the fields of `Recommendation` (cost: microseconds per second of motion):
         formulation: None if the model has no rows.
-        dt: seconds.
+        dt: the step, s.
         gap: the largest residual of a row (m, rad) or of its rate over the horizon.
         error: the largest deviation of a configuration coordinate.
         redundant: the number of redundant rows.
-        closest: the least singular value of the other rows on the motion, each scaled to length
-            one.
+        closest: the least singular value of the independent rows along the motion, each row scaled
+            to length one.
     """
 
     formulation: Formulation | None
@@ -98,20 +98,21 @@ def formulation(
 ) -> FormulationRecommendation:
     """Recommend a formulation of the model's constraints for its motion from a state.
 
-    Of the formulations with steps dt, dt/2, dt/4, ... whose gap and error over the horizon are at
-    most the accuracy: the one that is cheapest per second of motion, by this machine's clock.
-    Without a state and an accuracy: the default of `rollout` and `simulate`, for any motion.
+    Candidates run with steps dt, dt/2, dt/4, ... until gap and error over the horizon are at most
+    the accuracy. The recommendation is the cheapest per second of motion, measured on this machine.
+    Without a state and an accuracy, it is the default of `rollout` and `simulate`, for any motion.
 
     Args:
         model: the robot, with constraints.
         state: initial q (nq,), v (nv,), on the constraints; or None.
         accuracy: the largest residual of a row or of its rate, and the largest deviation of a
             configuration coordinate over the horizon, in m, rad and seconds; at least 1e-10.
-        horizon: seconds of motion; only the first 2 are run, and what grows is extrapolated.
-        dt: the largest step in seconds; the model's timestep if None.
+        horizon: duration of the motion, s. Only the first 2 s are run; growing errors are
+            extrapolated.
+        dt: the largest step, s; the model's timestep if None.
         integrator: a name, as in `rb.rollout`.
-        ctrl: (t, state) -> (nu,), as `rb.rollout` takes it; None for no actuation.
-        progress: show the progress on the terminal.
+        ctrl: (t, state) -> (nu,), as for `rb.rollout`; None for no actuation.
+        progress: whether to display the progress on the terminal.
 
     Returns:
         `FormulationRecommendation`.
@@ -119,9 +120,10 @@ def formulation(
     Raises:
         InputError: a state of the wrong type or shape, not finite, or off the constraints; an
             accuracy, a horizon or a step that is not positive or too fine; a motion that no step
-            follows with this accuracy.
+            reproduces with this accuracy.
 
-    It compiles a program for each candidate (three or four), two for the rows, and computes in f64.
+    It compiles one program for each candidate (three or four) and two for the rows, and computes in
+    f64.
 
     Source: Masarati, *Multibody System Dynamics*, ch. 7, 8.
 
@@ -211,7 +213,7 @@ def _trial(runs: ConstrainedRuns, name: str, truth: State) -> Trial:
 
 
 def _ruled_out(rank: Rank) -> str:
-    """Explain which candidates the rank of the rows rules out."""
+    """Explain which candidates are excluded by the rank of the rows."""
     if rank.singular:
         return (
             f"a singular position is met at {rank.at:.2g} s, where the least singular value of the "
@@ -240,7 +242,7 @@ def _decided(best: Trial, trials: list[Trial]) -> str:
 
 
 class Rank(NamedTuple):
-    """The rank of the rows along a motion.
+    """The rank of the constraint rows along a motion.
 
     Fields:
         rows: the number of rows.
@@ -258,12 +260,13 @@ class Rank(NamedTuple):
 
     @property
     def singular(self) -> bool:
-        """Whether the motion meets a singular position."""
+        """True if the motion passes a singular position."""
         return self.closest < SINGULAR * self.median
 
 
 class ConstrainedRuns(HalvedSteps):
-    """Trial runs of a model from a state by the formulations of its constraints."""
+    """Trial runs of a model from a state, with the formulations of its constraints as
+    candidates."""
 
     most_steps = 200_000
     cure = "give a larger accuracy, a shorter horizon or a smaller dt"
@@ -277,7 +280,7 @@ class ConstrainedRuns(HalvedSteps):
         self._integrator, self._ctrl = integrator, ctrl
         seconds = min(horizon, MOST_SECONDS)
         self.looks = min(MOST_LOOKS, math.ceil(seconds / dt))
-        self._each = max(1, int(seconds / self.looks / dt * (1 + 1e-9)))  # steps between two looks
+        self._each = max(1, int(seconds / self.looks / dt * (1 + 1e-9)))  # steps between two times
         self.seconds = self.looks * self._each * dt
         self.longer = max(1.0, horizon / self.seconds)
         self.times = self.seconds / self.looks * (1.0 + np.arange(self.looks))
@@ -289,7 +292,7 @@ class ConstrainedRuns(HalvedSteps):
         return self.state, jnp.asarray(0.0), jnp.asarray(self.dt(k)), self._each << k
 
     def motion(self, name: str) -> Callable[..., State]:
-        """(state, t, dt, steps between looks) -> states at `times`."""
+        """Return the function (state, t, dt, steps between looks) -> states at `times`."""
         how: dict[str, Any] = {"integrator": self._integrator, "constraints": formulations()[name]}
 
         def run(state: State, t: Any, dt: Any, each: Any) -> State:
@@ -336,15 +339,15 @@ class ConstrainedRuns(HalvedSteps):
         )
 
     def _rows(self, q: jax.Array, t: np.ndarray) -> np.ndarray:
-        """G M^-1/2 (looks, rows, nv)."""
+        """Compute the scaled constraint Jacobian G M^-1/2 (looks, rows, nv)."""
         G, M = (np.asarray(x) for x in self._matrices(q, t))
         return np.linalg.solve(np.linalg.cholesky(M), G.swapaxes(1, 2)).swapaxes(1, 2)
 
     def rank(self, path: State) -> Rank:
-        """Find the rank of the rows along a motion by "projected", with more looks near the least
-        singular value.
+        """Compute the rank of the rows along a motion, with more samples near the least singular
+        value.
 
-        A row is scaled by its median length on the motion, so a row that vanishes loses rank.
+        Each row is scaled by its median length along the motion, so a row that vanishes loses rank.
         """
         B = self._rows(path.q, self.times)
         length = np.median(np.linalg.norm(B, axis=2), axis=0)

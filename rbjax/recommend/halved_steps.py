@@ -1,4 +1,4 @@
-"""Trial runs of candidates with steps that are halved until they are accurate enough."""
+"""Trial runs of candidates, with steps that are halved until they are accurate enough."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from rbjax.model import State
 from rbjax.progress import Say
 from rbjax.recommend.recommendation import fastest
 
-#: a motion has converged if halving its step changes it by less than this part of the accuracy
+#: a motion has converged if halving its step changes it by less than this fraction of the accuracy
 AGREE = 1 / 8
-#: the shortest measurement of time, s
+#: the least duration of a measurement of time, s
 SECONDS = 0.05
 
 
@@ -29,8 +29,9 @@ class Trial(NamedTuple):
         dt: the step, s.
         error: the largest deviation of the motion from the reference.
         gap: the largest residual of a constraint or of its rate (`formulation`), or the deviation
-            of the converged motion from that of the next finer fidelity (`fidelity`).
-        step_us: the time of a step, microseconds.
+            of the converged motion from the converged motion of the next finer fidelity
+            (`fidelity`).
+        step_us: the computing time of a step, microseconds.
         ok: whether error and gap are as requested.
     """
 
@@ -48,9 +49,9 @@ class Trial(NamedTuple):
 
 
 class HalvedSteps(abc.ABC):
-    """Trial runs of candidates, by name, with the steps dt / 2^k after k halvings."""
+    """Trial runs of named candidates, with the step dt / 2^k after k halvings."""
 
-    #: the largest number of steps; the advice if a motion does not converge; the duration, s
+    #: the largest number of steps; the advice if a motion does not converge; its duration, s
     most_steps: int
     cure: str
     seconds: float
@@ -74,14 +75,14 @@ class HalvedSteps(abc.ABC):
 
     @abc.abstractmethod
     def deviation(self, a: State, b: State) -> float:
-        """Return the largest deviation of two motions; infinite if one is not finite."""
+        """Return the largest deviation between two motions; infinite if one is not finite."""
 
     def dt(self, k: int) -> float:
         """Return the step after k halvings, s."""
         return self._dt / 2**k
 
     def compiled(self, name: str) -> Callable[..., State]:
-        """Compile the motion of a candidate: one program for all steps."""
+        """Compile the motion of a candidate, as one program for all steps."""
         if name not in self._programs:
             options = compiler_options()
             self._programs[name] = jax.jit(self.motion(name), compiler_options=options)
@@ -92,14 +93,15 @@ class HalvedSteps(abc.ABC):
         return jax.block_until_ready(self.compiled(name)(*self.arguments(k)))
 
     def path(self, name: str, k: int) -> State:
-        """Return the states of a candidate with k halvings, which are kept."""
+        """Return the states of a candidate with k halvings, from a cache if they were computed
+        before."""
         if (name, k) not in self._paths:
             self.say(f"{name} with steps of {self.dt(k):.2g} s")
             self._paths[name, k] = self.run(name, k)
         return self._paths[name, k]
 
     def step_us(self, name: str, k: int) -> float:
-        """Return the time of a step in the fastest run, microseconds."""
+        """Measure the computing time of a step in the fastest run, microseconds."""
         return 1e6 * fastest(lambda: self.run(name, k), SECONDS) / self.steps(k)
 
     def converge(self, name: str, k: int = 0) -> int:
@@ -124,9 +126,10 @@ class HalvedSteps(abc.ABC):
         halvings: Iterable[int],
         measure: Callable[[State], tuple[float, float, bool]],
     ) -> Trial:
-        """Measure a candidate with the largest accurate step, or else with the smallest one.
+        """Measure a candidate with the largest accurate step, or with the smallest step if none is
+        accurate.
 
-        measure: from a motion to its error, its gap, and whether they are as requested.
+        measure: motion -> error, gap, and whether they are as requested.
         """
         dt = error = gap = math.nan
         for k in halvings:
@@ -139,7 +142,8 @@ class HalvedSteps(abc.ABC):
 
 
 def cost_decides(best: Any, trials: Iterable[Trial]) -> str:
-    """Compare the cost of the best candidate with that of the next one; empty without another."""
+    """Explain the choice by the costs of the best and the next candidate; empty if there is no
+    other."""
     others = [x for x in trials if x is not best and x.ok]
     if not others:
         return ""

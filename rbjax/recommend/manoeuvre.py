@@ -28,10 +28,10 @@ MOST_LOOKS = 64
 
 
 class Manoeuvre(HalvedSteps):
-    """A start, controls and times, which all fidelities of a robot share.
+    """Initial state, controls and times of a manoeuvre, common to all fidelities of a robot.
 
-    Controls are constant over a step, as in `rbjax.wheeled.rollout`; those of a table (steps, nu)
-    over its own steps of dt.
+    Controls are constant over a step, as in `rbjax.wheeled.rollout`. Controls in a table (steps,
+    nu) are constant over the table's steps dt.
     """
 
     most_steps = 1_000_000
@@ -47,18 +47,18 @@ class Manoeuvre(HalvedSteps):
         self._ends = np.round(np.linspace(0, steps, min(MOST_LOOKS, steps) + 1)).astype(int)
         self.times = dt * self._ends
         self.seconds = dt * steps
-        #: of each fidelity, the halvings from which on steps are stable
+        #: fidelity -> the least number of halvings at which steps are stable
         self.least: dict[str, int] = {}
 
     def steps(self, k: int) -> int:
         return self._steps << k
 
     def start(self, model: RobotModel) -> State:
-        """Return the start at a fidelity, in which no wheel slides."""
+        """Return the initial state at a fidelity, in which no wheel slides."""
         return with_twist(model, self.q, self.twist)
 
     def control(self, t: Any, step: Any, state: State) -> jax.Array:
-        """Return the controls (nu,) at a time, in a step of dt."""
+        """Return the controls (nu,) at time t, in a step of dt with a given index."""
         if callable(self.controls):
             return jnp.asarray(self.controls(t, state), jnp.float64)
         return self.controls[jnp.minimum(step, len(self.controls) - 1)]
@@ -67,7 +67,8 @@ class Manoeuvre(HalvedSteps):
         return jnp.asarray(1 << k), jnp.asarray(self.dt(k))
 
     def motion(self, name: str) -> Callable[..., State]:
-        """(parts of a step of dt, step of a part) -> states at `times`, the first at the start."""
+        """Return the function (parts of a step of dt, step of a part) -> states at `times`. The
+        first state is the initial one."""
         model, counts = self.models[name], np.diff(self._ends)
 
         def run(parts: Any, h: Any) -> State:
@@ -91,7 +92,7 @@ class Manoeuvre(HalvedSteps):
         return run
 
     def deviation(self, a: State, b: State) -> float:
-        """Return the largest deviation of the chassis' place, m, or heading, rad."""
+        """Return the largest deviation of the chassis' position, m, or heading, rad."""
         off = np.asarray(a.q[:, :3] - b.q[:, :3])
         if not np.isfinite(off).all():
             return math.inf
@@ -108,7 +109,8 @@ class Manoeuvre(HalvedSteps):
                 return k
 
     def along(self, path: State, look: Callable[[State, jax.Array], Any]) -> np.ndarray:
-        """Apply `look` to the states of a path, or to its first states, and their controls."""
+        """Apply `look` to each state of a path and its controls. The path may end before the
+        manoeuvre."""
         count = len(path.q)
 
         def one(state: State, t: Any, step: Any) -> Any:
@@ -118,10 +120,10 @@ class Manoeuvre(HalvedSteps):
         return np.asarray(every(path, self.times[:count], self._ends[:count]))
 
     def _stable_halvings(self, model: RobotModel, path: State) -> int:
-        """Return the halvings at which steps are stable along a path.
+        """Return the number of halvings at which steps are stable along a path.
 
-        An unstable step may not show in the pose: tyres that saturate bound the speeds of wheels
-        that chatter.
+        An unstable step may be invisible in the pose, because tyres that saturate bound the
+        oscillation of wheel speeds.
         """
         if not model.nv:
             return 0
@@ -140,17 +142,17 @@ class Manoeuvre(HalvedSteps):
         if not np.isfinite(matrices).all():
             return 0
         size = matrices.shape[-1]
-        whole = np.pad(matrices, ((0, 0), (size, 0), (size, 0)))  # modes of coordinates left out
+        whole = np.pad(matrices, ((0, 0), (size, 0), (size, 0)))  # without modes of coordinates
         limit = stable_step("rk4", whole)
         return math.ceil(math.log2(self._dt / limit)) if 0 < limit < self._dt else 0
 
 
 class Demand(NamedTuple):
-    """The traction that rolling needs.
+    """The traction that rolling without slipping requires.
 
     Fields:
-        share: the part of the traction that tyres give under the loads at rest, at least.
-        at: its time, s.
+        share: the largest fraction of the available traction that is required, with loads at rest.
+        at: the time of `share`, s.
     """
 
     share: float
@@ -158,8 +160,8 @@ class Demand(NamedTuple):
 
 
 def demand(run: Manoeuvre, rolling: Rolling, slipping: Slipping, path: State) -> Demand:
-    """Compute the largest share of the traction on a path of a rolling robot: for the force on all
-    wheels together and for the force of each shaft."""
+    """Compute the largest required fraction of the traction on a path of a rolling robot. It is the
+    maximum over the total force on all wheels, and over the force of each shaft."""
 
     def look(state: State, u: jax.Array) -> jax.Array:
         now = rolling.context(state, u)
@@ -178,7 +180,8 @@ def demand(run: Manoeuvre, rolling: Rolling, slipping: Slipping, path: State) ->
 
 
 def _traction(n: Parameters, slipping: Slipping) -> tuple[Lane, list[Lane]]:
-    """Return the largest force of all tyres in any direction, N, and along those of each shaft."""
+    """Return the largest total force of all tyres in any direction, and of each shaft along its
+    wheels, N."""
     whole: Lane = 0.0
     of_shafts: list[Lane] = [0.0] * len(n.shafts)
     for wheel, load, tyre in zip(n.wheels, wheel_loads(n), slipping.tyres, strict=True):

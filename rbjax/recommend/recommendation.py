@@ -1,4 +1,4 @@
-"""The result of all recommendations, and their common checks and measurements."""
+"""The common result of all recommendations, and their checks and measurements."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ import jax.numpy as jnp
 from rbjax.arguments import real_number
 from rbjax.errors import InputError
 
-#: runs in a measurement of time
+#: the least number of runs in a measurement of time
 ROUNDS = 5
-#: the reference motion is not more accurate than this
+#: the accuracy of the reference motion
 FINEST = 1e-10
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """A choice with its reason. Each recommender returns a subclass, which adds fields.
+    """A choice with its reason. Each recommender returns a subclass with more fields.
 
     Fields:
         name: the name of the choice, in the registry of its kind.
-        cost: the cost of the choice, which is the least one.
-        candidates: a record of each candidate that was measured, with at least its `name`, its
-            `cost`, and `ok`, whether it fulfils the request.
+        cost: the cost of the choice, the lowest of all candidates that fulfil the request.
+        candidates: a record of each measured candidate, with at least its `name`, its `cost`, and
+            `ok`, whether it fulfils the request.
         reason: a sentence with the deciding number.
     """
 
@@ -69,7 +69,7 @@ def check_request(accuracy: Any, **times: Any) -> None:
 
 
 def fastest(run: Callable[[], object], seconds: float = 0.0) -> float:
-    """Return the seconds of the fastest of at least five runs, which take at least `seconds`."""
+    """Measure the fastest of at least five runs that last at least `seconds` in total, s."""
     taken: list[float] = []
     while len(taken) < ROUNDS or math.fsum(taken) < seconds:
         begin = time.perf_counter()

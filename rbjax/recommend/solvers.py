@@ -1,14 +1,14 @@
 """`solver`: choose a solver and a step for a motion of a robot, by trial runs.
 
-    1. the motion itself, by an adaptive method with a much smaller error than requested
-    2. its linearisation along the path: the fastest eigenvalue, and the largest step at which the
+    1. compute the motion by an adaptive method with a much smaller error than requested
+    2. linearise along the path: the fastest eigenvalue, and the largest step at which the
        explicit candidate is stable
-    3. each candidate with several steps, compared with 1: error(h) ~ C h^p predicts the step with
-       the requested error, and a run with this step confirms it
-    4. the candidate with the fewest evaluations of forward dynamics per second of motion
+    3. run each candidate with several steps and compare with 1: error(h) ~ C h^p predicts the step
+       with the requested error, and a run with this step confirms it
+    4. choose the candidate with the fewest evaluations of forward dynamics per second of motion
 Implicit candidates are tried if stability limits the step of the explicit one. A symplectic one is
-tried for a conservative motion whose horizon is longer than the trial run. Then errors grow with t
-for symplectic methods and with t^2 for others (Hairer, Lubich & Wanner, *Geometric Numerical
+tried for a conservative motion whose horizon is longer than the trial run. In that case errors grow
+with t for symplectic methods and with t^2 for others (Hairer, Lubich & Wanner, *Geometric Numerical
 Integration*, X.3). Otherwise they are assumed to grow with t.
 """
 
@@ -38,19 +38,26 @@ from rbjax.stability.runs.largest_step import stable_step
 from rbjax.stability.runs.linearisation import motion_matrices
 
 TRIAL = 10.0  # the longest trial run, s
-RADIANS = 5e4  # of the fastest mode in a trial run: about a hundred thousand steps
+RADIANS = 5e4  # the largest phase of the fastest mode in a trial run: about 100,000 steps
 POINTS = 17  # times at which motions are compared
-LOOKS = 9  # the number of them at which the motion is linearised
+LOOKS = 9  # times at which the motion is linearised
 MOST_STEPS = 2_000_000
 LOOSE = 1e-3  # the accuracy above which order three is enough for stiff motion
-TRIES = 14  # runs of a candidate
-ROLLED_ABOVE = 6  # dofs above which the rolled driver compiles in half the time
-BRIEF = 1e4  # radians of the fastest mode up to which this saves time
+TRIES = 14  # the largest number of runs of a candidate
+ROLLED_ABOVE = 6  # dofs above which the rolled driver compiles faster
+BRIEF = 1e4  # phase of the fastest mode, rad, up to which the rolled driver saves time
 
 
 class Trial(NamedTuple):
-    """A candidate. Fields: name; dt, the largest accurate step, s; error at this step; cost,
-    evaluations of forward dynamics per second of motion; ok, whether there is such a step."""
+    """A measured candidate.
+
+    Fields:
+        name: of the solver.
+        dt: the largest accurate step, s.
+        error: at this step.
+        cost: evaluations of forward dynamics per second of motion.
+        ok: whether there is an accurate step.
+    """
 
     name: str
     dt: float
@@ -63,10 +70,10 @@ class Trial(NamedTuple):
 class SolverRecommendation(Recommendation):
     """A solver and a step for `rb.simulate(model, state, ts, solver=r.solver, dt=r.dt)`.
 
-    Fields, in addition to those of `Recommendation` (cost: evaluations of forward dynamics per
+    Fields, in addition to the fields of `Recommendation` (cost: evaluations of forward dynamics per
     second of motion):
         solver: a solver of `rb.solvers.all()`.
-        dt: seconds.
+        dt: the step, s.
         predicted_error: the largest deviation of a configuration coordinate over the horizon, m or
             rad.
     """
@@ -78,7 +85,8 @@ class SolverRecommendation(Recommendation):
 
 @dataclass(frozen=True)
 class Candidate:
-    """A solver with its order, the evaluations of a step, and the power of time of its error."""
+    """A solver with its order, its evaluations per step, and the power of t by which its error
+    grows."""
 
     name: str
     solver: diffrax.AbstractSolver
@@ -102,7 +110,7 @@ def _reference(
 def _error(
     model: Model, state: State, ts: jax.Array, ctrl: Any, solver: Any, dt: Any, truth: jax.Array
 ) -> jax.Array:
-    """Compute the largest deviation of a configuration coordinate from the motion (T, nq)."""
+    """Compute the largest deviation of a coordinate from a reference motion (T, nq)."""
     path = simulate(
         model, state, ts, ctrl, solver=solver, dt=dt, throw=False, max_steps=MOST_STEPS,
         adjoint=diffrax.ForwardMode(),
@@ -120,7 +128,8 @@ def _controls(ctrl: Source | None, ts: np.ndarray, states: State) -> jax.Array |
 def _largest_step(
     error: Callable[[float], float], start: float, most: float, order: int, target: float
 ) -> tuple[float, float] | None:
-    """Find the largest step with an error of at most the target. Return it with its error."""
+    """Find the largest step whose error is at most the target. Return the step and its error, or
+    None."""
     good: tuple[float, float] | None = None
     bad, h = math.inf, min(start, most)
     for _ in range(TRIES):
@@ -174,19 +183,20 @@ def solver(
     ctrl: Source | None = None,
     progress: bool = True,
 ) -> SolverRecommendation:
-    """Recommend a solver and a constant step for this robot from this state.
+    """Recommend a solver and a constant step for the motion of a robot from a state.
 
     error(h) ~ C h^p is fitted and confirmed by a run. Of the stable steps that are accurate enough,
-    the one with the fewest evaluations a second is chosen.
+    the recommendation is the one with the fewest evaluations per second of motion.
 
     Args:
         model: the robot.
         state: initial q (nq,), v (nv,).
         accuracy: the largest deviation of a configuration coordinate over the horizon, in m and
             rad, at least 1e-10.
-        horizon: seconds of motion; only the first 10 are run, and the error is extrapolated.
-        ctrl: (t, state) -> (nu,), as `rb.simulate` takes it; None for no actuation.
-        progress: show the progress on the terminal.
+        horizon: duration of the motion, s. Only the first 10 s are run, and the error is
+            extrapolated.
+        ctrl: (t, state) -> (nu,), as for `rb.simulate`; None for no actuation.
+        progress: whether to display the progress on the terminal.
 
     Returns:
         `SolverRecommendation`.
@@ -194,7 +204,7 @@ def solver(
     Raises:
         InputError: a state of the wrong type or shape, or not finite; an accuracy or a horizon that
             is not a number, not positive, or too fine; a motion that is not finite, or that no
-            candidate follows with this accuracy.
+            candidate reproduces with this accuracy.
 
     It compiles one program for the reference, one for the linearisation and one for each candidate
     (one to three). It always computes in f64.
@@ -234,7 +244,7 @@ def _recommended(
     A = motion_matrices(light, start, _controls(ctrl, np.zeros(LOOKS), start))
     fastest = _fastest(A)
     trial = min(horizon, TRIAL)
-    # vibrations must be followed; for mere decay an implicit reference is enough
+    # oscillations must be resolved; for pure decay an implicit reference is sufficient
     following = abs(fastest.imag) * trial <= RADIANS
     trial = trial if following else RADIANS / abs(fastest)
     stiff = abs(fastest) * trial > RADIANS
@@ -312,7 +322,7 @@ def _reason(
     best: Candidate, h: float, e: float, accuracy: float, horizon: float, explicit: Candidate,
     held: tuple[float, float, Candidate] | None, limit: float, fastest: float, by_stability: bool,
 ) -> str:  # fmt: skip
-    """Explain the choice by the deciding criterion, with its number."""
+    """Explain the choice by the deciding criterion and its number."""
     met = (
         f"{best.name} with steps of {h:.2g} s has an error of {e:.1e} (requested: {accuracy:.1e}) "
         f"over {horizon:g} s, with {best.evaluations / h:.2g} evaluations a second"

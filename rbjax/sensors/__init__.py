@@ -1,4 +1,4 @@
-"""Sensors of a robot: the values that an ideal sensor measures at an instant of a motion."""
+"""Ideal sensors of a robot: functions from the state of motion to measured values."""
 
 from rbjax.forces.context import Context
 from rbjax.sensors.columns import Columns

@@ -1,9 +1,8 @@
-"""Columns of a sensor, some of which are attitudes: their difference, sum and noise.
+"""Differences, sums and noise of sensor readings, some columns of which are attitudes.
 
     minus(x, y) = x - y,  of attitudes log(y* x);      plus(x, d) = x + d,  of attitudes x exp(d)
-An attitude has four columns, a quaternion (w, x, y, z). Its difference has three numbers in rad, in
-the axes of the body. Its noise is the noise of the rotation; of its four columns the largest
-counts.
+An attitude has four columns, a quaternion (w, x, y, z). Its difference has three entries in rad, in
+body axes. Its noise is the noise of the rotation, computed from the largest of its four columns.
 
 Source: Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 25, 26.
 """
@@ -23,14 +22,14 @@ from rbjax.rotations import quaternion
 
 @dataclass(frozen=True)
 class Columns:
-    """size: the number of columns. turns: the first column of each attitude."""
+    """The columns of a reading. size: their number. turns: first column of each attitude."""
 
     size: int
     turns: tuple[int, ...] = ()
 
     def minus(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """x (-) y of two readings (n,). A quaternion y of zeros, not measured, counts as the
-        identity."""
+        """Compute the difference x (-) y of two readings (n,). A zero quaternion y, which marks a
+        missing sample, is replaced by the identity."""
         parts = []
         for at, turns in self._parts():
             a, b = x[at], y[at]
@@ -43,7 +42,7 @@ class Columns:
         return jnp.concatenate(parts)
 
     def plus(self, x: jax.Array, d: jax.Array) -> jax.Array:
-        """x (+) d, of a reading (n,) and a difference."""
+        """Add a difference d to a reading x (n,): x (+) d."""
         parts, k = [], 0
         for at, turns in self._parts():
             if turns:
@@ -56,7 +55,7 @@ class Columns:
         return jnp.concatenate(parts)
 
     def weights(self, w: jax.Array) -> jax.Array:
-        """Weights (..., n) of readings as weights of differences."""
+        """Convert weights (..., n) of readings to weights of differences."""
         if not self.turns:
             return w
         parts = []
@@ -67,7 +66,7 @@ class Columns:
         return jnp.concatenate(parts, -1)
 
     def aligned(self, recorded: np.ndarray, simulated: np.ndarray) -> np.ndarray:
-        """Recorded (T, n), each quaternion with the sign that is nearer to the simulated one."""
+        """Return recorded (T, n) with the sign of each quaternion nearest to the simulated one."""
         found = recorded.copy()
         for k in self.turns:
             at = slice(k, k + 4)
@@ -76,23 +75,23 @@ class Columns:
         return found
 
     def residual(self, recorded: np.ndarray, simulated: np.ndarray) -> np.ndarray:
-        """Simulated minus recorded (T, n); of quaternions twice, so that its length is the angle in
-        rad if this is small."""
+        """Compute simulated minus recorded (T, n), with a factor 2 for quaternions, so that the
+        norm of their residual is the angle in rad if it is small."""
         off = simulated - recorded
         for k in self.turns:
             off[:, k : k + 4] *= 2
         return off
 
     def noise(self, rms: np.ndarray) -> np.ndarray:
-        """The standard deviation (n,) for residuals of size rms (n,); an attitude has the deviation
-        of its rotation about each axis."""
+        """Compute the standard deviations (n,) of noise for residuals of size rms (n,); for an
+        attitude, of the rotation about each axis."""
         found = rms.copy()
         for k in self.turns:
             found[k : k + 4] = np.sqrt((rms[k : k + 4] ** 2).sum() / 3)
         return found
 
     def _parts(self) -> Iterator[tuple[slice, bool]]:
-        """The slices of columns, and whether each is an attitude."""
+        """Iterate over the slices of columns; the flag is True for an attitude."""
         at = 0
         for k in self.turns:
             if k > at:
@@ -104,7 +103,7 @@ class Columns:
 
 
 def root_mean_square(r: Any) -> np.ndarray:
-    """Root mean square of each column of (samples, n), without missing samples; nan if all miss."""
+    """Compute the root mean square of each column of (samples, n), ignoring nan; nan if all are."""
     there = ~np.isnan(r)
     count = there.sum(0)
     squares = np.where(there, r, 0.0) ** 2

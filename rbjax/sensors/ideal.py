@@ -1,4 +1,4 @@
-"""Ideal sensors: joints, sites, motion capture, motor currents, and functions of a user."""
+"""Ideal sensors: joints, sites, motion capture, motor currents, and user functions."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from rbjax.sensors.protocol import register
 
 
 class JointSensor(Record):
-    """A sensor with one value for each velocity coordinate.
+    """Base class of a sensor with one value per dof.
 
-    units: of a joint that turns and of one that slides; static.
+    units: units of a rotating and of a sliding joint; static.
     """
 
     units: ClassVar[tuple[str, str]]
@@ -35,7 +35,7 @@ class JointSensor(Record):
         return Columns(model.nv)
 
     def names(self, model: Model) -> tuple[str, ...]:
-        """The joint of each value, with an index if the joint has several."""
+        """List the joint name of each value, with an index if the joint has several."""
         return _joint_columns(model, velocity=True)
 
     def unit(self, model: Model) -> str:
@@ -46,7 +46,7 @@ class JointSensor(Record):
 
 
 def acceleration(context: Context) -> jax.Array:
-    """The acceleration v' (nv,) of the model at an instant, computed once."""
+    """Return the acceleration v' (nv,) of the model at an instant, computed once per context."""
 
     def compute() -> jax.Array:
         dynamics = dynamics_of("acceleration", context.model, free_motion, None)
@@ -58,7 +58,7 @@ def acceleration(context: Context) -> jax.Array:
 
 
 def _joint_columns(model: Model, *, velocity: bool) -> tuple[str, ...]:
-    """The names of the entries of q or v: "joint", or "joint[k]" of a joint with several."""
+    """List the names of the entries of q or v: "joint", or "joint[k]" if a joint has several."""
     names: list[str] = []
     for joint in model.joint_names:
         part = model.v_slice(joint) if velocity else model.q_slice(joint)
@@ -80,7 +80,7 @@ class Positions(JointSensor):
         return Columns(model.nq, model.topology.quaternion_starts)
 
     def names(self, model: Model) -> tuple[str, ...]:
-        """The joint of each value, with an index if the joint has several."""
+        """List the joint name of each value, with an index if the joint has several."""
         return _joint_columns(model, velocity=False)
 
 
@@ -96,7 +96,7 @@ class Velocities(JointSensor):
 
 @register("a")
 class Accelerations(JointSensor):
-    """Measure v' (nv,), by the dynamics."""
+    """Measure v' (nv,), computed by the dynamics."""
 
     units = ("rad/s^2", "m/s^2")
 
@@ -121,7 +121,7 @@ class Torques(JointSensor):
 class Currents(JointSensor):
     """Measure the motor currents of the joints, i = tau / constant, in A.
 
-    constant: (nv,) N m/A at the joint. It can be an unknown: "readings.current.constant".
+    constant: (nv,) N m/A at the joint. It can be identified: "readings.current.constant".
     """
 
     units = ("A", "A")
@@ -132,7 +132,7 @@ class Currents(JointSensor):
 
 
 class SiteSensor(Record):
-    """A sensor with three values at a site, given by its name or index.
+    """Base class of a sensor with three values at a site, given by its name or index.
 
     of: the SI unit; static.
     """
@@ -145,7 +145,7 @@ class SiteSensor(Record):
         return Columns(3)
 
     def names(self, model: Model) -> tuple[str, ...]:
-        """The names of the axes."""
+        """List the names of the axes."""
         return "x", "y", "z"
 
     def unit(self, model: Model) -> str:
@@ -154,7 +154,7 @@ class SiteSensor(Record):
 
 @register("position", placed=True)
 class Position(SiteSensor):
-    """Measure the position p (3,) of a site in the world, as motion capture of a marker."""
+    """Measure the position p (3,) of a site in the world, as by motion capture of a marker."""
 
     of = "m"
 
@@ -178,7 +178,7 @@ class Gyro(SiteSensor):
 class Accelerometer(SiteSensor):
     """Measure the specific force R^T (p'' - g) (3,) at a site in its own axes.
 
-    A sensor at rest measures g upwards, a sensor in free fall zero.
+    A sensor at rest measures g upwards. A sensor in free fall measures zero.
     """
 
     of = "m/s^2"
@@ -198,9 +198,9 @@ class Accelerometer(SiteSensor):
 
 @register("pose", placed=True)
 class Pose(Record):
-    """Measure the position and quaternion (7,) of a body or site in the world, as motion capture.
+    """Measure [position; quaternion] (7,) of a body or site in the world, as by motion capture.
 
-    name: of the body, or of the site if no body has the name.
+    name: name of the body, or of a site if no body has the name.
     """
 
     name: str = eqx.field(static=True)
@@ -220,7 +220,7 @@ class Pose(Record):
         return Columns(7, (3,))
 
     def names(self, model: Model) -> tuple[str, ...]:
-        """The names of the position's and the quaternion's entries."""
+        """List the names of the entries of the position and the quaternion."""
         return "x", "y", "z", "qw", "qx", "qy", "qz"
 
     def unit(self, model: Model) -> str:
@@ -228,12 +228,12 @@ class Pose(Record):
 
 
 class CustomSensor(Record):
-    """Use a function of a `Context` as a sensor.
+    """A sensor defined by a function of a `Context`.
 
     Args:
         function: (context) -> (size,), traced.
-        size: the number of values.
-        of: their SI unit, for messages.
+        size: number of values.
+        of: SI unit of the values, for messages.
 
     Example:
         >>> import rbjax as rb

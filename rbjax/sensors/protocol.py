@@ -1,6 +1,6 @@
-"""The protocol of sensors, and the registry of their kinds.
+"""The protocol of sensors, and the registry of sensor kinds.
 
-A sensor reads a `Context` and gives an array. A new kind is a class with `@register`.
+A sensor is a function of a `Context` that returns an array. `@register` adds a new class.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from rbjax.sensors.columns import Columns
 
 @runtime_checkable
 class Sensor(Protocol):
-    """An ideal sensor. A user's sensor has these methods; `names` may be left out."""
+    """An ideal sensor. A user's sensor has these methods; `names` is optional."""
 
     def __call__(self, context: Context) -> jax.Array:
         """Compute the measured values (n,), traced."""
         ...
 
     def columns(self, model: Model) -> Columns:
-        """The number of values, and which of them are quaternions."""
+        """Return the number of values, and which of them are quaternions."""
         ...
 
     def unit(self, model: Model) -> str:
-        """The SI unit, for messages."""
+        """Return the SI unit, for messages."""
         ...
 
 
@@ -40,8 +40,8 @@ C = TypeVar("C", bound=type)
 class Kind(NamedTuple):
     """A kind of sensor.
 
-    sensor: its class.
-    placed: whether it is at a body or a site, as "gyro:imu".
+    sensor: class of the sensor.
+    placed: whether the sensor is at a body or a site, as in "gyro:imu".
     """
 
     sensor: Any
@@ -52,7 +52,7 @@ _KINDS: dict[str, Kind] = {}
 
 
 def kinds() -> dict[str, Kind]:
-    """All kinds of sensors, by name.
+    """Return all kinds of sensors by name.
 
     Example:
         >>> import rbjax as rb
@@ -63,14 +63,17 @@ def kinds() -> dict[str, Kind]:
 
 
 def register(name: str, *, placed: bool = False) -> Callable[[C], C]:
-    """Add a kind of sensor: a decorator of its class.
+    """Register a class as a kind of sensor (a class decorator).
 
     Args:
-        name: of the kind; recordings and `Setup.with_sensors` use it.
+        name: name of the kind, used by recordings and `Setup.with_sensors`.
         placed: whether the sensor is at a body or a site. Its name is then "name:PLACE", and the
             class is called with the place. Otherwise the class is called without arguments.
 
-    A class that is defined again, as in a notebook, replaces the earlier one of the same name.
+    A class that is defined again, for instance in a notebook, replaces the earlier one.
+
+    Raises:
+        InputError: a name that is not a word, or that belongs to another class.
 
     Raises:
         InputError: a name that is not a word, or that belongs to another class.
@@ -101,7 +104,7 @@ def register(name: str, *, placed: bool = False) -> Callable[[C], C]:
 
 
 def sensor_of(name: str) -> Sensor:
-    """The ideal sensor of a name, such as "q" or "gyro:imu".
+    """Make the ideal sensor of a name, such as "q" or "gyro:imu".
 
     Raises:
         UnknownName: no registered kind has this name.

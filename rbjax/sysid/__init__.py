@@ -1,17 +1,23 @@
-"""System identification: the parameters of a model from measured motion.
+"""System identification: estimation of the parameters of a model from measured motion.
 
-Data: `Recording`s of `Channel`s, read by `read_csv` and `read_npz`, checked by `findings`, divided
-by `split`. Unknowns: `Unknown`, `Inertia`, `Shared`, ... of a `Model`, or of a `Setup` with sensors
-(`rbjax.sensors`), a controller and a delay.
+Data: a `Recording` holds one `Channel` for each sensor. `read_csv` and `read_npz` read recordings,
+`findings` checks them, `split` divides them into training and validation data.
 
-Estimators: `identify` fits simulated motions to recordings; `many_starts` does so from many first
-guesses; `prediction_error` is for robots that noise drives; `squares` is the objective of
-`identify` with its gradient; `identifiability` finds, before a fit, which unknowns the recordings
-can identify. Judgement: the result's `verdict`, `diagnose`, `report`, `free_run`, `monte_carlo`.
+Unknowns: `Unknown`, `Inertia`, `Shared`, ... select parameters of a `Model`, or of a `Setup`, which
+adds sensors (`rbjax.sensors`), a controller and a delay.
 
-Rooms: `data` (filters, units), `parameters` (log-Cholesky coordinates of inertias), `statistics`
-(rank, intervals, whiteness, comparison of models), `torque` (regression on measured torques, which
-are linear in the parameters), `design` (the motion to measure next), `jobs` (TOML files).
+Estimators:
+    `identify` fits simulated motions to recordings.
+    `many_starts` fits from many first guesses.
+    `prediction_error` fits models with process noise.
+    `squares` returns the objective of `identify` with its gradient.
+    `identifiability` finds the identifiable combinations of unknowns before a fit.
+
+Validation: `Identified.verdict`, `diagnose`, `report`, `free_run`, `monte_carlo`.
+
+Packages: `data` (filters, units), `parameters` (log-Cholesky coordinates of inertias), `statistics`
+(rank, intervals, whiteness, model comparison), `torque` (linear regression on measured torques),
+`design` (excitation trajectories), `jobs` (TOML files).
 """
 
 from rbjax.sysid import data, design, parameters, statistics, torque

@@ -1,4 +1,4 @@
-"""Checks of arguments that several functions of identification take."""
+"""Checks of arguments that are common to several functions of identification."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rbjax.sysid.simulation.setup import Setup
 
 
 def setup_of(where: str, model: Any) -> Setup:
-    """Return a set-up as it is, and a model as a set-up with ideal sensors."""
+    """Return a `Setup` unchanged, and convert a `Model` to a `Setup` with ideal sensors."""
     if isinstance(model, Setup):
         check_model(where, model.model)
         return model
@@ -24,7 +24,7 @@ def setup_of(where: str, model: Any) -> Setup:
 
 
 def recordings_of(where: str, recordings: Any, *, empty: bool = False) -> list[Recording]:
-    """Return one recording, or a sequence of recordings, as a list."""
+    """Convert one recording or several to a list, and check that their names are unique."""
     runs = [recordings] if isinstance(recordings, Recording) else recordings
     if not isinstance(runs, Sequence) or not all(isinstance(run, Recording) for run in runs):
         raise InputError(
@@ -46,15 +46,14 @@ def recordings_of(where: str, recordings: Any, *, empty: bool = False) -> list[R
 def floats(
     where: str, name: str, x: Any, fix: str = "an array of numbers", *, finite: bool = False
 ) -> np.ndarray:
-    """Return x as an array of float64, in which nan may be a missing sample."""
+    """Convert x to an array of float64. NaN is allowed unless `finite`."""
     return real_array(where, name, x, fix, finite=finite)
 
 
 def check_options(
     where: str, loss: Any = "squares", estimate_initial_state: Any = None, **lengths: Any
 ) -> None:
-    """`InputError` for an unknown loss, an invalid flag, or a length that is not seconds above
-    0."""
+    """Raise InputError unless loss, flag and lengths (s, positive, or None) are valid."""
     if not (isinstance(loss, str) and loss in ("squares", "huber")):
         raise InputError(f'{where}: loss is {loss!r}, expected "squares" or "huber"')
     if not (estimate_initial_state is None or isinstance(estimate_initial_state, bool)):
@@ -68,7 +67,7 @@ def check_options(
 
 
 def names_of(where: str, name: str, given: Any) -> tuple[str, ...]:
-    """Return names as a tuple; a str is its letters."""
+    """Convert an iterable of names to a tuple. A str becomes a tuple of its letters."""
     if not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
         raise InputError(f"{where}: {name} is {shown(given)}, expected a list of names")
     return tuple(given)

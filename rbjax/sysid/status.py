@@ -1,4 +1,4 @@
-"""How an estimator ended: `FitStatus`, and the base class of results that have one."""
+"""Termination status of estimators: `FitStatus`, and the base class of results that have one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import enum
 
 
 class FitStatus(enum.IntEnum):
-    """How the search of an estimator ended, with the numbers of `rb.control.Status`."""
+    """Termination status of an estimator, with the same integers as `rb.control.Status`."""
 
     CONVERGED = 1
     BUDGET = 2
@@ -16,12 +16,12 @@ class FitStatus(enum.IntEnum):
 
     @classmethod
     def of(cls, converged: bool) -> FitStatus:
-        """`CONVERGED`, or `BUDGET` if a search ended before it converged."""
+        """Return `CONVERGED` if a search converged, and `BUDGET` otherwise."""
         return cls.CONVERGED if converged else cls.BUDGET
 
     @property
     def text(self) -> str:
-        """The status in words."""
+        """The status as text for users."""
         return TEXTS[self]
 
 
@@ -35,7 +35,7 @@ TEXTS = {
 
 
 class HasStatus:
-    """A result with a field `status`."""
+    """Base class of results with a field `status`."""
 
     status: FitStatus
 

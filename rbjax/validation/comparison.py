@@ -1,4 +1,4 @@
-"""Comparison of a robot's motion with MuJoCo C (f64) and MJX (f32 and f64)."""
+"""Comparison of a robot's motion in rbjax with MuJoCo C (f64) and MJX (f32 and f64)."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from rbjax.validation.reference import (
 )
 from rbjax.validation.report import Report, Row, relative
 
-#: worst relative errors of functions of one state: rounding times the condition of M
+#: tolerances of functions of one state: rounding times the condition number of M
 ALGORITHM = {"rbjax f64": 1e-10, "rbjax f32": 1e-4}
-#: rounding over a trajectory: as many units in the last place, times how much MuJoCo's own
+#: tolerance of a trajectory, in units of the last place times the factor by which MuJoCo's own
 #: trajectory amplifies a change of its initial velocity
 UNITS = 1e4
 EPSILON = {"rbjax f64": 2.2e-16, "rbjax f32": 1.2e-7}
-#: error of MuJoCo's central differences: this, or the difference between two step sizes
+#: least tolerance of gradients, for errors of MuJoCo's central differences
 DIFFERENCES = 1e-8
 GRADIENTS = 3  # states for which the gradient of the trajectory is compared
 
@@ -52,17 +52,17 @@ def compare(
     """Compare a robot in rbjax, MuJoCo C and MJX side by side.
 
     The comparison covers body poses and velocities, mass matrix, bias forces, forward dynamics with
-    the model's own springs, dampers and actuators, one semi-implicit Euler step, a trajectory's
-    final state, and the gradient of a random functional of this state by initial velocity and
-    controls (reverse mode against central differences of MuJoCo C).
+    the model's own springs, dampers and actuators, one semi-implicit Euler step, and the final
+    state of a trajectory. It also covers the gradient of a random functional of this state by
+    initial velocity and controls (reverse mode against central differences of MuJoCo C).
 
     Args:
         source: as for `rbjax.load`.
-        states: how many random states.
-        seed: of the states.
-        mjx: whether MJX runs too, or its precisions, e.g. ("f64",).
-        seconds: length of the trajectory.
-        gradient: whether to compare gradients, which take most of a large robot's compile time.
+        states: the number of random states.
+        seed: of the random states.
+        mjx: whether MJX runs too, or a tuple of its precisions, such as ("f64",).
+        seconds: the length of the trajectory.
+        gradient: whether to compare gradients, which are most of a large robot's compile time.
         driver: the driver of rbjax; "rolled" compiles faster than "unrolled".
         floating_base: as in `rbjax.load`.
         progress: called with the name of each stage before it starts.
@@ -131,13 +131,13 @@ def compare(
 
 
 def describe(source: Any) -> str:
-    """The name of a robot for titles: that of its file, or "model"."""
+    """Return the name of a robot for titles: the name of its file, or "model"."""
     text = str(source) if isinstance(source, (str, Path)) else "<"
     return "model" if text.lstrip().startswith("<") else Path(text).name
 
 
 def _final_states(m: mujoco.MjModel, samples: Samples, steps: int) -> tuple[Array, float]:
-    """MuJoCo's final states (N, nq + nv), and how much they amplify a change of velocity."""
+    """Compute MuJoCo's final states (N, nq + nv), and their amplification of a velocity change."""
     small = 1e-6
     out, growth = [], 1.0
     for q, v, ctrl in zip(samples.q, samples.v, samples.ctrl, strict=True):
@@ -151,7 +151,7 @@ def _final_states(m: mujoco.MjModel, samples: Samples, steps: int) -> tuple[Arra
 
 
 def _tolerances(growth: float, doubt: float) -> dict[str, dict[str, float]]:
-    """The largest allowed errors of rbjax: quantity -> column -> error; "" is for all others."""
+    """Return the tolerances of rbjax: quantity -> column -> error; "" is the default."""
     path = {column: UNITS * growth * unit for column, unit in EPSILON.items()}
     path = {column: tolerance for column, tolerance in path.items() if tolerance < 1}
     gradient = {"rbjax f64": max(DIFFERENCES, 10 * doubt, path.get("rbjax f64", 1.0))}

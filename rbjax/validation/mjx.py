@@ -1,8 +1,8 @@
-"""The side of MJX in the comparison: one compiled step and one compiled vjp of it.
+"""MJX in the comparison: one compiled step and one compiled vjp of a step.
 
-The data of a step has the quantities at its start (poses, M, bias, acceleration) and the state at
-its end, so one program gives every quantity. The gradient of a trajectory runs the vjp of the step
-backwards in time. Loops over time are in Python: MJX compiles slowly, and more slowly in a loop.
+The data of a step contains the quantities at its start (poses, M, bias, acceleration) and the state
+at its end, so one program computes every quantity. The gradient of a trajectory applies the vjp of
+the step backwards in time. Loops over time are in Python, because MJX compiles slowly in loops.
 """
 
 from __future__ import annotations
@@ -28,15 +28,14 @@ UNFUSED = (WITHOUT_EMITTERS, ("xla_disable_hlo_passes", "fusion"))
 
 
 def fast() -> dict[str, Any] | None:
-    """The first option of `UNFUSED` that this jaxlib knows (0.11 lost the first); None off the
-    CPU."""
+    """Return the first option of `UNFUSED` that this jaxlib accepts; None off the CPU."""
     if jax.default_backend() != "cpu":
         return None
     return dict([next(option for option in UNFUSED if xla_accepts(*option))])
 
 
 class Mjx:
-    """MJX on a model, in the precision that is set at its construction (`jax.enable_x64`)."""
+    """MJX on a model, in the precision that is active at its construction (`jax.enable_x64`)."""
 
     def __init__(self, m: mujoco.MjModel):
         if m.jnt_stiffnesspoly.any() or m.dof_dampingpoly.any() or m.tendon_stiffnesspoly.any():
@@ -64,15 +63,15 @@ class Mjx:
         }
 
     def _velocities(self, d: Any) -> jax.Array:
-        """Twists at body origins. `cvel` is [angular; linear] at the centre of mass of the
-        subtree."""
+        """Compute the twists at body origins. `cvel` is [angular; linear] at the centre of mass of
+        the subtree."""
         m = self.reference
         arm = d.xpos[1:] - d.subtree_com[m.body_rootid[1:]]
         angular, linear = d.cvel[1:, :3], d.cvel[1:, 3:]
         return jnp.concatenate([angular, linear + jnp.cross(angular, arm)], -1)
 
     def _vjp(self, model: Any, q: Any, v: Any, ctrl: Any, cotangent: Any) -> Any:
-        """Cotangents of (q, v, ctrl) from those of the next state."""
+        """Compute the cotangents of (q, v, ctrl) from the cotangents of the next state."""
 
         def step(q, v, ctrl):
             d = mjx.step(model, self.blank.replace(qpos=q, qvel=v, ctrl=ctrl))
@@ -81,19 +80,19 @@ class Mjx:
         return jax.vjp(step, q, v, ctrl)[1](cotangent)
 
     def arrays(self, samples: Samples) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """The samples in the current precision."""
+        """Convert the samples to arrays in the current precision."""
         dtype = jnp.result_type(float)
         q, v, ctrl = (jnp.asarray(x, dtype) for x in (samples.q, samples.v, samples.ctrl))
         return q, v, ctrl
 
     def quantities(self, samples: Samples) -> dict[str, Array]:
-        """The quantities of MJX at each state."""
+        """Compute the quantities of MJX at each state."""
         out = self.step(self.model, *self.arrays(samples))
         out["one step"] = jnp.concatenate(out.pop("state"), -1)
         return {name: np.asarray(x, np.float64) for name, x in out.items()}
 
     def motion(self, samples: Samples, steps: int, weights: Array | None) -> dict[str, Array]:
-        """Final states (N, nq + nv), and gradients (N, nv + nu) of weights . final state."""
+        """Compute final states (N, nq + nv) and gradients (N, nv + nu) of weights . final state."""
         q, v, ctrl = self.arrays(samples)
         path = []
         for _ in range(steps):
@@ -114,11 +113,10 @@ class Mjx:
 
 
 def integrator(m: mujoco.MjModel, name: str, q: Any, v: Any, ctrl: Any, seconds: float) -> Any:
-    """MJX's "Euler" or "RK4" on a batch q (N, nq), v (N, nv) under ctrl (nu,).
+    """Make the integrator "Euler" or "RK4" of MJX for a batch q (N, nq), v (N, nv) and constant
+    ctrl (nu,).
 
-    Returns a function: steps -> final (q, v).
-
-    One compiled program serves all numbers of steps.
+    The result maps a number of steps to the final (q, v), by one compiled program for all numbers.
     """
     m.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
     model = mjx.put_model(m)

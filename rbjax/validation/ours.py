@@ -1,4 +1,4 @@
-"""The side of rbjax in the comparison: the quantities of `reference`, the motion, its gradient."""
+"""rbjax in the comparison: the quantities of `reference`, the motion and its gradient."""
 
 from __future__ import annotations
 
@@ -22,10 +22,8 @@ from rbjax.validation.reference import Array, Samples
 
 
 def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
-    """Compute poses, velocities, M, bias forces and accelerations in a dtype, one row a state.
-
-    The model is closed over, so its zeros are structural, as in a simulation of one robot.
-    """
+    """Compute poses, velocities, M, bias forces and accelerations in a dtype, one row per state.
+    The model is a compile-time constant, so its zeros are structural."""
 
     def one(q: jax.Array, v: jax.Array, ctrl: jax.Array) -> dict[str, jax.Array]:
         R, p = forward_kinematics(model, q)
@@ -46,9 +44,8 @@ def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
 def motion(
     model: Model, samples: Samples, dt: float, steps: int, weights: Array | None, dtype: Any
 ) -> dict[str, Array]:
-    """One step and a trajectory's final state (N, nq + nv), and its gradient (N, nv + nu):
-    d(weights . final state) / d(v0, ctrl), by reverse mode through `rollout`, if there are weights.
-    """
+    """Compute one step, the final state (N, nq + nv) of a trajectory, and its gradient (N, nv +
+    nu). The gradient, d(weights . final state) / d(v0, ctrl), is omitted if `weights` is None."""
 
     def ends(v: jax.Array, ctrl: jax.Array, q: jax.Array) -> Any:
         ctrls = jnp.broadcast_to(ctrl[:, None], (len(q), steps, model.nu))
@@ -74,7 +71,7 @@ def motion(
 
 
 def quick() -> dict[str, Any]:
-    """Compiler options for programs that run once: fast to compile, slow to run."""
+    """Return compiler options that minimise compile time, for programs that run once."""
     return {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else {}
 
 

@@ -1,6 +1,6 @@
-"""MuJoCo C in f64, on the part of mechanics that both sides have.
+"""The reference of the comparison: MuJoCo C in f64, restricted to features that rbjax has.
 
-`smooth` disables, in the reference, the features that rbjax leaves out of a model. Then
+`smooth` disables the features that rbjax omits from a model. Then
 
     v+ = v + dt a(q, v, u);   q+ = q (+) dt v+
 
@@ -36,10 +36,10 @@ _TENDONS = (
 
 
 def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """An `MjModel` with only the smooth dynamics, and the names of the disabled features.
+    """Return an `MjModel` with only the smooth dynamics, and the names of the disabled features.
 
     Args:
-        source: as for `rbjax.load`; an MjModel is copied, not changed.
+        source: as for `rbjax.load`. An MjModel is copied, not changed.
         floating_base: as in `rbjax.load`.
 
     Example:
@@ -55,7 +55,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
         m.opt.disableflags |= int(bit)
     for bit in (bits.mjDSBL_FRICTIONLOSS, bits.mjDSBL_EQUALITY, bits.mjDSBL_EULERDAMP):
         m.opt.disableflags |= int(bit)
-    m.geom_contype[:] = m.geom_conaffinity[:] = 0  # else MJX refuses some pairs of shapes
+    m.geom_contype[:] = m.geom_conaffinity[:] = 0  # MJX rejects some pairs of shapes
     m.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     m.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     m.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
@@ -83,7 +83,7 @@ def loosen(m: mujoco.MjModel, i: int) -> None:
 
 @dataclass(frozen=True)
 class Samples:
-    """States and constant controls, all exactly representable in f32: q (N, nq), v, ctrl."""
+    """States q (N, nq), v (N, nv) and constant controls ctrl (N, nu), all exact in f32."""
 
     q: Array
     v: Array
@@ -94,8 +94,8 @@ class Samples:
 
 
 def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
-    """Draw states near that of the file: uniform attitudes, velocities of spread 1, inner
-    controls."""
+    """Draw random states: coordinates within 1 of the file's, uniform attitudes, normal velocities.
+    Controls are in the inner fifth of their ranges."""
     rng = np.random.default_rng(seed)
     q = m.qpos0 + rng.uniform(-1.0, 1.0, (count, m.nq))
     for kind, at in zip(m.jnt_type, m.jnt_qposadr, strict=True):
@@ -114,8 +114,8 @@ def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
 
 
 def quantities(m: mujoco.MjModel, samples: Samples) -> dict[str, Array]:
-    """The quantities of MuJoCo at each state: poses, velocities, M, bias, acceleration, one
-    step."""
+    """Compute the quantities of MuJoCo at each state. They are poses, velocities, M, bias forces,
+    acceleration and the next state."""
     data, rows = mujoco.MjData(m), []
     for q, v, ctrl in zip(samples.q, samples.v, samples.ctrl, strict=True):
         mujoco.mj_resetData(m, data)
@@ -132,7 +132,7 @@ def quantities(m: mujoco.MjModel, samples: Samples) -> dict[str, Array]:
 
 
 def _velocities(m: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Twists (nb, 6) in world axes at the bodies' origins."""
+    """Compute the twists (nb, 6) in world axes at the bodies' origins."""
     out = np.zeros((m.nbody - 1, 6))
     for b in range(1, m.nbody):
         twist = np.zeros(6)
@@ -144,7 +144,7 @@ def _velocities(m: mujoco.MjModel, data: mujoco.MjData) -> Array:
 def trajectory(
     m: mujoco.MjModel, q: Array, v: Array, ctrl: Array, steps: int
 ) -> tuple[Array, Array]:
-    """States (steps + 1, nq), (steps + 1, nv) under a constant control (nu,) or one row a step."""
+    """Simulate by MuJoCo: states (steps + 1, nq), (steps + 1, nv) for ctrl (nu,) or (steps, nu)."""
     data = mujoco.MjData(m)
     data.qpos, data.qvel = q, v
     ctrls = np.broadcast_to(ctrl, (steps, m.nu))
@@ -160,10 +160,8 @@ def trajectory(
 def final_gradient(
     m: mujoco.MjModel, samples: Samples, steps: int, weights: Array, *, step: float = 1e-4
 ) -> Array:
-    """d(weights . final state) / d(v0, ctrl) (N, nv + nu) by central differences of fourth order.
-
-    f' = (8 (f(h) - f(-h)) - (f(2h) - f(-2h))) / 12 h: truncation h^4, rounding eps / h.
-    """
+    """Compute d(weights . final state) / d(v0, ctrl) (N, nv + nu) by central differences. f' = (8
+    (f(h) - f(-h)) - (f(2h) - f(-2h))) / 12 h: truncation h^4, rounding eps / h."""
 
     def loss(q: Array, x: Array) -> float:
         qs, vs = trajectory(m, q, x[: m.nv], x[m.nv :], steps)
@@ -180,7 +178,7 @@ def final_gradient(
 
 
 def forward_seconds(m: mujoco.MjModel, samples: Samples) -> float:
-    """Median time of `mj_forward` over all the samples, one after another on one thread."""
+    """Measure the median time of `mj_forward` over all samples, sequentially on one thread, s."""
     data, times = mujoco.MjData(m), []
     for _ in range(5):
         begin = time.perf_counter()

@@ -22,14 +22,14 @@ class Error:
 
 @dataclass(frozen=True)
 class Row:
-    """A quantity: its errors by column, and the largest allowed errors of rbjax by column."""
+    """A quantity, with its errors and the largest allowed errors of rbjax, both by column."""
 
     quantity: str
     errors: dict[str, Error]
     tolerances: dict[str, float]
 
     def passes(self, column: str) -> bool:
-        """Whether a column is within tolerance; true if it has none (nan never passes)."""
+        """Return whether a column is within tolerance, or has none. nan never passes."""
         if column not in self.tolerances or column not in self.errors:
             return True
         return bool(self.errors[column].worst <= self.tolerances[column])
@@ -39,8 +39,13 @@ class Row:
 class Report:
     """A comparison with MuJoCo C.
 
-    Fields: model, states, seconds (length of the trajectory), rows, switched_off (features disabled
-    on both sides), notes (limits of the comparison).
+    Fields:
+        model: name of the robot.
+        states: the number of states.
+        seconds: the length of the trajectory.
+        rows: one for each quantity.
+        switched_off: features disabled on both sides.
+        notes: limits of the comparison.
 
     Example:
         >>> report = Report("pendulum", 1, 1.0, (), ())
@@ -57,7 +62,7 @@ class Report:
 
     @property
     def ok(self) -> bool:
-        """Whether every rbjax column is within its tolerances."""
+        """True if every rbjax column is within its tolerances."""
         return all(row.passes(column) for row in self.rows for column in row.tolerances)
 
     @property
@@ -66,11 +71,11 @@ class Report:
         return tuple(c for c in COLUMNS if any(c in row.errors for row in self.rows))
 
     def row(self, quantity: str) -> Row:
-        """The row of a quantity."""
+        """Return the row of a quantity."""
         return next(row for row in self.rows if row.quantity == quantity)
 
     def table(self) -> Table:
-        """The worst errors as a rich table; out of tolerance in red."""
+        """Make a rich table of the worst errors; out of tolerance in red."""
         caption = f"Worst relative error over {self.states} states against MuJoCo C in f64."
         if self.switched_off:
             caption += f"\nSwitched off on both sides: {'; '.join(self.switched_off)}."
@@ -93,7 +98,7 @@ class Report:
         return f"[bold red]{text} > {row.tolerances[column]:.0e}[/]"
 
     def to_dict(self) -> dict[str, Any]:
-        """The whole report, for JSON."""
+        """Convert the report to a dict, for JSON."""
         return {
             "model": self.model,
             "ok": self.ok,
@@ -113,8 +118,11 @@ class Report:
 
 
 def relative(actual: np.ndarray, expected: np.ndarray) -> Error:
-    """For each sample (first axis), the largest deviation over the largest entry (at least
-    1e-3)."""
+    """Compute the relative errors of samples (first axis): their median and the worst one.
+
+    The error of a sample is the largest deviation over its largest entry, or over 1e-3 if that is
+    larger.
+    """
     axes = tuple(range(1, expected.ndim))
     deviation = np.abs(actual - expected).max(axes, initial=0.0)
     size = np.maximum(np.abs(expected).max(axes, initial=0.0), 1e-3)

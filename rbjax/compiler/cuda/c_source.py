@@ -60,7 +60,7 @@ def _moves_entries(loop: ir.Loop) -> bool:
 
 
 class Printer:
-    """Prints blocks as C. names: the C name of each array, by its id."""
+    """A printer of blocks as C text. names: the C name of each array, by its id."""
 
     def __init__(self, names: dict[int, str]):
         self.names = names

@@ -119,9 +119,9 @@ def _pitch(row: int) -> int:
 
 
 def _plan_shared_memory(program: Written) -> SharedMemoryPlan:
-    """Allocate shared memory: to results staged as a whole, to the tile, and then to operands.
+    """Allocate shared memory to results staged as a whole, to the tile, and then to operands.
 
-    Results of short rows are staged first.
+    While the results do not fit, the largest one goes through the tile instead.
     """
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
     rows = stores.row_sizes(program)

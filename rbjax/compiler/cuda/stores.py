@@ -1,10 +1,10 @@
 """Stores batch-first results through shared memory, in whole memory sectors.
 
-Short rows are staged whole, with entries in any order, because the 32 rows of a warp are
-    consecutive in memory. A longer row that is written once and in order is stored in chunks
-    through a tile of shared memory. Chunks start at a sector in every row: the tile keeps the last
-    entries of the previous chunk, and a row's chunk is shifted by its misalignment. In other long
-    rows, runs of consecutive stores go through the tile, from any start.
+Short rows are staged as a whole, because the 32 rows of a warp are consecutive in memory. Their
+entries may be written in any order. A longer row that is written once and in order is stored in
+chunks through a tile of shared memory. Chunks start at a sector in every row: the tile keeps the
+last entries of the previous chunk, and a row's chunk is shifted by its misalignment. In other long
+rows, runs of consecutive stores go through the tile, from any start.
 """
 
 from __future__ import annotations
@@ -232,7 +232,7 @@ def streaming_arrays(program: Written) -> set[int]:
 
 
 class StorePrinter(Printer):
-    """Prints statements, with stores through the tile, and streaming loads and stores.
+    """A printer of statements, with stores through the tile, and streaming loads and stores.
 
     Entries of streaming arrays (`streaming_arrays`) do not stay in the cache.
     """

@@ -101,7 +101,7 @@ def _lines(program: Written, name: str, team: int) -> Iterator[str]:
 
 
 class TeamPrinter(Printer):
-    """Prints statements for one thread of a team."""
+    """A printer of statements for one thread of a team."""
 
     def __init__(self, names: dict[int, str], team: int):
         super().__init__(names)

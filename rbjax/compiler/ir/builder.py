@@ -62,7 +62,7 @@ def simplify(builder: Builder, name: str, args: tuple) -> ir.Value | None:
 
 
 def value_keys(name: str, args: Sequence[ir.Value]) -> list:
-    """Return keys of an operation's arguments. Operations with equal keys have equal results."""
+    """Return keys of an operation's arguments, in a fixed order if the operation commutes."""
     keys: list = [(a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args]
     if OPERATIONS[name].commutes and _order(keys[0]) > _order(keys[1]):
         keys.reverse()
@@ -74,7 +74,7 @@ def _order(key: tuple | int) -> tuple:
 
 
 class Builder:
-    """Emits the statements of a program. Equal operations in nested scopes are emitted once.
+    """An emitter of the statements of a program. It emits equal operations once per scope.
 
     platform: "cuda" or "cpu", for lowering rules that depend on it.
     team: whether a block of GPU threads runs one sample together.

@@ -61,7 +61,7 @@ def _anonymous_info():
 
 
 def dependents(eqns: Sequence[JaxprEqn], start: Sequence[Atom]) -> set[Var]:
-    """Return the variables that depend on a variable of `start`, including these."""
+    """Return the variables of `start`, and all variables that depend on them."""
     found = {a for a in start if isinstance(a, Var)}
     for eqn in eqns:
         if any(isinstance(a, Var) and a in found for a in eqn.invars):
@@ -112,7 +112,7 @@ class Kind:
         return [next(along) if m else next(rest) for m in self.moving]
 
     def tangent(self) -> tuple[ClosedJaxpr, list[bool]]:
-        """Trace (inputs, tangents) -> results and nonzero tangents, and flag these tangents."""
+        """Return the jaxpr (inputs, tangents) -> (results, nonzero tangents), and nonzero flags."""
         n, floats = len(self.ins), [jnp.issubdtype(a.dtype, jnp.floating) for a in self.outs]
 
         def both(*xs: jax.Array) -> list[jax.Array]:
@@ -125,7 +125,7 @@ class Kind:
         return _trace_dependent(both, [*self.ins, *tangents], n, len(self.outs), floats)
 
     def transpose(self) -> tuple[ClosedJaxpr, list[bool]]:
-        """Trace (inputs without tangents, cotangents) -> nonzero cotangents, and flag these."""
+        """Return the jaxpr (other inputs, cotangents) -> nonzero cotangents, and nonzero flags."""
         still, moved = _split(self.ins, self.moving)
         cotangents = list(itertools.compress(self.outs, self.present))
         n = len(still)
@@ -140,7 +140,7 @@ class Kind:
 
 
 def _split(xs: Sequence, moving: Flags) -> tuple[list, list]:
-    """Split xs into the entries without and with `moving`."""
+    """Split xs into the entries whose flag in `moving` is False, and whose flag is True."""
     return [x for x, m in zip(xs, moving, strict=True) if not m], [*itertools.compress(xs, moving)]
 
 
@@ -316,10 +316,10 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Transposed:
-    """Transpose of a `Linearised`: (args, cotangents) -> outs. forward: equations of results."""
+    """The transpose of a linearised jaxpr: the equations (args, cotangents) -> outs."""
 
     eqns: Equations
-    forward: list[JaxprEqn]
+    forward: list[JaxprEqn]  # the equations that compute the results
     args: list[Var]
     cotangents: list[Var]
     results: list[Atom]

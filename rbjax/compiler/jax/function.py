@@ -25,18 +25,18 @@ def threads(f: Callable, *, team: bool = False) -> Callable:
 
     g = threads(f); jax.vmap(g)(xs)[i] = f(xs[i])
 
-    On a GPU each sample has a thread; on a CPU the kernel is machine code, with a sample in each
-    lane of a vector. Without both, the result is f. Derivatives (`jax.jvp`, `vjp`, `grad`,
-    `jacfwd`, `hessian`) also run as kernels, each compiled from the derivative of f. Reverse mode
-    recomputes the forward values. If f has a primitive that the compiler does not support, it runs
-    under XLA, and a warning names the primitive.
+    On a GPU, one thread runs each sample. On a CPU, the kernel is machine code with one sample in
+    each lane of a vector. If neither is available, the result is f. Derivatives (`jax.jvp`, `vjp`,
+    `grad`, `jacfwd`, `hessian`) also run as kernels, each compiled from the derivative of f.
+    Reverse mode recomputes the forward values. If f has a primitive that the compiler does not
+    support, it runs under XLA, and a warning names the primitive.
 
     Args:
-        f: a small function of one sample, from arrays or pytrees of arrays to the same. It may
-            close over arrays that all samples share (weights, a model).
-        team: on a GPU, a block of threads runs a sample, with its arrays in shared memory: for
-            recursions of matrices of some ten rows, which are too large for the registers of one
-            thread. On a CPU, and for derivatives, it changes nothing.
+        f: a small function of one sample. Its arguments and results are arrays or pytrees of
+            arrays. It may close over arrays that all samples share (weights, a model).
+        team: whether a block of GPU threads runs each sample, with its arrays in shared memory.
+            Use it for recursions of matrices of about ten rows, which are too large for one
+            thread's registers. It does not affect derivatives.
 
     Returns:
         The same function of one sample. Batch it with `jax.vmap`.
@@ -44,7 +44,7 @@ def threads(f: Callable, *, team: bool = False) -> Callable:
     Raises:
         TypeError: f is not a function.
 
-    Source: the idea of one thread a trajectory is that of DiffEqGPU.jl (Utkarsh et al. 2024).
+    Source: DiffEqGPU.jl (Utkarsh et al. 2024), for one thread per trajectory.
 
     Example:
         >>> import rbjax as rb, jax, jax.numpy as jnp

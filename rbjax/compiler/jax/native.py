@@ -23,7 +23,7 @@ from rbjax.errors import InputError
 
 
 def compile(f: Callable, *example: object) -> Callable:
-    """Compile f to machine code that is called without JAX's dispatch: for control loops.
+    """Compile f to machine code that runs without JAX's dispatch, for control loops.
 
     g = compile(f, x); g(x) = f(x)
 
@@ -32,23 +32,25 @@ def compile(f: Callable, *example: object) -> Callable:
     several threads may call at once. f may contain loops, branches and derivatives (`jax.grad`,
     `jacfwd`). It is traced once, so the values that it closes over (a model, gains) are constants.
     Without llvmlite, or if f has a primitive that the compiler does not support, f runs under
-    `jax.jit`, and a warning at compile time says why.
+    `jax.jit`, and a warning at compile time gives the reason.
 
     Args:
-        f: a small function of one sample, from arrays or pytrees of arrays to the same.
-        example: arguments of f, which fix the shapes and types of later arguments; with
-            `jax_enable_x64` off, floats are f32.
+        f: a small function of one sample. Its arguments and results are arrays or pytrees of
+            arrays.
+        example: arguments of f, which fix the shapes and dtypes of later arguments. If
+            `jax_enable_x64` is off, floats are f32.
 
     Returns:
-        A function with the arguments of f. Its `native` is whether it is machine code, or code of
+        A function with the arguments of f. Its attribute `native` is False if it runs under
         `jax.jit`.
 
     Raises:
         TypeError: f is not a function.
-        InputError: an argument is not an array or a number; when called, an argument has another
-            shape, a type that does not convert, or another structure than the example.
+        InputError: an argument of the example is not an array or a number. A call raises it if an
+            argument has another shape or structure than the example, or a dtype that does not
+            convert.
 
-    Source: the program is that of `rb.threads`; LLVM compiles it (Lattner and Adve 2004).
+    Source: LLVM (Lattner and Adve 2004) compiles the program, which `rb.threads` also uses.
 
     Example:
         >>> import rbjax as rb, numpy as np

@@ -20,12 +20,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A traced function of one sample.
+    """A traced function of one sample. Its arguments that have tangents are called moving.
 
     closed: its jaxpr.
     vjp: vector-Jacobian product vjp(moving, args, residuals, cotangents) -> cotangents of the
-        arguments whose flag in `moving` is True. Zero cotangents of results are None. If `vjp` is
-        None, JAX derives it from the jaxpr.
+        moving arguments. Zero cotangents of results are None. If `vjp` is None, JAX derives it
+        from the jaxpr.
     forward_with_residuals: maps the moving arguments to the program that replaces this one if it is
         differentiated. It returns the same results, and the residuals that `vjp` reads.
     first_residual: index of the first result of that program that is a residual.
@@ -89,7 +89,11 @@ class Program:
         return self.memoize(key, lambda: self._transposed(moving, has_cotangent))
 
     def transposed_equations(self, moving: Moving, has_cotangent: Moving) -> Transposed | None:
-        """Return the equations of the transposed derivative; None if JAX cannot transpose each."""
+        """Return the equations of the transposed derivative.
+
+        Returns None if the program has a `vjp` or effects, or if an equation computes values and
+        tangents together.
+        """
         if self.closed.effects or self.vjp is not None:
             return None
         return self._linearised(moving).transposed(has_cotangent)

@@ -61,7 +61,7 @@ def write_parts(program: Written, lanes: int | None = None, samples: int | None 
 
 
 class _Frame:
-    """Prints the function `part`, which calls the function of one sample, or of one per lane.
+    """A printer of the function `part`, which calls the function of one sample, or one per lane.
 
     The operands and then the results are numbered consecutively. places: for each sum or tile, its
     byte offset in the memory %space.
@@ -94,7 +94,7 @@ class _Frame:
         """Return the numbers of the arrays whose rows are transposed to tiles of vectors and back.
 
         An array is tiled only if most of its entries are accessed: by statements, or, if it is
-            short, by iterations of loops.
+        short, by iterations of loops.
         """
         block = self.program.builder.block
         named = Counter(s.array.id for s in walk(block) if isinstance(s, Load | Store))
@@ -142,7 +142,7 @@ class _Frame:
         return Parts(text, samples.libm, count)
 
     def begin(self, each: int, count: int) -> list[str]:
-        """Emit the sample range and the memory of the part. Return the arrays' addresses."""
+        """Emit the sample range of `part` and its memory. Return the arrays' addresses."""
         lines, names = self.lines, []
         for k in range(len(self.arrays)):
             place = lines.made(f"getelementptr ptr, ptr %buffers, i64 {k}")

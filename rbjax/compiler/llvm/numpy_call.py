@@ -86,7 +86,7 @@ def write_module(program: Written) -> Module:
 
 
 class _Arrays:
-    """Emits instructions that read tuples of numpy arrays."""
+    """An emitter of instructions that read tuples of numpy arrays."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []

@@ -47,7 +47,7 @@ def splat(made: Callable[[str], str], lanes: int, t: str, x: str) -> str:
 
 
 class Operations:
-    """Emits LLVM instructions by `emit`, and records the functions that they call.
+    """An emitter of LLVM instructions, by `emit`. It records the functions that they call.
 
     lanes: number of lanes of a value. If it is more than 1, all values are vectors.
     """

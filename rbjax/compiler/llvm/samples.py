@@ -39,7 +39,7 @@ class Lines(list):
         self, base: str, t: str, layout: Layout, batch: tuple[int, ...], lanes: int,
         step: int | None,
     ) -> list[str]:  # fmt: skip
-        """Emit the pointers to `lanes` samples from %b on. step: entries between them, or None."""
+        """Emit the pointers to `lanes` samples, the first of which has the number %b."""
         if step is not None:
             first = self.sample(base, t, layout, batch, "%b")
             return [self.made(f"getelementptr {t}, ptr {first}, i64 {k * step}")

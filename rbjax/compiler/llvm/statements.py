@@ -57,7 +57,7 @@ def write_sample(program: Written, name: str = "sample") -> Function:
 
 
 def write_function(writer: Writer, program: Written, name: str) -> Function:
-    """Print the function of a program by a writer."""
+    """Print the function of a program, with statements emitted by `writer`."""
     xs = [f"%x{k}" for k in range(len(program.operands))]
     ys = [f"%y{k}" for k in range(len(program.results))]
     for array, place in zip((*program.operands, *program.results), (*xs, *ys), strict=True):
@@ -77,7 +77,7 @@ def write_function(writer: Writer, program: Written, name: str) -> Function:
 
 
 class Writer:
-    """Emits the statements of a program for one sample.
+    """An emitter of the statements of a program for one sample.
 
     entry: stack allocations, which LLVM expects in the first block.
     """
@@ -147,7 +147,7 @@ class Writer:
         self.lines[:] = [*outside[1], f"call void @{name}({pointers})"]
 
     def shares(self, x: ir.Name) -> bool:
-        """Return whether a variable or an array is in the frame, which all functions share."""
+        """Return whether a variable or an array is in the frame that all functions share."""
         return self.frame is not None and x in self.frame.places
 
     def framed(self, x: ir.Name, lines: list[str] | None = None) -> str:
@@ -230,7 +230,7 @@ class Writer:
         return f"%t{x.id}"
 
     def place(self, var: ir.Var) -> None:
-        """Allocate a variable that is assigned several times."""
+        """Allocate memory for a variable that is assigned several times."""
         self.places[var.id] = f"%m{var.id}"
         if not self.shares(var):
             self.entry.append(f"%m{var.id} = alloca {self.kind(var)}")

@@ -49,7 +49,7 @@ def write_samples(
 
 
 class _Vectors(Writer):
-    """Emits the statements of a program for one sample per lane.
+    """An emitter of the statements of a program for one sample per lane.
 
     steps: distance between the samples of each array that is not a tile, in entries.
     mask: the active lanes; "" if all are active.
@@ -221,7 +221,7 @@ class _Vectors(Writer):
         return self.made(f"getelementptr {whole}, {places} {start}, {far}")
 
     def running(self, pointers: str) -> str:
-        """Replace the addresses in inactive lanes, which may be out of bounds."""
+        """Replace the addresses in inactive lanes, which may be out of bounds, by a safe one."""
         if not self.mask:
             return pointers
         return self.blended(self.many("ptr"), pointers, self.spread("ptr", "%nowhere"))
@@ -255,7 +255,7 @@ class _Vectors(Writer):
 
     @contextmanager
     def among(self, mask: str, block: Block, condition: Value) -> Iterator[None]:
-        """Emit a block for the lanes of a mask. The `with` block is in the same region."""
+        """Emit a block under a mask. The `with` block emits into the same divergent region."""
         before = self.mask, self.part
         self.mask, self.part = mask, region_of(block, condition, self.part, self.found)
         self.block(block)

@@ -235,7 +235,7 @@ def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
 
 
 def _share_in_memory(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
-    """Store values in memory that all threads of a team read and that is never changed.
+    """Store values in a team's shared memory, at a place that is never changed afterwards.
 
     Equal arrays are stored once. Axes along which values repeat are stored once, by a stride of 0.
     """
@@ -265,7 +265,7 @@ def materialize_in_memory(b: Builder, x: Delayed) -> View:
 
 
 def materialize(b: Builder, x: ThreadArray) -> ThreadArray:
-    """Compute a delayed array in registers if it is small, else in memory. Keep other arrays."""
+    """Compute a delayed array, in registers if it is small. Return other arrays unchanged."""
     if not isinstance(x, Delayed):
         return x
     few = (x.size <= FEW and x.work <= SHARED_ABOVE) or x.size == 1

@@ -360,7 +360,7 @@ def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list
 
 
 def _versions(closed: ClosedJaxpr) -> list[int | None]:
-    """Return, for each result, the position of the input that it updates, or None."""
+    """Return, for each result, the position of the input that it equals or updates, or None."""
     jaxpr = closed.jaxpr
     origin: dict[Any, int | None] = {v: k for k, v in enumerate(jaxpr.invars)}
 

@@ -76,7 +76,7 @@ def map_entries(
 
 
 def _is_wide(xs: tuple, size: int) -> bool:
-    """Return whether a team should compute the entries in a shared loop, and not in registers."""
+    """Return whether a team should compute the entries in a shared loop, not in registers."""
     if all(isinstance(x, np.ndarray) for x in xs):
         entries = sum(own_entries(x).size for x in xs if not arrays.is_constant(x))
         return size > arrays.FEW and 0 < entries < size
@@ -90,7 +90,7 @@ def own_entries(x: np.ndarray) -> np.ndarray:
 
 
 def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple) -> Delayed:
-    """Return f of the entries as a delayed array."""
+    """Return a delayed array of f applied to the entries of the arrays xs."""
     sources = [source(b, x, shape) for x in xs]
     operands = frozenset().union(*(s.sources for s in sources))
     cost = 1 + sum(s.cost for s in sources)

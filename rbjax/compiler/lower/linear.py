@@ -240,7 +240,7 @@ class _Elimination:
 
     a_kj <- a_kj / p,  a_ij <- a_ij - a_ik a_kj,  column k: -a_ik / p and 1 / p.
 
-    A row exchange permutes columns of the inverse, which are put back at the end.
+    A row exchange permutes columns of the inverse, which is undone at the end.
     (Golub & Van Loan, *Matrix Computations*, 3.4)
     """
 

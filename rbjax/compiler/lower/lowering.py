@@ -129,7 +129,7 @@ class Needs:
 
 
 class Lowering:
-    """The translation of jaxprs to statements, which it emits by a `Builder`."""
+    """A translator of jaxprs to statements, which it emits with a `Builder`."""
 
     def __init__(self, builder: Builder):
         self.b = builder

@@ -113,7 +113,7 @@ def _size(statement: ir.Statement) -> int:
 
 
 class Frame:
-    """The byte layout of a frame. size_of: maps a variable or an array to its size in bytes."""
+    """The byte offsets of shared variables and of arrays in a frame. size_of: bytes of each."""
 
     def __init__(self, cuts: Cuts, size_of: Callable[[ir.Name], int], alignment: int):
         self.cuts, self.bytes = cuts, 0

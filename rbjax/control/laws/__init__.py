@@ -1,5 +1,4 @@
-"""Feedback laws: controllers of robots, allocation of forces to actuators, regions of attraction.
-"""
+"""Feedback laws: controllers, allocation of forces to actuators, regions of attraction."""
 
 from rbjax.control.laws.allocation import Allocation, allocate
 from rbjax.control.laws.attraction_map import RegionMap, region_of_attraction

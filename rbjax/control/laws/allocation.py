@@ -102,8 +102,8 @@ def controls(model: Model, state: State, tau: jax.Array) -> jax.Array:
 def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
     """Return the minimum-norm u among the minimizers of |B u - r|, for the columns of B.
 
-    A minimizer u from the normal equations is projected to the row space of B: B^T y with B B^T y =
-    B u.
+    A minimizer u of the normal equations is projected to the row space of B. The result is B^T y
+    with B B^T y = B u.
     """
     least = rank_tolerance("actuators", dtype)
     columns = B
@@ -119,10 +119,8 @@ def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
 
 
 def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
-    """Return b, nv lanes, and the columns of B, nv lanes for each control.
-
-    Structural zeros of B are the literal 0.0.
-    """
+    """Return b, nv lanes, and the columns of B, nv lanes for each control. Structural zeros of B
+    are the literal 0.0."""
     free = _unlimited(model)
     now = Context.of(free, 0.0, state, None)
     zero, one = (jnp.asarray(x, state.q.dtype) for x in (0.0, 1.0))
@@ -225,7 +223,7 @@ def check_driven(where: str, model: Model, undriven: str) -> None:
 
 
 def _generic(model: Model) -> np.ndarray:
-    """Return B (nv, nu) at a random state, or a matrix with the same structural zeros and rank."""
+    """Return B (nv, nu) at a random state, or a matrix of the same sparsity and rank."""
     top, a = model.topology, model.actuators
     if not any(e.actuates for e in model.forces) and all(
         j >= 0 and top.joints[j].nv == 1 for j in a.joints

@@ -1,6 +1,6 @@
 """Map of a region of attraction: the initial states that return to an equilibrium under feedback.
 
-    x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back if |x(T) (-) x*| <= tolerance
+x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back if |x(T) (-) x*| <= tolerance
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ class RegionMap(Record):
     x, y: deviations of the initial state along two tangent coordinates, (nx,) and (ny,), SI units.
     back: true if the final state is within the tolerance, (ny, nx).
     distance: largest entry of |x(T) (-) x*|, (ny, nx); infinite if the motion is not finite.
-    time: time in s after which the motion stays within the tolerance, (ny, nx); nan if back is
-    false.
+    time: s, after which the motion stays within the tolerance, (ny, nx); nan if back is false.
     names: names of the two coordinates.
     """
 
@@ -74,8 +73,8 @@ def region_of_attraction(
 ) -> RegionMap:
     """Simulate a grid of initial states about an equilibrium and map which of them return to it.
 
-    Initial states are x(0) = x* (+) (a e_i + b e_j). A state is back if every entry of |x(T) (-)
-    x*| is at most `tolerance`.
+    Initial states are x(0) = x* (+) (a e_i + b e_j). The field `back` is true if
+    every entry of |x(T) (-) x*| is at most `tolerance`.
 
     Args:
         model: the robot.
@@ -154,7 +153,7 @@ def region_of_attraction(
         few = min(few, steps - begin)
         t = jnp.asarray(begin, dtype) * step
         part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
-        # `run_rollout` gives no warning about motions that are not finite; they are expected here
+        # unlike `rollout`, `run_rollout` does not warn of motions that are not finite
         run, _, _ = run_rollout(
             model, states, part, step, steps=few, integrator=integrator, **dynamics
         )

@@ -111,10 +111,8 @@ def check_poses(where: str, reference: Any, rows: tuple[str, ...]) -> Any:
 
 
 def pose(reference: Any, t: Any, rows: tuple[str, ...], dtype: Any) -> Pose:
-    """Evaluate the pose, twist and acceleration of a reference at a time.
-
-    Parts that are not in `rows` are the identity or zero.
-    """
+    """Evaluate the pose, twist and acceleration of a reference at a time. Parts that are not in
+    `rows` are the identity or zero."""
     t = jnp.asarray(t, dtype)
 
     def at(t: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -185,8 +183,7 @@ COMPENSATE = ("rest", "motion")
 
 
 def check_controlled_model(where: str, model: Any, undriven: str, actuated: bool = True) -> None:
-    """Raise InputError unless the model is an unconstrained tree whose dofs are driven by
-    actuators."""
+    """Raise InputError for constraints, and for undriven dofs if `undriven` is "refuse"."""
     check_model(where, model)
     check_moves(where, model)
     if model.constraints:
@@ -218,8 +215,7 @@ def holding_forces(model: Model, state: State) -> jax.Array:
 
 
 def balancing_forces(model: Model, state: State, compensate: str) -> jax.Array:
-    """Return the compensation h (nv,) of an impedance: at rest, or with velocity-dependent terms.
-    """
+    """Return the forces h (nv,) that an impedance compensates: at rest or in motion."""
     if compensate == "rest":
         return holding_forces(model, state)
     return actuator_forces(model, state, jnp.zeros_like(state.v))

@@ -249,10 +249,8 @@ def operational_space(
         stiffness: K, 1/s^2, a number or (m,) for m rows, angular first, world axes.
         damping: D, 1/s, a number or (m,); 2 sqrt(K) if None.
         posture: (nq,) or a function of t, reference of the null-space motion; None only damps it.
-        posture_stiffness, posture_damping: K_0 1/s^2 and D_0 1/s, numbers or (nv,); D_0 is 2
-            sqrt(K_0) if None.
-        undriven: "refuse" to raise if no actuator drives some dof; "least_squares" for the nearest
-            forces.
+        posture_stiffness, posture_damping: K_0 1/s^2 and D_0 1/s (2 sqrt(K_0) if None), or (nv,).
+        undriven: "refuse" to raise for dofs without an actuator; "least_squares" to allow them.
 
     Returns:
         A controller: `law(t, state)` returns controls (nu,), `law.tau(t, state)` forces (nv,),
@@ -260,8 +258,7 @@ def operational_space(
 
     Raises:
         UnknownName: no such frame.
-        InputError: undriven dofs (with their names), constraints, a wrong shape, a frame that no
-            joint moves.
+        InputError: undriven dofs, constraints, a wrong shape, a frame that no joint moves.
 
     Source: Khatib 1987.
 
@@ -317,18 +314,15 @@ def cartesian_impedance(
         damping: D, N m s/rad and N s/m, in the same form as the stiffness.
         posture: (nq,) or a function of t, reference of the null-space motion; None only damps it.
         posture_stiffness, posture_damping: K_0 and D_0, numbers or (nv,).
-        compensate: "rest" for gravity and the other forces at rest; "motion" to include velocity
-            terms.
-        undriven: "refuse" to raise if no actuator drives some dof; "least_squares" for the nearest
-            forces.
+        compensate: "rest" for gravity and other forces at rest; "motion" to add velocity terms.
+        undriven: "refuse" to raise for dofs without an actuator; "least_squares" to allow them.
 
     Returns:
         A controller: `law(t, state)` returns controls (nu,), `law.tau(t, state)` forces (nv,).
 
     Raises:
         UnknownName: no such frame.
-        InputError: undriven dofs (with their names), constraints, a wrong shape, a frame that no
-            joint moves.
+        InputError: undriven dofs, constraints, a wrong shape, a frame that no joint moves.
 
     Source: Hogan 1985; Ott 2008.
 

@@ -75,8 +75,7 @@ def computed_torque(
             the desired velocity and acceleration; or a function of t that returns (q, v, a).
         stiffness: K, 1/s^2, a number or (nv,).
         damping: D, 1/s, a number or (nv,); 2 sqrt(K), critical, if None.
-        undriven: "refuse" to raise if no actuator drives some dof; "least_squares" for the nearest
-            forces.
+        undriven: "refuse" to raise for dofs without an actuator; "least_squares" to allow them.
 
     Returns:
         A controller: `law(t, state)` returns controls (nu,), `law.tau(t, state)` forces (nv,) for
@@ -130,8 +129,7 @@ def _turning(
 
 
 class GravityCompensation(Controller):
-    """The controller that `gravity_compensation` builds. wrenches: (nb, 6), a function of (t,
-    state), or None."""
+    """The controller that `gravity_compensation` builds, with external wrenches or None."""
 
     wrenches: Any
 
@@ -210,10 +208,8 @@ def joint_impedance(
         reference: (nq,) a configuration, or a function of t that returns one.
         stiffness: K, N m/rad or N/m, a number or (nv,).
         damping: D, N m s/rad or N s/m, a number or (nv,).
-        compensate: "rest" for gravity and the other forces at rest; "motion" to include velocity
-            terms.
-        undriven: "refuse" to raise if no actuator drives some dof; "least_squares" for the nearest
-            forces.
+        compensate: "rest" for gravity and other forces at rest; "motion" to add velocity terms.
+        undriven: "refuse" to raise for dofs without an actuator; "least_squares" to allow them.
 
     Returns:
         A controller: `law(t, state)` returns controls (nu,), `law.tau(t, state)` forces (nv,).

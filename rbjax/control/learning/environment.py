@@ -1,10 +1,10 @@
-"""Environments: a robot, its cost, its observations and its starts, to train policies.
+"""Environments for the training of policies: a robot, its cost, observations and initial states.
 
     u = pi(o(x)),     x+ = f(x, u; model),     J = sum gamma^k c(x_k, u_k)
 
-A policy is any callable pytree (o,) -> (nu,): gains, a `Network`, a module of Equinox. Its numbers
-are trained. Where the controls have bounds, u = mid + width / 2 tanh(pi). With `randomise` each
-sample moves a model of its own (domain randomisation, Tobin et al. 2017).
+A policy is any callable pytree (o,) -> (nu,): gains, a `Network`, a module of Equinox. Training
+changes its floating-point arrays. Controls with bounds are u = mid + width / 2 tanh(pi). With
+`randomise` each sample has its own model (domain randomisation, Tobin et al. 2017).
 """
 
 from __future__ import annotations
@@ -54,21 +54,20 @@ class Network(Record):
 def network(
     key: jax.Array, sizes: Sequence[int], activation: str = "tanh", last: float = 0.01
 ) -> Network:
-    """A `Network` with random weights.
-
-    W normal with variance 2 / in, b = 0.
+    """Create a `Network` with random weights: W normal with variance 2 / in, b = 0.
 
     Args:
         key: of `jax.random`.
         sizes: of the input, each hidden layer, and the output.
         activation: "tanh", "elu" or "silu".
-        last: a factor of the last layer's weights; small, so that a policy begins near zero.
+        last: factor of the last layer's weights; small, so that the first outputs are near zero.
 
     Returns:
         `Network`.
 
     Raises:
-        InputError: fewer than two sizes, or one below 1. UnknownName: no such activation.
+        InputError: fewer than two sizes, or one below 1.
+        UnknownName: no such activation.
 
     Source: He, Zhang, Ren & Sun, *Delving deep into rectifiers*, 2015.
 
@@ -111,19 +110,19 @@ class Segment(NamedTuple):
 
 
 class Environment(Record):
-    """A robot with a cost, observations and starts, in which a policy is trained.
+    """A robot with a cost, observations and initial states, for the training of a policy.
 
     Args (also its fields):
         model: an `rb.Model`.
         cost: (state, ctrl) -> a number, of one step.
-        start: key -> `State`, where an episode begins.
+        start: key -> `State`, the initial state of an episode.
         dt: the step in s; the model's timestep if None.
         observe: state -> (o,), the observation; q and v if None.
         randomise: (key, model) -> model, for each sample and episode; None for the model itself.
-        lost: state -> bool, where an episode ends before its time; a state that is not finite does.
-        episode: steps after which a sample begins again.
-        squash: whether controls are drawn into the model's control ranges, where those are finite.
-        integrator: as `rb.rollout`.
+        lost: state -> bool, true to end an episode early; states that are not finite always end it.
+        episode: number of steps of an episode.
+        squash: if true, tanh maps controls to the model's control ranges, if those are finite.
+        integrator: as in `rb.rollout`.
 
     Raises:
         InputError: wrong types, functions with other arguments.
@@ -197,15 +196,15 @@ class Environment(Record):
         return jax.eval_shape(self.observe, state).shape[0]
 
     def act(self, policy: Any, state: State) -> jax.Array:
-        """The controls (nu,) of a policy at a state."""
+        """Return the controls (nu,) of a policy at a state."""
         return squash_controls(self, policy(self.observe(state)))
 
     def controller(self, policy: Any) -> Callable[[Any, State], jax.Array]:
-        """The policy as (t, state) -> ctrl, for `rb.rollout`."""
+        """Return the policy as a function (t, state) -> ctrl, for `rb.rollout`."""
         return lambda t, state: self.act(policy, state)
 
     def check_policy(self, where: str, policy: Any) -> None:
-        """Raise `InputError` unless the policy fits this environment."""
+        """Raise InputError unless the policy fits this environment."""
         if not callable(policy):
             raise InputError(
                 f"{where}: the policy is {type(policy).__name__}, expected a callable pytree such "
@@ -226,7 +225,7 @@ class Environment(Record):
             )
 
     def reset(self, key: jax.Array) -> tuple[Any, State]:
-        """A model (None if it is not randomised) and a first state."""
+        """Draw a model (None if it is not randomised) and an initial state."""
         one, two = jax.random.split(key)
         model = None if self.randomise is None else self.randomise(one, self.model)
         state = self.start(two)
@@ -235,8 +234,7 @@ class Environment(Record):
         return model, state
 
     def unroll(self, policy: Any, models: Any, states: State, steps: int) -> Segment:
-        """Motions of a batch under a policy. models: of each sample; None: the model of the
-        environment."""
+        """Simulate a batch under a policy. models: of each sample, or None for `self.model`."""
         dt: Any = self.dt
 
         def moved(model: Model, state: State) -> Any:
@@ -251,7 +249,7 @@ class Environment(Record):
 
 
 def squash_controls(env: Environment, y: jax.Array) -> jax.Array:
-    """The controls of a policy's output."""
+    """Map the output of a policy to controls."""
     if not env.squash:
         return y
     low, high = jnp.asarray(env.model.actuators.ctrlrange, y.dtype).T

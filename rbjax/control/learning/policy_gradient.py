@@ -1,10 +1,11 @@
-"""Policies trained through the dynamics over a short horizon, with a value function.
+"""Training of policies through the dynamics over a short horizon, with a value function.
 
     J(theta) = E[(1 - g) sum_{k<h} g^k c_k + g^h V(x_h)],     theta <- theta - a dJ/dtheta
     G_k = (1 - g) c_k + g ((1 - l) V'(x_{k+1}) + l G_{k+1}),     G_h = V'(x_h)
 
-The value function V, fitted to the targets G, stands for all costs after h steps; V' is a slow copy
-of V. Costs are in units of one step. The policy is deterministic; random starts and models explore.
+The value function V, fitted to the targets G, approximates all costs after h steps. V' is a slowly
+updated copy of V. Costs are in units of one step. The policy is deterministic; random initial
+states and models provide exploration.
 Source: Xu et al., *Accelerated policy learning with parallel differentiable simulation*, 2022.
 """
 
@@ -30,11 +31,11 @@ from rbjax.control.learning.training import (
 from rbjax.errors import InputError
 from rbjax.model import State
 
-GROUPS = 32  # of samples, whose gradients are computed side by side
+GROUPS = 32  # number of groups of samples; the gradients of groups are computed in parallel
 
 
 class Samples(NamedTuple):
-    """The batch between two iterations: models (B, ...) or None, states (B, ...), ages (B,)."""
+    """The batch between two iterations: models (B, ...) or None, states, ages (B,) in steps."""
 
     models: Any
     states: State
@@ -42,7 +43,7 @@ class Samples(NamedTuple):
 
 
 class Training(NamedTuple):
-    """The state between two iterations."""
+    """The state of the training between two iterations."""
 
     policy: Any
     value: Any
@@ -72,30 +73,30 @@ def actor_critic(
     optimiser: Any = None,
     progress: bool = False,
 ) -> Trained:
-    """A policy trained through the dynamics over a short horizon, with a value function.
+    """Train a policy through the dynamics over a short horizon, with a value function.
 
     Args:
         env: `Environment`.
-        policy: a callable pytree (o,) -> (nu,) to begin with; its floating arrays are trained.
-        key: of `jax.random`: the batch, and the value function.
-        value: a callable pytree (o,) -> (1,); a `Network` of two layers of 64 if None.
-        iterations: updates of the policy.
-        batch: samples side by side.
-        horizon: h, the steps of a sample in an iteration.
+        policy: a callable pytree (o,) -> (nu,); its floating-point arrays are trained.
+        key: of `jax.random`, for the batch and the value function.
+        value: a callable pytree (o,) -> (1,); a `Network` with two hidden layers of 64 if None.
+        iterations: number of updates of the policy.
+        batch: number of parallel samples.
+        horizon: h, the number of steps of a sample in an iteration.
         discount: g of a step.
         trace: l of the targets.
-        rate, value_rate: first rates of Adam, which fall to a tenth along a cosine.
+        rate, value_rate: initial learning rates of Adam, with cosine decay to a tenth.
         value_steps: updates of the value function in an iteration, each on the whole batch.
-        slow: the share of V that V' takes over in an iteration.
-        optimiser: an optax transformation for the policy; Adam (0.7, 0.95) with gradients clipped
-            to norm 1 if None.
-        progress: a line on the terminal.
+        slow: the update of V' in an iteration is V' + slow (V - V').
+        optimiser: an optax transformation for the policy; if None, Adam (0.7, 0.95) with gradients
+            clipped to norm 1.
+        progress: if true, print the progress on a terminal.
 
     Returns:
         `Trained`.
 
     Raises:
-        InputError: a policy of other sizes, a policy without numbers, numbers out of range.
+        InputError: a policy of other sizes or without floating-point arrays; values out of range.
 
     Source: Xu et al., *Accelerated policy learning with parallel differentiable simulation*, ICLR
     2022.
@@ -118,7 +119,7 @@ def actor_critic(
     layers = (env.observation_size, 64, 64, 1)
 
     def fresh(key: jax.Array) -> Any:
-        # near zero to begin with: else its first slopes lead the policy astray
+        # small initial weights, so that random slopes of V do not mislead the policy
         return network(key, layers, "elu", last=0.01)
 
     integer("actor_critic", "horizon", horizon, least=1)
@@ -146,14 +147,14 @@ def actor_critic(
         return policy_loss(segment.costs, worth(values, last), discount), segment
 
     def fit(values: Any, memory: Any, states: State, targets: jax.Array) -> tuple:
-        # failed samples have no weight; their substitutes are finite
+        # failed samples have weight zero and finite substitutes
         good = jnp.isfinite(targets)
         for x in jax.tree.leaves(states):
             good = good & jnp.isfinite(x).all(-1)
         targets = jnp.where(good, targets, 0.0)
         states = jax.tree.map(lambda x: jnp.where(good[:, None], x, 0.0), states)
         weights = good / jnp.maximum(good.mean(), 1 / len(good))
-        # in groups: a GPU computes a sum over all samples in a few places only
+        # in groups, since a GPU computes a single sum over all samples with little parallelism
         states, targets, weights = jax.tree.map(
             lambda x: x.reshape(math.gcd(GROUPS, len(x)), -1, *x.shape[1:]),
             (states, targets, weights),
@@ -202,14 +203,14 @@ def actor_critic(
 
 
 def policy_loss(costs: jax.Array, last: jax.Array, discount: float) -> jax.Array:
-    """(1 - g) sum g^k c_k + g^h V(x_h), the mean of a batch: costs (B, h), last (B,)."""
+    """Return the batch mean of (1 - g) sum g^k c_k + g^h V(x_h), for costs (B, h) and last (B,)."""
     h = costs.shape[1]
     weights = discount ** jnp.arange(h, dtype=costs.dtype)
     return ((1 - discount) * (weights * costs).sum(1) + discount**h * last).mean()
 
 
 def returns(costs: jax.Array, later: jax.Array, discount: float, trace: float) -> jax.Array:
-    """The targets G (B, h) of the value function: costs (B, h), later (B, h), V'(x_{k+1})."""
+    """Return the targets G (B, h) of V, from costs (B, h) and V'(x_{k+1}) (B, h)."""
 
     def back(G: jax.Array, x: tuple) -> tuple[jax.Array, jax.Array]:
         c, V = x
@@ -221,7 +222,7 @@ def returns(costs: jax.Array, later: jax.Array, discount: float, trace: float) -
 
 
 def draw_batch(env: Environment, key: jax.Array, batch: int) -> Samples:
-    """A batch to begin with, of all ages."""
+    """Draw the first batch, with random ages."""
     one, two = jax.random.split(key)
     models, states = jax.vmap(env.reset)(jax.random.split(one, batch))
     return Samples(models, states, jax.random.randint(two, (batch,), 0, env.episode))
@@ -230,7 +231,8 @@ def draw_batch(env: Environment, key: jax.Array, batch: int) -> Samples:
 def renew_batch(
     env: Environment, key: jax.Array, samples: Samples, segment: Segment, steps: int
 ) -> Samples:
-    """The batch after a segment: samples that are old, lost or not finite begin again."""
+    """Return the batch after a segment, with new initial states for samples that ended. A sample
+    ends if it is old, lost or not finite."""
     last = jax.tree.map(lambda x: x[:, -1], segment.states)
     ages = samples.ages + steps
     batch = ages.shape[0]
@@ -248,5 +250,5 @@ def renew_batch(
 
 
 def _is_number(x: Any) -> bool:
-    """Whether a leaf, or its shape, is of floating-point numbers."""
+    """Return whether a leaf, or its shape, is of floating-point numbers."""
     return hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)

@@ -1,9 +1,9 @@
-"""Training of policies: the iterations as one program, an update, and whole episodes.
+"""Training of policies: compiled iterations, updates, and training on whole episodes.
 
     x_0 = begin(...),    x_{k+1}, c_k = turn(x_k)
 
-XLA compiles all iterations as one loop, or in chunks that report progress. Compiling takes longer
-than a short training, so for a short one on a GPU it is shortened.
+All iterations are compiled as one loop, or in chunks that report progress. For a short training on
+a GPU, which would be shorter than its compilation, some optimisations of XLA are disabled.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from rbjax.kinematics.arguments import check_key
 from rbjax.model.record import Record
 from rbjax.progress import progress_line
 
-CHUNKS = 10  # reports of progress
+CHUNKS = 10  # number of progress reports
 
-#: On a GPU XLA measures ways to multiply matrices for five seconds and optimises kernels for three,
-#: which is longer than fewer iterations of a small policy take
+#: On a GPU, XLA autotunes matrix products for 5 s and optimises kernels for 3 s. That is longer
+#: than a short training of a small policy.
 UNMEASURED = {"xla_gpu_autotune_level": 0, "xla_gpu_enable_triton_gemm": False}
 OPTIMISED_FROM = 2000
 
@@ -36,7 +36,7 @@ OPTIMISED_FROM = 2000
 def run_iterations(
     where: str, turn: Callable, begin: Callable, given: tuple, iterations: int, progress: bool
 ) -> tuple[Any, jax.Array]:
-    """All iterations from begin(*given), in one program, or in chunks that report."""
+    """Run all iterations from begin(*given), in one program or in chunks that report progress."""
     quick = jax.default_backend() == "gpu" and iterations < OPTIMISED_FROM
     jit: Any = functools.partial(jax.jit, compiler_options=UNMEASURED if quick else None)
     first = jit(lambda n, *given: jax.lax.scan(turn, begin(*given), None, n), static_argnums=0)
@@ -60,10 +60,10 @@ def run_iterations(
 class Trained(Record):
     """The result of a training.
 
-    policy: trained.
+    policy: the trained policy.
     value: the value function, a `Network`; None for `through_time`.
-    costs: (iterations,), the mean cost of a step over batch and horizon.
-    skipped: (), the updates that were skipped because their gradients were not finite.
+    costs: mean cost of a step over batch and horizon, (iterations,).
+    skipped: number of updates skipped because their gradients were not finite, ().
     """
 
     policy: Any
@@ -83,25 +83,26 @@ def through_time(
     optimiser: Any = None,
     progress: bool = False,
 ) -> Trained:
-    """A policy trained by back-propagation through whole episodes: for gains and short motions.
+    """Train a policy by back-propagation through whole episodes, for gains and short motions.
 
-    min over theta of the mean of c(x_k, pi(o(x_k))) over env.episode steps and a batch of starts,
-    drawn again in each iteration.
+    It minimises over theta the mean of c(x_k, pi(o(x_k))) over env.episode steps and a batch of
+    initial states, which are drawn again in each iteration.
 
     Args:
         env: `Environment`; `episode` is the number of steps.
-        policy: a callable pytree (o,) -> (nu,); its floating arrays are trained.
+        policy: a callable pytree (o,) -> (nu,); its floating-point arrays are trained.
         key: of `jax.random`.
-        iterations, batch: updates, and samples in each.
-        rate: the first rate of Adam, which falls to a tenth along a cosine.
+        iterations: number of updates.
+        batch: number of samples in each update.
+        rate: the initial learning rate of Adam, with cosine decay to a tenth.
         optimiser: an optax transformation; Adam with gradients clipped to norm 1 if None.
-        progress: a line on the terminal.
+        progress: if true, print the progress on a terminal.
 
     Returns:
         `Trained`; its value is None.
 
     Raises:
-        InputError: a policy of other sizes, a policy without numbers, numbers out of range.
+        InputError: a policy of other sizes or without floating-point arrays; values out of range.
 
     Source: Werbos, *Backpropagation through time: what it does and how to do it*, 1990.
 
@@ -149,8 +150,8 @@ def through_time(
 def apply_update(
     optimiser: Any, slope: Any, memory: Any, numbers: Any
 ) -> tuple[Any, Any, jax.Array]:
-    """Numbers and memory after an update, or as they were where the gradient is not finite; and
-    whether it was."""
+    """Apply an update, unless the gradient is not finite. Returns the parameters, the optimiser
+    state, and whether the gradient was finite."""
     leaves = [jnp.isfinite(x).all() for x in jax.tree.leaves(slope)]
     fine = jnp.stack(leaves).all()
     slope = jax.tree.map(lambda x: jnp.where(fine, x, 0.0), slope)

@@ -104,7 +104,7 @@ class Regulator(NamedTuple):
     error: bound of the relative rounding error of P, ().
     status: a `LinearStatus`.
     acceleration: v' at the state and controls of `lqr_at`, zero at an equilibrium, (nv,); None for
-    `lqr`.
+        `lqr`.
     """
 
     K: jax.Array
@@ -124,8 +124,7 @@ class Regulator(NamedTuple):
 def riccati(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, S: jax.Array, discrete: bool
 ) -> Regulator:
-    """Compute the stabilising solution of a Riccati equation. Arguments are arrays of one float
-    dtype."""
+    """Compute the stabilising solution of a Riccati equation, for arrays of one float dtype."""
     problem = (A, B, (Q + Q.T) / 2, (R + R.T) / 2, S)
     finite = jnp.isfinite(jnp.concatenate([x.ravel() for x in problem])).all()
     n, m = B.shape
@@ -154,8 +153,7 @@ def riccati(
 
 
 def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the gain K of P, and whether the Hessian with respect to the controls is positive
-    definite."""
+    """Return the gain K of P, and whether the control Hessian is positive definite."""
     A, B, _, R, S = problem
     PB = product(P, B)
     if discrete:
@@ -166,7 +164,7 @@ def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax
 
 
 def remainder(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the residual (n, n) of the equation, and the size of its largest term."""
+    """Return the residual (n, n) of the Riccati equation, and the size of its largest term."""
     A, B, Q, R, S = problem
     PA, PB = product(P, A), product(P, B)
     H = R + product(B.T, PB) if discrete else R
@@ -181,8 +179,7 @@ def remainder(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _solution(discrete: bool, *matrices: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
-    """Return P and three flags: a stabilising start exists, Newton converged, the Hessian is
-    definite."""
+    """Return P and flags: a stabilising start exists, Newton converged, definite Hessian."""
     A, B, Q, R, S = matrices
     problem = A, B, Q, R, S
     K, started = _start(discrete, problem)
@@ -207,7 +204,7 @@ def _solution_jvp(discrete, problem, changes):
 
 
 def _start(discrete: bool, problem: Problem) -> tuple[jax.Array, jax.Array]:
-    """Return a stabilising gain, and whether one was found."""
+    """Return a stabilising gain, and whether it exists."""
     A, B, Q, R, S = problem
     n, m = B.shape
     one, none = jnp.eye(n, dtype=A.dtype), jnp.zeros_like(S)
@@ -281,8 +278,7 @@ def _norm(A: jax.Array) -> jax.Array:
 
 
 def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) -> Any:
-    """Return P, whether it converged with a stable closed loop, and whether the Hessian is
-    definite."""
+    """Return P, whether it converged and is stabilising, and whether the Hessian is definite."""
     A, B, Q, R, S = problem
     eps = jnp.finfo(A.dtype).eps
 
@@ -338,8 +334,7 @@ def _refine(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
 
 
 def _rounding(discrete: bool, problem: Problem, P: jax.Array, K: jax.Array) -> jax.Array:
-    """Bound the relative error of P by rounding: the squared effect of rounding the terms of the
-    equation."""
+    """Return a bound of the relative rounding error of P."""
     A, B, Q, R, _ = problem
     closed, size = A - product(B, K), jnp.abs
     H = R + product(B.T, product(P, B)) if discrete else R

@@ -17,7 +17,7 @@ def check_matrices(where: str, *matrices: tuple[str, Any, str]) -> list[jax.Arra
     """Convert matrices to one dtype; raise InputError unless their shapes match.
 
     matrices: (name, value, axes), with a letter for each axis, such as ("B", B, "nm"). Axes with
-    the same letter must have the same length.
+        the same letter must have the same length.
     """
     lengths: dict[str, int] = {}
     found = []
@@ -42,10 +42,8 @@ def weight_matrix(where: str, name: str, value: Any, n: int) -> jax.Array:
 
 
 def check_regulator(where: str, A: Any, B: Any, Q: Any, R: Any, S: Any) -> tuple[jax.Array, ...]:
-    """Check A, B, Q, R and S of a regulator and convert them to one dtype.
-
-    Raise InputError if Q or R is not symmetric; traced values pass.
-    """
+    """Check A, B, Q, R and S of a regulator and convert them to one dtype. Raise InputError if Q or
+    R is not symmetric; traced values pass."""
     A, B = check_matrices(where, ("A", A, "nn"), ("B", B, "nm"))
     n, m = B.shape
     Q, R = weight_matrix(where, "Q", Q, n), weight_matrix(where, "R", R, m)

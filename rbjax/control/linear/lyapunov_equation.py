@@ -115,8 +115,7 @@ def _left_side(discrete: bool, A: jax.Array, X: jax.Array) -> jax.Array:
 
 
 def solve_stable(A: jax.Array, Q: jax.Array, discrete: bool) -> tuple[jax.Array, jax.Array]:
-    """Return the solution X and whether A is stable. If not, X is the solution for another, stable
-    matrix."""
+    """Return the solution X, and whether A is stable; if not, X is finite but meaningless."""
     stable = is_stable(A, discrete)
     safe = jnp.where(stable, A, 0.0 if discrete else -jnp.eye(A.shape[0], dtype=A.dtype))
     X = jax.lax.custom_linear_solve(
@@ -128,10 +127,8 @@ def solve_stable(A: jax.Array, Q: jax.Array, discrete: bool) -> tuple[jax.Array,
 
 
 def is_stable(A: jax.Array, discrete: bool) -> jax.Array:
-    """Return whether x+ = A x, or x' = A x, is stable.
-
-    It is stable if some power of A, or of its Cayley transform, has a norm below one.
-    """
+    """Return whether x+ = A x, or x' = A x, is stable. It is stable if some power of A, or of its
+    Cayley transform, has a norm below one."""
     A = A if discrete else cayley(A, cayley_shift(A))[0]
 
     def going(carry):

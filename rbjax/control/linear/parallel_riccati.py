@@ -31,8 +31,7 @@ from rbjax.lanes.arrays import matrix_transpose, matvec
 
 
 class Stretch(NamedTuple):
-    """A segment of the horizon: F (n, n), b (n,), C (n, n), e (n,), J (n, n) of its minimum cost
-    V(x, y)."""
+    """A segment of the horizon: F (n, n), b (n,), C (n, n), e (n,), J (n, n) of its cost V."""
 
     F: jax.Array
     b: jax.Array
@@ -61,8 +60,7 @@ def join(one: Stretch, two: Stretch) -> Stretch:
 
 
 def stretches(problem: LinearQuadratic) -> tuple[Stretch, jax.Array]:
-    """Return the N steps and the terminal cost as segments, and whether all R are positive
-    definite."""
+    """Return the N steps and the end as segments, and whether all R are definite."""
     A, B, d, Q, q, R, r, S = problem
     L, ok = jax.vmap(definite_factor)((R + matrix_transpose(R)) / 2)
 

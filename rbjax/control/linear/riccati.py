@@ -33,8 +33,7 @@ class LinearQuadratic(NamedTuple):
     """A linear-quadratic problem of N steps, n states and m controls.
 
     A, B, d: dynamics dx+ = A dx + B du + d; (N, n, n), (N, n, m), (N, n).
-    Q, q: cost 1/2 dx'Q dx + q'dx, (N + 1, n, n) and (N + 1, n); the last ones are the terminal
-    cost.
+    Q, q: cost 1/2 dx'Q dx + q'dx, with terminal cost, (N + 1, n, n) and (N + 1, n).
     R, r: cost 1/2 du'R du + r'du, (N, m, m) and (N, m).
     S: cost dx'S du, (N, n, m).
     """
@@ -57,8 +56,8 @@ class Gains(NamedTuple):
     P: (N + 1, n, n).
     p: (N + 1, n).
     success: false if the Hessian with respect to the controls of some step is not positive
-    definite, or a result is not finite, (). K and k of such a step are 0, and its P and p are
-    copies from the next knot, so nothing is nan.
+        definite, or a result is not finite, (). K and k of such a step are 0, and its P and p are
+        copies from the next knot, so nothing is nan.
     """
 
     K: jax.Array
@@ -217,8 +216,7 @@ class Steered(NamedTuple):
     x: states, (N + 1, n).
     u: controls, (N, m).
     cost: the minimum cost, ().
-    multiplier: of the terminal constraint, the derivative of the cost with respect to -target,
-    (n,).
+    multiplier: derivative of the cost with respect to -target, (n,).
     success: true if the target is reached, ().
     """
 
@@ -300,10 +298,8 @@ def constant_problem(
     """Build the problem of N equal steps without affine terms.
 
     Args:
-        A: (n, n).
-        B: (n, m).
-        Q: (n, n).
-        R: (m, m).
+        A: (n, n). B: (n, m).
+        Q: (n, n). R: (m, m).
         horizon: N.
         terminal: Q_N (n, n); Q if None.
         S: (n, m); 0 if None.

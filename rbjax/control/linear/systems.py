@@ -34,7 +34,7 @@ class Reach(NamedTuple):
     inside: orthogonal projector onto it, (n, n).
     outside: orthonormal basis of its complement in the first n - rank columns, zeros after, (n, n).
     weakest: smallest singular value above the tolerance, (); approximates the distance to a system
-    of lower rank, for unit columns of B and unit norm of A.
+        of lower rank, for unit columns of B and unit norm of A.
     """
 
     rank: jax.Array
@@ -47,8 +47,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
     """Compute the controllable subspace of dx/dt = A x + B u or x+ = A x + B u.
 
     Args:
-        A: (n, n).
-        B: (n, m).
+        A: (n, n). B: (n, m).
         tolerance: singular values up to this are zero, relative to the norm of A, and for B to the
             norm of its column; n times the rounding unit times 100 if None.
 
@@ -74,8 +73,7 @@ def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
     """Compute the observable subspace of readings y = C x; `outside` spans the unobservable states.
 
     Args:
-        A: (n, n).
-        C: (l, n).
+        A: (n, n). C: (l, n).
         tolerance: as in `controllability`.
 
     Returns:
@@ -189,8 +187,7 @@ def state_names(model: Model) -> list[str]:
 
 
 def _reduced(rows: np.ndarray) -> np.ndarray:
-    """Return the row echelon form with the largest pivots: the same span, with few entries a row.
-    """
+    """Return the row echelon form with the largest pivots, which has few entries a row."""
     rows = rows.copy()
     free = set(range(rows.shape[1]))
     for k in range(len(rows)):
@@ -210,8 +207,7 @@ def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapun
     """Solve A W + W A' + B B' = 0, or A W A' - W + B B' = 0, for the Gramian W of a stable system.
 
     Args:
-        A: (n, n), stable.
-        B: (n, m).
+        A: (n, n), stable. B: (n, m).
         discrete: true for A W A' - W + B B' = 0.
 
     Returns:
@@ -239,8 +235,7 @@ def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov
     x'Wx is the integral (or sum) of |y|^2 of the free response from x.
 
     Args:
-        A: (n, n), stable.
-        C: (l, n).
+        A: (n, n), stable. C: (l, n).
         discrete: true for A'W A - W + C'C = 0.
 
     Returns:
@@ -261,15 +256,12 @@ def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov
 
 
 def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
-    """Compute the eigenvalues (n,) of A, or of the closed loop A - BK, in order of falling real
-    part.
+    """Compute the eigenvalues (n,) of A or of A - BK, in order of falling real part.
 
     JAX computes them on CPUs, and on GPUs in some versions. Simple eigenvalues have derivatives.
 
     Args:
-        A: (n, n).
-        B: (n, m).
-        K: (m, n).
+        A: (n, n). B: (n, m). K: (m, n).
 
     Returns:
         Complex numbers.
@@ -299,8 +291,7 @@ def discretise(A: Any, B: Any, dt: Any) -> tuple[jax.Array, jax.Array]:
         Ad = exp(A dt),   Bd = integral_0^dt exp(A s) ds B
 
     Args:
-        A: (n, n).
-        B: (n, m).
+        A: (n, n). B: (n, m).
         dt: seconds.
 
     Returns:

@@ -34,7 +34,7 @@ class Tracking(Record):
     ctrls: controls along the motion, (N, nu).
     dt: the step, (), s.
     K: gains, (N, nu, n).
-    P: of the cost to go dx'P dx, (N + 1, n, n).
+    P: matrices of the cost to go dx'P dx, (N + 1, n, n).
     success: as in `Gains`, ().
     """
 
@@ -47,10 +47,8 @@ class Tracking(Record):
     success: jax.Array
 
     def __call__(self, t: Any, state: State) -> jax.Array:
-        """Return the controls (nu,) at a time in s since the start of the motion.
-
-        Times before the start use the first step, and times after the end use the last step.
-        """
+        """Return the controls (nu,) at a time in s since the start of the motion. Times before the
+        start use the first step, and times after the end use the last step."""
         k = jnp.floor(t / self.dt + 1e-3).astype(jnp.int32)  # times of knots are rounded
         k = jnp.clip(k, 0, self.ctrls.shape[0] - 1)
         K, u = self.K[k], self.ctrls[k]
@@ -91,7 +89,7 @@ def time_varying_lqr(
     Raises:
         InputError: shapes, values that are not finite, a step that is not positive.
 
-    The motion may have gaps between knots: it is linearised about each knot, and gaps have no
+    The motion may have gaps between knots. It is linearised about each knot, and gaps have no
     effect on the gains.
 
     Source: Anderson & Moore, 2.4.
@@ -144,6 +142,5 @@ def time_varying_lqr(
 def regulator_along(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, terminal: jax.Array
 ) -> Gains:
-    """Compute the gains for A (N, n, n) and B (N, n, m) with the same weights Q and R at each step.
-    """
+    """Compute the gains for A (N, n, n) and B (N, n, m), with the same Q and R at each step."""
     return backward(constant_weights(A, B, Q, R, terminal))

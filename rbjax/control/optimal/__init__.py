@@ -1,10 +1,10 @@
 """Optimal control: problems, the methods of `solve`, derivatives of solutions, predictive control.
 
-A `Problem` (`problem`) has a system (`system`), costs and constraints of terms (`terms`,
-`residuals`, `clearances`), bounds, and free parts of the start, the time and the model. `objective`
-evaluates its cost and its constraints. `solve` (`solver`) runs one of the methods (`registry`) of
-`shooting` or `collocation`. A solution has derivatives
-(`derivatives`). `mpc` (`receding_horizon`) plans at every tick; `RealTime` does so with a clock.
+A `Problem` (`problem`) contains a system (`system`), terms of costs and constraints (`terms`,
+`clearances`), bounds, and free parts of the start, the time and the model. `objective` evaluates
+its cost and constraints. `solve` (`solver`) runs one of the methods (`registry`) of `shooting` or
+`collocation`. `derivatives` differentiates solutions. `mpc` (`receding_horizon`) computes a plan at
+every tick. `RealTime` does the same in real time.
 """
 
 from rbjax.control.optimal.clearances import Capsule, Clearance, HalfSpace, Sphere

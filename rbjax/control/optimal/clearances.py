@@ -1,12 +1,12 @@
-"""Distances of a robot to obstacles.
+"""Signed distances of a robot to obstacles.
 
-A body is covered by spheres with centres c and radii r. The signed distance to an obstacle is
+Spheres with centers c and radii r cover the bodies. The signed distance to an obstacle is
 
     sphere      |c - p| - R - r
     capsule     |c - a - s (b - a)| - R - r,   s = clip((c - a).(b - a) / |b - a|^2, 0, 1)
     half-space  n.c - d - r
 
-|x| is sqrt(x.x + e^2) - e with e = 1e-6 m, so it has a derivative everywhere.
+|x| is sqrt(x.x + e^2) - e with e = 1e-6 m, so it is differentiable everywhere.
 Source: Ericson, *Real-Time Collision Detection*, 2005, ch. 5; Schulman et al., IJRR 2014.
 """
 
@@ -35,15 +35,15 @@ def _norm(x: jax.Array) -> jax.Array:
 
 
 class Obstacle(Record):
-    """A body at rest in the world. Subclasses are final."""
+    """A shape at rest in the world. Subclasses are final."""
 
     def distance(self, points: jax.Array) -> jax.Array:
-        """The signed distances (...,) m of points (..., 3), world axes."""
+        """Return the signed distances (...,) m of points (..., 3), world axes."""
         raise NotImplementedError(f"{type(self).__name__} has no method distance")
 
 
 class Sphere(Obstacle):
-    """centre (3,) m and radius () m.
+    """A sphere with centre (3,) m and radius () m.
 
     Example:
         >>> import jax.numpy as jnp, rbjax as rb
@@ -64,7 +64,7 @@ class Sphere(Obstacle):
 
 
 class Capsule(Obstacle):
-    """All points within radius () m of the segment from a (3,) to b (3,)."""
+    """A capsule: all points within radius () m of the segment from a (3,) m to b (3,) m."""
 
     a: jax.Array
     b: jax.Array
@@ -84,8 +84,11 @@ class Capsule(Obstacle):
 
 
 class HalfSpace(Obstacle):
-    """All points below a plane: normal.x < offset, normal (3,) of any length, offset () m along its
-    unit vector."""
+    """A half-space: all points with normal.x < offset.
+
+    normal: (3,), normalised by the constructor.
+    offset: () m, along the unit normal.
+    """
 
     normal: jax.Array
     offset: jax.Array
@@ -102,14 +105,14 @@ class HalfSpace(Obstacle):
 
 
 class Clearance(Term):
-    """The distances (spheres x obstacles,) m of spheres fixed to bodies from obstacles.
+    """Signed distances (spheres x obstacles,) m of spheres fixed to bodies from obstacles.
 
     Args (also its fields):
         obstacles: `Sphere`, `Capsule`, `HalfSpace`.
-        bodies: a name for each sphere.
-        offsets: (k, 3), of the spheres' centres in their bodies' axes; the origins if None.
+        bodies: the name of a body for each sphere.
+        offsets: (k, 3) m, centers of the spheres in their bodies' axes; the origins if None.
         radii: () or (k,) m; 0 for points.
-        margin: taken off the distances, m.
+        margin: m, subtracted from the distances.
 
     Raises:
         InputError: no obstacle, no body, wrong shapes.

@@ -1,11 +1,11 @@
-"""The knots and controls from which a search starts.
+"""Knots and controls from which a search starts.
 
 The solution of a similar problem is rolled out from the new start with its feedback,
 
     u_k = us_k - K_k (x_k (-) xs_k),  within the bounds,      x_{k+1} = f(x_k, u_k)
 
-Controls without states are rolled out without feedback. The motion is used if it costs less than
-standing at the start: on an unstable plant it may diverge.
+Controls without states are rolled out without feedback. On an unstable plant this motion may
+diverge, so it is used only if it costs no more than a constant state.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Guess(NamedTuple):
 
 
 def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, parameters: Any) -> Guess:
-    """The guess that a caller of `solve` gives."""
+    """Build the guess from the arguments of `solve`."""
     if guess is None:
         return Guess(states, None if ctrls is None else jnp.asarray(ctrls), parameters)
     if not isinstance(guess, Solution):
@@ -66,7 +66,7 @@ def first_guess(
     problem: Problem, start: Any, states: Any = None, ctrls: Any = None, parameters: Any = None,
     K: Any = None,
 ) -> tuple[Knot, jax.Array]:  # fmt: skip
-    """The checked knots and controls from which a search starts."""
+    """Check the first guess and return the knots and controls from which a search starts."""
     N, dtype = problem.horizon, problem.dt.dtype
     one = problem.system.checked("solve", start)
     alone = states is None
@@ -104,7 +104,7 @@ def first_guess(
 def _rolled(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, K: jax.Array
 ) -> tuple[Knot, jax.Array]:
-    """The motion from the start with feedback about knots."""
+    """Roll out from the start with feedback about knots."""
     first = take(knots, 0)
     away = problem.system.minus(first.state, start)
     away = jnp.where(jnp.asarray(problem.free), away, 0.0)
@@ -118,7 +118,7 @@ def _rolled(
 
 
 def _penalised_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
-    """The cost () of a motion, with the penalties of constraints."""
+    """Return the cost () of a motion, with penalties for violated constraints."""
     mu = jnp.asarray(PENALTY, ctrls.dtype)
 
     def at(where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:

@@ -22,14 +22,14 @@ from rbjax.errors import InputError
 
 
 def example_knot(problem: Problem) -> tuple[Knot, jax.Array]:
-    """A knot and controls, of which only shapes count."""
+    """Return a knot and controls with the right shapes; their values are arbitrary."""
     dtype = problem.dt.dtype
     state = problem.system.example(dtype)
     return Knot(state, problem.first_parameters(dtype)), jnp.zeros(problem.nu, dtype)
 
 
 def row_sizes(problem: Problem, where: str) -> list[tuple[Any, int]]:
-    """Each constraint at "path" or "end" with the number of its rows."""
+    """Return each constraint at "path" or "end" with its number of rows."""
     knot, ctrl = example_knot(problem)
     out = []
     for c in problem.constraints_at(where):
@@ -50,12 +50,12 @@ def row_sizes(problem: Problem, where: str) -> list[tuple[Any, int]]:
 
 
 def row_count(problem: Problem, where: str) -> int:
-    """The number of rows of the constraints at "path" or "end"."""
+    """Return the number of constraint rows at "path" or "end"."""
     return sum(size for _, size in row_sizes(problem, where))
 
 
 def row_bounds(problem: Problem, where: str, dtype: Any) -> tuple[jax.Array, jax.Array]:
-    """The bounds (c,) of the rows at "path" or "end"."""
+    """Return the bounds of the constraint rows at "path" or "end", (c,) each."""
     lows, highs = [jnp.zeros(0, dtype)], [jnp.zeros(0, dtype)]
     for c, size in row_sizes(problem, where):
         lows.append(jnp.broadcast_to(jnp.ravel(c.low), (size,)))
@@ -64,12 +64,12 @@ def row_bounds(problem: Problem, where: str, dtype: Any) -> tuple[jax.Array, jax
 
 
 def violation(c: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """By how much values lie outside their bounds, entry by entry."""
+    """Return the distance of each value from its bounds, 0 within them."""
     return jnp.abs(c - jnp.clip(c, low, high))
 
 
 def knot_violation(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-    """The largest violation () of the constraints of a knot."""
+    """Return the largest constraint violation () at a knot."""
     if not problem.constraints:
         return jnp.zeros((), ctrl.dtype)
     c = problem.rows(where, k, knot, ctrl)
@@ -77,12 +77,12 @@ def knot_violation(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.A
 
 
 def rows_along(problem: Problem, knots: Knot, ctrls: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The rows of a motion: (N, c) of the knots with controls, (e,) of the end."""
+    """Return the constraint rows of a motion: path (N, c) and end (e,)."""
     return over_knots(problem.rows, problem, knots, ctrls)
 
 
 def constraint_violations(problem: Problem, path: jax.Array, end: jax.Array) -> jax.Array:
-    """The largest violation of each constraint: path (..., c) and end (e,), the rows."""
+    """Return the largest violation of each constraint, from the rows path (..., c) and end (e,)."""
     worst = {id(c): jnp.zeros((), path.dtype) for c in problem.constraints}
     for where, rows in (("path", path), ("end", end)):
         off = violation(rows, *row_bounds(problem, where, rows.dtype))
@@ -94,11 +94,11 @@ def constraint_violations(problem: Problem, path: jax.Array, end: jax.Array) -> 
 
 
 PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
-FALLS = 0.25  # a violation that does not fall to this share raises the penalty
+FALLS = 0.25  # the penalty rises if the violation does not fall to this fraction
 
 
 class Multipliers(NamedTuple):
-    """Of constraints: path (N, c) and end (e,), and the penalty mu ()."""
+    """Multipliers of the constraints: path (N, c), end (e,); and the penalty mu ()."""
 
     path: jax.Array
     end: jax.Array
@@ -106,14 +106,13 @@ class Multipliers(NamedTuple):
 
 
 def no_multipliers(N: int, path: int, end: int, dtype: jax.typing.DTypeLike) -> Multipliers:
-    """Zero multipliers of `path` and `end` rows, and the first penalty."""
+    """Return zero multipliers of `path` and `end` rows, and the first penalty."""
     zero = jnp.zeros((N, path), dtype), jnp.zeros(end, dtype)
     return Multipliers(*zero, jnp.asarray(PENALTY, dtype))
 
 
 def shift_multipliers(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
-    """The multipliers of a motion that begins later. at (N,): for each of its knots, the index of
-    this knot in the earlier motion."""
+    """Shift the multipliers to a later motion. at (N,): its knot indices in the earlier one."""
     if multipliers is None:
         return None
     return multipliers._replace(path=multipliers.path[at])
@@ -122,7 +121,8 @@ def shift_multipliers(multipliers: Multipliers | None, at: jax.Array) -> Multipl
 def shifted_excess(
     c: jax.Array, y: jax.Array, mu: jax.Array, low: jax.Array, high: jax.Array
 ) -> jax.Array:
-    """s - clip(s, low, high): the residuals of L over sqrt(mu), the next multipliers over mu."""
+    """Return s - clip(s, low, high), s = c + y / mu. Times sqrt(mu) it is the residual of L. Times
+    mu it is the next multiplier."""
     s = c + y / mu
     return s - jnp.clip(s, low, high)
 
@@ -130,25 +130,27 @@ def shifted_excess(
 def next_penalty(
     mu: jax.Array, violation: jax.Array, before: jax.Array, held: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The penalty after an update of the multipliers, and whether the violation did not fall
-    enough. before: the violation at the update before; held: whether it is small enough."""
+    """Return the next penalty, and whether the violation has not fallen enough.
+
+    before: violation at the last update of the multipliers.
+    held: true if the violation is within the tolerance.
+    """
     failing = ~held & (violation > FALLS * before)
     return jnp.where(failing, jnp.minimum(HARDER * mu, PENALTY_MOST), mu), failing
 
 
 def half_square(value: jax.Array) -> jax.Array:
-    """The cost () of a term's value: a number itself, of residuals r.r / 2."""
+    """Return the cost () of a term's value: the number itself, or r.r / 2 of residuals r."""
     return 0.5 * (value * value).sum() if value.ndim else value
 
 
 def cost_terms(problem: Problem, where: str) -> list[Any]:
-    """The functions (k, knot, ctrl) -> weighted residuals or a number, one for each cost."""
+    """Return a function (k, knot, ctrl) -> weighted residuals or a number, for each cost."""
     return [functools.partial(problem.value, cost, where) for cost in problem.costs(where)]
 
 
 def merit_terms(problem: Problem, where: str, rows: jax.Array, mu: jax.Array) -> list[Any]:
-    """The terms of the costs, and for each constraint the residuals of the augmented
-    Lagrangian."""
+    """Return the terms of the costs, and the augmented Lagrangian residuals of each constraint."""
     found = cost_terms(problem, where)
     at = 0
     for c, size in row_sizes(problem, where):
@@ -165,7 +167,7 @@ def merit_terms(problem: Problem, where: str, rows: jax.Array, mu: jax.Array) ->
 
 
 def sum_terms(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-    """The sum () of the costs of terms."""
+    """Return the sum () of the costs of terms."""
     total = jnp.zeros((), ctrl.dtype)
     for term in terms:
         total = total + half_square(term(k, knot, ctrl))
@@ -173,7 +175,7 @@ def sum_terms(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> jax.Arra
 
 
 def knot_cost(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-    """The cost () of a knot with controls ("path") or of the "end"."""
+    """Return the cost () of a knot with controls ("path") or of the "end"."""
     return sum_terms(cost_terms(problem, where), k, knot, ctrl)
 
 
@@ -181,12 +183,12 @@ def merit(
     problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array,
     mu: jax.Array,
 ) -> jax.Array:  # fmt: skip
-    """The cost () of a knot with its part of the augmented Lagrangian."""
+    """Return the cost () of a knot, including its terms of the augmented Lagrangian."""
     return sum_terms(merit_terms(problem, where, rows, mu), k, knot, ctrl)
 
 
 def residuals(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """All residuals (r,) of terms, and the sum () of the terms that are numbers."""
+    """Return all residuals (r,) of terms, and the sum () of the terms that are numbers."""
     vectors, rest = [jnp.zeros(0, ctrl.dtype)], jnp.zeros((), ctrl.dtype)
     for term in terms:
         value = term(k, knot, ctrl)
@@ -200,8 +202,10 @@ def residuals(terms: list[Any], k: Any, knot: Knot, ctrl: jax.Array) -> tuple[ja
 def over_knots(
     f: Any, problem: Problem, knots: Knot, ctrls: jax.Array, rows: tuple = ()
 ) -> tuple[Any, Any]:
-    """f("path", k, knot, ctrl) of all knots with controls, and f("end", N, knot, 0) of the last.
-    rows: none, or a last argument of f at the path (N, ...) and at the end."""
+    """Evaluate f("path", k, knot, ctrl) at knots with controls, f("end", N, knot, 0) at the last.
+
+    rows: empty, or the values of a last argument of f, at the path (N, ...) and at the end.
+    """
     body, last = take(knots, BODY), take(knots, -1)
     ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
     path = jax.vmap(functools.partial(f, "path"))(ks, body, ctrls, *rows[:1])
@@ -209,14 +213,13 @@ def over_knots(
 
 
 def motion_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
-    """The cost () of a motion, without penalties."""
+    """Return the cost () of a motion, without penalties."""
     path, end = over_knots(functools.partial(knot_cost, problem), problem, knots, ctrls)
     return path.sum() + end
 
 
 def roll_out(problem: Problem, first: Knot, policy: Any, given: Any) -> tuple[Knot, jax.Array]:
-    """The knots (N + 1, ...) and controls (N, m) of the motion under a policy
-    (k, knot, entry k of `given`) -> ctrl."""
+    """Roll out a policy (k, knot, entry k of `given`) -> ctrl; return knots and controls."""
 
     def step(knot: Knot, x: tuple) -> tuple[Knot, tuple[Knot, jax.Array]]:
         u = policy(x[0], knot, x[1])

@@ -1,8 +1,10 @@
-"""A problem of optimal control, for any method.
+"""An optimal control problem, independent of the method.
 
     min  sum_k h L_i(t_k, x_k, u_k) + sum Phi_j(x_N)        over u and the free parts of x_0, p, T
     x_{k+1} = f(t_k, x_k, u_k, h; p),   low <= u_k <= high,   low <= c(t_k, x_k, u_k) <= high
-p are parameters of the model (`Design`), T = N h. Both are constant states: a knot is (x, p, T).
+
+p are parameters of the model (`Design`), T = N h is the final time. Both are states with a zero
+derivative: a knot is (x, p, T), and its tangent vector (dx, dp, dT).
 """
 
 from __future__ import annotations
@@ -26,10 +28,11 @@ from rbjax.motion.field import free_motion
 
 
 class Design(Record):
-    """Parameters of the model that are optimised with the motion.
+    """Parameters of the model that are optimised together with the motion.
 
-    Fields: apply, a function (model, p (n,)) -> model; start, low, high (n,): first guess and
-    bounds.
+    apply: function (model, p (n,)) -> model.
+    start: first guess, (n,).
+    low, high: bounds, (n,).
     """
 
     apply: Callable[[Any, jax.Array], Any]
@@ -63,7 +66,7 @@ class Knot(NamedTuple):
     parameters: jax.Array
 
 
-BODY, NEXT = slice(None, -1), slice(1, None)  # the knots with controls, and the knots after them
+BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, knots after them
 
 
 def take(tree: Any, at: Any) -> Any:
@@ -77,29 +80,23 @@ def append(tree: Any, last: Any) -> Any:
 
 
 class Problem(Record):
-    """A problem: find controls, and the free parts of the start, the model and the time.
+    """An optimal control problem: find controls, and the free parts of the start, model and time.
 
     Args:
         model: an `rb.Model`; `Equations`; or a robot of `rb.wheeled.at`.
         horizon: N, the number of steps, each with constant controls.
         dt: the step in s; the model's timestep if None.
         running: costs at the N knots with controls: `Cost(term, weight)`, a term, or a function
-            (t, state, ctrl) or (model, t, state, ctrl). A number is a cost, a vector of residuals r
-            costs r.r / 2.
-        terminal: costs of the last state, of the same kinds; ctrl is zero there.
+            ([model,] t, state, ctrl) -> a cost, or a vector of residuals r with the cost r.r / 2.
+        terminal: costs of the last state, of the same kinds, evaluated with ctrl = 0.
         constraints: `Constraint`s.
-        bounds: "model" for the control ranges of the model, None for none, or (low, high), each a
-            number or (nu,).
-        integral: whether running costs are rates, times dt. False: they are summed as they are.
-        design: a `Design`, parameters of the model that are found too.
-        free_time: (low, high), bounds of the final time in s, which is then found too; horizon * dt
-            is its first guess.
-        start_time: t_0, the time in s of the first knot, for costs, constraints and systems that
-            depend on time.
-        free_start: which coordinates of the start's tangent space are found too: True for all, or
-            (n,) booleans.
-        integrator, dynamics, held: as `integrator`, `dynamics`, `constraints` of `rb.rollout`, for
-        a Model.
+        bounds: "model" for its control ranges, None, or (low, high), each a number or (nu,).
+        integral: true if running costs are rates, multiplied by dt; false to sum them as they are.
+        design: a `Design`, parameters of the model that are optimised too.
+        free_time: (low, high) s, bounds of a free final time; its first guess is horizon * dt.
+        start_time: t_0, the time in s of the first knot.
+        free_start: optimised tangent coordinates of the start: True for all, or (n,) booleans.
+        integrator, dynamics, held: `integrator`, `dynamics`, `constraints` of `rb.rollout`.
 
     Raises:
         InputError: no knot, no cost, bounds that contradict each other, wrong types.
@@ -180,7 +177,7 @@ class Problem(Record):
 
     @property
     def parameter_count(self) -> int:
-        """The number of parameters: of the design, and the final time."""
+        """The number of parameters: of the design, plus one for a free final time."""
         design = 0 if self.design is None else self.design.start.shape[0]
         return design + (self.times is not None)
 
@@ -191,31 +188,31 @@ class Problem(Record):
 
     @property
     def free_first_knot(self) -> bool:
-        """Whether anything of the first knot is free."""
+        """True if any part of the first knot is free."""
         return any(self.free) or self.parameter_count > 0
 
     def within_bounds(self, u: jax.Array) -> jax.Array:
-        """Controls projected onto their bounds."""
+        """Return the controls projected onto their bounds."""
         if not self.bounded:
             return u
         return jnp.clip(u, self.low.astype(u.dtype), self.high.astype(u.dtype))
 
     @property
     def by_velocities(self) -> bool:
-        """Whether dq+ = dq + h dv+ of a knot's tangent (dq, dv)."""
+        """True if a step is dq+ = dq + h dv+ on a knot's tangent space (dq, dv)."""
         return self.system.by_velocities and not self.parameter_count
 
     # functions of the parameters of a knot
 
     def first_parameters(self, dtype: Any) -> jax.Array:
-        """The first guess (p,) of the parameters."""
+        """Return the first guess (p,) of the parameters."""
         parts = [] if self.design is None else [self.design.start]
         if self.times is not None:
             parts.append(jnp.atleast_1d(jnp.clip(self.dt * self.horizon, *self.times)))
         return jnp.concatenate(parts).astype(dtype) if parts else jnp.zeros(0, dtype)
 
     def parameter_bounds(self, dtype: Any) -> tuple[jax.Array, jax.Array]:
-        """The bounds (p,) of the parameters."""
+        """Return the lower and upper bounds of the parameters, (p,) each."""
         ends = [] if self.design is None else [(self.design.low, self.design.high)]
         if self.times is not None:
             ends.append((self.times[:1], self.times[1:]))
@@ -223,7 +220,7 @@ class Problem(Record):
         return jnp.concatenate(low).astype(dtype), jnp.concatenate(high).astype(dtype)
 
     def at(self, parameters: jax.Array) -> tuple[System, jax.Array]:
-        """The system and the step for the parameters."""
+        """Return the system and the step size for the parameters."""
         system, dt = self.system, self.dt.astype(parameters.dtype)
         if self.times is not None:
             dt = parameters[-1] / self.horizon
@@ -233,33 +230,33 @@ class Problem(Record):
         return system, dt
 
     def time(self, k: Any, dt: Any) -> Any:
-        """The time in s of knot k."""
+        """Return the time in s of knot k."""
         return self.start_time.astype(dt.dtype) + k * dt
 
     # a knot
 
     def plus(self, knot: Knot, dx: jax.Array) -> Knot:
-        """knot (+) dx."""
+        """Return knot (+) dx."""
         n = self.system.n
         return Knot(self.system.plus(knot.state, dx[:n]), knot.parameters + dx[n:])
 
     def minus(self, one: Knot, other: Knot) -> jax.Array:
-        """dx (n,) from `other` to `one`."""
+        """Return dx (n,) from `other` to `one`."""
         parts = [self.system.minus(one.state, other.state), one.parameters - other.parameters]
         return jnp.concatenate(parts)
 
     def off_start(self, start: Any, first: Knot) -> jax.Array:
-        """start (-) first knot (n,), 0 in free coordinates."""
+        """Return start (-) first knot (n,), with 0 for free coordinates."""
         off = jnp.where(jnp.asarray(self.free), 0.0, self.system.minus(start, first.state))
         return jnp.concatenate([off, jnp.zeros(self.parameter_count, off.dtype)])
 
     def step(self, k: Any, knot: Knot, ctrl: jax.Array) -> Knot:
-        """The knot after a step."""
+        """Return the knot after a step."""
         system, dt = self.at(knot.parameters)
         return Knot(system.step(self.time(k, dt), knot.state, ctrl, dt), knot.parameters)
 
     def linear(self, k: Any, knot: Knot, ctrl: jax.Array) -> Linearised:
-        """The knot after a step, and its derivatives."""
+        """Return the knot after a step, and its derivatives."""
         system, dt = self.at(knot.parameters)
         after, A, B = system.linear(self.time(k, dt), knot.state, ctrl, dt)
         after = Knot(after, knot.parameters)
@@ -277,7 +274,7 @@ class Problem(Record):
         return Linearised(after, A, B)
 
     def term(self, term: Term, k: Any, knot: Knot, ctrl: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The value of a term at a knot, and the step."""
+        """Return the value of a term at a knot, and the step size."""
         system, dt = self.at(knot.parameters)
         value = term(system.model, self.time(k, dt), knot.state, ctrl)
         try:
@@ -289,7 +286,8 @@ class Problem(Record):
             ) from error
 
     def value(self, cost: Cost, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-        """A cost at a knot: a number, or residuals (r,) whose squares are halved and summed."""
+        """Return a cost at a knot with controls ("path") or at the "end". It is a number, or
+        weighted residuals (r,) with the cost r.r / 2."""
         value, dt = self.term(cost.term, k, knot, ctrl)
         w = jnp.asarray(cost.weight, dt.dtype)
         if self.integral and where == "path":
@@ -309,7 +307,7 @@ class Problem(Record):
         return _root(w) * value if value.ndim else w * value
 
     def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-        """The values (c,) of a constraint at a knot."""
+        """Return the values (c,) of a constraint at a knot."""
         value = jnp.ravel(self.term(c.term, k, knot, ctrl)[0])
         if c.knots is None:
             return value
@@ -317,30 +315,30 @@ class Problem(Record):
         return jnp.where(self.counts_at(c.knots, k), value, jnp.clip(value, low, high))
 
     def counts_at(self, knots: tuple[int, ...], k: Any) -> jax.Array:
-        """Whether place k is at one of the knots, or at the end."""
+        """Return whether the (fractional) knot index k belongs to one of the knots or the end."""
         counts = np.zeros(self.horizon + 1, bool)
         counts[[*knots, self.horizon]] = True
         at = jnp.floor(jnp.asarray(k) + 1e-6).astype(jnp.uint32)
         return jax.lax.dynamic_index_in_dim(jnp.asarray(counts), at, keepdims=False)
 
     def rows(self, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-        """The values (c,) of the constraints at "path" or "end"."""
+        """Return the values (c,) of the constraints at "path" or "end"."""
         none = jnp.zeros(0, knot.parameters.dtype)
         return jnp.concatenate(
             [none, *(self.row(c, k, knot, ctrl) for c in self.constraints_at(where))]
         )
 
     def costs(self, where: str) -> tuple[Cost, ...]:
-        """The costs of a knot with controls ("path") or of the "end"."""
+        """Return the costs of a knot with controls ("path") or of the "end"."""
         return self.running if where == "path" else self.terminal
 
     def constraints_at(self, where: str) -> list[Constraint]:
-        """The constraints at "path" or "end"."""
+        """Return the constraints at "path" or "end"."""
         return [c for c in self.constraints if c.where in (where, "all")]
 
 
 def _root(w: jax.Array) -> jax.Array:
-    """The root of a weight; its derivative at 0 is 0."""
+    """Return the square root of a weight, with derivative 0 at 0."""
     positive = w > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, w, 1.0)), 0.0)
 

@@ -1,7 +1,7 @@
-"""A controller with a clock: one call a tick, and how long the calls took.
+"""A model predictive controller for real time, with a record of the durations of its calls.
 
-A control loop with a period h needs the worst call, not the mean, below h. So the distribution of
-the duration of a call is recorded (Liu, *Real-Time Systems*, 2000, 3.2: jitter).
+A control loop with period h requires that the longest call, not the average call, is shorter than h
+(Liu, *Real-Time Systems*, 2000, 3.2: jitter).
 """
 
 from __future__ import annotations
@@ -20,8 +20,12 @@ from rbjax.errors import InputError
 
 
 class Timing(NamedTuple):
-    """Of the calls: how many; median, p99 (99 %) and worst, ms; late, how many took longer than a
-    tick."""
+    """Statistics of the durations of calls.
+
+    calls: number of calls.
+    median, p99, worst: median, 99 % quantile and maximum, ms.
+    late: number of calls longer than a tick.
+    """
 
     calls: int
     median: float
@@ -31,15 +35,15 @@ class Timing(NamedTuple):
 
 
 class RealTime:
-    """A `PredictiveController` as a callable (t, state) -> ctrl that keeps its memory.
+    """A `PredictiveController` as a stateful callable (t, state) -> ctrl.
 
     Args:
         controller: from `rb.control.mpc`.
-        state: the first state, from which the first plan is made.
+        state: the first state, from which the first plan is computed.
         ctrls: a first guess of the controls.
 
-    The programs are compiled here, so that the first call is as fast as the others. `status` is the
-    `TickStatus` of the last control, `search_status` the `Status` of the last search.
+    The constructor compiles all programs, so that the first call is as fast as later ones. `status`
+    is the `TickStatus` of the last control. `search_status` is the `Status` of the last search.
 
     Raises:
         InputError: not a controller.
@@ -70,7 +74,7 @@ class RealTime:
         self.status, self.search_status = PLANNED, int(self.memory.search_status)
 
     def __call__(self, t: float, state: Any) -> np.ndarray:
-        """The control (nu,) of the tick that begins at t."""
+        """Return the control (nu,) of the tick that begins at t."""
         begin = time.perf_counter_ns()
         like = self.controller.dt.dtype
         x = jax.tree.map(lambda a: np.asarray(a, like), state)
@@ -81,7 +85,7 @@ class RealTime:
         return u
 
     def timing(self) -> Timing:
-        """How long the calls took."""
+        """Return statistics of the durations of the calls."""
         if not self._ns:
             raise InputError("timing: there was no call yet")
         ms = np.asarray(self._ns) / 1e6
@@ -90,5 +94,5 @@ class RealTime:
                       late)  # fmt: skip
 
     def histogram(self, bins: int = 20) -> tuple[np.ndarray, np.ndarray]:
-        """Counts (bins,) and edges (bins + 1,) in ms."""
+        """Return a histogram of the durations in ms: counts (bins,) and edges (bins + 1,)."""
         return np.histogram(np.asarray(self._ns) / 1e6, bins)

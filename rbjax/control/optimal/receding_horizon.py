@@ -1,14 +1,14 @@
-"""Model predictive control: a new plan at every tick, and a fallback if that fails.
+"""Model predictive control: a new plan at every tick, and a fallback policy if planning fails.
 
-At tick k the next d controls are determined already (d: ticks of delay, the duration of a
-computation). The state is predicted over them, and the plan begins there:
+With a delay of d ticks (the computing time), the next d controls are already fixed at tick k. The
+state is predicted over them, and the plan begins at the predicted state:
 
-    x' = f(... f(f(x_k, u_k), u_{k+1}) ...),    (us, xs) = a few iterations from the plan before,
-    shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    at that tick
+    x' = f(... f(f(x_k, u_k), u_{k+1}) ...),    (us, xs) = a few iterations from the last plan,
+    shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    at tick k + d
 
-The multipliers and the penalty are kept from plan to plan. A plan that is not finite, or whose
-constraints are infeasible, is rejected. Then the last plan is continued for at most `patience`
-ticks; after that a fallback policy acts. Source: Diehl, Bock & Schloder 2005; Mayne et al. 2000.
+Each plan starts from the multipliers and the penalty of the last. A plan that is not finite, or
+whose constraints are infeasible, is rejected. Then the last plan is continued for at most
+`patience` ticks, then a fallback policy acts. Source: Diehl, Bock & Schloder 2005; Mayne 2000.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from rbjax.errors import InputError, UnknownName
 
 
 class TickStatus(enum.IntEnum):
-    """Where the control of a tick comes from."""
+    """The source of the control of a tick."""
 
     PLANNED = 0  # from the plan of this tick
-    KEPT = 1  # the plan failed, the last plan is continued
-    FALLBACK = 2  # plans failed for longer than patience
+    KEPT = 1  # the plan failed; from the last plan
+    FALLBACK = 2  # from the fallback: plans failed for longer than patience
     VIOLATED = 3  # the plan violates a constraint; raise iterations or violation
 
 
@@ -49,8 +49,7 @@ PLANNED, KEPT, FALLBACK, VIOLATED = map(int, TickStatus)
 
 
 class PlannedControl(NamedTuple):
-    """A control of a coming tick: u (nu,), gains K (nu, n), the state that the plan expects, and
-    its `TickStatus` ()."""
+    """The control of a future tick: u (nu,), gains K (nu, n), planned state, `TickStatus` ()."""
 
     u: jax.Array
     K: jax.Array
@@ -64,7 +63,7 @@ class Memory(NamedTuple):
     knots: Knot  # (N + 1, ...)
     ctrls: jax.Array  # (N, nu)
     K: jax.Array  # (N, nu, n)
-    multipliers: Multipliers | None  # of the last plan; None for a method without multipliers
+    multipliers: Multipliers | None  # from the last plan; None for a method without them
     pending: PlannedControl | None  # the controls of the ticks of delay; None without delay
     failures: jax.Array  # (), the plans that failed in a row
     search_status: jax.Array  # (), of the last search
@@ -74,7 +73,7 @@ class Memory(NamedTuple):
 
 
 class Run(NamedTuple):
-    """A closed loop of T ticks."""
+    """The record of a closed loop of T ticks."""
 
     ts: jax.Array  # (T + 1,) s
     states: Any  # with a leading axis T + 1
@@ -84,7 +83,7 @@ class Run(NamedTuple):
     costs: jax.Array  # (T,), of the plans
 
 
-HARDEST = 1e4  # the largest penalty at the beginning of a tick
+HARDEST = 1e4  # upper bound of the penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
 
 
@@ -92,9 +91,9 @@ WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
 class PredictiveController:
     """A model predictive controller, made by `mpc`.
 
-    `begin(state)` returns the memory, `tick(memory, t, state)` the control of a tick and the memory
-    after it: both are pure, for jit and vmap. `closed_loop` runs both against a plant, `policy` is
-    for `rb.rollout`, and `rb.control.RealTime` is a callable with a clock.
+    `begin(state)` returns the memory. `tick(memory, t, state)` returns the control of a tick and
+    the next memory. Both are pure functions, for jit and vmap. `closed_loop` simulates the
+    controller with a plant. `policy` returns a policy for `rb.rollout`.
     """
 
     problem_at: Callable[[Any], Problem]
@@ -115,11 +114,11 @@ class PredictiveController:
         return self.problem.dt
 
     def begin(self, state: Any, ctrls: Any = None) -> Memory:
-        """The memory at the start: a plan from the state, by `first` iterations.
+        """Return the first memory: a plan from the state, with `first` iterations.
 
         Args:
             state: of the system.
-            ctrls: a first guess (N, nu) of the controls; None for zeros.
+            ctrls: a first guess (N, nu) of the controls; zeros if None.
         """
         problem = self.problem
         x = problem.system.checked("mpc", state)
@@ -140,8 +139,8 @@ class PredictiveController:
         return memory._replace(pending=pending)
 
     def tick(self, memory: Memory, t: Any, state: Any) -> tuple[jax.Array, Memory, jax.Array]:
-        """The control (nu,) of the tick that begins at t, the memory after it, and its
-        `TickStatus` (). t: s. state: measured now."""
+        """Return the control (nu,) of the tick at t, the next memory, and a `TickStatus` ().
+        t: s. state: measured at t."""
         problem = self.problem_at(t)
         x = problem.system.checked("mpc", state)
         if not self.delay:
@@ -165,13 +164,13 @@ class PredictiveController:
         return u, memory._replace(pending=pending), now.status
 
     def closed_loop(self, state: Any, steps: int, plant: Any = None) -> Run:
-        """Run the closed loop, as one program.
+        """Simulate the closed loop, as one program.
 
         Args:
             state: at the beginning.
             steps: the number of ticks.
-            plant: the controlled system: an `rb.Model`, a `System`, or a function
-                (t, state, ctrl, dt) -> state; None for the system of the problem.
+            plant: the controlled system: an `rb.Model`, a `System`, or a function (t, state, ctrl,
+                dt) -> state; the system of the problem if None.
         """
         integer("closed_loop", "steps", steps, least=1)
         if plant is None:
@@ -200,8 +199,8 @@ class PredictiveController:
         return Run(ts, states, us, statuses, search_statuses, costs)
 
     def policy(self, memory: Memory) -> Callable[[Any, Any], jax.Array]:
-        """(t, state) -> ctrl for `rb.rollout`, which keeps no memory from step to step: each call
-        plans from the one plan of `memory`, shifted to the time t. There is no delay."""
+        """Return a policy (t, state) -> ctrl for `rb.rollout`, without memory between its calls.
+        Each call plans from the plan of `memory`, shifted to the time t. There is no delay."""
         N = self.problem.horizon
 
         def act(t: Any, state: Any) -> jax.Array:
@@ -233,16 +232,16 @@ class PredictiveController:
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _gap(self, found: Any) -> jax.Array:
-        """The largest gap of a plan; 0 without constraints, which spares a step of all knots."""
+        """Return the largest gap of a plan; 0 without constraints, which do not need it."""
         return found.gap if self.problem.constraints else jnp.zeros_like(found.gap)
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
-        """The memory with the plan of this tick, or with the last plan if the new one fails."""
+        """Return the memory with a new plan, or with the last plan if the new one fails."""
         found = self._search(
             problem, start, memory.knots, memory.ctrls, memory.multipliers, self.iterations
         )
         good = _finite((found.knots, found.ctrls, found.K, found.cost, start))
-        # do not reject a plan because its start, which is measured, violates a constraint
+        # accept a plan whose measured start violates a constraint
         first = take(found.knots, 0)
         zero = jnp.zeros((), found.ctrls.dtype)
         off = knot_violation(problem, "path", zero, first, found.ctrls[0]) > self.violation
@@ -257,7 +256,7 @@ class PredictiveController:
         return picked._replace(search_status=found.status)
 
     def _shifted(self, problem: Problem, memory: Memory) -> Memory:
-        """The plan shifted by a tick; its last control is repeated."""
+        """Shift the plan by a tick, with the last control repeated."""
         ctrls = jnp.concatenate([memory.ctrls[1:], memory.ctrls[-1:]])
         K = jnp.concatenate([memory.K[1:], memory.K[-1:]])
         last = take(memory.knots, -1)
@@ -270,8 +269,8 @@ class PredictiveController:
         return memory._replace(knots=knots, ctrls=ctrls, K=K, multipliers=multipliers)
 
     def _entry(self, memory: Memory, k: int) -> PlannedControl:
-        """The control of the plan for its tick k."""
-        # if the states do not follow the dynamics, they do not show that constraints are met
+        """Return the control of the plan for its tick k."""
+        # with gaps, satisfied constraints of the planned states do not imply those of the motion
         off = jnp.maximum(memory.violation, memory.gap)
         broken = (off > self.violation) if self.problem.constraints else False
         status = jnp.where(broken, VIOLATED, PLANNED)
@@ -281,7 +280,7 @@ class PredictiveController:
         return PlannedControl(memory.ctrls[k], memory.K[k], state, status)
 
     def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:
-        """The control of a tick: planned with feedback, or from the fallback."""
+        """Return the control of a tick: planned with feedback, or from the fallback."""
         u = entry.u
         if self.feedback:
             back = product(entry.K, problem.system.minus(state, entry.state))
@@ -304,31 +303,31 @@ def mpc(
     violation: float = 1e-4,
     first: int = 100,
 ) -> PredictiveController:
-    """Model predictive control with a fixed number of iterations a tick.
+    """Build a model predictive controller with a fixed number of iterations per tick.
 
     Args:
         problem: `Problem`, whose dt is the length of a tick. Its costs, constraints and dynamics
             depend on the time of the loop, which begins at its start_time. Or a function t ->
-            Problem, the problem of the plan that begins at t; the times of that problem count from
-            its own start_time. The problems may differ only in numbers.
-        method: one of `rb.control.methods()` with gains.
-        iterations: at most, at a tick. None: 1, and 10 for a problem with constraints.
-        delay: ticks from the measured state to its control: 1 if the computation takes up to a
+            Problem that returns the problem of the plan that begins at t; times in that problem
+            count from its own start_time. The problems may differ only in the values of arrays.
+        method: a name from `rb.control.methods()`, of a method with gains.
+        iterations: maximum number of iterations per tick. None: 1, or 10 with constraints.
+        delay: ticks from the measured state to its control: 1 if the computation lasts up to a
             tick, 0 in a simulation that waits for it.
-        feedback: whether the gains correct the error of the prediction when the control is applied.
-        patience: how many ticks a plan goes on while new ones fail.
-        fallback: a policy (t, state) -> (nu,) after that; zeros within the bounds if None.
+        feedback: if true, the gains correct the prediction error when the control is applied.
+        patience: number of ticks for which the last plan is continued while new ones fail.
+        fallback: the policy (t, state) -> (nu,) after that; zeros within the bounds if None.
         tolerance: iterations end if the predicted cost change is below it times max(1, |cost|).
-        violation: of constraints, in their units. The status is `VIOLATED` if a plan violates a
-            constraint by more, or has a larger gap between a step and its next state.
+        violation: largest accepted constraint violation, in the units of the constraints, and gap
+            between a step and its next state. A plan beyond it has the status `VIOLATED`.
         first: iterations of the first plan.
 
     Returns:
         `PredictiveController`.
 
     Raises:
-        InputError: wrong types; a problem whose start, design or final time is free. UnknownName:
-            no such method.
+        InputError: wrong types; a problem whose start, design or final time is free.
+        UnknownName: no such method.
 
     Source: Diehl, Bock & Schloder, *A real-time iteration scheme for nonlinear optimization in
     optimal feedback control*, SIAM J. Control Optim. 2005; Mayne et al., Automatica 2000.
@@ -376,7 +375,7 @@ def mpc(
 
 
 def _multipliers(found: Any) -> Multipliers | None:
-    """The multipliers from which the next search starts."""
+    """Return the multipliers for the start of the next search."""
     if found.penalty is None:
         return None
     return Multipliers(found.path, found.end, jnp.minimum(found.penalty, HARDEST))

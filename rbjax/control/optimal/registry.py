@@ -24,10 +24,10 @@ class Method(NamedTuple):
     """A method of `solve`.
 
     solve: (problem, start, knots, ctrls, options, history) -> `SearchResult`.
-    constraints: whether it accepts `Constraint`s.
-    derivatives: whether it needs derivatives of the problem.
+    constraints: true if it accepts `Constraint`s.
+    derivatives: true if it needs derivatives of the problem.
     description: when to use it.
-    differentiable: whether its solutions have derivatives: their motions are steps of the system.
+    differentiable: true if its solutions have derivatives.
     """
 
     solve: Callable[..., Any]
@@ -38,7 +38,7 @@ class Method(NamedTuple):
 
 
 def collocation(table: Tableau, description: str) -> Method:
-    """Collocation by a tableau."""
+    """Build the collocation method of a tableau."""
     return Method(functools.partial(solve_collocation, table=table), True, True, description, False)
 
 
@@ -116,7 +116,7 @@ METHODS: dict[str, Method] = {
 
 
 def methods() -> dict[str, Method]:
-    """The methods of `solve` by name.
+    """Return the methods of `solve` by name.
 
     Example:
         >>> import rbjax as rb
@@ -127,7 +127,7 @@ def methods() -> dict[str, Method]:
 
 
 def method_of(method: Any) -> Method:
-    """A method by its name, or itself; a `Sampling` or a `SampledStart` as one."""
+    """Return the method of a name, a `Method`, a `Sampling` or a `SampledStart`."""
     if isinstance(method, Method):
         return method
     caller = "with the parameters of the caller"
@@ -141,5 +141,5 @@ def method_of(method: Any) -> Method:
 
 
 def name_of(method: Any) -> str:
-    """The name of a method."""
+    """Return the name of a method."""
     return method if isinstance(method, str) else type(method).__name__

@@ -1,4 +1,4 @@
-"""The options and the result of a method, and the public `Solution`."""
+"""Options and result of the methods of `solve`, and the public `Solution`."""
 
 from __future__ import annotations
 
@@ -19,25 +19,28 @@ from rbjax.model.record import Record
 class StoppingRule(NamedTuple):
     """When a search ends. Each field is ()."""
 
-    tolerance: jax.Array  # of the expected decrease of the cost, relative to max(|cost|, scale)
-    violation: jax.Array  # of constraints
-    iterations: jax.Array  # at most
+    tolerance: jax.Array  # expected decrease of the cost, relative to max(|cost|, scale)
+    violation: jax.Array  # largest accepted constraint violation
+    iterations: jax.Array  # maximum number
     scale: jax.Array | None = None  # None: min(|cost of the first guess|, 1)
 
 
 class Options(Record):
-    """Options of every method. report is called with (iterations, cost, violation) after each
-    iteration."""
+    """Options of every method. `report` is called after each iteration."""
 
     rule: StoppingRule  # when the search ends
-    seed: jax.Array | int = 0  # of random numbers
-    multipliers: Any = None  # of the constraints at the beginning; None for zeros
+    seed: jax.Array | int = 0  # seed of random numbers
+    multipliers: Any = None  # first multipliers of the constraints; None for zeros
     report: Callable[[Any, Any, Any], None] | None = eqx.field(static=True, default=None)
 
 
 class StageValues(NamedTuple):
-    """The stages of a collocation: c (s,), their places in a step, from 0 to 1; states with leading
-    axes N and s; ctrls (N, s, m)."""
+    """The stages of a collocation.
+
+    c: positions of the stages in a step, from 0 to 1, (s,).
+    states: with leading axes N and s.
+    ctrls: (N, s, m).
+    """
 
     c: jax.Array
     states: Any
@@ -45,7 +48,7 @@ class StageValues(NamedTuple):
 
 
 class SearchResult(NamedTuple):
-    """The result of a method, without the problem: a value that a program can return."""
+    """The result of a method, without the problem: a pytree of arrays."""
 
     knots: Knot  # (N + 1, ...)
     ctrls: jax.Array  # (N, m)
@@ -59,32 +62,33 @@ class SearchResult(NamedTuple):
     K: jax.Array  # (N, m, n), gains of du = +K dx
     path: jax.Array  # multipliers of the constraints (N, c)
     end: jax.Array  # (e,)
-    stages: StageValues | None = None  # of a collocation
-    violations: jax.Array | None = None  # of each constraint, at the stages of a collocation
+    stages: StageValues | None = None  # stages of a collocation
+    violations: jax.Array | None = None  # largest violation of each constraint
     penalty: jax.Array | None = None  # () of the augmented Lagrangian; None for methods without one
 
 
 class Solution(Record):
-    """A motion, its controls and its feedback.
+    """A motion, its controls and its feedback gains.
 
     Fields:
         problem: the `Problem`.
         ts: (N + 1,) s.
         states: with a leading axis N + 1.
-        ctrls: (N, nu); of a collocation the means over the steps.
-        numbers: (p,), the design and the final time that were found.
+        ctrls: (N, nu); for a collocation the means over the steps.
+        parameters: (p,), the optimised design parameters and, last, the final time.
         cost: (), without penalties.
         status: (), a `rb.control.Status`; `summary()` explains it.
         iterations: ().
-        expected_decrease: (), of the cost, by the last iteration.
-        gap: (), the largest between a step and the next state, on the tangent space.
-        violation: (), the largest of a constraint; violations: of each constraint.
-        costs: (history,) of the iterations.
+        expected_decrease: (), expected decrease of the cost by the last iteration.
+        gap: (), largest entry of a step minus the next state, on the tangent space.
+        violation: (), largest constraint violation.
+        violations: largest violation of each constraint.
+        costs: (history,), cost after each iteration.
         K: (N, nu, n), gains of the feedback u = ctrls - K (x (-) states).
         multipliers: of the constraints, a pair (N, c), (e,).
-        penalty: () of the augmented Lagrangian.
-        stages: of a collocation.
-        method: its name.
+        penalty: (), of the augmented Lagrangian.
+        stages: `StageValues` of a collocation, else None.
+        method: name of the method.
     """
 
     problem: Problem
@@ -108,11 +112,11 @@ class Solution(Record):
 
     @property
     def success(self) -> jax.Array:
-        """Whether the search converged to an optimum. It is false for sampling methods."""
+        """True if the search converged to an optimum. It is false for sampling methods."""
         return self.status == CONVERGED
 
     def summary(self) -> str:
-        """How the search of one problem ended, and the constraint with the largest violation.
+        """Describe how the search of one problem ended, with the most violated constraint.
 
         Raises:
             InputError: a batch of solutions.
@@ -130,7 +134,7 @@ class Solution(Record):
 
     @property
     def model(self) -> Any:
-        """The model with the numbers that were found."""
+        """The model with the optimised design parameters."""
         return self.problem.at(self.parameters)[0].model
 
     @property
@@ -139,11 +143,11 @@ class Solution(Record):
         return self.ts[..., -1]
 
     def state(self, k: int | jax.Array) -> Any:
-        """The state at knot k."""
+        """Return the state at knot k."""
         return take(self.states, k)
 
     def policy(self) -> Callable[[Any, Any], jax.Array]:
-        """The feedback (t, state) -> ctrl about the motion, within the bounds: for `rb.rollout`."""
+        """Return the feedback (t, state) -> ctrl about the motion, for `rb.rollout`."""
         dt = self.ts[1] - self.ts[0]
         problem, system = self.problem, self.problem.at(self.parameters)[0]
         N, n = problem.horizon, system.n
@@ -160,7 +164,7 @@ def solution_of(
     problem: Problem, result: SearchResult, violations: jax.Array, ts: jax.Array,
     parameters: jax.Array, method: str,
 ) -> Solution:  # fmt: skip
-    """The public form of a result."""
+    """Convert a result to the public `Solution`."""
     penalty = result.penalty
     if penalty is None:
         penalty = jnp.full_like(result.cost, PENALTY)

@@ -1,8 +1,9 @@
-"""`solve`: a problem, by any method.
+"""`solve`: the entry point of all optimal control methods.
 
-Most numbers of a model are zeros and ones. If they are compile-time constants, half of the
-operations are left out, but other numbers need another program. So the numbers of the first robots
-of a form are constants, and those of later ones are arguments (`ConstantRobots`).
+Most parameters of a model are zeros and ones. As compile-time constants they remove half of the
+operations, but each set of constants needs its own compilation. So the parameters of the first
+robots of each structure are constants, and later robots of that structure are arguments
+(`ConstantRobots`).
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ from rbjax.errors import InputError
 from rbjax.motion.closures.captured import with_captured
 from rbjax.progress import Say, progress_line
 
-#: robots of the same form whose numbers become constants
+#: number of robots of each structure whose parameters become constants
 ROBOTS = 2
-#: robots, and their forms, that are remembered
+#: size of the caches
 REMEMBERED = 64
 
 
 class Constants:
-    """A pytree that is compared by its numbers, so that a program may be known by it."""
+    """A pytree that is hashed and compared by value, for use as a static argument."""
 
     def __init__(self, leaves: list, tree: Any):
         self.leaves, self.tree = leaves, tree
@@ -52,7 +53,7 @@ class Constants:
         self._hash = hash((tree, self._key))
 
     def unflatten(self) -> Any:
-        """The pytree."""
+        """Return the pytree."""
         return jax.tree.unflatten(self.tree, self.leaves)
 
     def __hash__(self) -> int:
@@ -68,16 +69,19 @@ class Constants:
 
 
 class ConstantRobots:
-    """What has been made constant. Robots are found again by the identity of their arrays, for
-    reading these from a GPU takes longer than a call."""
+    """Cache of the robots that are compile-time constants. The cache key is the identity of a
+    robot's arrays, because reading arrays from a GPU takes longer than a call."""
 
     def __init__(self) -> None:
         self._seen: dict[tuple, Constants] = {}
         self._forms: dict[Hashable, list[Constants]] = {}
 
     def constants(self, robot: Any) -> Constants | None:
-        """A robot as constants; None if its numbers are traced, cannot be compared, or there were
-        others of the same form before."""
+        """Return a robot as constants, or None to pass it as an argument.
+
+        None: its arrays are traced, it cannot be hashed, or the limit of constant robots of its
+            structure is reached.
+        """
         leaves, tree = jax.tree.flatten(robot)
         if any(isinstance(x, jax.core.Tracer) for x in leaves):
             return None
@@ -86,10 +90,10 @@ class ConstantRobots:
         if found is None:
             try:
                 found = Constants(leaves, tree)
-            except TypeError:  # a function without a hash
+            except TypeError:  # a leaf without a hash
                 return None
             _forget(self._seen)
-            self._seen[key] = found  # its arrays live as long, so that no other has their identity
+            self._seen[key] = found  # keeps the arrays alive, so their ids stay unique
         form = (tree, *(x.shape if eqx.is_array(x) else x for x in leaves))
         same = self._forms.get(form)
         if same is None:
@@ -105,7 +109,7 @@ class ConstantRobots:
 
 
 def _forget(found: dict) -> None:
-    """Makes room for one more, of the oldest."""
+    """Remove the oldest entries, so that there is space for one more."""
     while len(found) >= REMEMBERED:
         del found[next(iter(found))]
 
@@ -131,33 +135,33 @@ def solve(
 
     Args:
         problem: `Problem`.
-        start: `State` of a model or a wheeled robot, (n,) of `Equations`; the first guess where it
-            is free.
-        method: one of `rb.control.methods()`; or a `Sampling` or `SampledStart` with other
-            parameters.
-        states: a first guess of the states, with a leading axis N + 1. It need not obey the
-            dynamics. None: the start, at all knots; or, if ctrls are given, the motion by these if
-            it costs less.
-        ctrls: a first guess (N, nu) of the controls; None for zeros.
-        parameters: a first guess of the design and, last, of the final time.
-        guess: instead of these three, the `Solution` of a similar problem. The search starts from
+        start: `State` of a model or a wheeled robot, (n,) of `Equations`. Free coordinates of it
+            are a first guess.
+        method: a name from `rb.control.methods()`, or a `Sampling` or `SampledStart`.
+        states: a first guess of the states, with a leading axis N + 1, which need not obey the
+            dynamics. If None: the start at all knots; or, if ctrls are given, the motion under them
+            if it costs less.
+        ctrls: a first guess (N, nu) of the controls; zeros if None.
+        parameters: a first guess of the design parameters and, last, of the final time.
+        guess: the `Solution` of a similar problem, instead of these three. The search starts from
             its motion, rolled out with its gains from the new start, and from its multipliers.
-        iterations: at most.
-        tolerance: of the change of the cost that an iteration predicts, relative to the larger of
-            |cost| and min(|cost of the first guess|, 1); at least 10 eps of the dtype.
-        violation: of constraints, in their units.
-        seed: an integer, the seed of a method that draws samples; `jax.vmap` over it tries many.
-        progress: show the iterations on a terminal; within a program it is ignored.
+        iterations: maximum number of iterations.
+        tolerance: the search converges if the predicted change of the cost is below this, relative
+            to the larger of |cost| and min(|cost of the first guess|, 1); at least 10 eps of the
+            dtype.
+        violation: largest accepted constraint violation, in the units of the constraints.
+        seed: integer seed of methods that draw samples; use `jax.vmap` over it for many attempts.
+        progress: if true, print the iterations on a terminal; ignored in traced code.
 
     Returns:
         `Solution`. `success` is true if it converged; `summary()` explains its `status`. Its
-        states, controls, parameters, cost and multipliers have derivatives, forward and reverse,
-        by all arrays of the problem, by arrays that its functions close over, and by the start,
-        also with active bounds and constraints (`derivatives`). Its gains and the record of the
-        iterations are constants to derivatives.
+        states, controls, parameters, cost and multipliers are differentiable, forward and reverse,
+        with respect to all arrays of the problem, arrays that its functions close over, and the
+        start, also with active bounds and constraints (`derivatives`). Its gains and the record of
+        the iterations are constants for differentiation.
 
     Raises:
-        InputError: wrong types or shapes; outside of traced code also numbers that are not finite.
+        InputError: wrong types or shapes; outside of traced code also values that are not finite.
         UnknownName: no such method.
 
     Source: Mastalli et al., *Crocoddyl*, ICRA 2020 (`ddp`).
@@ -225,8 +229,8 @@ def solve(
 
 
 def _check_finite(name: str, value: Any) -> None:
-    """`InputError` if a number is not finite. Traced values and arrays on a GPU are not read; then
-    the status is `NOT_FINITE`."""
+    """Raise InputError if a value is not finite. Traced values and arrays on a GPU are not read;
+    for them the status is `NOT_FINITE`."""
     for x in jax.tree.leaves(value):
         if name != "start" and isinstance(x, str | bytes):  # `checked` raises for a start
             raise InputError(f"solve: {name} is {x!r}, expected numbers")
@@ -234,14 +238,14 @@ def _check_finite(name: str, value: Any) -> None:
             continue
         try:
             whole = np.isfinite(np.asarray(x, float)).all()
-        except (TypeError, ValueError):  # another check names the type
+        except (TypeError, ValueError):  # another check reports the type
             continue
         if not whole:
             raise InputError(f"solve: {name} has numbers that are not finite, expected finite ones")
 
 
 def _check_seed(seed: Any) -> None:
-    """`InputError` unless a seed is an integer from 0 to 2^32 - 1, or an array of such."""
+    """Raise InputError unless a seed consists of integers from 0 to 2^32 - 1."""
     x = np.asarray(seed)
     if x.dtype.kind not in "iu" or (x.size and not (0 <= x.min() <= x.max() < 2**32)):
         raise InputError(f"solve: seed is {seed!r}, expected an integer from 0 to 2^32 - 1")
@@ -251,11 +255,11 @@ def _on_host(x: jax.Array) -> bool:
     return all(d.platform == "cpu" for d in x.devices())
 
 
-_lines: list[Say] = []  # of the searches that run now
+_lines: list[Say] = []  # progress lines of the running searches
 
 
 def _report(iterations: Any, cost: Any, violation: Any) -> None:
-    """One function for all searches: programs are known by it."""
+    """Print an iteration; one function for all searches, as it is part of the cache key."""
     if _lines:
         held = f", violation {float(violation):.2g}" if violation else ""
         _lines[-1](f"iteration {int(iterations)}, cost {float(cost):.8g}{held}")
@@ -265,14 +269,14 @@ _robots = ConstantRobots()
 
 
 def _as_number(x: Any) -> Any:
-    """A number that a program may be given as it is."""
+    """Return x as a valid argument of a compiled function."""
     return x if isinstance(x, int | float) else jnp.asarray(x)
 
 
 def _solve(
     numeric: Any, start: Any, guess: Guess, options: Options, key: tuple, method: Any, history: int
 ) -> tuple[SearchResult, jax.Array, jax.Array, jax.Array]:
-    """The result, the violation of each constraint, the times and the parameters."""
+    """Return the result, the violation of each constraint, the times and the parameters."""
     tree, constants, other_tree, *others = key
     parts = eqx.combine(numeric, jax.tree.unflatten(other_tree, others))
     if constants is not None:
@@ -291,8 +295,7 @@ def _search(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, method: Any,
     history: int,
 ) -> tuple[SearchResult, jax.Array]:  # fmt: skip
-    """The result of a method, its status corrected by violated constraints and values not
-    finite."""
+    """Run a method, and correct its status for violated constraints and nan values."""
     used = method_of(method)
 
     def search(*given: Any) -> SearchResult:
@@ -305,7 +308,7 @@ def _search(
     if found.violations is not None:
         return found, found.violations
     off = constraint_violations(problem, *rows_along(problem, found.knots, found.ctrls))
-    # a method that weighs constraints against costs may come to rest where they do not hold
+    # a penalty method may converge to a point that violates constraints
     rests = (found.status == CONVERGED) | (found.status == FINISHED)
     broken = (off > options.rule.violation).any() & rests
     status = jnp.where(broken, INFEASIBLE, found.status)
@@ -315,7 +318,7 @@ def _search(
 
 @jax.custom_jvp
 def _without_derivative(found: SearchResult) -> SearchResult:
-    """The result of a method whose equations are not steps of the system."""
+    """Return the result of a method without derivatives; differentiating it raises InputError."""
     return found
 
 

@@ -1,9 +1,10 @@
-"""Systems: states on a manifold, and a step.
+"""Dynamical systems of optimal control: states on a manifold, and a discrete step.
 
-    x+ = f(t, x, u, dt),      x (+) dx,      dx = y (-) x,      A = df/dx, B = df/du on the tangent
-The optimisers know nothing else of a robot. A system is made of a `Model`, of any function of a
-vector (`Equations`), or of an object whose type is registered by `as_system.register`
-(robots of `rbjax.wheeled`).
+    x+ = f(t, x, u, dt),      x (+) dx,      dx = y (-) x,      A = df/dx, B = df/du (tangent)
+
+The methods of `solve` use only this interface. A system is a `Model`, a function of a vector
+(`Equations`), or an object whose type is registered with `as_system.register` (robots of
+`rbjax.wheeled`).
 """
 
 from __future__ import annotations
@@ -36,10 +37,8 @@ class Linearised(NamedTuple):
 
 
 class System(Record):
-    """States on a manifold, and a step. Subclasses are final.
-
-    `model` is the `model` argument of costs and constraints: the robot itself.
-    """
+    """A dynamical system: states on a manifold, and a step. Subclasses are final. `model` is the
+    `model` argument of costs and constraints: the robot itself."""
 
     @property
     def model(self) -> Any:
@@ -47,7 +46,7 @@ class System(Record):
         return self
 
     def with_model(self, model: Any) -> System:
-        """The same system with another model."""
+        """Return the same system with another model."""
         raise NotImplementedError(f"{type(self).__name__} has no method with_model")
 
     @property
@@ -62,48 +61,48 @@ class System(Record):
 
     @property
     def ctrl_range(self) -> tuple[Any, Any]:
-        """The smallest and the largest controls (nu,) that the system takes."""
+        """The smallest and the largest valid controls, (nu,) each."""
         return jnp.full(self.nu, -jnp.inf), jnp.full(self.nu, jnp.inf)
 
     @property
     def by_velocities(self) -> bool:
-        """Whether a step is dq+ = dq + dt dv+ of the tangent (dq, dv)."""
+        """True if a step is dq+ = dq + dt dv+ on the tangent space (dq, dv)."""
         return False
 
     def spans(self) -> list[slice]:
-        """Of each leaf of a state, the coordinates of the tangent space that it can change."""
+        """Return, for each leaf of a state, the tangent coordinates on which the leaf depends."""
         leaves = jax.tree.leaves(self.example(jnp.zeros(()).dtype))
         return [slice(0, self.n)] * len(leaves)
 
     def checked(self, where: str, state: Any) -> Any:
-        """A state in the form that `step` takes, or an InputError."""
+        """Convert a state to the form that `step` requires; raise InputError if that fails."""
         raise NotImplementedError(f"{type(self).__name__} has no method checked")
 
     def example(self, dtype: Any) -> Any:
-        """A state, of which only shapes count."""
+        """Return a state with the right shapes; its values are arbitrary."""
         raise NotImplementedError(f"{type(self).__name__} has no method example")
 
     def step(self, t: Any, state: Any, ctrl: jax.Array, dt: Any) -> Any:
-        """The state after dt under constant controls."""
+        """Return the state after dt under constant controls."""
         raise NotImplementedError(f"{type(self).__name__} has no method step")
 
     def plus(self, state: Any, dx: jax.Array) -> Any:
-        """state (+) dx."""
+        """Return state (+) dx."""
         raise NotImplementedError(f"{type(self).__name__} has no method plus")
 
     def minus(self, one: Any, other: Any) -> jax.Array:
-        """dx (n,) from `other` to `one`: other (+) dx = one."""
+        """Return dx (n,) from `other` to `one`: other (+) dx = one."""
         raise NotImplementedError(f"{type(self).__name__} has no method minus")
 
     def rates(self, t: Any, base: Any, dx: jax.Array, ctrl: jax.Array) -> jax.Array:
-        """dx' (n,) of the motion base (+) dx in continuous time, for collocation."""
+        """Return dx' (n,) of the motion base (+) dx in continuous time, for collocation."""
         raise InputError(
             f"{type(self).__name__} has steps only, and collocation needs rates in continuous "
             "time; take another method, such as 'ddp', or write the rates as rb.control.Equations"
         )
 
     def linear(self, t: Any, state: Any, ctrl: jax.Array, dt: Any) -> Linearised:
-        """The step and its derivatives, by forward differentiation of `step`."""
+        """Return the step and its derivatives, by forward differentiation of `step`."""
         after = self.step(t, state, ctrl, dt)
 
         def moved(dx: jax.Array, du: jax.Array) -> jax.Array:
@@ -115,11 +114,12 @@ class System(Record):
 
 
 class Robot(System):
-    """A `Model` under an integrator and a dynamics.
+    """A `Model` with an integrator and dynamics.
 
-    Fields: robot, whose actuators take any control: a control clipped to its range would have no
-    derivative at a bound, so the optimiser holds the ranges; integrator and dynamics, as
-    `rb.rollout` takes them; ranges (nu, 2), of the controls.
+    robot: the model, with unlimited actuators; the optimiser enforces the control ranges, since
+        clipping would make derivatives zero at a bound.
+    integrator, dynamics: as in `rb.rollout`.
+    ranges: control ranges, (nu, 2).
     """
 
     robot: Model
@@ -204,10 +204,13 @@ class Robot(System):
 
 
 class Equations(System):
-    """A function of a vector: x' = f(t, x, u) by RK4 steps, or x+ = f(t, x, u).
+    """A system from a function of a vector: x' = f(t, x, u) with RK4 steps, or x+ = f(t, x, u).
 
-    Fields: function; size, of x; controls, the number of them; discrete, whether the function
-    gives the next state; parts, Runge-Kutta steps of one step.
+    function: f.
+    size: length of x.
+    controls: length of u.
+    discrete: true if the function returns the next state.
+    parts: number of Runge-Kutta steps of one step.
     """
 
     function: Callable[[Any, jax.Array, jax.Array], jax.Array]
@@ -293,7 +296,7 @@ class Equations(System):
 
 
 def unlimited(model: Model) -> Model:
-    """The model with actuators that take any control."""
+    """Return the model with unlimited controls."""
     ends = jnp.asarray([-jnp.inf, jnp.inf])
     ranges = jnp.broadcast_to(ends, jnp.shape(model.actuators.ctrlrange))
     return model.replace(actuators=model.actuators.replace(ctrlrange=ranges))
@@ -301,7 +304,7 @@ def unlimited(model: Model) -> Model:
 
 @functools.singledispatch
 def as_system(model: Any) -> System | None:
-    """The `System` of an object, None if its type has none. `as_system.register` adds a type."""
+    """Return the `System` of an object, or None. `as_system.register` adds a type."""
     return model if isinstance(model, System) else None
 
 
@@ -312,7 +315,7 @@ def system_of(
     dynamics: Any = free_motion,
     constraints: Any = None,
 ) -> System:
-    """The system of a model, or a system itself."""
+    """Return the system of a model, or a system itself."""
     if isinstance(model, Model):
         dynamics = dynamics_of(where, model, dynamics, constraints)
         ranges = jnp.asarray(model.actuators.ctrlrange)

@@ -1,11 +1,11 @@
 """Terms of costs and constraints: functions of a robot's state and controls.
 
-A term is a function (model, t, state, ctrl) -> a number, or a vector of residuals r. As a cost a
-number counts as it is, a vector as sum w r^2 / 2 (`Cost`). Any function (t, state, ctrl) or
-(model, t, state, ctrl) is a term; the standard ones are here and in `clearances`. A reference is a
-value, or a function t -> value of the time in s.
+A term is a function (model, t, state, ctrl) -> a number, or a vector of residuals r. As a cost, a
+number is the cost itself, and a vector costs sum w r^2 / 2 (`Cost`). Any function (t, state, ctrl)
+or (model, t, state, ctrl) is a term. Standard terms are in this module and in `clearances`. A
+reference is a value, or a function t -> value of the time in s.
 
-A cost of residuals is expanded by Gauss and Newton: gradient J^T w r, Hessian J^T w J. A number is
+A cost of residuals is expanded by Gauss-Newton: gradient J^T w r, Hessian J^T w J. A number is
 expanded by its gradient and its Hessian.
 """
 
@@ -48,7 +48,7 @@ class Term(Record):
 
 
 class Given(Term):
-    """A function of the caller, (t, state, ctrl) or (model, t, state, ctrl)."""
+    """A term from a function (t, state, ctrl) or (model, t, state, ctrl) of the caller."""
 
     function: Callable[..., Any]
     takes_model: bool = eqx.field(static=True)
@@ -66,9 +66,10 @@ class Given(Term):
 class Cost(Record):
     """A term with its weight.
 
-    Fields: term; weight, () or (m,) of residuals, not negative; () of a number; knots, the indices
-    of the knots at which a running cost counts, all if None. In a collocation the stages from a
-    knot up to the next belong to it.
+    term: a `Term`, or a function.
+    weight: () or (m,) for m residuals, () for a number; not negative.
+    knots: indices of the knots of a running cost; all if None. In a collocation, the stages after a
+        knot belong to that knot.
     """
 
     term: Term
@@ -88,11 +89,13 @@ class Cost(Record):
 
 
 class Constraint(Record):
-    """low <= term <= high; an equation where both are equal.
+    """A constraint low <= term <= high; an equation if both are equal.
 
-    Fields: term; low and high, () or as the term, infinite without a bound; where: at which
-    knots: "path" (the knots with controls), "end" or "all"; name; knots, the indices of the knots
-    of the path at which it counts, all if None.
+    term: a `Term`, or a function.
+    low, high: bounds, () or in the shape of the term; infinite for no bound.
+    where: "path" (the knots with controls), "end" or "all".
+    name: used in messages.
+    knots: indices of the knots of the path with the constraint; all if None.
     """
 
     term: Term
@@ -127,7 +130,7 @@ class Constraint(Record):
 
 
 def term_of(where: str, f: Any) -> Term:
-    """A term, or a function as one."""
+    """Return a term, or convert a function to one."""
     if isinstance(f, Term):
         return f
     if not callable(f):
@@ -153,7 +156,7 @@ def term_of(where: str, f: Any) -> Term:
 
 
 def knot_indices_of(where: str, knots: Any) -> tuple[int, ...] | None:
-    """Indices of knots as integers; None for all."""
+    """Return indices of knots as integers; None for all."""
     if knots is None:
         return None
     given = check_several(where, "knots", knots, "indices of knots")
@@ -161,7 +164,7 @@ def knot_indices_of(where: str, knots: Any) -> tuple[int, ...] | None:
 
 
 def cost_of(where: str, given: Any) -> Cost:
-    """A cost, or a term or a function as one with weight 1."""
+    """Return a cost, or convert a term or a function to one with weight 1."""
     return given if isinstance(given, Cost) else Cost(term_of(where, given))
 
 
@@ -170,10 +173,11 @@ def _name(f: Any) -> str:
 
 
 class StateError(Term):
-    """x (-) reference, (n,): dq on the tangent space, dv, and states of force elements. For a
-    wheeled robot dq, dv and states of tyres. For `Equations` x - reference.
+    """State error x (-) reference, (n,): dq on the tangent space, dv, and states of force elements.
 
-    Fields: reference, a state; or a function t -> state.
+    For a wheeled robot it is dq, dv and states of tyres, for `Equations` x - reference.
+
+    reference: a state, or a function t -> state.
     """
 
     reference: Any
@@ -202,23 +206,23 @@ class StateError(Term):
 
 
 class Velocity(Term):
-    """v (nv,), m/s or rad/s."""
+    """Velocity v (nv,), m/s or rad/s."""
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         return state.v
 
 
 class Configuration(Term):
-    """q (nq,), for the limits of hinges and slides."""
+    """Configuration q (nq,), for the limits of hinges and slides."""
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         return state.q
 
 
 class Control(Term):
-    """u - reference, (nu,).
+    """Control error u - reference, (nu,).
 
-    Fields: reference, (nu,) or (); or a function t -> (nu,).
+    reference: (nu,) or (), or a function t -> (nu,).
     """
 
     reference: jax.Array | Callable[[Any], Any] | float = 0.0
@@ -231,21 +235,21 @@ class Control(Term):
 
 
 class Effort(Term):
-    """The generalized forces (nv,) of all that acts: actuators, springs, dampers, elements; N m."""
+    """Total generalized forces (nv,) of actuators, springs, dampers and elements, N m or N."""
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         return applied_forces(model, state, ctrl, t)
 
 
 class Acceleration(Term):
-    """v' (nv,) of free motion."""
+    """Acceleration v' (nv,) of the dynamics without constraints."""
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         return forward_dynamics(model, state.q, state.v, applied_forces(model, state, ctrl, t))
 
 
 class Jerk(Term):
-    """v'' (nv,) of free motion, the controls held: d/dt a(q, v, u) = a_q v + a_v a."""
+    """Jerk v'' (nv,) of the dynamics without constraints, for constant controls: a_q v + a_v a."""
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         acceleration = Acceleration()
@@ -262,9 +266,9 @@ class Jerk(Term):
 
 
 class CenterOfMass(Term):
-    """The centre of mass of the robot minus `position`, (3,) m in world axes.
+    """Center of mass of the robot minus `position`, (3,) m in world axes.
 
-    Fields: position (3,); or a function t -> (3,).
+    position: (3,), or a function t -> (3,).
     """
 
     position: jax.Array | Callable[[Any], Any]
@@ -277,10 +281,10 @@ class CenterOfMass(Term):
 
 
 class Pose(Term):
-    """log(T_ref^-1 T) of a site or body, (6,): the rotation vector, then the translation part in m.
+    """Pose error log(T_ref^-1 T) of a site or body, (6,): rotation vector, then translation, m.
 
-    Fields: rotation (3, 3) and position (3,) of the reference in the world, or functions of t that
-    return these; site or body, a name.
+    rotation, position: (3, 3) and (3,) m, the reference in the world, or functions of t.
+    site, body: the name of the frame; give exactly one of the two.
     """
 
     rotation: jax.Array | Callable[[Any], Any]
@@ -305,9 +309,10 @@ class Pose(Term):
 
 
 class Point(Term):
-    """The position of a site or body minus `position`, (3,) m in world axes.
+    """Position of a site or body minus `position`, (3,) m in world axes.
 
-    Fields: position (3,); or a function t -> (3,); site or body, a name.
+    position: (3,), or a function t -> (3,).
+    site, body: the name of the frame; give exactly one of the two.
     """
 
     position: jax.Array | Callable[[Any], Any]
@@ -324,7 +329,7 @@ class Point(Term):
 
 
 class FrameVelocity(Term):
-    """The twist of a site or body, (6,): angular rad/s, then linear m/s, in world axes."""
+    """Twist of a site or body, (6,): angular rad/s, then linear m/s, in world axes."""
 
     site: str | None = eqx.field(static=True, default=None)
     body: str | None = eqx.field(static=True, default=None)
@@ -337,7 +342,7 @@ class FrameVelocity(Term):
 
 
 def at_time(where: str, reference: Any, t: Any) -> Any:
-    """The value of a reference at the time t."""
+    """Return the value of a reference at the time t."""
     if not callable(reference):
         return reference
     check_takes(where, "the reference", reference, "t")
@@ -345,8 +350,8 @@ def at_time(where: str, reference: Any, t: Any) -> Any:
 
 
 def check_target(where: str, name: str, value: Any, shape: tuple[int, ...] | None) -> None:
-    """`InputError` unless a reference is a function of t, or arrays, finite if known, whose last
-    axes have a shape (None: any). Leading axes are a batch."""
+    """Raise InputError unless a reference is a function of t, or arrays of finite numbers. The last
+    axes of an array must have the given shape (None: any). Leading axes are a batch."""
     if callable(value):
         check_takes(where, f"the {name}", value, "t")
         return
@@ -372,7 +377,7 @@ def check_target(where: str, name: str, value: Any, shape: tuple[int, ...] | Non
 
 
 def check_frame(where: str, site: Any, body: Any) -> None:
-    """Raise unless exactly one of a site and a body is given."""
+    """Raise InputError unless exactly one of site and body is given, as a string."""
     if (site is None) == (body is None):
         raise InputError(f"{where}: got site={site!r} and body={body!r}, expected one of them")
     if not isinstance(body if site is None else site, str):

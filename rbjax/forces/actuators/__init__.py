@@ -1,1 +1,1 @@
-"""Actuators: transmissions, laws from controls to forces, and their losses."""
+"""Actuators: transmissions, force laws from controls to forces, and losses."""

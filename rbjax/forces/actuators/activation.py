@@ -1,13 +1,13 @@
-"""Activations of actuators: lag, wind-up and recruitment between a control and a force; muscles.
+"""Activation states of actuators between a control and a force: integrators, filters, muscles.
 
     integrator  a' = u,      filter  a' = (u - a) / T,      muscle  a' = (u - a) / T(u, a)
-(MuJoCo, *Computation*, stateful actuators.) A step keeps the state within its range. The step of an
+(MuJoCo, *Computation*, stateful actuators.) A step clips the state to its range. The step of an
 exact filter is the solution for a constant control, a + (u - a) (1 - exp(-h / T)).
 
     f = -F0 (FL(L) FV(V) a + FP(L)),      L = (l - LT) / L0,      V = l' / (L0 vmax)
-is the force of a muscle. FL rises from 0 at lmin to 1 at 1 and falls to 0 at lmax, FV falls from
-fvmax for a lengthening muscle to 0 at V = -1, FP begins at L = 1 (MuJoCo, *Modeling*, muscles). All
-three are piecewise parabolas with a continuous slope.
+is the force of a muscle. FL rises from 0 at lmin to 1 at L = 1 and falls to 0 at lmax. FV falls
+from fvmax for a lengthening muscle to 0 at V = -1. FP is positive for L > 1 (MuJoCo, *Modeling*,
+muscles). All three are piecewise parabolas with a continuous slope.
 """
 
 from __future__ import annotations
@@ -27,38 +27,38 @@ from rbjax.model.model import Record
 
 
 def clip(x: Lane, limits: Any, i: int) -> Lane:
-    """x within row i of the limits (n, 2); unchanged if these are known to be infinite."""
+    """Clip x to row i of the limits (n, 2); return x if this row is a literal infinite range."""
     low, high = lane(limits[:, 0], i), lane(limits[:, 1], i)
     if is_literal(low) and np.isneginf(low) and np.isposinf(high):
         return x
     return jnp.clip(x, jnp.asarray(low, x.dtype), jnp.asarray(high, x.dtype))
 
 
-#: as MuJoCo's mjMINVAL: no divisor is smaller
+#: MuJoCo's mjMINVAL, the lower limit of divisors
 LEAST = 1e-15
 
 
 class Activation(Record):
-    """One state a between a control and a force. limits: its range (2,), or infinite."""
+    """Base class of an activation state a between a control and a force. limits: (2,) its range."""
 
     limits: jax.Array
 
     @property
     def follows(self) -> bool:
-        """Whether the control is the value that the state approaches, and not its rate."""
+        """Whether a approaches the control; otherwise the control is the rate of a."""
         return True
 
     @abc.abstractmethod
     def rate(self, u: Lane, a: Lane) -> Lane:
-        """a' under the control u."""
+        """Compute the rate a' under the control u."""
 
     def advanced(self, u: Lane, a: Lane, h: Any) -> Lane:
-        """a after a step h under a held control."""
+        """Compute a after a step h with a constant control."""
         return self.within(a + h * self.rate(u, a))
 
     def within(self, a: Lane, period: Lane | None = None) -> Lane:
-        """Clip a to its range. With a period (of an angle), a value that differs from one of the
-        range by full periods is left as it is: `advanced` clips first, and then adds periods."""
+        """Clip a to its range. With the period of an angle, keep a value that is equal to one in
+        the range up to full periods: `advanced` clips first, and then adds periods."""
         limits = table(self.limits, a.dtype)[None]
         near = clip(a, limits, 0)
         if period is None or near is a:
@@ -69,7 +69,7 @@ class Activation(Record):
 
 
 class Integrator(Activation):
-    """a' = u."""
+    """An activation a that integrates the control: a' = u."""
 
     @property
     def follows(self) -> bool:
@@ -80,7 +80,7 @@ class Integrator(Activation):
 
 
 class Filter(Activation):
-    """a' = (u - a) / T; `exact`: its steps are the exact solution."""
+    """A first-order lag a' = (u - a) / T; `exact`: its steps are the exact solution."""
 
     time_constant: jax.Array
     exact: bool = eqx.field(static=True)
@@ -95,8 +95,8 @@ class Filter(Activation):
 
 
 class Recruitment(Activation):
-    """The activation of a muscle: time constants (2,) of activation and deactivation, both longer
-    for a longer way (Millard et al., 2013), and the width of a smooth transition between them."""
+    """The activation of a muscle (Millard et al., 2013): time constants (2,) of activation and
+    deactivation, which depend on a, and the width of a smooth transition between them."""
 
     time_constants: jax.Array
     width: jax.Array
@@ -116,27 +116,28 @@ class Recruitment(Activation):
 
 
 def smoothstep(x: Lane) -> Lane:
-    """0 below 0, 1 above 1, and 6 x^5 - 15 x^4 + 10 x^3 between."""
+    """Compute 6 x^5 - 15 x^4 + 10 x^3 for x between 0 and 1; 0 below, 1 above."""
     x = jnp.clip(x, 0.0, 1.0)
     return x * x * x * (3 * x * (2 * x - 5) + 10)
 
 
 def lag_step(h: Any, time_constant: Lane, gap: Lane) -> Lane:
-    """The part of a gap that a first-order lag closes in a step h."""
+    """Compute the part of a gap that a first-order lag closes in a step h."""
     return -jnp.expm1(jnp.asarray(-h / at_least(time_constant), gap.dtype)) * gap
 
 
 def at_least(x: Lane) -> Lane:
-    """Bound a divisor from below."""
+    """Bound a divisor from below by MuJoCo's lower limit."""
     return max(x, LEAST) if is_literal(x) else jnp.maximum(x, LEAST)
 
 
 class Muscle(Record):
-    """Numbers of a muscle's curves.
+    """The parameters of a muscle's curves.
 
-    Fields: parameters (9,), [range of L (2); F0; scale; lmin; lmax; vmax; fpmax; fvmax];
-    lengthrange (2,), lengths of the transmission at the range of L; acceleration (), of a unit
-    force at rest. `scaled`: F0 is scale / acceleration, and the third number unused.
+    parameters: (9,) [range of L (2); F0; scale; lmin; lmax; vmax; fpmax; fvmax].
+    lengthrange: (2,) lengths of the transmission at the range of L.
+    acceleration: () acceleration by a unit force at rest.
+    scaled: whether F0 is scale / acceleration, and the third parameter is not used; static.
     """
 
     parameters: jax.Array
@@ -145,20 +146,20 @@ class Muscle(Record):
     scaled: bool = eqx.field(static=True)
 
     def active(self, length: Lane, speed: Lane, dtype: Any) -> Lane:
-        """The force at full activation."""
+        """Compute the active force at full activation."""
         _, lmin, lmax, vmax, _, fvmax = p = self._numbers(dtype)
         L, optimal = self._scaled_length(length, dtype)
         V = speed / at_least(optimal * vmax)
         return -p[0] * length_curve(L, lmin, lmax) * speed_curve(V, fvmax)
 
     def passive(self, length: Lane, dtype: Any) -> Lane:
-        """The force of a muscle that is stretched and not active."""
+        """Compute the passive force of a stretched muscle."""
         peak, _, lmax, _, fpmax, _ = self._numbers(dtype)
         L, _ = self._scaled_length(length, dtype)
         return -peak * fpmax * passive_curve(L, lmax)
 
     def _numbers(self, dtype: Any) -> list[Lane]:
-        """F0, lmin, lmax, vmax, fpmax, fvmax."""
+        """Return F0, lmin, lmax, vmax, fpmax, fvmax."""
         column = table(self.parameters, dtype)
         _, _, peak, scale, *rest = (lane(column, i) for i in range(9))
         if self.scaled:
@@ -166,7 +167,7 @@ class Muscle(Record):
         return [peak, *rest]
 
     def _scaled_length(self, length: Lane, dtype: Any) -> tuple[Lane, Lane]:
-        """L, and L0."""
+        """Compute L and L0."""
         column, limits = table(self.parameters, dtype), table(self.lengthrange, dtype)
         low, high = lane(column, 0), lane(column, 1)
         least, most = lane(limits, 0), lane(limits, 1)
@@ -175,7 +176,7 @@ class Muscle(Record):
 
 
 def length_curve(L: Lane, lmin: Lane, lmax: Lane) -> Lane:
-    """FL: 0, and half parabolas with knots at lmin, (lmin + 1) / 2, 1, (1 + lmax) / 2, lmax."""
+    """Compute FL: half parabolas with knots at lmin, (lmin + 1) / 2, 1, (1 + lmax) / 2, lmax."""
     a, b = 0.5 * (lmin + 1), 0.5 * (1 + lmax)
     rise = 0.5 * _square((L - lmin) / at_least(a - lmin))
     before = 1 - 0.5 * _square((1 - L) / at_least(1 - a))
@@ -187,14 +188,14 @@ def length_curve(L: Lane, lmin: Lane, lmax: Lane) -> Lane:
 
 
 def speed_curve(V: Lane, fvmax: Lane) -> Lane:
-    """FV: 0 up to V = -1, 1 at rest, fvmax from V = fvmax - 1 on."""
+    """Compute FV: 0 for V <= -1, 1 at V = 0, fvmax for V >= fvmax - 1."""
     y = fvmax - 1
     lengthening = fvmax - _square(jnp.maximum(y - V, 0.0)) / at_least(y)
     return jnp.where(V <= 0, _square(jnp.maximum(V + 1, 0.0)), lengthening)
 
 
 def passive_curve(L: Lane, lmax: Lane) -> Lane:
-    """FP / fpmax: 0 up to L = 1, half a parabola up to (1 + lmax) / 2, then its tangent."""
+    """Compute FP / fpmax: 0 for L <= 1, half a parabola up to (1 + lmax) / 2, then its tangent."""
     width = at_least(0.5 * (1 + lmax) - 1)
     x = jnp.maximum((L - 1) / width, 0.0)
     return jnp.where(x <= 1, 0.5 * x * x, x - 0.5)

@@ -1,12 +1,11 @@
 """Actuators: a transmission, and a force law from controls to a force.
 
     tau = r(q) f(u, x, l, l'),      x' = rate(u, x, l, l')
-(MuJoCo, *Computation*, actuation model.) `model.actuators` stores as columns those at a joint or a
-site that have no state and are affine in their control,
+(MuJoCo, *Computation*, actuation model.) `model.actuators` stores as columns the actuators at a
+joint or a site that have no state and are affine in their control,
 
     f = clip((g0 + g1 l + g2 l') clip(u) + b0 + b1 l + b2 l').
-A model of many motors then has five arrays, which are parameters of identification, instead of five
-for each motor.
+A model of many motors then has five arrays, which can be identified, instead of five per motor.
 """
 
 from __future__ import annotations
@@ -34,9 +33,9 @@ class Signals:
     """The inputs of a force law.
 
     u: controls, clipped to their ranges.
-    x: the state of the law.
-    length, speed: of the transmission.
-    h: the step in s; the model's timestep if no step is fixed.
+    x: state of the law.
+    length, speed: length of the transmission and its rate.
+    h: time step in s; the model's timestep if no step is fixed.
     """
 
     def __init__(self, now: Context, u: Sequence[Lane], transmission: Transmission):
@@ -46,17 +45,17 @@ class Signals:
 
     @property
     def reach(self) -> Reach:
-        """Length and moment arms."""
+        """The length and moment arms of the transmission."""
         return self._now.once(self._transmission, lambda: self._transmission.reach(self._now))
 
     @property
     def length(self) -> Lane:
-        """l."""
+        """The length l of the transmission."""
         return self.reach.length
 
     @property
     def speed(self) -> Lane:
-        """l'."""
+        """The rate l' of the length."""
         return self._now.once(self.reach, lambda: self.reach.speed(self._now))
 
     @property
@@ -65,49 +64,49 @@ class Signals:
         return self._transmission.turn(self.dtype)
 
     def nearest(self, angle: Lane, to: Lane) -> Lane:
-        """The angle plus the number of full turns that brings it nearest to another angle."""
+        """Shift an angle by full turns to be nearest to another angle."""
         return angle - self.turn * jnp.round((angle - to) / self.turn)
 
 
 class ForceLaw(Record):
-    """From an actuator's controls, state, length and speed to its force."""
+    """Base class of a map from an actuator's controls, state, length and speed to its force."""
 
     @property
     def size(self) -> int:
-        """The size of its state."""
+        """The size of the state of the law."""
         return 0
 
     @abc.abstractmethod
     def force(self, seen: Signals) -> Lane:
-        """The force that the actuator's force range limits."""
+        """Compute the force, which the actuator then clips to its force range."""
 
     def friction(self, seen: Signals) -> Lane:
-        """The force that nothing limits."""
+        """Compute the additional force that is not clipped."""
         return 0.0
 
     def rate(self, seen: Signals) -> Sequence[Lane]:
-        """x'."""
+        """Compute the rate x' of the state."""
         return []
 
     def advanced(self, seen: Signals, dt: Any) -> Sequence[Lane]:
-        """x after a step."""
+        """Compute the state x after a step dt."""
         return []
 
     def within(self, x: Sequence[Lane], dtype: Any, turn: Callable) -> Sequence[Lane]:
-        """x within its range. turn(dtype): the change of the length over a full turn."""
+        """Clip the state x to its range. turn(dtype): change of the length over a full turn."""
         return x
 
     def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
-        """The derivatives of the force by l and l', for an implicit step; zero if not known."""
+        """Compute the derivatives of the force by l and l' for an implicit step; 0 by default."""
         return 0.0, 0.0
 
 
 class Actuator(Element):
-    """A transmission and a force law.
+    """A force element of a transmission and a force law.
 
-    ctrlrange: (n, 2) of its controls, infinite if the file sets none.
-    forcerange: (2,), infinite if the file sets none.
-    controls: their indices among those of the model; static.
+    ctrlrange: (n, 2) range of each control, infinite for none.
+    forcerange: (2,) range of the force, infinite for none.
+    controls: indices of its controls among the model's; static.
     """
 
     transmission: Transmission
@@ -132,8 +131,8 @@ class Actuator(Element):
         return Loads({n: mul(arm, force) for n, arm in seen.reach.arms.items()})
 
     def implicit_stiffness(self, now: Context, h: Any) -> dict[int, Lane]:
-        """The implicit stiffness of servos and dampers on joints whose coordinates add, which those
-        of an attitude do not. It is zero while the force is at the end of its range."""
+        """Compute the implicit stiffness of servos and dampers on joints other than attitudes. It
+        is zero if the force is at a limit of its range."""
         joint = self.transmission.joint if isinstance(self.transmission, JointAxis) else -1
         if joint < 0 or now.model.topology.joints[joint].quaternion:
             return {}
@@ -165,7 +164,7 @@ _ZERO: Any = np.zeros(1)
 
 
 class Affine(Record):
-    """c0 + c1 l + c2 l'; with one coefficient (1,) a constant."""
+    """An affine function c0 + c1 l + c2 l'; with one coefficient (1,) a constant."""
 
     coefficients: jax.Array
 
@@ -174,12 +173,12 @@ class Affine(Record):
         return found[0] if len(found) == 1 else inner(found, (1.0, seen.length, seen.speed))
 
     def slopes(self, dtype: Any) -> Sequence[Lane]:
-        """c1, c2."""
+        """Return c1 and c2."""
         return numbers(self.coefficients, dtype)[1:] or (0.0, 0.0)
 
 
 class Active(Record):
-    """The active force of a muscle."""
+    """The active force of a muscle at full activation."""
 
     muscle: Muscle
 
@@ -197,10 +196,10 @@ class Passive(Record):
 
 
 class GainBias(ForceLaw):
-    """f = gain a + bias, with the activation a, or the control if there is no activation.
+    """The force law gain a + bias, with the activation a, or the control if it has no activation.
 
-    `early`: the force is that of the activation after the step. `circular`: a is an angle; of all
-    that differ from it by full turns the one nearest to l counts.
+    early: whether the force uses the activation after the step; static.
+    circular: whether a is an angle, shifted by full turns to be nearest to l; static.
     """
 
     gain: Affine | Active
@@ -251,14 +250,14 @@ class GainBias(ForceLaw):
         return [self.activation.within(a, period) for a in x]
 
     def _control(self, seen: Signals) -> Lane:
-        """The control; on a circle, for an activation that follows it, the equivalent angle nearest
-        to the activation."""
+        """Return the control. If the law is circular and its activation follows the control, shift
+        the control by full turns to be nearest to the activation."""
         followed = self.activation is not None and self.activation.follows
         return seen.nearest(seen.u[0], seen.x[0]) if self.circular and followed else seen.u[0]
 
 
 def is_affine(element: Any) -> bool:
-    """Whether an element can be a row of `model.actuators`."""
+    """Check whether an element can be a row of `model.actuators`."""
     if type(element) is not Actuator or type(element.law) is not GainBias:
         return False
     law, transmission = element.law, element.transmission
@@ -269,7 +268,7 @@ def is_affine(element: Any) -> bool:
 
 
 def from_columns(model: Model) -> tuple[Actuator, ...]:
-    """The actuators of `model.actuators` as elements, without the rows that drive nothing."""
+    """Return the rows of `model.actuators` that drive a joint or a site as elements."""
     own = model.actuators
     names = ("gear", "gain", "bias", "ctrlrange", "forcerange")
     columns = (getattr(own, n) for n in names)
@@ -287,7 +286,7 @@ def from_columns(model: Model) -> tuple[Actuator, ...]:
 
 
 def to_columns(elements: Iterable[Any], nu: int) -> Actuators:
-    """Affine actuators as columns, a row for each of nu controls; the other rows drive nothing."""
+    """Convert affine actuators to columns with nu rows. Rows of other controls drive nothing."""
     gear, gain, bias = np.zeros((nu, 6)), np.zeros((nu, 3)), np.zeros((nu, 3))
     ctrlrange, forcerange = np.tile([-np.inf, np.inf], (2, nu, 1))
     joints, sites = [-1] * nu, [-1] * nu
@@ -301,6 +300,6 @@ def to_columns(elements: Iterable[Any], nu: int) -> Actuators:
             sites[i] = transmission.site
         else:
             joints[i] = transmission.joint
-    make: Any = Actuators  # of arrays of NumPy
+    make: Any = Actuators  # with NumPy arrays
     columns = gear, gain, bias, ctrlrange, forcerange
     return make(*columns, joints=tuple(joints), sites=tuple(sites))

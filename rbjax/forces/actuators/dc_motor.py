@@ -1,10 +1,10 @@
-"""A DC motor: voltage, current, heat, cogging and the friction of its bearings.
+"""A DC motor: voltage, current, heat, cogging and bearing friction.
 
     f = K i,      L i' = V - K l' - R i,      without inductance i = (V - K l') / R
     R = R0 (1 + alpha (T - T0)),      C T' = R i^2 - (T - Ta) / RT
     friction  -(s0 z + s1 z'),  z' = l' - s0 |l'| z / g(l'),  g = FC + (FS - FC) exp(-(l'/vS)^2)
-(MuJoCo, *DC motor technical note*; LuGre: Canudas de Wit et al., 1995.) A controller on board
-drives V = (R/K) tau + K l' within its limit; a terminal voltage is added to it.
+(MuJoCo, *DC motor technical note*; LuGre: Canudas de Wit et al., 1995.) An integrated controller
+applies V = (R/K) tau + K l', clipped to its limit. A terminal voltage is added to V.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from rbjax.model.model import Record
 class Windings(Record):
     """The electrical parameters of a motor.
 
-    resistance: () R0.
-    constant: () K.
+    resistance: () R0, resistance at T0.
+    constant: () K, torque and back-EMF constant.
     drive: () limit of the controller's voltage.
     time_constant: () L / R, if the current is a state.
     current_rate: () limit of i', if the current is a state.
@@ -44,24 +44,28 @@ class Windings(Record):
 
 
 class Heat(Record):
-    """The thermal model of the windings. numbers: (5,) RT K/W, C J/K, Ta, alpha 1/K, T0. The state
-    is T - Ta."""
+    """The thermal model of the windings, with the state T - Ta.
+
+    numbers: (5,) RT K/W, C J/K, Ta, alpha 1/K, T0.
+    """
 
     numbers: jax.Array
 
 
 class LuGre(Record):
-    """The LuGre friction of the bearings. numbers: (5,) s0, s1, FC, FS, vS. The state z is the
-    deflection of the bristles."""
+    """The LuGre friction of the bearings. The state z is the deflection of the bristles.
+
+    numbers: (5,) s0, s1, FC, FS, vS.
+    """
 
     numbers: jax.Array
 
     def rate(self, z: Lane, speed: Lane, dtype: Any) -> Lane:
-        """z'."""
+        """Compute the rate z' of the deflection."""
         return speed - self._decay(speed, dtype) * z
 
     def advanced(self, z: Lane, speed: Lane, h: Any, dtype: Any) -> Lane:
-        """z after a step at constant speed."""
+        """Compute z after a step at constant speed."""
         decay = self._decay(speed, dtype)
         some = decay > 1e-15
         lasting = jnp.where(some, decay, 1.0)
@@ -69,12 +73,12 @@ class LuGre(Record):
         return jnp.exp(-decay * h) * z + pushed * speed
 
     def force(self, z: Lane, speed: Lane, dtype: Any) -> Lane:
-        """s0 z + s1 z'."""
+        """Compute the friction force s0 z + s1 z'."""
         stiffness, damping, *_ = numbers(self.numbers, dtype)
         return stiffness * z + damping * self.rate(z, speed, dtype)
 
     def _decay(self, speed: Lane, dtype: Any) -> Lane:
-        """s0 |v| / g(v)."""
+        """Compute the decay rate s0 |v| / g(v)."""
         stiffness, _, coulomb, static, stribeck = numbers(self.numbers, dtype)
         ratio = speed / at_least(stribeck)
         g = coulomb + (static - coulomb) * jnp.exp(-ratio * ratio)
@@ -82,12 +86,12 @@ class LuGre(Record):
 
 
 class DCMotor(ForceLaw):
-    """A DC motor. A part that the motor does not have is None.
+    """The force law of a DC motor. A part that the motor does not have is None.
 
     cogging: (3,) amplitude, number of poles, phase.
     voltage: whether the last control is a terminal voltage; static.
 
-    Its states, as far as it has them: those of the controller, T - Ta, z, i.
+    The states are those of the controller, T - Ta, z and i, if the motor has the parts.
     """
 
     windings: Windings
@@ -106,7 +110,7 @@ class DCMotor(ForceLaw):
         K = scalar(self.windings.constant, seen.dtype)
         if not self.windings.inductive:
             return K * self._current(seen, seen.h)
-        return K * self._current_after(seen, seen.h)  # MuJoCo's DC motors act early
+        return K * self._current_after(seen, seen.h)  # MuJoCo uses the current after the step
 
     def friction(self, seen: Signals) -> Lane:
         amplitude, poles, phase = numbers(self.cogging, seen.dtype)
@@ -138,13 +142,13 @@ class DCMotor(ForceLaw):
         return [*self.controller.within(x[:n], dtype), *x[n:]]
 
     def _parts(self, seen: Signals) -> dict[str, Lane]:
-        """The states other than the controller's, by name."""
+        """Return the states other than the controller's, by name."""
         own = [("T", self.heat is not None), ("z", self.bristles is not None)]
         names = [name for name, there in [*own, ("i", self.windings.inductive)] if there]
         return dict(zip(names, seen.x[self.size - len(names) :], strict=True))
 
     def _resistance(self, seen: Signals) -> Lane:
-        """R at the motor's temperature."""
+        """Compute the resistance R at the motor's temperature."""
         R = scalar(self.windings.resistance, seen.dtype)
         if self.heat is None:
             return R
@@ -152,7 +156,7 @@ class DCMotor(ForceLaw):
         return R * (1 + alpha * (self._parts(seen)["T"] + ambient - reference))
 
     def _voltage(self, seen: Signals, h: Any) -> Lane:
-        """V."""
+        """Compute the voltage V of a step h."""
         out: Lane = 0.0
         if self.controller is not None:
             w, dtype = self.windings, seen.dtype
@@ -162,19 +166,19 @@ class DCMotor(ForceLaw):
         return add(out, seen.u[-1]) if self.voltage else out
 
     def _current(self, seen: Signals, h: Any) -> Lane:
-        """The current i without inductance."""
+        """Compute the current i without inductance."""
         K = scalar(self.windings.constant, seen.dtype)
         return (self._voltage(seen, h) - K * seen.speed) / at_least(self._resistance(seen))
 
     def _current_rate(self, seen: Signals, h: Any) -> Lane:
-        """The rate i' of a current with inductance."""
+        """Compute the rate i' of a current with inductance."""
         w, i = self.windings, self._parts(seen)["i"]
         limit = scalar(w.current_rate, seen.dtype)
         te = at_least(scalar(w.time_constant, seen.dtype))
         return jnp.clip((self._current(seen, h) - i) / te, -limit, limit)
 
     def _current_after(self, seen: Signals, h: Any) -> Lane:
-        """i after a step."""
+        """Compute the current i after a step h."""
         te = scalar(self.windings.time_constant, seen.dtype)
         rate = self._current_rate(seen, h)
         return self._parts(seen)["i"] + lag_step(h, te, rate * at_least(te))

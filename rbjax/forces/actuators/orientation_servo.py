@@ -1,6 +1,6 @@
-"""A servo on an orientation: three torques along the shortest way to an attitude.
+"""An orientation servo: three torques along the shortest rotation to a target attitude.
 
-    tau = kp log(Q^-1 Q_target) + c - kv w,      in the axes of the turning frame
+    tau = kp log(Q^-1 Q_target) + c - kv w,      in the axes of the moving frame
 (MuJoCo, *XML reference*, actuator/orientation.) The target is a rotation vector or a quaternion. It
 may be a state whose rate is the control.
 """
@@ -28,12 +28,13 @@ class OrientationServo(Element):
     """A servo on the orientation of a ball joint, or of a site relative to another.
 
     gains: (3,) kp, c, kv.
-    ctrlrange: (n, 2).
-    strongest: () the largest torque.
-    activation: of a target that is a state; None otherwise.
-    controls: three of a rotation vector, or four of a quaternion; static, as all below.
-    joint: the ball; or -1, and `site` with the `reference` relative to which it is measured.
-    early: whether the torque is that of the activation after the step.
+    ctrlrange: (n, 2) range of each control.
+    strongest: () largest torque.
+    activation: activation of a target that is a state; None otherwise.
+    controls: indices of three (rotation vector) or four (quaternion) controls; static.
+    joint: index of the ball joint, or -1 for a site; static.
+    site, reference: indices of the site and of the site relative to which it is measured; static.
+    early: whether the torque uses the activation after the step; static.
     """
 
     gains: jax.Array
@@ -89,7 +90,7 @@ class OrientationServo(Element):
         return self._nearest([self.activation.within(a) for a in x])
 
     def _nearest(self, phi: list[Lane]) -> list[Lane]:
-        """The shortest rotation vector of the same orientation."""
+        """Compute the shortest rotation vector of the same orientation."""
         angle = norm(sum(x * x for x in phi))
         far = angle > jnp.pi
         turns = 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
@@ -106,7 +107,7 @@ class OrientationServo(Element):
         return [clip(now.ctrl[k], limits, i) for i, k in enumerate(self.controls)]
 
     def _target(self, now: Context) -> list[Lane]:
-        """The quaternion of the target, of any length."""
+        """Compute the quaternion of the target, not normalized."""
         if self.activation is None:
             u = self._inputs(now)
             if len(u) == 3:
@@ -117,7 +118,8 @@ class OrientationServo(Element):
         return quaternion.exp_lanes(phi)
 
     def _turned(self, now: Context) -> tuple[list[Lane], list[Arms]]:
-        """The orientation as a quaternion, and the arms of a torque about each of its axes."""
+        """Compute the orientation as a quaternion, and the moment arms of a torque about each of
+        its axes."""
         if self.joint >= 0:
             top = now.model.topology
             at, start = top.joint_v[self.joint], top.joint_q[self.joint]

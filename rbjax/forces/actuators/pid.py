@@ -1,8 +1,8 @@
 """A PID controller: position and velocity setpoints, feedforward, integral action.
 
     f = kp (u_pos - l) + kv (u_vel - l') + ki x_I + u_ff,      x_I' = u_pos - l
-(MuJoCo, *XML reference*, actuator/pid.) The first input may be slewed: a state follows it, as fast
-as the limit of its rate allows. The integral may be limited, against wind-up.
+(MuJoCo, *XML reference*, actuator/pid.) The first input may be rate-limited: a state then follows
+it. The integral may be limited (anti-windup).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rbjax.lanes import Lane, add, mul, neg, sub
 from rbjax.model.leaves import numbers, scalar, table
 from rbjax.model.model import Record
 
-#: the inputs that a controller can have, in the order of the controls
+#: names of the possible inputs of a controller, in the order of the controls
 INPUTS = ("pos", "vel", "ff")
 
 
@@ -29,10 +29,12 @@ class Controller(Record):
 
     gains: (3,) kp, ki, kv.
     windup, slew: () limits of the integral and of the rate of the first input; infinite for none.
-    inputs: some of INPUTS; static, as all below.
-    slews, integrates: whether it has the states slewed input and integral, in that order.
-    circular: whether positions are angles, of which the equivalent one nearest to l counts.
-    clipped: whether a step ends within the windup limit; otherwise the integral only stops growing.
+    inputs: names of its inputs, from INPUTS; static.
+    slews: whether the rate-limited input is a state (the first); static.
+    integrates: whether the integral is a state; static.
+    circular: whether positions are angles, shifted by full turns to be nearest to l; static.
+    clipped: whether a step clips the integral to the windup limit; otherwise the integral only
+        stops growing; static.
     """
 
     gains: jax.Array
@@ -46,11 +48,11 @@ class Controller(Record):
 
     @property
     def size(self) -> int:
-        """The size of its state."""
+        """The number of states of the controller."""
         return self.slews + self.integrates
 
     def output(self, seen: Signals, h: Any, x: Sequence[Lane]) -> Lane:
-        """The output of the controller in a step h, with the integral among the states x."""
+        """Compute the output in a step h, with the integral among the states x."""
         kp, ki, kv = numbers(self.gains, seen.dtype)
         u = self.setpoints(seen, h)
         out = mul(kp, sub(u.get("pos", 0.0), seen.length))
@@ -60,7 +62,7 @@ class Controller(Record):
         return add(out, u.get("ff", 0.0))
 
     def setpoints(self, seen: Signals, h: Any) -> dict[str, Lane]:
-        """The inputs by name, the first of them slewed over a step h."""
+        """Return the inputs by name, with the first one rate-limited over a step h."""
         u = dict(zip(self.inputs, seen.u, strict=False))
         if self.slews:
             u[self.inputs[0]] = self._slewed(seen, h)
@@ -69,13 +71,13 @@ class Controller(Record):
         return u
 
     def _slewed(self, seen: Signals, h: Any) -> Lane:
-        """The slewed first input after a step h."""
+        """Compute the rate-limited first input after a step h."""
         u, x, reach = seen.u[0], seen.x[0], h * scalar(self.slew, seen.dtype)
         target = seen.nearest(u, x) if self.circular and self.inputs[0] == "pos" else u
         return jnp.clip(target, x - reach, x + reach)
 
     def rate(self, seen: Signals, h: Any) -> list[Lane]:
-        """The rates of its states over a step h."""
+        """Compute the rates of the states over a step h."""
         out: list[Lane] = []
         if self.slews:
             out.append((self._slewed(seen, h) - seen.x[0]) / h)
@@ -88,7 +90,7 @@ class Controller(Record):
         return out
 
     def advanced(self, seen: Signals, h: Any) -> list[Lane]:
-        """Its states after a step h."""
+        """Compute the states after a step h."""
         x = [x + h * rate for x, rate in zip(seen.x, self.rate(seen, h), strict=False)]
         return self.within(x, seen.dtype)
 
@@ -102,11 +104,11 @@ class Controller(Record):
 
 
 class PID(ForceLaw):
-    """A controller whose output is a force.
+    """A force law whose force is the output of a PID controller.
 
-    offset: () a constant force that is added.
-    limits: (2,) range of its states.
-    early: whether the force is computed from the integral after the step; static.
+    offset: () constant force that is added.
+    limits: (2,) range of the states.
+    early: whether the force uses the integral after the step; static.
     """
 
     controller: Controller

@@ -1,10 +1,10 @@
-"""Transmissions: how an actuator's force reaches the joints.
+"""Transmissions: maps from joint coordinates to an actuator's length and moment arms.
 
     l = l(q),      l' = sum of r_n v_n,      tau_n = r_n f
-with the length l and the moment arms r, one for each velocity coordinate (MuJoCo, *Computation*,
-transmission). r is the gradient of l if l is a length in space. If a site is measured in the
-axes of another, r is the effect of the force, as in MuJoCo: action and reaction on the two sites,
-and nothing on the joints that carry both.
+l is the length and r_n is the moment arm of dof n (MuJoCo, *Computation*, transmission). r is the
+gradient of l if l is a length in space. If a site is measured in the axes of another site, r is the
+effect of a force on one site and its reaction on the other, as in MuJoCo. Joints that carry both
+sites have no moment arm.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rbjax.model.model import Record
 from rbjax.rotations import quaternion
 from rbjax.spatial import Force
 
-#: moment arms by velocity coordinate
+#: moment arms by dof
 Arms = dict[int, Lane]
 
 
@@ -34,30 +34,31 @@ class Reach(NamedTuple):
     arms: Arms
 
     def speed(self, now: Context) -> Lane:
-        """l'."""
+        """Compute the rate l' of the length."""
         return total(mul(arm, now.v[n]) for n, arm in self.arms.items())
 
     def scaled(self, gear: Lane) -> Reach:
-        """The transmission through a gear."""
+        """Multiply the length and the moment arms by a gear ratio."""
         return Reach(mul(gear, self.length), {n: mul(gear, arm) for n, arm in self.arms.items()})
 
 
 class Transmission(Record):
-    """From a configuration to a length and moment arms."""
+    """Base class of a map from a configuration to a length and moment arms."""
 
     @abc.abstractmethod
     def reach(self, now: Context) -> Reach:
-        """The length and the moment arms at an instant."""
+        """Compute the length and the moment arms at an instant."""
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
-        """The change of the length over a full turn, if the length is an angle."""
+        """Compute the change of the length over a full turn, if the length is an angle."""
         raise TypeError(f"the length of {type(self).__name__} is no angle")
 
 
 class JointAxis(Transmission):
-    """A joint, or an axis of one.
+    """The transmission to a joint, or to an axis of a joint.
 
-    gear: (6,); of a ball [axis, ...], of a free joint [force axis in the world; torque axis].
+    gear: (6,) factors; [axis, ...] for a ball, [force axis in the world; torque axis] for a free
+        joint.
     in_parent: whether the torque axis is in the parent's axes; static.
     """
 
@@ -73,7 +74,7 @@ class JointAxis(Transmission):
 
 
 class SiteWrench(Transmission):
-    """A wrench at a site, in its axes: gear (6,) is [force; torque]; the length is zero."""
+    """A wrench at a site in its axes, gear (6,) = [force; torque]. The length is zero."""
 
     gear: jax.Array
     site: int = eqx.field(static=True)
@@ -108,7 +109,8 @@ class SitePose(Transmission):
 
 class SliderCrank(Transmission):
     """The position of a slider on the z axis of its site, connected by a rod of constant length to
-    the crank's site. Beyond the rod's length it is the foot of the perpendicular."""
+    the site of the crank. If the crank is too far away for the rod, the position is the foot of the
+    perpendicular from it."""
 
     gear: jax.Array
     rod: jax.Array
@@ -150,7 +152,7 @@ class JointSum(Transmission):
 
 
 class SitePath(Transmission):
-    """A spatial tendon along sites: l = gear sum of |p_b - p_a| / divisor over its segments."""
+    """A spatial tendon through sites: l = gear sum of |p_b - p_a| / divisor over its segments."""
 
     gear: jax.Array
     divisors: jax.Array
@@ -172,7 +174,7 @@ class SitePath(Transmission):
 
 
 def joint_reach(now: Context, joint: int, gear: list[Lane], in_parent: bool = False) -> Reach:
-    """The length and arms of a gear (6 lanes) on a joint."""
+    """Compute the length and moment arms of a gear (6 lanes) on a joint."""
     top, q = now.model.topology, now.q
     kind, at, start = top.joint_kinds[joint], top.joint_v[joint], top.joint_q[joint]
     if not top.joints[joint].quaternion:
@@ -184,32 +186,33 @@ def joint_reach(now: Context, joint: int, gear: list[Lane], in_parent: bool = Fa
     axis = Vec3(*(gear[3:] if kind == "free" else gear[:3]))
     own = quaternion_matrix(*turned).T @ axis if in_parent else axis
     if kind == "ball":
-        length = inner(axis, quaternion.log_lanes(turned))  # an axis of turning is its own image
+        length = inner(axis, quaternion.log_lanes(turned))  # the rotation keeps its own axis
         return Reach(length, {at + k: own[k] for k in range(3)})
     return Reach(0.0, {at + k: x for k, x in enumerate([*gear[:3], *own])})
 
 
 def relative_quaternion(site: Frame, base: Frame, dtype: jax.typing.DTypeLike) -> list[Lane]:
-    """A quaternion, of any length, of a frame's attitude in the axes of another."""
+    """Compute the quaternion of a frame's attitude in the axes of another, not normalized."""
     R = base.rotation.T @ site.rotation
     return quaternion.from_matrix_lanes([jnp.asarray(x, dtype) for x in R])
 
 
 def arms_between(site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
-    """The arms of a force and a torque in world axes on a frame, and of their reaction."""
+    """Compute the moment arms of a force and torque (world axes) on `site` and of their reaction on
+    `base`."""
     return opposed_arms(site.world_arms(force, torque), base.world_arms(-force, -torque))
 
 
 def opposed_arms(a: Arms, b: Arms) -> Arms:
-    """Merge the arms of two limbs, without the joints that carry both."""
+    """Merge the moment arms of two branches, without the joints that carry both."""
     return {n: arm for n, arm in (a | b).items() if (n in a) != (n in b)}
 
 
 def add_arms(a: Arms, b: Arms) -> Arms:
-    """Add two sets of arms."""
+    """Add two sets of moment arms."""
     return {n: add(a.get(n, 0.0), b.get(n, 0.0)) for n in a | b}
 
 
 def split_gear(gear: list[Lane]) -> tuple[Vec3, Vec3]:
-    """The force and the torque of a gear."""
+    """Split a gear (6 lanes) into a force and a torque."""
     return Vec3(*gear[:3]), Vec3(*gear[3:])

@@ -1,16 +1,16 @@
-"""Torques and dry friction of joints that depend on where the joint is.
+"""Torques and dry friction of joints as functions of position.
 
     tau = -c(x) - F(x) [1 + s exp(-(v / v_s)^2)] tanh(v / v_0)
 
-x runs from -1 to 1 over a joint's range, and both curves are Chebyshev series in it,
+x runs from -1 to 1 over a joint's range. Both curves are Chebyshev series in x,
 
     c(x) = c_0 + c_1 T_1(x) + ... + c_n T_n(x),     T_k(cos a) = cos(k a).
 
-c is the torque of a motor's magnets, of a cable, or an offset; it stores energy. F is the friction
-of a linkage or a gear at each angle, in both directions. Beyond the range both keep the values of
-its ends. A series with more terms contains all with fewer, so that models of growing length can be
-compared. As in `joint_friction`, the step of F at rest is as wide as v_0, and s is how much more
-breaking away costs than sliding (Stribeck).
+c is conservative: motor cogging, the torque of a cable, an offset. F is the friction of a linkage
+or a gear at each position, in both directions. Beyond the range both curves are constant. A longer
+series contains all shorter ones, so models of growing length can be compared. As in
+`joint_friction`, F is smoothed at rest over the velocity v_0, and s is the relative excess of
+breakaway friction over sliding friction (Stribeck).
 """
 
 from __future__ import annotations
@@ -34,14 +34,17 @@ from rbjax.model.links import lane
 
 
 class JointCurves(Element):
-    """Torque and dry friction of hinges and slides by their position.
+    """Torque and dry friction of hinges and slides as functions of position.
 
-    tau = -c(x) - F(x) [1 + s exp(-(v / v_s)^2)] tanh(v / v_0),  c = sum of c_k T_k, F alike.
+    tau = -c(x) - F(x) [1 + s exp(-(v / v_s)^2)] tanh(v / v_0),  c = sum of c_k T_k, F = sum F_k T_k
 
-    Fields, one row for each joint: range (n, 2) rad or m, where x is -1 and 1; torque c_k (n, k)
-    N m or N; coulomb F_k (n, m) N m or N; breakaway s (n,); stribeck v_s (n,) and
-    smoothing v_0 (n,) rad/s or m/s, above 0. Static: `joints`, their names or indices.
-    `JointCurves.of` makes it from single numbers.
+    Fields, one row per joint. `JointCurves.of` accepts one value for all joints.
+        range: (n, 2) rad or m, positions at x = -1 and x = 1.
+        torque: c_k (n, k) N m or N.
+        coulomb: F_k (n, m) N m or N.
+        breakaway: s (n,).
+        stribeck, smoothing: v_s, v_0 (n,) rad/s or m/s, positive.
+        joints: names or indices; static.
 
     Source: Trefethen, *Approximation Theory and Approximation Practice*, 2013, ch. 3; Armstrong,
     *Control of Machines with Friction*, 1991 (friction that depends on position).
@@ -85,8 +88,8 @@ class JointCurves(Element):
         stribeck: Any = 0.1,
         smoothing: Any = 1e-2,
     ) -> JointCurves:
-        """The curves of these joints; range is (2,) or (n, 2), curves are a number, (n,) or (n, k)
-        coefficients, the rest a number or (n,)."""
+        """Make the curves of joints. range is (2,) or (n, 2). torque and coulomb are a number, (n,)
+        or (n, k) coefficients. The other parameters are a number or (n,)."""
         check_model("JointCurves.of", model)
         given = {"breakaway": breakaway, "stribeck": stribeck, "smoothing": smoothing}
         n, dtype = len(joints), model.gravity.dtype
@@ -138,7 +141,7 @@ class JointCurves(Element):
         return Loads(out)
 
     def energy(self, now: Context) -> Lane:
-        """The integral of c from the middle of the range."""
+        """Compute the energy, the integral of c from the middle of the range."""
         torque = table(self.torque, now.q.dtype)
 
         def stored(row: int) -> Lane:
@@ -149,7 +152,7 @@ class JointCurves(Element):
         return total(stored(row) for row in range(len(self.joints)))
 
     def _place(self, now: Context, row: int) -> tuple[Lane, Lane, Lane]:
-        """x clipped to -1 and 1, half the range, and the distance of the joint beyond it."""
+        """Compute x clipped to [-1, 1], half the range, and the distance beyond the range."""
         ends = table(self.range, now.q.dtype)
         low, high = lane(ends[:, 0], row), lane(ends[:, 1], row)
         (q,) = now.joint(self.joints[row]).q
@@ -158,12 +161,12 @@ class JointCurves(Element):
 
 
 def series(c: Sequence[Lane], x: Lane) -> Lane:
-    """c_0 + c_1 T_1(x) + c_2 T_2(x) + ..."""
+    """Evaluate the Chebyshev series c_0 + c_1 T_1(x) + c_2 T_2(x) + ..."""
     return total(mul(a, T) for a, T in zip(c, _chebyshev(x, len(c)), strict=True))
 
 
 def integral(c: Sequence[Lane], x: Lane) -> Lane:
-    """The integral of the series from 0 to x: T_k becomes T_(k+1)/(2k+2) - T_(k-1)/(2k-2)."""
+    """Integrate the series from 0 to x: T_k becomes T_(k+1)/(2k+2) - T_(k-1)/(2k-2)."""
     at, middle = _chebyshev(x, len(c) + 1), _chebyshev(0.0 * x, len(c) + 1)
     T = [a - b for a, b in zip(at, middle, strict=True)]
     whole = [T[1], *([T[2] / 4] if len(c) > 1 else [])]
@@ -172,7 +175,7 @@ def integral(c: Sequence[Lane], x: Lane) -> Lane:
 
 
 def _chebyshev(x: Lane, n: int) -> list[Lane]:
-    """T_0 ... T_(n-1) at x, by T_(k+1) = 2 x T_k - T_(k-1)."""
+    """Compute T_0 ... T_(n-1) at x, by T_(k+1) = 2 x T_k - T_(k-1)."""
     T: list[Lane] = [1.0 + 0.0 * x, x]
     while len(T) < n:
         T.append(2.0 * x * T[-1] - T[-2])

@@ -1,19 +1,19 @@
-"""Friction of joints, smooth at rest: of bearings, and of gears in proportion to their load.
+"""Joint friction, smooth at rest: bearing friction, and gear friction proportional to load.
 
     bearing    tau = -[F_c + (F_s - F_c) exp(-(v / v_s)^2)] tanh(v / v_0) - d v
     gear       tau = -mu |tau_motor| tanh(v / v_0)
 
-for each velocity coordinate. F_c is the Coulomb (kinetic) friction, F_s the static (breakaway)
-friction; between them the friction falls with the speed, over v_s (Stribeck, 1902). A gear of
-efficiency eta dissipates the fraction mu = 1 - eta of the transmitted torque.
+for each dof. F_c is the Coulomb (kinetic) friction and F_s the static (breakaway) friction. The
+friction falls from F_s to F_c over the velocity v_s (Stribeck, 1902). A gear of efficiency eta
+dissipates the fraction mu = 1 - eta of the transmitted torque.
 
-Coulomb's law has a step at v = 0. Here the step has the width v_0: a joint under a load F that it
-should hold creeps at v = v_0 artanh(F / F_s), and at a speed of 3 v_0 the friction is right to half
-a percent. A motion that comes to rest under a load has an error of order v_0, from the creep; the
-distance that it slides until then has an error of order v_0^2.
+Coulomb's law has a step at v = 0, which is smoothed over the velocity v_0. So a joint creeps under
+a static load F, at v = v_0 artanh(F / F_s). At a speed of 3 v_0 the friction is within 0.5 % of
+Coulomb's law. A motion that comes to rest under a load has an error of order v_0 from the creep;
+its sliding distance has an error of order v_0^2.
 
-The slope at rest, F_s / v_0, is a viscosity: an explicit method of step h is stable while
-h F_s / (v_0 m) is below about 2, with the joint's inertia m.
+The slope at rest, F_s / v_0, is a viscosity. An explicit method of step h on a joint of inertia m
+is stable if h F_s / (v_0 m) is below about 2.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ class JointFriction(Element):
 
     tau = -[F_c + (F_s - F_c) exp(-(v / v_s)^2)] tanh(v / v_0) - d v.
 
-    Fields, with n the velocity coordinates of the joints, in their order:
+    Fields, with n the number of dofs of the joints, in the order of `joints`:
         coulomb: F_c (n,) N m or N.
         breakaway: F_s (n,) N m or N; None for F_s = F_c.
         stribeck: v_s (n,) rad/s or m/s.
-        smoothing: v_0 (n,) rad/s or m/s, above 0.
+        smoothing: v_0 (n,) rad/s or m/s, positive.
         viscous: d (n,) N m s/rad or N s/m.
-        joints: their names or indices; static.
+        joints: names or indices; static.
 
-    `JointFriction.of` makes it from single numbers.
+    `JointFriction.of` accepts one value for all dofs.
 
     Source: Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30, 1994, 1083-1138.
 
@@ -81,7 +81,7 @@ class JointFriction(Element):
         smoothing: Any = 1e-2,
         viscous: Any = 0.0,
     ) -> JointFriction:
-        """The friction of these joints, with one number for all or (n,) of each kind."""
+        """Make the friction of joints; each parameter is one number for all dofs, or (n,)."""
         given = {"coulomb": coulomb, "breakaway": breakaway, "stribeck": stribeck}
         given |= {"smoothing": smoothing, "viscous": viscous}
         return cls(**columns_of("JointFriction.of", model, joints, given), joints=tuple(joints))
@@ -104,7 +104,7 @@ class JointFriction(Element):
 
 
 def _friction(v: Lane, numbers: Sequence[Lane], falls: bool) -> Lane:
-    """The friction of one coordinate. `falls`: whether it decreases with speed after break-away."""
+    """Compute the friction of one dof. falls: whether friction decreases with speed (Stribeck)."""
     coulomb, breakaway, v_s, v_0, viscous = numbers
     dry, extra = coulomb, sub(breakaway, coulomb) if falls else 0.0
     if not is_zero(extra):
@@ -115,17 +115,17 @@ def _friction(v: Lane, numbers: Sequence[Lane], falls: bool) -> Lane:
 
 
 class GearLoss(Element):
-    """Friction of gears in proportion to the torques of their motors.
+    """Friction of gears in proportion to their motor torques.
 
     tau = -mu |tau_motor| tanh(v / v_0), with tau_motor the sum of all actuator forces on the joint,
     clipped to the joint's force range. Without controls there is no loss.
 
-    Fields, with n the velocity coordinates of the joints, in their order:
+    Fields, with n the number of dofs of the joints, in the order of `joints`:
         loss: mu (n,), a fraction.
-        smoothing: v_0 (n,) rad/s or m/s, above 0.
-        joints: their names or indices; static.
+        smoothing: v_0 (n,) rad/s or m/s, positive.
+        joints: names or indices; static.
 
-    `GearLoss.of` makes it from single numbers.
+    `GearLoss.of` accepts one value for all dofs.
 
     Source: Siciliano, Sciavicco, Villani & Oriolo, *Robotics*, 2009, 7.2; Gautier & Hamon, ICRA
     2011 (load-dependent friction as a linear term).
@@ -152,7 +152,7 @@ class GearLoss(Element):
     def of(
         cls, model: Model, joints: Sequence[str | int], loss: Any, *, smoothing: Any = 1e-2
     ) -> GearLoss:
-        """The losses of these joints, with one number for all or (n,) of each kind."""
+        """Make the losses of joints; each parameter is one number for all dofs, or (n,)."""
         given = {"loss": loss, "smoothing": smoothing}
         return cls(**columns_of("GearLoss.of", model, joints, given), joints=tuple(joints))
 

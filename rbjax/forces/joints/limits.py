@@ -1,23 +1,22 @@
-"""Compliant stops at the ends of the joints' ranges: they push, and never pull.
+"""Compliant unilateral stops at the joint limits.
 
-With p how deep a joint is in its stop (beyond the limit less the margin) and c = d r(p),
+With p the penetration of a joint into its stop (beyond the limit less the margin), c = d r(p):
 
-    f = k s(p) + c p'                      as it goes in,
-    f = (k s(p))^2 / (k s(p) - c p')       as it comes out,
+    f = k s(p) + c p'                      for p' >= 0 (loading),
+    f = (k s(p))^2 / (k s(p) - c p')       for p' < 0 (unloading),
 
     s(p) = p^2 / (2 w),  r(p) = (p/w)^2 (3 - 2 p/w)   for 0 <= p <= w
     s(p) = p - w/2,      r(p) = 1                     beyond
 
-Going in, the stop is a spring k and a damper d behind an onset of width w; coming out, the damper
-fades so that the force stays positive, as it does in Hunt and Crossley's law. The two meet at
-p' = 0 with equal slopes, and all begins with slope 0 at p = 0: f is once continuously
-differentiable. What the damper adds to k s(p) has the sign of p', so energy is never gained:
+While loading, the stop is a spring k and a damper d that set in over the width w. While unloading,
+the damper fades so that the force stays positive, as in the law of Hunt and Crossley. The two forms
+have the same slope at p' = 0, and the force has slope 0 at p = 0: f is once continuously
+differentiable. The damping force f - k s(p) has the sign of p', so no energy is gained:
 
     dE/dt = -(f - k s) p' <= 0,      E = ... + k S(p),  S' = s
 
-At rest under a load F the depth is p = F / k + w / 2 (F > k w / 2).
-A ball's coordinate is its angle of rotation, with one limit; its stop pushes about the axis of the
-rotation.
+At rest under a load F the penetration is p = F / k + w / 2 (F > k w / 2). The coordinate of a ball
+joint is its rotation angle, with one limit; its stop acts about the axis of the rotation.
 """
 
 from __future__ import annotations
@@ -42,13 +41,16 @@ from rbjax.rotations.coefficients import length, where
 
 
 class JointLimits(Element):
-    """Stops that hold hinges, slides and balls within `model.joints.range`, softly.
+    """Compliant stops that keep hinges, slides and balls within `model.joints.range`.
 
-    f = k s(p) + d r(p) p' at a growing depth p; while it shrinks the force is never below 0.
+    f = k s(p) + d r(p) p' for growing penetration p; the force is never negative.
 
-    Fields, one entry a joint: stiffness k (n,) N m/rad or N/m; damping d (n,) N m s/rad or N s/m;
-    margin (n,) rad or m, how far before the limit the stop begins; width w (n,) rad or m, above 0,
-    over which it becomes stiff. Static: `joints`, their names or indices.
+    Fields, one entry per joint:
+        stiffness: k (n,) N m/rad or N/m.
+        damping: d (n,) N m s/rad or N s/m.
+        margin: (n,) rad or m, distance before the limit at which the stop begins.
+        width: w (n,) rad or m, positive, over which the stiffness sets in.
+        joints: names or indices; static.
 
     Source: Hunt & Crossley, *Coefficient of restitution interpreted as damping in vibroimpact*, J.
     Appl. Mech. 42, 1975, for a damper that grows with the depth.
@@ -85,20 +87,19 @@ class JointLimits(Element):
                 out[i] = add(out.get(i, 0.0), neg(mul(a, f)))
         return Loads(out)
 
-    # No `implicit_stiffness`: with one, variational steps much longer than sqrt(m / k) do converge,
-    # but a body that strikes the stop leaves it faster than it came. Without it they fail, and
-    # `Trajectory.ok` says so.
+    # No `implicit_stiffness`: with it, variational steps much longer than sqrt(m / k) converge to a
+    # rebound that gains speed. Without it they do not converge, and `Trajectory.ok` is False.
 
     def energy(self, now: Context) -> Lane:
-        """sum of k S(p)."""
+        """Compute the energy, the sum of k S(p)."""
         return total(
             stop_energy(depth, *(_entry(x, n, depth) for x in (self.stiffness, self.width)))
             for n, _, depth, _ in self._stops(now)
         )
 
     def _stops(self, now: Context) -> Iterator[tuple[int, Joint, Lane, list[Lane]]]:
-        """Yield each stop: the index of its joint among the fields, the joint, the depth, and the
-        direction of increasing depth."""
+        """Iterate over the stops: index of the joint among the fields, joint, penetration, and the
+        direction of increasing penetration."""
         given = (now.model.joints.range, self.stiffness, self.margin)
         ranges, stiffness, margins = (table(x, now.q.dtype) for x in given)
         for n, name in enumerate(self.joints):
@@ -120,14 +121,13 @@ class JointLimits(Element):
 
 
 def stop_force(p: Lane, rate: Lane, k: Lane, d: Lane, w: Lane) -> Lane:
-    """The force of a stop at the depth p, which grows at `rate`; p < 0 outside.
-
+    """Compute the force of a stop at the penetration p with the rate `rate`; p < 0 is outside.
     >>> float(stop_force(jnp.array(0.2), jnp.array(1.0), 10.0, 3.0, 0.1))
     4.5
     """
     p, zero = jnp.maximum(p, 0.0), jnp.zeros_like(p)
     onset = p < w
-    unit = where(onset, p * p, zero + 1.0)  # taken out of both, so that nothing is 0 / 0 at p = 0
+    unit = where(onset, p * p, zero + 1.0)  # common factor, which avoids 0 / 0 at p = 0
     spring = where(onset, zero + k / (2 * w), k * (p - w / 2))
     damper = mul(d, rate) * where(onset, (3 - 2 * p / w) / (w * w), zero + 1.0)
     inward = damper > 0
@@ -137,14 +137,14 @@ def stop_force(p: Lane, rate: Lane, k: Lane, d: Lane, w: Lane) -> Lane:
 
 
 def stop_energy(p: Lane, k: Lane, w: Lane) -> Lane:
-    """The energy of the spring of a stop at the depth p: k p^3 / (6 w), beyond the onset k (p^2 / 2
-    - p w / 2 + w^2 / 6)."""
+    """Compute the energy of a stop at the penetration p: k p^3 / (6 w), beyond the onset
+    k (p^2 / 2 - p w / 2 + w^2 / 6)."""
     p = jnp.maximum(p, 0.0)
     return k * where(p < w, p * p * p / (6 * w), (p * p - p * w) / 2 + w * w / 6)
 
 
 def _coordinate(joint: Joint) -> tuple[Lane, list[Lane]]:
-    """A joint's coordinate, and its gradient by the velocity coordinates."""
+    """Return a joint's coordinate and its gradient by the dofs."""
     if len(joint.q) == 1:
         return joint.q[0], [1.0]
     if joint.kind != "ball":
@@ -159,14 +159,14 @@ def _coordinate(joint: Joint) -> tuple[Lane, list[Lane]]:
 
 
 def _apart(low: Lane, high: Lane) -> bool:
-    """Whether two stops never act at once, as far as their limits are compile-time constants."""
+    """Check whether the stops at both ends never act at once, by compile-time constant limits."""
     known = is_literal(low) and is_literal(high)
     return known and bool(np.isfinite(low) and np.isfinite(high) and low <= high)
 
 
 def _nearer(x: Lane, low: Lane, high: Lane) -> tuple[Lane, list[Lane]]:
-    """The depth of x in the stop of the nearer end, and the direction of increasing depth. Of two
-    stops that never act at once, one evaluation serves both."""
+    """Compute the penetration of x into the stop of the nearer end, and the direction of increasing
+    penetration. If the two stops never act at once, one evaluation is enough."""
     below = x < (low + high) / 2
     end, side = (
         where(below, jnp.full_like(x, a), jnp.full_like(x, b)) for a, b in ((low, high), (-1, 1))

@@ -1,20 +1,19 @@
-"""Springs and dampers of joints.
+"""Springs and dampers of joints, with polynomial force laws.
 
-    hinge, slide:           tau = -x (k_0 + k_1 x + k_2 x^2 + ...)
-    ball, a free joint's two halves:  tau = -x (k_0 + k_1 |x| + k_2 |x|^2 + ...)
-    each velocity:          tau = -v (d_0 + d_1 |v| + d_2 |v|^2 + ...)
+    hinge, slide:                       tau = -x (k_0 + k_1 x + k_2 x^2 + ...)
+    ball, each half of a free joint:    tau = -x (k_0 + k_1 |x| + k_2 |x|^2 + ...)
+    each dof:                           tau = -v (d_0 + d_1 |v| + d_2 |v|^2 + ...)
 
-x is the displacement of a joint from the rest of its spring, `model.joints.springref`, in the
-coordinates of v (MuJoCo, *Computation*, passive forces). The linear terms k_0, d_0 are the model's
-`joints.stiffness` and `joints.damping`. Dampers are odd in v, so that positive coefficients
-dissipate. Springs are not odd in the coordinate of a hinge or a slide: that is MuJoCo's law
-(measured on its `qfrc_spring`), whose k_1 makes a spring stiffer to one side and softer to the
-other. It has the potential
+x is the displacement of a joint from `model.joints.springref`, in the coordinates of v (MuJoCo,
+*Computation*, passive forces). The linear terms k_0, d_0 are the model's `joints.stiffness` and
+`joints.damping`. Dampers are odd in v, so that positive coefficients dissipate. Springs of hinges
+and slides are not odd in x, as in MuJoCo: k_1 makes a spring stiffer on one side and softer on the
+other. The potential is
 
     V = x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...),
 
-and so has the spring of a ball with |x|: the torque -f(|x|) x / |x| on the tangent is conservative
-because the rate of the angle |x| is x . w / |x|.
+with |x| for a ball: the torque -f(|x|) x / |x| on the tangent is conservative, because the rate of
+the angle |x| is x . w / |x|.
 """
 
 from __future__ import annotations
@@ -37,17 +36,17 @@ from rbjax.rotations.coefficients import length
 
 
 class JointPolynomials(Element):
-    """Springs and dampers of joints, by default without the linear terms, which the model has.
+    """Polynomial springs and dampers of joints, by default without the linear terms of the model.
 
-    tau = -x (k_1 x + k_2 x^2 + ...) - v (d_1 |v| + d_2 |v|^2 + ...); balls and free joints have |x|
-    for x within the brackets.
+    tau = -x (k_1 x + k_2 x^2 + ...) - v (d_1 |v| + d_2 |v|^2 + ...); for balls and free joints with
+    |x| instead of x within the brackets.
 
     Fields:
-        stiffness: (n, s), a row a joint: k_1 in N m/rad^2 or N/m^2, and so on.
-        damping: (m, d), a row a velocity coordinate of these joints: d_1 in N m s^2/rad^2 or
-            N s^2/m^2, and so on.
-        joints: their names or indices; static.
-        lowest: the index of the first coefficients, 0 or 1; static.
+        stiffness: (n, s), a row per joint: k_1 in N m/rad^2 or N/m^2, and so on.
+        damping: (m, d), a row per dof of these joints: d_1 in N m s^2/rad^2 or N s^2/m^2, and so
+            on.
+        joints: names or indices; static.
+        lowest: index of the first coefficients, 0 or 1; static.
 
     Source: MuJoCo 4, XML reference, joint, stiffness and damping.
 
@@ -91,7 +90,7 @@ class JointPolynomials(Element):
         return Loads(out)
 
     def implicit_stiffness(self, now: Context, h: Any) -> dict[int, Lane]:
-        """The implicit stiffness of the linear terms."""
+        """Compute the implicit stiffness of the linear terms."""
         if self.lowest:
             return {}
         stiffness, damping = (table(x, now.v.dtype) for x in (self.stiffness, self.damping))
@@ -103,7 +102,7 @@ class JointPolynomials(Element):
         return out
 
     def energy(self, now: Context) -> Lane:
-        """sum of x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...)."""
+        """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...)."""
 
         def stored(coefficients: Sequence[Lane], x: Sequence[Lane]) -> Lane:
             shares = [mul(1 / n, k) for n, k in enumerate(coefficients, self.lowest + 2)]
@@ -112,8 +111,8 @@ class JointPolynomials(Element):
         return total(stored(coefficients, x) for coefficients, _, x in self._springs(now))
 
     def _springs(self, now: Context) -> list[tuple[list[Lane], int, list[Lane]]]:
-        """Coefficients, first velocity coordinate and displacement of each spring; of a free joint
-        the three slides are one and the ball another."""
+        """List the coefficients, first dof and displacement of each spring. A free joint has one
+        spring for its translation and one for its rotation."""
         stiffness, out = table(self.stiffness, now.q.dtype), []
         for row, name in enumerate(self.joints):
             coefficients = _row(stiffness, row)
@@ -125,7 +124,7 @@ class JointPolynomials(Element):
         return out
 
     def _polynomial(self, coefficients: Sequence[Lane], x: Sequence[Lane]) -> Lane:
-        """The polynomial in x, or in the length of a vector."""
+        """Evaluate the polynomial in x, or in the length of a vector x."""
         if not self.lowest and len(coefficients) == 1:
             return coefficients[0]
         size = x[0] if len(x) == 1 else length(inner(x, x))
@@ -135,14 +134,14 @@ class JointPolynomials(Element):
 
 
 def linear_springs(model: Model) -> JointPolynomials:
-    """The linear springs and dampers of a model's joints, as an element."""
+    """Make an element of the linear springs and dampers of a model's joints."""
     own = model.joints
     stiffness, damping = (table(x, x.dtype)[:, None] for x in (own.stiffness, own.damping))
     return JointPolynomials(stiffness, damping, (*range(len(model.joint_names)),), lowest=0)
 
 
 def displacement(now: Context, joint: int) -> list[Lane]:
-    """The displacement of a joint from the rest of its spring, in the coordinates of v."""
+    """Compute the displacement of a joint from its spring reference, in the coordinates of v."""
     top, rest = now.model.topology, table(now.model.joints.springref, now.q.dtype)
     kind, start = top.joints[joint], top.joint_q[joint]
     at = range(start, start + kind.nq)
@@ -150,7 +149,7 @@ def displacement(now: Context, joint: int) -> list[Lane]:
 
 
 class _OneJoint(NamedTuple):
-    """The topology of one joint, for `difference_lanes`."""
+    """The topology of one joint, an argument of `difference_lanes`."""
 
     joints: tuple[Any]
     joint_q: tuple[int] = (0,)
@@ -158,7 +157,7 @@ class _OneJoint(NamedTuple):
 
 
 def polynomial(coefficients: Sequence[Lane], x: Lane) -> Lane:
-    """c_1 x + c_2 x^2 + ..."""
+    """Evaluate c_1 x + c_2 x^2 + ..."""
     out: Lane = 0.0
     for c in reversed(coefficients):
         out = mul(x, add(c, out))

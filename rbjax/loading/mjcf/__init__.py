@@ -1,1 +1,1 @@
-"""From a compiled MuJoCo model to the parts of a `Model`."""
+"""Conversion of a compiled MuJoCo model to the parts of a `Model`."""

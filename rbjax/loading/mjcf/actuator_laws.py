@@ -1,6 +1,6 @@
-"""Force laws of actuators between MuJoCo's parameters and rbjax' records, in both directions.
+"""Conversion of actuator force laws between MuJoCo's parameters and rbjax records.
 
-The tables give the place of each parameter in `gainprm`, `biasprm` and `dynprm`.
+The tables give the index of each parameter in `gainprm`, `biasprm` and `dynprm`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Table = dict[str, tuple[str, ...]]
 
 _VOLTAGE = 8  # mjINPUT_VOLTAGE, a bit of actuator_ctrlspec
 
-# A minus marks a parameter that is stored with the opposite sign.
+# A minus sign marks a parameter that is stored with the opposite sign.
 _PID: Table = {
     "gainprm": ("ki",), "biasprm": ("offset", "-kp", "-kv"), "dynprm": ("windup", "slew"),
 }  # fmt: skip
@@ -34,12 +34,12 @@ _DC_MOTOR: Table = {
 }
 SERVO: Table = {"biasprm": ("constant", "-kp", "-kv"), "gainprm": ("kp",)}
 _HEAT, _LUGRE = ("RT", "C", "Ta", "alpha", "T0"), ("s0", "s1", "FC", "FS", "vS")
-#: limits, which MJCF stores as zero if there is none
+#: limits that MJCF stores as zero if there is no limit
 _LIMITS = ("windup", "slew", "drive", "current_rate")
 
 
 def parameters(m: mujoco.MjModel, i: int, table: Table) -> SimpleNamespace:
-    """The parameters of actuator i by name; a limit that is not set is infinite."""
+    """Read the parameters of actuator i by name. A limit that is not set is infinite."""
     found: dict[str, float] = {}
     for key, names in table.items():
         for name, x in zip(names, getattr(m, f"actuator_{key}")[i], strict=False):
@@ -49,7 +49,7 @@ def parameters(m: mujoco.MjModel, i: int, table: Table) -> SimpleNamespace:
 
 
 def attributes(table: Table, **given: Any) -> dict[str, str]:
-    """The attributes of an actuator with these parameters; missing parameters are zero."""
+    """Return the attributes of an actuator with given parameters; missing parameters are zero."""
     given = {k: x if np.isfinite(x) or k not in _LIMITS else 0.0 for k, x in given.items()}
 
     def entry(name: str) -> Any:
@@ -59,12 +59,12 @@ def attributes(table: Table, **given: Any) -> dict[str, str]:
 
 
 def limits_text(name: str, limits: Any) -> dict[str, str]:
-    """The attribute of a range; none if it is infinite."""
+    """Return the attribute of a range, or no attribute if it is infinite."""
     return {name: text(limits)} if np.isfinite(limits).any() else {}
 
 
 def read_law(m: mujoco.MjModel, i: int) -> ForceLaw:
-    """The force law of actuator i."""
+    """Read the force law of actuator i."""
     gain, bias = m.actuator_gaintype[i], m.actuator_biastype[i]
     if gain == Gain.PID:
         given = parameters(m, i, _PID)
@@ -93,7 +93,7 @@ def _muscle(m: mujoco.MjModel, i: int, given: np.ndarray) -> Muscle:
 
 
 def read_activation(m: mujoco.MjModel, i: int) -> Activation | None:
-    """The activation of actuator i; None if it has no state."""
+    """Read the activation of actuator i; None if it has no state."""
     kind, given = m.actuator_dyntype[i], m.actuator_dynprm[i]
     limits = _actrange(m, i)
     if kind == Dyn.NONE:
@@ -140,8 +140,8 @@ def _read_dc_motor(m: mujoco.MjModel, i: int) -> DCMotor:
 
 
 def write_law(law: ForceLaw) -> tuple[dict[str, str], tuple[str, ...], ForceLaw] | None:
-    """The attributes of a law, the names of its inputs, and the law as it will be read; None if
-    MJCF has no such law."""
+    """Return the attributes of a law, the names of its inputs, and the law as `load` will read it.
+    Return None if MJCF has no such law."""
     if isinstance(law, PID):
         return _write_pid(law), law.controller.inputs, law
     if isinstance(law, DCMotor):
@@ -155,7 +155,7 @@ def write_law(law: ForceLaw) -> tuple[dict[str, str], tuple[str, ...], ForceLaw]
 
 
 def write_activation(activation: Activation | None, early: bool) -> dict[str, str]:
-    """The attributes of an activation."""
+    """Return the attributes of an activation."""
     if activation is None:
         return {}
     out = limits_text("actrange", activation.limits) | ({"actearly": "true"} if early else {})
@@ -170,8 +170,8 @@ def write_activation(activation: Activation | None, early: bool) -> dict[str, st
 
 
 def _unscaled(law: GainBias) -> GainBias:
-    """The law with the peak force of muscles as a number: the file does not contain the
-    acceleration from which MuJoCo computes it."""
+    """Set the peak force of muscles to its value. A file does not contain the acceleration from
+    which MuJoCo computes it."""
 
     def unscaled(curve: Any) -> Any:
         if not isinstance(curve, (Active, Passive)) or not curve.muscle.scaled:
@@ -204,7 +204,7 @@ def _write_gain_bias(law: GainBias) -> dict[str, str]:
 
 
 def shortened(x: Any) -> str:
-    """The numbers without the zeros at their end."""
+    """Remove the trailing zeros of an array."""
     return text(np.trim_zeros(x, "b") if np.any(x) else 0.0)
 
 

@@ -28,12 +28,12 @@ from rbjax.loading.mjcf import actuator_laws as laws
 from rbjax.loading.mjcf.fields import Gain, Off, Trn, Wrap, is_off, is_on, leaf, reason_left_out
 from rbjax.loading.write.draft import Draft, text
 
-_GROUP_OFF = 30  # the group of controls without an actuator, which the file disables
+_GROUP_OFF = 30  # group of controls without an actuator, disabled in the written file
 _RANGES = {"pos": "ctrlrange", "vel": "velrange", "ff": "ffrange"}
 
 
 def actuator_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
-    """Read the actuators that are enabled and supported, in the file's order."""
+    """Read the enabled and supported actuators, in the file's order."""
     found = tuple(_element(m, i) for i in _modelled(m))
     for element in found:
         check_finite(element)
@@ -41,7 +41,7 @@ def actuator_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
 
 
 def key_states(m: mujoco.MjModel) -> np.ndarray:
-    """The states (nk, n) of the actuators in the file's keyframes."""
+    """Read the actuator states (nk, n) of the file's keyframes."""
     index = [
         int(m.actuator_actadr[i]) + k for i in _modelled(m) for k in range(m.actuator_actnum[i])
     ]
@@ -64,7 +64,7 @@ def _element(m: mujoco.MjModel, i: int) -> Element:
 
 
 def _forcerange(m: mujoco.MjModel, i: int) -> jax.Array:
-    """The force range of an actuator, clipped to the range of its tendon."""
+    """Return the force range of an actuator, clipped to the range of its tendon."""
     own = m.actuator_forcerange[i] if m.actuator_forcelimited[i] else np.array([-np.inf, np.inf])
     tendon = m.actuator_trnid[i, 0]
     if m.actuator_trntype[i] == Trn.TENDON and m.tendon_actfrclimited[tendon]:
@@ -143,8 +143,9 @@ def write_actuators(draft: Draft) -> list[Element]:
 
 
 def _shortest(row: Actuator) -> Actuator:
-    """A row of `model.actuators` without a bias of zeros, and with a constant gain if it has no
-    bias. With a bias its gain is affine: MuJoCo treats a constant one as a servo on an angle."""
+    """Simplify a row of `model.actuators`: no bias if it is zero, and then a constant gain. With a
+    bias the gain stays affine, as MuJoCo treats a constant gain with a bias as a servo on an
+    angle."""
     law: Any = row.law
     bias = law.bias if law.bias.coefficients.any() else None
     constant = bias is None and not law.gain.coefficients[1:].any()
@@ -153,7 +154,7 @@ def _shortest(row: Actuator) -> Actuator:
 
 
 def _write_unused(draft: Draft, name: str) -> None:
-    """Write a control without an actuator, so that the other controls keep their indices."""
+    """Write a disabled actuator for an unused control, so that the indices of controls are kept."""
     if not draft.joints:
         draft.note("controls that drive nothing, left out for want of a joint", [name])
         return
@@ -164,7 +165,7 @@ def _write_unused(draft: Draft, name: str) -> None:
 
 
 def _name(draft: Draft, controls: tuple[int, ...]) -> dict[str, str]:
-    """The name of an actuator: of several controls, their common name without the index."""
+    """Return the name attribute: of several controls, their common name without the index."""
     names = [draft.model.actuator_names[c] for c in controls]
     if not names:
         return {}
@@ -210,8 +211,8 @@ def _write_transmission(draft: Draft, x: Transmission) -> dict[str, str]:
 
 
 def _write_tendon(draft: Draft, name: str, x: JointSum | SitePath) -> None:
-    """Write a tendon. Of a path: its sites in order, and a pulley where a segment does not begin at
-    the end of the last one."""
+    """Write a tendon. A path is written as its sites in order, with a pulley where a segment does
+    not begin at the end of the previous one."""
     if isinstance(x, JointSum):
         tendon = ET.SubElement(draft.tendon, "fixed", name=name)
         for joint, c in zip(x.joints, x.coefficients, strict=True):

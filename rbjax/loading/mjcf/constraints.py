@@ -1,11 +1,11 @@
-"""Equalities of MuJoCo as constraints, and constraints as equalities of a file.
+"""MuJoCo equalities as constraints, and constraints as equalities of a file.
 
     connect                   Spherical
     weld                      Weld; Spherical if torquescale is zero
     joint                     JointPolynomial
-They hold exactly. MuJoCo's are soft, with `solref` and `solimp`. With `compliant` they are soft
-here as well, with MuJoCo's accelerations (`Soft`, of a weld `QuaternionWeld`); torquescale then
-weighs rotation against translation.
+These constraints are rigid. MuJoCo's equalities are soft, with `solref` and `solimp`. With
+`compliant` the constraints are soft too and give MuJoCo's accelerations (`Soft`; `QuaternionWeld`
+for a weld). torquescale then weights rotation against translation.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from rbjax.model import WORLD, Model
 _KIND = mujoco.mjtEq
 _LOADED = {int(_KIND.mjEQ_CONNECT), int(_KIND.mjEQ_WELD), int(_KIND.mjEQ_JOINT)}
 _TAGS: dict[type, str] = {Spherical: "connect", Weld: "weld"}
-_TERMS = 5  # of MuJoCo's polynomials
+_TERMS = 5  # number of coefficients of MuJoCo's polynomials
 
 
 def constraints_of(m: mujoco.MjModel, *, compliant: bool = False) -> tuple[Constraint, ...]:
-    """Read the active equalities of supported kinds, in the file's order."""
+    """Read the active equalities of supported types, in the file's order."""
     found = []
     if equalities_are_on(m):
         for i in np.flatnonzero(m.eq_active0).tolist():
@@ -51,12 +51,12 @@ def constraints_of(m: mujoco.MjModel, *, compliant: bool = False) -> tuple[Const
 
 
 def equalities_are_on(m: mujoco.MjModel) -> bool:
-    """Whether the file has not switched all equalities off."""
+    """Check that the file does not disable all equalities."""
     return is_on(m, Off.mjDSBL_CONSTRAINT, Off.mjDSBL_EQUALITY)
 
 
 def is_loaded(m: mujoco.MjModel, i: int) -> bool:
-    """Whether equality i is of a supported kind."""
+    """Check whether equality i is of a supported type."""
     return int(m.eq_type[i]) in _LOADED
 
 
@@ -79,7 +79,7 @@ def _constraint(m: mujoco.MjModel, i: int) -> Constraint:
     is_weld = kind == int(_KIND.mjEQ_WELD)
     if _has_sites(m, i):
         a, b = (Place.on(site=s) for s in (first, second))
-    elif is_weld:  # the anchor is in the second body; 3:10 is its pose in the first
+    elif is_weld:  # the anchor is in the second body; 3:10 is the second body's pose in the first
         a = _on_body(first, data[3:6], data[6:10] / np.linalg.norm(data[6:10]))
         b = _on_body(second, data[:3])
     else:
@@ -88,8 +88,8 @@ def _constraint(m: mujoco.MjModel, i: int) -> Constraint:
 
 
 def _soft(m: mujoco.MjModel, i: int) -> Soft:
-    """An equality with its softness; a time constant is at least two time steps, unless the file
-    switches that off."""
+    """Read an equality with its softness. The time constant is at least two time steps, unless the
+    file disables this limit."""
     one = _constraint(m, i)
     if isinstance(one, Weld):
         one = QuaternionWeld(one.a, one.b, leaf(m.eq_data[i, 10]))
@@ -101,7 +101,7 @@ def _soft(m: mujoco.MjModel, i: int) -> Soft:
 
 
 def _weights(m: mujoco.MjModel, i: int, rows: int) -> np.ndarray:
-    """MuJoCo's estimate of diag(G M^-1 G^T) at the reference configuration."""
+    """Compute MuJoCo's estimate of diag(G M^-1 G^T) at the reference configuration."""
     if int(m.eq_type[i]) == int(_KIND.mjEQ_JOINT):
         ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
         return m.dof_invweight0[m.jnt_dofadr[ends[ends >= 0]]].sum(keepdims=True)
@@ -123,7 +123,7 @@ def _end_bodies(m: mujoco.MjModel, i: int) -> np.ndarray:
 
 
 def _ends_move(m: mujoco.MjModel, i: int) -> bool:
-    """Whether a joint lies between the two bodies; otherwise MuJoCo has no rows of it either."""
+    """Check whether a joint lies between the two bodies; if not, MuJoCo has no constraint rows."""
     if int(m.eq_type[i]) == int(_KIND.mjEQ_JOINT):
         return True
     first, second = m.body_weldid[_end_bodies(m, i)]
@@ -154,7 +154,7 @@ def write_constraints(draft: Draft) -> list[Constraint]:
 
 
 def _rigid(one: Constraint) -> Constraint:
-    """A constraint as it is read without its softness."""
+    """Return a constraint without its softness."""
     one = one.of if isinstance(one, Soft) else one
     return Weld(one.a, one.b) if isinstance(one, QuaternionWeld) else one
 
@@ -169,14 +169,14 @@ def _write_softness(element: ET.Element, given: Constraint) -> None:
 
 
 def _places_move(model: Model, pair: Pair) -> bool:
-    """Whether a joint lies between the two ends: otherwise MuJoCo has no rows of it."""
+    """Check whether a joint lies between the two ends; if not, MuJoCo has no constraint rows."""
     carriers = (WORLD, *model.topology.carriers)
     a, b = (place_in_body(model, place)[0] for place in (pair.a, pair.b))
     return carriers[a + 1] != carriers[b + 1]
 
 
 def _polynomial(model: Model, one: Constraint) -> JointPolynomial | None:
-    """A coupling of two joints as a polynomial of as many terms as MJCF has, if it is one."""
+    """Convert a coupling of two joints to a polynomial of MJCF; None if that is impossible."""
     given: Any = one
     if type(one) is JointPolynomial:
         terms = given.coefficients

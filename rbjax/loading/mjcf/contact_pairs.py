@@ -7,10 +7,10 @@ import numpy as np
 
 
 def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of geoms that may touch, the geom of the earlier kind first.
+    """Return the pairs of geoms that may collide, the geom of the earlier type first.
 
-    The pairs of `<pair>` come first. Others need matching masks. Excluded are geoms of one rigid
-    body, of a body and its parent unless the parent is fixed, and the pairs of `<exclude>`.
+    The pairs of `<pair>` come first. All other pairs need matching masks. Excluded are geoms of one
+    rigid body, of a body and its parent unless the parent is fixed, and the pairs of `<exclude>`.
     (MuJoCo, *Computation*, "Collision detection".)
     """
     off, bit = m.opt.disableflags, mujoco.mjtDisableBit

@@ -1,4 +1,4 @@
-"""The features of a compiled MuJoCo model that rbjax leaves out, in words."""
+"""Descriptions of the features of a compiled MuJoCo model that rbjax does not support."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rbjax.loading.mjcf.constraints import equalities_are_on, is_loaded
 from rbjax.loading.mjcf.fields import Off, is_at_joint, is_on, reason_left_out
 
 _SHOWN = 4  # names listed before "and N more"
-#: the beginning of an entry about limits in the wrong order
+#: prefix of entries about inverted limits
 INVERTED = "joint limits whose lower end is above the upper one"
-#: the beginning of an entry about the root of a URDF
+#: prefix of entries about the root of a URDF
 FIXED = "fixed root link"
-#: the beginnings of entries about contacts
+#: prefixes of entries about contacts
 CONTACTS, COLLISION = "contacts (", "collision shapes"
-#: the beginning of an entry -> how to keep the feature
+#: prefix of an entry -> how to keep the feature
 _CURES = {
     INVERTED: "swap them in the file",
     "joint limits": "load(limits=True) loads them",
@@ -33,7 +33,7 @@ _CURES = {
 
 
 def _named(what: str, m: mujoco.MjModel, kind: mujoco.mjtObj, which: Any) -> str:
-    """An entry with the names of the elements at some indices."""
+    """Return an entry with the names of the elements at given indices."""
     names = [mujoco.mj_id2name(m, kind, int(i)) or f"#{i}" for i in which]
     return f"{what} ({listed(names, _SHOWN)})"
 
@@ -45,7 +45,7 @@ def dropped_features(
     friction: bool = False,
     constraints: bool = False,
 ) -> tuple[str, ...]:
-    """One entry for each feature that changes the motion and is not modelled."""
+    """List one entry for each unsupported feature that changes the motion."""
     obj, solved = mujoco.mjtObj, Off.mjDSBL_CONSTRAINT
     out: list[str] = []
 
@@ -80,19 +80,19 @@ def dropped_features(
 
 
 def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
-    """One entry for the sensors and one for the cameras, which are not modelled."""
+    """List an entry for sensors and an entry for cameras, which are not loaded."""
     obj = mujoco.mjtObj
     kinds = (("sensors", obj.mjOBJ_SENSOR, m.nsensor), ("cameras", obj.mjOBJ_CAMERA, m.ncam))
     return tuple(_named(what, m, kind, range(n)) for what, kind, n in kinds if n)
 
 
 def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
-    """The mask (nj,) of joints whose lower limit is above the upper one."""
+    """Return the mask (nj,) of joints whose lower limit is above the upper one."""
     return m.jnt_limited.astype(bool) & (m.jnt_range[:, 0] > m.jnt_range[:, 1])
 
 
 def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
-    """One entry for each passive property of joints and tendons that is negative somewhere."""
+    """List an entry for each passive property of joints and tendons with a negative value."""
     joint, tendon, dofs = mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON, m.dof_jntid
     fields = [
         ("damping", m.dof_damping, joint, dofs),
@@ -111,13 +111,13 @@ def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def with_cure(entry: str) -> str:
-    """The entry, followed by how to keep the feature, if that is possible."""
+    """Append to an entry how to keep the feature, if that is possible."""
     return next((f"{entry}: {cure}" for start, cure in _CURES.items() if entry.startswith(start)),
                 entry)  # fmt: skip
 
 
 def _equalities_left_out(m: mujoco.MjModel, *, constraints: bool) -> dict[str, np.ndarray]:
-    """The masks of equalities that are not loaded, by reason."""
+    """Return the masks of equalities that are not loaded, by reason."""
     if not equalities_are_on(m):
         return {}
     active = m.eq_active0.astype(bool)
@@ -133,8 +133,8 @@ def _equalities_left_out(m: mujoco.MjModel, *, constraints: bool) -> dict[str, n
 
 
 def tendon_is_supported(m: mujoco.MjModel, i: int) -> bool:
-    """Whether tendon i only transmits the forces of actuators, or is only a spring and a damper
-    between two sites."""
+    """Check whether tendon i only transmits the forces of actuators, or is only a spring and a
+    damper between two sites."""
     start, count, solved = m.tendon_adr[i], m.tendon_num[i], Off.mjDSBL_CONSTRAINT
     limited = m.tendon_limited[i] and is_on(m, solved, Off.mjDSBL_LIMIT)
     rubs = m.tendon_frictionloss[i] and is_on(m, solved, Off.mjDSBL_FRICTIONLOSS)
@@ -146,7 +146,7 @@ def tendon_is_supported(m: mujoco.MjModel, i: int) -> bool:
 
 
 def _may_collide(m: mujoco.MjModel) -> bool:
-    """Whether any two geoms of different bodies could touch by their collision masks."""
+    """Check whether any two geoms of different bodies could collide by their collision masks."""
     if m.npair:
         return True
     types, affinities = set(), set()

@@ -1,4 +1,4 @@
-"""Fields of a compiled MuJoCo model: names, flags, error messages, and the kinds of actuators."""
+"""Fields of a compiled MuJoCo model: names, flags, error messages, and types of actuators."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-#: the flags by which a file switches features off
+#: flags by which a file disables features
 Off = mujoco.mjtDisableBit
 
 
 def members(enum: Any) -> SimpleNamespace:
-    """The members of an enumeration as integers, without their prefix."""
+    """Return the members of an enumeration as integers, without their prefix."""
     return SimpleNamespace(**{n.split("_")[1]: int(x) for n, x in enum.__members__.items()})
 
 
 def is_on(m: mujoco.MjModel, *flags: mujoco.mjtDisableBit) -> bool:
-    """Whether the file switches none of these features off."""
+    """Check that the file disables none of these features."""
     return not any(m.opt.disableflags & int(flag) for flag in flags)
 
 
 def names_of(m: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> tuple[str, ...]:
-    """The names of joints, bodies, ...; one without a name is named by its index, as joint0."""
+    """Return the names of joints, bodies, ...; type and index (joint0) if a name is missing."""
     return tuple(
         mujoco.mj_id2name(m, kind, i) or f"{kind.name[6:].lower()}{i}" for i in range(count)
     )
 
 
 def leaf(x: Any) -> jax.Array:
-    """Numbers as a leaf of a model."""
+    """Convert numbers to a leaf of a model."""
     return jnp.asarray(np.asarray(x, np.float64))
 
 
-#: part of a message of MuJoCo -> the fix
+#: part of a MuJoCo message -> the fix
 _FIXES = {
     "mass and inertia of moving bodies": "give the body an <inertial> with positive mass and "
     "inertia, or weld it (no joint, URDF type='fixed')",
@@ -52,7 +52,7 @@ _FIXES = {
 
 
 def message_of(error: Exception) -> str:
-    """The message of an error of MuJoCo in one line, with the fix if it is known."""
+    """Return the message of a MuJoCo error in one line, with a fix if one is known."""
     message = " ".join(str(error).split())
     fix = next((f"; {fix}" for key, fix in _FIXES.items() if key in message), "")
     return message + fix
@@ -60,24 +60,24 @@ def message_of(error: Exception) -> str:
 
 Trn, Dyn, Gain = map(members, (mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain))
 Bias, Wrap = map(members, (mujoco.mjtBias, mujoco.mjtWrap))
-_LAST_GROUP = 30  # of those that a file can disable
+_LAST_GROUP = 30  # last group that a file can disable
 _ACTIVATIONS = (Dyn.NONE, Dyn.INTEGRATOR, Dyn.FILTER, Dyn.FILTEREXACT, Dyn.MUSCLE)
 
 
 def is_off(m: mujoco.MjModel, i: int) -> bool:
-    """Whether the file switches actuator i off: all of them, or its group."""
+    """Check whether the file disables actuator i, by its group or with all actuators."""
     group = int(m.actuator_group[i])
     grouped = 0 <= group <= _LAST_GROUP and m.opt.disableactuator >> group & 1
     return bool(grouped or not is_on(m, Off.mjDSBL_ACTUATION))
 
 
 def is_at_joint(m: mujoco.MjModel, i: int) -> bool:
-    """Whether actuator i drives a joint."""
+    """Check whether actuator i drives a joint."""
     return m.actuator_trntype[i] in (Trn.JOINT, Trn.JOINTINPARENT)
 
 
 def is_circular(m: mujoco.MjModel, i: int) -> bool:
-    """Whether actuator i is a position servo on an angle, whose setpoints lie on a circle."""
+    """Check whether actuator i is a position servo on an angle with setpoints modulo full turns."""
     servo = m.actuator_gaintype[i] == Gain.PID or (
         m.actuator_gaintype[i] == Gain.FIXED
         and m.actuator_biastype[i] == Bias.AFFINE
@@ -95,7 +95,7 @@ def is_circular(m: mujoco.MjModel, i: int) -> bool:
 
 
 def reason_left_out(m: mujoco.MjModel, i: int) -> str:
-    """The reason for which actuator i is left out; empty if it is supported."""
+    """Return the reason why actuator i is not supported; empty if it is supported."""
     transmission, tendon = m.actuator_trntype[i], m.actuator_trnid[i, 0]
     if is_off(m, i):
         return ""
@@ -115,8 +115,8 @@ def reason_left_out(m: mujoco.MjModel, i: int) -> str:
 
 
 def reflected(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The armature and linear damping (nv,) of actuators at their joints, and their damping by
-    higher powers of the velocity (nv, n)."""
+    """Compute the armature and linear damping (nv,) of actuators at their joints, and their damping
+    by higher powers of the velocity (nv, n)."""
     armature, damping = np.zeros(m.nv), np.zeros(m.nv)
     polynomial = np.zeros_like(m.dof_dampingpoly)
     for i in range(m.nactuator):

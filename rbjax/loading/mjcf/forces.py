@@ -1,19 +1,19 @@
 """Force elements of a compiled model: joints, gravity compensation, tendons, fluid.
 
-Limits and friction loss are constraints in MuJoCo, solved softly:
+Limits and friction loss are soft constraints in MuJoCo:
 
     a_ref = -b v - k d(r) r,    f = (a_ref - a) / R at the solution,    R = (1 - d) / d * A
 
-with r the depth, d its impedance, A the inverse inertia at the coordinate (`dof_invweight0`), and
-k, b computed from `solref` (MuJoCo, *Computation*, constraint model). They become elements only if
-the caller asks for them. At rest a = v = 0, so a stop carries f = d^2 k r / ((1 - d) A): a spring.
-Its stiffness here is that at half the width over which d grows, and its damper has solref's damping
-ratio for this spring and the inertia 1 / A. Friction loss creeps at v = f R / b under a load f, so
-v_0 = F_c R / b in `JointFriction`; or 2 h F_c A for a time step h if that is larger, which an
-explicit step can follow.
+r is the penetration, d its impedance, A the inverse inertia at the dof (`dof_invweight0`), and k, b
+follow from `solref` (MuJoCo, *Computation*, constraint model). They become elements only by an
+option of `load`. At rest a = v = 0, so a stop carries f = d^2 k r / ((1 - d) A), a spring. The
+stiffness of the element is taken at half the width of the impedance. Its damper has solref's
+damping ratio for this spring and the inertia 1 / A. Friction loss creeps at v = f R / b under a
+load f, so v_0 = F_c R / b in `JointFriction`, but at least 2 h F_c A for a time step h, so that
+explicit steps are stable.
 
-A body with geoms of fluidshape="ellipsoid" has the fluid forces of these geoms; any other body has
-those of its inertia box.
+A body with geoms of fluidshape="ellipsoid" has the fluid forces of these geoms. Any other body has
+the fluid forces of its inertia box.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from rbjax.loading.checks import check_finite
 from rbjax.loading.mjcf.dropped import inverted_limits, tendon_is_supported
 from rbjax.loading.mjcf.fields import Off, is_on, leaf, reflected
 
-_IMPEDANCES = (1e-4, 0.9999)  # within which MuJoCo holds d
+_IMPEDANCES = (1e-4, 0.9999)  # MuJoCo's range of d
 _SIZES = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
 
 
@@ -57,7 +57,7 @@ def force_elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[
 
 
 def _of(m: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
-    """The velocity coordinates of these joints, in their order."""
+    """Return the dofs of joints, in the joints' order."""
     spans = [m.jnt_dofadr[j] + np.arange(_SIZES.get(int(m.jnt_type[j]), 1)) for j in joints]
     return np.concatenate([np.zeros(0, int), *spans])
 
@@ -85,8 +85,8 @@ def _limits(m: mujoco.MjModel) -> list[Element]:
 
 
 def _stop(m: mujoco.MjModel, joint: int) -> tuple[float, float, float]:
-    """Stiffness, damping and width of the stop of a joint. The width is a tenth of the
-    impedance's."""
+    """Compute stiffness, damping and width of the stop of a joint. The width is a tenth of the
+    impedance's width."""
     mobility = max(m.dof_invweight0[m.jnt_dofadr[joint]], mujoco.mjMINVAL)
     width = max(m.jnt_solimp[joint, 2], mujoco.mjMINVAL)
     k, b = _reference(m, m.jnt_solref[joint], m.jnt_solimp[joint])
@@ -119,7 +119,7 @@ def _friction(m: mujoco.MjModel) -> list[Element]:
 
 
 def _reference(m: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
-    """k and b of a_ref = -b v - k d r."""
+    """Compute k and b of a_ref = -b v - k d r."""
     top = float(np.clip(solimp[1], *_IMPEDANCES))
     if solref[0] <= 0:
         return -solref[0] / top**2, -solref[1] / top
@@ -130,8 +130,8 @@ def _reference(m: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray) -> tup
 
 
 def _impedance(solimp: np.ndarray, depth: float) -> float:
-    """d at a depth: from solimp's first number to its second over its width, by two powers that
-    meet at its midpoint."""
+    """Compute the impedance d at a depth. It rises from solimp's first number to its second over
+    the width, by two power functions that meet at the midpoint."""
     low, high = np.clip(solimp[:2], *_IMPEDANCES)
     width, middle = max(solimp[2], 0.0), float(np.clip(solimp[3], *_IMPEDANCES))
     power = max(solimp[4], 1.0)
@@ -147,7 +147,7 @@ def _impedance(solimp: np.ndarray, depth: float) -> float:
 
 
 def _gravity_compensation(m: mujoco.MjModel) -> list[Element]:
-    """Gravity compensation, a passive force: MuJoCo computes none without springs and dampers."""
+    """Read the gravity compensation; none if springs and dampers are disabled, as in MuJoCo."""
     bodies = np.flatnonzero(m.body_gravcomp[1:])
     if not len(bodies) or not (is_on(m, Off.mjDSBL_SPRING) or is_on(m, Off.mjDSBL_DAMPER)):
         return []
@@ -159,13 +159,13 @@ def _gravity_compensation(m: mujoco.MjModel) -> list[Element]:
     found: list[Element] = []
     if len(passive):
         found.append(GravityCompensation(fraction, at, tuple(passive.tolist())))
-    if m.nactuator and is_on(m, Off.mjDSBL_ACTUATION):  # else MuJoCo loses the actuators' share
+    if m.nactuator and is_on(m, Off.mjDSBL_ACTUATION):  # else MuJoCo drops the actuated part
         found.append(GravityCompensation(fraction, at, tuple(driven.tolist()), actuated=True))
     return found
 
 
 def _tendons(m: mujoco.MjModel) -> list[Element]:
-    """The springs and dampers of spatial tendons between two sites."""
+    """Read the springs and dampers of spatial tendons between two sites."""
     found: list[Element] = []
     for i in filter(lambda i: tendon_is_supported(m, i), range(m.ntendon)):
         stiffness = np.array([m.tendon_stiffness[i], *m.tendon_stiffnesspoly[i]])
@@ -185,12 +185,12 @@ _ALIGNED = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def fluid_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
-    """The elements of the medium around the bodies."""
+    """Read the fluid forces on the bodies."""
     bits = mujoco.mjtDisableBit
     out: list[Element] = []
     off = int(bits.mjDSBL_SPRING) | int(bits.mjDSBL_DAMPER)
     rho, mu = float(m.opt.density), float(m.opt.viscosity)
-    if m.opt.disableflags & off == off or max(rho, mu) <= 0:  # without either nothing is passive
+    if m.opt.disableflags & off == off or max(rho, mu) <= 0:  # both disabled: no passive forces
         return ()
     moving = (m.body_weldid != 0) & (m.body_mass >= mujoco.mjMINVAL)
     shaped = m.geom_fluid[:, 0] > 0
@@ -231,7 +231,7 @@ def _rows(rows: list[Array]) -> Any:
 
 
 def _semi_axes(m: mujoco.MjModel, g: int) -> Array:
-    """The semi-axes of the ellipsoid in place of a geom."""
+    """Return the semi-axes of the equivalent ellipsoid of a geom."""
     kinds, (x, y, _) = mujoco.mjtGeom, m.geom_size[g]
     axes = {
         int(kinds.mjGEOM_SPHERE): [x, x, x],
@@ -242,7 +242,7 @@ def _semi_axes(m: mujoco.MjModel, g: int) -> Array:
 
 
 def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[Array, Array]:
-    """The inertial frame of a body as MuJoCo uses it: frames that coincide within 1e-6 are one."""
+    """Return the inertial frame of a body; MuJoCo uses the body frame if they agree within 1e-6."""
     same, kinds = int(m.body_sameframe[b]), mujoco.mjtSameFrame
     if same == int(kinds.mjSAMEFRAME_BODY):
         return np.zeros(3), _ALIGNED
@@ -251,7 +251,7 @@ def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[Array, Array]:
 
 
 def _geom_frame(m: mujoco.MjModel, g: int) -> tuple[Array, Array]:
-    """The frame of a geom in its body as MuJoCo uses it."""
+    """Return the frame of a geom in its body as MuJoCo uses it."""
     same, kinds = int(m.geom_sameframe[g]), mujoco.mjtSameFrame
     position, attitude = inertial_frame(m, m.geom_bodyid[g])
     if same == int(kinds.mjSAMEFRAME_BODY):

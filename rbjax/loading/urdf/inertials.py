@@ -1,8 +1,8 @@
-"""The inertials of a URDF, as the file has them.
+"""The inertials of a URDF, unchanged.
 
-MuJoCo's compiler rejects inertials that every other reader takes: placeholders of zeros, rounded or
-guessed inertias that no rigid body has, massless links that move. So it compiles a placeholder for
-every link, and the file's numbers are written into the compiled model.
+MuJoCo's compiler rejects inertials that other readers accept: zeros as placeholders, rounded or
+guessed inertias that are physically impossible, massless moving links. So MuJoCo compiles a
+placeholder for every link, and then the file's numbers are written into the compiled model.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from rbjax.errors import ModelError, listed
 from rbjax.loading.checks import data_of, joints_that_cancel, mass_matrix
 from rbjax.loading.urdf.tree import origin, read_numbers
 
-#: a moment beyond the sum of the other two by less than this part of it is the file's rounding
+#: relative excess of a moment over the sum of the other two that counts as rounding in the file
 ROUNDING = 1e-6
 _SHOWN = 8  # names listed before "and N more"
-# At an angle and off the link's origin, so that MuJoCo takes no short cuts from its zeros.
+# At an angle and off the link's origin, so that MuJoCo does not simplify the frame.
 _TURNED = (0.7, 0.1, 0.5, 0.5)
 
 
@@ -34,9 +34,9 @@ class Inertial:
     inertia: np.ndarray
 
     def oddity(self, *, jointed: bool) -> str:
-        """The reason for which no rigid body has this inertial, in words; empty if one has.
+        """Describe why the inertial is physically impossible; empty if it is possible.
 
-        A point mass is odd on a joint of its own, but not if it is welded to other mass.
+        A point mass is reported on a joint of its own, but not if it is welded to other mass.
         """
         moments = np.linalg.eigvalsh(self.inertia)
         excess = max(-moments[0], moments[2] - moments[0] - moments[1])
@@ -52,15 +52,15 @@ class Inertial:
 
 
 def add_placeholder(body: Any) -> None:
-    """Give a body of a spec an inertial that MuJoCo compiles."""
+    """Give a body of a spec an inertial that MuJoCo accepts."""
     body.mass, body.ipos, body.inertia = 1.0, (1.0, 2.0, 3.0), (1.0, 1.1, 1.2)
     body.iquat, body.explicitinertial = _TURNED, True
 
 
 def write_inertials(m: mujoco.MjModel, inertials: dict[str, Inertial], name: str) -> str:
-    """Write the links' inertials in place of the placeholders of the compiled model.
+    """Replace the placeholders of the compiled model by the links' inertials.
 
-    Returns in words which moving links have inertials that no rigid body has.
+    Return a text that lists moving links with physically impossible inertials.
     """
     odd: dict[str, list[str]] = {}
     for i in range(1, m.nbody):
@@ -77,7 +77,7 @@ def write_inertials(m: mujoco.MjModel, inertials: dict[str, Inertial], name: str
 
 
 def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Principal moments, and the rotation from their axes."""
+    """Compute the principal moments, and the rotation from the principal axes."""
     if not (inertia - np.diag(np.diag(inertia))).any():
         return np.diag(inertia), np.eye(3)
     moments, turn = np.linalg.eigh(inertia)
@@ -85,7 +85,7 @@ def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
-    """Raise if a joint moves no mass at a generic pose: it has no finite acceleration."""
+    """Raise ModelError if a joint, or a combination of joints, moves no mass."""
     M = mass_matrix(m)
     moved = np.abs(np.diag(M))
     still = np.flatnonzero(moved <= 1e-15 * moved.max(initial=0.0))
@@ -108,8 +108,8 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
 
 
 def read_inertial(link: ET.Element, where: str) -> Inertial:
-    """The inertial of a link. An absent element counts as zeros; one that is there has all its
-    numbers."""
+    """Read the inertial of a link. An absent element is read as zeros; an existing element must
+    have all its numbers."""
     inertial = link.find("inertial")
     inertial = ET.Element("inertial") if inertial is None else inertial
     mass = read_numbers(inertial.find("mass"), "value", 1, where)

@@ -1,15 +1,16 @@
 """A URDF as a `mujoco.MjSpec`.
 
-Bodies, joints and frames go straight into the spec. Inertials do not: MuJoCo's compiler rejects
-placeholders of zeros and rounded inertias, so every body is compiled with the same one, and
-`inertials` writes the file's numbers into the compiled model.
+The spec contains bodies, joints and frames. It contains the same placeholder inertial for every
+body, because MuJoCo's compiler rejects zeros and rounded inertias. `inertials` writes the file's
+numbers into the compiled model.
 
-A floating joint is a free joint if its parent is the ground or a root at rest. Further down, where
-MuJoCo has no free joint, it is three slides and a ball, whose coordinates
+A floating joint is a free joint if its parent is the ground or a root at rest. Deeper in the tree
+MuJoCo has no free joint, and it is three slides and a ball, with the coordinates
 
     q = [position; quaternion] of the child in the joint's frame,   v = [its rate; angular velocity]
 
-have position and velocity in the axes of the joint's frame, angular velocity in those of the child.
+Position and linear velocity are in the axes of the joint's frame, angular velocity in the axes of
+the child.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ _SLIDE, _HINGE = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
 _TYPES = {
     "revolute": _HINGE, "continuous": _HINGE, "prismatic": _SLIDE, "spherical": _BALL,
 }  # fmt: skip
-_MOVING = ("revolute", "continuous", "prismatic")  # of one coordinate
+_MOVING = ("revolute", "continuous", "prismatic")  # with one coordinate
 _AXES = {"TX": (1, 0, 0), "TY": (0, 1, 0), "TZ": (0, 0, 1)}
-#: settings of MuJoCo's compiler that change inertials, or that concern MJCF files
+#: compiler settings that change inertials, or that apply only to MJCF files
 _IGNORED = (
     "balanceinertia", "boundmass", "boundinertia", "settotalmass", "meshdir", "texturedir",
     "assetdir", "angle", "eulerseq",
@@ -56,11 +57,11 @@ _IGNORED = (
 
 @dataclass(frozen=True)
 class Mimics:
-    """The mimics of a file.
+    """The mimic joints of a file.
 
-    couplings: the constraints of joints of one coordinate; one on a fixed joint is held.
-    names: of the couplings, "joint of driver".
-    others: of joints of several coordinates, which are not modelled.
+    couplings: constraints of joints with one coordinate; a joint that mimics a fixed joint is held.
+    names: names of the couplings, "joint of driver".
+    others: mimics of joints with several coordinates, which are not supported.
     """
 
     couplings: tuple[JointPolynomial, ...] = ()
@@ -68,7 +69,7 @@ class Mimics:
     others: tuple[str, ...] = ()
 
     def left_out(self, *, constraints: bool) -> tuple[str, ...]:
-        """The entries of `Model.dropped`."""
+        """List the entries of `Model.dropped`."""
         names = ", ".join((*(() if constraints else self.names), *self.others))
         return (f"mimic joints, which move on their own ({names})",) if names else ()
 
@@ -78,8 +79,8 @@ class Urdf:
     """A URDF as a spec, and the parts that the spec does not contain.
 
     spec: the tree, with placeholders as inertials.
-    inertials: by link.
-    mimics: the mimic joints.
+    inertials: inertials by link.
+    mimics: mimic joints.
     left_out: entries of `Model.dropped`.
     """
 
@@ -95,11 +96,11 @@ def read_urdf(
 ) -> Urdf:  # fmt: skip
     """Read the robot of a URDF.
 
-    shapes: the links whose shapes are read; None for the shapes other than meshes of all links.
-    folder: the folder of the file.
+    shapes: links whose shapes are read; None for all shapes except meshes.
+    folder: folder of the file.
 
     Raises:
-        ModelError: the joints make no tree, or a number is missing or wrong.
+        ModelError: the joints are not a tree, or a number is missing or wrong.
     """
     robot = ET.fromstring(text)
     tree = read_tree(robot, name)
@@ -127,7 +128,7 @@ def read_urdf(
 
 
 def _free_ground(tree: Tree, inertials: dict[str, Inertial], name: str) -> None:
-    """Make the root 'world' a link that can move, unless something floats on it already."""
+    """Make the root 'world' a moving link, unless another link already floats on it."""
     if any(x.kind == "floating" and x.parent == GROUND for x in tree.joints):
         return
     children, front, mass = tree.children(), [GROUND], False
@@ -146,8 +147,8 @@ def _free_ground(tree: Tree, inertials: dict[str, Inertial], name: str) -> None:
 
 
 def _from_the_ground(tree: Tree, *, floating_base: bool) -> list[Joint]:
-    """List the joints from the ground on, parents before children. A link that floats on a root at
-    rest floats on the ground."""
+    """List the joints from the ground on, parents before children. A link that floats on a fixed
+    root is moved to the ground."""
     children, root = tree.children(), tree.root
     if root != GROUND and floating_base:
         children[GROUND] = [Joint("floating_base", "floating", GROUND, root)]
@@ -166,7 +167,7 @@ def _from_the_ground(tree: Tree, *, floating_base: bool) -> list[Joint]:
 
 
 def _settings(robot: ET.Element, name: str) -> mujoco.MjSpec:
-    """An empty spec with the options of the URDF's <mujoco> extension."""
+    """Make an empty spec with the options of the URDF's <mujoco> extension."""
     root = ET.Element("mujoco", model=robot.get("name", "robot"))
     extension = robot.find("mujoco")
     for element in () if extension is None else extension:
@@ -185,7 +186,7 @@ def _settings(robot: ET.Element, name: str) -> mujoco.MjSpec:
 
 
 def _add_joints(body: Any, joint: Joint, at: str) -> None:
-    """The joints of a body that move it as a joint of the file does."""
+    """Add the joints to a body that are equivalent to a joint of the file."""
     element = ET.Element("joint") if joint.element is None else joint.element
     limit, dynamics, axis = (element.find(tag) for tag in ("limit", "dynamics", "axis"))
     ends = [number(limit, key, at) for key in ("lower", "upper")]
@@ -223,7 +224,7 @@ def _add_joints(body: Any, joint: Joint, at: str) -> None:
 
 
 def read_mimics(tree: Tree, name: str) -> Mimics:
-    """The mimics of a robot. A fixed joint has nothing to mimic with."""
+    """Read the mimic joints of a robot. Mimics on fixed joints are ignored."""
     kinds = {joint.name: joint.kind for joint in tree.joints}
     couplings, names, others = [], [], []
     for joint in tree.joints:

@@ -1,7 +1,7 @@
 """The shapes of a URDF as geoms: boxes, cylinders, spheres, capsules, and meshes.
 
-`package://name/path` is looked for in the folders above the file, as no search path is known here:
-in one that is named so, and beneath each.
+The search path of `package://name/path` is unknown. It is searched in each folder above the file,
+and in a folder above the file with the name of the package.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import mujoco
 from rbjax.errors import ModelError
 from rbjax.loading.urdf.tree import number, origin, read_numbers
 
-#: how many numbers the size of a shape has
+#: number of entries of the size of a shape
 _SIZES = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2}
 _KINDS = {name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}") for name in _SIZES}
 READ = (".stl", ".obj", ".msh")
 
 
 def add_shapes(spec: mujoco.MjSpec, body: Any, link: ET.Element, folder: Path, at: str) -> None:
-    """Give a body the round shapes and meshes of its link for collisions or, if there are none, the
-    visual ones. Meshes that MuJoCo cannot read are left out. at: the place in the file."""
+    """Add the round shapes and meshes of a link to its body: collision shapes or, if there are
+    none, visual ones. Skip meshes that MuJoCo cannot read. at: place in the file, for messages."""
     for tag in ("collision", "visual"):
         found = [
             _add_mesh(spec, body, shape, folder, at) or _add_primitive(body, shape, at, box=False)
@@ -36,14 +36,14 @@ def add_shapes(spec: mujoco.MjSpec, body: Any, link: ET.Element, folder: Path, a
 
 
 def add_primitives(body: Any, link: ET.Element, at: str) -> None:
-    """Give a body all shapes of its link but meshes, and those without a size."""
+    """Add all shapes of a link with a size, except meshes, to its body."""
     for shape in (*link.findall("collision"), *link.findall("visual")):
-        with contextlib.suppress(ModelError):  # the dynamics does not need shapes
+        with contextlib.suppress(ModelError):  # the dynamics does not require shapes
             _add_primitive(body, shape, at)
 
 
 def _given(shape: ET.Element, at: str) -> dict[str, Any]:
-    """Pose and masks of a shape, which are MuJoCo's for a URDF."""
+    """Return the pose and the collision masks of a shape, with MuJoCo's masks for a URDF."""
     given = dict(zip(("pos", "quat"), origin(shape, at), strict=True))
     seen = {"contype": 0, "conaffinity": 0, "group": 1}
     return given | (seen if shape.tag == "visual" else {})
@@ -80,7 +80,7 @@ def _add_primitive(body: Any, shape: ET.Element, at: str, *, box: bool = True) -
 
 
 def find_mesh(name: str, folder: Path) -> Path | None:
-    """The file that a URDF in a folder means by a name; None if it is absent or not readable."""
+    """Find the mesh file of a name in a URDF; None if it is absent or not readable."""
     name = unquote(name)
     folder = folder.resolve()
     places: list[Path] = []

@@ -1,7 +1,7 @@
-"""The tree of a URDF: its links and joints, checked, and the numbers of its attributes.
+"""The tree of a URDF: its checked links and joints, and the numbers of its attributes.
 
-A link named 'world' at the root is the ground. Every other root is a link at rest on the ground or,
-with a floating base, a link on a free joint.
+A link named 'world' at the root is the ground. Any other root is fixed to the ground or, with a
+floating base, is on a free joint.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import numpy as np
 from rbjax.errors import ModelError, listed
 from rbjax.loading.mjcf.dropped import COLLISION, FIXED, INVERTED
 
-#: bodies of a file, which MuJoCo reads in half a minute; it takes at most 1023 in a chain
+#: largest number of bodies in a file, which MuJoCo reads in half a minute; its limit in a chain
+#: is 1023
 _MANY, _DEEPEST = 20_000, 1000
 
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
@@ -31,7 +32,7 @@ GROUND = "world"
 
 
 def is_urdf(text: str, name: str) -> bool:
-    """Whether the XML's root element is <robot>."""
+    """Check whether the XML's root element is <robot>."""
     if not text.strip():
         raise ModelError(f"{name}: the file is empty; expected MJCF (<mujoco>) or URDF (<robot>)")
     try:
@@ -58,7 +59,7 @@ def is_urdf(text: str, name: str) -> bool:
 
 
 def _bodies(root: ET.Element) -> int:
-    """The number of bodies of a file, with the copies of <replicate>."""
+    """Count the bodies of a file, with the copies of <replicate>."""
     if root.tag == "robot":
         return len(root.findall("link"))
     count, front = 0, [(root, 1)]
@@ -74,13 +75,13 @@ def _bodies(root: ET.Element) -> int:
 def _count(replicate: ET.Element) -> int:
     try:
         return max(int(replicate.get("count", "1")), 0)
-    except ValueError:  # which MuJoCo's parser rejects
+    except ValueError:  # MuJoCo's parser rejects it
         return 1
 
 
 @dataclass
 class Joint:
-    """A joint of a URDF. `element` has its numbers; None for one that is added to the file."""
+    """A joint of a URDF. `element` is its XML element; None for a joint that is not in the file."""
 
     name: str
     kind: str
@@ -91,27 +92,27 @@ class Joint:
 
 @dataclass
 class Tree:
-    """Links by name, joints in the order of the file, and the root link."""
+    """The links by name, the joints in the order of the file, and the root link."""
 
     links: dict[str, ET.Element]
     joints: list[Joint]
     root: str
 
     def children(self) -> dict[str, list[Joint]]:
-        """The joints below each link."""
+        """Return the joints below each link."""
         out: dict[str, list[Joint]] = {name: [] for name in (GROUND, *self.links)}
         for joint in self.joints:
             out[joint.parent].append(joint)
         return out
 
     def unused(self, name: str) -> str:
-        """The name, or one like it that no link or joint has."""
+        """Return the name, with a suffix if a link or joint has it already."""
         while name in self.links or any(name == joint.name for joint in self.joints):
             name = f"rbjax_{name}"
         return name
 
     def rename_ground(self) -> None:
-        """Give a link named 'world' that is not the ground another name, 'world_link'."""
+        """Rename a link 'world' that is not the ground to 'world_link'."""
         new = self.unused("world_link")
         self.links = {new if name == GROUND else name: x for name, x in self.links.items()}
         self.root = new if self.root == GROUND else self.root
@@ -121,7 +122,7 @@ class Tree:
 
 
 def read_tree(robot: ET.Element, name: str) -> Tree:
-    """The tree of a <robot>. Raises `ModelError` if its joints do not make one."""
+    """Read the tree of a <robot>; raise ModelError if its joints are not a tree."""
     links = robot.findall("link")
     if not links:
         raise ModelError(f"{name}: <robot> has no <link>, expected at least one{_XACRO}")
@@ -161,7 +162,7 @@ def _joint(element: ET.Element, links: dict[str, ET.Element], name: str) -> Join
 
 
 def _root(joints: list[Joint], links: set[str], name: str) -> str:
-    """The only link without a parent."""
+    """Return the only link without a parent, or raise ModelError."""
     children: dict[str, list[str]] = {}
     below: set[str] = set()
     for joint in joints:
@@ -195,7 +196,7 @@ def _root(joints: list[Joint], links: set[str], name: str) -> str:
 
 
 def left_out(tree: Tree, name: str, *, floating_base: bool) -> tuple[str, ...]:
-    """Entries of `Model.dropped`: limits in the wrong order, collision shapes, a fixed root with a
+    """List the entries of `Model.dropped`: inverted limits, collision shapes, a fixed root with a
     mass."""
     out = []
     inverted = []
@@ -221,10 +222,12 @@ def left_out(tree: Tree, name: str, *, floating_base: bool) -> tuple[str, ...]:
 def read_numbers(
     element: ET.Element | None, key: str, count: int, where: str, usual: Any = None
 ) -> np.ndarray:
-    """`count` numbers of an attribute: zeros if the element is absent, `usual` if the attribute is.
+    """Read `count` numbers of an attribute.
+
+    Return zeros if the element is absent, and `usual` if the attribute is absent.
 
     Raises:
-        ModelError: the attribute is not so many finite numbers, or is absent and has no `usual`.
+        ModelError: the attribute is not `count` finite numbers, or is absent and has no `usual`.
     """
     if element is None:
         return np.zeros(count)
@@ -246,12 +249,12 @@ def read_numbers(
 
 
 def number(element: ET.Element | None, key: str, where: str, usual: float = 0.0) -> float:
-    """One number."""
+    """Read one number of an attribute, with the default `usual`."""
     return float(read_numbers(element, key, 1, where, usual)[0])
 
 
 def origin(element: ET.Element | None, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """Position (3,) and quaternion (4,) of the <origin> of an element."""
+    """Read the position (3,) and the quaternion (4,) of the <origin> of an element."""
     found = None if element is None else element.find("origin")
     position = read_numbers(found, "xyz", 3, where, 0.0)
     quat = np.empty(4)

@@ -1,1 +1,1 @@
-"""A `Model` written as MJCF, or into the file that it came from."""
+"""Writing a `Model`: as a new MJCF file, or as changed values in the file that it came from."""

@@ -1,7 +1,7 @@
-"""Write the numbers of a model into the user's own file, and leave the rest of the file unchanged.
+"""Update the values of a robot in the user's own file, and keep the rest of the file unchanged.
 
-Only attributes and elements of the XML are changed: MuJoCo's writer would round every other number
-to six digits, and leave out comments.
+Only attributes and elements of the XML are changed, because MuJoCo's writer rounds all numbers to
+six digits and drops comments.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from rbjax.loading.urdf.tree import is_urdf
 from rbjax.loading.write.draft import text
 from rbjax.model import Model
 
-_CLOSE = 1e-12  # relative: a number that did not change is not written
+_CLOSE = 1e-12  # relative change below which a number is not written
 
 
 def write_back(model: Model, source: str | Path, path: str | Path | None = None) -> str:
-    """The user's own MJCF or URDF file with a model's numbers in place of its own.
+    """Update the values of a model in the user's own MJCF or URDF file.
 
-    Written are those numbers that differ from the file's: of bodies mass, centre and inertia; of
-    joints damping, armature, Coulomb friction and (MJCF) stiffness; of MJCF's actuators gain, bias
-    and gear; gravity. Geometry, sensors, names, defaults and materials stay.
+    Only values that differ from the file are written: of bodies mass, center of mass and inertia;
+    of joints damping, armature, Coulomb friction and (MJCF) stiffness; of MJCF actuators gain, bias
+    and gear; gravity. Geometry, sensors, names, defaults and materials do not change.
 
     Args:
-        model: the model of the file, with other numbers.
+        model: model of the file, with other values.
         source: the file, its text, or a bundled scene's name.
-        path: a file to write as well. Relative paths of meshes stay, so it belongs into the folder
+        path: output file, or None. Relative paths of meshes are kept, so it should be in the folder
             of the source.
 
     Returns:
-        The text.
+        The text of the updated file.
 
     Raises:
-        InputError: a model with other bodies or joints than the file's.
-        ModelError: the file that was written gives another model: numbers that it cannot say.
+        InputError: a model with other bodies or joints than the file.
+        ModelError: the updated file gives another model: the file cannot express its values.
 
     Example:
         >>> import rbjax as rb
@@ -77,7 +77,7 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
         again = from_compiled(compile_source(out, floating_base=floating)[0])
     else:
         spec = mujoco.MjSpec.from_string(out)
-        spec.modelfiledir = str(place.parent.resolve())  # so that its meshes are found
+        spec.modelfiledir = str(place.parent.resolve())  # the folder of the mesh paths
         again = from_compiled(compile_source(spec, floating_base=False)[0])
     _check(model, jax.tree.map(np.asarray, again), urdf)
     if path is not None:
@@ -114,9 +114,9 @@ def _mjcf(model: Model, before: Model, given: str, compiled: mujoco.MjModel) -> 
             for key, at in (("armature", start), ("damping", start), ("stiffness", j)):
                 new, was = getattr(own, key)[at], getattr(was_own, key)[at]
                 if _differs(new, was):
-                    # without the share that actuators reflect
+                    # without the damping and armature of actuators
                     kept = getattr(compiled, f"{'jnt' if key == 'stiffness' else 'dof'}_{key}")[at]
-                    further = joint.get(key, "").split()[1:]  # of a polynomial
+                    further = joint.get(key, "").split()[1:]  # higher terms of a polynomial
                     joint.set(key, " ".join([text(kept + new - was), *further]))
             if start in friction:
                 joint.set("frictionloss", text(friction[start]))
@@ -128,12 +128,12 @@ def _mjcf(model: Model, before: Model, given: str, compiled: mujoco.MjModel) -> 
 
 
 def _parsed(given: str) -> ET.Element:
-    """The file with its comments."""
+    """Parse the file with its comments."""
     return ET.fromstring(given, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
 
 
 def _changed_inertials(model: Model, before: Model) -> list[Any]:
-    """Mass, centre and inertia of each body, None if they are unchanged."""
+    """List mass, center of mass and inertia of each body; None if they are unchanged."""
     found = []
     for b in range(model.nb):
         new, old = ([getattr(m.bodies, n)[b] for n in ("mass", "com", "inertia")]
@@ -143,7 +143,7 @@ def _changed_inertials(model: Model, before: Model) -> list[Any]:
 
 
 def _joints_of(element: ET.Element) -> list[ET.Element]:
-    """The joints of a body, also those within frames."""
+    """List the joints of a body, including joints within frames."""
     found = []
     for child in element:
         if child.tag in ("joint", "freejoint"):
@@ -178,7 +178,7 @@ def _write_actuator(one: ET.Element, model: Model, before: Model, a: int) -> Non
 
 
 def _friction(model: Model) -> dict[int, float]:
-    """First velocity of a joint -> its Coulomb friction, of the model's elements of friction."""
+    """Map the first dof of each joint to its Coulomb friction, from the model's elements."""
     found: dict[int, float] = {}
     for element in model.forces:
         if isinstance(element, JointFriction):
@@ -225,7 +225,7 @@ def _child(element: ET.Element, tag: str) -> ET.Element:
 
 
 def _check(model: Model, again: Model, urdf: bool) -> None:
-    """Raise `ModelError` if the written file has other numbers than the model."""
+    """Raise ModelError if the written file has other values than the model."""
     wrong = []
     pairs = [("gravity", model.gravity, again.gravity)]
     pairs += [(f"bodies.{n}", getattr(model.bodies, n), getattr(again.bodies, n))

@@ -1,4 +1,4 @@
-"""Differences between a model and the file that was written from it, found by reading the file."""
+"""Differences between a model and the file that was written from it, by reading the file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from rbjax.loading.write.draft import Draft, free_bodies, place_in_body
 from rbjax.model import Model
 
 Array = np.ndarray
-_CLOSE = {8: 1e-11, 4: 1e-6}  # relative, by the bytes of a number
-_TINY = 1e-14  # absolute
+_CLOSE = {8: 1e-11, 4: 1e-6}  # relative tolerance, by the bytes of a number
+_TINY = 1e-14  # absolute tolerance
 
 Difference = tuple[str, list[str]]
 
@@ -25,7 +25,7 @@ Difference = tuple[str, list[str]]
 def differences(
     draft: Draft, again: Model, written: list[Element], constraints: list[Constraint]
 ) -> Iterator[Difference]:
-    """The differences of the model that was read back, in words, each with the names of its
+    """Describe the differences of the model that was read back, each with the names of its
     rows."""
     model, top, other = draft.model, draft.model.topology, again.topology
     for what in ("body_names", "joint_names", "actuator_names", "keyframe_names"):
@@ -38,7 +38,7 @@ def differences(
         if renamed:
             yield f"names of {kind}", renamed
     sites = draft.sites[: len(model.site_names)]
-    # the file may have more sites, at the ends of springs
+    # the file may have additional sites, at the ends of springs
     at = np.array([again.site(name) for name in sites], int)
     pairs = zip(_arrays(model, np.arange(len(sites))), _arrays(again, at), strict=True)
     for (what, a, names), (_, b, _) in pairs:
@@ -51,7 +51,7 @@ def differences(
 
 
 def _arrays(model: Model, sites: Array) -> Iterator[tuple[str, Any, Sequence[str]]]:
-    """The arrays of a model that a file contains, by rows, and the name of each row."""
+    """Iterate over the arrays of a model that a file contains, with the name of each row."""
     top, bodies, joints = model.topology, model.bodies, model.joints
     names, kinds = top.joint_names, top.joint_kinds
     in_q, in_v = (
@@ -60,7 +60,7 @@ def _arrays(model: Model, sites: Array) -> Iterator[tuple[str, Any, Sequence[str
     )
     for name in ("mass", "com", "inertia"):
         yield f"bodies.{name}", getattr(bodies, name), top.body_names
-    # the body of a free joint is where `joints.reference` puts it
+    # a file has the frame of the body of a free joint at `joints.reference`
     kept = [i for i in range(model.nb) if i not in free_bodies(model)]
     held = [top.body_names[i] for i in kept]
     yield "bodies.position", bodies.position[kept], held
@@ -86,7 +86,7 @@ def _arrays(model: Model, sites: Array) -> Iterator[tuple[str, Any, Sequence[str
 
 
 def _turns(quaternions: Any) -> Array:
-    """Quaternions (n, 4) as their rotations, whatever their length and sign."""
+    """Convert quaternions (n, 4) to rotation matrices, independent of their length and sign."""
     x = np.asarray(quaternions)
     x = x / np.linalg.norm(x, axis=-1, keepdims=True)
     return x[:, :, None] * x[:, None, :]
@@ -123,7 +123,7 @@ def _of_constraints(model: Model, again: Model, written: list[Constraint]) -> It
 
 
 def _ends(model: Model, one: Constraint) -> list:
-    """The bodies or joints of a constraint, by index, and its numbers."""
+    """Return the bodies or joints of a constraint, by index, and its parameters."""
     if isinstance(one, Pair):
         ends = [place_in_body(model, place) for place in (one.a, one.b)]
         return [x for body, p, quat in ends for x in (body, p, _turns(quat[None]))]
@@ -134,7 +134,7 @@ def _ends(model: Model, one: Constraint) -> list:
 
 
 def _comparable(element: Element) -> Any:
-    """The numbers of an element, without indices of sites: a file may have more sites."""
+    """Return the parameters of an element without the indices of sites, which may differ."""
     if isinstance(element, Actuator):
         law, gear = element.law, element.transmission
         return jax.tree.leaves(gear), _comparable_law(law), element.ctrlrange, element.forcerange
@@ -147,7 +147,7 @@ def _comparable(element: Element) -> Any:
 
 
 def _comparable_law(law: Any) -> Any:
-    """The law without the acceleration of its muscles, which MuJoCo computes again."""
+    """Return the law without the acceleration of its muscles, which MuJoCo computes again."""
     curves: list[Any] = [getattr(law, name, None) for name in ("gain", "bias")]
     muscles = [x.muscle for x in curves if hasattr(x, "muscle")]
     if not muscles:
@@ -160,7 +160,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _close(a: Array, b: Array) -> Array:
-    """Whether each row is the same within the rounding of its largest number."""
+    """Check whether each row agrees within the rounding of its largest number."""
     if a.shape != b.shape:
         return np.zeros(len(a), bool)
     close = _CLOSE.get(np.asarray(a).dtype.itemsize, 1e-2)

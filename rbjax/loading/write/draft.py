@@ -1,4 +1,4 @@
-"""An MJCF file that is being written: its XML elements, and notes on what it leaves out."""
+"""An MJCF file under construction: its XML elements, and notes on parts that it cannot express."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _USUAL = {("pos", "0 0 0"), ("quat", "1 0 0 0"), ("gear", "1")}
 
 @dataclass
 class Draft:
-    """An MJCF file before it is text.
+    """An MJCF file as XML elements.
 
     model: the robot, with NumPy leaves.
     root, option, world, tendon, equality, actuator: elements of the file.
     bodies, joints: elements by index.
-    sites: names.
+    sites: names of the sites.
     notes: parts of the model that are written differently, or left out.
     """
 
@@ -44,9 +44,9 @@ class Draft:
 
     @classmethod
     def of(cls, model: Model) -> Draft:
-        """The empty file of a model."""
+        """Make the empty file of a model."""
         root = ET.Element("mujoco", model="rbjax")
-        # the numbers are final: no inertia is to be computed from a shape
+        # all inertias are explicit: none is computed from a shape
         ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
         return cls(
             model,
@@ -59,7 +59,7 @@ class Draft:
         )
 
     def body(self, index: int) -> ET.Element:
-        """The element of a body, or of the world."""
+        """Return the element of a body, or of the world."""
         return self.world if index == WORLD else self.bodies[index]
 
     def add(self, body: int, tag: str, **attributes: str) -> ET.Element:
@@ -69,11 +69,11 @@ class Draft:
         return element
 
     def joint(self, index: int) -> str:
-        """The name under which a joint is written."""
+        """Return the name of a joint in the file."""
         return self.joints[index].get("name", "")
 
     def site(self, place: Place) -> str:
-        """The name of the site at a place; the site is added if there is none."""
+        """Return the name of the site at a place; add the site if there is none."""
         still = (np.asarray(place.orientation) == _IDENTITY).all()
         if place.site is not None and still and not np.any(place.position):
             return self.sites[self.model.site(place.site)]
@@ -84,7 +84,7 @@ class Draft:
         return name
 
     def note(self, what: str, names: Iterable[str] = ()) -> None:
-        """Note a difference between the file and the model, once for each text."""
+        """Note a difference between the file and the model, once per text."""
         some = list(names)
         text = f"{what} ({listed(some, _SHOWN)})" if some else what
         if text not in self.notes:
@@ -92,7 +92,7 @@ class Draft:
 
 
 def place_in_body(model: Model, place: Place) -> tuple[int, np.ndarray, np.ndarray]:
-    """The body of a place, and its position and quaternion in the frame of the body."""
+    """Return the body of a place, and its position and quaternion in the body's frame."""
     p, quat = (np.asarray(x, np.float64) for x in (place.position, place.orientation))
     if place.site is None:
         return (WORLD if place.body in (None, WORLD) else model.body(place.body)), p, quat
@@ -105,19 +105,19 @@ def place_in_body(model: Model, place: Place) -> tuple[int, np.ndarray, np.ndarr
 
 
 def free_bodies(model: Model) -> set[int]:
-    """The bodies on free joints, whose frame in a file is the reference of the joint."""
+    """Return the bodies on free joints; a file has their frames at the reference of the joint."""
     top = model.topology
     kinds = zip(top.joint_bodies, top.joint_kinds, strict=True)
     return {body for body, kind in kinds if kind == "free"}
 
 
 def unusual(**attributes: str) -> dict[str, str]:
-    """The attributes that differ from MJCF's default."""
+    """Return the attributes that differ from MJCF's default."""
     return {key: x for key, x in attributes.items() if (key, x) not in _USUAL}
 
 
 def text(x: Any) -> str:
-    """Format numbers as the shortest decimals that give the same number in their dtype.
+    """Format numbers as the shortest decimals that are read as the same number in their dtype.
 
     >>> text(np.array([1.0, 0.1, -np.inf])), text(np.float32(0.1))
     ('1 0.1 -inf', '0.1')
@@ -126,7 +126,7 @@ def text(x: Any) -> str:
 
 
 def unique(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
-    """Make names unique by a number at their end.
+    """Make names unique by appending a number.
 
     >>> unique(["a", "b", "a"])
     ['a', 'b', 'a_2']

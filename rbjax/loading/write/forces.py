@@ -25,14 +25,14 @@ from rbjax.loading.write.draft import Draft, text
 from rbjax.model import Model
 
 Array = np.ndarray
-_TERMS = 2  # of MJCF's polynomials, beyond the linear one
+_TERMS = 2  # number of MJCF's polynomial coefficients beyond the linear one
 
 
 def write_forces(draft: Draft) -> list[Element]:
     """Write the elements; return them as `load` will read them, in that order."""
     kinds = (JointPolynomials, JointLimits, JointFriction, GravityCompensation, PointSpring,
              InertiaBoxFluid, EllipsoidFluid)  # fmt: skip
-    # a subclass may have other forces, so only the class itself is written
+    # only the class itself is written, as a subclass may have other forces
     sorted_out: dict[type, list] = {kind: [] for kind in kinds}
     for element in draft.model.forces:
         if type(element) in sorted_out:
@@ -49,7 +49,7 @@ def write_forces(draft: Draft) -> list[Element]:
 
 
 def box_axes(model: Model) -> dict[int, Array]:
-    """The attitude of each body's inertia box in a fluid, which a file gives with the inertia."""
+    """Compute the attitude of each body's inertia box in a fluid, as in a file with its inertia."""
     boxes = [x for x in model.forces if type(x) is InertiaBoxFluid]
     return {b: q for x in boxes for b, q in zip(x.bodies, x.orientation, strict=True)}
 
@@ -64,7 +64,7 @@ def _dofs(model: Model, joint: int) -> range:
 
 
 def _write_polynomials(draft: Draft, elements: list[JointPolynomials]) -> list[Element]:
-    """Behind the linear terms of stiffness and damping."""
+    """Write polynomial springs and dampers after the linear terms of stiffness and damping."""
     model, top = draft.model, draft.model.topology
     stiffness, damping = np.zeros((len(top.joint_kinds), _TERMS)), np.zeros((model.nv, _TERMS))
     for element in elements:
@@ -122,7 +122,7 @@ def _write_friction(draft: Draft, elements: list[JointFriction]) -> None:
 
 
 def _write_lifted(draft: Draft, elements: list[GravityCompensation]) -> list[Element]:
-    """Gravity compensation: of all joints, or shared by passive joints and actuators."""
+    """Write gravity compensation on all joints, or split into passive and actuated joints."""
     model = draft.model
     everywhere = [x for x in elements if x.joints is None and not x.actuated]
     others = [x for x in elements if not (x.joints is None and not x.actuated)]
@@ -152,8 +152,8 @@ def _write_lifted(draft: Draft, elements: list[GravityCompensation]) -> list[Ele
 
 
 def _driven_joints(model: Model, elements: list[GravityCompensation]) -> list[int] | None:
-    """The joints whose compensation the actuators carry; None unless that and the passive share
-    make up one compensation, as MuJoCo needs."""
+    """Return the joints whose compensation the actuators apply. Return None unless the actuated and
+    the passive joints are all joints, with equal bodies and fractions, as MJCF requires."""
     everything = range(len(model.joint_names))
     shares = {x.actuated: list(map(model.joint, x.joints or everything)) for x in elements}
     joints = [j for share in shares.values() for j in share]
@@ -164,7 +164,7 @@ def _driven_joints(model: Model, elements: list[GravityCompensation]) -> list[in
 
 
 def _write_spring(draft: Draft, spring: PointSpring) -> Element:
-    """A spatial tendon between two sites."""
+    """Write a spring as a spatial tendon between two sites."""
     ends = [draft.site(place) for place in (spring.a, spring.b)]
     k, d = (_padded(draft, x) for x in (spring.stiffness, spring.damping))
     tendon = ET.SubElement(
@@ -184,7 +184,7 @@ def _padded(draft: Draft, x: Any) -> Array:
 
 
 def _write_fluids(draft: Draft, boxes: list, ellipsoids: list) -> list[Element]:
-    """The medium as options, and a geom without mass for each ellipsoid."""
+    """Write the fluid as options, and each ellipsoid as a geom without mass."""
     written: list[Element] = [*boxes[:1], *ellipsoids[:1]]
     for element in (*boxes[1:], *ellipsoids[1:]):
         draft.note(f"a second {type(element).__name__}, left out, for MJCF has one medium")

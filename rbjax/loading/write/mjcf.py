@@ -1,7 +1,7 @@
-"""From a `Model` to an MJCF file with its numbers.
+"""Write a `Model` as an MJCF file.
 
-What is written is read back at once, as `load` would, and compared number by number: whatever is
-not the same is named, in a comment at the head of the file and in a warning.
+The file is read back as `load` would read it, and compared with the model. Differences are listed
+in a comment at the top of the file and in a warning.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from rbjax.loading.write.forces import box_axes, write_forces
 from rbjax.model import WORLD, Model
 
 _KINDS = {"free", "ball", "slide", "hinge"}
-_DEEPEST = 490  # of nested bodies: MuJoCo's reader takes no more than about 500 nested elements
-_LEAST = 2e-15  # kg or kg m^2: MuJoCo rejects a moving mass below 1e-15
-_ROUNDING = 1e-6  # part of a moment by which it may exceed the sum of the other two, and is lowered
-_DIAGONAL = 1e-15  # part of the moments below which a product of inertia is rounding
+_DEEPEST = 490  # largest depth of nested bodies; MuJoCo's reader accepts about 500 nested elements
+_LEAST = 2e-15  # kg or kg m^2; MuJoCo rejects a moving mass below 1e-15
+_ROUNDING = 1e-6  # relative excess of a moment over the sum of the other two that is corrected
+_DIAGONAL = 1e-15  # products of inertia below this part of the moments are rounding
 _SHOWN = 8  # names listed before "and N more"
 
 
 def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = False) -> str:
-    """A model as the text of an MJCF file that `load` reads back as the same model.
+    """Write a model as the text of an MJCF file from which `load` reads the same model.
 
-    Masses, centres, inertias, frames, joints with springs, dampers, armature and ranges, actuators
-    with their states, sites, keyframes, gravity, timestep, and the force elements and constraints
-    that MJCF has.
+    The file contains masses, centers of mass, inertias, frames, joints with springs, dampers,
+    armature and ranges, actuators with their states, sites, keyframes, gravity, timestep, and the
+    force elements and constraints that MJCF has.
 
     Args:
-        model: the robot; one, with known numbers (not a batch, not traced).
-        path: a file to write as well.
+        model: the robot, not a batch and not traced.
+        path: output file, or None.
         strict: raise instead of warn about parts that the file cannot express.
 
     Returns:
-        The text. It has no shapes: nothing to see, and nothing to touch. A comment at its head
-            names the parts that differ from the model or are left out.
+        The text. It has no shapes for display or contact. A comment at its top lists the parts that
+        differ from the model or are left out.
 
     Raises:
-        ModelError: numbers that MuJoCo rejects in a file, such as impossible inertials.
+        ModelError: values that MuJoCo rejects in a file, such as impossible inertials.
         InputError: a batch of models, or a traced model.
         UnsupportedFeature: with `strict=True`, the list of parts that the file cannot express.
 
@@ -76,10 +76,10 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
 
 
 def make_draft(model: Model) -> Draft:
-    """Build the file of a model before it is text; its notes name the parts that it lacks.
+    """Build the file of a model as XML elements, with notes on the parts that it lacks.
 
     Raises:
-        As `write_mjcf`.
+        ModelError, InputError: see `write_mjcf`.
     """
     model = _known(model)
     draft = Draft.of(model)
@@ -98,7 +98,7 @@ def make_draft(model: Model) -> Draft:
 
 
 def _known(model: Model) -> Model:
-    """The model with NumPy leaves, if it is one and can be written."""
+    """Return the model with NumPy leaves, or raise if it is traced, a batch, or not finite."""
     one = "write one model of the batch, jax.tree.map(lambda x: x[0], models)"
     check_model("write_mjcf", model, fix=one)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model)):
@@ -114,7 +114,7 @@ def _known(model: Model) -> Model:
             "put one of these in their place, model.with_joint(name, kind)"
         )
     model = jax.tree.map(np.asarray, model.replace(constants=None))
-    endless = ("forcerange", "range", "ctrlrange")  # where infinite means that there is no limit
+    endless = ("forcerange", "range", "ctrlrange")  # infinite values mean no limit
     for at, leaf in jax.tree_util.tree_leaves_with_path(model.replace(forces=())):
         name = jax.tree_util.keystr(at).lstrip(".")
         bad = np.isnan(leaf) if name.endswith(endless) else ~np.isfinite(leaf)
@@ -127,7 +127,7 @@ def _known(model: Model) -> Model:
 
 
 def _write_bodies(draft: Draft) -> None:
-    """The tree of bodies with their frames and inertials."""
+    """Write the tree of bodies with their frames and inertials."""
     top, own = draft.model.topology, draft.model.bodies
     depth: list[int] = []
     free, inertials = free_bodies(draft.model), _inertials(draft)
@@ -152,7 +152,7 @@ def _write_bodies(draft: Draft) -> None:
 
 
 def _inertials(draft: Draft) -> list[tuple[Any, np.ndarray, np.ndarray]]:
-    """Mass, principal moments and their axes, as a quaternion, of each body."""
+    """Return mass, principal moments and principal axes (quaternion) of each body."""
     model, out, wrong, raised = draft.model, [], [], []
     bare, boxes = _bare(model), box_axes(model)
     for b, name in enumerate(model.body_names):
@@ -165,7 +165,7 @@ def _inertials(draft: Draft) -> list[tuple[Any, np.ndarray, np.ndarray]]:
         if mass < 0 or low < -_ROUNDING * largest or excess > _ROUNDING * largest:
             wrong.append(name)
         moments = np.maximum(moments, 0.0)
-        if excess > 0:  # rounding: the smaller two bear it
+        if excess > 0:  # rounding: add it to the two smaller moments
             moments[order[:2]] += excess / 2
             while moments[order[0]] + moments[order[1]] < high:
                 moments[order[1]] = np.nextafter(moments[order[1]], np.inf)
@@ -186,7 +186,7 @@ def _inertials(draft: Draft) -> list[tuple[Any, np.ndarray, np.ndarray]]:
 
 
 def _bare(model: Model) -> set[int]:
-    """The bodies with joints on which no body with a mass and an inertia is welded."""
+    """Return the bodies with joints to which no other body with mass and inertia is welded."""
     top, own = model.topology, model.bodies
     smallest = np.linalg.eigvalsh(np.asarray(own.inertia, np.float64)).min(-1, initial=np.inf)
     solid = np.flatnonzero((np.asarray(own.mass) >= _LEAST) & (smallest >= _LEAST))
@@ -195,10 +195,10 @@ def _bare(model: Model) -> set[int]:
 
 
 def _principal(inertia: Any, asked: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Principal moments and their axes: the requested axes if they are principal, otherwise those
-    with the smallest rotation."""
+    """Compute principal moments and axes: the requested axes if they are principal, otherwise the
+    principal axes with the smallest rotation."""
     still = np.array([1.0, 0.0, 0.0, 0.0])
-    exact = np.array([[float(text(x)) for x in row] for row in inertia])  # as decimals have it
+    exact = np.array([[float(text(x)) for x in row] for row in inertia])  # as written in decimals
     for quat in (still if asked is None else asked, still):
         flat = np.empty(9)
         mujoco.mju_quat2Mat(flat, np.asarray(quat, np.float64))
@@ -218,7 +218,7 @@ def _principal(inertia: Any, asked: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _write_joints(draft: Draft) -> None:
-    """The joints, in their bodies, in their order."""
+    """Write the joints into their bodies, in order."""
     top, own = draft.model.topology, draft.model.joints
     uneven = []
     names = unique(top.joint_names)
@@ -271,11 +271,11 @@ def _write_keyframes(draft: Draft) -> None:
 
 
 def serialize(draft: Draft) -> str:
-    """The text of the file, its notes first."""
+    """Convert the file to text, with its notes at the top."""
     root = ET.Element(draft.root.tag, draft.root.attrib)
     for note in draft.notes:
         root.append(ET.Comment(f" not as in the model: {note} ".replace("--", "- -")))
-    # a range is in the file although the model has no force of it
+    # ranges are written even if the model has no force for them
     for left_out in (x for x in draft.model.dropped if not x.startswith("joint limits")):
         said = f" left out when the model was loaded: {left_out} "
         root.append(ET.Comment(said.replace("--", "- -")))
@@ -285,7 +285,7 @@ def serialize(draft: Draft) -> str:
 
 
 def compile_mjcf(mjcf: str) -> mujoco.MjModel:
-    """MuJoCo's model of a file that is written here."""
+    """Compile the text of a file that was written."""
     try:
         return mujoco.MjModel.from_xml_string(mjcf)
     except ValueError as error:

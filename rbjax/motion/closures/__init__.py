@@ -1,1 +1,1 @@
-"""Functions of a user as pytrees: captured numbers are arguments of a program, the rest its key."""
+"""User functions as pytrees: captured numbers become arguments, the rest the cache key."""

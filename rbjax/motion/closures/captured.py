@@ -1,20 +1,19 @@
-"""Functions of a user as pytrees, so that equal code with other numbers is compiled once.
+"""User functions as pytrees, so that equal code with other numbers is compiled once.
 
     for k in gains:
         rollout(model, state, lambda t, s: -k * s.v, dt, steps=n)
 
 creates a new function each time. `jit` compares functions by identity, so it would compile each.
-Here a function is a pytree. Its leaves are the numbers that it reads. Its static part is a
-`Recipe`; two functions that differ only in numbers have equal recipes.
+This module makes a function a pytree. Its leaves are the numbers that it reads. Its static part is
+a `Recipe`; two functions that differ only in numbers have equal recipes.
 
-A function that needs the value of a number (`if k > 0`) is read again with its floats in the
-recipe, and if necessary with its arrays too. A function that cannot be read (a generator, code that
-writes as it runs) stays an object that equals only itself, as for `jit`: it is compiled when it is
-new. A user's function that reads values without naming them (`globals()`, a file) is compiled at
-each call, with a warning.
+If a function needs the value of a number (`if k > 0`), its floats become part of the recipe, and if
+necessary its arrays too. A function that cannot be read (a generator, code with side effects) is
+compared by identity, as in `jit`. A user's function that reads values without naming them
+(`globals()`, a file) is compiled at each call, with a warning.
 
-`equinox.filter_closure_convert` and `jax.closure_convert` trace a function to find its arrays, and
-`equinox.internal.closure_to_pytree` looks into cells only.
+`equinox.filter_closure_convert` and `jax.closure_convert` trace a function to find its arrays.
+`equinox.internal.closure_to_pytree` reads only cells.
 """
 
 from __future__ import annotations
@@ -42,12 +41,12 @@ from rbjax.motion.closures.reading import (
 T = TypeVar("T")
 
 OPAQUE = TRACERS + 1
-#: of code that does not run with its floats as operands, how it is read
+#: code site -> level at which to read code that does not run with its floats as operands
 _levels: weakref.WeakKeyDictionary[Any, int] = weakref.WeakKeyDictionary()
 
 
 class UnfitError(Exception):
-    """A function does not run as it was read; it is to be read at another level."""
+    """A function does not run as it was read; read it again at another level."""
 
     def __init__(self, site: Any, level: int) -> None:
         super().__init__(site, level)
@@ -55,13 +54,13 @@ class UnfitError(Exception):
 
 
 class Recipe:
-    """A maker of a function from operands, equal to another that makes an equal function."""
+    """A hashable recipe that makes a function from operands."""
 
     def __init__(self, f: Callable, reader: Reader) -> None:
         self.key, self.make = reader.read(f)
         self.hash = hash(self.key)
         self.level, self.site = reader.level, _site(f)
-        # a program that is kept keeps its recipe, which does not keep the caller's arrays
+        # a cached program keeps its recipe, which must not keep the caller's arrays
         self.source = weakref.ref(f)
         self.known: Any = f if self.make is None else None
 
@@ -73,7 +72,7 @@ class Recipe:
 
 
 class Captured(eqx.Module):
-    """A function as a pytree: the numbers that it reads, and the rest."""
+    """A function as a pytree: the numbers that it reads, and a static recipe."""
 
     operands: tuple[jax.Array, ...]
     recipe: Recipe
@@ -87,13 +86,13 @@ class Captured(eqx.Module):
             raise UnfitError(recipe.site, recipe.level + 1) from error
         source = recipe.source()
         if source is not None and getattr(_read(source, recipe.level), "recipe", None) != recipe:
-            raise UnfitError(recipe.site, OPAQUE)  # it wrote what it reads
+            raise UnfitError(recipe.site, OPAQUE)  # it changed a value that it reads
         return found
 
 
 def with_captured(call: Callable[..., T], *functions: Any) -> T:
-    """call(*functions), with each function as a pytree if it can be read; unchanged inside a
-    program."""
+    """Call call(*functions) with each readable function as a pytree. Inside traced code pass the
+    functions unchanged."""
     if inside_jit():
         return call(*functions)
     tried = set()
@@ -103,15 +102,15 @@ def with_captured(call: Callable[..., T], *functions: Any) -> T:
         except UnfitError as unfit:
             tried.add(unfit.site)
             _levels[unfit.site] = unfit.level
-        except Exception:  # the function's own: it says nothing of how to read its code
+        except Exception:  # an error of the function itself, not of how it was read
             for site in tried:
                 _levels.pop(site, None)
             raise
 
 
 def captured(f: Callable) -> Callable:
-    """A function as a pytree if everything that it reads is found; otherwise the function. A
-    formulation is compared by its parameters already."""
+    """Return a function as a pytree, or unchanged if not all values that it reads can be found.
+    Formulations are unchanged, because they compare by their parameters."""
     if isinstance(f, Formulation):
         return f
     for level in range(_levels.get(_site(f), FLOATS), OPAQUE):
@@ -127,8 +126,8 @@ def _read(f: Callable, level: int) -> Any:
         recipe = Recipe(f, reader)
     except HiddenError as error:
         _say(*error.args)
-        return lambda *args, **kwargs: f(*args, **kwargs)  # equals no function of an earlier call
-    except (UnreadableError, TypeError, ValueError, RecursionError):  # no hash, no order, no end
+        return lambda *args, **kwargs: f(*args, **kwargs)  # a new object: compiles at each call
+    except (UnreadableError, TypeError, ValueError, RecursionError):  # not hashable, or recursive
         return None
     return f if isinstance(recipe.key, Same) else Captured(tuple(reader.operands), recipe)
 
@@ -144,7 +143,7 @@ def _say(function: str, how: str) -> None:
 
 
 def _site(f: Any) -> Any:
-    """A key that the functions from one place of the caller's code share."""
+    """Return a key of the code location of a function."""
     while isinstance(f, functools.partial):
         f = f.func
     f = getattr(f, "__func__", f)

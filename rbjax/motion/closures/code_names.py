@@ -9,19 +9,19 @@ import sysconfig
 from types import CodeType
 from typing import Any, NamedTuple
 
-#: packages whose own globals do not change
+#: packages whose globals do not change
 LIBRARIES = frozenset({
     "abc", "builtins", "chex", "cmath", "collections", "dataclasses", "diffrax", "enum", "equinox",
     "functools", "itertools", "jax", "jaxlib", "jaxtyping", "lineax", "math", "numpy", "operator",
     "optax", "optimistix", "rbjax", "types", "typing",
 })  # fmt: skip
-#: names by which code reads values that it does not name: variables, files, other modules
+#: names by which code reads values without naming them: variables, files, other modules
 HIDDEN = frozenset({"__import__", "eval", "exec", "globals", "open"})
-#: names by which code writes, or runs outside of the compiled program
+#: names by which code has side effects, or runs outside the compiled program
 UNREADABLE = HIDDEN | {"callback", "io_callback", "pure_callback", "setattr"}
-#: names by which code reads attributes that it does not name, of objects that it names
+#: names by which code reads attributes of named objects without naming the attributes
 DEEP = frozenset({"__dict__", "dir", "getattr", "locals", "vars"})
-#: names by which code may detect a tracer in place of a number, and take another branch
+#: names by which code may detect a tracer instead of a number, and take another branch
 CURIOUS = frozenset({
     "Tracer", "hash", "id", "isinstance", "issubclass", "repr", "str", "type",
 }) | DEEP  # fmt: skip
@@ -31,14 +31,14 @@ WRITING = frozenset({"STORE_GLOBAL", "DELETE_GLOBAL", "STORE_DEREF", "DELETE_DER
 
 
 class Names(NamedTuple):
-    """The names in a function's code and in the functions inside it.
+    """The names in a function's code and in its nested functions.
 
     read: globals that it reads.
     every: all names.
     curious: whether it may detect a tracer.
     compares: whether it compares objects by identity.
-    readable: whether it writes nothing, and reads only values that it names.
-    imports: modules of the user that it imports.
+    readable: whether it has no side effects and reads only values that it names.
+    imports: user modules that it imports.
     """
 
     read: tuple[str, ...]

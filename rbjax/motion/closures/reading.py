@@ -1,11 +1,10 @@
-"""The values that a function can read, as a key and operands.
+"""The values that a function can read, as a cache key and operands.
 
 A function is its code and the values that the code can reach: defaults, cells, globals by name, and
-so on through these values. `Reader` walks them. Numbers become operands, and the function is made
-again with other numbers in their places. The rest is part of the key: by value, or by identity for
-objects that do not change (modules, types and functions of libraries). An object that cannot be
-made again from its parts (a class, an instance, a module of the user) is in the key with all its
-parts.
+the same of these values. `Reader` traverses them. Numbers become operands, and the function can be
+rebuilt with other numbers. Other values are part of the key, by value, or by identity for constant
+objects (modules, types and functions of libraries). An object that cannot be rebuilt from its parts
+(a class, an instance, a user's module) is part of the key with all its parts.
 """
 
 from __future__ import annotations
@@ -35,15 +34,15 @@ import numpy as np
 
 from rbjax.motion.closures.code_names import DEEP, HIDDEN, INSTALLED, Names, names_of, of_library
 
-#: the values that become operands: arrays and floats; arrays; only tracers
+#: levels, by the values that become operands: arrays and floats; arrays; only tracers
 FLOATS, ARRAYS, TRACERS = range(3)
 ATOMS = frozenset({type(None), bool, int, str, bytes, range, type(...)})
 FIXED = (BuiltinFunctionType, np.ufunc, type(jax.jit(lambda: None)))  # compared by identity
-LARGEST = 1 << 16  # bytes of a numpy array in a key
-MOST = 2_000  # objects that are read
+LARGEST = 1 << 16  # largest numpy array in a key, bytes
+MOST = 2_000  # largest number of objects to read
 
-#: makes a value from the operands, and from the functions made so far by number; None where the
-#: value that was read is the value
+#: function from the operands, and the functions rebuilt before by number, to a value; None: the
+#: value itself
 Maker = Callable[[Sequence, dict[int, Any]], Any] | None
 
 
@@ -57,7 +56,7 @@ class HiddenError(UnreadableError):
 
 
 class Same:
-    """Equals another of the same object."""
+    """A wrapper that compares an object by identity."""
 
     __slots__ = ("x",)
 
@@ -71,28 +70,28 @@ class Same:
         return isinstance(other, Same) and self.x is other.x
 
 
-MISSING = Same(None)  # an empty cell, a global that does not exist
+MISSING = Same(None)  # an empty cell, or an undefined global
 
 
-#: where an object keeps a field, which is read there
+#: attributes in which an object stores its fields, which are read directly
 PLACES = (GetSetDescriptorType, MemberDescriptorType, type(Names.read))
 
 
 class Reader:
-    """A reader of a function and the values that it reaches, each as a key and a maker.
+    """A traversal of a function and the values that it reaches; each gives a key and a maker.
 
-    operands: the numbers that were found.
+    operands: the numbers read so far.
 
-    Arguments of `read`: held, for parts of objects that cannot be made again; names, the names in
-    the code that reads.
+    Arguments of `read`: held, whether x is a part of an object that cannot be rebuilt; names, the
+    names in the code that reads x.
     """
 
     def __init__(self, level: int) -> None:
         self.level = level
         self.operands: list[jax.Array] = []
-        self.places: dict[int, tuple[int, Any]] = {}  # of operands that are arrays, by identity
-        self.known: dict[int, tuple[int, Any]] = {}  # arrays of numpy in the key, by identity
-        # whether code reads attributes that it does not name; whether a user's module is read
+        self.places: dict[int, tuple[int, Any]] = {}  # array operands, by identity
+        self.known: dict[int, tuple[int, Any]] = {}  # numpy arrays of the key, by identity
+        # whether code reads attributes without naming them; whether a user's module is read
         self.deep = self.of_modules = False
         self.seen: dict[tuple, tuple[Any, Maker] | None] = {}
 
@@ -104,7 +103,7 @@ class Reader:
             return (kind, x), None
         if x is MISSING:
             return x, None
-        if kind in (float, complex):  # by its digits: zeros have signs, and nan equals nan
+        if kind in (float, complex):  # by repr: zeros have signs, and nan equals nan
             known = held or self.level > FLOATS
             return ((kind, repr(x)), None) if known else self._operand(jnp.asarray(x), x)
         if isinstance(x, jax.core.Tracer):
@@ -126,31 +125,31 @@ class Reader:
             self.seen[at] = again[0], make
             return key, make
         found = self.seen[at]
-        if found is None:  # a list that holds itself
+        if found is None:  # a list that contains itself
             raise UnreadableError
         return found
 
     def _operand(self, x: jax.Array, source: Any) -> tuple[Any, Maker]:
-        """x as an operand in place of `source`. An array that occurs again is the same operand."""
+        """Add x as an operand for `source`. Use the existing operand if the array is known."""
         i, is_array = len(self.operands), not isinstance(source, (float, complex))
         if is_array and id(source) in self.places:
             i = self.places[id(source)][0]
             return ("operand", i), lambda operands, _: operands[i]
         if is_array:
-            self.places[id(source)] = i, source  # kept alive, so its id stays unique
+            self.places[id(source)] = i, source  # a reference, so that the id stays unique
         self.operands.append(x)
         return "operand", lambda operands, _: operands[i]
 
     def _of_numpy(self, x: Any, held: bool) -> tuple[Any, Maker]:
-        """Read an array of numpy. Integers, most often indices, are part of the key."""
+        """Read a numpy array. Integer arrays, mostly indices, are part of the key."""
         if x.dtype.kind not in "biufc":
             raise UnreadableError
         if x.dtype.kind in "fc" and not held and self.level <= ARRAYS:
-            # a copy: the caller may write into x before the program reads it
+            # a copy: the caller may change x before the program reads it
             return self._operand(jnp.array(x), x)
         if x.nbytes > LARGEST:
             raise UnreadableError
-        # equal arrays may differ in identity (`x is y`), so the key has their index
+        # equal arrays may differ in identity (`x is y`), so the key contains their index
         which, _ = self.known.setdefault(id(x), (len(self.known), x))
         return (type(x), x.dtype, x.shape, x.tobytes(), which), None
 
@@ -166,7 +165,7 @@ class Reader:
             owner = getattr(x, "__self__", None)
             home = owner.__module__ if isinstance(owner, type) else x.__module__
             if kind is BuiltinFunctionType and not of_library(home):
-                raise UnreadableError  # a clock, a method of what C holds
+                raise UnreadableError  # a clock, or a method of a C object
             return Same(x), None
         if isinstance(x, type):
             return self._class(x)
@@ -177,7 +176,7 @@ class Reader:
             return self._parts(kind, given, held, lambda v: kind(v[0], *v[1], **v[2]))
         if x is os.environ:
             return ("environ", *sorted(x.items())), None
-        if kind in (dict, defaultdict):  # in its own order: a pytree would sort the keys
+        if kind in (dict, defaultdict):  # in insertion order: a pytree would sort the keys
             due, keys = tuple(x), tuple(self.read(k, True)[0] for k in x)
             first: tuple = () if kind is dict else (x.default_factory,)
             missing = tuple(self.read(f, True)[0] for f in first)
@@ -187,9 +186,9 @@ class Reader:
         if kind in (set, frozenset):
             return self._parts(kind, x, True)
         leaves, tree = jax.tree.flatten(x, is_leaf=lambda y: y is not x and not _is_plain(y))
-        if leaves and leaves[0] is x:  # no pytree
+        if leaves and leaves[0] is x:  # not a pytree
             return self._instance(x)
-        # functions in static fields are equal by identity, and may read what changes
+        # functions in static fields compare by identity, and may read values that change
         fields = [f for f in getattr(x, "__dict__", {}).values() if callable(f)]
         static = [f for f in fields if not any(f is y for y in leaves)]
         about = tree, self._parts(kind, [kind, *static], True)[0]
@@ -203,7 +202,7 @@ class Reader:
         make: Callable[[list], Any] = list,
         names: frozenset[str] = frozenset(),
     ) -> tuple[Any, Maker]:
-        """Read an object that is made of parts."""
+        """Read the parts of an object; return a key with them, and a maker of the object."""
         parts = list(parts)
         read = [self.read(x, held, names) for x in parts]
         key = (about, *(k for k, _ in read))
@@ -224,7 +223,7 @@ class Reader:
         if library and not f.__closure__:
             return Same(f), None
         names = names_of(code)
-        if library:  # of its own it reads what does not change
+        if library:  # the globals of a library do not change
             held |= names.curious or not names.readable
         else:
             usual = home.get("__builtins__") in (builtins, vars(builtins))
@@ -291,8 +290,8 @@ class Reader:
         return self._parts((Same(module), *read), [inside[k] for k in read], True, names=names)
 
     def _check_modules(self) -> None:
-        """Raise if code reads attributes that it does not name and a user's module is read: of a
-        module only the attributes that are named are in the key."""
+        """Raise if code reads attributes without naming them and a user's module is read: the key
+        contains only the named attributes of a module."""
         if self.deep and self.of_modules:
             raise UnreadableError
 
@@ -328,7 +327,7 @@ class Reader:
             raise UnreadableError
         plain, slots = state if isinstance(state, tuple) else (state, None)
         both = (plain or {}) | (slots or {})
-        held = {k: v for k, v in both.items() if k[:2] != "__"}  # not what only documents
+        held = {k: v for k, v in both.items() if k[:2] != "__"}  # without documentation
         return self._parts(("object", *held), [kind, *held.values()], True)
 
 
@@ -339,13 +338,13 @@ def _named_by_library(x: Any) -> bool:
 
 
 def _is_plain(x: Any) -> bool:
-    """Whether a pytree consists of its leaves and of values that compare by value: of these a model
-    has many."""
+    """Check whether a pytree node is a list, a tuple or an rbjax object, whose static values
+    compare by value."""
     return type(x) in (list, tuple) or type(x).__module__.startswith("rbjax.")
 
 
 def _content(cell: CellType) -> Any:
     try:
         return cell.cell_contents
-    except ValueError:  # not assigned yet
+    except ValueError:  # an empty cell
         return MISSING

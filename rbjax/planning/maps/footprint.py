@@ -64,10 +64,8 @@ class Footprint(Record):
 
     @classmethod
     def rectangle(cls, ahead: float, behind: float, width: float, discs: int = 4) -> Footprint:
-        """Cover the rectangle -behind <= x <= ahead, |y| <= width / 2, in m, by a row of discs.
-
-        The discs extend sqrt((length / discs)^2 + width^2) / 2 - width / 2 beyond its sides.
-        """
+        """Cover the rectangle -behind <= x <= ahead, |y| <= width / 2, in m, by a row of discs. The
+        discs extend sqrt((length / discs)^2 + width^2) / 2 - width / 2 beyond its sides."""
         where = "Footprint.rectangle"
         ahead, behind = (real_number(where, *x) for x in (("ahead", ahead), ("behind", behind)))
         real_number(where, "length ahead + behind", ahead + behind, above=0.0)

@@ -46,10 +46,8 @@ class DistanceField(Record):
     origin: jax.Array
 
     def at(self, points: jax.Array) -> jax.Array:
-        """Interpolate the distance (...), m, at points (..., 2), m.
-
-        Beyond the ring around the map, the distance from the ring is subtracted.
-        """
+        """Interpolate the distance (...), m, at points (..., 2), m. Beyond the ring around the map,
+        the distance from the ring is subtracted."""
         u, v, away = self._place(points)
         nx, ny = self.values.shape
         i = jnp.clip(jnp.floor(u), 0, nx - 2).astype(int)
@@ -60,8 +58,7 @@ class DistanceField(Record):
         return (1 - a) * low + a * high - away
 
     def below(self, points: jax.Array) -> jax.Array:
-        """Compute a lower bound (...) of the distance at points (..., 2), m, from the nearest
-        centre."""
+        """Compute a lower bound (...) of the distance at points (..., 2), m."""
         u, v, away = self._place(points)
         i, j = jnp.round(u), jnp.round(v)
         square = (u - i) ** 2 + (v - j) ** 2
@@ -70,8 +67,7 @@ class DistanceField(Record):
         return self.values[i.astype(int), j.astype(int)] - off - away
 
     def _place(self, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute the nearest position within the grid of centres, in cells, and its distance in
-        m."""
+        """Compute the nearest position within the centres, in cells, and its distance in m."""
         nx, ny = self.values.shape
         u, v = ((points[..., k] - self.origin[k]) / self.resolution + 0.5 for k in (0, 1))
         inside, also = jnp.clip(u, 0.0, nx - 1.0), jnp.clip(v, 0.0, ny - 1.0)
@@ -130,8 +126,7 @@ class OccupancyGrid(Record):
         return cls(*map(jnp.asarray, read(file, unknown)))
 
     def cell(self, points: jax.Array) -> jax.Array:
-        """Return the cells (..., 2) of points (..., 2), m. Indices beyond the map are out of
-        range."""
+        """Return the cells (..., 2) of points (..., 2), m. They may be beyond the map."""
         return jnp.floor((points - self.origin) / self.resolution).astype(int)
 
     def center(self, cells: jax.Array) -> jax.Array:
@@ -183,8 +178,8 @@ _distance_field = compiled(_field, static_argnames=("closed",))
 
 
 def _distance(cells: jax.Array, dtype: Any) -> jax.Array:
-    """Compute the distance D of a set of cells, in cells, at all centres; infinite for an empty
-    set."""
+    """Compute the distance D of all centres from a set of cells, in cells; infinite if it is
+    empty."""
     nx, ny = cells.shape
     j = jnp.arange(ny)
     before = jax.lax.cummax(jnp.where(cells, j, -jnp.inf).astype(dtype), axis=1)

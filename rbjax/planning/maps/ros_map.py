@@ -23,8 +23,7 @@ UNKNOWN = ("occupied", "free")
 
 
 def read(file: Any, unknown: str) -> tuple[np.ndarray, float, tuple[float, float]]:
-    """Read a map. Return the occupied cells (nx, ny), the resolution in m, and the origin (2,) in
-    m."""
+    """Read a map: the occupied cells (nx, ny), the resolution in m, and the origin (2,) in m."""
     where = f"OccupancyGrid.from_ros({str(file)!r})"
     if unknown not in UNKNOWN:
         raise UnknownName("unknown=", unknown, UNKNOWN)

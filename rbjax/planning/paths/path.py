@@ -93,10 +93,8 @@ class Path(Record):
         return self.poses[..., -1, :]
 
     def pose_at(self, s: Any) -> jax.Array:
-        """Compute the pose (..., 3) after a length s (...) m of the path, by exact integration.
-
-        s is clipped to the length of the path.
-        """
+        """Compute the pose (..., 3) after a length s (...) m of the path, by exact integration. s
+        is clipped to the length of the path."""
         length = self.lengths
         left = jnp.asarray(s, length.dtype)[..., None] - (jnp.cumsum(length, -1) - length)
         moves = length > 0
@@ -106,8 +104,7 @@ class Path(Record):
         return chain(start, steps)[..., -1, :]
 
     def sample_poses(self, n: int) -> jax.Array:
-        """Compute n poses (..., n, 3) at equal distances along the path, from the start to the
-        end."""
+        """Compute n poses (..., n, 3) at equal distances along the path, ends included."""
         integer("Path.sample_poses", "n", n, least=2)
         wide = Path(self.start[..., None, :], self.steps[..., None, :, :])
         share = jnp.linspace(0.0, 1.0, n, dtype=self.steps.dtype)
@@ -149,8 +146,7 @@ class Path(Record):
 
     @property
     def curvatures(self) -> jax.Array:
-        """Curvatures (..., n), 1/m, positive to the left when driven forwards; infinite for turns
-        on the spot."""
+        """Curvatures (..., n), 1/m, positive to the left; infinite for turns on the spot."""
         length, turn = self.lengths, self.steps[..., 2]
         signed = jnp.where(self.steps[..., 0] < 0, -length, length)
         still = length == 0
@@ -169,9 +165,7 @@ class Path(Record):
 
     def split(self, spacing: float) -> Path:
         """Divide one path into steps of at most `spacing` m or rad. It requires known values.
-
-        Neighbouring steps with proportional twists are joined first.
-        """
+        Neighbouring steps with proportional twists are joined first."""
         real_number("Path.split", "spacing", spacing, "a number above zero", above=0.0, traced=True)
         if self.start.ndim != 1:
             raise InputError(f"Path.split: got a batch {self.start.shape[:-1]}, expected one path")

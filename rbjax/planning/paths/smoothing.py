@@ -66,8 +66,7 @@ class _Problem(NamedTuple):
 
     path: the initial path. field: the distance field. footprint: of the robot.
     radius: the smallest turning radius, m. margin: the desired clearance, m.
-    arcs: (n,), whether a step is an arc.
-    unit: (n,), initial lengths of the arcs, m.
+    arcs: (n,), whether a step is an arc. unit: (n,), initial lengths of the arcs, m.
     same: (n - 1,), whether two neighbouring steps are arcs in one gear.
     goal: (3,), the end of the initial path.
     """
@@ -92,7 +91,7 @@ class _Problem(NamedTuple):
         return jnp.where(self.arcs[:, None], arcs, self.path.steps)
 
     def residuals(self, z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Compute the residuals whose half sum of squares is the cost, and the end's deviation
+        """Compute the residuals of the cost (half the sum of squares), and the end's deviation
         (3,), m."""
         poses = chain(self.path.start, self.steps(z))
         share = jnp.sqrt(self.unit / self.radius)  # zero for padding
@@ -138,8 +137,7 @@ def _step(p: _Problem, z: jax.Array, damping: jax.Array) -> jax.Array:
 
 
 def _restored(p: _Problem, z: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Project an iterate on the paths that end at the goal, with variables kept within their
-    bounds."""
+    """Project an iterate on the paths that end at the goal, with variables within bounds."""
 
     def end(x):
         return p.residuals(x.reshape(z.shape))[1]

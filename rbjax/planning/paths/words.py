@@ -64,8 +64,7 @@ def _root(square):
 
 
 def _arccos(c):
-    """Compute an arc cosine, and whether it exists. At the ends of its range its derivative is
-    zero."""
+    """Compute an arc cosine, and whether it exists. At +-1 its derivative is zero."""
     inside = jnp.abs(c) < 1
     end = jnp.where(c < 0, math.pi, 0.0)
     angle = jnp.where(inside, jnp.arccos(jnp.where(inside, c, 0.0)), end)
@@ -73,14 +72,12 @@ def _arccos(c):
 
 
 def _same_side(x, y, phi):
-    """Compute the centre of the goal's left circle, relative to the centre of the start's left
-    circle."""
+    """Compute the centre of the goal's left circle, relative to the start's left circle."""
     return x - jnp.sin(phi), y - 1 + jnp.cos(phi)
 
 
 def _other_side(x, y, phi):
-    """Compute the centre of the goal's right circle, relative to the centre of the start's left
-    circle."""
+    """Compute the centre of the goal's right circle, relative to the start's left circle."""
     return x + jnp.sin(phi), y - 1 - jnp.cos(phi)
 
 

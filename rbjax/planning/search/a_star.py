@@ -7,18 +7,15 @@
             end has no node with g as low, put its end into OPEN
 
 g is the price of the path to a node, as `Controls` counts it. h is the larger of two lower bounds
-of the price to the target: the price of the connection without obstacles (`connections`), and the
-price of the shortest path of a point around obstacles (`holonomic`). So the result costs at most
-`weight` times the least price among the paths of nodes that are kept. A cell keeps one node at a
-time. A cheaper node replaces it and is expanded again. Therefore nodes can be expanded in any
-order, and many at once.
+of the price to the target: of the connection without obstacles (`connections`), and of the shortest
+path of a point around obstacles (`holonomic`). So the result costs at most `weight` times the least
+price among the paths of nodes that are kept. A cell keeps one node at a time. A cheaper node
+replaces it and is expanded again, so nodes can be expanded in any order.
 
 Connections are computed only for nodes of least f. If the bound of a connection exceeds the other
-bound, the node returns to OPEN with its new f.
-
-Hybrid A* connects by a motion that ends exactly at the target; for a car this is the Reeds-Shepp
-curve. It needs free space, so the root of the search is the end with less clearance. In a search
-from the goal, controls are driven backwards in time.
+bound, the node returns to OPEN with its new f. Hybrid A* connects by a motion that ends exactly at
+the target; for a car this is the Reeds-Shepp curve. It needs free space, so the root of the search
+is the end with less clearance. From the goal, controls are driven backwards in time.
 
 Source: Hart, Nilsson & Raphael, IEEE Trans. SSC 4 (1968) 100; Pohl, Artificial Intelligence 1
 (1970) 193, for the weight; Dolgov, Thrun, Montemerlo & Diebel, *Path planning for autonomous
@@ -215,8 +212,7 @@ def _check_cells(where: str, grid: OccupancyGrid, cell: float, headings: int) ->
 class _Nodes(NamedTuple):
     """Nodes of the search, one row each.
 
-    x, y: position, m.
-    cell: index of the cell.
+    x, y: position, m. cell: index of the cell.
     parent: number of the parent's visit, -1 for the root.
     control: index of the control that leads to the node, -1 for the root.
     g: price of the path to the node.
@@ -285,8 +281,9 @@ class _AStar(WaveSearch):
         add_to(self.open, (f / self.width).astype(int), nodes)
 
     def cheapest(self) -> tuple[_Nodes, int]:
-        """Remove the nodes of least f from OPEN. Return those that represent their cells. Also
-        return the index of the last interval of f that was removed."""
+        """Remove and return nodes of least f that represent their cells, and their last interval
+        of f.
+        """
         some: list[_Nodes] = []
         number = 0
         for interval in sorted(self.open):

@@ -63,11 +63,7 @@ class GoalSet:
     def __call__(
         self, poses: np.ndarray, goal: np.ndarray, after: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the results of `DirectMotion` for a goal set.
-
-        These are lower bounds of zero, empty connections (m, 0, 3), and prices that are zero for
-        poses in the goal set and infinite otherwise.
-        """
+        """Return bounds of zero, empty connections (m, 0, 3), and prices 0 or infinity (m,)."""
         off = poses - goal
         there = np.hypot(off[:, 0], off[:, 1]) <= self.near
         there &= np.abs(_reduced(off[:, 2])) <= self.turn
@@ -107,8 +103,7 @@ class DirectMotion:
         return 1 / tight[0]
 
     def _rates(self) -> np.ndarray:
-        """Compute prices per metre (3, 3) by gear and by bend, each -1, 0 or 1. They are infinite
-        for a gear and bend without a control."""
+        """Compute prices per metre (3, 3) by gear and bend, infinite without a control."""
         rates = np.full((3, 3), np.inf)
         for step, cost in zip(self.controls.steps, self.controls.costs, strict=True):
             way = math.hypot(step[0], step[1])

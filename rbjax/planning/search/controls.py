@@ -159,11 +159,7 @@ class Controls:
 
 
 def car_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Make the controls of a car: arcs to both sides and straight segments.
-
-    Driving backwards costs slightly more. A reversal costs as much as driving `radius` metres
-    forwards.
-    """
+    """Make the controls of a car: arcs to both sides and straight segments."""
     cell = 2 * math.pi / HEADINGS
     turn = cell * max(1, math.ceil(least / (radius * cell) * (1 - 1e-9)))
     reversal = max(1, round(UNIT * radius / (radius * turn)))
@@ -175,10 +171,7 @@ def car_controls(radius: float, least: float, backwards: bool) -> Controls:
 
 
 def differential_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Make the controls of a differential drive: straight segments and turns on the spot.
-
-    Turns are by two heading cells, and last as long as a straight segment.
-    """
+    """Make the controls of a differential drive: straight segments, and turns on the spot."""
     spin = 2 * 2 * math.pi / HEADINGS / least
     speeds = np.array([1.0, -1.0, 0.0, 0.0])
     chosen = np.array([0, 1, 2, 3] if backwards else [0, 2, 3])
@@ -188,10 +181,8 @@ def differential_controls(radius: float, least: float, backwards: bool) -> Contr
 
 
 def omnidirectional_controls(radius: float, least: float, backwards: bool) -> Controls:
-    """Make the controls of an omnidirectional robot: eight directions, and turns on the spot.
-
-    Turns are by two heading cells.
-    """
+    """Make the controls of an omnidirectional robot: eight directions, and turns on the spot. Turns
+    are by two heading cells."""
     spin = 2 * 2 * math.pi / HEADINGS / least
     course = np.arange(8) * math.pi / 4
     speeds = np.concatenate([np.cos(course), [0.0, 0.0]]).round(15)

@@ -12,22 +12,15 @@ A cell is (x, y, heading). A node keeps the integrated configuration, not its ce
 path is exactly the motion of its controls. Cells only prune the search: the first node popped in a
 cell represents it, and later ones are dropped. Therefore the cost is the least among the paths of
 nodes that are kept, not among all sequences of controls. With a cost of reversals, the node of a
-cell also determines the direction of arrival.
+cell also determines the direction of arrival. Of two nodes of equal cost the older one is first.
 
-Ties. The order of two nodes of equal cost determines the configuration that represents a cell, and
-therefore later costs. The book does not specify it. In this implementation the older node is
-first, as in a queue, so the result is a function of the problem.
+Costs of controls are positive integers, so the children of nodes of one cost have larger costs, and
+all nodes of OPEN of one cost form a wave. In a wave, the oldest node of a cell that is not visited
+represents it. Children are appended in the order of parents and of controls, which is the order of
+their ages. So the result is exactly the same as with a heap, and a wave is a few array operations.
 
-Waves. With this rule the algorithm needs no heap. Costs of controls are positive integers, so the
-children of nodes of one cost have larger costs: all nodes of OPEN of one cost are a wave. In a
-wave, the oldest node of a cell that is not visited represents it. Children are appended in the
-order of parents and of controls, which is the order of their ages. So visited cells, their nodes,
-the path and the count are exactly the same as with a heap, and a wave is a few array operations.
-
-Skipped tests. A node of a visited cell can never represent it, nor can a node of a cell for which
-OPEN has a free node of the same or lower cost. Such a node is dropped before its motion is tested,
-unless it is in the goal set. If obstacles are further than the robot moves in dt, motions need no
-test.
+A node is dropped before its motion is tested if its cell is visited, or has a free node of the same
+or lower cost in OPEN, unless it is in the goal set. Motions far from obstacles need no test.
 
 If all motions end at the centres of cells (a state lattice), all nodes of a cell coincide, and this
 is Dijkstra's algorithm on the lattice.
@@ -114,8 +107,7 @@ def grid_dijkstra(
 class _Nodes(NamedTuple):
     """Nodes of the search, ordered by age.
 
-    x, y: position, m.
-    cell: index of the cell.
+    x, y: position, m. cell: index of the cell.
     parent: number of the parent's visit, -1 for the root.
     control: index of the control that leads to the node, -1 for the root.
     age: counter of created nodes.

@@ -58,8 +58,7 @@ def _least(footprint: Footprint, h: float) -> float:
     """Compute a distance from obstacles that the centre of each passable cell exceeds.
 
     A free disc with centre c and radius r keeps the origin at least r - |c| away from obstacles,
-    and the centre of the origin's cell h / sqrt(2) less. If c is the origin, `clear` tests that
-    cell itself.
+    and the centre of its cell h / sqrt(2) less. If c is the origin, `clear` tests the cell itself.
     """
     away = np.hypot(*np.asarray(footprint.centers, float).T)
     lost = np.where(away > 0, away + h / math.sqrt(2), 0.0)

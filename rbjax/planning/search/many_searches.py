@@ -68,9 +68,7 @@ class _Problem(Record):
 class _Nodes(Record):
     """Nodes of all searches, ordered by age.
 
-    x, y: position, m.
-    search: index of the search.
-    cell: index of the cell.
+    x, y: position, m. search: index of the search. cell: index of the cell.
     parent: index of the parent node, -1 for a start.
     control: index of the control that leads to the node, -1 for a start.
     cost: -1 if the node does not represent a cell and is only in the goal set.
@@ -88,18 +86,13 @@ class _Nodes(Record):
 class _Searches(Record):
     """Variables of all searches.
 
-    Fields:
-        nodes: the stored nodes.
-        size: the number of stored nodes.
-        best: (q, cells), the least cost of a cell's nodes in OPEN, -1 once visited.
-        first: (q, cells), work array for the first node of a cell.
-        sizes: (w,), the numbers of nodes before the last w waves.
-        cost: the cost of the current wave.
-        last: the largest cost of a stored node.
-        reached: (q,), the index of the first node in the goal set.
-        at: (q,), the cost of that node.
-        status: (q,), SEARCHING, FOUND or EXHAUSTED.
-        visited: (q,), the number of visited cells.
+    nodes: the stored nodes. size: the number of stored nodes.
+    best: (q, cells), the least cost of a cell's nodes in OPEN, -1 once visited.
+    first: (q, cells), work array for the first node of a cell.
+    sizes: (w,), the numbers of nodes before the last w waves. cost: the cost of the current wave.
+    last: the largest cost of a stored node.
+    reached: (q,), the index of the first node in the goal set. at: (q,), the cost of that node.
+    status: (q,), SEARCHING, FOUND or EXHAUSTED. visited: (q,), the number of visited cells.
     """
 
     nodes: _Nodes
@@ -175,9 +168,8 @@ def _expand(p: _Problem, s: _Searches, at: jax.Array, valid: jax.Array) -> _Sear
 
 
 def _wave(p: _Problem, s: _Searches, width: int) -> _Searches:
-    """Visit all nodes of the current cost.
+    """Visit all nodes of the current cost; in searches that reach the goal, only nodes before it.
 
-    In searches whose goal set has this cost, only the nodes before the goal node are visited.
     width: the number of nodes that are expanded at once, a constant shape of the program.
     """
     looked = 4 * width  # stored nodes that are scanned at once for members of the wave

@@ -71,12 +71,7 @@ class SweptMap:
         return self.values.ravel()[(i * ny + j).astype(np.intp)] - self.h * np.sqrt(u * u + v * v)
 
     def free(self, x: np.ndarray, y: np.ndarray, k: np.ndarray, control: np.ndarray) -> np.ndarray:
-        """Test whether motions (n,) are free of obstacles.
-
-        x, y: (n,), positions of their starts, m.
-        k: (n,), indices of the headings of their starts.
-        control: (n,), indices of the controls.
-        """
+        """Test whether motions (n,) from x, y, m, and headings of index k are free."""
         free = self.below(x, y) > self.safe
         test = np.flatnonzero(~free)
         motion = k[test] * self.controls + control[test]
@@ -125,8 +120,7 @@ class WaveSearch:
     ):  # fmt: skip
         """Prepare a search.
 
-        root: (3,), the pose from which the search grows.
-        side: the side of a cell, m.
+        root: (3,), the pose from which the search grows. side: the side of a cell, m.
         never: the cost of a cell without nodes, in the dtype of costs.
         """
         self.map, self.table, self.controls = SweptMap(distances, table), table, controls
@@ -158,17 +152,15 @@ class WaveSearch:
     def admit(
         self, wave: Any, new: Any, cost: np.ndarray, better: Any, tests: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Select the free children (m,) of a wave that represent their cells from now on.
+        """Select the children (m,) of a wave that represent their cells: the first free one of each
+        cell.
 
-        In each cell this is the first free child. A first pass tests the motions of `tests`. A
-        second pass tests the rest, if their cells still have no node of the same or lower cost.
+        `tests` (m,) is true for motions to test in the first pass. A second pass tests the rest, if
+        their cells still have no node of the same or lower cost.
 
         Args:
-            wave: the parents.
-            new: the children, in order of rising cost.
-            cost: (m,), costs of the children.
+            new: the children, with costs `cost` (m,) in rising order.
             better: (m,), whether the cost is lower than the cell's.
-            tests: (m,), whether the motion is tested in the first pass.
 
         Returns:
             free (m,), whether a child was tested and is free; and the indices of the selected

@@ -96,8 +96,7 @@ def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
 
 
 def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> jax.Array:
-    """Compute the torques (drives,) for velocity rates (nv,), while the steerings turn at given
-    rates."""
+    """Compute the torques (drives,) for velocity rates (nv,) and given steering rates."""
     drives = len(vehicle.robot.drives)
 
     def accelerations(tau):
@@ -115,10 +114,7 @@ def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> ja
 
 def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
     """Compute the coordinates and torque coefficients along one path, with steerings initially
-    straight.
-
-    Steps of zeros have no effect.
-    """
+    straight. Steps of zeros have no effect."""
     robot, steps = vehicle.robot, path.steps
     steerings, dtype = robot.layout.steerings, path.steps.dtype
     one = jnp.ones((), dtype)
@@ -181,8 +177,7 @@ def _norm(x: jax.Array) -> jax.Array:
 
 
 def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
-    """Replace unknown rows of (n, k) by the last known row before them, or else by the first known
-    row."""
+    """Replace unknown rows of (n, k) by the last known row, or else by the first known row."""
     at = jnp.where(known, jnp.arange(len(known)), -1)
     at = jax.lax.cummax(at)
     return rows[jnp.where(at < 0, jnp.argmax(known), at)]
@@ -195,8 +190,7 @@ def _angles(vehicle: RobotModel, twists: jax.Array) -> jax.Array:
 
 
 def _coordinates(vehicle: RobotModel, start, size, turns, bends, nu) -> jax.Array:
-    """Integrate the coordinates along the path. Return (2, n, nq), at the begin and end of each
-    step."""
+    """Integrate the coordinates along the path: (2, n, nq), at the begin and end of each step."""
     at = vehicle.robot.layout.steerings
     drives = jnp.zeros(len(vehicle.robot.drives), start.dtype)
 

@@ -31,10 +31,8 @@ FIRST = 0.1  # initial slack
 class _Point(NamedTuple):
     """Iterate of the interior-point method.
 
-    d: (n,), the solution.
-    y, s: (m,), distance from the bound of each row, and slack.
-    l: (m,), multipliers of the rows.
-    zl, zu: (n,), multipliers of the box.
+    d: (n,), the solution. y, s: (m,), distance from the bound of each row, and slack.
+    l: (m,), multipliers of the rows. zl, zu: (n,), multipliers of the box.
     """
 
     d: jax.Array
@@ -93,8 +91,7 @@ def solve(
         off = H @ p.d + c + G.T @ l - zl + zu
 
         def step(mu, ry, rs, rl, ru) -> _Point:
-            """Compute the Newton step for a barrier mu, with second-order terms ry, rs, rl and
-            ru."""
+            """Compute the Newton step for a barrier mu, with second-order terms ry to ru."""
             ry, rs = mu - y * l - ry, mu - s * t - rs
             rl, ru = mu - yl * zl - rl, mu - yu * zu - ru
             part = (ry - l * rs / t) / w

@@ -64,8 +64,7 @@ class Residuals(Record):
 
     @property
     def feasible(self) -> jax.Array:
-        """Boolean (...): the goal is met within 2 mm and 2 mrad, limits within 0.2 %, and the
-        motion is free."""
+        """Boolean (...): goal within 2 mm and 2 mrad, limits within 0.2 %, no collision."""
         off = jnp.stack([self.distance, self.turn, self.speed])
         most = jnp.stack([self.torque, self.rate, self.angle])
         return (off <= NEAR).all(0) & (most <= 1 + NEAR).all(0) & self.free
@@ -90,12 +89,10 @@ class Refined(Record):
 
     @property
     def status(self) -> str:
-        """Status of one motion.
+        """Status of one motion: "refined", "as it was", "not converged" or "infeasible".
 
-        "refined": feasible, and faster than `start_time`. "as it was": feasible, but not faster.
-            "not
-        converged": not feasible or slower, see the residuals. "infeasible": the limits do not hold
-            even on
+        "refined" is feasible and faster than `start_time`; "as it was" is feasible, but not faster.
+        After "not converged", see the residuals. "infeasible" means that the limits do not hold on
         the path.
         """
         if not bool(self.ok):
@@ -225,8 +222,7 @@ def _refine(
 
 
 def _speed_units(nv: int, speed: jax.Array, reach: jax.Array) -> jax.Array:
-    """Return units (nv,) of the free velocities. The last of several velocities is a turning
-    rate."""
+    """Return units (nv,) of the free velocities. The last of several is a turning rate."""
     units = jnp.full(nv, speed)
     return units.at[-1].divide(reach) if nv > 1 else units
 

@@ -121,8 +121,7 @@ class Shooting(NamedTuple):
         )  # fmt: skip
 
     def below(self, z: jax.Array, due: jax.Array) -> jax.Array:
-        """Compute the inequality constraints b of a state, with required clearances `due`
-        (discs,)."""
+        """Compute the inequality constraints b of a state. due: (discs,), required clearances."""
         x, y, turn = self.twist(z)
         square = x * x + y * y
         speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
@@ -220,8 +219,7 @@ def optimise(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
         S = S + jnp.eye(len(e), dtype=w.dtype) * (1e-12 * jnp.trace(S) + jnp.finfo(w.dtype).tiny)
 
         def corrected(d, _):
-            """Evaluate a step. Return the next step, corrected by the end residual; the new w; its
-            merit."""
+            """Evaluate a step. Return a corrected step, the new w and its merit."""
             new = jnp.clip(w + d.reshape(w.shape), lowest, highest)
             equal, below = s.rows(new)
             value = (cost * new).sum() + penalty(equal, below)

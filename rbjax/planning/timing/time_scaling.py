@@ -45,10 +45,8 @@ class TimeScaled(Record):
 
     @property
     def status(self) -> str:
-        """Status of one path: "found" or "infeasible".
-
-        It is infeasible if the limits do not hold even at rest, or if the path requires steering
-        angles beyond the limit.
+        """Status: "found", or "infeasible" if limits do not hold at rest or the path steers
+        too far.
         """
         return "found" if bool(self.ok) else "infeasible"
 

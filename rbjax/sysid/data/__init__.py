@@ -1,4 +1,4 @@
-"""Recordings of a robot: how they are read, checked, split, filtered and corrected."""
+"""Recordings of a robot: readers, checks, splits, filters and units."""
 
 from rbjax.sysid.data.filtering import Filtered, differentiate, low_pass
 from rbjax.sysid.data.units import in_si

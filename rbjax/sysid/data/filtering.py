@@ -1,17 +1,17 @@
 """Zero-phase low-pass filters, differentiation and interpolation of sampled signals.
 
 A filter that runs forward and backward has no delay, and the square of the amplitude of one pass.
-The cut-off is that of both passes: the frequency with an amplitude of 1/sqrt(2).
+The cut-off frequency is that of both passes together, with an amplitude of 1/sqrt(2).
 
     even clock      Butterworth of order n, forward and backward: |H|^2 = 1 / (1 + w^(2n)), where
-                    w = tan(pi f h) / tan(pi f_0 h), and w^(2n) = sqrt(2) - 1 at the cut-off;
-                    derivatives are central differences over seven samples, with a relative error
+                    w = tan(pi f h) / tan(pi f_0 h), and w^(2n) = sqrt(2) - 1 at the cut-off.
+                    Derivatives are central differences over seven samples, with a relative error
                     of (w h)^6/140 (first) and (w h)^6/560 (second), w = 2 pi f
     uneven clock    smoothing spline: min sum_k w_k (x_k - s(t_k))^2 + lambda int s''^2, which is a
-                    zero-phase filter 1 / (1 + lambda h (2 pi f)^4), h the mean step;
-                    derivatives are those of the spline
-White noise of standard deviation sigma becomes noise of gain * sigma, with
-    gain^2 = mean of |H(f) D(f)|^2 over the frequencies up to Nyquist's, D the difference
+                    zero-phase filter 1 / (1 + lambda h (2 pi f)^4), h the mean step.
+                    Derivatives are the derivatives of the spline.
+White noise of standard deviation sigma becomes noise of standard deviation gain * sigma, with
+    gain^2 = mean of |H(f) D(f)|^2 over the frequencies up to Nyquist's, D the difference operator
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 
 EVEN = 0.01  # largest relative deviation of the steps of an even clock
-FLAT = 0.01  # largest deviation of the amplitude within the bandwidth
-DECAYED = 0.01  # the effect of an end of the signal that is negligible
+FLAT = 0.01  # largest relative deviation of the amplitude within the bandwidth
+DECAYED = 0.01  # a smaller effect of an end of the signal is negligible
 #: derivative -> weights of the samples k steps later, k = 1, 2, 3 (Fornberg 1988)
 DIFFERENCES = {1: np.array([3 / 4, -3 / 20, 1 / 60]), 2: np.array([3 / 2, -3 / 20, 1 / 90])}
 HALF_POWER = np.sqrt(2) - 1  # w^(2 n) at the cut-off
@@ -37,17 +37,17 @@ HALF_POWER = np.sqrt(2) - 1  # w^(2 n) at the cut-off
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """A filtered signal, or a derivative of it.
+    """A filtered signal, or a derivative of a filtered signal.
 
     Fields:
-        values: of the shape of the signal.
-        derivative: 0, 1 or 2.
-        cutoff: in Hz, where the amplitude is 1/sqrt(2) of the ideal one.
-        bandwidth: in Hz, up to which the amplitude is within 1 % of the ideal one.
+        values: filtered values, in the shape of the signal.
+        derivative: order of the derivative, 0, 1 or 2.
+        cutoff: frequency in Hz with an amplitude of 1/sqrt(2) of the ideal one.
+        bandwidth: frequency in Hz up to which the amplitude is within 1 % of the ideal one.
         gain: standard deviation of the result for white noise of standard deviation 1.
-        settled: slice without the samples that an end of the signal distorts.
-        method: the filter in words.
-        delay: in s, always 0.
+        settled: slice of the samples that the ends of the signal do not distort.
+        method: description of the filter.
+        delay: delay in s, always 0.
     """
 
     values: np.ndarray
@@ -64,17 +64,16 @@ def low_pass(t: Any, x: Any, cutoff: float, *, order: int = 4) -> Filtered:
     """Filter a signal by a zero-phase low-pass filter.
 
     Args:
-        t: (samples,) times in s; the Butterworth filter needs an even clock, others have the
-            spline.
-        x: (samples,) or (samples, columns), without NaN.
-        cutoff: in Hz, where the amplitude is 1/sqrt(2); below half the rate.
-        order: of one pass of the Butterworth filter.
+        t: (samples,) times in s. Even clocks use the Butterworth filter, uneven clocks the spline.
+        x: (samples,) or (samples, columns) signal, without NaN.
+        cutoff: frequency in Hz with an amplitude of 1/sqrt(2); below half the sample rate.
+        order: order of one pass of the Butterworth filter.
 
     Returns:
         `Filtered`.
 
     Raises:
-        InputError: wrong shapes, values that are not finite, a cut-off outside of (0, rate/2).
+        InputError: wrong shapes, values that are not finite, or a cut-off outside of (0, rate/2).
 
     Source: Gustafsson 1996 (forward and backward); Silverman 1984 (the spline as a filter).
 
@@ -93,15 +92,17 @@ def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int =
     """Differentiate a signal once or twice, with a zero-phase low-pass filter.
 
     Args:
-        t, x, order: as in `low_pass`.
-        cutoff: in Hz, of the filter; below half the rate.
-        times: 1 or 2; 0 is `low_pass`.
+        t: (samples,) times in s.
+        x: (samples,) or (samples, columns) signal, without NaN.
+        cutoff: cut-off frequency of the filter in Hz; below half the sample rate.
+        times: number of derivatives, 1 or 2. 0 only filters, as `low_pass`.
+        order: order of one pass of the Butterworth filter.
 
     Returns:
-        `Filtered`; its values in units of x per s or s^2.
+        `Filtered`, with values in units of x per s or s^2.
 
     Raises:
-        InputError: as `low_pass`.
+        InputError: wrong shapes, values that are not finite, or a cut-off outside of (0, rate/2).
 
     Source: Gustafsson 1996; Silverman 1984.
 
@@ -127,7 +128,7 @@ def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int =
 
 
 def check_cutoff(where: str, name: str, cutoff: Any, step: float) -> None:
-    """`InputError` unless a cut-off in Hz is below the Nyquist frequency of a clock's step."""
+    """Raise InputError unless a cut-off in Hz is below the Nyquist frequency 0.5 / step."""
     number = isinstance(cutoff, (int, float, np.number)) and not isinstance(cutoff, bool)
     if not number or not 0 < cutoff < 0.5 / step:
         raise InputError(
@@ -161,7 +162,7 @@ def _butterworth(
 
 
 def _differences(x: np.ndarray, times: int) -> np.ndarray:
-    """Central differences (samples, ...), with the signal reflected at its end points."""
+    """Compute central differences (samples, ...), with the signal reflected at its end points."""
     beyond = ((3, 3), *[(0, 0)] * (x.ndim - 1))
     x = np.pad(x, beyond, mode="reflect", reflect_type="odd")
     n, out = len(x) - 6, 0.0
@@ -181,7 +182,7 @@ def _spline(
     def response(w: np.ndarray) -> np.ndarray:
         return w**times / (1 + stiffness * w**4)
 
-    # its impulse response decays as exp(-w_0 |t| / sqrt(2))
+    # the impulse response decays as exp(-w_0 |t| / sqrt(2))
     decay = np.sqrt(2) * stiffness**0.25
     ends = int(np.ceil(-np.log(DECAYED) * decay / h))
     values = np.asarray(smooth(t, times))
@@ -221,13 +222,16 @@ def _signal(where: str, t: Any, x: Any) -> tuple[np.ndarray, np.ndarray]:
     return t, x
 
 
-#: tolerance of the length of a quaternion; least change of its entries in a rotation
+#: tolerance of the length of a quaternion; least range of its entries over a rotation
 UNIT, MOVES = 1e-3, 0.1
 
 
 def quaternion_columns(sensor: str, values: np.ndarray, model: Model | None) -> tuple[int, ...]:
-    """Find the first columns of the quaternions (w, x, y, z) of a sensor. Without a model, any four
-    successive columns of q that move and have length 1 at every sample are a quaternion."""
+    """Find the first column of each quaternion (w, x, y, z) of a sensor.
+
+    Without a model, any four successive columns of q that vary and have length 1 at every sample
+    are a quaternion.
+    """
     if sensor.startswith("pose:"):
         return (3,)
     if sensor != "q":
@@ -252,8 +256,11 @@ def interpolate_columns(
     clock: np.ndarray, values: np.ndarray, t: np.ndarray, step: float, gap: float | None,
     turns: tuple[int, ...],
 ) -> np.ndarray:  # fmt: skip
-    """Interpolate columns (samples, columns) at times t, by cubic splines and slerp; nan if samples
-    are too far apart (`Recording.on_clock`). turns: the first columns of quaternions."""
+    """Interpolate columns (samples, columns) at times t, by cubic splines and slerp.
+
+    The result is nan if the samples are too far apart (`gap` of `Recording.on_clock`). `turns` are
+    the first columns of quaternions.
+    """
     measured = ~np.isnan(values)
     out = np.full((len(t), values.shape[1]), np.nan)
     longest = 3 * step if gap is None else gap

@@ -1,7 +1,7 @@
 """Readers of recordings from csv and npz files.
 
-A mapping gives the sensor, joint and unit of each column that is read. Sensors at several rates may
-share one table: a row in which all columns of a sensor are blank has no sample of it.
+A mapping defines the sensor, joint and unit of each column. Sensors at several rates may share one
+table: a row with blanks in all columns of a sensor has no sample of this sensor.
 """
 
 from __future__ import annotations
@@ -24,11 +24,14 @@ class Column(NamedTuple):
     """The meaning of a column of a file, or of an array with several columns.
 
     Fields:
-        sensor: such as "q" or "gyro:imu".
-        joint: the joint's name, or a name for each column of an array; the column's name if None.
-        unit, scale, sign: as in `Channel`.
-        noise: standard deviation in SI; for all columns of a sensor, or for none.
-        time: the column with its clock; the clock of the file if None.
+        sensor: name of the sensor, such as "q" or "gyro:imu".
+        joint: name of the joint, or one name for each column of an array. None: the name of the
+            column.
+        unit: unit of the values, as in `Channel`.
+        scale: factor of the values, as in `Channel`.
+        sign: 1 or -1, as in `Channel`.
+        noise: standard deviation in SI. State it for all columns of a sensor, or for none.
+        time: name of the column with the clock. None: the clock of the file.
     """
 
     sensor: str
@@ -52,28 +55,29 @@ def read_csv(
     comment: str = "#",
     name: str | None = None,
 ) -> Recording:
-    """Read a recording from a table of text.
+    """Read a recording from a text table.
 
-    The header is the first line that contains all requested names; lines above it and comments are
-    skipped. Blank cells and "nan" are samples that did not arrive. Each row must have as many cells
-    as the header.
+    The header is the first line that contains all requested names. Lines above it and comments are
+    skipped. Blank cells and "nan" are missing samples. Each row must have as many cells as the
+    header.
 
     Args:
-        path: of the file.
+        path: path of the file.
         columns: name in the header -> `Column`, or its fields as a tuple: ("q", "elbow", "deg").
         time: name of the clock's column.
-        time_unit: of the clock.
-        rate: in Hz, for a file without a clock: the time is row / rate.
-        delimiter: between cells; detected if None.
-        decimal: "." or ",".
-        comment: the beginning of lines that are skipped.
-        name: of the recording; the file's if None.
+        time_unit: unit of the clock.
+        rate: sample rate in Hz for a file without a clock. The time is row / rate.
+        delimiter: delimiter between cells. None: detect it.
+        decimal: decimal mark, "." or ",".
+        comment: prefix of lines to skip.
+        name: name of the recording. None: the name of the file.
 
     Returns:
         `Recording`.
 
     Raises:
-        InputError: no such file, a cell that is not a number; as `Channel` and `Recording`.
+        InputError: no such file, a cell that is not a number, or invalid data (`Channel`,
+            `Recording`).
         UnknownName: a name that is not in the header.
 
     Example:
@@ -126,20 +130,20 @@ def read_npz(
     """Read a recording from the arrays of an npz file.
 
     Args:
-        path: of the file.
-        columns: name of an array -> `Column`, or its fields as a tuple. An array is (samples,), or
-            (samples, columns) with `joint` the name of each column, or the name of an array of the
-            file that has them. NaN is a sample that did not arrive.
+        path: path of the file.
+        columns: name of an array -> `Column`, or its fields as a tuple. An array has shape
+            (samples,) or (samples, columns). For several columns `joint` has one name for each, or
+            is the name of an array of names in the file. NaN is a missing sample.
         time: name of the clock's array.
-        time_unit: of the clock.
-        rate: in Hz, for a file without a clock: the time is k / rate.
-        name: of the recording; the file's if None.
+        time_unit: unit of the clock.
+        rate: sample rate in Hz for a file without a clock. The time of sample k is k / rate.
+        name: name of the recording. None: the name of the file.
 
     Returns:
         `Recording`.
 
     Raises:
-        InputError: no such file; as `Channel` and `Recording`.
+        InputError: no such file, or invalid data (`Channel`, `Recording`).
         UnknownName: a name that is not in the file.
 
     Example:
@@ -182,7 +186,7 @@ def _recording(
     time_unit: str,
     rate: float | None,
 ) -> Recording:
-    """The recording of a table of numbers."""
+    """Convert a table of numbers to a recording."""
     channels = {}
     for sensor in dict.fromkeys(c.sensor for c in wanted.values()):
         parts = [(n, c) for n, c in wanted.items() if c.sensor == sensor]
@@ -229,7 +233,7 @@ def _recording(
 
 
 def _columns(where: str, columns: Mapping[str, Any]) -> dict[str, Column]:
-    """Check the columns, and return them as `Column`."""
+    """Check the columns, and convert them to `Column`."""
     example = '{"angle": ("q", "elbow", "deg")}'
     if not isinstance(columns, Mapping) or not columns:
         raise InputError(f"{where}: columns is {columns!r}, expected a dict such as {example}")
@@ -261,7 +265,7 @@ def _columns(where: str, columns: Mapping[str, Any]) -> dict[str, Column]:
 def _clocks(
     where: str, wanted: Mapping[str, Column], time: Any, time_unit: Any, rate: Any
 ) -> set[str]:
-    """Check time, time_unit and rate, and return the names of the clocks; none with a rate."""
+    """Check time, time_unit and rate, and return the names of the clocks, none if rate is given."""
     if rate is not None:
         real_number(where, "rate", rate, "a positive number of Hz", above=0.0)
         return set()
@@ -287,7 +291,7 @@ def _file(where: str, path: str | Path) -> Path:
 
 
 def _array(path: Path, name: str, x: np.ndarray) -> np.ndarray:
-    """Check an array of a file."""
+    """Check an array of a file, and convert it to float."""
     if x.dtype.kind not in "biuf" or x.ndim not in (1, 2):
         raise InputError(
             f"read_npz: array {name} of {path.name} has dtype {x.dtype} and shape {x.shape}, "
@@ -299,7 +303,7 @@ def _array(path: Path, name: str, x: np.ndarray) -> np.ndarray:
 def _cells(
     path: Path, lines: Sequence[tuple[int, str]], delimiter: str | None
 ) -> list[tuple[int, list[str]]]:
-    """The cells of each numbered line."""
+    """Split numbered lines into cells."""
     if delimiter is None:
         sample = "\n".join(line for _, line in lines[:20])
         try:
@@ -317,7 +321,7 @@ def _cells(
 def _table(
     path: Path, rows: Sequence[tuple[int, list[str]]], names: Sequence[str], decimal: str
 ) -> dict[str, np.ndarray]:
-    """The numbers in the columns of these names."""
+    """Parse the numbers in the columns with these names."""
     head = [row for _, row in rows[:20]]
     if not head:
         raise InputError(f"read_csv: {path.name} has no rows, expected a header and numbers")

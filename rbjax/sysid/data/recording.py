@@ -1,14 +1,14 @@
-"""Recordings of the sensors of a robot, each on its own clock.
+"""Recordings of the sensors of a robot, each with its own clock.
 
-A `Channel` is one sensor: a clock t (samples,) in s and values (samples, columns) in SI. Sensors
-may have different rates, irregular clocks, and missing samples, which are NaN in `values`.
-A `Recording` has the channels of one run by sensor:
-    q v a tau     of the joints: rad, rad/s, rad/s^2, N m (of slides m, m/s, m/s^2, N)
-    current       of the motors of the joints, A
-    ctrl          commands, each of which holds until the next
+A `Channel` is one sensor: times t (samples,) in s and values (samples, columns) in SI. Sensors may
+have different rates, irregular clocks, and missing samples, which are NaN in `values`. A
+`Recording` contains the channels of one run by sensor:
+    q v a tau     of the joints: rad, rad/s, rad/s^2, N m (slides: m, m/s, m/s^2, N)
+    current       of the joint motors, A
+    ctrl          commands; each command holds until the next one
     pose:NAME     of a body or a site: position in m and quaternion (w, x, y, z), in the world
     position:SITE, gyro:SITE, accelerometer:SITE, force:SITE, torque:SITE    3 numbers each
-    other:NAME    anything else
+    other:NAME    any other sensor
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rbjax.sensors import kinds
 from rbjax.sysid.data.filtering import interpolate_columns, quaternion_columns
 from rbjax.sysid.data.units import in_si
 
-#: sensors of the joints -> the size of the model that is their number of columns
+#: joint sensor -> attribute of the model with its number of columns
 JOINT_SENSORS = {"q": "nq", "v": "nv", "a": "nv", "tau": "nv", "current": "nv", "ctrl": "nu"}
 #: sensors of a body or a site -> number of columns
 PLACED_SENSORS = {"pose": 7, "position": 3, "gyro": 3, "accelerometer": 3, "force": 3, "torque": 3}
@@ -36,22 +36,23 @@ HELD = "ctrl"
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """The samples of one sensor, on its own clock.
+    """The samples of one sensor, with its own clock.
 
     Args:
-        t: (samples,) times in s; they increase.
-        values: (samples, columns) or (samples,), in `unit`.
-        names: of the columns: joints, actuators or axes; "0", "1", ... if None.
-        unit: of the values, one or one a column (`in_si`); they are converted to SI.
-        scale: a further factor, one or one a column, such as a torque constant in N m/A or a gear.
-        sign: 1, or -1 for a sensor of the opposite sign; one, or one a column.
-        noise: (columns,) standard deviation in SI, if it is known; in the columns of a quaternion
-            that of the rotation, in rad.
-        dropped: (samples,) or (samples, columns), true for a sample that did not arrive; or "nan"
-            for the samples that are NaN.
+        t: (samples,) increasing times in s.
+        values: (samples, columns) or (samples,) values in `unit`.
+        names: names of the columns (joints, actuators or axes). None: "0", "1", ...
+        unit: unit of all values, or one unit for each column (`in_si`). Values are converted to SI.
+        scale: additional factor for all columns or for each column, such as a torque constant in N
+            m/A.
+        sign: 1, or -1 for a sensor of the opposite sign; for all columns or for each column.
+        noise: (columns,) standard deviation in SI, if known. The columns of a quaternion have the
+            standard deviation of the rotation, in rad.
+        dropped: (samples,) or (samples, columns) mask of missing samples; or "nan" if missing
+            samples are NaN.
 
     Raises:
-        InputError: wrong lengths; a clock that does not increase; a value that is neither finite
+        InputError: wrong lengths, a clock that does not increase, or a value that is neither finite
             nor dropped.
         UnknownName: an unknown unit.
 
@@ -120,7 +121,7 @@ class Channel:
 
     @property
     def arrived(self) -> np.ndarray:
-        """Whether each sample (samples, columns) arrived."""
+        """The mask (samples, columns) of the samples that are not missing."""
         return ~np.isnan(self.values)
 
     @property
@@ -129,29 +130,29 @@ class Channel:
         return float(np.median(np.diff(self.t)))
 
     def drop(self, dropped: Any) -> Channel:
-        """Mark samples, (samples,) or (samples, columns) of bool, as not arrived."""
+        """Mark samples as missing, by a mask (samples,) or (samples, columns)."""
         mask = ~self.arrived | _mask(dropped, self.values.shape)
         return self.replace(self.t, np.where(mask, np.nan, self.values))
 
     def replace(self, t: Any, values: Any) -> Channel:
-        """Replace clock and values, in SI; NaN is a sample that did not arrive."""
+        """Replace clock and values, in SI. NaN is a missing sample."""
         return Channel(t, values, self.names, noise=self.noise, dropped="nan")
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The channels of one run, by sensor, with clocks that have the same origin.
+    """The channels of one run, by sensor. All clocks have the same origin.
 
     Args:
-        name: of the run.
-        channels: sensor -> `Channel`; the sensors are listed in `rbjax.sysid.data.recording`.
-        source: the recording of which this is a segment; its own name if "".
-        initial_state: the state at the first instant, if it is known exactly, such as rest at a
-            known configuration; `identify` estimates it if None. If the channel v has no sample
-            except its first one, the first readings of q and v are the known state.
+        name: name of the run.
+        channels: sensor -> `Channel`. `rbjax.sysid.data.recording` lists the sensors.
+        source: name of the recording of which this is a segment; its own name if "".
+        initial_state: state at the start, if it is known exactly, such as rest at a known
+            configuration. None: `identify` estimates it, unless the only sample of channel v is its
+            first one. In that case the first readings of q and v are the exact initial state.
 
     Raises:
-        InputError: no channels, or clocks without a common time; an initial_state that is not a
+        InputError: no channels, clocks without a common time, or an initial_state that is not a
             `State`.
         UnknownName: an unknown sensor.
 
@@ -204,8 +205,11 @@ class Recording:
 
     @property
     def start_is_known(self) -> bool:
-        """Whether the initial state is known: by `initial_state`, or by a channel v with no sample
-        except its first one."""
+        """Whether the initial state is known exactly.
+
+        It is known if `initial_state` is given, or if the only sample of channel v is its first
+        one.
+        """
         if self.initial_state is not None:
             return True
         if "v" not in self.channels:
@@ -218,19 +222,19 @@ class Recording:
 
     @property
     def start(self) -> float:
-        """The time in s from which all channels have samples."""
+        """The earliest time in s at which all channels have samples."""
         return max(float(c.t[0]) for c in self.channels.values())
 
     @property
     def end(self) -> float:
-        """The time in s until which all channels have samples."""
+        """The latest time in s at which all channels have samples."""
         return min(float(c.t[-1]) for c in self.channels.values())
 
     def check_model(self, model: Model) -> None:
-        """Raise `InputError` or `UnknownName` unless the channels suit the model.
+        """Raise InputError or UnknownName unless the channels match the model.
 
-        A channel of the joints has a column for each coordinate of the model (nq, nv or nu), or
-        columns named after joints (actuators) of the model, with one coordinate each.
+        A joint channel has one column for each coordinate of the model (nq, nv or nu), or columns
+        with the names of joints (actuators) that have one coordinate each.
         """
         for sensor, channel in self.channels.items():
             kind, _, where = sensor.partition(":")
@@ -254,16 +258,16 @@ class Recording:
     ) -> Recording:
         """Resample all channels at the same times.
 
-        Commands hold their last value. Attitudes, of poses and of ball and free joints in q, are
-        interpolated by slerp, other columns by cubic splines with an error of order step^4. A value
-        is NaN if its samples are too far apart or dropped (`gap`).
+        Commands hold their last value. Attitudes, in poses and in the q of ball and free joints,
+        are interpolated by slerp. Other columns are interpolated by cubic splines with an error of
+        order step^4. A value is NaN if its samples are too far apart (`gap`).
 
         Args:
             t: (samples,) times in s, within every channel's clock.
-            gap: the longest interval in s that is interpolated, over dropped samples too. None:
-                3 median steps of the clock, and no dropped sample.
-            model: the robot, which determines the quaternions of q. None: any four successive
-                columns that move and have length 1 at every sample.
+            gap: longest interval in s to interpolate, also across missing samples. None: 3 median
+                steps of the clock, and no interpolation across missing samples.
+            model: robot, which determines the quaternion columns of q. None: any four successive
+                columns that vary and have length 1 at every sample.
 
         Raises:
             InputError: times outside of a channel's clock.
@@ -287,10 +291,10 @@ class Recording:
         return dataclasses.replace(self, channels=channels)
 
     def segment(self, t0: float, t1: float) -> Recording:
-        """Select the samples from t0 to t1 in s; the command that holds at t0 is moved to t0.
+        """Select the samples from t0 to t1 in s. The command that is active at t0 moves to t0.
 
         Raises:
-            InputError: a channel with fewer than two samples in that time.
+            InputError: a channel with fewer than two samples in that interval.
         """
         cut = {}
         for sensor, c in self.channels.items():
@@ -310,7 +314,7 @@ class Recording:
         return Recording(f"{self.name}[{t0:g}:{t1:g}]", cut, self.source, first)
 
     def segments(self, seconds: float) -> list[Recording]:
-        """Cut into successive segments of this length, without a shorter rest at the end."""
+        """Cut into successive segments of this length. A shorter rest at the end is dropped."""
         given: Any = seconds
         number = isinstance(given, (int, float, np.number)) and seconds > 0
         count = int((self.end - self.start) / seconds + 1e-9) if number else 0
@@ -332,7 +336,7 @@ def _floats(name: str, x: Any) -> np.ndarray:
 
 
 def _one_a_column(name: str, given: Any, columns: int) -> np.ndarray:
-    """One number other than 0 for each column."""
+    """Convert one number or one number for each column to (columns,), and reject zeros."""
     x = np.array(np.nan) if np.asarray(given).dtype == bool else _floats(name, given)
     if x.shape not in ((), (1,), (columns,)) or not np.isfinite(x).all() or (x == 0).any():
         raise InputError(
@@ -370,5 +374,5 @@ def _check_clock(t: np.ndarray) -> None:
 
 
 def noise_is_stated(runs: Sequence[Recording], sensor: str) -> bool:
-    """Whether every recording states the noise of a sensor."""
+    """Check whether every recording states the noise of a sensor."""
     return all(run[sensor].noise is not None for run in runs)

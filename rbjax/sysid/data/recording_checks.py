@@ -1,11 +1,11 @@
-"""`findings`: probable mistakes of a recording, by channel, column and sample.
+"""`findings`: probable mistakes in a recording, by channel, column and sample.
 
-    gap        samples are missing: the clock jumps
-    dropped    samples are marked as not arrived
-    still      a column never moves
-    stuck      a column stops while other columns of its sensor move: a dead sensor
-    outliers   samples far from their neighbours, by a Hampel filter
-    velocity   v is not the rate of q: a flipped sign, swapped joints, another unit or clock
+    gap        the clock jumps, since samples are missing
+    dropped    samples are marked as missing
+    still      a column is constant
+    stuck      a column is constant while other columns of its sensor vary: a dead sensor
+    outliers   samples are far from their neighbours, by a Hampel filter
+    velocity   v is not the derivative of q: a wrong sign, swapped joints, a wrong unit or clock
 `Channel.drop` removes outliers.
 """
 
@@ -20,23 +20,24 @@ from scipy import integrate, ndimage
 from rbjax.arguments import instance
 from rbjax.sysid.data.recording import HELD, Channel, Recording
 
-GAP = 3.0  # median steps of the clock
+GAP = 3.0  # least length of a gap, in median steps of the clock
 WINDOW = 7  # samples of the Hampel filter, which finds up to three successive outliers
-FAR = 8.0  # robust standard deviations: 1e-15 of normal noise
-LONG = 0.1  # least share of a recording in which a stuck column is constant
-SLOPE = 0.05  # largest deviation from 1 of v over the rate of q
-LAG = 0.05  # share of a recording over which positions are compared with integrated velocities
+FAR = 8.0  # least distance of an outlier in robust standard deviations: 1e-15 of normal noise
+LONG = 0.1  # least share of a recording with a constant value in a stuck column
+SLOPE = 0.05  # largest deviation from 1 of the ratio of v to the derivative of q
+LAG = 0.05  # time lag of the comparison of q with integrated v, as a share of a recording
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A probable mistake of a recording.
+    """A probable mistake in a recording.
 
     Fields:
         kind: "gap", "dropped", "still", "stuck", "outliers" or "velocity".
-        channel, column: where it is.
-        samples: their indices.
-        sentence: the finding in words.
+        channel: name of the channel.
+        column: name of the column, or "".
+        samples: indices of the samples.
+        sentence: description for users.
     """
 
     kind: str
@@ -50,13 +51,13 @@ class Finding:
 
 
 def findings(recording: Recording) -> list[Finding]:
-    """Find probable mistakes of a recording, before it is fitted.
+    """Find probable mistakes in a recording, before a fit.
 
     Args:
-        recording: any `Recording`.
+        recording: the recording to check.
 
     Returns:
-        `Finding`s, channel by channel.
+        List of `Finding`, channel by channel.
 
     Source: Hampel 1974 (outliers: |x_i - median| > 8 * 1.4826 MAD over 7 neighbours).
 
@@ -137,9 +138,9 @@ def _check_columns(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
 
 
 def hampel(x: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the distance of each sample from the median of its neighbours, and their scatter."""
+    """Compute the distance of each sample from the median of its neighbours, and a robust scale."""
     away = np.abs(x - ndimage.median_filter(x, WINDOW, mode="nearest"))
-    # the larger of the scatter of the neighbours, for fast motion, and that of the whole channel
+    # the scatter is the larger one of the neighbours (fast motion) and of the whole channel
     window = np.lib.stride_tricks.sliding_window_view(np.pad(x, WINDOW // 2, "edge"), WINDOW)
     local = np.median(np.abs(window - np.median(window, 1, keepdims=True)), 1)
     steps = np.abs(np.diff(x))
@@ -148,7 +149,7 @@ def hampel(x: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_velocities(recording: Recording) -> Iterator[Finding]:
-    """Compare changes of q over a lag with the integral of v over the same lag."""
+    """Compare the change of q over a time lag with the integral of v over the same lag."""
     if not {"q", "v"} <= recording.channels.keys():
         return
     q, v = recording["q"], recording["v"]
@@ -173,7 +174,7 @@ def _check_velocities(recording: Recording) -> Iterator[Finding]:
         if not (power > 0 and turned[i] @ turned[i] > 0):
             continue
         likeness = [abs(moved[i] @ d) / np.sqrt(power * (d @ d) or 1.0) for d in turned]
-        slope = float(moved[i] @ turned[i]) / power  # of v on the rate of q
+        slope = float(moved[i] @ turned[i]) / power  # regression of v on the derivative of q
         best = int(np.argmax(likeness))
         text = f"{recording.name}: channel v: {n} is "
         if likeness[best] > 0.9 and likeness[i] < 0.7:
@@ -190,7 +191,7 @@ def _check_velocities(recording: Recording) -> Iterator[Finding]:
 
 
 def _longest_pause(x: np.ndarray) -> tuple[int, int]:
-    """The first and last index of the longest run of equal values."""
+    """Find the first and last index of the longest run of equal values."""
     starts = np.flatnonzero(np.append(True, np.diff(x) != 0))
     lengths = np.diff(np.append(starts, len(x)))
     k = int(lengths.argmax())
@@ -198,7 +199,7 @@ def _longest_pause(x: np.ndarray) -> tuple[int, int]:
 
 
 def _known(x: np.ndarray) -> np.ndarray:
-    """The samples that are not nan; a zero if there are none."""
+    """Return the samples that are not nan, or [0] if all are nan."""
     known = x[~np.isnan(x)]
     return known if len(known) else np.zeros(1)
 

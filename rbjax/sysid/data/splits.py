@@ -1,4 +1,4 @@
-"""`split`: random division of recordings for training, validation and test."""
+"""`split`: random division of recordings into training, validation and test data."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rbjax.sysid.data.recording import Recording
 
 
 class Split(NamedTuple):
-    """Recordings by their use."""
+    """Recordings for training, validation and test."""
 
     train: list[Recording]
     validation: list[Recording]
@@ -29,22 +29,22 @@ def split(
     *,
     seed: int = 0,
 ) -> Split:
-    """Divide recordings at random: to fit, to choose between models, and to judge the result.
+    """Divide recordings at random into training, validation and test data.
 
-    Segments of one recording stay together, since errors on neighbouring times are too small.
+    Segments of one recording stay together, since errors at neighbouring times are correlated.
 
     Args:
-        recordings: the runs.
-        train: share of the runs.
-        validation: share of the runs; may be 0.
-        test: share of the runs; may be 0.
-        seed: of the random numbers.
+        recordings: the recordings.
+        train: share of the recordings for the fit.
+        validation: share of the recordings for the choice between models; may be 0.
+        test: share of the recordings for the final judgement; may be 0.
+        seed: seed of the random numbers.
 
     Returns:
-        `Split`, each in the order given. Each share above 0 gets at least one run.
+        `Split`, each part in the given order. Each share above 0 gets at least one recording.
 
     Raises:
-        InputError: shares that do not add up to 1; fewer runs than shares.
+        InputError: shares that do not add up to 1, or fewer recordings than shares.
 
     Example:
         >>> import numpy as np

@@ -25,10 +25,10 @@ TIME = ("s", "ms", "us", "ns", "min")
 _ANGLE, _LENGTH = ("rad", "mrad", "deg", "rev"), ("m", "cm", "mm", "um", "in")
 _RATE, _SPEED = ("rad/s", "deg/s", "rev/s", "rpm"), ("m/s", "cm/s", "mm/s", "km/h")
 _ACCELERATION = ("m/s^2", "mm/s^2", "g0")
-#: sensor of a joint -> its units on a hinge, and on a slide
+#: joint sensor -> units for a hinge, units for a slide
 MOVES = {"q": (_ANGLE, _LENGTH), "v": (_RATE, _SPEED)}
 _FORCE, _TORQUE, _CURRENT = ("N", "mN", "kN"), ("N m", "mN m", "kN m"), ("A", "mA")
-#: kind of sensor -> its valid units, in addition to "" (SI); other sensors may have any unit
+#: kind of sensor -> valid units, in addition to "" (SI); other sensors may have any unit
 OF_SENSORS = {
     "q": (*_ANGLE, *_LENGTH), "v": (*_RATE, *_SPEED),
     "a": ("rad/s^2", "deg/s^2", *_ACCELERATION), "tau": (*_TORQUE, *_FORCE, *_CURRENT),
@@ -38,16 +38,16 @@ OF_SENSORS = {
 
 
 def in_si(unit: str) -> float:
-    """Convert a unit to SI.
+    """Return the factor that converts a unit to SI.
 
     Args:
-        unit: such as "deg", "rpm", "mm", "g0" (standard gravity), "N m"; "" is SI already.
+        unit: unit such as "deg", "rpm", "mm", "g0" (standard gravity) or "N m". "" is SI.
 
     Returns:
-        The factor of a number in this unit, in SI.
+        The value of one unit in SI.
 
     Raises:
-        UnknownName: a unit that is not in the table.
+        UnknownName: an unknown unit.
 
     Source: BIPM, *The International System of Units*, 9th edition, 2019.
 

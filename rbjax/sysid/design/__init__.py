@@ -1,4 +1,4 @@
-"""Design of experiments: excitation trajectories that show the parameters best."""
+"""Design of experiments: excitation trajectories with the most information on the parameters."""
 
 from rbjax.sysid.design.excitation import Fourier, Motion, Spline
 from rbjax.sysid.design.experiments import Experiment, MotionLimits, design_experiment

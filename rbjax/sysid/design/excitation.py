@@ -1,9 +1,9 @@
-"""Excitation motions: finite Fourier series, and splines from rest to rest.
+"""Excitation trajectories: finite Fourier series, and splines from rest to rest.
 
-Both are closed forms of q, v and a, differentiable by their coefficients:
+Both have closed forms of q, v and a, which are differentiable by their coefficients:
     Fourier  q = q0 + sum_k a_k/(w k) sin(w k t) - b_k/(w k) cos(w k t),  w = 2 pi / period
-    Spline   q = sum_i c_i B_i(t), B-splines of degree 5 on a clamped even knot vector; the first
-             and the last three c are equal, so the motion starts and ends at rest, v = a = 0
+    Spline   q = sum_i c_i B_i(t), B-splines of degree 5 on a clamped uniform knot vector
+The first and the last three c of a spline are equal, which gives v = a = 0 at both ends.
 """
 
 from __future__ import annotations
@@ -18,11 +18,17 @@ import numpy as np
 from rbjax.arguments import integer, real_array, real_number
 from rbjax.errors import InputError
 
-DEGREE = 5  # of the splines: the acceleration is smooth
+DEGREE = 5  # polynomial degree of the splines, for a smooth acceleration
 
 
 class Motion(NamedTuple):
-    """q, v and a (samples, n), in rad, rad/s, rad/s^2 (for slides m, ...)."""
+    """A sampled trajectory.
+
+    Fields:
+        q: positions (samples, n) in rad, or m for slides.
+        v: velocities (samples, n) in rad/s or m/s.
+        a: accelerations (samples, n) in rad/s^2 or m/s^2.
+    """
 
     q: jax.Array
     v: jax.Array
@@ -30,24 +36,24 @@ class Motion(NamedTuple):
 
 
 def _seconds(x: Any) -> Any:
-    """Convert a number to float; `_check_time` rejects other values."""
+    """Convert a number to float, and return other values unchanged for `_check_time` to reject."""
     return float(x) if isinstance(x, (int, float, np.number)) else x
 
 
 class Fourier(eqx.Module):
-    """A finite Fourier series for each joint, of one common period.
+    """A finite Fourier series for each joint, with one common period.
 
     q = q0 + sum_k a_k/(w k) sin(w k t) - b_k/(w k) cos(w k t)
     v = sum_k a_k cos(w k t) + b_k sin(w k t)
 
     Args:
-        q0: (n,) centres.
-        a: (n, harmonics) cosines of the velocity.
-        b: (n, harmonics) sines of the velocity.
-        period: in s.
+        q0: (n,) mean positions in rad or m.
+        a: (n, harmonics) cosine coefficients of the velocity, in rad/s or m/s.
+        b: (n, harmonics) sine coefficients of the velocity, in rad/s or m/s.
+        period: period in s.
 
     Raises:
-        InputError: shapes that do not fit; a period that is not positive.
+        InputError: inconsistent shapes, or a period that is not positive.
 
     Source: Swevers, Ganseman, Tuekel, De Schutter, Van Brussel 1997, equations 8 to 10.
 
@@ -76,7 +82,7 @@ class Fourier(eqx.Module):
         _check_time("Fourier", "period", self.period)
 
     def __call__(self, t: jax.Array) -> Motion:
-        """Compute the motion at times t (samples,) in s."""
+        """Compute the trajectory at times t (samples,) in s."""
         w = 2 * np.pi / self.period * np.arange(1, self.a.shape[1] + 1)
         phase = jnp.asarray(t)[:, None] * w
         s, c = jnp.sin(phase), jnp.cos(phase)
@@ -85,14 +91,14 @@ class Fourier(eqx.Module):
 
     @property
     def duration(self) -> float:
-        """One period in s."""
+        """The period in s."""
         return self.period
 
     @classmethod
     def random(
         cls, key: jax.Array, q0: jax.Array, harmonics: int, period: float, speed: float = 0.1
     ) -> Fourier:
-        """Draw normal coefficients, with a velocity of about `speed` in rad/s."""
+        """Draw normal coefficients for velocities with a standard deviation of `speed` in rad/s."""
         q0 = _random("Fourier.random", key, q0, speed)
         integer("Fourier.random", "harmonics", harmonics, least=1)
         shape = (2, len(q0), harmonics)
@@ -104,11 +110,11 @@ class Spline(eqx.Module):
     """A quintic B-spline for each joint that starts and ends at rest.
 
     Args:
-        points: (n, m) control points, m of at least 3, from the start to the end of the motion.
-        duration: in s.
+        points: (n, m) control points in rad or m, in order of time, with m of at least 3.
+        duration: duration in s.
 
     Raises:
-        InputError: too few points; a duration that is not positive.
+        InputError: too few points, or a duration that is not positive.
 
     Source: de Boor, *A Practical Guide to Splines*, IX (the recursion) and X (derivatives).
 
@@ -134,7 +140,7 @@ class Spline(eqx.Module):
         _check_time("Spline", "duration", self.duration)
 
     def __call__(self, t: jax.Array) -> Motion:
-        """Compute the motion at times t (samples,) in s, from 0 to the duration."""
+        """Compute the trajectory at times t (samples,) in s, from 0 to the duration."""
         c = jnp.concatenate([self.points[:, :1]] * 2 + [self.points] + [self.points[:, -1:]] * 2, 1)
         inner = np.linspace(0, self.duration, c.shape[1] - DEGREE + 1)
         knots = np.concatenate([[0.0] * DEGREE, inner, [self.duration] * DEGREE])
@@ -149,8 +155,11 @@ class Spline(eqx.Module):
     def random(
         cls, key: jax.Array, q0: jax.Array, points: int, duration: float, size: float = 0.1
     ) -> Spline:
-        """Draw a motion from q0 and back, with control points at distances of about `size` in
-        rad."""
+        """Draw a trajectory from q0 back to q0.
+
+        The offsets of the inner control points from q0 are normal with standard deviation `size` in
+        rad.
+        """
         q0 = _random("Spline.random", key, q0, size)
         integer("Spline.random", "points", points, least=3)
         away = size * jax.random.normal(key, (len(q0), points))
@@ -158,7 +167,7 @@ class Spline(eqx.Module):
 
 
 def _basis(knots: np.ndarray, degree: int, t: jax.Array) -> jax.Array:
-    """The B-splines (samples, functions), by Cox and de Boor's recursion with 0/0 = 0."""
+    """Evaluate the B-splines (samples, functions) by Cox and de Boor's recursion with 0/0 = 0."""
     t = t[:, None]
     ends = (knots[1:] == knots[-1]) & (knots[:-1] < knots[-1])  # the last interval is closed
     B = ((knots[:-1] <= t) & ((t < knots[1:]) | (ends & (t <= knots[1:])))).astype(t.dtype)
@@ -171,7 +180,7 @@ def _basis(knots: np.ndarray, degree: int, t: jax.Array) -> jax.Array:
 
 
 def _random(where: str, key: Any, q0: Any, size: Any) -> jax.Array:
-    """Check key, q0 and size, and return q0 as an array."""
+    """Check the arguments of `random` (key, q0 and size), and return q0 as an array."""
     if not jnp.issubdtype(getattr(key, "dtype", float), jax.dtypes.prng_key) and np.shape(key) != (
         2,
     ):
@@ -184,10 +193,10 @@ def _random(where: str, key: Any, q0: Any, size: Any) -> jax.Array:
 
 
 def _check_numbers(where: str, name: str, x: Any) -> None:
-    """`InputError` unless x is an array of finite numbers, or traced."""
+    """Raise InputError unless x is an array of finite numbers or a JAX tracer."""
     if isinstance(x, jax.core.Tracer):
         return
-    # other classes are placeholders of JAX or equinox for an array
+    # skip other classes, which JAX and equinox use as placeholders for arrays
     if x is None or isinstance(x, (jax.Array, np.ndarray, str, list, tuple, int, float)):
         real_array(where, name, x, "an array of finite numbers")
 

@@ -1,14 +1,15 @@
 """`design_experiment`: optimal excitation within the limits of the robot.
 
     min over the coefficients of  loss(F),   F = F_known + J^T J,   subject to  g(q, v, a) <= 0
-J (rows, n) are the derivatives of the measurements by the n unknowns, over their noise: a
+J (rows, n) are the derivatives of the measurements by the n unknowns, divided by the noise: a
 regressor, or the Jacobian of a simulated motion. F_known is the information of earlier experiments.
+The losses are
     D   -log det F / n        the volume of the confidence ellipsoid; independent of units
     A   log trace F^-1        the mean variance
-    E   -log lambda_min(F)    the worst direction
-    condition   log sqrt(lambda_max / lambda_min), of J
-The limits are satisfied at sampled times by an augmented Lagrangian with BFGS, and are checked on
-ten times as many samples.
+    E   -log lambda_min(F)    the variance in the worst direction
+    condition   log sqrt(lambda_max / lambda_min), the condition number of J
+An augmented Lagrangian with BFGS enforces the limits at sampled times. The result is checked at ten
+times as many samples.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.sysid.design.excitation import Fourier, Spline
 
-FINE = 10  # samples of the check for each sample of the optimisation
-MARGIN = 1e-3  # of a limit, for the tolerance of the augmented Lagrangian
-GROWTH = 4.0  # of the penalty, if violations do not decrease fast enough
+FINE = 10  # number of samples of the check for each sample of the optimisation
+MARGIN = 1e-3  # safety margin relative to a limit, for the tolerance of the augmented Lagrangian
+GROWTH = 4.0  # growth factor of the penalty if violations do not decrease fast enough
 
 
 def _d(F: jax.Array) -> jax.Array:
@@ -55,23 +56,26 @@ def _condition(F: jax.Array) -> jax.Array:
     return 0.5 * jnp.log(values[-1] / values[0])
 
 
-#: criterion -> loss, a function of the information (n, n)
+#: criterion -> loss as a function of the information matrix (n, n)
 CRITERIA: dict[str, Callable[[jax.Array], jax.Array]] = {
     "D": _d, "A": _a, "E": _e, "condition": _condition,
 }  # fmt: skip
 
 
 class MotionLimits(eqx.Module):
-    """Limits of a motion, each one number for all joints or a number for each joint.
+    """Limits of a trajectory.
+
+    Each limit is one number for all joints, or one number for each joint.
 
     Args:
-        low: position in rad or m, with `high`.
-        high: position, above `low`.
-        speed: absolute, in rad/s or m/s.
-        acceleration: absolute, in rad/s^2 or m/s^2.
-        torque: absolute, in N m or N, with `model`.
-        model: for the torque, by inverse dynamics.
-        own: g(q, v, a) <= 0 of one sample, (nv,) each, an array of order one.
+        low: lower position limits in rad or m; requires `high`.
+        high: upper position limits in rad or m, above `low`.
+        speed: largest absolute velocity in rad/s or m/s.
+        acceleration: largest absolute acceleration in rad/s^2 or m/s^2.
+        torque: largest absolute torque in N m or N; requires `model`.
+        model: model for the torque by inverse dynamics.
+        own: function g(q, v, a) of one sample, (nv,) each, which returns an array of order one. The
+            constraint is g <= 0.
 
     Example:
         >>> import jax.numpy as jnp
@@ -107,7 +111,7 @@ class MotionLimits(eqx.Module):
                 raise InputError(f"MotionLimits: {name} is {x}, expected positive numbers")
 
     def __call__(self, q: jax.Array, v: jax.Array, a: jax.Array) -> dict[str, jax.Array]:
-        """Compute g by name, at most 0 within the limit; 0.1 is 10 % beyond it."""
+        """Evaluate the constraints g <= 0 by name. A value of 0.1 is 10 % beyond the limit."""
         out = {}
         if self.low is not None:
             low, span = jnp.asarray(self.low), jnp.asarray(self.high) - jnp.asarray(self.low)
@@ -129,12 +133,13 @@ class Experiment:
     """The result of `design_experiment`.
 
     Fields:
-        motion: the optimal motion.
-        criterion: its name.
-        value, start_value: of the loss.
-        information: (n, n), with that of the earlier experiments.
-        worst: limit -> the largest g at the times of the check.
-        times: the number of these times.
+        motion: the optimal trajectory.
+        criterion: name of the criterion.
+        value: loss of `motion`.
+        start_value: loss of the start.
+        information: (n, n) information of `motion` and of the earlier experiments.
+        worst: limit -> largest g at the times of the check.
+        times: number of times of the check.
     """
 
     motion: Any
@@ -147,11 +152,11 @@ class Experiment:
 
     @property
     def success(self) -> bool:
-        """Whether all limits hold."""
+        """Whether the trajectory is within all limits."""
         return all(w <= 0 for w in self.worst.values())
 
     def summary(self) -> str:
-        """The change of the loss, and the limits that do not hold, in a sentence."""
+        """Return a sentence with the change of the loss and the violated limits."""
         text = f"the {self.criterion} criterion goes from {self.start_value:.4g} to "
         text += f"{self.value:.4g}; "
         if self.success:
@@ -172,27 +177,28 @@ def design_experiment(
     steps: int = 60,
     progress: bool = True,
 ) -> Experiment:
-    """Design the motion with the most information on the unknowns, within limits.
+    """Design the trajectory with the most information on the unknowns, within limits.
 
     Args:
-        start: a first motion, such as `Fourier.random(...)`, whose information has full rank.
-        information: (q, v, a), (samples, n) each, to J (rows, unknowns), written with jax.numpy.
-            Rows are divided by the noise, and columns are in units in which the unknowns are of
+        start: initial trajectory, such as `Fourier.random(...)`, with information of full rank.
+        information: function of (q, v, a), (samples, n) each, that returns J (rows, unknowns). It
+            is written with jax.numpy. Divide rows by their noise, and scale columns to unknowns of
             order one.
-        limits: `MotionLimits`; None: no limits.
+        limits: `MotionLimits`, or None for no limits.
         criterion: "D", "A", "E" or "condition".
-        known: (unknowns, unknowns), the information of earlier experiments.
-        samples: times of the optimisation.
-        rounds: of the augmented Lagrangian; up to twice as many until all limits hold.
-        steps: of BFGS in a round.
-        progress: show a line on a terminal.
+        known: (unknowns, unknowns) information of earlier experiments.
+        samples: number of times of the optimisation.
+        rounds: number of rounds of the augmented Lagrangian; doubled if no round satisfies all
+            limits.
+        steps: number of BFGS steps in a round.
+        progress: show a progress line on a terminal.
 
     Returns:
-        `Experiment`, the best motion within all limits. If the start violates them, `success` may
-        be false.
+        `Experiment`, the best trajectory within all limits. If the start violates the limits,
+        `success` may be False.
 
     Raises:
-        InputError: a start without full rank; wrong shapes.
+        InputError: a start without full rank, or wrong shapes.
         UnknownName: an unknown criterion.
 
     Source: Swevers et al. 1997; Pukelsheim, *Optimal Design of Experiments*, 6; Nocedal & Wright,
@@ -274,7 +280,7 @@ def design_experiment(
             multipliers = jnp.maximum(multipliers + penalty * (g + margin), 0)
             beyond = float(jnp.maximum(g + margin, 0).max())
             penalty *= GROWTH if beyond > 0.25 * last else 1.0
-            margin = max(margin, MARGIN + excess - float(g.max()))  # for times between the samples
+            margin = max(margin, MARGIN + excess - float(g.max()))  # if violated between samples
             last = beyond
     if best is not None:
         x = best[1]
@@ -287,7 +293,7 @@ def design_experiment(
 
 
 def _check_joints(start: Fourier | Spline, limits: MotionLimits) -> None:
-    """`InputError` unless each limit is one number, or one number for each joint."""
+    """Raise InputError unless each limit is one number, or one number for each joint."""
     joints = len(start.q0 if isinstance(start, Fourier) else start.points)
     for name in ("low", "high", "speed", "acceleration", "torque"):
         shape = np.shape(getattr(limits, name)) if getattr(limits, name) is not None else ()
@@ -302,7 +308,7 @@ def _check_joints(start: Fourier | Spline, limits: MotionLimits) -> None:
 def _last_within(
     inside: jax.Array, outside: jax.Array, excess_of: Callable[[jax.Array], float]
 ) -> jax.Array:
-    """Find a point within all limits between one inside and one outside, by bisection."""
+    """Find the last point within all limits between `inside` and `outside`, by bisection."""
     low, high = 0.0, 1.0
     for _ in range(10):
         mid = 0.5 * (low + high)
@@ -312,7 +318,7 @@ def _last_within(
 
 
 def _times(motion: Fourier | Spline, samples: int) -> jax.Array:
-    """The times of one period without its end, or from rest to rest."""
+    """Return sample times over one period without its end (Fourier) or the duration (Spline)."""
     last = not isinstance(motion, Fourier)
     return jnp.asarray(np.linspace(0, motion.duration, samples, endpoint=last), float)
 

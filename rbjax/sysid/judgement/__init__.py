@@ -1,1 +1,1 @@
-"""Judgement of an identification: diagnosis of wrong data, repeated fits, reports."""
+"""Validation of an identification: diagnosis of wrong data, repeated fits, reports."""

@@ -1,11 +1,13 @@
-"""Corrections of recordings, and the rate of the sensors' clock relative to that of the commands.
+"""Corrections of recordings, and the clock rate of the sensors relative to the commands.
 
-A recording y whose clock runs at 1 / (1 + b) of the right rate has a growing lag to a simulated
-motion s. Wrong parameters cause a constant lag, gain and offset. So each column is fitted by
+A recording y with a clock that runs at 1 / (1 + b) of the right rate has a growing lag relative to
+a simulated motion s. Wrong parameters cause a constant lag, gain and offset. Each column is fitted
+by
 
     y(t) ~ c + a s((1 + b) t) + d s'((1 + b) t)
-for every rate b, to first order in the lag, and the rate is that of the least residual variance.
-A motion of the first guess has the clock's error in full; fitted parameters may compensate a part.
+
+for every rate b, to first order in the lag. The estimated rate has the least residual variance. The
+motion of the first guess shows the full clock error, but fitted parameters may compensate a part.
 
 Source: Knapp & Carter 1976, IEEE Trans. ASSP 24(4) (delays by likelihood); linear least squares.
 """
@@ -21,12 +23,12 @@ from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.simulation.traces import FEW, Trace, Traces
 
 Correction = Callable[[Recording], Recording]
-#: run, sensor, index and name of the column -> whether each sample after the start is left out
+#: (run, sensor, column index, column name) -> mask of the samples to drop, from the start time on
 Lost = dict[tuple[str, str, int, str], np.ndarray]
 
 
 def drop_samples(runs: Sequence[Recording], lost: Lost) -> list[Recording]:
-    """Drop samples of recordings."""
+    """Mark the samples of a mask as missing in recordings."""
     out = []
     for run in runs:
         channels = dict(run.channels)
@@ -43,12 +45,12 @@ def drop_samples(runs: Sequence[Recording], lost: Lost) -> list[Recording]:
 
 
 def flip(group: tuple[str, ...], i: int) -> Correction:
-    """Change the sign of a column of these channels."""
+    """Return the correction that changes the sign of column i of the given channels."""
     return _change_columns(group, (i,), lambda x: -x)
 
 
 def swap(group: tuple[str, ...], i: int, j: int) -> Correction:
-    """Swap two columns of these channels."""
+    """Return the correction that swaps columns i and j of the given channels."""
     return _change_columns(group, (i, j), lambda x: x[:, ::-1])
 
 
@@ -67,7 +69,10 @@ def _change_columns(
 
 
 def stretch(rate: float) -> Correction:
-    """Stretch the clock of the sensors by a rate; the clock of the commands stays."""
+    """Return the correction that multiplies the times of the sensors by 1 + rate.
+
+    The clock of the commands does not change.
+    """
 
     def correct(run: Recording) -> Recording:
         channels = dict(run.channels)
@@ -79,15 +84,17 @@ def stretch(rate: float) -> Correction:
     return correct
 
 
-#: rates that are tried
+#: candidate clock rates b
 RATES = np.linspace(-0.05, 0.05, 201)
-#: largest ratio of the residual variances with a rate and without one
+#: largest accepted ratio of the residual variances with and without a clock rate
 LEFT = 0.5
 
 
 def estimate_clock_rate(seen: Traces) -> float:
-    """Estimate the rate b of `RATES` by which the times of the sensors are multiplied, 1 + b, to be
-    those of the commands; 0 if no rate reduces the residual variance by half."""
+    """Estimate the rate b of the sensors' clock: sensor times are multiplied by 1 + b.
+
+    Return the candidate of `RATES` with the least residual variance, or 0 if no rate halves it.
+    """
     left = np.zeros(len(RATES))
     for sensors in seen.values():
         for trace in sensors.values():
@@ -98,7 +105,7 @@ def estimate_clock_rate(seen: Traces) -> float:
 
 
 def _residual_variance(trace: Trace) -> np.ndarray:
-    """The relative residual variance at each rate, summed over the columns."""
+    """Compute the relative residual variance at each clock rate, summed over the columns."""
     left = np.zeros(len(RATES))
     rise = np.gradient(trace.simulated, trace.t, axis=0)
     for y, s, ds in zip(trace.recorded.T, trace.simulated.T, rise.T, strict=True):

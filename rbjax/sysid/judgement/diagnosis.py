@@ -1,8 +1,8 @@
-"""`diagnose`: mistakes of the recordings, by comparison with simulated motions.
+"""`diagnose`: detection of mistakes in recordings, by comparison with simulated motions.
 
-Each hypothesis has a correction: change a sign, swap two columns, stretch a clock, leave out
-samples. The most promising corrections are verified by a fit to the corrected data. A cause is
-reported if that fit has at most half of the error of the fit without the correction, with the error
+Each hypothesis has a correction: change a sign, swap two columns, stretch a clock, drop samples.
+The most promising corrections are verified by a fit. A hypothesis is a cause if the fit to the
+corrected data has at most half of the error of the fit without the correction. The error is
 
     e^2 = mean over columns of  mean (simulated - recorded)^2 / var(recorded)
 """
@@ -41,24 +41,24 @@ from rbjax.sysid.simulation.traces import FEW, Trace, Traces, make_traces
 from rbjax.sysid.statistics.precision import in_double
 
 BETTER = 0.5  # largest ratio of the errors with and without a correction
-SUSPECT = 0.3  # least relative error of a column whose sign and place are tested
-TRIED = 3  # corrections that are verified by a fit
-NEAR, SLOW = 0.01, 2e-3  # range of a refined clock rate; least rate that is reported
-#: of a dead sensor: least share of a recording in which it is still, its largest scatter relative
-#: to the expected motion, and the least part of the expected motion in that time
+SUSPECT = 0.3  # columns with a larger relative error are tested for a wrong sign or place
+TRIED = 3  # number of corrections that are verified by a fit
+NEAR, SLOW = 0.01, 2e-3  # search range of a refined clock rate; least reported rate
+#: thresholds of a dead sensor: least share of the recording with a constant signal, largest scatter
+#: relative to the simulated motion, and least simulated motion during that time
 DEAD, QUIET, MUCH = 0.1, 0.02, 0.2
-REPEATS = 3  # of correcting and fitting
+REPEATS = 3  # largest number of alternations of correction and fit
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One mistake of the recordings.
+    """One mistake in the recordings.
 
     Fields:
         kind: "sign", "swap", "clock", "outliers" or "dead".
-        channels, columns: where it is.
-        before, after: the error without and with the correction.
-        sentence: the cause in words.
+        channels, columns: names of the affected channels and columns.
+        before, after: error without and with the correction.
+        sentence: description for users.
     """
 
     kind: str
@@ -73,7 +73,7 @@ class Cause:
 
 
 class Hypothesis(NamedTuple):
-    """A possible mistake of the recordings, and its correction."""
+    """A possible mistake in the recordings, and its correction."""
 
     kind: str
     channels: tuple[str, ...]
@@ -84,28 +84,28 @@ class Hypothesis(NamedTuple):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The causes, the most effective first, and the recordings with all corrections."""
+    """Causes, sorted by the reduction of the error, and the recordings with all corrections."""
 
     causes: tuple[Cause, ...]
     recordings: tuple[Recording, ...]
 
     def summary(self) -> str:
-        """The causes, one sentence a line."""
+        """Return the causes as text, one sentence a line."""
         none = "no flipped sign, swapped joint, wrong clock, outlier or dead sensor explains the "
         return "\n".join(map(str, self.causes)) or none + "error"
 
 
 @in_double
 def diagnose(found: Identified, *, max_evaluations: int = 15, progress: bool = False) -> Diagnosis:
-    """Find mistakes of the recordings of a poor fit, such as a wrong sign, and correct them.
+    """Find mistakes in the recordings of a poor fit, such as a wrong sign, and correct them.
 
     Args:
-        found: the result of `identify`, whose first guess must explain most of the motion.
-        max_evaluations: of each fit that verifies a correction.
-        progress: whether a line shows the progress.
+        found: result of `identify`. Its first guess must explain most of the motion.
+        max_evaluations: largest number of evaluations of each fit that verifies a correction.
+        progress: show a progress line.
 
     Returns:
-        `Diagnosis`, with corrected recordings to fit.
+        `Diagnosis`, with the corrected recordings for a new fit.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -136,7 +136,7 @@ class _Trials:
         self.longest = [self.make_run(order_columns(self.model, run)) for run in found.recordings]
 
     def diagnosis(self) -> Diagnosis:
-        """Correct the recordings until no hypothesis reduces the error by half."""
+        """Correct the recordings until no hypothesis halves the error."""
         runs = [order_columns(self.model, run) for run in self.found.recordings]
         x = np.array([*self.found.values.values()])
         x = min((x, self.guess), key=lambda y: self.error(runs, y))
@@ -151,7 +151,7 @@ class _Trials:
     def correct(
         self, runs: list[Recording], x: np.ndarray
     ) -> tuple[list[Recording], np.ndarray, list[Cause]]:
-        """Correct signs, places and clocks, as long as a correction reduces the error by half."""
+        """Correct signs, column order and clocks as long as a correction halves the error."""
         causes: list[Cause] = []
         for _ in range(REPEATS):
             best = self.best(runs, x, self.error(runs, x))
@@ -165,7 +165,7 @@ class _Trials:
     def drop_bad_samples(
         self, runs: list[Recording], x: np.ndarray
     ) -> tuple[list[Recording], np.ndarray, list[Cause]]:
-        """Drop samples of dead sensors and outliers; a better fit may reveal more of them."""
+        """Drop samples of dead sensors and outliers, with a new fit after each step."""
         causes: list[Cause] = []
         for kind, seen_by in (("dead", self.find_dead), ("outliers", self.find_outliers)):
             shares: dict[tuple[str, str, int, str], float] = {}
@@ -188,9 +188,7 @@ class _Trials:
     def best(
         self, runs: list[Recording], x: np.ndarray, before: float
     ) -> tuple[Cause, Correction, np.ndarray] | None:
-        """The correction with the least error of a fit, if it is a cause. Corrections are ranked by
-        the ratio of the errors with and without them at the same parameters, the first guess or
-        the fit."""
+        """Return the correction whose fit has the least error, or None if no error is halved."""
         tried, fitted = [], []
         at = (self.guess, x)
         uncorrected = [max(self.error(runs, y), 1e-300) for y in at]
@@ -199,7 +197,7 @@ class _Trials:
             corrected = [one.correction(run) for run in runs]
             shares = [self.error(corrected, y) / e for y, e in zip(at, uncorrected, strict=True)]
             shares = [np.inf if np.isnan(share) else share for share in shares]  # inf / inf
-            if not np.allclose(shares, 1.0, rtol=1e-6):  # as for two equal commands
+            if not np.allclose(shares, 1.0, rtol=1e-6):  # skip without effect
                 tried.append((min(shares), at[int(np.argmin(shares))], one))
         for _, y, one in sorted(tried, key=lambda trial: trial[0])[:TRIED]:
             self.say(f"fit: {one.words}")
@@ -221,7 +219,7 @@ class _Trials:
         return Cause(kind, channels, columns, before, after, words), correction, y
 
     def hypotheses(self, runs: list[Recording], x: np.ndarray) -> Iterator[Hypothesis]:
-        """The possible mistakes of columns with large errors."""
+        """Generate the possible mistakes of columns with large errors."""
         seen = self.traces(runs, self.guess)
         first = next(iter(seen.values()))
         doubted: dict[str, list[int]] = {}
@@ -252,8 +250,7 @@ class _Trials:
             yield _clock_hypothesis(sensors, rate)
 
     def clock_rates(self, runs: Sequence[Recording], x: np.ndarray) -> list[float]:
-        """The rate of the sensors' clock, or no rate if it is right. Parameters that were fitted to
-        a wrong clock may hide it, so the first guess is used too."""
+        """Return a list with the clock rate of the sensors, empty if the clock is right."""
 
         def error(rate: float) -> float:
             corrected = [stretch(rate)(run) for run in runs]
@@ -265,7 +262,7 @@ class _Trials:
     def refine_clock(self, runs: Sequence[Recording], x: np.ndarray, rate: float) -> Hypothesis:
         """Refine a clock rate by the least error of a fit."""
 
-        def square(rate: float) -> float:  # of the error: nearly a parabola
+        def square(rate: float) -> float:  # squared error, nearly a parabola in the rate
             corrected = [stretch(rate)(run) for run in runs]
             return self.error(corrected, self.fit(corrected, x)) ** 2
 
@@ -277,18 +274,18 @@ class _Trials:
         return _clock_hypothesis(sensors, found.x)
 
     def traces(self, runs: Sequence[Recording], x: np.ndarray) -> Traces:
-        """The traces of recordings at x."""
+        """Simulate recordings at parameters x, and return recorded and simulated values."""
         of = self.found.error.on(self.make_batch(runs))
         return make_traces(self.setup, of, np.append(x, np.zeros(of.size - len(x))), runs)
 
     def error(self, runs: Sequence[Recording], x: np.ndarray) -> float:
-        """The error e of recordings at x; inf if it is not finite."""
+        """Compute the error e of recordings at parameters x, or inf if it is not finite."""
         errors = np.concatenate([*_by_column(self.traces(runs, x)).values()])
         found = float(np.sqrt(np.nanmean(errors**2)))
         return found if np.isfinite(found) else np.inf
 
     def fit(self, runs: Sequence[Recording], x: np.ndarray) -> np.ndarray:
-        """Fit recordings in few steps from x, each column weighted by its spread."""
+        """Fit recordings in few steps from x, with columns divided by their standard deviations."""
         of = self.found.error.on(self.make_batch(runs))
         n = len(self.guess)
         rest = np.zeros(of.size - n)
@@ -299,8 +296,7 @@ class _Trials:
         return least.x
 
     def make_batch(self, runs: Sequence[Recording]) -> Run:
-        """Convert recordings to a batch of the shape of those that were fitted, each column
-        weighted by its spread."""
+        """Convert recordings to a batch, with columns weighted by 1 / standard deviation."""
         both = stack_runs([*map(self.make_run, runs), *self.longest])
         data: Run = jax.tree.map(lambda a: a[: len(runs)], both)
         weights = {}
@@ -312,8 +308,7 @@ class _Trials:
         return data._replace(weights=weights)
 
     def find_dead(self, runs: Sequence[Recording], x: np.ndarray) -> Lost:
-        """Find samples that are still for long while the first guess moves, and that the fit does
-        not explain."""
+        """Find long constant intervals of a sensor that no simulated motion explains."""
         lost: Lost = {}
         seen, fitted = self.traces(runs, self.guess), self.traces(runs, x)
         for run, sensor, trace in _each(seen):
@@ -337,7 +332,7 @@ class _Trials:
         return lost
 
     def find_outliers(self, runs: Sequence[Recording], x: np.ndarray) -> Lost:
-        """Find samples whose residuals are far from those of their neighbours."""
+        """Find samples with residuals far from the residuals of neighbouring samples."""
         lost: Lost = {}
         for run, sensor, trace in _each(self.traces(runs, x)):
             for j, column in enumerate(trace.names):
@@ -367,7 +362,7 @@ def _clock_hypothesis(sensors: tuple[str, ...], rate: float) -> Hypothesis:
 
 
 def _each(seen: Traces) -> Iterator[tuple[str, str, Trace]]:
-    """Iterate over run, sensor and trace of all sensors with enough samples."""
+    """Iterate over (run, sensor, trace) of all sensors with enough samples."""
     for run, sensors in seen.items():
         for sensor, trace in sensors.items():
             if trace.measured:
@@ -375,7 +370,7 @@ def _each(seen: Traces) -> Iterator[tuple[str, str, Trace]]:
 
 
 def _by_column(seen: Traces) -> dict[str, np.ndarray]:
-    """The error of each column over its spread, by sensor with enough samples."""
+    """Compute the ratio of RMS error to standard deviation of each column, by sensor."""
     out: dict[str, np.ndarray] = {}
     for sensor in next(iter(seen.values())):
         recorded = np.concatenate([sensors[sensor].recorded for sensors in seen.values()])
@@ -386,14 +381,14 @@ def _by_column(seen: Traces) -> dict[str, np.ndarray]:
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
-    """The standard deviations of columns; for constant columns, the largest of all."""
+    """Return the standard deviations of columns, or the largest one for constant columns."""
     some = (~np.isnan(values)).sum(0) > 1
     spread = np.array([np.nanstd(x) if yes else 0.0 for x, yes in zip(values.T, some, strict=True)])
     return np.where(spread > 1e-9 * max(spread.max(), 1e-300), spread, spread.max() or 1.0)
 
 
 def _scatter(x: np.ndarray, window: int) -> np.ndarray:
-    """The standard deviation in a window around each sample; inf if it did not arrive."""
+    """Compute the standard deviation in a window around each sample; inf for a missing sample."""
     known = np.nan_to_num(x - np.nanmean(x), nan=0.0)
     mean = ndimage.uniform_filter1d(known, window)
     variance = ndimage.uniform_filter1d(known**2, window) - mean**2

@@ -1,9 +1,9 @@
 """`monte_carlo`: repetitions of a fit to simulated recordings with random noise.
 
     recorded_k = reading(motion(p_found)) + noise_k,        p_k = identify(guess, recorded_k)
-Each repetition is a complete `identify` with the options of the fit, from the first guess. The
-standard deviation of p_k is approximated by the covariance of the fit, and a share `level` of the
-intervals should contain p_found.
+Each repetition is a complete `identify` from the first guess, with the options of the fit. If the
+intervals of the fit are right, the p_k scatter with the covariance of the fit, and a share `level`
+of their intervals contains p_found.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ class MonteCarlo:
     """The result of `monte_carlo`.
 
     Fields:
-        names: (n,) of the unknowns.
-        truth: (n,) values of the simulation.
-        values: (k, n) estimates.
+        names: (n,) names of the unknowns.
+        truth: (n,) values in the simulation.
+        values: (k, n) estimates of the repetitions.
         sigma: (k, n) standard deviations, as estimated by each repetition.
-        inside: (k, n), whether its intervals contain the true value.
-        level: the nominal share of such intervals.
-        identifiable: (n,), whether the data identify an unknown by itself; otherwise its interval
+        inside: (k, n) whether each interval contains the true value.
+        level: nominal share of intervals that contain the true value.
+        identifiable: (n,) whether the data identify each unknown by itself; otherwise its interval
             is infinite.
-        failed: the number of repetitions that did not converge.
-        good: the number of repetitions whose verdict is good.
+        failed: number of repetitions that did not converge.
+        good: number of repetitions with a good verdict.
     """
 
     names: tuple[str, ...]
@@ -56,18 +56,18 @@ class MonteCarlo:
 
     @property
     def coverage(self) -> float:
-        """The share of intervals that contain the true value, of all identifiable unknowns."""
+        """The share of intervals that contain the true value, over all identifiable unknowns."""
         return float(self.inside[:, self.identifiable].mean())
 
     @property
     def by_name(self) -> dict[str, float]:
-        """The share for each identifiable unknown."""
+        """The share of intervals that contain the true value, for each identifiable unknown."""
         pairs = zip(self.names, self.identifiable, self.inside.mean(0), strict=True)
         return {name: float(share) for name, known, share in pairs if known}
 
     @property
     def scatter(self) -> np.ndarray:
-        """The standard deviations (n,) of the estimates."""
+        """The sample standard deviations (n,) of the estimates."""
         return np.asarray(self.values.std(0, ddof=1))
 
 
@@ -80,22 +80,22 @@ def monte_carlo(
     seed: int = 0,
     progress: bool = False,
 ) -> MonteCarlo:
-    """Repeat the experiment of a fit with random noise, to test its confidence intervals.
+    """Repeat a fit with random noise to test its confidence intervals.
 
     Args:
-        found: the result of `identify`.
-        repetitions: 2 or more.
-        level: of the intervals.
-        seed: of the noise, which is independent. For loss="squares" it is normal, with the standard
-            deviation that each channel states, or of the fit's residuals. For "huber" it is drawn
-            from the residuals of the fit, with their outliers.
-        progress: whether a line shows the progress.
+        found: result of `identify`.
+        repetitions: number of repetitions, at least 2.
+        level: confidence level of the intervals.
+        seed: seed of the noise, which is independent between samples. For loss="squares" it is
+            normal, with the standard deviation that each channel states, or else of the fit's
+            residuals. For "huber" it is drawn from the residuals of the fit, with their outliers.
+        progress: show a progress line.
 
     Returns:
         `MonteCarlo`.
 
     Raises:
-        InputError: data without noise; a level outside of (0, 1).
+        InputError: data without noise, or a level outside of (0, 1).
 
     Source: Efron & Tibshirani, *An Introduction to the Bootstrap*, 6.5 (the parametric bootstrap)
     and 9.4 (bootstrapping residuals).
@@ -149,12 +149,12 @@ def monte_carlo(
 
 
 def _repeat_recording(found: Identified, j: int, rng: np.random.Generator) -> Recording:
-    """Recording j with the readings of the simulation at the estimates, and new noise."""
+    """Simulate recording j at the estimates, and add new noise."""
     recording, of = found.recordings[j], found.error
     traces = found.traces[recording.name]
     first = found.options.estimate_initial_state is False or (
         recording.start_is_known and recording.initial_state is None
-    )  # its first readings are the state
+    )  # the first readings are the exact initial state
     begins = start_time(found.setup, recording)
     channels = dict(recording.channels)
     for sensor, trace in traces.items():
@@ -179,7 +179,7 @@ def _repeat_recording(found: Identified, j: int, rng: np.random.Generator) -> Re
 
 
 def _draw_residuals(pool: Sequence[Trace], count: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw recorded minus simulated values (count, columns) of random samples, by column."""
+    """Draw residuals (count, columns) at random with replacement, independently for each column."""
     off = []
     for trace in pool:
         there = ~np.isnan(trace.recorded).any(1)

@@ -1,4 +1,4 @@
-"""`report`: an HTML page with the estimates, the residuals and the verdicts of a fit."""
+"""`report`: an HTML page with the estimates, the residuals and the verdict of a fit."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from rbjax.sysid.statistics.comparisons import HeldOut
 from rbjax.sysid.statistics.residual_tests import Whiteness, whiteness
 
 Axes = Any
-SHOWN = 3  # pictures, of the recordings with the largest errors
-COLUMNS = 12  # of a sensor that are shown
-POINTS = 1500  # dots of a recording
-MANY = 60  # parameters of a correlation matrix with names
+SHOWN = 3  # number of recordings with pictures, the largest errors first
+COLUMNS = 12  # largest number of columns of a sensor in a picture
+POINTS = 1500  # largest number of dots of a recording
+MANY = 60  # largest number of parameters in the picture of the correlations
 
 
 def report(
@@ -41,17 +41,17 @@ def report(
     """Write an HTML page with the fit, its residuals, intervals, correlations and the verdict.
 
     Args:
-        found: the result of `identify`.
-        path: of the page.
+        found: result of `identify`.
+        path: path of the page.
         held_out: recordings that were not fitted, for the verdict.
-        diagnosis: the result of `diagnose`.
-        title: of the page.
+        diagnosis: result of `diagnose`.
+        title: title of the page.
 
     Returns:
-        The path.
+        The path of the page.
 
     Raises:
-        InputError: a held-out recording that was fitted; a folder that does not exist.
+        InputError: a held-out recording that was fitted, or a folder that does not exist.
 
     Example:
         >>> import rbjax as rb, numpy as np, pathlib, tempfile
@@ -148,7 +148,7 @@ def _residuals(found: Identified) -> list[str]:
 
 
 def _tests(trace: Trace) -> dict[str, Whiteness]:
-    """The tests of the columns that have enough residuals."""
+    """Test the whiteness of each column with enough residuals."""
     found = {}
     for name in trace.names:
         r = column_of(trace, name)
@@ -158,7 +158,7 @@ def _tests(trace: Trace) -> dict[str, Whiteness]:
 
 
 def column_of(trace: Trace, name: str) -> np.ndarray:
-    """Select the residual of a column without the samples that are nan."""
+    """Select the residual of a column, without NaN."""
     r = trace.residual[:, trace.names.index(name)] if name in trace.names else np.zeros(0)
     return r[~np.isnan(r)]
 
@@ -218,7 +218,7 @@ def _data(found: Identified) -> list[str]:
 
 
 def _worst(found: Identified) -> list[str]:
-    """The recordings, the largest error first."""
+    """Sort the names of the recordings by error, the largest first."""
     traces = {name: sensors[found.judged_sensor] for name, sensors in found.traces.items()}
     rms = {name: np.nanmean(trace.residual**2) for name, trace in traces.items()}
     return sorted(rms, key=lambda name: -rms[name])
@@ -234,7 +234,7 @@ def _capital(sentence: str) -> str:
 
 
 def _styled(draw: Callable[..., bytes]) -> Callable[..., bytes]:
-    """Draw a picture in the style of rbjax."""
+    """Decorate a function that draws a picture, to use the matplotlib style of rbjax."""
 
     @functools.wraps(draw)
     def drawn(*args: Any) -> bytes:
@@ -248,7 +248,7 @@ def _styled(draw: Callable[..., bytes]) -> Callable[..., bytes]:
 
 @_styled
 def draw_fit(trace: Trace, sensor: str) -> bytes:
-    """Draw recorded and simulated values, a panel for each column."""
+    """Draw recorded and simulated values, one panel for each column."""
 
     def draw(ax: Axes, k: int) -> None:
         some = slice(None, None, max(1, len(trace.t) // POINTS))
@@ -261,7 +261,7 @@ def draw_fit(trace: Trace, sensor: str) -> bytes:
 
 @_styled
 def draw_residuals(trace: Trace, sensor: str) -> bytes:
-    """Draw the residual over time and its autocorrelation, a row for each column."""
+    """Draw each residual over time and its autocorrelation, one row for each column."""
     n = min(len(trace.names), COLUMNS // 2)
     figure, axes = _figure(n, 2, 1.5 * n + 0.6, widths=(2.6, 1))
     for k, (left, right) in enumerate(axes):
@@ -283,7 +283,7 @@ def draw_residuals(trace: Trace, sensor: str) -> bytes:
 
 @_styled
 def draw_intervals(found: Identified) -> bytes:
-    """Draw estimates with intervals and first guesses, a panel for each unknown."""
+    """Draw estimates, intervals and first guesses, one panel for each group of unknowns."""
     groups: dict[str, list[str]] = {}
     for name in found.values:
         groups.setdefault(name.split("[")[0].split(".")[0], []).append(name)
@@ -323,7 +323,7 @@ def draw_correlation(found: Identified) -> bytes:
 
 
 def _panels(count: int, draw: Any, label: str, shared: bool = True) -> bytes:
-    """Draw small panels, up to three in a row."""
+    """Draw `count` panels, up to three in a row."""
     count = min(count, COLUMNS)
     across = min(count, 3)
     down = -(-count // across)

@@ -1,4 +1,4 @@
-"""The unknown parameters of a model: their names, coordinates, bounds and first guesses."""
+"""Unknown parameters of a model: their names, coordinates, bounds and first guesses."""
 
 from rbjax.sysid.parameters.log_cholesky import (
     from_log_cholesky,

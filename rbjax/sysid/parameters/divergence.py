@@ -1,6 +1,6 @@
 """Divergences: distances of parameters from a guess, infinite outside of their range.
 
-D(p, p0) is convex in p, the Bregman divergence of -log det of numbers and of matrices:
+D(p, p0) is convex in p. It is the Bregman divergence of -log det, for numbers and for matrices:
 
     positive    sum p / p0 - log(p / p0) - 1
     inertia     tr(P0^-1 P) - log det(P0^-1 P) - 4,   P the pseudo-inertia
@@ -17,14 +17,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: a body thinner than this, relative to the guess, counts as impossible, because of rounding
+#: a thinner body, relative to the guess, counts as impossible because of rounding
 BORDER = 1e-7
 
 
 @dataclass(frozen=True)
 class Divergence:
-    """D >= 0, infinite if p is impossible, with its gradient (n,) and Hessian (n, n), which are
-    computed when they are first read. The Hessian depends on p only."""
+    """The value D >= 0 of a divergence at p, with its gradient (n,) and Hessian (n, n).
+
+    The value is inf if p is impossible. Derivatives are computed at the first access. The Hessian
+    depends only on p.
+    """
 
     value: float
     sloped: Callable[[], np.ndarray]
@@ -45,16 +48,16 @@ class Divergence:
         return cls(np.inf, lambda: np.full(n, np.nan), lambda: np.full((n, n), np.nan))
 
     @classmethod
-    @np.errstate(over="ignore")  # the value of a long trial step is inf
+    @np.errstate(over="ignore")  # a long trial step has the value inf
     def free(cls, p: np.ndarray, p0: np.ndarray, scale: float) -> Divergence:
-        """sum ((p - p0) / scale)^2 / 2"""
+        """Compute sum ((p - p0) / scale)^2 / 2, for free parameters."""
         off = (p - p0) / scale
         return cls(float(off @ off) / 2, lambda: off / scale, lambda: np.eye(p.size) / scale**2)
 
     @classmethod
     @np.errstate(over="ignore")
     def positive(cls, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        """sum p / p0 - log(p / p0) - 1"""
+        """Compute sum p / p0 - log(p / p0) - 1, for positive parameters."""
         if not ((p > 0) & (p0 > 0)).all():
             return cls.impossible(p.size)
         excess = _excess((p - p0) / p0)
@@ -64,7 +67,7 @@ class Divergence:
     def bounded(
         cls, p: np.ndarray, p0: np.ndarray, low: float, high: float, scale: float
     ) -> Divergence:
-        """The sum of the divergences of the distances to the finite bounds."""
+        """Compute the sum of the divergences of the distances to the finite bounds."""
         sides = []
         if low > -np.inf:
             sides.append(cls.positive(p - low, p0 - low))
@@ -75,8 +78,10 @@ class Divergence:
     @classmethod
     @np.errstate(over="ignore")
     def definite(cls, P: np.ndarray, P0: np.ndarray, along: np.ndarray) -> Divergence:
-        """The sum of tr(P0^-1 P) - log det(P0^-1 P) - 4 over P (k, 4, 4), each linear in its own n
-        parameters, along = dP/dp (n, 4, 4)."""
+        """Compute the sum of tr(P0^-1 P) - log det(P0^-1 P) - 4 over matrices P (k, 4, 4).
+
+        Each P is linear in its own n parameters, with the derivatives `along` = dP/dp (n, 4, 4).
+        """
         k, n = len(P), len(along)
         flat = along.reshape(n, -1)
         try:
@@ -101,7 +106,7 @@ class Divergence:
 
     @classmethod
     def joined(cls, parts: Sequence[Divergence]) -> Divergence:
-        """The divergence of several vectors, one after the other."""
+        """Concatenate the divergences of several parameter vectors."""
         return cls(
             sum(part.value for part in parts),
             lambda: np.concatenate([part.slope for part in parts]),
@@ -109,7 +114,7 @@ class Divergence:
         )
 
     def through(self, A: np.ndarray) -> Divergence:
-        """The divergence as a function of x, with p = A x + b."""
+        """Apply the chain rule: return the divergence as a function of x, with p = A x + b."""
         return Divergence(self.value, lambda: A.T @ self.slope, lambda: A.T @ self.curvature @ A)
 
     def __add__(self, other: Divergence) -> Divergence:
@@ -121,16 +126,16 @@ class Divergence:
 
 
 def _excess(x: np.ndarray) -> np.ndarray:
-    """x - log(1 + x), for small x by its series, which has no cancellation."""
+    """Compute x - log(1 + x), with a series for small x, which avoids cancellation."""
     near = np.abs(x) < 1e-3
     y = np.where(near, x, 0.0)  # the series of a large x overflows
     series = y * y * (1 / 2 - y * (1 / 3 - y * (1 / 4 - y / 5)))
-    with np.errstate(divide="ignore"):  # a point that rounding puts on the border
+    with np.errstate(divide="ignore"):  # for a point on the border by rounding
         return np.where(near, series, x - np.log1p(x))
 
 
 def _diagonal(blocks: list[np.ndarray]) -> np.ndarray:
-    """A block-diagonal matrix; scipy's function takes ten times as long."""
+    """Assemble a block-diagonal matrix, ten times faster than scipy's function."""
     ends = np.cumsum([len(block) for block in blocks])
     found = np.zeros((ends[-1], ends[-1]))
     for end, block in zip(ends, blocks, strict=True):

@@ -1,7 +1,8 @@
 """Log-Cholesky coordinates of inertias, and their log-determinant divergence.
 
 An inertia is physically consistent if its pseudo-inertia P (4, 4) is positive definite
-(`rbjax.spatial`). Its upper Cholesky factor has a positive diagonal, whose logarithms are free:
+(`rbjax.spatial`). The upper Cholesky factor of P has a positive diagonal, whose logarithms are
+free:
 
     P = [[S, h], [h^T, m]] = U U^T,   U = e^a [[e^d1, s12, s13, t1],
                                                [0, e^d2, s23, t2],
@@ -9,13 +10,13 @@ An inertia is physically consistent if its pseudo-inertia P (4, 4) is positive d
                                                [0, 0, 0, 1]]
     theta = (a, d1, d2, d3, s12, s23, s13, t1, t2, t3)
 
-So m = e^(2a), and t is the centre of mass. The ten inertial parameters of a body are
+Thus m = e^(2a), and t is the center of mass. The ten inertial parameters of a body are
 
     phi = (m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz),   h = m c,  I about the frame's origin,
 
 as in `rbjax.inertial_parameters` (Rucker & Wensing, IEEE RA-L 7(2), 2022). The divergence of two
-inertias is the same in every frame and unit, with lambda the eigenvalues of Q^-1 P (Lee, Wensing &
-Park, IEEE T-RO 36(3), 2020):
+inertias does not depend on frame and unit. With the eigenvalues lambda of Q^-1 P it is (Lee,
+Wensing & Park, IEEE T-RO 36(3), 2020)
 
     d(P||Q) = tr(Q^-1 P) - log det(Q^-1 P) - 4 = sum(lambda - 1 - log lambda)
 """
@@ -48,7 +49,7 @@ def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
         P = [[tr(I)/2 1 - I, h], [h^T, m]],   linear in phi
 
     Args:
-        phi: (..., 10) in the body's frame, kg, kg m, kg m^2.
+        phi: (..., 10) inertial parameters in the body's frame, in kg, kg m, kg m^2.
 
     Source: Wensing, Kim & Slotine, IEEE RA-L 3(1), 2018.
 
@@ -67,7 +68,9 @@ def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
 
 @takes(P="matrix4")
 def inertial_parameters_of(P: jax.Array) -> jax.Array:
-    """Compute phi (..., 10) from P (..., 4, 4): the inverse of `pseudo_inertia_of`.
+    """Compute the inertial parameters phi (..., 10) from the pseudo-inertia P (..., 4, 4).
+
+    It is the inverse of `pseudo_inertia_of`.
 
     Example:
         >>> import jax.numpy as jnp
@@ -81,12 +84,12 @@ def inertial_parameters_of(P: jax.Array) -> jax.Array:
 
 @takes(theta="inertial")
 def from_log_cholesky(theta: jax.Array) -> jax.Array:
-    """Compute P (..., 4, 4) from log-Cholesky coordinates; it is always positive definite.
+    """Compute the pseudo-inertia P (..., 4, 4) from log-Cholesky coordinates.
 
-        P = U U^T
+    P = U U^T is positive definite for all coordinates.
 
     Args:
-        theta: (..., 10), any numbers.
+        theta: (..., 10) log-Cholesky coordinates, any real numbers.
 
     Source: Rucker & Wensing 2022, eq. 12.
 
@@ -102,10 +105,10 @@ def from_log_cholesky(theta: jax.Array) -> jax.Array:
 
 @takes(theta="inertial")
 def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
-    """Compute phi (..., 10) from log-Cholesky coordinates.
+    """Compute the inertial parameters phi (..., 10) from log-Cholesky coordinates.
 
     Args:
-        theta: (..., 10), any numbers.
+        theta: (..., 10) log-Cholesky coordinates, any real numbers.
 
     Source: Rucker & Wensing 2022, eq. 13.
 
@@ -119,16 +122,17 @@ def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
 
 
 def to_log_cholesky(P: jax.Array) -> jax.Array:
-    """Compute log-Cholesky coordinates of a pseudo-inertia: the inverse of `from_log_cholesky`.
+    """Compute the log-Cholesky coordinates of a pseudo-inertia, the inverse of `from_log_cholesky`.
 
     Args:
-        P: (..., 4, 4) symmetric and positive definite.
+        P: (..., 4, 4) symmetric positive definite pseudo-inertia.
 
     Returns:
-        theta (..., 10); in traced code nan if P is not positive definite.
+        theta (..., 10). In traced code it is nan if P is not positive definite.
 
     Raises:
-        InputError: P is not traced and not positive definite, so no body has this inertia.
+        InputError: P is not positive definite, so no body has this inertia (only outside of a
+            trace).
 
     Source: Rucker & Wensing 2022.
 
@@ -155,7 +159,7 @@ def to_log_cholesky(P: jax.Array) -> jax.Array:
 def _to_log_cholesky(P: jax.Array) -> jax.Array:
     xx, xy, xz, hx, _, yy, yz, hy, _, _, zz, hz, _, _, _, m = entries(P, 2)
     t1, t2, t3 = hx / m, hy / m, hz / m
-    # A = S / m - t t^T, of which the upper factor is that of U / e^a without its last column
+    # A = S / m - t t^T; its upper factor is the upper left 3 x 3 block of U / e^a
     d3 = zz / m - t3 * t3
     e3 = jnp.sqrt(d3)
     s23, s13 = (yz / m - t2 * t3) / e3, (xz / m - t1 * t3) / e3
@@ -177,16 +181,17 @@ def upper_factor(theta: jax.Array) -> jax.Array:
 
 
 def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
-    """Project to the nearest P whose eigenvalues are at least `margin` times the largest.
+    """Project to the nearest P with eigenvalues of at least `margin` times the largest.
 
     Use it to repair an inertia of a file that no body can have.
 
     Args:
-        P: (..., 4, 4) symmetric.
-        margin: above 0.
+        P: (..., 4, 4) symmetric pseudo-inertia.
+        margin: least ratio of the smallest to the largest eigenvalue, above 0.
 
     Returns:
-        (..., 4, 4), nearest to P in the Frobenius norm; P itself if it satisfies this.
+        (..., 4, 4), nearest to P in the Frobenius norm. P is returned unchanged if it is
+        consistent.
 
     Source: Higham, Linear Algebra Appl. 103, 1988.
 
@@ -209,11 +214,11 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
 
 
 def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
-    """Set the inertial parameters of a model's bodies: the inverse of `rb.inertial_parameters`.
+    """Set the inertial parameters of a model's bodies, the inverse of `rb.inertial_parameters`.
 
     Args:
-        model: the robot.
-        pi: (10 nb,) or (nb, 10); masses above 0.
+        model: robot.
+        pi: (10 nb,) or (nb, 10) inertial parameters, with positive masses.
 
     Example:
         >>> import rbjax as rb
@@ -241,7 +246,8 @@ def model_log_cholesky(model: Model) -> jax.Array:
     """Compute the log-Cholesky coordinates (nb, 10) of a model's bodies.
 
     Raises:
-        InputError: a body cannot exist; the message names it.
+        InputError: an inertia that is not physically consistent. The message contains the body's
+            name.
 
     Example:
         >>> import rbjax as rb
@@ -272,16 +278,16 @@ parameter_jacobian = jax.jit(jax.vmap(jax.jacfwd(log_cholesky_parameters)))
 
 
 def log_determinant_divergence(P: jax.Array, Q: jax.Array) -> jax.Array:
-    """Compute the divergence d(P||Q) (...) of two pseudo-inertias; 0 if they are equal.
+    """Compute the divergence d(P||Q) (...) of two pseudo-inertias, which is 0 if they are equal.
 
         tr(Q^-1 P) - log det(Q^-1 P) - 4
 
     Args:
-        P: (..., 4, 4) positive definite.
-        Q: (..., 4, 4) positive definite, such as that of the CAD model.
+        P: (..., 4, 4) positive definite pseudo-inertia.
+        Q: (..., 4, 4) positive definite pseudo-inertia, such as that of the CAD model.
 
     Raises:
-        InputError: a matrix that is not traced and not positive definite.
+        InputError: a matrix that is not positive definite (only outside of a trace).
 
     Source: Lee, Wensing & Park 2020, eq. 21.
 
@@ -304,7 +310,7 @@ def prior_residual(theta: jax.Array, prior: jax.Array) -> jax.Array:
 
     Args:
         theta: (..., 10) log-Cholesky coordinates.
-        prior: (..., 10) the coordinates of the CAD model.
+        prior: (..., 10) log-Cholesky coordinates of the CAD model.
 
     Source: the divergence of Lee, Wensing & Park 2020, in the coordinates of Rucker & Wensing 2022.
 
@@ -323,12 +329,14 @@ def prior_residual(theta: jax.Array, prior: jax.Array) -> jax.Array:
 
 
 def scalar_residual(x: jax.Array) -> jax.Array:
-    """Compute r with r^2 = e^(2x) - 1 - 2x, the divergence of two positive numbers with the
-    quotient e^(2x). Near 0, r ~ sqrt(2) x."""
+    """Compute r with r^2 = e^(2x) - 1 - 2x, the divergence of two numbers with ratio e^(2x).
+
+    Near 0, r ~ sqrt(2) x.
+    """
     y = 2 * x
     small = jnp.abs(y) < 0.05
     far = jnp.where(small, 1.0, y)
-    # 2 (e^y - 1 - y) / y^2; for small y its series, whose last term is below 1e-16
+    # 2 (e^y - 1 - y) / y^2, by a series for small y with a last term below 1e-16
     quotient = 2 * (jnp.expm1(far) - far) / far**2
     series = jnp.zeros_like(y)
     for k in range(11, 2, -1):

@@ -1,4 +1,4 @@
-"""Unknowns of a set-up as one vector, with their bounds and priors, and random first guesses."""
+"""Unknowns of a set-up as one vector, with bounds, priors, and random first guesses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Unknowns:
 
     @classmethod
     def of(cls, where: str, members: Mapping[str, Parametrisation], target: Any) -> Unknowns:
-        """Check unknowns against the set-up that they are read from."""
+        """Check unknowns against the set-up `target`, and collect their sizes and names."""
         fine = isinstance(members, Mapping) and members
         if not fine or not all(isinstance(u, Parametrisation) for u in members.values()):
             raise InputError(
@@ -60,12 +60,12 @@ class Unknowns:
         return cls(dict(members), tuple(sizes), tuple(names))
 
     def read(self, target: Any) -> jax.Array:
-        """Read p of all unknowns."""
+        """Read the parameters p of all unknowns from the set-up."""
         parts = [u.read(target) for u in self.members.values()]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def limits(self, target: Any) -> dict[str, tuple[float, float]]:
-        """The bounds (low, high), by name, of the parameters that have bounds."""
+        """Return the bounds (low, high), by name, of the bounded parameters."""
         found: dict[str, tuple[float, float]] = {}
         for label, u in self.members.items():
             low, high = getattr(u, "bounds", None) or (-np.inf, np.inf)
@@ -76,7 +76,7 @@ class Unknowns:
         return found
 
     def prior_rows(self, p: np.ndarray) -> np.ndarray:
-        """Rows [J r] (k, n + 1) of the normal priors, r = (p - mean) / sigma."""
+        """Compute rows [J r] (k, n + 1) of the normal priors, with r = (p - mean) / sigma."""
         given = [getattr(u, "prior", None) or (0.0, np.inf) for u in self.members.values()]
         mean, sigma = np.repeat(np.reshape(given, (-1, 2)), self.sizes, axis=0).T
         return np.column_stack([np.diag(1 / sigma), (p - mean) / sigma])[np.isfinite(sigma)]
@@ -90,7 +90,7 @@ class Unknowns:
         return target
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        """The sum of the divergences."""
+        """Compute the sum of the divergences of all unknowns."""
         if not self.sizes:
             return Divergence.free(p, p0, 1.0)
         parts, end = [], 0
@@ -102,8 +102,10 @@ class Unknowns:
 
     @functools.cached_property
     def _joined(self) -> list[tuple[Parametrisation, int]]:
-        """The unknowns with their sizes; successive bodies are one unknown, as the divergence of
-        several bodies takes as long as that of one."""
+        """The unknowns with their sizes, with successive `Inertia`s merged.
+
+        The divergence of several bodies takes as long as the divergence of one.
+        """
         found: list[tuple[Parametrisation, int]] = []
         for u, size in zip(self.members.values(), self.sizes, strict=True):
             if isinstance(u, Inertia) and found and isinstance(found[-1][0], Inertia):
@@ -114,7 +116,7 @@ class Unknowns:
 
 
 def check_prior(where: str, label: str, u: Any) -> None:
-    """`InputError` unless a prior is a mean and a standard deviation above 0."""
+    """Raise InputError unless a prior is None or a mean with a positive standard deviation."""
     prior = getattr(u, "prior", None)
     if prior is None:
         return
@@ -129,11 +131,11 @@ def check_prior(where: str, label: str, u: Any) -> None:
 def draw_guesses(
     unknowns: Unknowns, target: Any, count: int, spread: float, seed: int
 ) -> np.ndarray:
-    """Draw guesses (count, n) by a Sobol sequence; the first is that of the set-up.
+    """Draw guesses (count, n) by a Sobol sequence. The first guess is that of the set-up.
 
-    With z in (-spread, spread): positive numbers are p exp(z), and free ones p + scale z. Numbers
-    between two bounds are uniform. The distance to a single bound is scaled by exp(z). Bodies
-    change by z / 2 in the log-Cholesky parameters of their inertia.
+    With z in (-spread, spread), positive parameters are p exp(z), and free ones p + scale z.
+    Parameters with two bounds are uniform between them. The distance to a single bound is
+    multiplied by exp(z). Log-Cholesky coordinates of inertias change by z / 2.
 
     Raises:
         InputError: an unknown of another kind.
@@ -156,7 +158,7 @@ def draw_guesses(
 
 
 def _one(label: str, u: Parametrisation, p: np.ndarray, z: np.ndarray, even: Any) -> np.ndarray:
-    """A guess of one unknown, whose parameters are p in the set-up."""
+    """Compute a guess of one unknown from its parameters p in the set-up."""
     if isinstance(u, Inertia):
         theta = to_log_cholesky(pseudo_inertia_of(jnp.asarray(p)))
         return np.asarray(inertial_parameters_of(from_log_cholesky(theta + z / 2)))

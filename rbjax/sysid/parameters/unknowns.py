@@ -1,9 +1,9 @@
-"""Unknowns: the parameters of a set-up that are estimated, and their ranges.
+"""Unknowns: the parameters of a set-up to estimate, and their ranges.
 
-An unknown reads and writes n physical parameters p of a pytree (a `Model`, or a `Setup` around it).
-A convex divergence D(p, p0) is the distance from a guess, infinite outside of the range of p
-(`divergence`). It serves an estimator as barrier, metric of the step length, and prior in the
-directions that the data do not identify. Motion is nearly linear in p.
+An unknown reads and writes n physical parameters p of a pytree, which is a `Model` or a `Setup`. A
+convex divergence D(p, p0) is the distance from a guess, infinite outside of the range of p
+(`divergence`). Estimators use it as barrier, metric of the step length, and prior in the
+unidentifiable directions. The motion is nearly linear in p.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from rbjax.sysid.parameters.log_cholesky import (
 
 @runtime_checkable
 class Parametrisation(Protocol):
-    """n physical parameters of a set-up. `read` and `write` are traced."""
+    """Protocol of n physical parameters of a set-up. `read` and `write` are traced."""
 
     def names(self, label: str, target: Any) -> list[str]:
-        """The name of each parameter."""
+        """Return the name of each parameter."""
 
     def read(self, target: Any) -> jax.Array:
         """Read p (n,) from the set-up."""
@@ -44,7 +44,7 @@ class Parametrisation(Protocol):
         """Write p into the set-up."""
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        """D(p, p0), convex in p, with its derivatives."""
+        """Compute D(p, p0), convex in p, with its derivatives."""
 
 
 class Scalars:
@@ -67,13 +67,13 @@ class Unknown(Scalars):
     """Unknown entries of one leaf of a model or a set-up.
 
     Args:
-        leaf: its dotted name, such as "bodies.mass" or "forces.0.coulomb". In a `Setup`, the
-            prefix "model." may be left out.
-        index: of the entries; all if left out.
-        positive: whether they are above zero.
-        bounds: lower and upper bound, which are not reached.
-        scale: a large change of free parameters.
-        prior: mean and standard deviation of a normal prior of each entry; None: no prior.
+        leaf: dotted name of the leaf, such as "bodies.mass" or "forces.0.coulomb". In a `Setup`,
+            the prefix "model." is optional.
+        index: index of the entries; all by default.
+        positive: whether the entries are positive.
+        bounds: open lower and upper bound.
+        scale: size of a large change of free parameters.
+        prior: mean and standard deviation of a normal prior of each entry. None: no prior.
 
     Example:
         >>> import rbjax as rb
@@ -106,8 +106,8 @@ class Unknown(Scalars):
 
 @functools.cache
 def _pseudo_slopes() -> np.ndarray:
-    """dP/dphi (10, 4, 4) of the pseudo-inertia, which is linear in the ten parameters."""
-    with jax.ensure_compile_time_eval():  # the first call may be within a traced program
+    """Compute the derivatives dP/dphi (10, 4, 4) of the pseudo-inertia, which is linear in phi."""
+    with jax.ensure_compile_time_eval():  # the first call may occur during a trace
         return np.asarray(pseudo_inertia_of(np.eye(10)))
 
 
@@ -115,11 +115,11 @@ def _pseudo_slopes() -> np.ndarray:
 class Inertia:
     """Unknown inertia of a body: its ten inertial parameters.
 
-    These are m, h = m c, and I about the origin of the body's frame, in the order
-    m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz. Estimates are physically consistent.
+    The parameters are m, h = m c, and I about the origin of the body's frame, in the order m, hx,
+    hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz. Estimates are physically consistent.
 
     Args:
-        body: name or index.
+        body: name or index of the body.
     """
 
     body: str | int
@@ -140,7 +140,7 @@ class Inertia:
         return with_leaf(target, "bodies", bodies.replace(**new))
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        """The divergence of one body, or the sum over several, ten parameters each."""
+        """Compute the divergence of one body, or the sum over several, with ten parameters each."""
         slopes = _pseudo_slopes()
         P, P0 = (np.tensordot(x.reshape(-1, 10), slopes, 1) for x in (p, p0))
         return Divergence.definite(P, P0, slopes)
@@ -154,12 +154,12 @@ class Inertia:
 
 @dataclass(frozen=True)
 class Shared:
-    """Unknown parameters that several leaves have in common, as a left and a right leg.
+    """Unknown parameters with a common value in several leaves, such as a left and a right leg.
 
     Args:
-        members: unknowns of equal size; the range is that of the first.
-        factors: of the common value, one for each member, such as -1 for a mirrored offset; ones if
-            None.
+        members: unknowns of equal size. The range of the first member applies.
+        factors: one factor of the common value for each member, such as -1 for a mirrored offset.
+            None: ones.
     """
 
     members: tuple[Unknown, ...]
@@ -186,14 +186,14 @@ class Shared:
 
 @dataclass(frozen=True)
 class FixedTotal:
-    """Unknown positive entries of a leaf with a known sum, such as masses of a weighed robot.
+    """Unknown positive entries of a leaf with a known sum, such as the masses of a weighed robot.
 
-    The last entry follows from the others.
+    The last entry is the total minus the other entries.
 
     Args:
-        leaf: its dotted name.
-        index: of the entries.
-        total: their sum.
+        leaf: dotted name of the leaf.
+        index: indices of the entries.
+        total: sum of the entries.
     """
 
     leaf: str
@@ -221,8 +221,8 @@ class FixedTotal:
 class Tilt(Scalars):
     """Unknown direction of gravity, for a base that is not level.
 
-    gravity = g (sin a, -cos a sin b, -cos a cos b) in the world frame, with angles a, b in rad;
-    both are zero if gravity points to -z.
+    gravity = g (sin a, -cos a sin b, -cos a cos b) in the world frame, with angles a, b in rad.
+    Both angles are zero if gravity points to -z.
     """
 
     scale = 0.1
@@ -243,12 +243,14 @@ class Tilt(Scalars):
 
 @dataclass(frozen=True)
 class Derived(Scalars):
-    """Unknown parameters of a function that writes leaves, such as a density or a wheel's radius.
+    """Unknown parameters of a function that writes leaves, such as a density or a wheel radius.
 
     Args:
-        start: (n,), first guess.
-        into: (set-up, p (n,)) -> set-up, traced.
-        positive, bounds, scale: as in `Unknown`.
+        start: (n,) first guess.
+        into: traced function (set-up, p (n,)) -> set-up.
+        positive: whether the parameters are positive.
+        bounds: open lower and upper bound.
+        scale: size of a large change of free parameters.
     """
 
     start: tuple[float, ...]
@@ -269,7 +271,7 @@ class Derived(Scalars):
 
 
 def put(array: Any, index: Any, new: Any) -> jax.Array:
-    """Replace an entry of an array, by numpy in a hundredth of the time unless it is traced."""
+    """Replace an entry of an array, with numpy unless it is traced, which is 100 times faster."""
     if any(isinstance(x, jax.core.Tracer) for x in (array, new)):
         return jnp.asarray(array).at[index].set(new)
     out = np.array(array)
@@ -278,7 +280,7 @@ def put(array: Any, index: Any, new: Any) -> jax.Array:
 
 
 def leaf_of(target: Any, leaf: str) -> Any:
-    """Find an array of floating-point numbers in a pytree by its dotted name."""
+    """Return the floating-point leaf with a dotted name in a pytree."""
     try:
         value = functools.reduce(_child, _parts(target, leaf), target)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
@@ -293,7 +295,7 @@ def leaf_of(target: Any, leaf: str) -> Any:
 
 
 def with_leaf(target: Any, leaf: str, new: Any) -> Any:
-    """Replace the array with a dotted name in a pytree. A `Model` updates its derived values."""
+    """Replace the leaf with a dotted name in a pytree. A `Model` updates its derived values."""
     return _with(target, _parts(target, leaf), new)
 
 

@@ -14,11 +14,11 @@ from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats
 from rbjax.sysid.statistics.residual_tests import ALPHA, explained, whiteness
 
-HOLDS, WEAK = 1.25, 2.0  # ratio of the errors on unseen and on fitted data
-EXPLAINED = 0.99  # the least R2 of a good model
-NOISY = 1.5  # the largest error of a good model, over the noise
-TESTED = 20  # the least number of samples of a column for a test of whiteness
-ROUNDING = 1e-6  # an error below this share of the spread is not tested for whiteness
+HOLDS, WEAK = 1.25, 2.0  # largest ratio of the errors on unseen and fitted data
+EXPLAINED = 0.99  # least R2 of a good model
+NOISY = 1.5  # largest ratio of the error to the noise for a good model
+TESTED = 20  # least number of samples of a column for a test of whiteness
+ROUNDING = 1e-6  # smaller errors, relative to the standard deviation of the data, are not tested
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +26,12 @@ class HeldOut:
     """The errors of a model on data that were not fitted.
 
     Fields:
-        rms, rms_fitted: on unseen and on fitted data.
-        ratio: of the two.
-        by_recording: the rms on each unseen recording.
-        r_squared: the share of the variance explained; nan if it is unknown or nothing varies.
-        failed: a sentence for each check that failed.
+        rms: RMS error on unseen data.
+        rms_fitted: RMS error on fitted data.
+        ratio: rms / rms_fitted.
+        by_recording: RMS error on each unseen recording.
+        r_squared: explained share of the variance; nan if it is unknown or the data are constant.
+        failed: one sentence for each failed check.
         text: the sentence of `summary`.
     """
 
@@ -48,7 +49,7 @@ class HeldOut:
         return not self.failed
 
     def summary(self) -> str:
-        """The verdict in a sentence, with the checks that failed."""
+        """Return the verdict as one sentence, with the failed checks."""
         return self.text
 
 
@@ -62,23 +63,25 @@ def held_out(
 ) -> HeldOut:
     """Judge a model by its residuals on recordings that were not fitted.
 
-    The model holds if R2 is at least 99 % (with `measured`), and its error is at most 1.25 times
-    the error on fitted data, at most 1.5 times the noise (with `noise`), and white (columns of 20
-    samples or more). Checks without data are left out.
+    The model holds if all these checks pass; checks without data are skipped:
+        R2 is at least 99 % (with `measured`).
+        The error is at most 1.25 times the error on fitted data.
+        The error is at most 1.5 times the noise (with `noise`).
+        The residuals are white (columns of 20 samples or more).
 
     Args:
-        fitted: recording -> residuals, an array of any shape; nan is left out.
-        unseen: recording -> residuals.
-        measured: recording -> values of the shape of the unseen residuals, for
-            R2 = 1 - sum r^2 / sum (y - mean)^2.
+        fitted: recording -> residuals on fitted data, an array of any shape; NaN is skipped.
+        unseen: recording -> residuals on unseen data.
+        measured: recording -> measured values, in the shape of the unseen residuals, for R2 = 1 -
+            sum r^2 / sum (y - mean)^2.
         noise: standard deviation of the sensor, if it is known.
-        unit: of the residuals, for `summary()`.
+        unit: unit of the residuals in `summary()`.
 
     Returns:
         `HeldOut`.
 
     Raises:
-        InputError: no residuals; a recording on both sides.
+        InputError: no residuals, or a recording that is both fitted and unseen.
 
     Example:
         >>> import numpy as np
@@ -154,8 +157,10 @@ def held_out(
 
 
 def whiteness_p_value(residuals: Sequence[np.ndarray]) -> float | None:
-    """Bonferroni's p value of the Ljung-Box tests of all columns, (samples,) or (samples, columns)
-    each; None if all are too short to test."""
+    """Compute the Bonferroni-corrected p value of the Ljung-Box tests of all columns.
+
+    Each array is (samples,) or (samples, columns). Return None if all columns are too short.
+    """
     p = []
     for r in residuals:
         for x in r.reshape(len(r), -1).T:
@@ -187,9 +192,12 @@ class Comparison:
     """The comparison of two nested models on the same data.
 
     Fields:
-        smaller, larger: their names.
-        F, p_value: of the F test.
-        aic, bic: of the larger model minus those of the smaller.
+        smaller: name of the smaller model.
+        larger: name of the larger model.
+        F: statistic of the F test.
+        p_value: p value of the F test.
+        aic: AIC of the larger model minus AIC of the smaller model.
+        bic: BIC of the larger model minus BIC of the smaller model.
     """
 
     smaller: str
@@ -201,11 +209,11 @@ class Comparison:
 
     @property
     def significant(self) -> bool:
-        """Whether the data need the larger model: p is below 1 %, and BIC falls."""
+        """Whether the data support the larger model: p is below 1 %, and its BIC is smaller."""
         return self.p_value < ALPHA and self.bic < 0
 
     def summary(self) -> str:
-        """The result in a sentence."""
+        """Return the result as one sentence."""
         needed = "is needed" if self.significant else "is not needed"
         change = "falls" if self.bic < 0 else "grows"
         return (
@@ -215,22 +223,24 @@ class Comparison:
 
 
 def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
-    """Test whether data need the additional terms of a larger model.
+    """Test whether data support the additional terms of a larger model.
 
         F = ((Q_0 - Q_1) / (p_1 - p_0)) / (Q_1 / (n - p_1))
         AIC = n log(Q/n) + 2 p        BIC = n log(Q/n) + p log n
 
+    Q is the sum of squared residuals and p the number of parameters.
+
     Args:
-        smaller: the model without the terms.
-        larger: the model with them; the smaller one is a case of it.
-        samples: n; if residuals are not white, the effective number of `whiteness`.
+        smaller: model without the additional terms.
+        larger: model with the additional terms, of which `smaller` is a special case.
+        samples: n. If residuals are not white, use `Whiteness.effective_samples`.
 
     Returns:
         `Comparison`.
 
     Raises:
-        InputError: models that are not nested: a larger one with no more parameters, or that fits
-            worse; fewer samples than parameters.
+        InputError: models that are not nested (`larger` has no more parameters or fits worse), or
+            fewer samples than parameters.
 
     Source: Seber & Wild, *Nonlinear Regression*, 5.3; Akaike 1974; Schwarz 1978.
 

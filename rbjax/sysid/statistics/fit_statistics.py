@@ -1,15 +1,15 @@
-"""The covariance of estimates, for every estimator with residuals and a Jacobian.
+"""Covariance of estimates, for every estimator with residuals and a Jacobian.
 
-A fit minimises the sum over rows of rho(r); psi = rho' / 2 is r for squares, and clipped for
-"huber". With rows of several columns c (a sensor's axis), each weighted by 1 / sigma_c,
+A fit minimises the sum over rows of rho(r). psi = rho' / 2 is r for squares, and clipped r for
+"huber". With rows of several columns c (one axis of a sensor), each weighted by 1 / sigma_c,
 
     H = sum_c a_c J_c^T J_c,        a_c = mean psi'_c,        cov = H^-1 M H^-1
     M = sum_c s_c^2 J_c^T J_c,      s_c^2 = sum psi_c^2 / (m_c - h_c)       if psi is white
-    M = sum_|l|<=L (1 - |l| / (L + 1)) sum_t g_t g_(t+l)^T    if not
-where g_t are the scores of the innovations of psi (`_scores`), m_c is the number of rows of a
-column (an attitude has three columns), and h_c is the number of estimates that the column
-determines (the trace of the hat matrix). So intervals follow the residuals, even if the stated
-noise is wrong.
+    M = sum_|l|<=L (1 - |l| / (L + 1)) sum_t g_t g_(t+l)^T    otherwise
+g_t are the scores of the innovations of psi (`_scores`). m_c is the number of rows of a column (an
+attitude has three columns). h_c is the number of estimates that the column determines (the trace of
+the hat matrix). The intervals depend on the residuals, and remain valid if the stated noise is
+wrong.
 
 Source: Huber, *Robust Statistics*, 6.3 and 7.6; White, Econometrica 48(4), 1980; Newey & West,
 Econometrica 55(3), 1987; Andrews, Econometrica 59(3), 1991; Andrews & Monahan, Econometrica 60(4),
@@ -32,19 +32,19 @@ from rbjax.sysid.statistics.residual_tests import ALPHA, long_run_covariance, wh
 FEW = 5.0
 #: with fewer samples, whiteness is not tested
 SHORT = 20
-#: the largest correlation of neighbours
+#: largest assumed correlation of successive samples
 STEADY = 0.985
 
 
 class Rows(NamedTuple):
-    """Rows of one column in one run.
+    """The rows of the least-squares problem from one column in one run.
 
     Fields:
-        J: (m, k), derivatives by the entries `which` of x.
-        psi: (m,), the residual, clipped for "huber".
-        inside: (m,), psi': 1, or 0 if clipped.
-        place: (m,), the index of the sample in the run.
-        which: (k,), indices of x.
+        J: (m, k) derivatives by the entries `which` of x.
+        psi: (m,) residual, clipped for "huber".
+        inside: (m,) psi', which is 1, or 0 if clipped.
+        place: (m,) index of the sample in the run.
+        which: (k,) indices of x.
     """
 
     J: np.ndarray
@@ -55,7 +55,7 @@ class Rows(NamedTuple):
 
 
 class Column(NamedTuple):
-    """All rows of one column, and whether its noise is stated."""
+    """All rows of one column. `stated` is True if its noise is stated."""
 
     name: str
     runs: Sequence[Rows]
@@ -68,10 +68,10 @@ class FitStatistics:
 
     Fields:
         estimates: values, covariance and intervals.
-        scale: the standard deviation of the weighted residual, by column.
-        rows: the number of residuals.
-        coloured: the columns whose residuals are not white.
-        effective: the share of samples that are independent.
+        scale: column -> standard deviation of the weighted residual.
+        rows: number of residuals.
+        coloured: names of the columns with residuals that are not white.
+        effective: share of samples that are independent.
     """
 
     estimates: Estimates
@@ -114,7 +114,7 @@ def fit_statistics(
         meat = long_run_covariance(_scores(columns, scaled, rho))
         largest = max(r for c, r in zip(columns, rho, strict=True) if c.name in coloured)
         effective = min(effective, (1 - largest) / (1 + largest))
-        # each estimate takes one of the independent samples
+        # each estimate uses up one independent sample
         free = max(effective * dof.sum() - rank, 2.0)
         meat = meat * (counts.sum() / max(counts.sum() - rank, 1))
     else:
@@ -130,7 +130,7 @@ def fit_statistics(
 
 
 def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.ndarray:
-    """A triangular R (n, n) with R^T R = H."""
+    """Compute a matrix R with n columns and R^T R = H."""
     by_run = [[column.runs[k] for column in columns] for k in range(len(columns[0].runs))]
     parts = []
     for run in by_run:
@@ -145,14 +145,16 @@ def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.nd
 
 
 def _mean(parts: Sequence[np.ndarray]) -> float:
-    """The mean of all entries, at least 1e-3, since a mean of 0 would make H singular."""
+    """Compute the mean of all entries, at least 1e-3, since a mean of 0 makes H singular."""
     count = sum(len(x) for x in parts)
     return max(sum(float(x.sum()) for x in parts) / max(count, 1), 1e-3)
 
 
 def _test_whiteness(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
-    """The columns whose residuals are correlated in time, and the smallest share of independent
-    samples among them."""
+    """Test the residuals for correlation in time.
+
+    Return the correlated columns, and the smallest share of independent samples among them.
+    """
     tests = []
     for column in columns:
         for rows in column.runs:
@@ -164,8 +166,11 @@ def _test_whiteness(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
 
 
 def _correlations(columns: Sequence[Column], hats: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """The correlation of successive noise by column. That of the residuals is smaller by at most
-    (h + (h + 2) rho) / n, since the h estimates that a column determines follow slow noise."""
+    """Estimate the correlation of successive noise samples, by column.
+
+    The correlation of the residuals is smaller by at most (h + (h + 2) rho) / n, since the h
+    estimates that a column determines follow slow noise. The estimate corrects this bias.
+    """
     found = np.zeros(len(columns))
     for c, column in enumerate(columns):
         power = sum(float(rows.psi @ rows.psi) for rows in column.runs)
@@ -179,9 +184,11 @@ def _correlations(columns: Sequence[Column], hats: np.ndarray, counts: np.ndarra
 def _scores(
     columns: Sequence[Column], scaled: Sequence[Sequence[np.ndarray]], rho: np.ndarray
 ) -> list[np.ndarray]:
-    """The scores (samples, rank) of each run, whose sum is that of J^T psi. psi is a first-order
-    process with innovations e, and each e counts with its effect on all later psi:
-    sum_t G_t psi_t = sum_s v_s e_s,  v_s = sum_(t>=s) rho^(t-s) G_t."""
+    """Compute the scores (samples, rank) of each run, with the sum J^T psi.
+
+    psi is modelled as a first-order process with innovations e. Each e counts with its effect on
+    all later psi: sum_t G_t psi_t = sum_s v_s e_s,  v_s = sum_(t>=s) rho^(t-s) G_t.
+    """
     found = []
     for k in range(len(columns[0].runs)):
         length = max((int(c.runs[k].place.max(initial=-1)) for c in columns), default=-1) + 1

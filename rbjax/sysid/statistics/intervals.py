@@ -1,12 +1,12 @@
 """Covariance and confidence intervals of estimates.
 
-With residuals r(p) = y - f(p) of independent noise of variance S, and J = df/dp, in the limit of
-small noise (and exactly for a linear f):
+The residuals are r(p) = y - f(p), with independent noise of variance S, and J = df/dp. In the limit
+of small noise (exactly for a linear f):
     information  F = J^T S^-1 J        covariance of the best estimate, the Cramer-Rao bound, F^-1
-A combination c(p) with gradient g has the variance g^T F^-1 g if g has no part in the null space of
-J. Otherwise c is not identifiable, and its interval is infinite.
-Intervals of positive and bounded parameters are symmetric in log(p - low), or in the logit, so they
-stay within the bounds.
+A combination c(p) with gradient g has the variance g^T F^-1 g if g has no component in the null
+space of J. Otherwise c is not identifiable, and its interval is infinite.
+Intervals of positive and bounded parameters are symmetric in log(p - low), or in the logit, and
+remain within the bounds.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rbjax.errors import InputError
 from rbjax.rank_tolerances import rank_tolerance as tolerance_of
 from rbjax.sysid.arguments import floats, names_of
 
-NULL_SHARE = 1e-5  # share of a gradient in the null space that is rounding
+NULL_SHARE = 1e-5  # a smaller share of a gradient in the null space counts as rounding
 
 
 class Interval(NamedTuple):
@@ -41,13 +41,13 @@ class Estimates:
     """Estimates with their covariance.
 
     Fields:
-        names: (n,) of the parameters.
-        values: (n,).
-        covariance: (n, n), in the identifiable directions.
-        free: (n, k), columns of length 1, the directions that are not identifiable.
+        names: (n,) names of the parameters.
+        values: (n,) estimates.
+        covariance: (n, n) covariance in the identifiable directions.
+        free: (n, k) unidentifiable directions, as columns of unit length.
         dof: degrees of freedom of the estimated noise; inf if the noise is known.
         bounds: name -> (low, high).
-        lengths: (n,) of the columns of J, which scale the parameters.
+        lengths: (n,) lengths of the columns of J, which scale the parameters.
     """
 
     names: tuple[str, ...]
@@ -67,17 +67,18 @@ class Estimates:
         """Compute the confidence interval of a parameter or of a combination of parameters.
 
         Args:
-            of: a name; a sum as name -> coefficient; or a function of the dict name -> value,
-                written with jax.numpy, such as `lambda p: p["b"] / p["m"]` (delta method).
-            level: the share of experiments whose interval contains the true value.
-            bounds: of the combination; those of the parameter if None.
+            of: a name; a linear combination as name -> coefficient; or a function of the dict name
+                -> value, written with jax.numpy, such as `lambda p: p["b"] / p["m"]` (delta
+                method).
+            level: share of experiments with an interval that contains the true value.
+            bounds: bounds of the combination. None: the bounds of the parameter.
 
         Returns:
-            `Interval`, by Student's t with `dof`; from bound to bound, with sigma inf, if the
-            combination is not identifiable.
+            `Interval`, by Student's t with `dof`. If the combination is not identifiable, it
+            extends from bound to bound, with sigma inf.
 
         Raises:
-            UnknownName: no such parameter.
+            UnknownName: an unknown parameter.
             InputError: a level outside of (0, 1).
         """
         if not 0 < level < 1:
@@ -94,18 +95,18 @@ class Estimates:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard deviations (n,); inf for a parameter that is not identifiable."""
+        """The standard deviations (n,) of the estimates; inf for an unidentifiable parameter."""
         return np.array([self.interval(n).sigma for n in self.names])
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlations (n, n), in the identifiable directions."""
+        """The correlation matrix (n, n) of the estimates, in the identifiable directions."""
         sigma = np.sqrt(np.diag(self.covariance))
         sigma[sigma == 0] = 1.0
         return self.covariance / np.outer(sigma, sigma)
 
     def sentences(self, level: float = 0.95) -> list[str]:
-        """Write a sentence for each parameter, and one for each unidentifiable direction."""
+        """Return one sentence for each parameter, and one for each unidentifiable direction."""
         lines = []
         for n in self.names:
             x = self.interval(n, level)
@@ -155,17 +156,17 @@ def estimates(
 ) -> Estimates:
     """Compute the covariance of the parameters of a least-squares fit, for their intervals.
 
-    cov = (J^T S^-1 J)^-1, with S the variance of the noise, or s^2 = r^T r / (m - rank) if unknown.
+    cov = (J^T S^-1 J)^-1. S is the variance of the noise, or s^2 = r^T r / (m - rank) if unknown.
 
     Args:
-        names: n of them.
+        names: names of the n parameters.
         values: (n,) estimates.
-        jacobian: (m, n), of what is measured, at the estimates.
-        noise: standard deviation of each row, (m,) or one number. None: one number for all rows is
-            estimated from `residual`.
-        residual: (m,), if the noise is unknown.
-        dof: degrees of freedom of `noise` if it is an estimate, such as m - n; inf if None.
-        bounds: name -> (low, high); of positive parameters (0, inf).
+        jacobian: (m, n) derivatives of the measurements by the parameters, at the estimates.
+        noise: standard deviation of each row, (m,) or one number. None: estimate one number for all
+            rows from `residual`.
+        residual: (m,) residuals, if the noise is unknown.
+        dof: degrees of freedom of `noise` if it is an estimate, such as m - n. None: inf.
+        bounds: name -> (low, high), such as (0, inf) for positive parameters.
         rank_tolerance: relative singular value that counts as zero, for columns of unit length.
             None: 1e-9 for a Jacobian in float64, 1e-4 in float32.
 
@@ -173,7 +174,7 @@ def estimates(
         `Estimates`.
 
     Raises:
-        InputError: wrong shapes, numbers that are not finite; neither noise nor residual.
+        InputError: wrong shapes, values that are not finite, or neither noise nor residual.
 
     Source: Seber & Wild, *Nonlinear Regression*, 2.1; Kay, *Estimation Theory*, 3.
 
@@ -235,13 +236,15 @@ def estimates(
 
 
 def tolerance_for(jacobian: Any) -> float:
-    """Choose the rank tolerance of a Jacobian's dtype."""
+    """Return the rank tolerance for the dtype of a Jacobian."""
     return tolerance_of("unknowns", jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
 
 
 def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
-    """Compute the lengths of the columns, and singular values, right vectors and null space of J /
-    lengths."""
+    """Compute the singular value decomposition of a J with scaled columns.
+
+    Return the column lengths, and singular values, right vectors and null space of J / lengths.
+    """
     lengths = linalg.norm(J, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)
     scaled = J / lengths
@@ -252,7 +255,7 @@ def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
 
 
 def _within(x: float, half: float, low: float, high: float) -> tuple[float, float]:
-    """The interval x -+ half, to first order, on a scale that is infinite at the bounds."""
+    """Compute the interval x -+ half on a scale that is infinite at the bounds, to first order."""
     if not low < x < high:  # the scale is undefined on a bound
         return max(x - half, low), min(x + half, high)
     if np.isinf(low) and np.isinf(high):
@@ -271,7 +274,7 @@ def _within(x: float, half: float, low: float, high: float) -> tuple[float, floa
 
 
 def _rows(name: str, x: Any, ndim: int, rows: int | None = None) -> np.ndarray:
-    """A finite array of some axes, with a row for each measurement."""
+    """Check that x is a finite array with `ndim` axes and one row for each measurement."""
     x = floats("estimates", name, x, finite=True)
     if x.ndim != ndim or x.size == 0 or (rows is not None and len(x) != rows):
         due = "(m, n)" if ndim == 2 else f"({rows},)"

@@ -1,7 +1,7 @@
-"""The precision of identification: float64.
+"""Floating-point precision of identification: float64.
 
-Rank, covariance and convergence compare singular values that lie 9 decades apart; float32, JAX's
-default, has 7. So an estimator computes in float64, and returns the model in its own dtype.
+Rank, covariance and convergence compare singular values over 9 decades. float32, JAX's default,
+resolves 7. Each estimator computes in float64, and returns the model in its original dtype.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ R = TypeVar("R")
 
 
 def in_double(f: Callable[P, R]) -> Callable[P, R]:
-    """Run a function with float64 as the default float of JAX."""
+    """Decorate a function to run with float64 as the default float of JAX."""
 
     @functools.wraps(f)
     def run(*args: P.args, **options: P.kwargs) -> R:
@@ -36,7 +36,7 @@ def cast(tree: Any, dtype: Any) -> Any:
         old = getattr(x, "dtype", None)
         if old is None or old == dtype or not jnp.issubdtype(old, jnp.floating):
             return x
-        # by numpy: JAX would compile a cast for every shape
+        # cast with numpy, since JAX compiles a cast for every shape
         return jnp.asarray(np.asarray(x).astype(dtype))
 
     return jax.tree.map(one, tree)

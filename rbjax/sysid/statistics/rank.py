@@ -1,14 +1,15 @@
 """Identifiable combinations of parameters, by the rank of a Jacobian.
 
-J (m, n) are the derivatives of m measurements by n parameters. With columns scaled to unit length,
-J D^-1 = U S V^T, r singular values are above the tolerance. Then r columns span the others,
+J (m, n) are the derivatives of m measurements by n parameters. The columns are scaled to unit
+length, J D^-1 = U S V^T, and r singular values are above the tolerance. r columns span the
+remaining ones:
 
-    J_dropped = J_kept K,   J pi = J_kept beta,   beta = pi_kept + K pi_dropped,
+    J_dropped = J_kept K,   J pi = J_kept beta,   beta = pi_kept + K pi_dropped.
 
-and beta, the base parameters, are identifiable; the n - r directions pi_kept = -K pi_dropped are
-not. A parameter is identifiable by itself if its row of K is zero. The kept columns are the first
-independent ones in the order given (reduced row echelon form of V_r^T), so parameters are grouped
-into earlier ones, as in textbooks. Gautier, J. Robotic Systems 8(4), 1991; Khalil & Dombre,
+The base parameters beta are identifiable. The n - r directions pi_kept = -K pi_dropped are not. A
+parameter is identifiable by itself if its row of K is zero. The kept columns are the first
+independent ones in the given order (reduced row echelon form of V_r^T). Later parameters are
+grouped into earlier ones, as in textbooks. Gautier, J. Robotic Systems 8(4), 1991; Khalil & Dombre,
 *Modeling, Identification and Control of Robots*, ch. 9 and 12.
 """
 
@@ -27,21 +28,22 @@ from rbjax.errors import InputError, listed
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.arguments import floats, names_of
 
-#: A column smaller than this many rounding errors of the largest has no effect.
+#: A column below this multiple of the rounding error of the largest column counts as zero.
 NOTHING = 500
-#: A column whose part outside of the span of kept columns is smaller is kept only at the end.
+#: Least relative part of a column outside of the span of the kept ones, in the first pass.
 CLEAR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Combinations:
-    """The combinations of parameters that are identifiable.
+    """The identifiable combinations of parameters.
 
     Fields:
-        names: (n,) of the parameters.
-        singular_values: of J with columns of unit length, descending.
-        tolerance: relative to the largest, below which they count as 0.
-        kept, dropped: indices of the r base parameters and of the others.
+        names: (n,) names of the parameters.
+        singular_values: singular values of J with columns of unit length, descending.
+        tolerance: relative singular value that counts as zero.
+        kept: indices of the r base parameters.
+        dropped: indices of the n - r remaining parameters.
         K: (r, n - r) with beta = pi[kept] + K pi[dropped].
     """
 
@@ -59,8 +61,11 @@ class Combinations:
 
     @property
     def gap(self) -> tuple[float, float]:
-        """The smallest singular value above the tolerance and the largest below it, relative to the
-        largest of all. The rank is certain if they lie decades apart."""
+        """The smallest singular value above the tolerance and the largest below it.
+
+        Both are relative to the largest singular value. The rank is certain if they differ by
+        decades.
+        """
         s, r = self.singular_values, self.rank
         if not r:
             return 0.0, 0.0
@@ -68,24 +73,24 @@ class Combinations:
 
     @property
     def condition(self) -> float:
-        """The condition number of the Jacobian restricted to r dimensions."""
+        """The condition number of the Jacobian restricted to its r identifiable dimensions."""
         return 1 / self.gap[0] if self.rank else np.inf
 
     @cached_property
     def hidden(self) -> tuple[str, ...]:
-        """The parameters that have no effect on the measurements."""
+        """The names of the parameters without effect on the measurements."""
         silent = ~np.any(self.K, axis=0, keepdims=True)[0]
         return tuple(self.names[j] for j, x in zip(self.dropped, silent, strict=True) if x)
 
     @cached_property
     def single(self) -> tuple[str, ...]:
-        """The parameters that are identifiable by themselves."""
+        """The names of the parameters that are identifiable by themselves."""
         single = ~np.any(self.K, axis=1, keepdims=True)[:, 0]
         return tuple(self.names[j] for j, x in zip(self.kept, single, strict=True) if x)
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """B (r, n), with beta = B pi."""
+        """The matrix B (r, n) with beta = B pi."""
         B = np.zeros((self.rank, len(self.names)))
         B[np.arange(self.rank), list(self.kept)] = 1.0
         B[:, list(self.dropped)] = self.K
@@ -93,18 +98,18 @@ class Combinations:
 
     @cached_property
     def free_directions(self) -> np.ndarray:
-        """N (n, n - r), the changes of the parameters that change no measurement."""
+        """The directions N (n, n - r) in parameter space that change no measurement."""
         N = np.zeros((len(self.names), len(self.dropped)))
         N[list(self.dropped), np.arange(len(self.dropped))] = 1.0
         N[list(self.kept)] = -self.K
         return N
 
     def combine(self, values: Any) -> np.ndarray:
-        """Compute beta (r,) of parameters (n,)."""
+        """Compute the base parameters beta (r,) from parameters (n,)."""
         return self.matrix @ np.asarray(values, float)
 
     def term(self, k: int, digits: int = 4) -> str:
-        """Write combination k as a sum, such as "link1.Izz + joint1.armature - 0.25 link2.m"."""
+        """Format combination k as a sum, such as "link1.Izz + joint1.armature - 0.25 link2.m"."""
         parts = [self.names[self.kept[k]]]
         for j, x in zip(self.dropped, self.K[k], strict=True):
             if x:
@@ -114,11 +119,11 @@ class Combinations:
         return " ".join(parts)
 
     def terms(self, digits: int = 4) -> tuple[str, ...]:
-        """Write all combinations as sums."""
+        """Format all combinations as sums."""
         return tuple(self.term(k, digits) for k in range(self.rank))
 
     def summary(self, digits: int = 4) -> str:
-        """The identifiable and the unidentifiable parameters, one sentence a line."""
+        """Return the identifiable and unidentifiable parameters as text, one sentence a line."""
         n, (least, most) = len(self.names), self.gap
         kinds = len(self.single), self.rank - len(self.single), len(self.hidden)
         lines = [
@@ -144,19 +149,19 @@ def combinations(
     """Find the combinations of parameters that a Jacobian identifies.
 
     Args:
-        J: (..., n) derivatives of measurements by parameters; leading axes count measurements.
-            Rows of unequal noise should be divided by their noise.
-        names: (n,) of the parameters. Earlier ones are kept, later ones are grouped into them.
-        tolerance: of singular values, relative to the largest, with columns of unit length; None
-            for 1e-9 in float64 and 1e-4 in float32.
-        first: names that are kept before the others, if they are independent.
+        J: (..., n) derivatives of measurements by parameters. Leading axes index measurements.
+            Divide rows of unequal noise by their noise.
+        names: (n,) names of the parameters. Later parameters are grouped into earlier ones.
+        tolerance: relative singular value that counts as zero, for columns of unit length. None:
+            1e-9 in float64 and 1e-4 in float32.
+        first: names of parameters to keep with priority, if they are independent.
 
     Returns:
         `Combinations`.
 
     Raises:
-        InputError: shapes that do not match, values that are not finite, names that repeat.
-        UnknownName: a name of `first` that is no parameter.
+        InputError: inconsistent shapes, values that are not finite, or repeated names.
+        UnknownName: an unknown parameter in `first`.
 
     Source: Gautier 1991; Golub & Van Loan, *Matrix Computations*, 5.4.
 
@@ -209,15 +214,18 @@ def combinations(
     K = np.zeros((rank, len(dropped)))
     if rank and dropped:
         K = scipy.linalg.solve(Vt[:rank, list(kept)], Vt[:rank, list(dropped)])
-        # a smaller entry is zero up to rounding and the singular values below the tolerance
+        # smaller entries are zero up to rounding and the neglected singular values
         K = np.where(np.abs(K) > max(tolerance * s[0] / s[rank - 1], 1e-12), K, 0.0)
         K = K * (scale[list(dropped)] / scale[list(kept), None])
     return Combinations(names, s, float(tolerance), kept, dropped, K)
 
 
 def project_out_others(R: np.ndarray, n: int) -> np.ndarray:
-    """Compute the derivatives by the first n entries of x, of a triangular R (m, size + 1) of [J
-    r], without their part in the span of those by the other entries, such as initial states."""
+    """Project the span of the other columns out of the first n columns of R.
+
+    R (m, size + 1) is a triangular factor of [J r]. Columns n to size - 1 are derivatives by
+    entries such as initial states.
+    """
     first, others = R[:, :n], R[:, n:-1]
     if not others.shape[1]:
         return first
@@ -229,10 +237,10 @@ def project_out_others(R: np.ndarray, n: int) -> np.ndarray:
 
 
 def _independent(rows: np.ndarray, order: Sequence[int]) -> tuple[int, ...]:
-    """Choose independent columns, the first in order, as many as there are orthonormal rows.
+    """Choose as many independent columns as there are orthonormal rows, the first in order.
 
-    The first pass takes columns with a clear part outside of the span of those taken. If these are
-    too few, the columns with the largest such parts follow.
+    The first pass keeps columns with a clear component outside of the span of the kept ones. If
+    these are too few, the columns with the largest such components follow.
     """
     rank = len(rows)
     kept: list[int] = []

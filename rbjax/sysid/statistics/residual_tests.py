@@ -1,7 +1,7 @@
-"""Tests of residuals: whiteness, long-run covariance, and the share of variance explained.
+"""Tests of residuals: whiteness, long-run covariance, and explained share of the variance.
 
 Residuals of an incomplete model are correlated in time. Then fewer samples are independent, and the
-covariance s^2 (J^T J)^-1 is too small, often by a factor of 10. The sandwich estimate uses the
+covariance s^2 (J^T J)^-1 is too small, often by a factor of 10. The sandwich estimate includes the
 correlations of the residuals:
     cov = H^-1 (sum_|l|<=L (1 - |l|/(L+1)) sum_k s_k s_(k+l)^T) H^-1,  H = J^T J,  s_k = J_k^T r_k
 """
@@ -19,7 +19,7 @@ from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats
 
-ALPHA = 0.01  # a p value below it is significant
+ALPHA = 0.01  # significance level
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +28,10 @@ class Whiteness:
 
     Fields:
         statistic: Q.
-        p_value: the probability of a larger Q for white noise.
-        correlation: (lags,) at lags 1, 2, ...
-        samples: n.
-        effective_samples: the number of independent samples with the same variance of the mean.
+        p_value: probability of a larger Q for white noise.
+        correlation: (lags,) autocorrelation at lags 1, 2, ...
+        samples: number of samples n.
+        effective_samples: number of independent samples with the same variance of the mean.
     """
 
     statistic: float
@@ -46,7 +46,7 @@ class Whiteness:
         return self.p_value >= ALPHA
 
     def summary(self) -> str:
-        """The result in a sentence."""
+        """Return the result as one sentence."""
         if self.white:
             return f"the residual is white (Ljung-Box p = {self.p_value:.2g})"
         return (
@@ -57,20 +57,20 @@ class Whiteness:
 
 
 def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
-    """Test whether a residual is white noise, as the residual of a complete model is.
+    """Test whether a residual is white noise, as expected for a complete model.
 
-    Q = n (n + 2) sum_(k<=h) rho_k^2 / (n - k), chi-squared with h degrees of freedom for white
-    noise
+    Q = n (n + 2) sum_(k<=h) rho_k^2 / (n - k) is chi-squared with h degrees of freedom for white
+    noise.
 
     Args:
-        residual: (samples,) at a constant rate, of one channel of one recording.
-        lags: h; if None, 20 or a fifth of the samples, whichever is less.
+        residual: (samples,) residual of one column of one recording, at a constant rate.
+        lags: h. None: 20 or a fifth of the samples, whichever is less.
 
     Returns:
         `Whiteness`.
 
     Raises:
-        InputError: fewer than 10 samples, numbers that are not finite or all equal.
+        InputError: fewer than 10 samples, or values that are not finite or all equal.
 
     Source: Ljung & Box 1978; Geyer 1992 (effective samples, initial positive sequence).
 
@@ -103,8 +103,7 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
 
 
 def long_run_covariance(scores: Sequence[np.ndarray], lag: int | None = None) -> np.ndarray:
-    """Estimate the covariance (n, n) of the sum of correlated scores, (samples, n) for each
-    recording."""
+    """Estimate the covariance (n, n) of the sum of correlated scores (samples, n)."""
     lag = _optimal_lag(scores) if lag is None else lag
     window = 1 - np.abs(np.arange(-lag, lag + 1)) / (lag + 1)  # Bartlett's
     found = sum(s.T @ signal.convolve(s, window[:, None], mode="same") for s in scores)
@@ -112,8 +111,7 @@ def long_run_covariance(scores: Sequence[np.ndarray], lag: int | None = None) ->
 
 
 def _optimal_lag(scores: Sequence[np.ndarray]) -> int:
-    """Andrews' lag of least error of Bartlett's window, for scores that are first-order
-    processes."""
+    """Compute Andrews' optimal lag of Bartlett's window, for first-order autoregressive scores."""
     before = np.concatenate([s[:-1] for s in scores])
     after = np.concatenate([s[1:] for s in scores])
     power = np.sum(before**2, 0)
@@ -125,12 +123,12 @@ def _optimal_lag(scores: Sequence[np.ndarray]) -> int:
     return int(min(np.ceil(1.1447 * (alpha * longest) ** (1 / 3)), longest - 1))
 
 
-#: a column whose range is below this share of its size is constant up to rounding
+#: a column with a smaller range, relative to its largest value, is constant up to rounding
 CONSTANT = 1e-9
 
 
 def varies(recorded: np.ndarray) -> np.ndarray:
-    """Whether each column of (T, n) varies; nan is left out."""
+    """Check for each column of (T, n) whether it varies. NaN is ignored."""
     found = np.zeros(recorded.shape[1], bool)
     some = ~np.isnan(recorded).all(0)
     y = recorded[:, some]
@@ -142,8 +140,10 @@ def varies(recorded: np.ndarray) -> np.ndarray:
 
 
 def explained(recorded: Iterable[np.ndarray], residuals: Iterable[np.ndarray]) -> float:
-    """Compute R2 = 1 - sum r^2 / sum (y - mean)^2 of recordings (T, n) with the mean of each column
-    in each recording; nan if every column is constant, so that there is no variance to explain."""
+    """Compute R2 = 1 - sum r^2 / sum (y - mean)^2 of recordings (T, n).
+
+    The mean is taken for each column in each recording. Return nan if every column is constant.
+    """
     left = there = 0.0
     for y, r in zip(recorded, residuals, strict=True):
         left += float(np.nansum(r**2))

@@ -1,18 +1,17 @@
-"""Physically consistent inertias from torques: least squares in log-Cholesky coordinates, with the
-CAD model as a prior.
+"""Fit of physically consistent inertias to torques, by least squares in log-Cholesky coordinates.
 
     min over theta, x   |(tau - W pi) / s|^2 + (2 / w^2) sum over bodies of d(P(theta)||P_CAD)
 
-pi stacks the inertial parameters phi(theta) of all bodies and the joints' numbers x, of which
-armature and friction are positive (by their logarithms). Every theta is physically consistent, so
-no constraint is needed. d is the log-determinant divergence (`log_cholesky`), about half the square
-of the relative deviation, and w the standard deviation of the latter. With w = 1 (100 %) the prior
-determines the directions that the data do not identify, and changes the others by a small part of
-their standard error. Rucker & Wensing, IEEE RA-L 7(2), 2022; Lee, Wensing & Park, IEEE T-RO 36(3),
-2020.
+pi contains the inertial parameters phi(theta) of all bodies and the joint parameters x. Armature
+and friction are positive, since x contains their logarithms. Every theta is physically consistent,
+so the problem has no constraints. The CAD model is the prior. d is the log-determinant divergence
+(`log_cholesky`), about half the square of the relative deviation, and w is the standard deviation
+of the relative deviation. With w = 1 (100 %) the prior determines the unidentifiable directions,
+and changes the others by a small part of their standard error. Rucker & Wensing, IEEE RA-L 7(2),
+2022; Lee, Wensing & Park, IEEE T-RO 36(3), 2020.
 
-The data enter by the triangular factor of [W, tau], so a step costs the same for any number of
-samples.
+The data enter as the triangular factor of [W, tau], so the cost of a step does not depend on the
+number of samples.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ from rbjax.sysid.torque.regressors import joint_coordinates, parameter_names, pa
 
 Array = np.ndarray
 POSITIVE = ("armature", "viscous", "coulomb", "gear_loss")
-#: The least estimate of the noise, relative to the torque, in case that it is only rounding.
+#: Lower limit of the estimated noise relative to the torque, for residuals at rounding level.
 LEAST_NOISE = 1e-7
 
 _prior = jax.jit(prior_residual)
@@ -63,16 +62,17 @@ class Consistent(HasStatus):
     """The result of `consistent`.
 
     Fields:
-        model: with the estimates, except Coulomb friction, bias and gear losses.
-        names, values: (p,) of the parameters.
-        covariance: (p, p), of data and prior.
-        noise: (N, k) standard deviations that were used.
-        residual: (N, k), tau - W pi.
-        divergence: (nb,) of each body from its prior.
-        combinations: the base parameters.
-        linear: the weighted least squares from which the search starts.
-        steps: evaluations.
-        status: a `FitStatus`; `success` is whether the search converged.
+        model: model with the estimates, except Coulomb friction, bias and gear losses.
+        names: (p,) names of the parameters.
+        values: (p,) estimates.
+        covariance: (p, p) covariance from data and prior.
+        noise: (N, k) standard deviations of the torques in the fit.
+        residual: (N, k) tau - W pi.
+        divergence: (nb,) divergence of each body from its prior.
+        combinations: base parameters.
+        linear: weighted least squares from which the search starts.
+        steps: number of evaluations.
+        status: a `FitStatus`.
     """
 
     model: Model
@@ -89,17 +89,17 @@ class Consistent(HasStatus):
 
     @property
     def errors(self) -> Array:
-        """Standard deviations (p,)."""
+        """The standard deviations (p,) of the parameters."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def beta(self) -> Array:
-        """Base parameters (r,)."""
+        """The base parameters (r,)."""
         return self.combinations.combine(self.values)
 
     @property
     def base_covariance(self) -> Array:
-        """The covariance (r, r) of beta."""
+        """The covariance (r, r) of the base parameters."""
         B = self.combinations.matrix
         return B @ self.covariance @ B.T
 
@@ -126,26 +126,27 @@ def consistent(
 ) -> Consistent:
     """Fit physically consistent inertias, and positive armature and friction, to torques.
 
-    Use it in place of `regress` to simulate with the estimates.
+    Use it instead of `regress` for a model that can be simulated with the estimates.
 
     Args:
-        model: the robot; its inertias, and its armature and damping if they are above 0, are the
-            prior and the start.
+        model: robot. Its inertias, and its positive armature and damping, are the prior and the
+            start.
         W: (N, k, p) observation matrix with these joint terms.
         tau: (N, k) torques.
-        joint_terms: of W's columns.
-        noise: standard deviation of tau: a number, (k,) or (N, k); None for that of the residuals
-            of weighted least squares. After a robust regression noise / sqrt(weights) keeps its
-            weights.
-        spread: relative standard deviation of the prior, a number or (nb,), one for each body.
-        base, lengths: as for `regress`.
-        max_steps: evaluations.
+        joint_terms: joint terms of W's columns.
+        noise: standard deviation of tau, one number, (k,) or (N, k). None: estimate it from the
+            residuals of weighted least squares. noise / sqrt(weights) keeps the weights of a robust
+            regression.
+        spread: relative standard deviation of the prior, one number or (nb,).
+        base: the combinations to fit. None: the combinations that W identifies.
+        lengths: number of samples of each recording, as for `regress`.
+        max_steps: largest number of evaluations.
 
     Returns:
         `Consistent`.
 
     Raises:
-        InputError: as `regress`; a body of the model whose inertia is not consistent, by name.
+        InputError: invalid arrays (`regress`), or a body of the model with an inconsistent inertia.
 
     Source: Rucker & Wensing 2022; Lee, Wensing & Park 2020.
 
@@ -179,9 +180,9 @@ def consistent(
     whole = np.concatenate([eq.W, eq.tau[..., None]], 2) / sd[..., None]
     R = scipy.linalg.qr(whole.reshape(-1, len(names) + 1), mode="r")[0][: len(names) + 1]
     problem = _Problem(model, joint_terms, R[:, :-1], R[:, -1], spread, linear)
-    # not `minimise`, whose normal equations square the condition: with a noise of 1e-6 the rows of
-    # the prior, of size 1, would be lost in the rounding of those of the data
-    with np.errstate(over="ignore", invalid="ignore"):  # of trial steps, which are rejected
+    # `minimise` uses normal equations, which square the condition number. With a noise of 1e-6 the
+    # rows of the prior (size 1) are below the rounding errors of the data rows.
+    with np.errstate(over="ignore", invalid="ignore"):  # in rejected trial steps
         found = scipy.optimize.least_squares(
             problem.residual, problem.start, problem.jacobian, x_scale="jac",
             ftol=1e-14, xtol=1e-14, gtol=1e-14, max_nfev=max_steps,
@@ -189,7 +190,7 @@ def consistent(
     values, slopes = problem.parameters(found.x), problem.slopes(found.x)
     bread = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
     prior = found.jac[len(problem.R) :]
-    # the data's part of the middle of the sandwich; linear.covariance follows the residuals
+    # data part of the middle of the sandwich, with linear.covariance, which fits the residuals
     data = eq.combinations.matrix @ slopes
     X = (eq.X / sd[..., None]).reshape(-1, eq.combinations.rank)
     data = X.T @ X @ data
@@ -204,7 +205,7 @@ def consistent(
 
 
 class _Problem:
-    """Residuals and Jacobian of x = (theta of the bodies, parameters of joints)."""
+    """Residuals and Jacobian as functions of x = (theta of the bodies, joint parameters)."""
 
     def __init__(
         self, model: Model, joint_terms: Sequence[str], R: Array, y: Array, spread: Array,
@@ -217,8 +218,7 @@ class _Problem:
         self.positive = np.repeat([term in POSITIVE for term in joint_terms], each).astype(bool)
         values = np.asarray(parameter_values(model, joint_terms))
         known = values[10 * model.nb :]
-        # a joint parameter that is 0 in the model has no prior, and starts from linear least
-        # squares
+        # a joint parameter that is 0 in the model has no prior, and starts at the linear estimate
         self.known = self.positive & (known > 0)
         guess = linear.parameters(values)[10 * model.nb :]
         size = np.linalg.norm(R[:, 10 * model.nb :], axis=0)
@@ -229,24 +229,24 @@ class _Problem:
         self.start = np.concatenate([self.prior.ravel(), logs])
 
     def bodies(self, x: Array) -> Array:
-        """The part theta (nb, 10) of x."""
+        """Select theta (nb, 10) of the bodies from x."""
         return x[: 10 * self.nb].reshape(-1, 10)
 
     def parameters(self, x: Array) -> Array:
-        """Compute pi (p,)."""
+        """Compute the parameters pi (p,) at x."""
         phi, z = np.asarray(log_cholesky_parameters(self.bodies(x))), x[10 * self.nb :]
         return np.concatenate([phi.ravel(), np.where(self.positive, np.exp(z), z)])
 
     def slopes(self, x: Array) -> Array:
-        """Compute d pi / d x (p, p)."""
+        """Compute the derivatives d pi / d x (p, p)."""
         z = x[10 * self.nb :]
         joints = np.diag(np.where(self.positive, np.exp(z), 1.0))
         return scipy.linalg.block_diag(*np.asarray(parameter_jacobian(self.bodies(x))), joints)
 
     def residual(self, x: Array) -> Array:
-        """Compute the residuals of data, prior of bodies, prior of joints."""
+        """Compute the residuals of the data and of the priors of bodies and joints."""
         bodies = np.asarray(_prior(self.bodies(x), self.prior)) * self.weight[:, None]
-        off = (x - self.start)[10 * self.nb :][self.known] / 2  # logarithm of a ratio, halved
+        off = (x - self.start)[10 * self.nb :][self.known] / 2  # half the logarithm of a ratio
         joints = np.asarray(_scalar(off)) * self.weight.min()
         return np.concatenate([self.R @ self.parameters(x) - self.y, bodies.ravel(), joints])
 
@@ -263,7 +263,7 @@ class _Problem:
 
 
 def _write_parameters(model: Model, values: Array, joint_terms: Sequence[str]) -> Model:
-    """Write the parameters that are leaves of a model."""
+    """Write inertial parameters, armature and viscous friction into a model."""
     model = with_inertial_parameters(model, jnp.asarray(values[: 10 * model.nb]))
     at, joints = joint_coordinates(model), model.joints
     for k, term in enumerate(joint_terms):

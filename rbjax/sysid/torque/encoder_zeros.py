@@ -1,14 +1,14 @@
-"""The zeros of incremental encoders in each recording, estimated with the parameters.
+"""Estimation of encoder zeros in each recording, together with the parameters.
 
     min over pi, z_1, ..., z_R  of  sum over recordings  |tau - W(z_r) pi|^2 / s^2 + |z_r|^2 / w^2
 
-Incremental encoders have another zero in each recording. Dry friction holds an arm anywhere within
-F / (m g r) of the vertical, a few hundredths of a radian, and the error of the gravity torque
-biases friction and inertias. w is the standard deviation of the zeros, a prior that is needed,
-since a common zero of all recordings is equivalent to a shifted centre of mass or a tilted base.
-Each step is a linear regression on pi and the changes of all z (Gauss-Newton), so the intervals of
-pi account for the estimated zeros. A zero of 0.1 rad has an error of second order, 5 mrad;
-`torque_rows` at the estimated zeros reduces it.
+Incremental encoders have a different zero in each recording. Dry friction holds an arm anywhere
+within F / (m g r) of the vertical, a few hundredths of a radian. The resulting error of the gravity
+torque biases friction and inertias. w is the standard deviation of the zeros. This prior is
+necessary, since a common zero of all recordings is equivalent to a shifted center of mass or a
+tilted base. Each step is a linear regression on pi and the changes of all z (Gauss-Newton), so the
+intervals of pi include the uncertainty of the zeros. A zero of 0.1 rad has a second-order error of
+5 mrad; a new call of `torque_rows` at the estimated zeros reduces it.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from rbjax.sysid.torque.regression import regress
 from rbjax.sysid.torque.rows import TorqueRows
 
 Array = np.ndarray
-DONE = 1e-9  # change of the zeros in rad or m that ends the steps
-LEAST = 3  # steps; in the first one the parameters may be 0, so that zeros have no effect
+DONE = 1e-9  # a smaller change of the zeros in rad or m ends the iteration
+LEAST = 3  # least number of steps; in the first step zero parameters hide the encoder zeros
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +37,13 @@ class WithZeros(HasStatus):
     """The result of `regress_with_zeros`.
 
     Fields:
-        regression: of the parameters and of the last changes of the zeros.
-        parameters: (p,), those of the prior in unidentifiable directions.
-        zeros: name of the recording -> (nv,) rad or m.
+        regression: regression on the parameters and the last changes of the zeros.
+        parameters: (p,) estimates, equal to the prior in unidentifiable directions.
+        zeros: name of the recording -> (nv,) zeros in rad or m.
         noise: (nv,) standard deviation of the torques.
-        squares: the weighted sum of squares of the data.
-        steps: linear regressions.
-        status: a `FitStatus`; `success` is whether the steps converged.
+        squares: weighted sum of squares of the data.
+        steps: number of linear regressions.
+        status: a `FitStatus`.
     """
 
     regression: Regression
@@ -63,20 +63,22 @@ def regress_with_zeros(
     noise: Any = None,
     max_steps: int = 30,
 ) -> WithZeros:
-    """Fit base parameters and the zeros of the encoders in each recording to torques.
+    """Fit base parameters, and the encoder zeros of each recording, to torques.
 
     Args:
-        rows: the equations of each recording.
-        prior: (p,) parameters in unidentifiable directions; 0 if None.
-        spread: w in rad or m, the standard deviation of zeros.
-        noise: standard deviation of the torques, a number or (nv,); that of the residuals if None.
-        max_steps: linear regressions.
+        rows: equations of each recording.
+        prior: (p,) parameters in unidentifiable directions. None: 0.
+        spread: w, the standard deviation of the zeros in rad or m.
+        noise: standard deviation of the torques, one number or (nv,). None: estimate it from the
+            residuals.
+        max_steps: largest number of linear regressions.
 
     Returns:
         `WithZeros`.
 
     Raises:
-        InputError: recordings with other columns, or the same name; a spread that is not positive.
+        InputError: recordings with different columns or equal names, or a spread that is not
+            positive.
 
     Source: Seber & Wild, *Nonlinear Regression*, 2.1 (Gauss-Newton).
 
@@ -130,8 +132,10 @@ def regress_with_zeros(
 
 
 def _augmented(rows: Sequence[TorqueRows], zeros: Array, parameters: Array) -> tuple[Array, Array]:
-    """The columns of the parameters and of the changes of all zeros, with a row of the prior for
-    each recording; and the right side of the rows of the prior."""
+    """Assemble the equations for the parameters and the changes of all zeros.
+
+    Return the matrix, with rows of the prior for each recording, and the right side of these rows.
+    """
     blocks, (runs, k) = [], zeros.shape
     for i, (r, z) in enumerate(zip(rows, zeros, strict=True)):
         moved = np.zeros((*r.tau.shape, runs, k))
@@ -143,18 +147,18 @@ def _augmented(rows: Sequence[TorqueRows], zeros: Array, parameters: Array) -> t
 
 
 def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: float = 0.05) -> Array:
-    """Estimate the zeros (nv,) of a recording that was not fitted, with given parameters.
+    """Estimate the encoder zeros (nv,) of a recording that was not fitted, for given parameters.
 
-    z = argmin |(tau - W(z) pi) / s|^2 + |z|^2 / w^2, linear least squares
+    z = argmin |(tau - W(z) pi) / s|^2 + |z|^2 / w^2, by linear least squares.
 
     Args:
-        rows: the equations of the recording, or of its first seconds.
-        parameters: (p,).
-        noise: s, standard deviation of the torques, a number or (nv,).
-        spread: w in rad or m.
+        rows: equations of the recording, or of its first seconds.
+        parameters: (p,) parameters pi.
+        noise: s, the standard deviation of the torques, one number or (nv,).
+        spread: w, the standard deviation of the zeros in rad or m.
 
     Returns:
-        (nv,) rad or m.
+        (nv,) zeros in rad or m.
 
     Example:
         >>> import numpy as np, rbjax as rb
@@ -197,7 +201,7 @@ def _numbers(where: str, name: str, x: Any, *shapes: tuple[int, ...]) -> Array:
 def _checked(where: str, rows: Sequence[TorqueRows]) -> list[TorqueRows]:
     given: Any = rows
     several = isinstance(given, (list, tuple))
-    rows = list(given) if several else [given]  # a wrong one is named below
+    rows = list(given) if several else [given]  # the check below reports a wrong type
     if not rows or not all(isinstance(r, TorqueRows) for r in rows):
         raise InputError(
             f"{where}: rows is {[type(r).__name__ for r in rows]}, expected the `TorqueRows` of at "

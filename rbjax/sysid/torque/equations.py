@@ -1,9 +1,8 @@
-"""The linear equations of a regression, W pi = tau + noise, their weighted least squares and the
-statistics of their residuals.
+"""Linear equations W pi = tau + noise, their weighted least squares, and residual statistics.
 
-X, the columns of the base parameters, is factored once, X = Q R. For weights 1 / s it remains to
-solve A z = Q^T S^-2 tau with A = Q^T S^-2 Q and R beta = z, whose condition is that of the weights.
-So a change of the weights costs one matrix product.
+X, the columns of the base parameters, is factored once, X = Q R. For weights 1 / s the solution is
+A z = Q^T S^-2 tau with A = Q^T S^-2 Q, and R beta = z. The condition of A is that of the weights. A
+change of the weights costs one matrix product.
 """
 
 from __future__ import annotations
@@ -26,15 +25,20 @@ from rbjax.sysid.statistics.rank import Combinations, combinations
 from rbjax.sysid.status import FitStatus, HasStatus
 
 Array = np.ndarray
-#: Noise below this times a torque's size is rounding.
+#: Noise below this multiple of the torque is rounding.
 ROUNDING = 1e-13
-#: If residuals are below this times the given noise, they are no estimate of the noise.
+#: Residuals below this multiple of the given noise are not used to estimate the noise.
 SMALL = 1e-6
 
 
 class Fitted(NamedTuple):
-    """beta (r,), (X^T S^-1 X)^-1 (r, r), and the leverage of each channel (k,): its share of the
-    parameters."""
+    """A weighted least-squares solution.
+
+    Fields:
+        beta: (r,) base parameters.
+        covariance: (X^T S^-1 X)^-1 (r, r).
+        leverage: (k,) number of parameters that each channel determines.
+    """
 
     beta: Array
     covariance: Array
@@ -43,15 +47,14 @@ class Fitted(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Samples of W pi = tau.
+    """Samples of the linear equations W pi = tau.
 
     Fields:
-        W: (N, k, p).
-        tau: (N, k).
-        combinations: of the p parameters.
-        noise: (N, k) standard deviation of each torque, inf for one without weight; None if it is
-            estimated.
-        lengths: samples of each recording, one after the other; N in all.
+        W: (N, k, p) observation matrix.
+        tau: (N, k) torques.
+        combinations: identifiable combinations of the p parameters.
+        noise: (N, k) standard deviation of each torque, inf for zero weight; None if unknown.
+        lengths: number of samples of each successive recording, N in all.
     """
 
     W: Array
@@ -62,7 +65,7 @@ class Equations:
 
     @property
     def counted(self) -> Array:
-        """Whether each torque (N, k) has a weight: its noise is not inf."""
+        """The mask (N, k) of torques with a nonzero weight, which have finite noise."""
         return np.isfinite(np.zeros(self.tau.shape) if self.noise is None else self.noise)
 
     @cached_property
@@ -72,7 +75,7 @@ class Equations:
 
     @cached_property
     def factors(self) -> tuple[Array, Array]:
-        """Q and R of X."""
+        """The QR factors Q and R of X."""
         X = self.X.reshape(self.tau.size, -1)
         size = np.linalg.norm(X, axis=0)
         if not size.all():
@@ -84,8 +87,11 @@ class Equations:
         return Q, R * size
 
     def fit(self, noise: Any) -> Fitted:
-        """Solve the least squares of rows divided by their noise: by normal equations in the
-        coordinates R beta, or by QR if the weights differ by too many decades."""
+        """Solve the least-squares problem of rows divided by their noise.
+
+        Normal equations in the coordinates R beta are used, or QR if the weights differ by too many
+        decades.
+        """
         Q, R = self.factors
         sd = np.broadcast_to(noise, self.tau.shape).reshape(-1, 1)
         Qs, y = Q / sd, self.tau.reshape(-1, 1) / sd
@@ -109,9 +115,9 @@ def equations(
     W: Any, tau: Any, names: Sequence[str], *, noise: Any = None, base: Combinations | None = None,
     lengths: Sequence[int] | None = None,
 ) -> Equations:  # fmt: skip
-    """Check the equations W pi = tau, the argument of the estimators of `METHODS`.
+    """Check the equations W pi = tau, the input of the estimators of `METHODS`.
 
-    Args, Raises: as for `regress`.
+    The arguments and errors are those of `regress`.
 
     Example:
         >>> import numpy as np
@@ -171,7 +177,7 @@ def equations(
 
 
 def _checked_noise(noise: Array, tau: Array, rank: int) -> Array:
-    """Check the noise, and return that of each torque (N, k)."""
+    """Check the noise, and return the noise of each torque (N, k)."""
     shapes = f"(), {tau.shape[1:]} or {tau.shape}"
     if noise.shape not in ((), tau.shape[1:], tau.shape):
         raise InputError(f"regress: noise has shape {noise.shape}, expected {shapes}")
@@ -198,17 +204,17 @@ class Regression(HasStatus):
     """The result of a regression.
 
     Fields:
-        combinations: the r base parameters.
-        beta: (r,), their values.
+        combinations: the r base parameters as combinations of the parameters.
+        beta: (r,) estimates.
         covariance: (r, r), for independent noise if the residuals are white, otherwise for noise
             with the correlation of the residuals.
         noise: (k,) standard deviation of each channel.
-        residual: (N, k), tau - W pi.
-        weights: (N, k), below 1 if a robust method reduces the weight of a sample.
-        dof: degrees of freedom of Student's t; infinite if the noise was given and the residuals
-            agree with it.
-        steps: the number of iterations.
-        status: a `FitStatus`; `success` is whether the iterations converged.
+        residual: (N, k) tau - W pi.
+        weights: (N, k) robust weights, below 1 for outliers.
+        dof: degrees of freedom of Student's t; inf if the noise is given and the residuals agree
+            with it.
+        steps: number of iterations.
+        status: a `FitStatus`.
         white: whether the residuals of each channel are independent in time.
     """
 
@@ -225,7 +231,7 @@ class Regression(HasStatus):
 
     @property
     def errors(self) -> Array:
-        """Standard deviations (r,) of beta."""
+        """The standard deviations (r,) of beta."""
         return np.sqrt(np.diag(self.covariance))
 
     def intervals(self, level: float = 0.95) -> Array:
@@ -236,8 +242,11 @@ class Regression(HasStatus):
         return np.stack([self.beta - half, self.beta + half], 1)
 
     def parameters(self, prior: Any) -> Array:
-        """Compute all parameters (p,): dropped ones are those of `prior`, the others follow from
-        beta. The inertias may be physically inconsistent; `consistent` avoids that."""
+        """Compute all parameters (p,) from beta and a prior.
+
+        Dropped parameters are equal to `prior`, and the kept ones follow from beta. The inertias
+        may be physically inconsistent; `consistent` avoids this.
+        """
         c = self.combinations
         out = np.array(prior, float)
         if out.shape != (len(c.names),):
@@ -246,7 +255,7 @@ class Regression(HasStatus):
         return out
 
     def summary(self, level: float = 0.95) -> str:
-        """The base parameters with their intervals, one a line."""
+        """Return the base parameters with their intervals as text, one a line."""
         rows = zip(self.combinations.terms(), self.beta, self.intervals(level), strict=True)
         return "\n".join(f"{term} = {x:.5g} ({low:.5g} to {up:.5g})" for term, x, (low, up) in rows)
 
@@ -255,8 +264,10 @@ def with_statistics(
     eq: Equations, found: Regression, sd: Array, psi: Array | None = None,
     slope: Array | None = None,
 ) -> Regression:  # fmt: skip
-    """Set the covariance of a regression by `fit_statistics`. Given noise is used unless the
-    residuals contradict it with at least `FEW` degrees of freedom."""
+    """Set the covariance of a regression from its residuals by `fit_statistics`.
+
+    Given noise is used unless the residuals contradict it with at least `FEW` degrees of freedom.
+    """
     psi = found.residual / sd if psi is None else psi
     slope = np.ones_like(psi) if slope is None else slope
     free = int(eq.counted.sum()) - found.beta.size
@@ -273,8 +284,7 @@ def with_statistics(
 
 
 def _agrees(eq: Equations, residual: Array) -> bool:
-    """Whether the residuals agree with the given noise, by a chi-square test with 1 % on each
-    side."""
+    """Test whether the residuals agree with the given noise (chi-square, 1 % on each side)."""
     assert eq.noise is not None
     free = int(eq.counted.sum()) - eq.combinations.rank
     squares = float(((residual / eq.noise) ** 2).sum())
@@ -283,7 +293,7 @@ def _agrees(eq: Equations, residual: Array) -> bool:
 
 
 def negligible(eq: Equations, residual: Array) -> bool:
-    """Whether the residuals are rounding, or negligible compared with the given noise."""
+    """Check whether the residuals are rounding, or negligible compared with the given noise."""
     size = np.abs(residual[eq.counted]).max()
     if eq.noise is not None and size < SMALL * eq.noise.min():
         return True
@@ -291,7 +301,7 @@ def negligible(eq: Equations, residual: Array) -> bool:
 
 
 def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStatistics:
-    """Compute the statistics of the residuals psi (N, k), in standard deviations."""
+    """Compute the statistics of residuals psi (N, k) in units of their standard deviation."""
     X = eq.X / sd[..., None]
     ends = np.cumsum([0, *eq.lengths])
     columns = [
@@ -310,6 +320,6 @@ def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStat
 
 
 def _rows(counted: Array, X: Array, psi: Array, slope: Array) -> Rows:
-    """The rows of a channel in a recording, of the samples with a weight."""
+    """Select the rows of a channel in a recording that have a nonzero weight."""
     which = np.arange(X.shape[-1])
     return Rows(X[counted], psi[counted], slope[counted], np.flatnonzero(counted), which)

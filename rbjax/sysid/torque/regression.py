@@ -1,16 +1,16 @@
 """Linear regression of torques on base parameters: tau = W pi + e.
 
-With X the kept columns of W, beta the base parameters, and S the covariance of the noise:
+X are the kept columns of W, beta the base parameters, and S the covariance of the noise:
 
     ordinary      beta = (X^T X)^-1 X^T tau
     weighted      beta = (X^T S^-1 X)^-1 X^T S^-1 tau,   covariance (X^T S^-1 X)^-1
     robust        iteratively weighted, with weights psi(u) / u of the residuals u = e / s
     instrumental  beta = (Z^T X)^-1 Z^T tau
 
-Noise in q, v and a makes X noisy, and the first three biased, mostly towards zero. Instruments Z
-are columns without that noise, such as those of the simulated motion. Gautier 1997 (weights); Huber
-& Ronchetti, *Robust Statistics*, 2009, ch. 7; Janot, Vandanjon & Gautier, IEEE Trans. Control
-Systems Technology 22(1), 2014 (instruments).
+Noise in q, v and a makes X noisy, and biases the first three estimators, mostly towards zero.
+Instruments Z are columns without that noise, such as the columns of a simulated motion. Gautier
+1997 (weights); Huber & Ronchetti, *Robust Statistics*, 2009, ch. 7; Janot, Vandanjon & Gautier,
+IEEE Trans. Control Systems Technology 22(1), 2014 (instruments).
 
 An estimator of `METHODS` is a function of `Equations` that returns a `Regression`.
 """
@@ -57,29 +57,28 @@ def regress(
 ) -> Regression:
     """Fit base parameters to measured torques by linear regression.
 
-    Use it if positions, velocities, accelerations and torques are measured; `torque_rows` filters
-    them. `consistent` fits inertias that are physically consistent.
+    Use it if positions, velocities, accelerations and torques are measured. `torque_rows` filters
+    them. `consistent` fits physically consistent inertias.
 
     Args:
-        W: (N, k, p) observation matrix of k channels, or (N, p) of one.
-        tau: (N, k) measured torques, N m or N; or (N,).
-        names: (p,) of the columns.
+        W: (N, k, p) observation matrix of k channels, or (N, p) of one channel.
+        tau: (N, k) or (N,) measured torques in N m or N.
+        names: (p,) names of the columns.
         method: "ordinary", "weighted", "robust" or "instrumental": the keys of `METHODS`.
-        noise: standard deviation of tau if it is known: a number, (k,) or (N, k); inf for a torque
-            without weight.
-        base: the combinations to fit; None for those that W identifies.
+        noise: standard deviation of tau if known, one number, (k,) or (N, k). inf: zero weight.
+        base: the combinations to fit. None: the combinations that W identifies.
         lengths: number of samples of each recording in W, N in all. Noise is not correlated between
-            recordings. None: one recording. Samples are in the order of time.
-        options: of the method. robust: loss ("huber", "bisquare"), max_steps. instrumental:
+            recordings. Samples are in the order of time. None: one recording.
+        options: options of the method. robust: loss ("huber", "bisquare"), max_steps. instrumental:
             instruments (N, k, p), or a function of the last `Regression` that returns them; start;
             max_steps.
 
     Returns:
-        `Regression`. `success` is false if the iterations did not converge.
+        `Regression`. `success` is False if the iteration did not converge.
 
     Raises:
-        UnknownName: no such method. InputError: shapes that do not match, values that are not
-            finite, too few samples.
+        UnknownName: an unknown method or option.
+        InputError: inconsistent shapes, values that are not finite, or too few samples.
 
     Source: Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
 
@@ -106,7 +105,7 @@ def regress(
 
 
 def ordinary(eq: Equations) -> Regression:
-    """Ordinary least squares. Noise that is not given is estimated as equal in all channels."""
+    """Fit by ordinary least squares, with equal noise in all channels if it is not given."""
     fitted, (N, k) = eq.fit(1.0), eq.tau.shape
     beta, covariance = fitted.beta, fitted.covariance
     residual = eq.tau - eq.X @ beta
@@ -130,7 +129,7 @@ def ordinary(eq: Equations) -> Regression:
 
 
 def weighted(eq: Equations) -> Regression:
-    """Least squares weighted by the noise, which is given or that of each channel's residuals."""
+    """Fit by least squares weighted by the noise, which is given or estimated for each channel."""
     sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
     return with_statistics(eq, _weighted(eq, sd), np.broadcast_to(sd, eq.tau.shape))
 
@@ -144,11 +143,12 @@ def _noise_of_channels(eq: Equations) -> Array:
 
 
 def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regression:
-    """Iteratively reweighted least squares, which reduces the weight of outliers to psi(u) / u.
+    """Fit by iteratively reweighted least squares, with small weights psi(u) / u for outliers.
 
-    "huber" bounds the influence of a sample; "bisquare" starts from that fit and ignores samples
-    farther than 4.7 standard deviations. The scale of a channel is the median of |u| / 0.6745. The
-    covariance is that of weighted least squares times mean psi^2 / (mean psi')^2 (Huber).
+    "huber" bounds the influence of a sample. "bisquare" starts from the "huber" fit and ignores
+    samples farther than 4.7 standard deviations. The scale of a channel is the median of |u| /
+    0.6745. The covariance is that of weighted least squares times mean psi^2 / (mean psi')^2
+    (Huber).
     """
     choice("loss", loss, LOSSES)
     integer("robust", "max_steps", max_steps, least=1)
@@ -162,7 +162,7 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
             w, _, _ = LOSSES[stage](found.residual / scale)
             beta = eq.fit(scale / np.sqrt(np.maximum(w, 1e-12))).beta
             residual = eq.tau - eq.X @ beta
-            moved = np.abs(eq.X @ (beta - found.beta)) / scale  # in standard deviations of tau
+            moved = np.abs(eq.X @ (beta - found.beta)) / scale  # in sigmas of tau
             done = bool(moved.max() < 1e-8)
             found = Regression(
                 eq.combinations, beta, found.covariance, found.noise, residual, w, found.dof
@@ -192,12 +192,12 @@ def instrumental(
     max_steps: int = 20,
     tolerance: float = 1e-3,
 ) -> Regression:
-    """Instrumental variables Z without the noise in X, which give estimates without its bias.
+    """Fit with instrumental variables Z, which removes the bias from noise in X.
 
     `instruments` is an array (N, k, p) like W, or a function of the last `Regression` that returns
-    it, such as the observation matrix of a motion simulated with its parameters. Then the estimate
-    is repeated from `start` (None: weighted least squares) until no base parameter changes by more
-    than `tolerance` standard deviations.
+    such an array, for example the observation matrix of a motion simulated with its parameters. For
+    a function, the estimate is repeated from `start` (None: weighted least squares) until no base
+    parameter changes by more than `tolerance` standard deviations.
     """
     integer("instrumental", "max_steps", max_steps, least=1)
     found, (N, k) = weighted(eq) if start is None else start, eq.tau.shape
@@ -268,8 +268,8 @@ def _weight(psi: Array, u: Array) -> Array:
     return np.where(u == 0, 1.0, psi / np.where(u == 0, 1.0, u))
 
 
-#: loss -> weight psi(u) / u, psi and psi' of residuals u in standard deviations, with 95 % of the
-#: efficiency of least squares for normal noise
+#: loss -> function of residuals u (in standard deviations) that returns psi(u) / u, psi and psi'.
+#: The efficiency is 95 % of that of least squares for normal noise.
 LOSSES: dict[str, Callable[[Array], tuple[Array, Array, Array]]] = {
     "huber": _huber,
     "bisquare": _bisquare,
@@ -287,7 +287,7 @@ METHODS: dict[str, Callable[..., Regression]] = {
 def _weighted(eq: Equations, noise: Array) -> Regression:
     fitted = eq.fit(noise)
     residual = eq.tau - eq.X @ fitted.beta
-    # degrees of freedom of each channel: its samples less its leverage
+    # degrees of freedom of each channel: number of samples minus leverage
     count = eq.counted.sum(0)
     free = np.maximum(count - fitted.leverage, 1e-3 * np.maximum(count, 1))
     found = np.sqrt((np.where(eq.counted, residual, 0.0) ** 2).sum(0) / free)
@@ -297,19 +297,19 @@ def _weighted(eq: Equations, noise: Array) -> Regression:
 
 
 def _stacked(eq: Equations, noise: Any) -> tuple[Array, Array]:
-    """X (N k, r) and tau (N k,), divided by the noise."""
+    """Stack X (N k, r) and tau (N k,), divided by the noise."""
     sd = np.broadcast_to(noise, eq.tau.shape)
     return (eq.X / sd[..., None]).reshape(eq.tau.size, -1), (eq.tau / sd).ravel()
 
 
 def _floor(eq: Equations, noise: Array) -> Array:
-    """The noise of channels, at least that of rounding."""
+    """Raise the noise of channels to at least the rounding level."""
     size = np.sqrt((eq.tau**2).mean(0))
     return np.maximum(noise, ROUNDING * max(size.max(), np.finfo(float).tiny / ROUNDING))
 
 
 def _scale(eq: Equations, residual: Array) -> Array:
-    """The scale of each sample's noise: as given, or a robust estimate for its channel."""
+    """Return the noise scale of each sample, either given or a robust estimate for its channel."""
     if eq.noise is not None:
         return eq.noise
     each = np.median(np.abs(residual), axis=0) / 0.6745

@@ -2,21 +2,21 @@
 
     tau = Y(q, v, a) pi
 
-with ten inertial columns for each body (`rbjax.inertial_regressor`) and one column for each term of
-each joint coordinate i:
+Y has ten inertial columns for each body (`rbjax.inertial_regressor`) and one column for each term
+of each joint coordinate i:
 
     armature J_i a_i,  viscous d_i v_i,  coulomb F_i tanh(v_i / v_0),  bias b_i
     gear_loss mu_i |tau_i| tanh(v_i / v_0)
 
-tau (nv,) is the torque of the motors, with friction. A gear loses a share mu of the torque that it
-transmits (`forces.GearLoss`), so that column contains the measured torque. The regressors of all
-samples form the observation matrix. Khalil & Dombre, *Modeling, Identification and Control of
-Robots*, ch. 12; Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
+tau (nv,) is the torque of the motors, including friction. A gear loses a share mu of the torque
+that it transmits (`forces.GearLoss`), so the gear_loss column contains the measured torque. The
+regressors of all samples form the observation matrix. Khalil & Dombre, *Modeling, Identification
+and Control of Robots*, ch. 12; Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
 
 The rank of the observation matrix of random motions is structural. Its independent combinations are
 the base parameters (Gautier & Khalil, IEEE Trans. Robotics and Automation 6(3), 1990). With a free
-base, the six equations of the base determine them all (Ayusawa, Venture & Nakamura, IJRR 33(3),
-2014).
+base, the six equations of the base determine all base parameters (Ayusawa, Venture & Nakamura, IJRR
+33(3), 2014).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _sign(v: jax.Array, v_0: float) -> jax.Array:
     return jnp.tanh(v / v_0) if v_0 else jnp.sign(v)
 
 
-#: name of a term -> its column's entry from v, a, tau and the smoothing v_0 of one coordinate
+#: name of a joint term -> function of v, a, tau and smoothing v_0 that returns the column's entry
 JOINT_TERMS: dict[str, Callable[..., jax.Array]] = {
     "armature": lambda v, a, tau, v_0: a,
     "viscous": lambda v, a, tau, v_0: v,
@@ -66,23 +66,23 @@ def regressor(
     """Compute the regressor Y(q, v, a) (nv, p) with tau = Y pi.
 
     Args:
-        model: the robot, of which only kinematics and gravity are used.
+        model: robot. Only its kinematics and gravity are used.
         q: (nq,) configuration.
         v: (nv,) velocity.
         a: (nv,) acceleration.
-        joint_terms: of "armature", "viscous", "coulomb", "bias", "gear_loss": columns of every
-            joint coordinate except those of free joints.
+        joint_terms: names from "armature", "viscous", "coulomb", "bias", "gear_loss". Each term
+            adds one column for every joint coordinate, except for free joints.
         smoothing: v_0 in rad/s or m/s, the width of the step of dry friction at rest. 0 is sign(v),
-            as in a real drive: if the step is wider than the drive's, the estimate of its viscous
-            friction is too small. For simulated data take the smoothing of the simulated friction.
-        tau: (nv,) measured torques, which "gear_loss" needs.
+            as in a real drive. A step that is wider than the drive's biases the viscous friction
+            towards small values. For simulated data use the smoothing of the simulated friction.
+        tau: (nv,) measured torques, required by "gear_loss".
 
     Returns:
-        (nv, 10 nb + columns of joints), the columns in the order of `parameter_names`.
+        (nv, 10 nb + joint columns), with columns in the order of `parameter_names`.
 
     Raises:
-        UnknownName: a joint term that does not exist. InputError: wrong arrays; a negative
-            smoothing; "gear_loss" without tau.
+        UnknownName: an unknown joint term.
+        InputError: wrong arrays, a negative smoothing, or "gear_loss" without tau.
 
     Source: Khalil & Dombre, ch. 12.
 
@@ -124,20 +124,21 @@ def observation_matrix(
     """Compute the observation matrix W (n, rows, p): the regressor at n samples of a motion.
 
     Args:
-        model: the robot.
+        model: robot.
         q: (n, nq) configurations.
         v: (n, nv) velocities.
         a: (n, nv) accelerations.
-        rows: the measured torques, as joint names or indices of v; None for all.
-        joint_terms: as for `regressor`.
-        smoothing: as for `regressor`.
-        tau: (n, nv) measured torques, which "gear_loss" needs.
+        rows: measured torques, as joint names or indices of v. None: all.
+        joint_terms: names of joint terms, as for `regressor`.
+        smoothing: width of the friction step in rad/s or m/s, as for `regressor`.
+        tau: (n, nv) measured torques, required by "gear_loss".
 
     Returns:
-        (n, rows, p).
+        (n, rows, p) observation matrix.
 
     Raises:
-        UnknownName, InputError: as `regressor`; a row that does not exist.
+        UnknownName: an unknown joint term or joint.
+        InputError: wrong arrays, an invalid row, or "gear_loss" without tau.
 
     Source: Swevers, Verdonck & De Schutter 2007, eq. 12.
 
@@ -166,7 +167,7 @@ def observation_matrix(
 
 
 def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str, ...]:
-    """Name the columns of `regressor`: "body.m", "body.hx", ..., "body.Izz", "joint.armature", ...
+    """Return the names of the regressor's columns: "body.m", "body.hx", ..., "joint.armature", ...
 
     The coordinates of a ball joint are "joint.armature[k]".
 
@@ -195,7 +196,7 @@ def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str,
 
 
 def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array:
-    """Read pi (p,) from a model, in the order of `parameter_names`.
+    """Read the parameters pi (p,) from a model, in the order of `parameter_names`.
 
     Coulomb friction, bias and gear losses are 0, since they are not leaves of joints.
 
@@ -216,8 +217,7 @@ def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array
 
 
 def joint_coordinates(model: Model) -> np.ndarray:
-    """Find the indices of v of all joints except free joints, which have no motor and no
-    friction."""
+    """Return the indices of v of all joints except free joints, which have no motor or friction."""
     top = model.topology
     return np.array([i for i, k in enumerate(top.dofs) if top.joint_kinds[k.joint] != "free"], int)
 
@@ -277,24 +277,25 @@ def base_parameters(
         tau = Y pi = Y_kept beta,   beta = pi_kept + K pi_dropped
 
     Args:
-        model: the robot; gravity matters, masses do not.
-        q: (n, nq) configurations; None for random motions.
+        model: robot. The result depends on its gravity, but not on its masses.
+        q: (n, nq) configurations. None: random motions.
         v: (n, nv) velocities.
         a: (n, nv) accelerations.
-        rows: the measured torques, as joint names or indices of v; None for all. The first six of a
+        rows: measured torques, as joint names or indices of v. None: all. The first six rows of a
             free base are its wrench.
-        joint_terms: of "armature", "viscous", "coulomb", "bias".
-        first: names that are kept before others, such as "joint1.armature" before "link1.Izz".
-        samples: of random motions; None for enough.
-        seed: of random motions.
-        tolerance: of singular values, as for `combinations`.
-        smoothing: of Coulomb friction, as for `regressor`.
+        joint_terms: names from "armature", "viscous", "coulomb", "bias".
+        first: names of parameters to keep with priority, such as "joint1.armature" before
+            "link1.Izz".
+        samples: number of random motions. None: as many as necessary.
+        seed: seed of the random motions.
+        tolerance: relative singular value that counts as zero, as for `combinations`.
+        smoothing: width of the step of Coulomb friction, as for `regressor`.
 
     Returns:
         `Combinations`: rank, kept and dropped parameters, K, and `summary()`.
 
     Raises:
-        InputError: a model without joints; q, v and a not all given; wrong shapes.
+        InputError: a model without joints, wrong shapes, or only some of q, v and a.
 
     Source: Gautier 1991.
 
@@ -326,8 +327,8 @@ def random_motions(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Draw random q (samples, nq), v and a (samples, nv).
 
-    Coordinates are uniform within 3 (rad, m) of the default, attitudes uniform, velocities and
-    accelerations normal with standard deviation 2.
+    Coordinates are uniform within 3 (rad, m) of the default, and attitudes are uniform. Velocities
+    and accelerations are normal with standard deviation 2.
 
     Example:
         >>> import rbjax as rb

@@ -1,12 +1,12 @@
-"""The linear equations of one recording, with the same zero-phase filter on both sides.
+"""Linear equations of one recording, with the same zero-phase filter on both sides.
 
     F[tau] = F[Y(q, v, a)] pi + F[dY/dq pi] z
 
 The torque is linear in pi, so a linear filter F may act on every column and on the torque, without
-a distortion of friction, whose columns have steps. Then the equations are decimated to the
-bandwidth of the filter. z (nq,) are the zeros of the encoders, q = q_read + z, about which the
-equations are linearised. Each stretch of a recording without a gap is filtered separately.
-Source: Gautier, ICRA 1997 (parallel filtering and decimation).
+distortion of the friction columns, which have steps. The filtered equations are decimated to the
+bandwidth of the filter. z (nq,) are the encoder zeros, q = q_read + z, about which the equations
+are linearised. Each interval of a recording without a gap is filtered separately. Source: Gautier,
+ICRA 1997 (parallel filtering and decimation).
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ from rbjax.sysid.torque.regressors import (
 )
 
 Array = np.ndarray
-BAND = 0.8  # the cut-off over the Nyquist frequency of the decimated equations
-PADDED = 1000  # samples are padded to a multiple of it, so that similar motions share a program
-BRIDGED = 0.25  # periods of signal_cutoff that a spline bridges
+BAND = 0.8  # ratio of the cut-off to the Nyquist frequency of the decimated equations
+PADDED = 1000  # samples are padded to a multiple, so that similar motions share a program
+BRIDGED = 0.25  # longest gap that a spline bridges, in periods of signal_cutoff
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueRows:
-    """Equations W pi = tau of one recording.
+    """The equations W pi = tau of one recording.
 
     Fields:
-        name: of the recording.
-        t: (N,) s, with the gaps of the recording.
-        W: (N, nv, p).
-        tau: (N, nv) N m or N.
-        names: (p,) of the columns.
-        zeros: (nv,) rad or m, of the encoders in W.
-        cutoff: in Hz.
-        slopes_of: the function that computes `slopes`.
+        name: name of the recording.
+        t: (N,) times in s, with the gaps of the recording.
+        W: (N, nv, p) observation matrix.
+        tau: (N, nv) torques in N m or N.
+        names: (p,) names of the columns.
+        zeros: (nv,) encoder zeros in W, in rad or m.
+        cutoff: cut-off frequency in Hz.
+        slopes_of: function that computes `slopes`.
     """
 
     name: str
@@ -69,21 +69,21 @@ class TorqueRows:
 
     @functools.cached_property
     def slopes(self) -> Array:
-        """dW/dz (N, nv, p, nv), which is computed when it is first read."""
+        """Compute dW/dz, one direction of z at a time to save memory."""
         return self.slopes_of()
 
     def at(self, zeros: Any) -> Array:
-        """Compute W (N, nv, p) at other zeros, to first order."""
+        """Compute W (N, nv, p) at other encoder zeros, to first order."""
         change = np.asarray(zeros, float) - self.zeros
         return self.W + self.slopes @ change if change.any() else self.W
 
     def residual(self, parameters: Any, zeros: Any = None) -> Array:
-        """Compute tau - W pi (N, nv)."""
+        """Compute the residual tau - W pi (N, nv)."""
         W = self.W if zeros is None else self.at(zeros)
         return self.tau - W @ np.asarray(parameters, float)
 
     def only(self, names: Sequence[str]) -> TorqueRows:
-        """Select columns, for a model with fewer terms."""
+        """Select columns by name, for a model with fewer terms."""
         for name in names:
             choice("column", name, self.names)
         at = [self.names.index(name) for name in names]
@@ -92,7 +92,7 @@ class TorqueRows:
         )
 
     def segment(self, start: float = -np.inf, end: float = np.inf) -> TorqueRows:
-        """Select the equations from start to end in s."""
+        """Select the equations with times from start to end in s."""
         keep = (start <= self.t) & (self.t <= end)
         if not keep.any():
             raise InputError(
@@ -117,24 +117,24 @@ def torque_rows(
     """Compute the filtered equations of a recording of hinges and slides, for `regress`.
 
     Args:
-        model: the robot; only its kinematics and gravity are used.
-        recording: with channels "q" (rad or m) and "tau" (N m or N). Samples may be missing: a gap
-            shorter than a quarter of a period of `signal_cutoff`, or than 3 samples, is bridged by
-            a spline; a longer one splits the recording.
-        cutoff: in Hz, of both sides of the equations.
-        signal_cutoff: in Hz, of the positions from which velocities and accelerations follow; 8
-            times `cutoff` if None, at most 0.4 of the rate.
-        joint_terms: as for `regressor`.
-        smoothing: as for `regressor`.
-        zeros: (nv,) rad or m, added to the positions that were read; 0 if None.
+        model: robot. Only its kinematics and gravity are used.
+        recording: recording with channels "q" (rad or m) and "tau" (N m or N). A spline bridges
+            gaps that are shorter than a quarter of a period of `signal_cutoff` or than 3 samples.
+            Longer gaps split the recording.
+        cutoff: cut-off frequency in Hz of the filter on both sides of the equations.
+        signal_cutoff: cut-off frequency in Hz of the positions, before differentiation. None: 8
+            times `cutoff`, at most 0.4 of the sample rate.
+        joint_terms: names of joint terms, as for `regressor`.
+        smoothing: width of the friction step, as for `regressor`.
+        zeros: (nv,) encoder zeros in rad or m, which are added to the readings. None: 0.
 
     Returns:
-        `TorqueRows`, without the samples at the ends of a stretch, which the filters distort.
+        `TorqueRows`, without the samples at the ends of each interval, which the filters distort.
 
     Raises:
-        InputError: balls or free joints; no stretch without a gap is longer than its filters; a
-            cut-off outside of the clock's range.
-        UnknownName: the recording has no q or tau.
+        InputError: ball or free joints, no interval without gaps that is long enough for the
+            filters, or a cut-off outside of the clock's range.
+        UnknownName: a recording without q or tau.
 
     Source: Gautier, ICRA 1997.
 
@@ -187,7 +187,7 @@ def torque_rows(
     ends = np.cumsum([0, *(s.stop - s.start for s in usable)])
 
     def filtered(x: Array) -> Array:
-        """The columns of all stretches, filtered and decimated."""
+        """Filter and decimate the columns of all intervals."""
         found = []
         for s, at, end in zip(usable, ends[:-1], ends[1:], strict=True):
             flat = low_pass(t[s], x[at:end].reshape(end - at, -1), cutoff).values
@@ -221,7 +221,7 @@ def torque_rows(
     )  # fmt: skip
 
 
-#: `functions` of the terms are static, so that a redefined term is compiled again
+#: `functions` of the terms are static arguments, since a redefined term needs a new program
 _static = functools.partial(jax.jit, static_argnames=("terms", "smoothing", "functions"))
 
 
@@ -256,7 +256,7 @@ def _zeros(where: str, model: Model, zeros: Any) -> Array:
 
 
 def _in_order(where: str, model: Model, recording: Recording, sensor: str) -> Channel:
-    """Order the columns of a channel as the joints of the model."""
+    """Order the columns of a channel by the joints of the model."""
     channel, names = recording[sensor], model.joint_names
     if len(channel.names) != model.nv:
         missing = [n for n in names if n not in channel.names]
@@ -271,7 +271,7 @@ def _in_order(where: str, model: Model, recording: Recording, sensor: str) -> Ch
 
 
 def _cutoffs(where: str, cutoff: Any, signal_cutoff: Any, h: float) -> float:
-    """Check both cut-offs, and return the cut-off of the signals."""
+    """Check both cut-off frequencies, and return that of the signals in Hz."""
     check_cutoff(where, "cutoff", cutoff, h)
     if signal_cutoff is not None:
         check_cutoff(where, "signal_cutoff", signal_cutoff, h)
@@ -279,14 +279,14 @@ def _cutoffs(where: str, cutoff: Any, signal_cutoff: Any, h: float) -> float:
 
 
 def _stretches(there: Array) -> list[slice]:
-    """Slices of samples without a gap."""
+    """Return slices of the intervals without gaps."""
     edges = np.diff(np.concatenate([[0], there.astype(int), [0]]))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
 
 def _disturbed(h: float, cutoff: float, smooth: float) -> int:
-    """The number of samples at an end that the filters distort."""
+    """Compute the number of samples at each end that the filters distort."""
     t = h * np.arange(8)
     return max(
         differentiate(t, np.zeros(8), smooth, times=2).settled.start,

@@ -19,9 +19,9 @@ class Selected:
     """The result of `select`.
 
     Fields:
-        name: of the selected model.
-        regression: its fit.
-        comparisons: one for each model after the first, in order.
+        name: name of the selected model.
+        regression: fit of the selected model.
+        comparisons: comparisons with each larger model, in order.
     """
 
     name: str
@@ -30,23 +30,23 @@ class Selected:
 
 
 def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Selected:
-    """Fit nested models from the smallest to the largest, and select the one that the data need.
+    """Select among nested linear models by F tests, from the smallest to the largest.
 
-    Each model is compared with the last one that was needed (`compare`). All have the same noise of
-    each channel, from weighted least squares of the largest model, so a larger model never fits
-    worse.
+    Each model is compared with the last accepted one (`compare`). All fits use the same noise for
+    each channel, estimated by weighted least squares of the largest model. Therefore a larger model
+    never fits worse.
 
     Args:
-        candidates: name -> (W, names), observation matrix (N, k, p) and names of its columns. Each
-            model is a special case of all later ones. If successive errors are correlated, a row of
-            W should be the mean over a time as long as the correlation.
-        tau: (N, k), measured torques.
+        candidates: name -> (W, names), an observation matrix (N, k, p) and the names of its
+            columns. Each model is a special case of all later ones. If successive errors are
+            correlated, average the rows of W over the correlation time.
+        tau: (N, k) measured torques.
 
     Returns:
         `Selected`.
 
     Raises:
-        InputError: no candidates; as `regress` and `compare`.
+        InputError: no candidates, or invalid arrays or models (`regress`, `compare`).
 
     Source: Seber & Wild, *Nonlinear Regression*, 5.3.
 
@@ -79,7 +79,7 @@ def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Sel
     def scored(name: str) -> Scored:
         fit = fits[name]
         squares = float(((fit.residual / sigma) ** 2).sum())
-        # the residual of exact torques is rounding, by which no model is better
+        # the residual of exact torques is rounding, which must not decide
         return Scored(name, max(squares, 1.0), fit.combinations.rank)
 
     kept, *others = fits

@@ -1,11 +1,11 @@
-"""The barrier of a primal-dual interior point, entry by entry.
+"""The logarithmic barrier of a primal-dual interior point method, entry by entry.
 
     min f - mu sum log(v - low) - mu sum log(high - v)
     zl = mu / (v - low),  zu = mu / (high - v)   are the multipliers of the bounds, and the Newton
     step of both conditions adds  Sigma = zl / (v - low) + zu / (high - v)  to the Hessian
 
-Steps stay a share of the distance from the bounds (Waechter & Biegler 2006, *Ipopt*). An infinite
-bound has no barrier.
+A step leaves at least a given fraction of each distance to a bound (Waechter & Biegler 2006,
+*Ipopt*). An infinite bound has no barrier.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-PUSH = 1e-2  # of a first guess from its bounds
+PUSH = 1e-2  # distance of a first guess from its bounds, relative to their size
 FAR = 1e10  # multipliers stay within this factor of mu / distance
 
 
 class Duals(NamedTuple):
-    """zl and zu, of the shape of v."""
+    """Multipliers zl and zu of the bounds, in the shape of v."""
 
     zl: jax.Array
     zu: jax.Array
 
 
 class Bounded(NamedTuple):
-    """v with its bounds."""
+    """A variable v with its bounds."""
 
     v: jax.Array
     low: jax.Array
@@ -35,17 +35,17 @@ class Bounded(NamedTuple):
 
     @property
     def below(self) -> jax.Array:
-        """v - low; 1 without a bound."""
+        """v - low, or 1 without a bound."""
         return jnp.where(jnp.isfinite(self.low), self.v - self.low, 1.0)
 
     @property
     def above(self) -> jax.Array:
-        """high - v; 1 without a bound."""
+        """high - v, or 1 without a bound."""
         return jnp.where(jnp.isfinite(self.high), self.high - self.v, 1.0)
 
 
 def push_inside(v: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """v, pushed into the bounds."""
+    """Return v, moved into the interior of the bounds."""
     width = jnp.where(jnp.isfinite(high - low), high - low, jnp.inf)
     at_low = jnp.minimum(PUSH * jnp.maximum(1.0, jnp.abs(low)), PUSH * width)
     at_high = jnp.minimum(PUSH * jnp.maximum(1.0, jnp.abs(high)), PUSH * width)
@@ -54,12 +54,12 @@ def push_inside(v: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
 
 
 def bound_count(x: Bounded) -> jax.Array:
-    """The number of bounds."""
+    """Return the number of finite bounds."""
     return jnp.isfinite(x.low).sum() + jnp.isfinite(x.high).sum()
 
 
 def value(x: Bounded, mu: jax.Array) -> jax.Array:
-    """The barrier (); infinite outside."""
+    """Return the barrier (); infinite outside of the bounds."""
 
     def log(d: jax.Array) -> jax.Array:
         good = d > 0
@@ -69,31 +69,31 @@ def value(x: Bounded, mu: jax.Array) -> jax.Array:
 
 
 def gradient(x: Bounded, mu: jax.Array) -> jax.Array:
-    """Of the barrier."""
+    """Return the gradient of the barrier."""
     low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
     return jnp.where(high, mu / x.above, 0.0) - jnp.where(low, mu / x.below, 0.0)
 
 
 def hessian(x: Bounded, z: Duals) -> jax.Array:
-    """Sigma."""
+    """Return Sigma, the diagonal that the barrier adds to the Hessian."""
     return z.zl / x.below + z.zu / x.above
 
 
 def first_duals(x: Bounded, mu: jax.Array) -> Duals:
-    """mu over the distances."""
+    """Return the multipliers mu over the distances to the bounds."""
     low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
     return Duals(jnp.where(low, mu / x.below, 0.0), jnp.where(high, mu / x.above, 0.0))
 
 
 def step_to_boundary(x: Bounded, dv: jax.Array, tau: jax.Array) -> jax.Array:
-    """The longest part () of a step, 1 at most, that leaves a share 1 - tau of each distance."""
+    """Return the longest fraction () of a step, at most 1, that leaves 1 - tau of each distance."""
     down = jnp.where(jnp.isfinite(x.low) & (dv < 0), tau * x.below / jnp.where(dv < 0, -dv, 1.0), 1)
     up = jnp.where(jnp.isfinite(x.high) & (dv > 0), tau * x.above / jnp.where(dv > 0, dv, 1.0), 1)
     return jnp.minimum(1.0, jnp.minimum(down.min(initial=1.0), up.min(initial=1.0)))
 
 
 def dual_step(x: Bounded, dv: jax.Array, z: Duals, mu: jax.Array) -> Duals:
-    """dz where v moves by dv."""
+    """Return the Newton step of the multipliers, for a step dv of v."""
     low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
     zl = jnp.where(low, mu / x.below - z.zl - z.zl / x.below * dv, 0.0)
     zu = jnp.where(high, mu / x.above - z.zu + z.zu / x.above * dv, 0.0)
@@ -101,7 +101,7 @@ def dual_step(x: Bounded, dv: jax.Array, z: Duals, mu: jax.Array) -> Duals:
 
 
 def dual_step_to_boundary(z: Duals, dz: Duals, tau: jax.Array) -> jax.Array:
-    """The longest part () of a step of the multipliers that keeps them positive."""
+    """Return the longest fraction () of a step of the multipliers that leaves 1 - tau of each."""
     shares = [
         jnp.where(d < 0, tau * y / jnp.where(d < 0, -d, 1.0), 1.0).min(initial=1.0)
         for y, d in zip(z, dz, strict=True)
@@ -110,7 +110,7 @@ def dual_step_to_boundary(z: Duals, dz: Duals, tau: jax.Array) -> jax.Array:
 
 
 def moved_duals(x: Bounded, z: Duals, dz: Duals, a: jax.Array, mu: jax.Array) -> Duals:
-    """z + a dz at the new v, near mu / distance."""
+    """Return z + a dz at the new v, clipped to a range about mu / distance."""
     near = first_duals(x, mu)
     moved = (y + a * d for y, d in zip(z, dz, strict=True))
     return Duals(*(jnp.clip(y, n / FAR, n * FAR) for y, n in zip(moved, near, strict=True)))

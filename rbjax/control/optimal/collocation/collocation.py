@@ -1,16 +1,16 @@
-"""Direct collocation by a primal-dual interior point: Gauss-Legendre, Radau, Hermite and Simpson.
+"""Direct collocation by a primal-dual interior point: Gauss-Legendre, Radau, Hermite-Simpson.
 
 Each iteration is a step of sequential quadratic programming on all states, controls and stages: the
-Lagrangian to second order with its stages eliminated (`condensing`), bounds and constraints by a
-barrier (`barrier`), a Riccati recursion (`backward_pass`), a line search by a filter.
+second-order Lagrangian with its stages eliminated (`condensing`), a barrier for bounds and
+constraints (`barrier`), a Riccati recursion (`backward_pass`), and a filter line search.
 
     mu <- min(0.2 mu, mu^1.5)   if the problem with the barrier mu is solved; then also
-    centre <- y,  soft <- mu    of the constraints, down to the root of a rounding
-    reg <- 8 reg                if a control Hessian is not positive definite, or no step is taken
+    centre <- y,  soft <- mu    of the constraints, down to the square root of rounding
+    reg <- 8 reg                if a control Hessian is not definite, or no step is accepted
     if the filter accepts no step and there are gaps, the next steps close them
 
 Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter & Biegler 2006
-(*Ipopt*), whose rules of barrier and filter these are.
+(*Ipopt*), for the rules of barrier and filter.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ from rbjax.solvers.tableau import Tableau
 
 FIRST_MU = 0.1
 LEAST_REG, MOST_REG, HARDER, EASIER = 1e-4, 1e10, 8.0, 3.0
-TRIALS = 16  # halvings of a step
-STIFF = 1e-3  # soft of constraints is this times mu
-CLOSED, CLOSING_REG = 0.1, 1.0  # to this share of them, with this regularisation
-FALLS, OFTEN = 0.5, 4  # constraints that do not fall to this share so often contradict each other
-SOLVED = 0.5  # of mu: the foreseen change at which mu falls
-GAP = 0.57  # motions obey the dynamics to eps^0.57: 1e-9 in f64
-SOFT = 0.5  # equations are soft to eps^0.5 times the change of their multipliers
+TRIALS = 16  # maximum number of halvings of a step
+STIFF = 1e-3  # inverse penalty of constraints, relative to mu
+CLOSED, CLOSING_REG = 0.1, 1.0  # gaps are closed to this fraction, with this regularisation
+FALLS, OFTEN = 0.5, 4  # infeasible if the violation fails this often to fall to this fraction
+SOLVED = 0.5  # expected cost change, relative to mu, at which mu falls
+GAP = 0.57  # largest gap of a solution: eps^0.57, 1e-9 in f64
+SOFT = 0.5  # equations hold to eps^0.5 times the change of their multipliers
 
 
 class Iterate(NamedTuple):
@@ -75,7 +75,7 @@ class Iterate(NamedTuple):
     status: jax.Array
     costs: jax.Array
     K: jax.Array
-    violation: jax.Array  # at the last change of the centre
+    violation: jax.Array  # violation at the last change of the centre
     vain: jax.Array  # changes in a row that did not lower it
     closing: jax.Array  # gaps to close to before the filter decides again; infinite: it decides
     reference_cost: jax.Array  # the cost at its last fall by more than rounding
@@ -86,21 +86,21 @@ def solve_collocation(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     table: Tableau,
 ) -> SearchResult:  # fmt: skip
-    """`solve` by collocation."""
+    """Solve a problem by direct collocation."""
     t = Transcribed(problem, start, table)
     last = iterate(t, initial_iterate(t, knots, ctrls, history), options)
     return search_result(t, last)
 
 
 def initial_iterate(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterate:
-    """The first iterate: inside all bounds."""
+    """Return the first iterate, in the interior of all bounds."""
     problem, dtype = t.problem, ctrls.dtype
     N, n = problem.horizon, problem.n
     mu = jnp.asarray(FIRST_MU, dtype)
     low, high = problem.parameter_bounds(dtype)
     knots = Knot(knots.state, barrier.push_inside(knots.parameters, low, high))
     inner = straight_guess(problem, t.table, knots, ctrls)
-    us = t.us(Point(knots, inner, inner.us, inner.us))  # whose slacks are not read
+    us = t.us(Point(knots, inner, inner.us, inner.us))  # the slacks of this point are not read
     inner = inner._replace(us=barrier.push_inside(us.v, us.low, us.high))
     body = take(knots, BODY)
     ks = jnp.arange(N, dtype=dtype)
@@ -127,7 +127,7 @@ def initial_iterate(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int)
 
 
 def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
-    """The iterations."""
+    """Run the iterations."""
     dtype = begin.mu.dtype
     eps = jnp.finfo(dtype).eps
     soft = jnp.asarray(eps**SOFT, dtype)
@@ -141,7 +141,7 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     history = begin.costs.shape[0]
 
     def direction(path: Condensed, end: End, gaps: jax.Array, now: Iterate) -> tuple:
-        """Gains, with as much regularisation as they need."""
+        """Return gains, and the smallest regularisation for which they exist."""
 
         def harder(x: tuple) -> tuple:
             again = jnp.maximum(LEAST_REG, now.reg / EASIER)
@@ -193,13 +193,13 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         moved = point, t.step_multipliers(point, l, by, a, back, mu), m, kept
         point, l, m, kept = _choose(taken, moved, (now.point, l, before, now.filter))
 
-        # how far the search is
+        # stopping criteria
         gap = jnp.maximum(before.gap, m.gap)
         solved = gains.ok & (decrease <= jnp.maximum(SOLVED * mu, tolerance))
         solved = solved & (gap <= jnp.maximum(mu, eps**GAP))
         held = m.violation <= options.rule.violation
         share = jnp.maximum(scale, jnp.abs(before.cost))
-        # regularisation makes the foreseen change small anywhere: under it the gradient must be so
+        # with regularisation the expected change is small everywhere, so test the gradient too
         flat = (reg <= 0) | (jnp.sqrt(gains.square) <= jnp.sqrt(tolerance) * share)
         done = solved & (mu <= least) & (decrease <= tolerance * share) & flat & held
         done = done & (gap <= eps**GAP)
@@ -243,7 +243,7 @@ def _choose(condition: jax.Array, one: Any, other: Any) -> Any:
 
 
 def search_result(t: Transcribed, last: Iterate) -> SearchResult:
-    """The public form of the last iterate."""
+    """Convert the last iterate to a `SearchResult`."""
     point, l = last.point, last.multipliers
     _, b, c = tableau_arrays(t.table, point.inner.us.dtype)
     body = take(point.knots, BODY)

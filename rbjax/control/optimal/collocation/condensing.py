@@ -1,4 +1,4 @@
-"""A step of a collocation: its equations at the stages, and the problem without the stages.
+"""The equations of a collocation step, and the elimination of its stages.
 
     K_i = f(t_i, x (+) xi_i, u_i),   xi_i = h sum_j a_ij K_j,   x+ = x (+) h sum_i b_i K_i
     cost = sum of h b_i L(t_i, x (+) xi_i, u_i) + Phi(x_N)
@@ -9,10 +9,10 @@ Lobatto IIIA 2 s - 2. Each stage has its own controls. The stages are eliminated
     E dK = -miss - e_x dx - e_u du       gives   dK = Z (dx, du) + offset
     dx+ = A dx + B du + gap,      Z' H Z the Hessian of the Lagrangian in (dx, du)
 
-The multipliers of the stages follow from E' lambda = -(cost + y.rows + p.x+)_K. Constraints enter
-by their slacks and multipliers (`row_terms`), equations by the method of multipliers. Source:
-Hager, *Runge-Kutta methods in optimal control*, 2000; Betts, *Practical Methods for Optimal
-Control*, ch. 4.
+The multipliers of the stages follow from E' lambda = -(cost + y.rows + p.x+)_K. Inequality
+constraints enter by their slacks and multipliers (`row_terms`), equations by the method of
+multipliers. Source: Hager, *Runge-Kutta methods in optimal control*, 2000; Betts, *Practical
+Methods for Optimal Control*, ch. 4.
 """
 
 from __future__ import annotations
@@ -32,15 +32,20 @@ from rbjax.solvers.tableau import Tableau
 
 
 class Inner(NamedTuple):
-    """The unknowns within a step: us (s, m), and rates K (s, n) of the system's increments."""
+    """The unknowns within a step: controls us (s, m), and rates K (s, n) of the state."""
 
     us: jax.Array
     rates: jax.Array
 
 
 class Stages(NamedTuple):
-    """The values of a step: miss (s, n), rates minus f; the knot after; its cost (); and the rows
-    (s, c) of the constraints."""
+    """The values of a step.
+
+    miss: rates minus f, (s, n).
+    after: the knot after the step.
+    cost: ().
+    rows: constraint rows at the stages, (s, c).
+    """
 
     miss: jax.Array
     after: Knot
@@ -49,20 +54,20 @@ class Stages(NamedTuple):
 
 
 def tableau_arrays(table: Tableau, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """a (s, s), b (s,) and c (s,)."""
+    """Return the tableau as arrays a (s, s), b (s,) and c (s,)."""
     a, b, c = (jnp.asarray(x, dtype) for x in (table.a, table.b, table.c))
     return a, b, c
 
 
 def combine(weights: jax.Array, rates: jax.Array) -> jax.Array:
-    """sum_j w_ij K_j, or sum_j w_j K_j."""
+    """Return sum_j w_ij K_j, or sum_j w_j K_j."""
     return (weights[..., None] * rates).sum(-2)
 
 
 def at_stage(
     problem: Problem, where: Any, knot: Knot, xi: jax.Array, ctrl: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """f (n,), the running cost () and the rows (c,) at knot (+) xi. where: k + c_i."""
+    """Return f (n,), running cost () and constraint rows (c,) at knot (+) xi. where: k + c_i."""
     system, dt = problem.at(knot.parameters)
     rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
     point = Knot(system.plus(knot.state, xi), knot.parameters)
@@ -71,14 +76,14 @@ def at_stage(
 
 
 def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -> Knot:
-    """x (+) h sum_i b_i K_i."""
+    """Return x (+) h sum_i b_i K_i."""
     system, dt = problem.at(knot.parameters)
     _, b, _ = tableau_arrays(table, rates.dtype)
     return Knot(system.plus(knot.state, dt * combine(b, rates)), knot.parameters)
 
 
 def evaluate_stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -> Stages:
-    """The step k."""
+    """Evaluate the stages of step k."""
     a, b, c = tableau_arrays(table, inner.rates.dtype)
     _, dt = problem.at(knot.parameters)
     xi = dt * combine(a, inner.rates)
@@ -90,20 +95,20 @@ def evaluate_stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner:
 
 
 def stage_states(problem: Problem, table: Tableau, knot: Knot, inner: Inner) -> Any:
-    """The states of the stages of a step."""
+    """Return the states of the stages of a step."""
     a, _, _ = tableau_arrays(table, inner.rates.dtype)
     system, dt = problem.at(knot.parameters)
     return jax.vmap(lambda xi: system.plus(knot.state, xi))(dt * combine(a, inner.rates))
 
 
 def at_end(problem: Problem, knot: Knot) -> tuple[jax.Array, jax.Array]:
-    """The terminal cost () and the rows (e,) at the end."""
+    """Return the terminal cost () and the constraint rows (e,) at the end."""
     N, none = problem.horizon, jnp.zeros(problem.nu, problem.dt.dtype)
     return knot_cost(problem, "end", N, knot, none), problem.rows("end", N, knot, none)
 
 
 def straight_guess(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> Inner:
-    """A first guess between knots: constant controls, and states on straight lines."""
+    """Return a first guess of the stages: constant controls, and states on straight lines."""
     s = len(table.b)
 
     def one(knot: Knot, following: Knot, ctrl: jax.Array) -> Inner:
@@ -116,8 +121,14 @@ def straight_guess(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Arr
 
 
 class Rows(NamedTuple):
-    """Rows of constraints: slack; duals of its bounds; y, the multipliers of equations; centre, the
-    multipliers about which they are found; low and high."""
+    """Constraint rows with their slacks and multipliers.
+
+    slack: slacks of inequalities.
+    duals: multipliers of the bounds of the slacks.
+    y: multipliers of equations.
+    centre: multiplier estimates of the method of multipliers.
+    low, high: bounds; equal for equations.
+    """
 
     slack: jax.Array
     duals: Duals
@@ -128,34 +139,34 @@ class Rows(NamedTuple):
 
     @property
     def equal(self) -> jax.Array:
-        """Which are equations."""
+        """Mask of the rows that are equations."""
         return self.low == self.high
 
     @property
     def bounded(self) -> Bounded:
-        """The slacks. The slacks of equations have no bounds."""
+        """The slacks with their bounds. The slacks of equations have no bounds."""
         low = jnp.where(self.equal, -jnp.inf, self.low)
         return Bounded(self.slack, low, jnp.where(self.equal, jnp.inf, self.high))
 
     @property
     def multipliers(self) -> jax.Array:
-        """y, or zu - zl."""
+        """Multipliers of the rows: y of equations, zu - zl of inequalities."""
         return jnp.where(self.equal, self.y, self.duals.zu - self.duals.zl)
 
     def off(self, values: jax.Array) -> jax.Array:
-        """Values less slacks, of equations less the bound."""
+        """Return the values minus slacks; for equations, the values minus the bound."""
         return values - jnp.where(self.equal, self.low, self.slack)
 
 
 class Weights(NamedTuple):
-    """mu of the barrier; soft, the inverse penalty of constraints; each ()."""
+    """Weights, each (): the barrier parameter mu, and soft, the inverse penalty of constraints."""
 
     mu: jax.Array
     soft: jax.Array
 
 
 class Condensed(NamedTuple):
-    """A step with its stages eliminated. e = (dx, du): dK = Z e + offset, d rows = C e + more."""
+    """A step with eliminated stages: dK = Z e + offset, d rows = C e + more, e = (dx, du)."""
 
     A: jax.Array
     B: jax.Array
@@ -169,7 +180,7 @@ class Condensed(NamedTuple):
 
 
 class End(NamedTuple):
-    """The end: its cost to second order; d rows = C dx; rows."""
+    """The end: its second-order cost, the Jacobian C of its constraint rows, and the rows."""
 
     cost: Quadratic
     C: jax.Array
@@ -177,7 +188,7 @@ class End(NamedTuple):
 
 
 def row_terms(values: jax.Array, rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array]:
-    """y + weight * (d rows) are the multipliers after a step: y and weight."""
+    """Return y and weight, such that y + weight * (d rows) are the multipliers after a step."""
     wall, stiff, share = _springs(rows, w)
     off = rows.off(values)
     y = wall + share * (stiff * w.soft * (rows.centre - wall) + stiff * off)
@@ -188,7 +199,7 @@ def row_terms(values: jax.Array, rows: Rows, w: Weights) -> tuple[jax.Array, jax
 def row_step(
     values: jax.Array, d: jax.Array, rows: Rows, w: Weights
 ) -> tuple[jax.Array, jax.Array]:
-    """Newton's step of slacks and of the multipliers of equations where the rows change by d."""
+    """Return the Newton steps of slacks and of equation multipliers for a change d of rows."""
     wall, _, share = _springs(rows, w)
     off = rows.off(values) + d
     ds = share * (w.soft * (rows.centre - wall) + off)
@@ -206,7 +217,7 @@ def condense(
     problem: Problem, table: Tableau, w: Weights, k: Any, knot: Knot, inner: Inner,
     following: Knot, costate: jax.Array, us: Bounded, us_duals: Duals, rows: Rows,
 ) -> Condensed:  # fmt: skip
-    """The step k. costate (n,): of the knot that follows."""
+    """Linearise step k and eliminate its stages. costate (n,): of the next knot."""
     (s, m), ns, n = inner.us.shape, problem.system.n, problem.n
     dtype = inner.us.dtype
     a, b, c = tableau_arrays(table, dtype)
@@ -228,7 +239,7 @@ def condense(
 
     J, values = jax.vmap(stage)(k + c, dt * inside, inner.us)
     J_xi = J[:, :, n : n + ns]
-    # all that stages give, by (dx, du, dK)
+    # derivatives of the stage values by (dx, du, dK)
     by_x = J[:, :, :n] + (J_xi * inside[:, None]).sum(-1, keepdims=True) * dt_x
     by_u = jnp.eye(s, dtype=dtype)[:, None, :, None] * J[:, :, None, n + ns :]
     by_k = dt * a[:, None, :, None] * J_xi[:, :, None]
@@ -292,7 +303,7 @@ def condense(
 
 
 def condense_end(problem: Problem, w: Weights, knot: Knot, rows: Rows) -> End:
-    """The end."""
+    """Expand the terminal cost and constraint rows to second order."""
     n, m, dtype = problem.n, problem.nu, problem.dt.dtype
 
     def near(d):

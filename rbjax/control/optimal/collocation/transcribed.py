@@ -1,8 +1,8 @@
-"""The collocation transcription of a problem: values, expansion and steps.
+"""The collocation transcription of a problem: values, expansion and Newton steps.
 
-Unknown are the knots, the stages and their controls, and a slack for each constraint
-(`condensing`). `Transcribed` measures a point, expands it, and steps from it: rows and bounds by
-the barrier (`barrier`), steps by the condensed problem (`condensing`).
+The unknowns are the knots, the stages and their controls, and a slack for each constraint row
+(`condensing`). `Transcribed` evaluates a point, expands the problem at it, and computes Newton
+steps: rows and bounds by the barrier (`barrier`), steps by the condensed problem (`condensing`).
 
 Source: Betts, *Practical Methods for Optimal Control*, ch. 4; Waechter & Biegler 2006.
 """
@@ -39,7 +39,7 @@ from rbjax.solvers.tableau import Tableau
 
 
 class Point(NamedTuple):
-    """The unknowns: knots, stages (inner), slacks (N, s, c) of the path, (e,) of the end."""
+    """The unknowns: knots, values at the stages, slacks of path (N, s, c) and end (e,) rows."""
 
     knots: Knot
     inner: Inner
@@ -48,9 +48,12 @@ class Point(NamedTuple):
 
 
 class Multipliers(NamedTuple):
-    """costates: (N + 1, n).
+    """Multipliers of a transcribed problem.
+
+    costates: (N + 1, n).
     duals: of the bounds of the controls, the parameters, and the slacks of path and end.
-    y: of equations, at path and end; centre: the values about which they are found.
+    y: of the equations at path and end.
+    centre: multiplier estimates of the method of multipliers, at path and end.
     """
 
     costates: jax.Array
@@ -60,7 +63,7 @@ class Multipliers(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A change of the unknowns."""
+    """A Newton step of the unknowns of `Point`."""
 
     dx: jax.Array
     us: jax.Array
@@ -70,8 +73,14 @@ class Step(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """cost (); barrier () for mu = 1; pull () and square () of the constraints' multipliers;
-    theta (), the sum of all gaps; gap () and violation () of constraints, the largest."""
+    """The values at a point, each ().
+
+    cost: the cost.
+    barrier: the barrier for mu = 1.
+    pull, square: linear and quadratic term of the augmented Lagrangian.
+    theta: sum of the absolute values of all gaps.
+    gap, violation: largest entry of a gap and of a constraint residual.
+    """
 
     cost: jax.Array
     barrier: jax.Array
@@ -83,7 +92,7 @@ class Measured(NamedTuple):
 
 
 class Transcribed(NamedTuple):
-    """A problem, its start and its scheme."""
+    """A problem, its start and its collocation tableau."""
 
     problem: Problem
     start: Any
@@ -92,7 +101,7 @@ class Transcribed(NamedTuple):
     # the bounds
 
     def us(self, point: Point) -> Bounded:
-        """Controls of all stages."""
+        """Return the controls of all stages, with bounds."""
         us, problem = point.inner.us, self.problem
         low, high = (
             jnp.broadcast_to(x.astype(us.dtype), us.shape) for x in (problem.low, problem.high)
@@ -100,12 +109,12 @@ class Transcribed(NamedTuple):
         return Bounded(us, low, high)
 
     def parameters(self, point: Point) -> Bounded:
-        """The parameters, which are constant along the motion."""
+        """Return the parameters, which are constant along the motion, with bounds."""
         parameters = point.knots.parameters[0]
         return Bounded(parameters, *self.problem.parameter_bounds(parameters.dtype))
 
     def rows(self, point: Point, l: Multipliers) -> tuple[Rows, Rows]:
-        """The rows of constraints of path and end."""
+        """Return the constraint rows of path and end."""
         out = []
         for i, where in enumerate(("path", "end")):
             slack = (point.path, point.end)[i]
@@ -115,30 +124,30 @@ class Transcribed(NamedTuple):
         return out[0], out[1]
 
     def bounded(self, point: Point) -> tuple[Bounded, Bounded, Bounded, Bounded]:
-        """Controls, numbers, slacks of path and end."""
+        """Return all bounded unknowns: controls, parameters, slacks of path and end."""
         path, end = self.rows(point, self.zero_multipliers(point))
         return self.us(point), self.parameters(point), path.bounded, end.bounded
 
     def zero_multipliers(self, point: Point) -> Multipliers:
-        """All multipliers zero."""
+        """Return multipliers that are all zero."""
         costates = jnp.zeros((self.problem.horizon + 1, self.problem.n), point.path.dtype)
         bounded = point.inner.us, point.knots.parameters[0], point.path, point.end
         zeros = jax.tree.map(jnp.zeros_like, bounded)
         return Multipliers(costates, tuple(Duals(x, x) for x in zeros), zeros[2:], zeros[2:])
 
     def first_multipliers(self, point: Point, mu: jax.Array) -> Multipliers:
-        """mu over the distances to the bounds; 0 for equations."""
+        """Return first multipliers: mu over the distances to the bounds; 0 for equations."""
         duals = tuple(barrier.first_duals(x, mu) for x in self.bounded(point))
         return self.zero_multipliers(point)._replace(duals=duals)
 
     # functions of the unknowns
 
     def off_start(self, knots: Knot) -> jax.Array:
-        """start (-) first knot (n,), 0 in free coordinates."""
+        """Return start (-) first knot (n,), with 0 for free coordinates."""
         return self.problem.off_start(self.start, take(knots, 0))
 
     def measure(self, point: Point, l: Multipliers) -> Measured:
-        """Cost, barrier and infeasibility."""
+        """Evaluate cost, barrier and infeasibility."""
         problem, knots, dtype = self.problem, point.knots, point.inner.us.dtype
         body, following = take(knots, BODY), take(knots, NEXT)
 
@@ -164,7 +173,7 @@ class Transcribed(NamedTuple):
         )  # fmt: skip
 
     def step_along(self, point: Point, step: Step, a: jax.Array) -> Point:
-        """point (+) a step."""
+        """Return point (+) a step."""
         knots = jax.vmap(self.problem.plus)(point.knots, a * step.dx)
         inner = Inner(point.inner.us + a * step.us, point.inner.rates + a * step.rates)
         return Point(knots, inner, point.path + a * step.path, point.end + a * step.end)
@@ -172,7 +181,7 @@ class Transcribed(NamedTuple):
     # an iteration
 
     def expand(self, point: Point, l: Multipliers, w: Weights) -> tuple[Condensed, End, jax.Array]:
-        """All steps and the end to second order, and the gaps (N + 1, n)."""
+        """Expand all steps and the end to second order; return them and the gaps (N + 1, n)."""
         problem, knots, dtype = self.problem, point.knots, point.inner.us.dtype
         body, following = take(knots, BODY), take(knots, NEXT)
         one = functools.partial(condense, problem, self.table, w)
@@ -194,7 +203,7 @@ class Transcribed(NamedTuple):
         return path, end, gaps
 
     def gains(self, path: Condensed, end: End, gaps: jax.Array, reg: jax.Array) -> Feedback:
-        """The backward pass."""
+        """Run the backward pass."""
         problem, first = self.problem, None
         if problem.free_first_knot:
             free = jnp.asarray([*problem.free, *[True] * problem.parameter_count], gaps.dtype)
@@ -206,7 +215,7 @@ class Transcribed(NamedTuple):
         self, point: Point, l: Multipliers, w: Weights, path: Condensed, end: End,
         gaps: jax.Array, gains: Feedback,
     ) -> tuple[Step, Multipliers]:  # fmt: skip
-        """Newton's step of the unknowns, and of the multipliers."""
+        """Return the Newton step of the unknowns, and of the multipliers."""
         dx, du = roll_linear(path.A, path.B, gaps[1:], gains.K, gains.k, gains.first)
         e = jnp.concatenate([dx[:-1], du], 1)
         rates = (matvec(path.Z, e) + path.offset).reshape(point.inner.rates.shape)
@@ -224,13 +233,13 @@ class Transcribed(NamedTuple):
         return step, Multipliers(costates - l.costates, duals, (dy, dy_end), none)
 
     def moves(self, step: Step) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """The steps of all that is bounded."""
+        """Return the parts of a step that belong to the bounded unknowns."""
         return step.us, step.dx[0, self.problem.system.n :], step.path, step.end
 
     def reach(
         self, point: Point, l: Multipliers, step: Step, by: Multipliers, tau: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """The longest parts of a step of the unknowns, and of the multipliers."""
+        """Return the longest feasible fractions of a primal step and of a multiplier step."""
         along = back = jnp.ones((), tau.dtype)
         for x, dv in zip(self.bounded(point), self.moves(step), strict=True):
             along = jnp.minimum(along, barrier.step_to_boundary(x, dv, tau))
@@ -242,7 +251,7 @@ class Transcribed(NamedTuple):
         self, point: Point, l: Multipliers, by: Multipliers, a: jax.Array, back: jax.Array,
         mu: jax.Array,
     ) -> Multipliers:  # fmt: skip
-        """The multipliers at the new point, after parts a and back of their step."""
+        """Return the multipliers at the new point, after fractions a and back of their step."""
         duals = tuple(
             barrier.moved_duals(x, z, dz, back, mu)
             for x, z, dz in zip(self.bounded(point), l.duals, by.duals, strict=True)
@@ -252,7 +261,7 @@ class Transcribed(NamedTuple):
 
 
 def constraint_values(t: Transcribed, point: Point) -> tuple[jax.Array, jax.Array]:
-    """The rows of constraints at all stages (N, s, c) and at the end (e,)."""
+    """Return the constraint rows at all stages (N, s, c) and at the end (e,)."""
     problem, dtype = t.problem, point.inner.us.dtype
     body = take(point.knots, BODY)
     ks = jnp.arange(problem.horizon, dtype=dtype)

@@ -1,13 +1,14 @@
 """Derivatives of an optimum by the implicit function theorem.
 
-At an optimum the gradient of the Lagrangian L by the unknowns z (states, free controls, costates,
-multipliers) is zero for all parameters p of the problem (`optimality`), so that
+At an optimum the gradient of the Lagrangian L with respect to the unknowns z (states, free
+controls, costates, multipliers) is zero for all parameters p of the problem (`optimality`).
+Therefore
 
     K dz = - d(grad L)/dp dp,      K = d(grad L)/dz,  symmetric
 
-`riccati_solve` solves it in O(N), in forward and in reverse mode. The derivative of the optimal
-cost is the derivative of L by p. If the search failed, it is finite but meaningless. Source: Fiacco
-1983; Amos et al., *Differentiable MPC*, 2018.
+`riccati_solve` solves this system in O(N), in forward and in reverse mode. The derivative of the
+optimal cost is the derivative of L with respect to p. If the search failed, the derivatives are
+finite but meaningless. Source: Fiacco 1983; Amos et al., *Differentiable MPC*, 2018.
 """
 
 from __future__ import annotations
@@ -37,8 +38,9 @@ def differentiable(
     search: Callable[..., SearchResult], problem: Problem, start: Any, knots: Knot,
     ctrls: jax.Array, options: Any,
 ) -> SearchResult:  # fmt: skip
-    """Run search(problem, start, knots, ctrls, options), with derivatives of the optimum by the
-    arrays of the problem, the arrays that its functions close over, and the start."""
+    """Run search(problem, start, knots, ctrls, options) with derivatives of the optimum.
+    Derivatives are with respect to the arrays of the problem, the arrays that its functions close
+    over, and the start."""
     arrays, rest = eqx.partition(problem, _traced)
     N, n, m = problem.horizon, problem.n, problem.nu
 
@@ -88,7 +90,7 @@ def differentiable(
 
 
 def _traced(x: Any) -> bool:
-    """Whether a derivative by x may be asked for. Other numbers are constants of the program."""
+    """Return whether x is traced and may need a derivative. Other values are constants."""
     return isinstance(x, jax.core.Tracer)
 
 
@@ -97,7 +99,7 @@ def _without_operands(f: Callable) -> Callable:
 
 
 def _may_close_over_tracers(f: Any) -> bool:
-    """Whether a function may read numbers that are not among the arrays of a problem."""
+    """Return whether f may close over arrays that are not leaves of the problem."""
     if not callable(f):
         return False
     inside = getattr(f, "__wrapped__", f)
@@ -108,7 +110,7 @@ def _may_close_over_tracers(f: Any) -> bool:
 
 
 def _hoist_closures(functions: Functions, examples: tuple) -> tuple[Functions, tuple]:
-    """The functions with the tracers that they close over as their first argument, and these."""
+    """Return the functions with their closed-over tracers as first argument, and the tracers."""
     found = [jax.closure_convert(f, *x) for f, x in zip(functions, examples, strict=True)]
     hoisted = tuple(consts for _, consts in found)
     of = lambda k: lambda consts, *args: found[k][0](*args, *consts[k])  # noqa: E731
@@ -118,7 +120,7 @@ def _hoist_closures(functions: Functions, examples: tuple) -> tuple[Functions, t
 def _solution_tangent(
     functions: Functions, whole: Callable, out: SearchResult, parameters: tuple, directions: tuple
 ) -> SearchResult:
-    """The tangent of a result."""
+    """Return the tangent of a result, by the implicit function theorem."""
     kkt_system = KKTSystem(functions, whole, parameters)
     point = PrimalDualPoint(out.knots, out.ctrls, out.path, out.end)
     kkt = kkt_system.polished(point, out.status == CONVERGED)
@@ -131,7 +133,7 @@ def _solution_tangent(
         return jax.vmap(kkt_system.problem.plus)(out.knots, x)
 
     knots = jax.jvp(moved, (jnp.zeros_like(dz.x),), (dz.x,))[1]
-    # L is stationary in the unknowns: its derivative by the parameters is the cost's
+    # L is stationary in the unknowns, so its derivative by the parameters is that of the cost
     L = jax.jvp(lambda x: kkt_system.lagrangian(x, kkt), (parameters,), (directions,))[1]
     zero = jax.tree.map(_no_tangent, out)
     return zero._replace(knots=knots, ctrls=du, cost=L, path=dz.path, end=dz.end)

@@ -1,12 +1,12 @@
-"""The conditions of an optimum, and the linear equations of its derivative.
+"""The optimality conditions of a problem, and the linear system of the derivative of an optimum.
 
     L = sum_k L_k(x_k, u_k) + l_{k+1}.(f(x_k, u_k) - x_{k+1}) + nu_k.(c_k - b_k)
         + L_N(x_N) + nu_N.(c_N - b_N) + l_0.(start - x_0)
 
-Its gradient by the unknowns z = (x, u, l, nu) is zero and its Hessian is K; x are tangent
-coordinates at each knot. A control at an active bound moves with the bound. Inequalities whose
-multiplier is not zero are active (strict complementarity). If K is not the Hessian of a minimum,
-regularised Hessians of Gauss and Newton take its place.
+At an optimum, the gradient of L with respect to the unknowns z = (x, u, l, nu) is zero. Its Hessian
+is K. x are tangent coordinates at each knot. A control at an active bound moves with the bound.
+Inequalities with a nonzero multiplier are active (strict complementarity). If K does not belong to
+a minimum, regularised Gauss-Newton Hessians replace the exact ones.
 """
 
 from __future__ import annotations
@@ -32,14 +32,19 @@ from rbjax.control.optimal.derivatives.riccati_solve import (
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, take
 from rbjax.control.products import product
 
-BOUND_ROUNDING = 64.0  # units in the last place between a control and a bound that holds it
-REGULAR = 1e-6  # of the mean of a diagonal: added to Hessians of Gauss and Newton
-POLISH = 1  # Newton steps before the derivative is taken: a search ends at a finite tolerance
+BOUND_ROUNDING = 64.0  # tolerance of active bounds, in units in the last place
+REGULAR = 1e-6  # regularisation of Gauss-Newton Hessians, relative to the mean of the diagonal
+POLISH = 1  # Newton steps at the solution, which has a finite tolerance
 
 
 class KnotValues(NamedTuple):
-    """The values at a knot (+) d: residuals r; rest, the sum of the costs that are numbers; after,
-    the state after the step minus the next knot (n,); constraints c with their bounds."""
+    """The functions of a problem at a knot (+) d.
+
+    r: residuals.
+    rest: sum of the costs that are numbers, ().
+    after: state after the step minus the next knot, (n,).
+    c, low, high: constraints and their bounds.
+    """
 
     r: jax.Array
     rest: jax.Array
@@ -51,7 +56,11 @@ class KnotValues(NamedTuple):
 
 class Functions(NamedTuple):
     """The functions of a problem. Their first arguments are the closed-over tracers and the arrays
-    of the problem. run: the search; path and end: `KnotValues` of a knot."""
+    of the problem.
+
+    run: the search.
+    path, end: functions that return the `KnotValues` of a knot.
+    """
 
     run: Callable[..., Any]
     path: Callable[..., KnotValues]
@@ -59,7 +68,7 @@ class Functions(NamedTuple):
 
 
 class PrimalDualPoint(NamedTuple):
-    """Where a derivative is taken; path and end: multipliers."""
+    """The point of a derivative: knots, controls, multipliers of path and end constraints."""
 
     knots: Knot
     ctrls: jax.Array
@@ -68,7 +77,7 @@ class PrimalDualPoint(NamedTuple):
 
 
 class KKTPoint(NamedTuple):
-    """A point, its active bounds, the gradient of L by the unknowns, and the equations."""
+    """The KKT system at a point: active bounds, gradient of L, matrix and factors."""
 
     point: PrimalDualPoint
     l: jax.Array
@@ -82,9 +91,9 @@ class KKTPoint(NamedTuple):
 
 
 def solve_kkt(kkt: KKTPoint, r: Unknowns) -> Unknowns:
-    """z of K z = r."""
+    """Solve K z = r for z."""
     e, f = kkt.equations, kkt.factor
-    flat, whole = ravel_pytree(r)  # of one array: a transpose wants all of them linear, or none
+    flat, whole = ravel_pytree(r)  # one array, as the transpose rule needs
 
     def matrix(z: jax.Array) -> jax.Array:
         return ravel_pytree(multiply(e, whole(z)))[0]
@@ -96,7 +105,7 @@ def solve_kkt(kkt: KKTPoint, r: Unknowns) -> Unknowns:
 
 
 class KKTSystem:
-    """The KKT conditions of a problem with its parameters."""
+    """The KKT conditions of a problem, as functions of its parameters."""
 
     def __init__(self, functions: Functions, whole: Callable, parameters: tuple) -> None:
         self.functions, self.whole, self.parameters = functions, whole, parameters
@@ -112,7 +121,7 @@ class KKTSystem:
         return self.functions.end(parameters[0], parameters[1], d, knot)
 
     def knots(self, point: PrimalDualPoint) -> tuple:
-        """The arguments of `path` at all knots, and the last knot."""
+        """Return the arguments of `path` at all knots with controls, and the last knot."""
         ks = jnp.arange(self.problem.horizon, dtype=point.ctrls.dtype)
         body, following, last = (take(point.knots, at) for at in (BODY, NEXT, -1))
         return (ks, body, point.ctrls, following), last
@@ -120,8 +129,7 @@ class KKTSystem:
     # the equations
 
     def polished(self, point: PrimalDualPoint, wanted: jax.Array) -> KKTPoint:
-        """The equations after steps of Newton, where these are wanted and bring the gradient nearer
-        to zero."""
+        """Return the KKT system after Newton steps, if `wanted` and if they reduce the gradient."""
         like = jax.eval_shape(self.at, point)
         best = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), like)
 
@@ -139,7 +147,7 @@ class KKTSystem:
         return jax.lax.fori_loop(0, POLISH + 1, turn, (point, best))[1]
 
     def at(self, point: PrimalDualPoint) -> KKTPoint:
-        """The equations at a point."""
+        """Evaluate the KKT system at a point."""
         n, m, dtype, system = self.n, self.m, point.ctrls.dtype, self.problem.system
         at, last = self.knots(point)
 
@@ -225,13 +233,13 @@ class KKTSystem:
     # L as a function of the parameters
 
     def controls(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
-        """The controls; an entry at a bound is replaced by the bound."""
+        """Return the controls, with entries at an active bound replaced by the bound."""
         low, high = self._bounds(parameters)
         u = jnp.where(kkt.at_low, low, kkt.point.ctrls)
         return jnp.where(kkt.at_high, high, u)
 
     def first_row(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
-        """The residual of the fixed coordinates of the first knot."""
+        """Return the residual of the fixed coordinates of the first knot."""
         system = self.whole(parameters[1]).system
         first = take(kkt.point.knots, 0)
         low, high = self._first_bounds(parameters)
@@ -240,14 +248,14 @@ class KKTSystem:
         return kkt.equations.fixed * jnp.concatenate(off)
 
     def gradient(self, parameters: tuple, kkt: KKTPoint) -> Unknowns:
-        """The gradient of L by the unknowns."""
+        """Return the gradient of L with respect to the unknowns."""
         zero = jax.tree.map(jnp.zeros_like, kkt.gradient)
         g = jax.grad(lambda z: self.lagrangian(parameters, kkt, z))(zero)
         e = kkt.equations
         return g._replace(u=e.free * g.u, path=e.path * g.path, end=e.end * g.end)
 
     def lagrangian(self, parameters: tuple, kkt: KKTPoint, z: Unknowns | None = None) -> jax.Array:
-        """L at the point (+) z, with the active rows only."""
+        """Return L at the point (+) z, with the active rows only."""
         point, z = kkt.point, jax.tree.map(jnp.zeros_like, kkt.gradient) if z is None else z
         (ks, body, _, following), last = self.knots(point)
 
@@ -265,7 +273,7 @@ class KKTSystem:
 
 
 def _definite_equations(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:
-    """The equations with exact Hessians where these are of a minimum, else of Gauss and Newton."""
+    """Return the system with exact Hessians if definite, else with Gauss-Newton Hessians."""
     fixed = jax.lax.stop_gradient
     found = factorise(fixed(exact))
     e = jax.tree.map(lambda x, y: jnp.where(found.ok, x, y), exact, gauss)
@@ -277,26 +285,26 @@ def _cost(s: KnotValues) -> jax.Array:
 
 
 def _active_residual(s: KnotValues, nu: jax.Array) -> jax.Array:
-    """Rows minus their active bounds."""
+    """Return the constraint rows minus their active bounds."""
     return s.c - jnp.where((nu < 0) & jnp.isfinite(s.low), s.low, s.high)
 
 
 def _active_bounds(
     x: jax.Array, low: jax.Array, high: jax.Array, slope: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Whether x lies at its low and its high bound, with a gradient towards the outside."""
+    """Return masks of the entries at active lower and upper bounds, by the sign of the slope."""
     kkt_system = BOUND_ROUNDING * jnp.finfo(x.dtype).eps
     at_low = (x <= low + kkt_system * (1 + jnp.abs(low))) & (slope > 0)
     return at_low, (x >= high - kkt_system * (1 + jnp.abs(high))) & (slope < 0)
 
 
 def _gauss_newton(J: jax.Array) -> jax.Array:
-    """The Hessian of r.r / 2 by Gauss and Newton, with a little on its diagonal."""
+    """Return the Gauss-Newton Hessian of r.r / 2, with a regularised diagonal."""
     n = J.shape[1]
     H = transpose_product(J, J)
     return H + REGULAR * (1 + jnp.trace(H) / n) * jnp.eye(n, dtype=H.dtype)
 
 
 def _size(g: Unknowns) -> jax.Array:
-    """The largest entry, nan if there is one."""
+    """Return the largest absolute entry; nan if any entry is nan."""
     return jnp.stack([jnp.abs(x).max(initial=0.0) for x in g]).max()

@@ -1,11 +1,11 @@
-"""The linear equations of an optimum, solved along the horizon in O(N).
+"""The linear KKT system of an optimal control problem, solved along the horizon in O(N).
 
     [ H   G' ] [ w ]   [ r ]      w = (x_0, u_0, x_1, ..., x_N): H of blocks Q_k, S_k, R_k
     [ G   0  ] [ y ] = [ s ]      rows of G: A_k x_k + B_k u_k - x_{k+1},  C_k x_k + D_k u_k,  E x_N
 
-y = (l, nu) are costates and multipliers. Active rows enter the recursion as penalties
-rho |C x + D u - s|^2 / 2, so they need not be independent. Each step of refinement r <- r - K z
-reduces the error of 1/rho by that factor.
+y = (l, nu) are costates and multipliers. Active rows enter the recursion as penalties rho |C x + D
+u - s|^2 / 2, so they need not be independent. Each step of iterative refinement r <- r - K z
+multiplies the error by a factor of order 1/rho.
 Source: Wright, *Interior point methods for optimal control of discrete time systems*, 1993.
 """
 
@@ -19,16 +19,22 @@ import jax.numpy as jnp
 from rbjax.control.linear.riccati import propagate_hessian, roll_linear
 from rbjax.control.products import product
 
-TURNS = 4  # of refinement
+TURNS = 4  # steps of iterative refinement
 
 
 def transpose_product(A: jax.Array, B: jax.Array) -> jax.Array:
-    """A' B."""
+    """Return A' B."""
     return product(A.T, B)
 
 
 class Unknowns(NamedTuple):
-    """x (N + 1, n), u (N, m), l (N + 1, n), and of constraints path (N, c), end (e,)."""
+    """Unknowns of the KKT system, or a right-hand side.
+
+    x: states, (N + 1, n).
+    u: controls, (N, m).
+    l: costates, (N + 1, n).
+    path, end: multipliers of the constraints, (N, c) and (e,).
+    """
 
     x: jax.Array
     u: jax.Array
@@ -38,9 +44,12 @@ class Unknowns(NamedTuple):
 
 
 class Saddle(NamedTuple):
-    """Blocks of the matrix, and masks of 0 and 1: fixed (n,), of x_0; free (N, m), of controls;
-    path (N, c) and end (e,), the active rows. Controls that are not free are zero, rows that are
-    not active have no multiplier."""
+    """Blocks of the KKT matrix, and masks of 0 and 1.
+
+    fixed: fixed coordinates of x_0, (n,).
+    free: free controls, (N, m); the others are zero.
+    path, end: active rows, (N, c) and (e,); the others have no multiplier.
+    """
 
     A: jax.Array
     B: jax.Array
@@ -68,7 +77,7 @@ class Factor(NamedTuple):
 
 
 def apply_masks(e: Saddle) -> Saddle:
-    """The blocks without the columns and rows that masks leave out."""
+    """Return the blocks with masked rows and columns set to zero."""
     free = e.free[:, None, :]
     return e._replace(
         B=e.B * free, S=e.S * free, R=e.R * free * e.free[:, :, None],
@@ -77,7 +86,7 @@ def apply_masks(e: Saddle) -> Saddle:
 
 
 def multiply(e: Saddle, z: Unknowns) -> Unknowns:
-    """K z, of masked equations."""
+    """Return the matrix-vector product K z; the blocks are masked."""
     x, after, l = z.x[:-1], z.x[1:], z.l[1:]
     mul, mulT = jax.vmap(product), jax.vmap(lambda M, v: product(M.T, v))
     gx = mul(e.Q[:-1], x) + mul(e.S, z.u) + mulT(e.A, l) + mulT(e.C, z.path)
@@ -94,7 +103,7 @@ def multiply(e: Saddle, z: Unknowns) -> Unknowns:
 
 
 def factorise(e: Saddle) -> Factor:
-    """The Riccati recursion of masked equations."""
+    """Factor the masked KKT matrix by a Riccati recursion."""
     dtype = e.Q.dtype
     rho = jnp.asarray(float(jnp.finfo(dtype).eps) ** -0.4, dtype)
 
@@ -120,8 +129,8 @@ def factorise(e: Saddle) -> Factor:
 
 
 def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The inverse of a symmetric matrix, its eigenvalues bounded away from zero, and whether all
-    are positive."""
+    """Return the inverse of a symmetric matrix, and whether it is positive definite. Eigenvalues
+    are bounded away from zero."""
     tiny = jnp.finfo(H.dtype).eps
     values, vectors = jnp.linalg.eigh(H)
     least = tiny * jnp.maximum(jnp.abs(values).max(), tiny)
@@ -130,7 +139,7 @@ def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def solve(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
-    """z of K z = r."""
+    """Solve K z = r for z, with iterative refinement."""
 
     def refine(_: Any, z: Unknowns) -> Unknowns:
         left = jax.tree.map(jnp.subtract, r, multiply(e, z))
@@ -140,7 +149,7 @@ def solve(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
 
 
 def _solve_penalised(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
-    """z of the equations whose active rows have -1/rho on their diagonal."""
+    """Solve the system in which active rows have -1/rho on their diagonal."""
     rho = f.rho
     rows, ends = rho * e.path * r.path, rho * e.end * r.end
 

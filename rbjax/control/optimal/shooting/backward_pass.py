@@ -1,11 +1,11 @@
-"""The backward pass of differential dynamic programming: gains of a problem to second order.
+"""The backward pass of differential dynamic programming: gains from a second-order expansion.
 
     Qxx = Q + A'V'A,  Quu = R + B'V'B,  Qux = S' + B'V'A,  Qx = q + A'v',  Qu = r + B'v'
     du = k + K dx,   k = argmin over the box,   K = -Quu^-1 Qux in the free controls
     V = Qxx + Qxu K,   v = Qx + Qxu k
 
-The gaps of steps enter v (Mastalli et al. 2020). The quadratic program in the box is solved by
-projected Newton steps (Bertsekas 1982; Tassa, Mansard & Todorov 2014).
+The gaps of steps enter v (Mastalli et al. 2020). Projected Newton steps solve the quadratic program
+in the box (Bertsekas 1982; Tassa, Mansard & Todorov 2014).
 """
 
 from __future__ import annotations
@@ -21,13 +21,18 @@ from rbjax.control.optimal.shooting.expansion import Quadratic
 from rbjax.control.products import in_registers, product
 from rbjax.lanes.arrays import matvec
 
-TURNS = 20  # at most; a program of m entries seldom takes more than m + 2
+TURNS = 20  # maximum number of Newton steps; m entries usually require at most m + 2
 HALVINGS = np.array([0.5**k for k in range(8)])
 
 
 class BoxSolution(NamedTuple):
-    """d (m,); free (m,), 1 where an entry is within the box; factor (m, m), lower, of H in the free
-    entries and of one in the others; ok, whether that is positive definite."""
+    """The solution of a quadratic program in a box.
+
+    d: minimum, (m,).
+    free: 1 for entries within the box, 0 at a bound, (m,).
+    factor: lower Cholesky factor of H in the free entries and the identity elsewhere, (m, m).
+    ok: true if H is positive definite in the free entries.
+    """
 
     d: jax.Array
     free: jax.Array
@@ -36,9 +41,9 @@ class BoxSolution(NamedTuple):
 
 
 def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSolution:
-    """The minimum in the box. low < high; H (m, m) positive definite in the free entries."""
+    """Minimise d'H d / 2 + g'd over the box low <= d <= high, for definite H (m, m), low < high."""
     L = factor_of(H)
-    d = -solved(L, g)  # most often within the box
+    d = -solved(L, g)  # often within the box already
     return jax.lax.cond(
         ((d >= low) & (d <= high)).all(),
         lambda: BoxSolution(d, jnp.ones_like(g), L, is_factor(L)),
@@ -49,7 +54,7 @@ def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSo
 def box_gains(
     H: jax.Array, g: jax.Array, G: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """d of `box_qp` and K = -H^-1 G (m, n) in its free entries, 0 in the others; and its ok."""
+    """Return d of `box_qp`, K = -H^-1 G (m, n) with rows 0 at bounds, and ok."""
     both, ok = gains(H, g, G)
     d = both[:, -1]
     inside = ((d >= low) & (d <= high)).all()
@@ -60,13 +65,13 @@ def box_gains(
         K = -free * solved(box.factor, free * G)
         return jnp.concatenate([K, box.d[:, None]], 1), box.ok, jnp.asarray(True)
 
-    # once at most; the results of two branches would be copied in both
+    # a loop of at most one turn; `cond` would copy the results of both branches
     both, ok, _ = jax.lax.while_loop(lambda now: ~now[2], held, (both, ok, inside))
     return both[:, -1], both[:, :-1], ok
 
 
 def gains(H: jax.Array, g: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """-H^-1 (G, g) without a box, and whether H is positive definite."""
+    """Return -H^-1 (G, g) without bounds, and whether H is positive definite."""
     L = factor_of(H)
     return solved(L, -jnp.concatenate([G, g[:, None]], 1)), is_factor(L)
 
@@ -94,7 +99,7 @@ def _projected(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> B
         best = jnp.argmin(costs)
         better = costs[best] < cost(d)
         new = jnp.where(better, tries[best], d)
-        # a full step that meets no bound is the minimum in the free entries
+        # a full step with an unchanged active set is the minimum
         done = ~better | ((best == 0) & (free_of(new) == free).all())
         return new, free, L, turns + 1, done
 
@@ -105,17 +110,17 @@ def _projected(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> B
 
 
 def factor_of(H: jax.Array) -> jax.Array:
-    """L of H = L L', of which the lower half is read."""
+    """Return the Cholesky factor L of H = L L', from the lower triangle of H."""
     return jax.lax.linalg.cholesky(H, symmetrize_input=False)
 
 
 def is_factor(L: jax.Array) -> jax.Array:
-    """Whether there was a factor: all of it is nan else."""
+    """Return whether the factorisation succeeded; otherwise L is nan."""
     return jnp.isfinite(jnp.diagonal(L)).all()
 
 
 def solved(L: jax.Array, b: jax.Array) -> jax.Array:
-    """(L L')^-1 b, of a vector or the columns of a matrix."""
+    """Return (L L')^-1 b for a vector or the columns of a matrix."""
     return jax.scipy.linalg.cho_solve((L, True), b)
 
 
@@ -134,7 +139,7 @@ class Feedback(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """low and high (N, m), of du."""
+    """Bounds low and high of du, (N, m) each."""
 
     low: jax.Array
     high: jax.Array
@@ -144,16 +149,17 @@ def backward_pass(
     A: jax.Array, B: jax.Array, gaps: jax.Array, path: Quadratic, end: Quadratic,
     bounds: Bounds | None, first: tuple | None, reg: jax.Array, h: Any = None,
 ) -> Feedback:  # fmt: skip
-    """The gains and the value function.
+    """Compute the gains and the value function.
 
-    A: (N, n, n). B: (N, n, m).
-    gaps: (N + 1, n), the first from the first knot to the start.
-    path: (N, ...), and end: the costs.
+    A: (N, n, n).
+    B: (N, n, m).
+    gaps: (N + 1, n); the first is from the first knot to the start.
+    path, end: costs of the knots with controls (N, ...), and of the end.
     bounds: of du; None for none.
-    first: of the free coordinates of the first knot: free (n,) of 0 and 1, low and high (n,) of
-        dx0; None if there are none.
-    reg: added to the diagonals of control Hessians and of V.
-    h: the step, if dq+ = dq + h dv+; None for other systems.
+    first: (free, low, high) of the first knot, (n,) each: mask of its free coordinates, and bounds
+        of dx0; None if it is fixed.
+    reg: regularisation, added to the diagonals of the control Hessians and of V.
+    h: the step size, if dq+ = dq + h dv+; None for other systems.
     """
     m, n = path.r.shape[-1], end.q.shape[0]
     eye_u, eye_x = jnp.eye(m, dtype=reg.dtype), jnp.eye(n, dtype=reg.dtype)
@@ -210,21 +216,20 @@ def backward_pass(
 
 
 def projected_gradient(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """The projected gradient: 0 in entries whose descent leaves the bounds low, high of the
-    step."""
+    """Return the gradient, with 0 for entries whose descent violates bounds of the step."""
     pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     return jnp.where(pressed, 0.0, gradient)
 
 
 def propagate_value(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
-    """A'VA, B'VB, B'VA, A'v and B'v."""
+    """Return A'VA, B'VB, B'VA, A'v and B'v."""
     return *propagate_hessian(V, A, B), product(A.T, v), product(B.T, v)
 
 
 def propagate_value_by_velocities(
     V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array, h: Any
 ) -> tuple:
-    """The same of dv+ = [C D] dx + E du, dq+ = dq + h dv+: half the work.
+    """Compute `propagate_value` for dv+ = [C D] dx + E du, dq+ = dq + h dv+, at half the cost.
 
     A = T (1 + [0; F]),  B = T [0; E],  T = [1 h; 0 1],  F = [C D - 1]
     """
@@ -232,7 +237,7 @@ def propagate_value_by_velocities(
     F, E = A[n:] - jnp.eye(n, 2 * n, n, dtype=A.dtype), B[n:]
     q, c, w = V[:n, :n], V[:n, n:], V[n:, n:]
     w = w + h * (c + c.T) + h * h * q
-    columns = jnp.concatenate([c + h * q, w])  # of T'VT, those of the velocities
+    columns = jnp.concatenate([c + h * q, w])  # columns of T'VT for the velocities
     rows = jnp.concatenate([q, V[n:, :n] + h * q])
     W = jnp.concatenate([rows, columns], 1) + product(columns, F)
     slope = v[n:] + h * v[:n]

@@ -1,16 +1,16 @@
-"""Differential dynamic programming with multiple shooting, boxes and constraints.
+"""Differential dynamic programming with multiple shooting, control bounds and constraints.
 
 Each iteration of `search` expands the problem at its knots (`expansion`), computes gains
-(`backward_pass`), rolls out steps of 1, 1/2, 1/4 ... side by side, and takes the longest that
-lowers the cost as expected:
+(`backward_pass`), rolls out steps of length a = 1, 1/2, 1/4 ... in parallel, and applies the
+longest that lowers the cost as expected:
 
     x_0 = xs_0 (+) a dx_0,   u_k = us_k + a k_k + K_k (x_k (-) xs_k),   within the bounds
     x_{k+1} = f(x_k, u_k) (+) (a - 1) gap_{k+1}
 
-With a = 1 the motion obeys the dynamics; with less, gaps close in proportion. The states of the
-guess need not obey the dynamics.
+With a = 1 the motion obeys the dynamics. With a < 1 the gaps shrink by the factor 1 - a. The states
+of the guess need not obey the dynamics.
 
-Source: Mastalli et al., *Crocoddyl*, 2020, whose rules of acceptance and regularisation these are.
+Source: Mastalli et al., *Crocoddyl*, 2020, for the rules of acceptance and regularisation.
 """
 
 from __future__ import annotations
@@ -38,21 +38,28 @@ from rbjax.control.optimal.shooting.search import (
 from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.products import product
 
-ACCEPTED, ASCENT = 0.1, 2.0  # shares of the expected change
+ACCEPTED, ASCENT = 0.1, 2.0  # fractions of the expected change
 
 
 def solve_ddp(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     exact: bool = False,
 ) -> SearchResult:  # fmt: skip
-    """`solve` by differential dynamic programming. exact: with second derivatives of dynamics and
-    residuals, where they leave the control Hessians positive definite."""
+    """Solve a problem by differential dynamic programming.
+
+    exact: use second derivatives of dynamics and residuals if the control Hessians stay positive
+        definite.
+    """
     return search(ROLLOUTS, problem, start, knots, ctrls, options, history, exact)
 
 
 class Rollout(NamedTuple):
-    """knots (N + 1, ...), ctrls (N, m), costs (), violations (), the largest of a constraint, and
-    more (): sum of gap' V dx."""
+    """The rollout of a trial step.
+
+    knots, ctrls: the motion, (N + 1, ...) and (N, m).
+    costs, violations: its cost and largest constraint violation, ().
+    more: sum of gap' V dx, ().
+    """
 
     knots: Knot
     ctrls: jax.Array
@@ -65,7 +72,7 @@ def forward_pass(
     problem: Problem, knots: Knot, ctrls: jax.Array, gains: Feedback, gaps: jax.Array,
     multipliers: Multipliers, a: jax.Array,
 ) -> Rollout:  # fmt: skip
-    """The motion of a step of length a."""
+    """Roll out a step of length a."""
     first = take(knots, 0)
     now = problem.plus(first, a * gains.first)
     mu = multipliers.penalty
@@ -100,7 +107,7 @@ def forward_pass(
 def _rollouts(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> Rollout:
-    """The motions of all lengths."""
+    """Roll out steps of all lengths."""
     lengths = jnp.asarray(LENGTHS, now.ctrls.dtype)
     run = threads(functools.partial(forward_pass, problem))
     return jax.vmap(run, (None,) * 5 + (0,))(
@@ -111,7 +118,7 @@ def _rollouts(
 def _take_rollout(
     problem: Problem, now: Iterate, trials: Rollout, decided: Decision
 ) -> tuple[Knot, jax.Array]:
-    """The motion of the accepted trial."""
+    """Return the motion of the accepted trial."""
     return jax.tree.map(
         lambda new, old: jnp.where(decided.accepted, new[decided.best], old),
         (trials.knots, trials.ctrls), (now.knots, now.ctrls),
@@ -121,14 +128,14 @@ def _take_rollout(
 def _decreases_as_expected(
     values: IterationValues, lengths: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Whether the cost changes as its quadratic model predicts."""
+    """Return a mask of trials with the predicted change of cost, and the expected decrease."""
     cross = values.more
     slope, curvature = values.slope + cross, values.curvature - 2 * cross
     expected = lengths * (slope + 0.5 * lengths * curvature)
     change = values.costs - values.cost
     change = change - rounding(values.cost)
     falls = (expected <= 0) & (change <= ACCEPTED * expected)
-    # closing the gaps may raise the cost: then by less than twice the expected rise
+    # a step that closes gaps may raise the cost, by less than twice the expected rise
     rises = (expected > 0) & (change < ASCENT * expected)
     return falls | rises, jnp.abs(values.slope + 0.5 * values.curvature)
 

@@ -1,12 +1,12 @@
-"""A problem to second order at all of its knots, and the gaps between its steps.
+"""Second-order expansion of a problem at all of its knots, and the gaps between its steps.
 
     dx+ = A dx + B du + gap,      cost = c + q.dx + r.du + dx'Q dx/2 + du'R du/2 + dx'S du
     gap_0 = start (-) x_0,        gap_{k+1} = f(x_k, u_k) (-) x_{k+1}
 
-Costs of residuals are expanded by Gauss and Newton, costs that are numbers by their Hessians.
-Constraints enter as the residuals of the augmented Lagrangian. States and controls are unknowns
-(multiple shooting, Bock & Plitt 1984), so a step need not end at the next knot. Each knot is a
-program of one sample (`rb.threads`).
+Costs of residuals are expanded by Gauss-Newton, costs that are numbers by their Hessians.
+Constraints are residuals of the augmented Lagrangian. States and controls are unknowns (multiple
+shooting, Bock & Plitt 1984), so a step need not end at the next knot. Each knot is one sample of a
+batched kernel (`rb.threads`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rbjax.control.products import product
 
 
 class Quadratic(NamedTuple):
-    """A cost to second order: c (), q (n,), Q (n, n), r (m,), R (m, m), S (n, m)."""
+    """A second-order expansion of a cost: c (), q (n,), Q (n, n), r (m,), R (m, m), S (n, m)."""
 
     c: jax.Array
     q: jax.Array
@@ -45,7 +45,7 @@ class Quadratic(NamedTuple):
 
 
 class Local(NamedTuple):
-    """A knot with controls: A and B of its step, and its cost."""
+    """The expansion at a knot with controls: A and B of its step, and its cost."""
 
     A: jax.Array
     B: jax.Array
@@ -56,8 +56,8 @@ def quadratic(
     problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array,
     mu: jax.Array,
 ) -> Quadratic:  # fmt: skip
-    """The cost of a knot to second order: the sum over its terms, each differentiated by the
-    coordinates that it reads only."""
+    """Expand the cost of a knot to second order. Each term is differentiated only with respect to
+    the coordinates on which it depends."""
     n, m, dtype = problem.n, problem.nu, ctrl.dtype
     total = jnp.zeros((), dtype)
     gradient, H = jnp.zeros(n + m, dtype), jnp.zeros((n + m, n + m), dtype)
@@ -78,7 +78,7 @@ def quadratic(
 def _second_order_in(
     f: Any, zero: jax.Array, basis: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The cost of a term and its first and second derivatives along the rows of `basis`."""
+    """Return the cost of a term and its first and second derivatives along the rows of `basis`."""
     value = f(zero)
     if value.ndim:
         J = jax.vmap(lambda e: jax.jvp(f, (zero,), (e,))[1])(basis)
@@ -89,7 +89,7 @@ def _second_order_in(
 
 
 def read_columns(problem: Problem, part: Any) -> np.ndarray:
-    """The coordinates of a knot's tangent space and of the controls on which a function depends."""
+    """Return the indices in (knot tangent vector, controls) on which a function depends."""
     knot, ctrl = example_knot(problem)
     leaves, tree = jax.tree.flatten((knot, ctrl))
 
@@ -107,7 +107,7 @@ def read_columns(problem: Problem, part: Any) -> np.ndarray:
 
 
 def arguments_read(f: Any, args: list) -> list[bool]:
-    """Whether the result of f depends on each of its arguments, by the equations of its jaxpr."""
+    """Return for each argument whether the result of f depends on it, from the jaxpr of f."""
     jaxpr = jax.make_jaxpr(f)(*args).jaxpr
     live = {v for v in jaxpr.outvars if isinstance(v, Var)}
     for eqn in reversed(jaxpr.eqns):
@@ -120,8 +120,8 @@ def second_order(
     problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array,
     mu: jax.Array, costate: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
-    """The parts of Q, R and S that Gauss-Newton omits: sum of r_i r_i'' of the residuals, and of
-    costate_i f_i'' of the step."""
+    """Return the parts of Q, R and S that Gauss-Newton omits. They are the sum of r_i r_i'' over
+    the residuals and of costate_i f_i'' over the step."""
     n, m = problem.n, problem.nu
     zero = jnp.zeros(n + m, ctrl.dtype)
     residuals = [
@@ -145,8 +145,8 @@ def second_order(
 
 
 def costates(path: Local, end: Quadratic) -> jax.Array:
-    """The derivatives (N, n) of the cost by the state after each step: l_N = q_N,
-    l_k = q_k + A_k' l_{k+1}."""
+    """Return the derivatives (N, n) of the cost with respect to the state after each step. The
+    recursion is l_N = q_N, l_k = q_k + A_k' l_{k+1}."""
 
     def back(l: jax.Array, knot: tuple) -> tuple[jax.Array, jax.Array]:
         A, q = knot
@@ -155,13 +155,18 @@ def costates(path: Local, end: Quadratic) -> jax.Array:
     return jax.lax.scan(back, end.q, (path.A, path.cost.q), reverse=True)[1]
 
 
-#: knots, of all problems together, up to which a GPU has a thread a column
+#: largest number of knots, over all problems of a batch, for which a GPU uses a thread per column
 FEW = 2048
 
 
 class Expanded(NamedTuple):
-    """All knots to second order; gaps (N + 1, n), the first from the first knot to the start;
-    cost (), with the augmented Lagrangian; gap () and violation (), the largest."""
+    """The second-order expansion of all knots.
+
+    path, end: expansions of the knots with controls, and of the end.
+    gaps: (N + 1, n); the first is from the first knot to the start.
+    cost: total cost with the augmented Lagrangian, ().
+    gap, violation: largest entry of a gap and of a constraint violation, ().
+    """
 
     path: Local
     end: Quadratic
@@ -174,7 +179,7 @@ class Expanded(NamedTuple):
 def expand(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
 ) -> Expanded:
-    """All knots to second order, side by side."""
+    """Expand all knots to second order, in parallel."""
     N, dtype = problem.horizon, ctrls.dtype
     body, following = take(knots, BODY), take(knots, NEXT)
 
@@ -196,7 +201,7 @@ def expand(
         return Local(A, B, cost), gap, off
 
     def ends(start, knots, rows, mu):
-        """The gap of the start, and the end."""
+        """Return the gap of the start, and the expansion and violation of the end."""
         first, last = take(knots, 0), take(knots, -1)
         gap = problem.off_start(start, first)
         none = jnp.zeros(problem.nu, dtype)
@@ -216,7 +221,7 @@ def expand(
 def columns(
     problem: Problem, k: jax.Array, knots: Knot, ctrl: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """A, B and the gap of knot k, a thread a column."""
+    """Return A, B and the gap of knot k, with one thread per column."""
     n, none = problem.n, np.zeros(problem.n + problem.nu, ctrl.dtype)
 
     def column(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -236,13 +241,13 @@ def columns(
 
 
 def knot_indices(N: int, dtype: Any) -> jax.Array:
-    """The indices of the knots with controls, as a constant of the program."""
+    """Return the indices of the knots with controls, as a compile-time constant."""
     return jnp.asarray(np.arange(N, dtype=dtype))
 
 
 def knots_at(knots: Any, k: jax.Array) -> tuple[Any, Any]:
-    """Knot k and the next one, read in a program of one sample: slices of arrays outside of it are
-    copies, and each copy is a kernel."""
+    """Return knot k and the next one, read inside the kernel of a sample. Slices outside of it
+    would be copies, with a kernel for each copy."""
     k = k.astype(np.uint32)
     here, following = (
         jax.tree.map(lambda x, i=i: jax.lax.dynamic_index_in_dim(x, i, keepdims=False), knots)
@@ -254,7 +259,7 @@ def knots_at(knots: Any, k: jax.Array) -> tuple[Any, Any]:
 def add_curvature(
     problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
 ) -> Expanded:
-    """All knots with the second derivatives that Gauss-Newton omits."""
+    """Add the second derivatives that Gauss-Newton omits to the expansion of all knots."""
     N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
     body, last = take(knots, BODY), take(knots, -1)
 
@@ -280,7 +285,7 @@ def add_curvature(
 def updated_multipliers(
     problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
 ) -> tuple[jax.Array, jax.Array]:
-    """The next multipliers of path and end, side by side."""
+    """Return the next multipliers of the path and end constraints, in parallel over the knots."""
     N, dtype = problem.horizon, ctrls.dtype
 
     def one(where, k, knot, ctrl, y, mu):
@@ -300,7 +305,7 @@ def updated_multipliers(
 
 
 def largest_gap(problem: Problem, start: Any, knots: Knot, ctrls: jax.Array) -> jax.Array:
-    """The largest entry of a gap between a step and the next state, and of the start's."""
+    """Return the largest entry of all gaps, including the gap of the start."""
     body, following = take(knots, BODY), take(knots, NEXT)
 
     def one(k: Any, knot: Knot, ctrl: jax.Array, after: Knot) -> jax.Array:

@@ -1,8 +1,8 @@
-"""Which steps a line search takes: a filter of pairs (infeasibility, cost).
+"""Acceptance of line search steps by a filter of pairs (infeasibility, cost).
 
-A trial is taken if neither the current pair nor one of the filter is better than it in both. Near
-feasibility the cost must fall as its slope predicts (Armijo). A pair enters the filter when a step
-leaves it that did not have to lower the cost.
+A trial step is accepted if neither the current pair nor one of the filter is better in both
+components. Near feasibility the cost must decrease as its slope predicts (Armijo). The current pair
+is added to the filter after a step that was not accepted for its decrease of the cost.
 Source: Waechter & Biegler, Math. Program. 106, 2006, eqs. 18 to 22.
 """
 
@@ -14,16 +14,21 @@ import jax
 import jax.numpy as jnp
 
 KEPT = 64
-SHARE = 1e-5  # gamma: a margin in terms of the infeasibility
+SHARE = 1e-5  # gamma: a margin relative to the infeasibility
 ARMIJO = 1e-4
 POWER_SLOPE, POWER_THETA = 2.3, 1.1
-MOST, NEAR = 10.0, 1e-4  # of the first infeasibility, or of 1
+MOST, NEAR = 10.0, 1e-4  # bounds of the infeasibility, relative to max(1, its first value)
 ROUNDING = 10.0  # units in the last place
 
 
 class Filter(NamedTuple):
-    """Pairs theta and phi (KEPT,), infinite without a pair; the number used (); the bounds most ()
-    and near () of the infeasibility."""
+    """A filter of pairs.
+
+    theta, phi: infeasibilities and costs, (KEPT,), infinite in unused entries.
+    used: number of pairs added, ().
+    most: upper bound of the infeasibility, ().
+    near: infeasibility below which the Armijo condition can apply, ().
+    """
 
     theta: jax.Array
     phi: jax.Array
@@ -33,39 +38,39 @@ class Filter(NamedTuple):
 
 
 def empty_filter(theta: jax.Array) -> Filter:
-    """A filter without pairs. theta: the infeasibility of the first guess."""
+    """Return a filter without pairs. theta: the infeasibility of the first guess."""
     none = jnp.full(KEPT, jnp.inf, theta.dtype)
     size = jnp.maximum(1.0, theta)
     return Filter(none, none, jnp.asarray(0), MOST * size, NEAR * size)
 
 
 def without_pairs(filter_: Filter) -> Filter:
-    """The same without its pairs, for another cost."""
+    """Remove all pairs, because the cost function has changed."""
     none = jnp.full_like(filter_.theta, jnp.inf)
     return filter_._replace(theta=none, phi=none, used=jnp.zeros_like(filter_.used))
 
 
 def rounding(cost: jax.Array) -> jax.Array:
-    """By how much a cost may be off by rounding."""
+    """Return a bound of the rounding error of a cost."""
     return ROUNDING * jnp.finfo(cost.dtype).eps * jnp.abs(cost)
 
 
 class Pair(NamedTuple):
-    """Infeasibility and cost, each ()."""
+    """A pair of infeasibility and cost, each ()."""
 
     theta: jax.Array
     phi: jax.Array
 
 
 def must_decrease(filter_: Filter, now: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
-    """Whether a step of length a must lower the cost."""
+    """Return whether a step of length a must satisfy the Armijo condition."""
     falls = jnp.maximum(-slope, 0.0)
     switch = a * falls**POWER_SLOPE > now.theta**POWER_THETA
     return (now.theta <= filter_.near) & (slope < 0) & switch
 
 
 def accepts(filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
-    """Whether a trial of length a is taken."""
+    """Return whether a trial step of length a is acceptable."""
     slack, trial_slack = rounding(now.phi), rounding(trial.phi)
     armijo = trial.phi - now.phi - slack <= ARMIJO * a * slope
     less = (trial.theta <= (1 - SHARE) * now.theta) | (
@@ -79,7 +84,7 @@ def accepts(filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Ar
 def updated_filter(
     filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array
 ) -> Filter:
-    """The filter after a step that was taken."""
+    """Return the filter after an accepted step."""
     armijo = trial.phi - now.phi <= ARMIJO * a * slope
     enters = ~(must_decrease(filter_, now, slope, a) & armijo)
     at = filter_.used % KEPT

@@ -1,15 +1,15 @@
-"""Optimal control by samples: predictive sampling, MPPI and the cross-entropy method.
+"""Sampling-based optimal control: predictive sampling, MPPI and the cross-entropy method.
 
-Controls are a spline of few points z. Each round draws z_i = m + s * e_i, e_i normal, within the
-bounds, rolls out every motion, and moves m by the costs J_i:
+Controls are a spline with few points z. Each round draws z_i = m + s * e_i, e_i normal, within the
+bounds, rolls out every sample, and updates m from the costs J_i:
 
     predictive       m+ = the best z_i
     mppi             m+ = sum w_i z_i / sum w_i,   w_i = exp(-(J_i - J_min) / lambda)
     cross_entropy    m+, s+ = mean and deviation of the best tenth of z_i
 
-The first two shrink s by a factor a round. lambda is the temperature times the spread of the best
-tenth. Constraints cost penalty / 2 times their squared violation. Design parameters, the final time
-and a free start are sampled too.
+The first two multiply s by a factor below 1 each round. lambda is the temperature times the cost
+range of the best tenth. Constraints cost penalty / 2 times their squared violation. Design
+parameters, the final time and a free start are sampled too.
 Source: Howell et al. 2022; Williams et al. 2017; Rubinstein 1999; Xue et al. 2024.
 """
 
@@ -42,19 +42,23 @@ from rbjax.errors import InputError, UnknownName
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")
-ELITES = 0.1  # the share of the samples that counts as good
+ELITES = 0.1  # fraction of the samples in the best group
 
 
 @dataclasses.dataclass(frozen=True)
 class Sampling:
-    """A method of `solve` that draws samples.
+    """A sampling method for `solve`.
 
-    Fields: update, one of "predictive", "mppi", "cross_entropy"; samples of a round; points of the
-    spline, at most as many as the problem has knots with controls; spline, "hold", "linear" or
-    "cubic"; spread, the first deviation as a share of the width between the bounds, and in the
-    controls' own units where there are none; cooling, the factor of the deviation after a round;
-    temperature of MPPI; smoothing, the share of the old deviation that the cross-entropy method
-    keeps; penalty of constraints.
+    update: "predictive", "mppi" or "cross_entropy".
+    samples: number of samples in a round.
+    points: number of points of the spline, at most N.
+    spline: "hold", "linear" or "cubic".
+    spread: first standard deviation, relative to the width of the bounds; in the units of the
+        controls without bounds.
+    cooling: factor of the deviation after a round.
+    temperature: of MPPI.
+    smoothing: fraction of the old deviation in the update of the cross-entropy method.
+    penalty: of constraint violations.
 
     Example:
         >>> import jax.numpy as jnp
@@ -95,9 +99,10 @@ class Sampling:
 
 @dataclasses.dataclass(frozen=True)
 class SampledStart:
-    """DDP from the motion that samples found.
+    """DDP from a motion that a sampling method computes.
 
-    Fields: sampling, a `Sampling`; rounds of it, before DDP takes its iterations.
+    sampling: a `Sampling`.
+    rounds: number of its rounds before DDP.
     """
 
     sampling: Any = Sampling()  # checked below
@@ -113,7 +118,7 @@ class SampledStart:
         self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
         history: int,
     ) -> SearchResult:  # fmt: skip
-        """`solve` by samples, then DDP."""
+        """Run the sampling method, then DDP from its result."""
         few = options.replace(rule=options.rule._replace(iterations=jnp.asarray(self.rounds)))
         found = solve_sampling(self.sampling, problem, start, knots, ctrls, few, 1)
         good = jnp.isfinite(found.cost)
@@ -123,8 +128,12 @@ class SampledStart:
 
 
 class Draw(NamedTuple):
-    """A sample: points (K, m) of the spline, parameters (p,) of the design and the time, and dx0
-    (n,) of the start."""
+    """A sample.
+
+    points: of the spline, (K, m).
+    parameters: of the design and the final time, (p,).
+    first: tangent vector dx0 of the start, (n,).
+    """
 
     points: jax.Array
     parameters: jax.Array
@@ -132,7 +141,7 @@ class Draw(NamedTuple):
 
 
 class Round(NamedTuple):
-    """The state between two rounds."""
+    """The state of a sampling method between two rounds."""
 
     mean: Draw
     deviation: Draw
@@ -148,8 +157,9 @@ def solve_sampling(
     how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
     history: int,
 ) -> SearchResult:  # fmt: skip
-    """`solve` by samples. It has finished if the costs of the best tenth agree to the tolerance,
-    relative to the cost: their deviation shrinks anywhere, so this does not show an optimum."""
+    """Solve a problem with a sampling method. It finishes if the costs of the best tenth agree to
+    the tolerance, relative to the cost. Since their deviation shrinks everywhere, this does not
+    prove optimality."""
     dtype = ctrls.dtype
     mean, first, low, high = _initial_distribution(how, problem, start, knots, ctrls)
     key = jax.random.key(options.seed)
@@ -200,7 +210,7 @@ def solve_sampling(
 def _initial_distribution(
     how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array
 ) -> tuple[Draw, Draw, Draw, Draw]:
-    """The first mean and deviation, and the bounds."""
+    """Return the first mean and deviation of the samples, and their bounds."""
     dtype, n = ctrls.dtype, problem.system.n
     count = min(how.points, problem.horizon)
     at = np.round(np.linspace(0, problem.horizon - 1, count)).astype(int)
@@ -228,7 +238,7 @@ def _initial_distribution(
 
 
 def _draw_samples(key: jax.Array, now: Round, samples: int, low: Draw, high: Draw) -> Draw:
-    """The samples of a round, the first of them the mean."""
+    """Draw the samples of a round; the first of them is the mean."""
     keys = Draw(*jax.random.split(key, 3))
 
     def one(key: jax.Array, mean: jax.Array, deviation: Any, low: Any, high: Any) -> jax.Array:
@@ -241,7 +251,7 @@ def _draw_samples(key: jax.Array, now: Round, samples: int, low: Draw, high: Dra
 def _update_distribution(
     how: Sampling, now: Round, good: Draw, least: jax.Array, costs: jax.Array, drawn: Draw
 ) -> tuple[Draw, Draw]:
-    """The next mean and deviation. good and least (elites,): the best, in order."""
+    """Return the next mean and deviation. good, least: the best samples and costs, sorted."""
     colder = jax.tree.map(lambda s: s * how.cooling, now.deviation)
     if how.update == "predictive":
         mean, deviation = take(good, 0), colder
@@ -262,7 +272,7 @@ def _update_distribution(
             return keep * old + (1 - keep) * jnp.sqrt(_weighted(w, (x - m) ** 2))
 
         deviation = jax.tree.map(spread, good, mean, now.deviation)
-    some = jnp.isfinite(least[0])  # else draw again about the same mean
+    some = jnp.isfinite(least[0])  # otherwise draw again from the same distribution
     pick = lambda new, old: jnp.where(some, new, old)  # noqa: E731
     return jax.tree.map(pick, (mean, deviation), (now.mean, now.deviation))
 
@@ -272,8 +282,8 @@ def _weighted(w: jax.Array, x: jax.Array) -> jax.Array:
 
 
 def control_at(how: Sampling, points: jax.Array, k: jax.Array, horizon: int) -> jax.Array:
-    """The controls (m,) at knot k of the spline with points (K, m), the first at knot 0 and the
-    last at knot horizon - 1; "hold" changes half way between points."""
+    """Return the controls (m,) at knot k of the spline with points (K, m). The first point is at
+    knot 0 and the last at knot horizon - 1. "hold" changes halfway between points."""
     count = points.shape[0]
     if count == 1:
         return points[0]
@@ -285,7 +295,7 @@ def control_at(how: Sampling, points: jax.Array, k: jax.Array, horizon: int) -> 
     a, b = points[j], points[j + 1]
     if how.spline == "linear":
         return a + t * (b - a)
-    # Catmull and Rom, with the points at the ends twice
+    # Catmull-Rom, with the end points repeated
     before, after = points[jnp.maximum(j - 1, 0)], points[jnp.minimum(j + 2, count - 1)]
     da, db = 0.5 * (b - before), 0.5 * (after - a)
     curve = a + t * (da + t * (3 * (b - a) - 2 * da - db + t * (2 * (a - b) + da + db)))
@@ -302,7 +312,7 @@ def _ctrl(how: Sampling, problem: Problem, draw: Draw, k: jax.Array) -> jax.Arra
 
 
 def sampled_cost(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array:
-    """The cost () of a draw, penalties of constraints included."""
+    """Return the cost () of a sample, with the penalties of constraints."""
     dtype, N = draw.points.dtype, problem.horizon
     mu = jnp.asarray(how.penalty, dtype)
     rows = [jnp.zeros(row_count(problem, where), dtype) for where in ("path", "end")]
@@ -322,6 +332,6 @@ def sampled_cost(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax
 def sampled_motion(
     how: Sampling, problem: Problem, start: Any, draw: Draw
 ) -> tuple[Knot, jax.Array]:
-    """The knots (N + 1, ...) and controls (N, m) of a draw."""
+    """Return the knots (N + 1, ...) and controls (N, m) of a sample."""
     first = _first_knot(problem, start, draw)
     return roll_out(problem, first, lambda k, *_: _ctrl(how, problem, draw, k), ())

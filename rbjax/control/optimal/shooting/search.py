@@ -1,11 +1,12 @@
 """The iterations of differential dynamic programming and of sequential quadratic programming.
 
-An iteration expands the problem at its knots, computes gains, makes trial steps by a `StepPolicy`,
-and takes the longest trial that the policy accepts. The regularisation falls tenfold after a step
-longer than half. It rises tenfold after a step of a hundredth or none, or without gains (Mastalli
-et al. 2020). The search is stuck if no regularisation gives a step, or if many steps lower the cost
-by rounding only. If the expected decrease of the cost is small, the constraints get new
-multipliers, or the search has converged; under regularisation the gradient must be small too.
+An iteration expands the problem at its knots, computes gains, evaluates trial steps of a
+`StepPolicy`, and applies the longest trial that the policy accepts. The regularisation falls
+tenfold after a step longer than 0.5. It rises tenfold after a step of at most 0.01, after a
+rejected step, or if the gains do not exist (Mastalli et al. 2020). The search is stuck if the
+largest regularisation gives no step, or if many steps lower the cost only by rounding. If the
+expected decrease of the cost is small, the multipliers of the constraints are updated, or the
+search has converged. With regularisation, the gradient must be small too.
 """
 
 from __future__ import annotations
@@ -40,35 +41,35 @@ from rbjax.control.optimal.shooting.filter_search import rounding
 from rbjax.control.optimal.solution import Options, SearchResult, StoppingRule
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 
-LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
-LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
-LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
-SHORT_CONSTRAINED = 0.3  # with constraints: their multipliers bend a cost that the model lacks
-LOOSE, CLOSER = 1e-3, 0.3  # tolerance before the first multipliers; its factor at each update
-FLOOR = 10.0  # the least tolerance, in units in the last place
-MAX_STALLED = 50  # iterations that lower the cost by rounding only, after which a search is stuck
+LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # of the regularisation; LEAST means none
+LENGTHS = 0.5 ** np.arange(10)  # lengths of the trial steps
+LONG, SHORT = 0.5, 0.01  # step lengths that lower and raise the regularisation
+SHORT_CONSTRAINED = 0.3  # with constraints, which add curvature that the model omits
+LOOSE, CLOSER = 1e-3, 0.3  # tolerance before the first multipliers; its factor at each
+FLOOR = 10.0  # smallest tolerance, in units in the last place
+MAX_STALLED = 50  # maximum number of consecutive iterations that lower the cost only by rounding
 
 
 class SearchState(NamedTuple):
     """The state of a search between two iterations. Each field is ()."""
 
-    feasible: jax.Array  # whether the motion has no gaps
+    feasible: jax.Array  # true if the motion has no gaps
     reg: jax.Array  # the regularisation
-    cost: jax.Array  # of the motion
+    cost: jax.Array  # cost of the motion
     scale: jax.Array  # the tolerance is relative to it if the cost is less
-    expected_decrease: jax.Array  # of the cost, by the last step
-    violation: jax.Array  # of the constraints
-    violation_before: jax.Array  # at the last change of the multipliers
-    inner_tolerance: jax.Array  # of the search with the present multipliers
+    expected_decrease: jax.Array  # expected decrease of the cost by the last step
+    violation: jax.Array  # largest constraint violation
+    violation_before: jax.Array  # violation at the last change of the multipliers
+    inner_tolerance: jax.Array  # tolerance of the search with the present multipliers
     iterations: jax.Array  # so far
-    status: jax.Array  # of `rbjax.control.status`
-    penalty: jax.Array  # of the augmented Lagrangian
+    status: jax.Array  # a value of `rbjax.control.status`
+    penalty: jax.Array  # penalty of the augmented Lagrangian
     reference_cost: jax.Array  # the cost at its last fall by more than rounding
     stalled: jax.Array  # iterations since then
 
 
 class IterationValues(NamedTuple):
-    """The values of an iteration on which its decision depends."""
+    """The values of an iteration that determine its decision."""
 
     cost: jax.Array  # (), of the present motion
     gap: jax.Array  # ()
@@ -89,15 +90,15 @@ class Decision(NamedTuple):
     best: jax.Array  # the index of a trial
     length: jax.Array
     accepted: jax.Array
-    new_multipliers: jax.Array  # whether the multipliers change
+    new_multipliers: jax.Array  # true if the multipliers change
 
 
-#: (values, lengths) -> which trials (T,) may be taken, and the expected decrease () of the cost
+#: (values, lengths) -> mask (T,) of acceptable trials, and the expected decrease () of the cost
 Accept = Callable[[IterationValues, jax.Array], tuple[jax.Array, jax.Array]]
 
 
 def initial_search_state(rule: StoppingRule, constrained: bool, penalty: jax.Array) -> SearchState:
-    """The state before the first iteration."""
+    """Return the state before the first iteration."""
     dtype = penalty.dtype
     number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
     least = jnp.maximum(rule.tolerance, FLOOR * jnp.finfo(dtype).eps)
@@ -114,7 +115,10 @@ def decide(
     accept: Accept, closes_gaps: bool, constrained: bool, now: SearchState, rule: StoppingRule,
     values: IterationValues,
 ) -> Decision:  # fmt: skip
-    """The decision of one iteration. closes_gaps: whether a full step leaves no gap."""
+    """Decide on the step and the state after an iteration.
+
+    closes_gaps: true if a full step leaves no gap.
+    """
     dtype = values.cost.dtype
     lengths = jnp.asarray(LENGTHS, dtype)
     good, decrease = accept(values, lengths)
@@ -140,7 +144,7 @@ def decide(
     share = jnp.maximum(scale, jnp.abs(values.cost))
     small = functools.partial(_small, now, values, decrease, share)
     stationary = here & small(now.inner_tolerance)
-    # gains that do not exist are computed again with more regularisation: the same iteration
+    # gains that do not exist are computed again with more regularisation, as the same iteration
     iterations = now.iterations + values.ok.astype(now.iterations.dtype)
     status = jnp.where(iterations >= rule.iterations, BUDGET, GOING)
     reference, stalled = count_stalled(
@@ -165,7 +169,7 @@ def decide(
     hopeless = change & failing & (now.penalty >= PENALTY_MOST)
     status = jnp.where(hopeless, INFEASIBLE, status)
     inner = jnp.maximum(CLOSER * now.inner_tolerance, least)
-    change = change & (status == GOING)  # a search that ends leaves its multipliers as they are
+    change = change & (status == GOING)  # a search that ends keeps its multipliers
     after = SearchState(
         feasible, jnp.where(change, LEAST, reg).astype(dtype), cost, scale, decrease, off,
         jnp.where(change, off, now.violation_before),
@@ -179,7 +183,7 @@ def decide(
 def _small(
     now: SearchState, values: IterationValues, decrease: Any, share: Any, tolerance: Any
 ) -> jax.Array:
-    """Whether the expected decrease of the cost is small and, with regularisation, the gradient."""
+    """Return whether the expected decrease is small and, with regularisation, the gradient too."""
     flat = jnp.sqrt(values.square) <= jnp.sqrt(tolerance) * share
     return values.ok & (decrease <= tolerance * share) & ((now.reg <= LEAST) | flat)
 
@@ -187,20 +191,28 @@ def _small(
 def count_stalled(
     reference: jax.Array, stalled: jax.Array, cost: jax.Array, closed: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The cost () at the last iteration that lowered it by more than rounding, and the number () of
-    iterations since then. closed (): whether the gaps are closed: the cost may rise until then."""
+    """Return the cost () at its last decrease beyond rounding, and the iterations () since then.
+
+    closed: true if the gaps are closed; before that the cost may rise.
+    """
     lower = ~closed | (cost < reference - rounding(reference)) | ~jnp.isfinite(reference)
     return jnp.where(lower, cost, reference), jnp.where(lower, 0, stalled + 1)
 
 
 def gap_tolerance(dtype: Any) -> float:
-    """The largest gap that counts as none: 4e-10 in f64."""
+    """Return the largest gap that counts as closed: 4e-10 in f64."""
     return float(jnp.finfo(dtype).eps) ** 0.6
 
 
 class Iterate(NamedTuple):
-    """The iterate of a search: knots (N + 1, ...), ctrls (N, m), multipliers, the gains K
-    (N, m, n), the state of the search, and the costs (history,) of its iterations."""
+    """The iterate of a search.
+
+    knots, ctrls: the motion, (N + 1, ...) and (N, m).
+    multipliers: of the constraints.
+    K: gains, (N, m, n).
+    search: the state of the search.
+    costs: cost after each iteration, (history,).
+    """
 
     knots: Knot
     ctrls: jax.Array
@@ -211,15 +223,17 @@ class Iterate(NamedTuple):
 
 
 class StepPolicy(NamedTuple):
-    """How a method steps.
+    """The step rule of a method.
 
-    trials: (problem, now, expanded, gaps, gains) -> trials with the costs, violations and more of
-        `IterationValues`.
+    accept: see `Accept`.
+    closes_gaps: true if a full step leaves no gap.
+    trials: (problem, now, expanded, gaps, gains) -> trials, with the fields costs, violations and
+        more of `IterationValues`.
     apply: (problem, now, trials, decision) -> knots and controls.
     """
 
     accept: Accept  # which trials may be taken
-    closes_gaps: bool  # whether a full step leaves no gap
+    closes_gaps: bool  # true if a full step leaves no gap
     trials: Callable[..., Any]
     apply: Callable[..., tuple[Knot, jax.Array]]
 
@@ -228,10 +242,10 @@ def search(
     policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
     options: Options, history: int, exact: bool = False,
 ) -> SearchResult:  # fmt: skip
-    """`solve` by the steps of a policy."""
+    """Solve a problem with the steps of a policy."""
     last = iterate(policy, problem, start, knots, ctrls, options, history, exact)
     path, end = last.multipliers.path, last.multipliers.end
-    if problem.constraints:  # the gradient of the augmented Lagrangian is that with these
+    if problem.constraints:  # L then has the augmented gradient
         path, end = updated_multipliers(problem, last.knots, last.ctrls, last.multipliers)
     at, cost = last.search, motion_cost(problem, last.knots, last.ctrls)
     return SearchResult(
@@ -245,11 +259,8 @@ def compute_gains(
     problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any,
     boxed: bool = False,
 ) -> Feedback:  # fmt: skip
-    """The backward pass at knots. boxed: whether k obeys all bounds, or only the active ones.
-
-    A bound that binds k need not bind k + K dx, and it removes its row of K, so the closed loop may
-    become unstable.
-    """
+    """Run the backward pass at the knots. boxed: if true, k obeys all bounds, else only the active
+    ones. A newly active bound removes its row of K, which may make the closed loop unstable."""
     bounds = None
     if problem.bounded:
         low, high = (x.astype(ctrls.dtype) - ctrls for x in (problem.low, problem.high))
@@ -274,13 +285,13 @@ def iterate(
     policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
     options: Options, history: int, exact: bool,
 ) -> Iterate:  # fmt: skip
-    """The iterations, from states and controls."""
+    """Run the iterations from states and controls."""
     constrained = bool(problem.constraints)
     decision = threads(functools.partial(decide, policy.accept, policy.closes_gaps, constrained))
 
     def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
         reg = now.search.reg
-        # with second derivatives, steps along the dynamics are short: k obeys all bounds there
+        # with second derivatives, steps along the dynamics are short, so k obeys all bounds
         boxed = exact and policy.closes_gaps
         plain = functools.partial(compute_gains, problem, now.knots, now.ctrls, boxed=boxed)
         if not exact:
@@ -324,7 +335,7 @@ def initial_iterate(
     problem: Problem, knots: Knot, ctrls: jax.Array, rule: StoppingRule, history: int,
     multipliers: Multipliers | None = None,
 ) -> Iterate:  # fmt: skip
-    """The iterate from which a search starts."""
+    """Return the first iterate of a search."""
     dtype, N = ctrls.dtype, problem.horizon
     ctrls = problem.within_bounds(ctrls)
     if multipliers is None:

@@ -1,13 +1,13 @@
-"""Single shooting: only the controls are unknowns, the states follow by the system's steps.
+"""Single shooting: only the controls are unknowns; states follow from the steps of the system.
 
     min over us of  J(us) = sum l_k(x_k, u_k) + Phi(x_N),    x_{k+1} = f(x_k, u_k)
-    u = middle + half sin(w)          within bounds, of unknowns w that have none
+    u = middle + half sin(w)          with bounds, for unbounded unknowns w
     J + mu/2 sum |s - clip(s, low, high)|^2,   s = c + lambda / mu     with constraints
 
-Parameters and the free part of the start are unknowns too. A search has converged if the gradient
-by w is small, scaled by the unknowns and the cost. Unstable motions make J steep; multiple shooting
-and collocation avoid that. Source: Betts, *Practical Methods for Optimal Control*, 3.3; Kingma & Ba
-2015 (Adam).
+Parameters and the free part of the start are unknowns too. A search converges if the gradient with
+respect to w is small, scaled by the unknowns and the cost. For unstable motions J is
+ill-conditioned; use multiple shooting or collocation for them. Source: Betts, *Practical Methods
+for Optimal Control*, 3.3; Kingma & Ba 2015 (Adam).
 """
 
 from __future__ import annotations
@@ -31,15 +31,19 @@ from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.errors import InputError
 
-PERSISTS = 0.9  # a violation that does not fall to this share at the last penalty stays
-EDGE = 0.98  # a first guess lies within this share of its bounds
-RATE = 0.03  # of Adam
-PATIENCE = 20  # iterations over which a gradient method must lower the cost
-SHORTER, SHORTEST = 0.25, 1e-6  # the factor of its steps if it does not, and the least product
+PERSISTS = 0.9  # infeasible if, at the largest penalty, a violation does not fall to this share
+EDGE = 0.98  # a first guess is clipped to this fraction of the range of its bounds
+RATE = 0.03  # learning rate of Adam
+PATIENCE = 20  # iterations within which a gradient method must lower the cost
+SHORTER, SHORTEST = 0.25, 1e-6  # otherwise, the factor of its steps, and the smallest step
 
 
 class Unknowns(NamedTuple):
-    """us (N, m) in the coordinates without bounds; dx (n,) of the first knot and the parameters."""
+    """Unknowns of single shooting.
+
+    us: unbounded coordinates of the controls, (N, m).
+    dx: tangent vector of the first knot, and unbounded coordinates of the parameters, (n,).
+    """
 
     us: jax.Array
     dx: jax.Array
@@ -52,7 +56,7 @@ class Shooting(NamedTuple):
     first: Knot
 
     def knots(self, w: Unknowns) -> tuple[Knot, jax.Array]:
-        """The motion and its controls."""
+        """Roll out the unknowns; return the motion and its controls."""
         problem = self.problem
         us = from_unbounded(w.us, problem.low, problem.high)
         ns = problem.system.n
@@ -65,7 +69,7 @@ class Shooting(NamedTuple):
 
 
 def from_unbounded(w: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """A number within its bounds: a sine between two, a hyperbola above or below one."""
+    """Map w to the range of its bounds: by a sine for two bounds, by a hyperbola for one."""
     low, high = low.astype(w.dtype), high.astype(w.dtype)
     has_low, has_high = jnp.isfinite(low), jnp.isfinite(high)
     a, b = jnp.where(has_low, low, -1.0), jnp.where(has_high, high, 1.0)
@@ -76,7 +80,7 @@ def from_unbounded(w: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
 
 
 def to_unbounded(u: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """w whose `from_unbounded` is u, or near it where u is at a bound."""
+    """Invert `from_unbounded`; a u at a bound is first moved into the range."""
     low, high = low.astype(u.dtype), high.astype(u.dtype)
     has_low, has_high = jnp.isfinite(low), jnp.isfinite(high)
     a, b = jnp.where(has_low, low, -1.0), jnp.where(has_high, high, 1.0)
@@ -90,7 +94,7 @@ def to_unbounded(u: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
 def lagrangian_residuals(
     s: Shooting, w: Unknowns, l: Multipliers
 ) -> tuple[list[jax.Array], jax.Array]:
-    """Residuals and the rest of the augmented Lagrangian."""
+    """Return the residuals of the augmented Lagrangian, and the sum of its other terms."""
 
     def at(where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array) -> tuple:
         terms = objective.merit_terms(s.problem, where, rows, l.penalty)
@@ -101,14 +105,18 @@ def lagrangian_residuals(
 
 
 def lagrangian_value(s: Shooting, w: Unknowns, l: Multipliers) -> jax.Array:
-    """The augmented Lagrangian ()."""
+    """Return the augmented Lagrangian ()."""
     found, rest = lagrangian_residuals(s, w, l)
     return rest + sum(map(objective.half_square, found), jnp.zeros_like(rest))
 
 
 class Target(NamedTuple):
-    """tolerance (), relative to the cost or to scale () if the cost is less; iterations () at
-    most."""
+    """The stopping criterion of an inner search.
+
+    tolerance: relative to max(|cost|, scale), ().
+    scale: ().
+    iterations: maximum number of iterations, ().
+    """
 
     tolerance: jax.Array
     scale: jax.Array
@@ -117,8 +125,7 @@ class Target(NamedTuple):
     def stationarity(
         self, w: Unknowns, cost: jax.Array, slope: Unknowns
     ) -> tuple[jax.Array, jax.Array]:
-        """The square of the gradient, scaled by the unknowns, over the cost; and whether it is
-        small."""
+        """Return the squared scaled gradient over the cost, and whether it is small."""
         parts = jax.tree.map(lambda x, g: ((g * jnp.maximum(1, jnp.abs(x))) ** 2).sum(), w, slope)
         square, share = sum(parts), jnp.maximum(self.scale, jnp.abs(cost))
         small = square <= self.tolerance * share**2
@@ -126,7 +133,7 @@ class Target(NamedTuple):
 
 
 class InnerResult(NamedTuple):
-    """Unknowns; status; iterations; stationarity of `Target`; costs (history,)."""
+    """The result of an inner search: unknowns, status, iterations, stationarity, costs."""
 
     w: Unknowns
     status: jax.Array
@@ -136,7 +143,7 @@ class InnerResult(NamedTuple):
 
 
 class Best(NamedTuple):
-    """The unknowns of least cost, their cost (), `stationarity` () and whether it is small ()."""
+    """The unknowns of lowest cost, with cost, stationarity and whether that is small, () each."""
 
     w: Unknowns
     cost: jax.Array
@@ -148,8 +155,9 @@ Inner = Callable[[Shooting, Unknowns, Multipliers, Target, jax.Array, jax.Array]
 
 
 def optax_search(optimiser: optax.GradientTransformation) -> Inner:
-    """A search by an optimiser of optax. It returns the best point. If this stays the best for
-    `PATIENCE` iterations, the search begins there again with shorter steps."""
+    """Build a search with an optimiser of optax, which returns the best point. If the best cost
+    does not fall within `PATIENCE` iterations, the search restarts from the best point with shorter
+    steps."""
 
     def search(
         s: Shooting, w: Unknowns, l: Multipliers, target: Target, used: jax.Array,
@@ -195,14 +203,14 @@ def optax_search(optimiser: optax.GradientTransformation) -> Inner:
 
 
 def optimistix_search(squares: bool) -> Inner:
-    """A search by BFGS, or by Levenberg and Marquardt's method where all costs are residuals."""
+    """Build a search by BFGS, or by Levenberg-Marquardt (squares) if all costs are residuals."""
 
     def search(
         s: Shooting, w: Unknowns, l: Multipliers, target: Target, used: jax.Array,
         costs: jax.Array,
     ) -> InnerResult:  # fmt: skip
         dtype, history = w.us.dtype, costs.shape[0]
-        least = 10 * float(jnp.finfo(dtype).eps)  # steps this short end a search that is stuck
+        least = 10 * float(jnp.finfo(dtype).eps)  # shorter steps end a search as stuck
         solver: Any = (optx.LevenbergMarquardt if squares else optx.BFGS)(least, least)
 
         def fn(w: Unknowns, _: Any) -> tuple[jax.Array, None]:
@@ -222,7 +230,7 @@ def optimistix_search(squares: bool) -> Inner:
             cost = seen.as_min()
             slope = seen.compute_grad() if squares else seen.grad
             stationarity, small = target.stationarity(w, cost, slope)
-            # a rejected step leaves the fall of the last accepted one
+            # a rejected step keeps the decrease of the last accepted one
             fall = jnp.where((cost == before) | (count == used), fall, before - cost)
             near = fall <= target.tolerance * jnp.maximum(target.scale, jnp.abs(cost))
             costs = costs.at[jnp.minimum(count, history - 1)].set(cost)
@@ -251,7 +259,7 @@ def solve_single_shooting(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     inner: Callable[[Problem], Inner],
 ) -> SearchResult:  # fmt: skip
-    """`solve` by single shooting. The guess of the states is not used, but for a free start."""
+    """Solve a problem by single shooting. A guess of the states is used only for a free start."""
     dtype, n = ctrls.dtype, problem.n
     search = inner(problem)
     first = take(knots, 0)
@@ -287,7 +295,7 @@ def solve_single_shooting(
 def next_multipliers_of(
     s: Shooting, knots: Knot, us: jax.Array, l: Multipliers
 ) -> tuple[jax.Array, Multipliers]:
-    """The largest violation, and the next multipliers."""
+    """Return the largest violation, and the next multipliers."""
     both = objective.rows_along(s.problem, knots, us)
     ys = []
     for rows, y, where in zip(both, l[:2], ("path", "end"), strict=True):
@@ -301,7 +309,7 @@ def _multiplier_iterations(
     s: Shooting, w: Unknowns, l: Multipliers, target: Target, violation: jax.Array,
     costs: jax.Array, search: Inner,
 ) -> tuple[InnerResult, Multipliers, jax.Array]:  # fmt: skip
-    """Searches with better and better multipliers, each to a smaller tolerance."""
+    """Run searches in sequence, each with updated multipliers and a smaller tolerance."""
     big, least = jnp.asarray(jnp.inf, w.us.dtype), target.tolerance
 
     def turn(now: tuple) -> tuple:
@@ -330,17 +338,17 @@ def _multiplier_iterations(
 
 
 def adam_search(problem: Problem) -> Inner:
-    """Adam of optax."""
+    """Build the search with Adam of optax."""
     return optax_search(optax.adam(RATE))
 
 
 def bfgs_search(problem: Problem) -> Inner:
-    """BFGS of optimistix."""
+    """Build the search with BFGS of optimistix."""
     return optimistix_search(False)
 
 
 def levenberg_marquardt_search(problem: Problem) -> Inner:
-    """Levenberg and Marquardt's method of optimistix; raises for costs that are numbers."""
+    """Build the search with Levenberg-Marquardt of optimistix, which requires residuals."""
     knot, ctrl = objective.example_knot(problem)
     for where in ("path", "end"):
         terms = objective.cost_terms(problem, where)

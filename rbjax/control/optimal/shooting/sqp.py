@@ -1,19 +1,19 @@
-"""Sequential quadratic programming with multiple shooting: all knots side by side.
+"""Sequential quadratic programming with multiple shooting, in parallel over the knots.
 
-An iteration is that of `search` with the step of the linear model,
+An iteration of `search` uses the step of the linear model,
 
     du_k = k_k + K_k dx_k,     dx_{k+1} = A dx_k + B du_k + gap_{k+1}
 
 The trials x (+) a dx, u + a du of all lengths a, with u projected onto its bounds, are evaluated at
-all knots at once, without a rollout. Gaps close in proportion to a. The trial with the least
+all knots at once, without a rollout. Gaps shrink by the factor 1 - a. The trial with the smallest
 
     phi(a) = J(a) + sum over k of  l_k'gap_k(a) + rho/2 gap_k(a)'V_k gap_k(a)
 
-is taken if it satisfies Armijo's rule. l_k = v_k + V_k dx_k are the costates of the step and V_k
-the Hessians of the value function: phi is an augmented Lagrangian (Gill, Murray, Saunders & Wright
-1992). A cost of sum mu |gap| would shorten the steps near an optimum (Maratos 1978). Source: Bock &
-Plitt, *A multiple shooting algorithm for direct solution of optimal control problems*, IFAC 1984;
-Nocedal & Wright, *Numerical Optimization*, 18.
+is accepted if it satisfies the Armijo condition. l_k = v_k + V_k dx_k are the costates of the step,
+and V_k are the Hessians of the value function. phi is an augmented Lagrangian (Gill, Murray,
+Saunders & Wright 1992). An L1 penalty mu |gap| would shorten the steps near an optimum (Maratos
+1978). Source: Bock & Plitt, *A multiple shooting algorithm for direct solution of optimal control
+problems*, IFAC 1984; Nocedal & Wright, *Numerical Optimization*, 18.
 """
 
 from __future__ import annotations
@@ -45,8 +45,11 @@ RHO = 3.0
 
 
 class Step(NamedTuple):
-    """dx (N + 1, n) and du (N, m) of the linear model; opening (2,): l_0'gap_0 and rho gap_0'V_0
-    gap_0 of the gap of the start."""
+    """The step of the linear model.
+
+    dx, du: (N + 1, n) and (N, m).
+    opening: l_0'gap_0 and rho gap_0'V_0 gap_0, for the gap of the start, (2,).
+    """
 
     dx: jax.Array
     du: jax.Array
@@ -54,8 +57,12 @@ class Step(NamedTuple):
 
 
 class LinearTrials(NamedTuple):
-    """Of trials (T,): costs; violations; more: the changes of phi, its slope () and the opening of
-    the step, both without each other. step: of length 1."""
+    """Values of T trials along the linear step.
+
+    costs, violations: (T,).
+    more: change of phi without the gap of the start (T,), its slope (), and `opening` of the step.
+    step: the step of length 1.
+    """
 
     costs: jax.Array
     violations: jax.Array
@@ -67,12 +74,12 @@ def solve_sqp(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
     exact: bool = False,
 ) -> SearchResult:  # fmt: skip
-    """`solve` by sequential quadratic programming. exact: as in `solve_ddp`."""
+    """Solve a problem by sequential quadratic programming. exact: as in `solve_ddp`."""
     return search(LINEAR_STEPS, problem, start, knots, ctrls, options, history, exact)
 
 
 def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
-    """The step of the linear model. The gains keep a control at a bound within it."""
+    """Compute the step of the linear model. The gains keep active bounds of controls."""
 
     dx, du = roll_linear(path.A, path.B, gaps[1:], gains.K, gains.k, gains.first)
     V, first = gains.V[0], gaps[0]
@@ -84,7 +91,7 @@ def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
 def _trials(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> LinearTrials:
-    """All lengths at all knots."""
+    """Evaluate the trials of all lengths at all knots."""
     dtype, N = now.ctrls.dtype, problem.horizon
     step = threads(linear_step, team=True)(found.path, gaps, gains)
     lengths = jnp.asarray(LENGTHS, dtype)
@@ -146,7 +153,7 @@ def _trials(
 def _take_linear_step(
     problem: Problem, now: Iterate, trials: LinearTrials, decided: Decision
 ) -> tuple[Knot, jax.Array]:
-    """The knots along the step that was taken."""
+    """Apply the accepted step to the knots and controls."""
 
     def one(knot: Knot, dx: jax.Array, a: jax.Array, accepted: jax.Array) -> Knot:
         return problem.plus(knot, jnp.where(accepted, a * dx, 0.0))
@@ -158,7 +165,7 @@ def _take_linear_step(
 
 
 def _decreases_merit(values: IterationValues, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The longest trial of the least phi, but for rounding, by Armijo's rule."""
+    """Return a mask of the acceptable trials of least phi, and the expected decrease."""
     change, slope, opening = values.more
     pull, square = opening[0], opening[1]
     change = change - lengths * pull + 0.5 * ((1 - lengths) ** 2 - 1) * square
