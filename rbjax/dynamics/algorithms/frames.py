@@ -4,9 +4,8 @@
     J' v = [w'; u' + w' x r + w x (w x r)]  with w', u' of the link at constant v
 
 The link that carries the frame has the twist [w; u] and the classical acceleration [w'; u'] at its
-own origin, and r is the vector from its origin to the point. Column i of J is [z_i; z_i x (p -
-p_i)] for a hinge and [0; z_i] for a slide. All vectors are in world axes, angular part first.
-(Featherstone, 2.11; Lynch & Park, 5.1.)
+own origin, and r is the vector from there to the point. Vectors are in world axes. Column i of J is
+[z_i; z_i x (p - p_i)] for a hinge, [0; z_i] for a slide (Featherstone, 2.11; Lynch & Park, 5.1).
 """
 
 from __future__ import annotations
@@ -130,10 +129,7 @@ def _point_motion(
     quantities: tuple,
     motion: Callable[..., Motion],
 ) -> jax.Array:
-    """Compute motion(r, *quantities of the link that carries the frame) as an array (6,).
-
-    r is the origin of the frame in the axes of the link.
-    """
+    """Compute motion(frame origin in the link, *quantities of the link) as an array (6,)."""
     q, v = state
     d = driver(model, q.dtype)
     link, r = locate_on_link(where, model, d, q, frame)
