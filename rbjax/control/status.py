@@ -12,7 +12,7 @@ from rbjax.errors import InputError
 
 
 class Status(enum.IntEnum):
-    """How `solve` ended. The status of a `Solution` is an array of these integers."""
+    """Final status of `solve`. The status of a `Solution` is an array of these integers."""
 
     GOING = 0
     CONVERGED = 1
@@ -38,7 +38,7 @@ SENTENCES = {
 
 
 class LinearStatus(eqx.Enumeration):
-    """How the solver of a Lyapunov or Riccati equation ended."""
+    """Final status of the solver of a Lyapunov or Riccati equation."""
 
     success = ""
     not_finite = "A number of the problem is not finite, or the solution is too large."

@@ -19,7 +19,7 @@ def known_array(x: Any) -> np.ndarray | None:
 
 
 def check_several(where: str, name: str, given: Any, expected: str) -> tuple:
-    """Return the entries of an iterable as a tuple; raise InputError for other types."""
+    """Return the entries of an iterable as a tuple; raise InputError for a string."""
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise InputError(f"{where}: {name} is {given!r}, expected a list of {expected}")
     return tuple(given)

@@ -135,7 +135,7 @@ def random_configurations(
 
 
 def _attitudes(unit: list[jax.Array], joint: Any, most: Any) -> list[jax.Array]:
-    """Return uniform quaternions (Shoemake 1992), with ball joints scaled to their range."""
+    """Return uniform quaternions (Shoemake 1992); scale the angles of ball joints to `most`."""
     a, b, c, _ = unit
     one, two = jnp.sqrt(1 - a), jnp.sqrt(a)
     b, c = 2 * math.pi * b, 2 * math.pi * c

@@ -56,8 +56,7 @@ class InverseKinematics(Record):
     position_error: largest position error of any goal, m.
     success: true if both errors are within the tolerance.
     iterations: total number of iterations of all starts.
-    start: index of the start that converged; 0 is the argument `start`. With side_by_side searches,
-    the first starts of all searches have the lowest indices.
+    start: index of the start that converged; 0 is the argument `start`.
     """
 
     q: jax.Array

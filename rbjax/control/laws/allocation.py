@@ -102,8 +102,8 @@ def controls(model: Model, state: State, tau: jax.Array) -> jax.Array:
 def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
     """Return the minimum-norm u among the minimizers of |B u - r|, for the columns of B.
 
-    A minimizer u from the normal equations is projected to the row space of B: B^T y with B B^T y =
-    B u.
+    A minimizer u of the normal equations is projected to the row space of B. The result is B^T y
+    with B B^T y = B u.
     """
     least = rank_tolerance("actuators", dtype)
     columns = B
@@ -223,7 +223,7 @@ def check_driven(where: str, model: Model, undriven: str) -> None:
 
 
 def _generic(model: Model) -> np.ndarray:
-    """Return B (nv, nu) at a random state, or a matrix with the same structural zeros and rank."""
+    """Return B (nv, nu) at a random state, or a matrix of the same sparsity and rank."""
     top, a = model.topology, model.actuators
     if not any(e.actuates for e in model.forces) and all(
         j >= 0 and top.joints[j].nv == 1 for j in a.joints

@@ -73,8 +73,8 @@ def region_of_attraction(
 ) -> RegionMap:
     """Simulate a grid of initial states about an equilibrium and map which of them return to it.
 
-    Initial states are x(0) = x* (+) (a e_i + b e_j). A state is back if every entry of |x(T) (-)
-    x*| is at most `tolerance`.
+    Initial states are x(0) = x* (+) (a e_i + b e_j). The field `back` is true if
+    every entry of |x(T) (-) x*| is at most `tolerance`.
 
     Args:
         model: the robot.
@@ -153,7 +153,7 @@ def region_of_attraction(
         few = min(few, steps - begin)
         t = jnp.asarray(begin, dtype) * step
         part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
-        # `run_rollout` gives no warning about motions that are not finite; they are expected here
+        # unlike `rollout`, `run_rollout` does not warn of motions that are not finite
         run, _, _ = run_rollout(
             model, states, part, step, steps=few, integrator=integrator, **dynamics
         )

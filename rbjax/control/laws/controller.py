@@ -183,7 +183,7 @@ COMPENSATE = ("rest", "motion")
 
 
 def check_controlled_model(where: str, model: Any, undriven: str, actuated: bool = True) -> None:
-    """Raise InputError unless the model is an unconstrained tree with all dofs actuated."""
+    """Raise InputError for constraints, and for undriven dofs if `undriven` is "refuse"."""
     check_model(where, model)
     check_moves(where, model)
     if model.constraints:

@@ -104,7 +104,7 @@ class Regulator(NamedTuple):
     error: bound of the relative rounding error of P, ().
     status: a `LinearStatus`.
     acceleration: v' at the state and controls of `lqr_at`, zero at an equilibrium, (nv,); None for
-    `lqr`.
+        `lqr`.
     """
 
     K: jax.Array
@@ -164,7 +164,7 @@ def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax
 
 
 def remainder(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the residual (n, n) of the equation, and the size of its largest term."""
+    """Return the residual (n, n) of the Riccati equation, and the size of its largest term."""
     A, B, Q, R, S = problem
     PA, PB = product(P, A), product(P, B)
     H = R + product(B.T, PB) if discrete else R
@@ -204,7 +204,7 @@ def _solution_jvp(discrete, problem, changes):
 
 
 def _start(discrete: bool, problem: Problem) -> tuple[jax.Array, jax.Array]:
-    """Return a stabilising gain, and whether one was found."""
+    """Return a stabilising gain, and whether it exists."""
     A, B, Q, R, S = problem
     n, m = B.shape
     one, none = jnp.eye(n, dtype=A.dtype), jnp.zeros_like(S)

@@ -17,7 +17,7 @@ def check_matrices(where: str, *matrices: tuple[str, Any, str]) -> list[jax.Arra
     """Convert matrices to one dtype; raise InputError unless their shapes match.
 
     matrices: (name, value, axes), with a letter for each axis, such as ("B", B, "nm"). Axes with
-    the same letter must have the same length.
+        the same letter must have the same length.
     """
     lengths: dict[str, int] = {}
     found = []

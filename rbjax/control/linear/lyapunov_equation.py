@@ -115,7 +115,7 @@ def _left_side(discrete: bool, A: jax.Array, X: jax.Array) -> jax.Array:
 
 
 def solve_stable(A: jax.Array, Q: jax.Array, discrete: bool) -> tuple[jax.Array, jax.Array]:
-    """Return the solution X, and whether A is stable; if not, X belongs to another matrix."""
+    """Return the solution X, and whether A is stable; if not, X is finite but meaningless."""
     stable = is_stable(A, discrete)
     safe = jnp.where(stable, A, 0.0 if discrete else -jnp.eye(A.shape[0], dtype=A.dtype))
     X = jax.lax.custom_linear_solve(

@@ -56,8 +56,8 @@ class Gains(NamedTuple):
     P: (N + 1, n, n).
     p: (N + 1, n).
     success: false if the Hessian with respect to the controls of some step is not positive
-    definite, or a result is not finite, (). K and k of such a step are 0, and its P and p are
-    copies from the next knot, so nothing is nan.
+        definite, or a result is not finite, (). K and k of such a step are 0, and its P and p are
+        copies from the next knot, so nothing is nan.
     """
 
     K: jax.Array

@@ -34,7 +34,7 @@ class Reach(NamedTuple):
     inside: orthogonal projector onto it, (n, n).
     outside: orthonormal basis of its complement in the first n - rank columns, zeros after, (n, n).
     weakest: smallest singular value above the tolerance, (); approximates the distance to a system
-    of lower rank, for unit columns of B and unit norm of A.
+        of lower rank, for unit columns of B and unit norm of A.
     """
 
     rank: jax.Array

@@ -34,7 +34,7 @@ class Tracking(Record):
     ctrls: controls along the motion, (N, nu).
     dt: the step, (), s.
     K: gains, (N, nu, n).
-    P: of the cost to go dx'P dx, (N + 1, n, n).
+    P: matrices of the cost to go dx'P dx, (N + 1, n, n).
     success: as in `Gains`, ().
     """
 
@@ -89,7 +89,7 @@ def time_varying_lqr(
     Raises:
         InputError: shapes, values that are not finite, a step that is not positive.
 
-    The motion may have gaps between knots: it is linearised about each knot, and gaps have no
+    The motion may have gaps between knots. It is linearised about each knot, and gaps have no
     effect on the gains.
 
     Source: Anderson & Moore, 2.4.

@@ -63,7 +63,7 @@ class Memory(NamedTuple):
     knots: Knot  # (N + 1, ...)
     ctrls: jax.Array  # (N, nu)
     K: jax.Array  # (N, nu, n)
-    multipliers: Multipliers | None  # of the last plan; None for a method without multipliers
+    multipliers: Multipliers | None  # from the last plan; None for a method without them
     pending: PlannedControl | None  # the controls of the ticks of delay; None without delay
     failures: jax.Array  # (), the plans that failed in a row
     search_status: jax.Array  # (), of the last search

@@ -19,9 +19,9 @@ from rbjax.model.record import Record
 class StoppingRule(NamedTuple):
     """When a search ends. Each field is ()."""
 
-    tolerance: jax.Array  # of the expected decrease of the cost, relative to max(|cost|, scale)
-    violation: jax.Array  # of constraints
-    iterations: jax.Array  # at most
+    tolerance: jax.Array  # expected decrease of the cost, relative to max(|cost|, scale)
+    violation: jax.Array  # largest accepted constraint violation
+    iterations: jax.Array  # maximum number
     scale: jax.Array | None = None  # None: min(|cost of the first guess|, 1)
 
 
@@ -29,8 +29,8 @@ class Options(Record):
     """Options of every method. `report` is called after each iteration."""
 
     rule: StoppingRule  # when the search ends
-    seed: jax.Array | int = 0  # of random numbers
-    multipliers: Any = None  # of the constraints at the beginning; None for zeros
+    seed: jax.Array | int = 0  # seed of random numbers
+    multipliers: Any = None  # first multipliers of the constraints; None for zeros
     report: Callable[[Any, Any, Any], None] | None = eqx.field(static=True, default=None)
 
 
@@ -62,8 +62,8 @@ class SearchResult(NamedTuple):
     K: jax.Array  # (N, m, n), gains of du = +K dx
     path: jax.Array  # multipliers of the constraints (N, c)
     end: jax.Array  # (e,)
-    stages: StageValues | None = None  # of a collocation
-    violations: jax.Array | None = None  # of each constraint, at the stages of a collocation
+    stages: StageValues | None = None  # stages of a collocation
+    violations: jax.Array | None = None  # largest violation of each constraint
     penalty: jax.Array | None = None  # () of the augmented Lagrangian; None for methods without one
 
 

@@ -80,7 +80,7 @@ class ConstantRobots:
         """Return a robot as constants, or None to pass it as an argument.
 
         None: its arrays are traced, it cannot be hashed, or the limit of constant robots of its
-        structure is reached.
+            structure is reached.
         """
         leaves, tree = jax.tree.flatten(robot)
         if any(isinstance(x, jax.core.Tracer) for x in leaves):

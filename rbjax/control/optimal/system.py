@@ -117,7 +117,7 @@ class Robot(System):
     """A `Model` with an integrator and dynamics.
 
     robot: the model, with unlimited actuators; the optimiser enforces the control ranges, since
-    clipping would make derivatives zero at a bound.
+        clipping would make derivatives zero at a bound.
     integrator, dynamics: as in `rb.rollout`.
     ranges: control ranges, (nu, 2).
     """

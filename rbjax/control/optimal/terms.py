@@ -69,7 +69,7 @@ class Cost(Record):
     term: a `Term`, or a function.
     weight: () or (m,) for m residuals, () for a number; not negative.
     knots: indices of the knots of a running cost; all if None. In a collocation, the stages after a
-    knot belong to that knot.
+        knot belong to that knot.
     """
 
     term: Term

@@ -318,8 +318,7 @@ def _last_within(
 
 
 def _times(motion: Fourier | Spline, samples: int) -> jax.Array:
-    """Return sample times over one period without its end (Fourier) or over the duration (Spline).
-    """
+    """Return sample times over one period without its end (Fourier) or the duration (Spline)."""
     last = not isinstance(motion, Fourier)
     return jnp.asarray(np.linspace(0, motion.duration, samples, endpoint=last), float)
 

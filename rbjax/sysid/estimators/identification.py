@@ -1,9 +1,9 @@
 """`identify`: parameters of a set-up from recordings, by the error of simulated motions.
 
     min over p of  sum |weights (reading(motion(p)) - recorded)|^2
-Combinations of the unknowns that the data identify are estimated. The others stay at the first
-guess, or as near to it as the bounds allow. Initial states are estimated too, unless they are
-known. `identifiability` finds the identifiable combinations before a fit.
+The identifiable combinations of the unknowns are estimated. The other directions remain at the
+first guess, or as close to it as the bounds allow. Initial states are estimated too, unless they
+are known. `identifiability` finds the identifiable combinations before a fit.
 """
 
 from __future__ import annotations
@@ -52,47 +52,48 @@ def identify(
 ) -> Identified:
     """Estimate parameters of a model, its sensors and its controller from recordings.
 
-    Use it for measured positions, velocities or other sensors; if torques and accelerations are
-    measured, `rb.sysid.torque` needs no simulation. All is computed in float64.
+    Use it for measured positions, velocities or other sensors. If torques and accelerations are
+    measured, `rb.sysid.torque` needs no simulation. All computations are in float64.
 
     Args:
-        model: the robot with first guesses; or a `Setup`, with sensors, a controller or a delay.
-        recordings: with a channel "q", perhaps "v", "ctrl" and those of the set-up's other sensors
-            (`Setup.with_sensors`), each on its own clock. Each recording is simulated from its
-            first sample of "q" and "v"; other samples may be missing.
+        model: robot with first guesses; or a `Setup`, with sensors, a controller or a delay.
+        recordings: recordings with a channel "q", optional "v" and "ctrl", and the other sensors of
+            the set-up (`Setup.with_sensors`), each with its own clock. Each simulation starts from
+            the first samples of "q" and "v". Other samples may be missing.
         unknowns: name -> `Unknown`, `Inertia`, `Shared`, `FixedTotal`, `Tilt`, `Derived`.
-        grid: of the integration. None: steps of RK4 at the finest clock of all channels, and
-            shorter ones if steps of half the length change the estimates (`notes` says so); a delay
-            may last up to its upper bound, else up to three times its first guess.
-            `Grid(period, substeps=0)`: steps are checked in the same way.
-        segments: length in s of segments that are fitted first, each from its first sample, for a
-            poor first guess. None: no such fit.
-        multiple_shooting: length in s of segments that are fitted first, with continuity weights
-            that grow until the segments are one motion, for a long or chaotic motion. Forces and
-            controllers that depend on time have the time of a segment. None: no such fit.
-        estimate_initial_state: whether each recording's initial state is estimated. None: unless
-            the recording has `initial_state`. False: the first readings of q and v are the initial
-            state, and no interval contains the error by their noise.
+        grid: steps of the integration. None: RK4 steps at the finest clock of all channels, or
+            shorter steps if half the length changes the estimates (see `notes`). An unknown delay
+            may grow to its upper bound, or to three times its first guess. `Grid(period,
+            substeps=0)`: other steps with the same check.
+        segments: for a poor first guess, length in s of segments for a first fit, each simulated
+            from its first sample. None: no such fit.
+        multiple_shooting: for a long or chaotic motion, length in s of segments for a first fit,
+            with continuity weights that grow until the segments are one motion. Time restarts in
+            each segment, for forces and controllers that depend on it. None: no such fit.
+        estimate_initial_state: whether to estimate the initial state of each recording. None: yes,
+            except for known ones. False: the first readings of q and v are the initial state, and
+            the intervals ignore their noise.
         loss: "squares", or "huber", which reduces the weight of outliers. The verdict of "huber"
-            leaves outliers out, up to a fifth of the samples beyond 4 robust standard deviations.
-        max_evaluations: of the residual, for each fit.
-        restarts: the largest number of other starts if the fit from the first guess is poor (R2
-            below 0.99, or errors several times the noise): one that grows from the first part of
-            the recordings, then from other guesses. 0 with segments, multiple_shooting or resume.
-        save: a file for the best estimates so far, and at the end for the result.
-        resume: such a file, or name -> value, from which the fit continues.
-        progress: whether a line shows the progress.
+            ignores outliers (above 4 robust standard deviations), up to a fifth of the samples.
+        max_evaluations: largest number of evaluations of the residual, for each fit.
+        restarts: largest number of other starts if the fit from the first guess is poor (R2 below
+            0.99, or errors several times the noise). The first one grows from the first part of the
+            recordings, the next ones start from other guesses. Unused with segments,
+            multiple_shooting or resume.
+        save: path of a file for the best estimates during the fit, and for the final result.
+        resume: path of such a file, or name -> value, from which the fit continues.
+        progress: show a progress line.
 
     Returns:
-        `Identified`, with the model in its own dtype. `success` and `status`: whether the fit
-        converged. `verdict`: whether it is good. The noise of a channel that does not state it is
-        estimated from the residuals, for each column. Intervals follow the residuals: if these are
-        correlated in time, the covariance is a sandwich estimate.
+        `Identified`, with the model in its original dtype. `success` and `status` describe the
+        convergence, `verdict` the quality of the fit. Noise that a channel does not state is
+        estimated from the residuals, for each column. If residuals are correlated in time, the
+        covariance is a sandwich estimate.
 
     Raises:
-        InputError: recordings that do not suit the model; no unknowns, one outside of its range, or
-            one without an effect on the recordings.
-        UnknownName: an unknown of a leaf or body that does not exist.
+        InputError: recordings that do not match the model, no unknowns, or an unknown outside of
+            its range or without an effect on the recordings.
+        UnknownName: an unknown leaf or body.
 
     Source: Ljung, *System Identification*, 2nd ed., 7; Lee, Wensing & Park, IEEE T-RO 36(2), 2020.
 
@@ -154,7 +155,7 @@ def fit_in_stages(
 
 
 def _result(stages: StagedFit, best: Fit, dtype: Any) -> Identified:
-    """The result of the last fit: estimates, combinations, covariance, verdict."""
+    """Create the result from the last fit: estimates, combinations, covariance and verdict."""
     of, minimum, n, names = best.error, best.minimum, stages.shared, stages.unknowns.names
     runs, p = stages.recordings, best.minimum.x[: stages.shared]
     stated = {s for s in of.runs.values if noise_is_stated(runs, s)}
@@ -188,19 +189,23 @@ def identifiability(
     grid: Grid | None = None,
     estimate_initial_state: bool | None = None,
 ) -> Combinations:
-    """Find which unknowns, and which combinations of them, recordings can identify.
+    """Find the unknowns and the combinations of unknowns that recordings identify.
 
-    Use it before `identify`, whose result has the same for the estimates.
+    Use it before `identify`. The result of `identify` contains the combinations at the estimates.
 
     Args:
-        model, recordings, unknowns, grid, estimate_initial_state: as in `identify`.
+        model: robot with first guesses, or a `Setup`.
+        recordings: recordings, as in `identify`.
+        unknowns: name -> unknown, as in `identify`.
+        grid: steps of the integration, as in `identify`.
+        estimate_initial_state: whether initial states are unknown, as in `identify`.
 
     Returns:
         `Combinations` by the singular values of the Jacobian of the simulation error at the first
-        guess, without the part that the initial states explain too. See its `summary()`.
+        guess, without the part that initial states can compensate. See its `summary()`.
 
     Raises:
-        InputError: as `identify`.
+        InputError: recordings that do not match the model, or no unknowns.
 
     Example:
         >>> import rbjax as rb, numpy as np

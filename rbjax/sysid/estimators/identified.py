@@ -1,5 +1,4 @@
-"""The result of `identify`, with its file and its validation, and `free_run`, the simulation of
-recordings with no fit except of initial states."""
+"""The result of `identify`, with its file and validation, and simulation by `free_run`."""
 
 from __future__ import annotations
 
@@ -33,7 +32,7 @@ from rbjax.sysid.status import FitStatus, HasStatus
 
 
 class Options(NamedTuple):
-    """The options of a fit, as the arguments of `identify`."""
+    """The options of a fit, with the meaning of the arguments of `identify`."""
 
     grid: Grid | None = None
     segments: float | None = None
@@ -49,21 +48,22 @@ class Identified(HasStatus):
     """The result of an identification.
 
     Fields:
-        setup: with the estimated parameters.
-        values, guess: the estimates and the first guess, by name.
-        identifiable: the combinations of the unknowns that the data identify.
+        setup: set-up with the estimated parameters.
+        values: name -> estimate.
+        guess: name -> first guess.
+        identifiable: identifiable combinations of the unknowns.
         estimates: values, covariance and intervals.
-        recordings: the recordings that were fitted.
+        recordings: fitted recordings.
         traces: recorded and simulated values.
-        evaluations: of the residual.
-        status: a `FitStatus`; `success` is whether the fit converged.
-        grid: of the simulation.
-        error: the simulation error, in float64.
+        evaluations: number of evaluations of the residual.
+        status: a `FitStatus`.
+        grid: grid of the simulation.
+        error: simulation error, in float64.
         noise_known: whether the noise of all channels is stated or estimated.
-        statistics: of the residuals.
-        verdict: whether the fit is good, and each check that fails.
+        statistics: statistics of the residuals.
+        verdict: verdict on the fit, with each failed check.
         notes: sentences on default choices, such as other starts and shorter steps.
-        options: of the fit.
+        options: options of the fit.
     """
 
     setup: Setup
@@ -89,18 +89,17 @@ class Identified(HasStatus):
         return self.setup.model
 
     def summary(self) -> str:
-        """One sentence a line: how the fit ended, the verdict, the notes, and the 95 % interval of
-        each unknown."""
+        """Return status, verdict, notes and intervals of the unknowns, one sentence a line."""
         first = [f"{self.status.text} in {self.evaluations} evaluations", self.verdict.summary()]
         return "\n".join([*first, *self.notes, *self.estimates.sentences()[: len(self.values)]])
 
     @property
     def rms(self) -> dict[str, np.ndarray]:
-        """The root mean square of the residual (n,) by sensor."""
+        """The root mean square of the residual (n,), by sensor."""
         return rms_of(self.traces)
 
     def save(self, path: str | Path) -> None:
-        """Write values, intervals and errors as JSON; `identify(..., resume=path)` continues."""
+        """Write values, intervals and errors as JSON, for `identify(..., resume=path)`."""
         intervals = {name: self.estimates.interval(name) for name in self.values}
         write_fit(
             path, list(self.values), self.estimates.values, success=self.success,
@@ -116,9 +115,9 @@ class Identified(HasStatus):
         """Simulate other recordings with the estimates.
 
         Args:
-            recordings: such as those of a validation.
-            estimate_initial_state: whether each motion starts from the initial state that fits it
-                best (`free_run`), or from the first samples. None: as in the fit.
+            recordings: recordings, for example for a validation.
+            estimate_initial_state: whether each motion starts from the best-fitting initial state
+                (`free_run`), or from the first samples. None: as in the fit.
         """
         recordings = recordings_of("simulated", recordings)
         if estimate_initial_state is None:
@@ -135,8 +134,10 @@ class Identified(HasStatus):
 
     @property
     def judged_sensor(self) -> str:
-        """The sensor whose error judges the fit: "q", or the first sensor on which an unknown has
-        an effect if only the start of q was recorded."""
+        """The sensor whose error judges the fit.
+
+        It is "q", or the first sensor that depends on an unknown if q has too few samples.
+        """
         sensors = next(iter(self.traces.values()))
         if sensors["q"].measured:
             return "q"
@@ -146,14 +147,14 @@ class Identified(HasStatus):
     @property
     @in_double
     def insensitive_sensors(self) -> tuple[str, ...]:
-        """The sensors whose readings depend on no unknown, so that they have no information."""
+        """The sensors whose readings depend on no unknown, and contain no information."""
         still = self.error.insensitive(self.estimates.values)
         seen = self.traces.values()
         return tuple(s for s in still if any(sensors[s].measured for sensors in seen))
 
     @property
     def unused_channels(self) -> tuple[str, ...]:
-        """The channels that were recorded and not fitted, as the set-up has no such sensor."""
+        """The recorded channels that were not fitted, since the set-up has no such sensor."""
         recorded = dict.fromkeys(channel for run in self.recordings for channel in run)
         return tuple(s for s in recorded if s not in self.error.runs.values and s != HELD)
 
@@ -167,9 +168,9 @@ class Identified(HasStatus):
         """Judge the model by recordings that were not fitted.
 
         Args:
-            recordings: simulated as `simulated` does. Outliers are left out if loss="huber".
-            estimate_initial_state: as in `simulated`.
-            sensor: whose error counts; `judged_sensor` if None.
+            recordings: recordings for `simulated`. Outliers are ignored if loss="huber".
+            estimate_initial_state: whether to fit initial states, as in `simulated`.
+            sensor: sensor whose error counts. None: `judged_sensor`.
 
         Raises:
             InputError: a recording that was fitted.
@@ -200,23 +201,23 @@ def free_run(
     estimate_initial_state: bool | None = False,
     noise: Mapping[str, np.ndarray] | None = None,
 ) -> Traces:
-    """Simulate recordings with a model, to compare it with them or with another model.
+    """Simulate recordings with a model, for a comparison with the recordings or with another model.
 
     Args:
-        model: the robot, or a `Setup`.
-        recordings: with channels "q", perhaps "v" and "ctrl".
-        grid: as in `identify`.
+        model: robot, or a `Setup`.
+        recordings: recordings with channels "q", optional "v" and "ctrl".
+        grid: steps of the integration. None: the finest clock of all channels.
         estimate_initial_state: whether each motion starts from the initial state that fits the
             whole recording best (least squares), instead of the first readings, which are noisy.
-            None: unless the recordings have an `initial_state`.
-        noise: sensor -> standard deviation (n,), which weighs that fit; None for the stated noise,
+            None: yes, except for known initial states.
+        noise: sensor -> standard deviation (n,), the weights of that fit. None: the stated noise,
             or 1.
 
     Returns:
         Recording -> sensor -> `Trace`, with `residual`.
 
     Raises:
-        InputError: recordings that do not suit the model; noise without a recorded sensor.
+        InputError: recordings that do not match the model, or noise without a recorded sensor.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -242,7 +243,7 @@ def free_run(
 
 
 def _noise_of(noise: Any, sensor: str, weights: Any) -> np.ndarray:
-    """Check the standard deviations of a sensor."""
+    """Check and return the standard deviations of a sensor."""
     if not isinstance(noise, Mapping) or sensor not in noise:
         raise InputError(
             f"free_run: noise has no sensor {sensor}, expected a dict with the standard deviations "
@@ -258,7 +259,7 @@ def _noise_of(noise: Any, sensor: str, weights: Any) -> np.ndarray:
 
 
 def _stated_noise(recordings: Sequence[Recording], sensor: str) -> float | None:
-    """The root mean square of the stated noise of a sensor's columns; None if it is not stated."""
+    """Return the root mean square of the stated noise of a sensor, or None if it is not stated."""
     noise = [run[sensor].noise for run in recordings if sensor in run.channels]
     if not noise or any(sigma is None for sigma in noise):
         return None
@@ -266,8 +267,10 @@ def _stated_noise(recordings: Sequence[Recording], sensor: str) -> float | None:
 
 
 def write_fit(path: str | Path, names: Sequence[str], x: np.ndarray, **more: Any) -> None:
-    """Write a fit as JSON: the unknowns `names`, corrections of initial states, and `more`. The
-    file is replaced at once, so that a write that is interrupted does not damage it."""
+    """Write a fit as JSON: the unknowns `names`, corrections of initial states, and `more`.
+
+    The file is replaced in one operation, so an interrupted write does not damage it.
+    """
     values = dict(zip(names, map(float, x), strict=False))
     corrections = np.asarray(x[len(names) :]).tolist()
     path = Path(path)

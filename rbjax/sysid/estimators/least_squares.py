@@ -1,11 +1,11 @@
-"""Nonlinear least squares with bounds and a weak prior: the minimiser of all estimators.
+"""Nonlinear least squares with bounds and a weak prior, the minimiser of all estimators.
 
     min f(x) + w D(x, x_0),     f = |r(x)|^2, or -2 log p with the scores r
-D is a convex divergence that is infinite outside of the bounds (`divergence`): it is the barrier,
-the metric of the step length, and the prior. Each step minimises the linearised residual plus D and
-a second divergence from the current x (proximal Gauss-Newton). The Jacobian enters as the
-triangular factor R of [J r]. The weight of the prior is reduced in stages, and the last steps have
-no prior, which removes its bias in the identifiable directions.
+D is a convex divergence that is infinite outside of the bounds (`divergence`). It serves as
+barrier, metric of the step length, and prior. Each step minimises the linearised residual plus D
+and a second divergence from the current x (proximal Gauss-Newton). The Jacobian enters as the
+triangular factor R of [J r]. The weight of the prior is reduced in stages. The last steps have no
+prior, which removes its bias in the identifiable directions.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.status import FitStatus, HasStatus
 
-#: weights of the prior, relative to the largest curvature of |r|^2, of successive minimisations
+#: weights of the prior in successive stages, relative to the largest curvature of |r|^2
 PRIOR_WEIGHTS = (1e-4, 1e-7, 1e-10)
-#: a step of this divergence ends a minimisation
+#: a step with a smaller divergence ends a stage
 SMALL = 1e-18
-#: the damping of the first step, and the largest one with which a search may end
+#: damping of the first step, and largest damping at the end of a search
 CALM = 1e-6
-#: the divergence of a step that changes every entry by less than 5e-8 of its size. It ends a search
-#: on exact data, whose residual is rounding, so that its relative decrease is arbitrary
+#: divergence of a step that changes every entry by less than 5e-8 of its size. It ends a search on
+#: exact data: the residual is rounding, and its relative decrease is arbitrary
 ROUNDING = 1e-15
-#: derivatives above this are those of a motion that diverged
+#: larger derivatives belong to a diverged motion
 HUGE = 1e100
-#: Newton steps of one convex problem
+#: largest number of Newton steps of one convex subproblem
 NEWTON = 60
 
 
 class Tolerances(NamedTuple):
-    """When a search ends, by the decrease of the cost that the next step is expected to give.
+    """Stopping rule of a search, by the expected decrease of the cost in the next step.
 
     Fields:
-        flat: the expected decrease that ends the last stage, below what noise can resolve.
-        coarse: the expected decrease that ends an earlier stage.
-        optimal: x is a minimum if the Gauss-Newton step is expected to decrease the cost by less.
+        flat: expected decrease that ends the last stage, below the resolution of noise.
+        coarse: expected decrease that ends an earlier stage.
+        optimal: x is a minimum if the expected decrease of the Gauss-Newton step is smaller.
         relative: whether these are fractions of the cost, which then is |r|^2.
-        calm: the largest damping with which a search may end.
+        calm: largest damping at the end of a search.
     """
 
     flat: float
@@ -58,8 +58,11 @@ OF_SQUARES = Tolerances(flat=1e-8, coarse=1e-2, optimal=1e-7, relative=True)
 
 
 class Objective(Protocol):
-    """The cost, inf if it is not finite; R (p + 1, p + 1) with R^T R = [J r]^T [J r], where
-    J^T r is half of the cost's gradient; and D."""
+    """Protocol of an objective: cost, triangular factor and divergence.
+
+    `cost` is inf if it is not finite. `triangle` is R (p + 1, p + 1) with R^T R = [J r]^T [J r],
+    and J^T r is half of the gradient of the cost. `divergence` is D.
+    """
 
     def cost(self, x: np.ndarray, /) -> float: ...
 
@@ -70,8 +73,10 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class Minimum(HasStatus):
-    """The end of a minimisation at x (p,), with R of [J r] and the cost there. `CONVERGED` means
-    that x is a minimum by the scaled gradient."""
+    """The end of a minimisation at x (p,), with the factor R of [J r] and the cost at x.
+
+    `CONVERGED` means that x is a minimum by the scaled gradient.
+    """
 
     x: np.ndarray
     triangle: np.ndarray
@@ -83,7 +88,7 @@ class Minimum(HasStatus):
 def minimise(
     objective: Objective, start: np.ndarray, prior: np.ndarray | None = None, **options: Any
 ) -> Minimum:
-    """Find the minimum of an objective near a start, with the arguments of `search`."""
+    """Minimise an objective near a start, with the arguments of `search`."""
     steps = search(objective.divergence, start, prior, **options)
     request = next(steps)
     while not isinstance(request, Minimum):
@@ -93,7 +98,7 @@ def minimise(
 
 
 class Request(NamedTuple):
-    """The next request of a search: the cost at x, or the triangle at x."""
+    """The next request of a search: the triangle at x if `slopes`, otherwise the cost at x."""
 
     x: np.ndarray
     slopes: bool
@@ -110,18 +115,19 @@ def search(
     tolerances: Tolerances = OF_SQUARES,
     watch: Callable[[int, float, np.ndarray], None] = lambda evaluation, cost, x: None,
 ) -> Generator[Request | Minimum, Any, None]:
-    """Minimise as a generator of requests, so that many searches can be answered as one batch. Its
-    last value is the minimum.
+    """Minimise as a generator of requests, which allows to answer many searches as one batch.
+
+    The last value of the generator is the `Minimum`.
 
     Args:
         D: (x, x0) -> divergence.
-        start: (p,).
-        prior: x_0; the start if None.
+        start: (p,) initial x.
+        prior: x_0. None: the start.
         triangle: R at the start, if it is known.
-        prior_weights: w of the stages.
-        max_evaluations: of the cost, in all stages together.
-        tolerances: when the search ends.
-        watch: called with the number of evaluations, the cost and x, for progress.
+        prior_weights: weights w of the stages.
+        max_evaluations: largest number of evaluations of the cost, over all stages.
+        tolerances: stopping rule.
+        watch: progress callback, called with the number of evaluations, the cost and x.
 
     Source: Nielsen, *Damping parameter in Marquardt's method*, IMM-REP-1999-05 (the damping).
     """
@@ -147,7 +153,7 @@ def search(
         yield Minimum(x, R, now, count, invalid)
         return
     damping = CALM
-    for w in prior_weights:  # a weaker prior starts with the damping of the last
+    for w in prior_weights:  # a stage starts with the damping of the last one
         last, damping, growth, ended = w == prior_weights[-1], min(damping, CALM), 2.0, False
         enough = tolerances.flat if last else tolerances.coarse
         while not ended and count < max_evaluations:
@@ -162,7 +168,7 @@ def search(
                 break
             after = yield from cost(trial)
             gain = (now - after + pull) / max(expected, 1e-300)
-            # a point without a finite Jacobian and metric is rejected: no step could begin there
+            # reject a point without a finite Jacobian and metric, since no step can start from it
             root = metric_factor(D, trial) if gain > 0 else None
             slopes = np.array(np.nan) if root is None else (yield Request(trial, True))
             if root is not None and _has_squares(slopes):
@@ -177,8 +183,8 @@ def search(
         after = np.inf
         if np.isfinite(D(trial, x).value):
             after = yield from cost(trial)
-        # the first step removes the prior's bias; if later ones change the squares by less than
-        # this, it is rounding, or below the noise
+        # the first step removes the prior's bias; a later step with a smaller change of the
+        # squares is rounding, or below the noise
         hidden = tolerances.relative and after > now / 10
         if k and hidden:
             break
@@ -196,14 +202,14 @@ def search(
 
 
 def _largest_curvature(factor: np.ndarray, R: np.ndarray) -> float:
-    """The largest eigenvalue of J^T J in the metric."""
+    """Compute the largest eigenvalue of J^T J in the metric."""
     return float(np.linalg.norm(np.linalg.solve(factor, R[:, :-1].T), 2)) ** 2
 
 
 def _expected_decrease(
     R: np.ndarray, step: np.ndarray, now: float, tolerances: Tolerances
 ) -> float:
-    """The decrease of |r|^2 by the linear model."""
+    """Compute the decrease of |r|^2 by a step in the linear model."""
     linear = R[:, :-1] @ step + R[:, -1]
     squares = now if tolerances.relative else float(R[:, -1] @ R[:, -1])
     return squares - float(linear @ linear)
@@ -212,8 +218,11 @@ def _expected_decrease(
 def _is_minimum(
     D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float, tolerances: Tolerances
 ) -> bool:
-    """Whether the Gauss-Newton step within the bounds is as short as rounding, or is expected to
-    decrease the cost by less than noise can resolve. The prior is left out."""
+    """Check whether x is a minimum, without the prior.
+
+    The Gauss-Newton step within the bounds must be as short as rounding, or have an expected
+    decrease of the cost below the resolution of noise.
+    """
     factor = metric_factor(D, x)
     if factor is None:
         return False
@@ -225,22 +234,24 @@ def _is_minimum(
         expected = _expected_decrease(R, y - x, now, tolerances)
         return bool(expected <= enough or D(y, x).value <= ROUNDING)
 
-    # without limits a step is at least as long and expects at least as large a decrease
+    # the step without bounds is at least as long, with at least as large an expected decrease
     if ends(x + identifiable_step(R, factor)):
         return True
     return ends(regularised_step(R, x, D, ((w * _largest_curvature(factor, R), x),)))
 
 
 def _has_squares(R: np.ndarray) -> bool:
-    """Whether the derivatives and their squares are finite."""
+    """Check that the derivatives and their squares are finite."""
     return bool((np.abs(R) < HUGE).all())
 
 
 def metric_factor(
     D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray
 ) -> np.ndarray | None:
-    """Factorise the metric at x by Cholesky; None if it is not positive definite by rounding, as
-    for a thin body."""
+    """Compute the Cholesky factor of the metric at x.
+
+    Return None if the metric is not positive definite because of rounding, as for a thin body.
+    """
     curvature = D(x, x).curvature
     if not np.isfinite(curvature).all():
         return None
@@ -250,14 +261,17 @@ def metric_factor(
         return None
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of trial steps, which the line search rejects
+@np.errstate(over="ignore", invalid="ignore")  # in trial steps that the line search rejects
 def regularised_step(
     R: np.ndarray,
     x: np.ndarray,
     D: Callable[[np.ndarray, np.ndarray], Divergence],
     terms: tuple[tuple[float, np.ndarray], ...],
 ) -> np.ndarray:
-    """argmin over y of |J (y - x) + r|^2 + sum of w D(y, x0), by Newton's method from x."""
+    """Minimise |J (y - x) + r|^2 + sum of w D(y, x0) over y, by Newton's method from x.
+
+    `terms` are the pairs (w, x0).
+    """
     J, r = R[:, :-1], R[:, -1]
 
     def at(y: np.ndarray) -> tuple[float, list[Divergence]]:
@@ -271,7 +285,7 @@ def regularised_step(
         g = 2 * J.T @ (J @ (y - x) + r)
         for (w, _), d in zip(terms, apart, strict=True):
             g = g + w * d.slope
-        # D's curvature at y is the same from all x0
+        # the curvature of D at y does not depend on x0
         step = -np.linalg.solve(squared + weight * apart[0].curvature, g)
         decrease = -float(g @ step)
         if decrease <= 1e-13 * now:
@@ -289,11 +303,10 @@ def regularised_step(
 
 
 def identifiable_step(R: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Compute the shortest Gauss-Newton step in the identifiable directions; L L^T is the
-    metric."""
+    """Compute the shortest Gauss-Newton step in the identifiable directions, with metric L L^T."""
     tolerance = rank_tolerance("unknowns", R.dtype)
     A = np.linalg.solve(L, R[:, :-1].T).T
-    moves = A.any(0)  # rounding must not change entries on which no residual depends
+    moves = A.any(0)  # do not change entries without an effect on the residuals
     U, s, Vt = np.linalg.svd(A[:, moves], full_matrices=False)
     kept = s > tolerance * s.max(initial=0.0)
     z = np.zeros(A.shape[1])

@@ -1,12 +1,12 @@
-"""The likelihood of recordings of a motion with process noise, with its gradient and information.
+"""Likelihood of recordings of a motion with process noise, with gradient and information.
 
     l(p) = sum over samples of  z^T S^-1 z + log det 2 pi S         (twice the negative logarithm)
-z and S are the innovations of an extended Kalman filter (`rb.estimation`), and their covariance.
-With S = L L^T, its gradient and Fisher's information are those of least squares with the rows
+z are the innovations of an extended Kalman filter (`rb.estimation`), and S their covariance. With S
+= L L^T, the gradient and Fisher information of l are those of least squares with the rows
 
     J = [L^-1 dz;  L^-1 dS L^-T / sqrt 2],      r = [L^-1 z;  (1 - L^-1 z z^T L^-T) / sqrt 2],
     dl = 2 J^T r,    F = J^T J
-so a Gauss-Newton method is Fisher scoring. Ljung, *System Identification*, 2nd ed., 7.4; Astrom,
+Thus a Gauss-Newton method is Fisher scoring. Ljung, *System Identification*, 2nd ed., 7.4; Astrom,
 Automatica 16(5), 1980; Gupta & Mehra, IEEE T-AC 19(6), 1974 (scoring).
 """
 
@@ -38,7 +38,7 @@ from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import state_of_readings, triangle_of
 from rbjax.sysid.statistics.fit_statistics import Column, Rows
 
-#: largest distance of a sample from an instant of the grid, in periods
+#: largest allowed distance of a sample from an instant of the grid, in periods
 OFF = 1e-2
 DRIVES = ("torque", "acceleration")
 
@@ -47,11 +47,11 @@ class Series(NamedTuple):
     """One run, or a batch of runs, at the instants of a grid.
 
     Fields:
-        start: the first readings as a state.
-        speed: (nv,) standard deviation of the first velocity if it was not read.
-        commands: (N, n).
-        readings: "q" (N + 1, nq) and perhaps "v" (N + 1, nv).
-        arrived: (N + 1, rows), whether each reading arrived.
+        start: first readings as a state.
+        speed: (nv,) standard deviation of the first velocity if it was not measured.
+        commands: (N, n) commands.
+        readings: "q" (N + 1, nq) and optional "v" (N + 1, nv).
+        arrived: (N + 1, rows) mask of the readings that are not missing.
     """
 
     start: State
@@ -62,16 +62,23 @@ class Series(NamedTuple):
 
 
 class Levels(NamedTuple):
-    """Standard deviations: `drive` (nv,) of a torque in N m, or an acceleration in rad/s^2, that is
-    constant for a period; `reading` (rows,) of the sensors in rad and rad/s."""
+    """Standard deviations of process and measurement noise.
+
+    Fields:
+        drive: (nv,) torque in N m, or acceleration in rad/s^2, constant over a period.
+        reading: (rows,) readings of the sensors, in rad and rad/s.
+    """
 
     drive: Any
     reading: Any
 
 
 class Likelihood:
-    """l(x) of a batch of runs. x (n + levels,) are the unknowns and the logarithms of the unknown
-    noise levels, which are given by `drives` (nv,) and `reads` (rows,)."""
+    """Twice the negative log likelihood l(x) of a batch of runs.
+
+    x (n + levels,) contains the unknowns and the logarithms of the unknown noise levels. The masks
+    `drives` (nv,) and `reads` (rows,) select the unknown noise levels.
+    """
 
     def __init__(
         self, setup: Setup, unknowns: Unknowns, series: Series, grid: Grid, *, levels: Levels,
@@ -104,7 +111,7 @@ class Likelihood:
                         integrator, Field(model, dynamics, h), t + i * h, x, inputs, h
                     )
 
-                # a loop of constant length has a derivative in both modes
+                # a loop of constant length is differentiable in both modes
                 x = once(0, x)
                 if count > 1:
                     x = jax.lax.scan(lambda x, i: (once(i, x), None), x, jnp.arange(1, count))[0]
@@ -135,7 +142,7 @@ class Likelihood:
                 read = s.arrived[0, nv:]
                 P[1] = jnp.where(read, R[nv:] / now.sensors["v"].scale ** 2, P[1])
             P.append(jnp.zeros(setup.model.nx, R.dtype))
-            # the first readings are the initial state, so they are not used again
+            # the first readings define the initial state, and are not used again
             there = s.arrived.at[0].set(False)
             times = grid.period * jnp.arange(s.commands.shape[0])
             inputs = (times.astype(R.dtype), s.commands)
@@ -159,7 +166,7 @@ class Likelihood:
         def value(x: jax.Array, s: Series) -> jax.Array:
             return -2 * filtered(x, s).log_likelihood
 
-        self.space, self.value, self.rows = space, value, rows  # of one run, traced
+        self.space, self.value, self.rows = space, value, rows  # traced functions of one run
         self._filtered = jax.jit(jax.vmap(filtered, (None, 0)))
         self._values = jax.jit(jax.vmap(value, (None, 0)))
         self._rows = jax.jit(jax.vmap(rows, (None, 0)))
@@ -184,8 +191,11 @@ class Likelihood:
         return triangle_of(np.concatenate([J.reshape(-1, self.size), r.reshape(-1, 1)], 1))
 
     def columns(self, x: np.ndarray, scale: np.ndarray) -> list[Column]:
-        """Compute the rows of the score by column, as input of `fit_statistics`, with x in units of
-        `scale`. The equal rows of sensors (i, j) and (j, i) are one row."""
+        """Compute the rows of the score by column, as input of `fit_statistics`.
+
+        x is in units of `scale`. The equal rows (i, j) and (j, i) of the covariance are merged into
+        one row.
+        """
         J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
         runs = J.shape[0]
         arrived = np.array(self.series.arrived)
@@ -212,11 +222,11 @@ class Likelihood:
         return found
 
     def filtered(self, x: np.ndarray, series: Series | None = None) -> KalmanFiltered:
-        """Filter each run."""
+        """Run the Kalman filter on each run."""
         return self._filtered(jnp.asarray(x), self.series if series is None else series)
 
     def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
-        """The divergence of the unknowns, with the logarithms as free numbers."""
+        """Compute the divergence of the unknowns, with the logarithms as free parameters."""
         n = self.shared
         first = self.unknowns.divergence(x[:n], x0[:n])
         return Divergence.joined([first, Divergence.free(x[n:], x0[n:], 1.0)])
@@ -225,7 +235,7 @@ class Likelihood:
 def _score_rows(
     z: jax.Array, S: jax.Array, dz: jax.Array, dS: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The rows J (m + m m, n) and r (m + m m,) of one sample; dz (n, m), dS (n, m, m)."""
+    """Compute the rows J (m + m m, n) and r (m + m m,) of one sample; dz (n, m), dS (n, m, m)."""
     L = jnp.linalg.cholesky(S)
     half = functools.partial(solve_triangular, L, lower=True)
     e = half(z)
@@ -239,7 +249,7 @@ def make_series(setup: Setup, recordings: Sequence[Recording], grid: Grid) -> Se
     """Convert recordings to readings at the instants of a grid, padded to the longest.
 
     Raises:
-        InputError: samples between the instants.
+        InputError: samples between the instants, or different channels in the recordings.
     """
     found = [_series_of_run(setup, run, grid) for run in recordings]
     longest = max(s.commands.shape[0] for s in found)
@@ -285,7 +295,7 @@ def _series_of_run(setup: Setup, recording: Recording, grid: Grid) -> Series:
             )
         values = np.tile(np.asarray(first, float), (count + 1, 1))
         seen = np.zeros((count + 1, model.nv), bool)
-        if there.shape[1] != model.nv:  # attitudes: all of a sample or nothing
+        if there.shape[1] != model.nv:  # an attitude is complete or missing
             there = np.repeat(there.all(1)[:, None], model.nv, 1)
             values[k[there[:, 0]]] = np.asarray(run.values[sensor])[there[:, 0]]
         else:
@@ -301,7 +311,7 @@ def _series_of_run(setup: Setup, recording: Recording, grid: Grid) -> Series:
 
 
 def _largest_speeds(setup: Setup, q: np.ndarray, there: np.ndarray, T: float) -> np.ndarray:
-    """The largest speeds (nv,) between two samples of q."""
+    """Compute the largest speeds (nv,) between two successive samples of q."""
     at = np.flatnonzero(there.all(1))
     if len(at) < 2:
         return np.ones(setup.model.nv)

@@ -1,7 +1,7 @@
 """`many_starts`: `identify` from many first guesses, for errors with many minima.
 
-A few damped Gauss-Newton steps improve all guesses, with their motions and Jacobians in one batch.
-The best continue until they converge. Guesses that end at the same motion are in one basin.
+A few damped Gauss-Newton steps improve all guesses, with motions and Jacobians in one batch. The
+best ones continue until they converge. Guesses that end at the same motion form a basin.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from rbjax.sysid.simulation.simulation_error import (
 from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.status import FitStatus
 
-#: prior weights of the first steps of all guesses, and of the best until they converge
+#: prior weights of the first steps of all guesses, and of the later steps of the best guesses
 SHORT, LONG = (1e-4,), (1e-4, 1e-7)
-#: motions are the same if they differ by less than this share of the recordings
+#: motions are equal if they differ by less than this share of the spread of the recordings
 ONE_MOTION = 1e-2
-#: bytes of the Jacobians of a batch; more guesses are several batches
+#: largest size of the Jacobians of a batch in bytes; more guesses are divided into batches
 MEMORY = 2**28
 
 
@@ -48,9 +48,9 @@ class Basin:
     """A minimum that several guesses reach.
 
     Fields:
-        values: by name.
-        cost: |r|^2.
-        guesses: their indices, the best first.
+        values: name -> value at the minimum.
+        cost: |r|^2 at the minimum.
+        guesses: indices of the guesses, the best first.
     """
 
     values: dict[str, float]
@@ -63,10 +63,10 @@ class ManyStarts:
     """The result of `many_starts`.
 
     Fields:
-        best: the fit from the best minimum.
-        basins: the minima that were found, the best first.
-        best_guess: the index of the guess that led to the best minimum.
-        guesses: (K, n).
+        best: fit from the best minimum.
+        basins: basins of the finalists, the best first.
+        best_guess: index of the guess that led to the best minimum.
+        guesses: (K, n) first guesses.
         costs: (K,) |r|^2 after the first few steps, inf if a motion is not finite.
     """
 
@@ -77,7 +77,7 @@ class ManyStarts:
     costs: np.ndarray
 
     def summary(self) -> str:
-        """The number of basins and of guesses that reach them, in a sentence."""
+        """Return the number of basins, and of guesses that reach them, as one sentence."""
         first = self.basins[0]
         finalists = sum(len(b.guesses) for b in self.basins)
         text = (
@@ -119,23 +119,26 @@ def many_starts(
     """Fit from many first guesses, for motions whose error has many minima.
 
     Args:
-        model, recordings, unknowns, grid, estimate_initial_state, loss, progress: as in `identify`.
-        guesses: the number of guesses, the first of which is the model's; or an array (K, n), in
-            the order of the unknowns.
-        spread: of the guesses: positive numbers by factors up to e^spread, free ones up to spread
-            times their scale, bodies as much in the logarithm of their inertia; bounded ones
-            anywhere within their bounds.
-        seed: of the random guesses.
-        first_steps: evaluations of each guess before the best are chosen.
-        finalists: the number of guesses that continue.
-        more: other arguments of `identify`, for the fit from the best.
+        model: robot with first guesses, or a `Setup`.
+        recordings: recordings, as in `identify`.
+        unknowns: name -> unknown, as in `identify`.
+        guesses: number of guesses, including that of the model; or an array (K, n) in the order of
+            the unknowns.
+        spread: size of the changes. Positive parameters change by factors up to e^spread, free ones
+            up to spread times their scale, and log-Cholesky coordinates of inertias up to spread /
+            2. Parameters with two bounds are anywhere between them.
+        seed: seed of the random guesses.
+        first_steps: number of evaluations of each guess before the best are selected.
+        finalists: number of guesses that continue.
+        grid, estimate_initial_state, loss, progress: options of `identify`.
+        more: other arguments of `identify`, for the fit from the best minimum.
 
     Returns:
-        `ManyStarts`. Directions that are not identifiable stay near the model, as in `identify`.
+        `ManyStarts`. Unidentifiable directions remain near the model, as in `identify`.
 
     Raises:
-        InputError: as `identify`; guesses of a wrong shape or outside of their range; an unknown
-            of a kind that cannot be drawn; no guess whose motion is finite.
+        InputError: invalid arguments of `identify`, guesses of a wrong shape or outside of their
+            range, an unknown of a kind that cannot be drawn, or no guess with a finite motion.
 
     Source: Rinnooy Kan & Timmer, *Stochastic global optimization methods*, Math. Programming 39,
     1987 (multistart).
@@ -191,7 +194,7 @@ def many_starts(
 
 
 def search_together(of: SimulationError, starts: Sequence[np.ndarray], **how: Any) -> list[Minimum]:
-    """Search from each start, with the requests of all searches answered as one batch."""
+    """Search from each start, and answer the requests of all searches as one batch."""
     searches = [search(of.divergence, x, **how) for x in starts]
     asked: list[Request | Minimum] = [next(one) for one in searches]
     residuals, slopes = _batched(of.programs)
@@ -206,7 +209,7 @@ def search_together(of: SimulationError, starts: Sequence[np.ndarray], **how: An
         found: dict[int, Any] = {}
         for k in range(0, len(which), width):
             some = which[k : k + width]
-            filled = some + some[-1:] * (width - len(some))  # one shape: nothing compiles again
+            filled = some + some[-1:] * (width - len(some))  # constant shape, to compile once
             x = np.stack([of.by_run(asked[i].x) for i in filled])
             out = jax.tree.map(np.asarray, f(x, of.runs))
             found |= {i: read(jax.tree.map(lambda a, j=j: a[j], out)) for j, i in enumerate(some)}
@@ -226,7 +229,7 @@ def search_together(of: SimulationError, starts: Sequence[np.ndarray], **how: An
 
 @functools.lru_cache(maxsize=4)
 def _batched(one: Programs) -> tuple[Callable, Callable]:
-    """The programs of residuals and slopes for several x (K, runs, n + l) of the same runs."""
+    """Compile the residuals and slopes for several x (K, runs, n + l) of the same runs."""
     f, g = (jax.jit(jax.vmap(f, (0, None))) for f in (one.residuals, one.slopes))
     return f, g
 
@@ -250,7 +253,7 @@ def _guesses(given: Any, sought: Unknowns, setup: Setup, spread: float, seed: in
 
 
 def _basins(of: SimulationError, ends: dict[int, Minimum]) -> tuple[Basin, ...]:
-    """The minima with different motions, the best first."""
+    """Group the minima by motion, the best first."""
     size = 0.0
     for sensor, values in of.runs.values.items():
         spread = np.asarray(of.runs.weights[sensor] * (values - values.mean((0, 1))))

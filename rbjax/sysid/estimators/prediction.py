@@ -1,11 +1,11 @@
 """`prediction_error`: maximum likelihood of parameters of a motion with process noise.
 
     min over p, Q, R of  sum over samples of  z^T S^-1 z + log det S
-z is the difference of a sample and its prediction from all samples before it, S its covariance,
-both by a Kalman filter (`likelihood`). An unmeasured push changes all of the later motion, so the
-simulation error of `identify` is correlated over the whole recording, and its intervals are too
-narrow. The error of a prediction over one sample is not. The covariances Q and R of pushes and
-sensors are estimated too.
+z is the difference between a sample and its prediction from all earlier samples, and S is its
+covariance, both from a Kalman filter (`likelihood`). An unmeasured disturbance changes all later
+motion. Therefore the simulation error of `identify` is correlated over the whole recording, and its
+intervals are too narrow. The error of a one-step prediction is not correlated. The covariances Q of
+the process noise and R of the sensors are estimated too.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from rbjax.sysid.status import FitStatus, HasStatus
 
 #: weight of the prior relative to the largest curvature, except in the last steps
 PRIOR_WEIGHT = 1e-10
-#: decreases of -2 log p: 1e-9 is a step of 3e-5 standard deviations, 1e-4 a hundredth of one
+#: decreases of -2 log p: 1e-9 is a step of 3e-5 standard deviations, 1e-4 a step of 0.01
 OF_LIKELIHOOD = Tolerances(flat=1e-9, coarse=1e-9, optimal=1e-4, relative=False, calm=1e-3)
-#: first guesses of the drive, relative to the torque of the recorded motion
+#: first guesses of the process noise, relative to the torque of the recorded motion
 TRIALS = 10.0 ** np.arange(-4, 2)
 
 
@@ -54,19 +54,21 @@ class Predicted(HasStatus):
     """The result of `prediction_error`.
 
     Fields:
-        setup: with the estimated parameters.
-        values, guess: the estimates and the first guess, by name.
-        identifiable: the combinations of the unknowns that the data identify.
-        estimates: of unknowns and noise levels, with covariance and intervals.
-        levels: of the noise: `drive` (nv,) N m (or rad/s^2) and `reading` (rows,).
-        recordings: the recordings that were fitted.
-        log_likelihood: the maximum.
-        evaluations: of the likelihood.
-        status: a `FitStatus`; `success` is whether the search converged.
-        grid: of the filter.
-        likelihood, x: the likelihood, and its maximum.
-        first: the set-up with the first guess, in float64.
-        statistics: of the innovations.
+        setup: set-up with the estimated parameters.
+        values: name -> estimate.
+        guess: name -> first guess.
+        identifiable: identifiable combinations of the unknowns.
+        estimates: unknowns and noise levels, with covariance and intervals.
+        levels: noise levels, `drive` (nv,) in N m (or rad/s^2) and `reading` (rows,).
+        recordings: fitted recordings.
+        log_likelihood: maximum of the log likelihood.
+        evaluations: number of evaluations of the likelihood.
+        status: a `FitStatus`.
+        grid: grid of the filter.
+        likelihood: the likelihood as a function of x.
+        x: unknowns and logarithms of the noise levels at the maximum.
+        first: set-up with the first guess, in float64.
+        statistics: statistics of the innovations.
     """
 
     setup: Setup
@@ -91,14 +93,16 @@ class Predicted(HasStatus):
         return self.setup.model
 
     def summary(self) -> str:
-        """How the search ended, and the 95 % interval of each estimate, one sentence a line."""
+        """Return the status and the 95 % interval of each estimate, one sentence a line."""
         first = f"{self.status.text} in {self.evaluations} evaluations"
         return "\n".join([first, *self.estimates.sentences()])
 
     @in_double
     def innovations(self, recordings: Sequence[Recording] | None = None) -> dict[str, np.ndarray]:
-        """Compute the errors of one-step predictions (samples, rows) by recording, nan for samples
-        that did not arrive; of the fitted recordings if None."""
+        """Compute the errors of one-step predictions (samples, rows) by recording.
+
+        Missing samples are nan. None: the fitted recordings.
+        """
         names, series, f = self._filter(recordings)
         z = np.where(np.asarray(series.arrived), np.asarray(f.innovation), np.nan)
         z[:, 0] = np.nan  # the initial state
@@ -106,7 +110,7 @@ class Predicted(HasStatus):
 
     @in_double
     def whitened(self, recordings: Sequence[Recording] | None = None) -> dict[str, np.ndarray]:
-        """Compute L^-1 z of the innovations, which are white and of variance 1 for a true model."""
+        """Compute the whitened innovations L^-1 z, by recording. Their true variance is 1."""
         off = self.innovations(recordings)
         S = np.asarray(self._filter(recordings)[2].innovation_covariance)
         each = np.linalg.solve(np.linalg.cholesky(S), np.nan_to_num(list(off.values()))[..., None])
@@ -117,8 +121,10 @@ class Predicted(HasStatus):
 
     @in_double
     def smoothed(self, recordings: Sequence[Recording] | None = None) -> dict[str, Smoothed]:
-        """Compute smoothed states (samples, ...) at the instants of the grid, with covariances, by
-        recording."""
+        """Compute smoothed states (samples, ...) with covariances, by recording.
+
+        The states are at the instants of the grid. None: the fitted recordings.
+        """
         names, _, f = self._filter(recordings)
         space = self.likelihood.space(cast(self.setup, np.float64))
         found = jax.jit(jax.vmap(lambda f: kalman_smoother(space, f)))(f)
@@ -158,32 +164,33 @@ def prediction_error(
     max_evaluations: int = 60,
     progress: bool = False,
 ) -> Predicted:
-    """Estimate parameters by maximum likelihood, if unmeasured pushes act on the robot.
+    """Estimate parameters by maximum likelihood, for a robot with unmeasured disturbances.
 
-    Use it if the residuals of `identify` are correlated because of process noise. All is computed
-    in float64.
+    Use it if the residuals of `identify` are correlated because of process noise. All computations
+    are in float64.
 
     Args:
-        model: the robot with first guesses; a `Setup`; or a result of `identify`, to start from.
-        recordings: with channels "q", perhaps "v" and "ctrl", and samples at the instants of the
-            grid. Noise that a channel does not state is estimated, and so is that of attitudes, in
-            rad. State it if it is known, since fast sensors contain little information on it.
-        unknowns: as for `identify`.
-        grid: of the integration; steps of RK4 at the fastest clock if None.
-        drive: "torque" or "acceleration": the kind of process noise. It is normal, independent in
-            each period of the grid and constant over it, with an estimated standard deviation for
-            each coordinate.
-        driven: joints with process noise; all if None.
-        max_evaluations: of the likelihood.
-        progress: whether a line shows the progress.
+        model: robot with first guesses; a `Setup`; or a result of `identify` to start from.
+        recordings: recordings with channels "q", optional "v" and "ctrl", and samples at the
+            instants of the grid. Noise that a channel does not state is estimated. The noise of
+            attitudes (in rad) is always estimated. State known noise, since fast sensors contain
+            little information on it.
+        unknowns: name -> unknown, as for `identify`.
+        grid: steps of the integration. None: RK4 steps at the fastest clock.
+        drive: kind of process noise, "torque" or "acceleration". It is normal, constant over each
+            period of the grid and independent between periods, with an estimated standard deviation
+            for each coordinate.
+        driven: names of the joints with process noise. None: all.
+        max_evaluations: largest number of evaluations of the likelihood.
+        progress: show a progress line.
 
     Returns:
-        `Predicted`. Intervals follow Fisher's information, or a sandwich estimate if the
+        `Predicted`. The covariance is the inverse Fisher information, or a sandwich estimate if the
         innovations are correlated in time.
 
     Raises:
-        InputError: recordings that do not suit the model or the grid; a set-up with delays.
-        UnknownName: no such drive, leaf, body or joint.
+        InputError: recordings that do not match the model or the grid, or a set-up with delays.
+        UnknownName: an unknown drive, leaf, body or joint.
 
     Source: Ljung, *System Identification*, 2nd ed., 7.4 and 9.4; Astrom, Automatica 16(5), 1980.
 
@@ -252,7 +259,7 @@ def prediction_error(
 
 
 def _setup(model: Any, grid: Grid | None) -> tuple[Setup, Grid | None]:
-    """The set-up and the grid to start from. Sensors and controls must have no delay."""
+    """Return the initial set-up and grid, and check that sensors and controls have no delay."""
     if isinstance(model, Identified):
         model, grid = model.setup, model.grid if grid is None else grid
     setup = setup_of("prediction_error", model)
@@ -274,7 +281,7 @@ def _setup(model: Any, grid: Grid | None) -> tuple[Setup, Grid | None]:
 
 
 def _driven(where: str, model: Model, joints: Sequence[str] | None) -> np.ndarray:
-    """Whether each coordinate (nv,) has process noise."""
+    """Return the mask (nv,) of the coordinates with process noise."""
     if joints is None:
         return np.ones(model.nv, bool)
     found = np.zeros(model.nv, bool)
@@ -286,8 +293,10 @@ def _driven(where: str, model: Model, joints: Sequence[str] | None) -> np.ndarra
 def _first_levels(
     setup: Setup, runs: Sequence[Recording], series: Series
 ) -> tuple[Levels, np.ndarray]:
-    """The noise of the sensors (rows,), stated or estimated from third differences, and whether it
-    is unknown."""
+    """Return the noise of the sensors (rows,), and the mask of the unknown entries.
+
+    Noise that is not stated is estimated from third differences.
+    """
     model = setup.model
     minus = jax.vmap(lambda a, b: difference(model, a, b))
     sigma, sought = [], []
@@ -313,8 +322,11 @@ def _first_levels(
 
 
 def _moving_drive(setup: Setup, series: Series, grid: Grid, drive: str) -> np.ndarray:
-    """An estimate of the torque (nv,) of the recorded motion: for the largest speed within a
-    twentieth of a second or five periods, with the inertia of the first configuration."""
+    """Estimate the torque (nv,), or the acceleration, of the recorded motion.
+
+    The estimate assumes that the largest speed is reached within 0.05 s or five periods, whichever
+    is longer, with the mass matrix of the first configuration.
+    """
     model = setup.model
     rate = np.asarray(series.speed).max(0) / max(0.05, 5 * grid.period)
     if drive == "acceleration":
@@ -324,7 +336,7 @@ def _moving_drive(setup: Setup, series: Series, grid: Grid, drive: str) -> np.nd
 
 
 def _level_names(model: Model, of: Likelihood, drive: str) -> list[str]:
-    """The names of the unknown noise levels."""
+    """Return the names of the unknown noise levels."""
     single = len(model.joint_names) == model.nv
     where = list(model.joint_names) if single else list(map(str, range(model.nv)))
     driving = [f"{drive} noise[{where[i]}]" for i in of.drives]

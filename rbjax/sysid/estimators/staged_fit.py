@@ -1,11 +1,11 @@
-"""The fits of `identify`, each from the result of the last one.
+"""The successive fits of `identify`. Each one starts from the result of the last one.
 
 fit_segments            short segments, each from its first sample, for a poor first guess
 fit_multiple_shooting   segments with growing continuity weights, for a long motion
 fit_growing             the first part of all recordings, then longer parts, for a poor guess
 fit_all                 all recordings
-reweigh                 the same, each column weighted by the noise of its residuals
-refine_steps            the same with shorter steps, if steps of half the length change it
+reweigh                 all recordings, each column weighted by the noise of its residuals
+refine_steps            all recordings with shorter steps, if half the length changes the fit
 """
 
 from __future__ import annotations
@@ -33,26 +33,26 @@ from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError, sum_of_squares
 from rbjax.sysid.simulation.traces import Traces, make_traces, residuals_of
 
-#: an rms below this fraction of a channel's spread is rounding
+#: an RMS below this fraction of a channel's standard deviation is rounding
 NOISELESS = 1e-7
-#: prior weights of a fit that is only a start for another
+#: prior weights of a fit that is only the start of another fit
 FIRST_WEIGHTS = (1e-4, 1e-7)
-#: the successive parts of all recordings in a growing fit
+#: successive parts of all recordings in a growing fit
 PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 #: the largest number of evaluations of a fit to a part
 FEW_STEPS = 20
 #: the spread of other first guesses, as in `many_starts`
 SPREAD = 1.0
-#: the largest numbers of times that the steps are halved before and after the fit
+#: largest factor of step refinement before the fit; largest number of refinements after it
 FINEST, REFINED = 16, 2
-#: steps are short enough if their error changes no unknown by more than this part of its sigma
+#: largest change of an unknown by the error of the steps, relative to its standard deviation
 STEP_ERROR = 0.5
-#: an error of the steps below this part of the spread of the recordings is accepted
+#: largest error of the steps, relative to the spread of the recordings, that is always accepted
 SMALL_STEP_ERROR = 1e-6
 
 
 class Fit(NamedTuple):
-    """A fit of all recordings. noise_estimated: whether the weights are estimates."""
+    """A fit of all recordings. `noise_estimated` is True if the weights are estimates."""
 
     error: SimulationError
     minimum: Minimum
@@ -64,12 +64,12 @@ class StagedFit:
     """Fits of the same unknowns to the same recordings.
 
     Fields:
-        first: the first guess.
-        prior: values of the directions that the data do not identify.
-        grid: of the simulation; it may be refined.
+        first: first guess.
+        prior: values in the unidentifiable directions.
+        grid: grid of the simulation, which may be refined.
         checks_steps: whether the length of the steps is checked.
-        evaluations: of residuals so far.
-        notes: sentences on the choices that were made by default.
+        evaluations: number of evaluations of residuals up to now.
+        notes: sentences on default choices.
     """
 
     def __init__(
@@ -85,24 +85,24 @@ class StagedFit:
         self.notes: list[str] = []
 
     def fit_segments(self, x: np.ndarray, seconds: float) -> np.ndarray:
-        """Fit the unknowns to segments of this length."""
+        """Fit the unknowns to segments of this length in s."""
         short = [segment for run in self.recordings for segment in run.segments(seconds)]
         found = self._minimise(self.error(short), x, last=False, prior_weights=FIRST_WEIGHTS)
         return found.x[: self.shared]
 
     def fit_multiple_shooting(self, x: np.ndarray, seconds: float) -> np.ndarray:
-        """Fit the unknowns, and the initial states if they are estimated, by multiple shooting."""
+        """Fit the unknowns by multiple shooting, and the initial states if they are estimated."""
         single = [make_run(self.setup, run, self.grid) for run in self.recordings]
         of = MultipleShooting(
             self.setup, self.unknowns, single, self.grid, seconds, loss=self.options.loss
         )
         for of.continuity_weight in CONTINUITY_WEIGHTS:
-            # the prior's weight is relative to the largest curvature, which is that of the gaps
+            # the prior's weight is relative to the largest curvature, which comes from the gaps
             weights = tuple(w / max(of.continuity_weight, 1.0) ** 2 for w in FIRST_WEIGHTS)
             x = self._minimise(of, x, last=False, prior_weights=weights).x
         if not self.error(self.recordings).own:
             return x[: self.shared]
-        # the error of one chaotic motion is so steep that a prior at the first guess would lose it
+        # the error of a chaotic motion is steep: a prior at the first guess would lose the minimum
         self.prior = of.merge(x)
         return self.prior
 
@@ -118,8 +118,11 @@ class StagedFit:
         return self._fit(of, x)
 
     def fit_growing(self, of: SimulationError, x: np.ndarray) -> np.ndarray:
-        """Fit the first part of all recordings, then longer parts. Over a short time a poor guess
-        stays near the minimum. The program is the same as for all."""
+        """Fit the first part of all recordings, then longer parts.
+
+        Over a short time the motion of a poor guess remains near the recording. All parts use the
+        program of the complete recordings.
+        """
         T = max(float(np.max(t)) for t in of.runs.times.values())
         for part in PARTS:
             weights = {
@@ -134,8 +137,7 @@ class StagedFit:
         return x
 
     def retry_if_poor(self, fit: Fit) -> Fit:
-        """If a fit is poor, try growing fits from the first guess and from others. Return the best
-        of all."""
+        """If a fit is poor, try growing fits from several guesses, and return the best fit."""
         restarts = self.options.restarts
         why = "the first guess failed" if not np.isfinite(fit.minimum.cost) else ""
         why = why or self._why_poor(fit)
@@ -144,7 +146,7 @@ class StagedFit:
         of, best, tried, won = fit.error, fit, 0, "the first guess is still the best"
         for k, guess in enumerate(self._guesses(restarts)):
             x = self.fit_growing(of, np.append(guess, np.zeros(of.size - self.shared)))
-            # a prior at the first guess would lose what the parts have found
+            # a prior at the first guess would lose the result of the parts
             other = self._fit(of, x, prior=x)
             tried = k + 1
             if other.minimum.cost < best.minimum.cost * (1 - 1e-6):
@@ -165,15 +167,18 @@ class StagedFit:
         return is_poor(fit.traces, self.recordings, self.setup, robust=robust)
 
     def _guesses(self, count: int) -> np.ndarray:
-        """The first guess and others (count, n)."""
+        """Return the first guess and other guesses (count, n)."""
         try:
             return draw_guesses(self.unknowns, self.setup, count, SPREAD, 0)
-        except InputError:  # an unknown of a kind that cannot be drawn
+        except InputError:  # for a kind of unknown without random guesses
             return self.first[None]
 
     def reweigh(self, fit: Fit) -> Fit:
-        """Repeat a fit with the weights of the noise of its residuals, unless all channels state
-        their noise or the residuals are rounding."""
+        """Repeat a fit with weights from the noise of its residuals.
+
+        The fit is returned unchanged if all channels state their noise or the residuals are
+        rounding.
+        """
         robust = self.options.loss == "huber"
         data = estimate_weights(fit.error.runs, fit.traces, self.recordings, robust=robust)
         if data is None:
@@ -181,8 +186,7 @@ class StagedFit:
         return self._refit(fit.error.on(data), fit.minimum.x)._replace(noise_estimated=True)
 
     def shorten_steps(self) -> None:
-        """Shorten the steps until their error at the first guess is below the noise of the
-        recordings, since longer steps may hide the right minimum."""
+        """Shorten the steps until their error at the first guess is below the noise."""
         if not self.checks_steps:
             return
         of = self.error(self.recordings)
@@ -194,7 +198,7 @@ class StagedFit:
             largest = max(largest, error)
             if not error > 1:
                 break
-            # an error of order 4 falls by 16 if the step is halved
+            # an error of order 4 decreases by a factor of 16 if the step is halved
             times = 2 if error > 16 and 4 * done <= FINEST else 1
             self.grid = halve_steps(self.grid, times)
             done *= 2**times
@@ -213,9 +217,11 @@ class StagedFit:
         )
 
     def refine_steps(self, fit: Fit) -> Fit:
-        """Repeat a fit with steps so short that halving them changes no unknown by a relevant part
-        of its standard deviation. A search that stalls is another sign of long steps, since the
-        error is rough if friction changes its sign within a step."""
+        """Repeat a fit with shorter steps until half the length changes no unknown significantly.
+
+        Changes are relative to the standard deviation. A search that stalls also indicates long
+        steps, since the error is rough if friction changes its sign within a step.
+        """
         if not self.checks_steps:
             return fit
         first, worst, best, needed = self.grid, 0.0, fit, False
@@ -226,7 +232,7 @@ class StagedFit:
             if not matters and best.minimum.success:
                 break
             found = self._refit(other, best.minimum.x)
-            if found.minimum.cost > 2 * best.minimum.cost:  # the recordings have these steps
+            if found.minimum.cost > 2 * best.minimum.cost:  # simulated data with long steps
                 break
             worst, needed = max(worst, error), needed or matters or found.minimum.success
             best = found._replace(noise_estimated=fit.noise_estimated)
@@ -242,7 +248,7 @@ class StagedFit:
         return len(self.first)
 
     def error(self, recordings: Sequence[Recording], grid: Grid | None = None) -> SimulationError:
-        """The simulation error of recordings."""
+        """Create the simulation error of recordings."""
         grid = self.grid if grid is None else grid
         return SimulationError(
             self.setup, self.unknowns, make_batch(self.setup, recordings, grid), grid,
@@ -254,7 +260,7 @@ class StagedFit:
         return Fit(of, found, make_traces(self.setup, of, found.x, self.recordings))
 
     def _refit(self, of: SimulationError, x: np.ndarray) -> Fit:
-        """Fit from x, the minimum of nearly the same error, which is also the prior."""
+        """Fit from x, the minimum of nearly the same error, with x as prior."""
         return self._fit(of, x, prior=x, prior_weights=PRIOR_WEIGHTS[-1:])
 
     def _minimise(
@@ -275,7 +281,7 @@ class StagedFit:
             self.say(f"evaluation {k} of at most {most}, squares {cost:.4g}")
             if self.save is not None and cost < least:
                 least = cost
-                kept = x if last else x[: self.shared]  # without the states of segments
+                kept = x if last else x[: self.shared]  # without the initial states of segments
                 write_fit(self.save, self.unknowns.names, kept, success=False, status="running")
 
         found = minimise(of, x, near, triangle=slopes, max_evaluations=most, watch=watch, **how)
@@ -286,14 +292,17 @@ class StagedFit:
 def estimate_weights(
     data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
 ) -> Run | None:
-    """Estimate weights 1 / sigma from the residuals, for channels without stated noise. None
-    if all channels state it, or if the residuals are rounding. robust: without outliers."""
+    """Estimate weights 1 / sigma from the residuals, for channels without stated noise.
+
+    Return None if all channels state their noise, or if the residuals are rounding. With `robust`,
+    sigma is a robust estimate, which ignores outliers.
+    """
     weights, changed = dict(data.weights), False
     for sensor in data.values:
         if noise_is_stated(runs, sensor):
             continue
         r, spread = residuals_of(seen, sensor), np.asarray(data.values[sensor]).std(axis=(0, 1))
-        if (~np.isnan(r)).sum(0).max() <= len(runs):  # only initial states
+        if (~np.isnan(r)).sum(0).max() <= len(runs):  # only initial states were measured
             continue
         missing = np.isnan(r).all(0)
         r = np.where(missing, 1.0, r)
@@ -307,7 +316,7 @@ def estimate_weights(
 
 
 def check_sensitivity(unknowns: Unknowns, J: np.ndarray) -> None:
-    """`InputError` for an unknown that has no effect on any reading."""
+    """Raise InputError if an unknown has no effect on any reading."""
     ends = np.cumsum(unknowns.sizes)
     largest, still = np.abs(J).max(), rank_tolerance("unknown without effect", J.dtype)
     for (name, u), end, size in zip(unknowns.members.items(), ends, unknowns.sizes, strict=True):
@@ -321,7 +330,7 @@ def check_sensitivity(unknowns: Unknowns, J: np.ndarray) -> None:
 def start_grid(
     setup: Setup, unknowns: Unknowns, runs: Sequence[Recording], grid: Grid | None
 ) -> tuple[Grid, bool]:
-    """Choose the first grid, and check the length of its steps if it is None or has 0 substeps."""
+    """Choose the first grid, and whether to check its steps (grid is None or has 0 substeps)."""
     if grid is None:
         ends = [
             u.bounds[1] for u in unknowns.members.values()
@@ -334,20 +343,22 @@ def start_grid(
 
 
 def halve_steps(grid: Grid, times: int = 1) -> Grid:
-    """Halve the steps of a grid so many times."""
+    """Halve the steps of a grid `times` times."""
     k = 2**times
     return grid._replace(period=grid.period / k, longest_delay=k * grid.longest_delay)
 
 
 def error_over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recording]) -> float:
-    """Divide an error e (runs, rows) of the residual by the largest acceptable one for the noise of
-    the recordings; 0 if it is rounding."""
+    """Compute the ratio of an error e (runs, rows) of the residual to the largest acceptable one.
+
+    The acceptable error follows from the noise of the recordings. Rounding errors count as 0.
+    """
     squares = 0.0
     for sensor, part in of.rows_of(e).items():
         y, w = np.asarray(of.runs.values[sensor]), np.asarray(of.runs.weights[sensor])
         spread = float(np.sqrt(np.mean((y - y.mean((0, 1))) ** 2)))
         noise, least = 1.0, SMALL_STEP_ERROR * spread
-        if noise_is_stated(recordings, sensor):  # the rows are in units of it
+        if noise_is_stated(recordings, sensor):  # the rows are in units of the noise
             least *= float(w.max(initial=0.0))
         else:
             rough = np.max([roughness(run[sensor].values) for run in recordings], 0)
@@ -361,9 +372,11 @@ def error_over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Re
 
 
 def step_error(fit: Fit, other: SimulationError) -> tuple[float, bool]:
-    """Compute the error of the steps over the largest acceptable one, and whether it matters. An
-    error e of the residuals changes a fitted unknown by at most |e| / s of its standard deviation,
-    where s^2 is the variance of the residuals."""
+    """Compute the ratio of the error of the steps to the largest acceptable one.
+
+    Also return whether the steps must be shorter. An error e of the residuals changes a fitted
+    unknown by at most |e| / s of its standard deviation. s^2 is the variance of the residuals.
+    """
     of, x = fit.error, fit.minimum.x
     e = other.residuals(x) - of.residuals(x)
     s = np.sqrt(max(fit.minimum.cost, 1e-300) / max(of.samples - of.size, 1))

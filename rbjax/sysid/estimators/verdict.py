@@ -1,4 +1,4 @@
-"""The verdict on a fit, by the recordings that were fitted."""
+"""The verdict on a fit, from the recordings that were fitted."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from rbjax.sysid.statistics.comparisons import EXPLAINED, NOISY
 from rbjax.sysid.statistics.residual_tests import explained, varies
 from rbjax.sysid.status import FitStatus
 
-#: residuals above this many times the roughness of the recordings are not noise
+#: residuals above this multiple of the roughness of the recordings are not noise
 ROUGH = 3.0
-#: a fit with a larger R2 counts as being at the right minimum
+#: a fit with a larger R2 is assumed to be at the right minimum
 CLOSE = 0.999
-#: residuals below this share of the spread are rounding, or the error of integration
+#: residuals below this share of the standard deviation are rounding or integration errors
 TINY = 1e-5
-#: residuals above so many robust standard deviations are outliers; 1 in 16,000 of normal noise
+#: least size of an outlier in robust standard deviations; 1 in 16,000 of normal noise
 OUTLIER = 4.0
-#: with more outliers than this share, the model is wrong
+#: largest share of outliers of a good model
 MOST = 0.2
-#: standard deviation of normal noise over the median of its absolute value
+#: ratio of the standard deviation of normal noise to the median of its absolute value
 NORMAL = 1.4826
-#: a sensor whose standard deviation is at most so many times its noise has no motion
+#: a sensor with a smaller ratio of standard deviation to noise has no motion
 STILL = 2.0
 
 
@@ -38,11 +38,12 @@ class Verdict:
     """The verdict on a fit.
 
     Fields:
-        failed: a sentence for each check that failed; none if the fit is good.
-        r_squared: the share of the variance that is explained, by sensor; nan for a constant one.
-        noise_ratio: the error of the worst column over its stated noise, by sensor with such.
-        constant: the columns that are constant in all recordings, by sensor.
-        outliers: with loss="huber", the share of outliers by sensor. No other field counts them.
+        failed: one sentence for each failed check; empty if the fit is good.
+        r_squared: sensor -> explained share of the variance; nan if it is constant.
+        noise_ratio: sensor with stated noise -> ratio of the error of the worst column to the
+            noise.
+        constant: sensor -> columns that are constant in all recordings.
+        outliers: sensor -> share of outliers, with loss="huber". The other fields exclude outliers.
     """
 
     failed: tuple[str, ...]
@@ -57,7 +58,7 @@ class Verdict:
         return not self.failed
 
     def summary(self) -> str:
-        """The verdict in a sentence, with the checks that failed."""
+        """Return the verdict as one sentence, with the failed checks."""
         if self.failed:
             return "the fit is poor: " + "; ".join(self.failed)
         worst = float(np.nanmin([*self.r_squared.values()]))
@@ -77,11 +78,11 @@ def judge(
     status: FitStatus, seen: Traces, recordings: Sequence[Recording], coloured: Sequence[str], *,
     robust: bool = False,
 ) -> Verdict:  # fmt: skip
-    """Judge a fit. A good one has converged, explains 99 % of the variance of each sensor, has
-    errors of at most 1.5 times the stated noise, and white residuals.
+    """Judge a fit by its convergence, R2, errors relative to the noise, and whiteness.
 
-    coloured: the columns whose residuals are not white. robust: without outliers, of which a fifth
-    of the samples is too many.
+    A good fit has converged, explains 99 % of the variance of each sensor, has errors of at most
+    1.5 times the stated noise, and white residuals. `coloured` are the columns with residuals that
+    are not white. With `robust`, outliers are ignored, but may be at most a fifth of the samples.
     """
     failed = [] if status == FitStatus.CONVERGED else [f"the fit is {status.text}"]
     seen, outliers = without_outliers(seen) if robust else (seen, {})
@@ -121,19 +122,19 @@ def judge(
 
 
 def _list_columns(constant: dict[str, tuple[str, ...]]) -> str:
-    """Columns by sensor, and "is" or "are"."""
+    """Format columns by sensor, followed by "is" or "are"."""
     count = sum(map(len, constant.values()))
     words = "; ".join(f"{sensor} of {', '.join(names)}" for sensor, names in constant.items())
     return f"{words} {'is' if count == 1 else 'are'}"
 
 
 def _traces_of(seen: Traces, sensor: str) -> list[Trace]:
-    """The traces of a sensor with enough samples of a motion."""
+    """Return the traces of a sensor with enough samples."""
     return [sensors[sensor] for sensors in seen.values() if sensors[sensor].measured]
 
 
 def constant_columns(seen: Traces) -> dict[str, tuple[str, ...]]:
-    """Find the names of the columns that are constant in all recordings, by sensor."""
+    """Find the columns that are constant in all recordings, by sensor."""
     found = {}
     for sensor in next(iter(seen.values())):
         every = _traces_of(seen, sensor)
@@ -150,8 +151,10 @@ def constant_columns(seen: Traces) -> dict[str, tuple[str, ...]]:
 
 
 def _is_still(every: Sequence[Trace], recordings: Sequence[Recording], sensor: str) -> bool:
-    """Whether no column of a sensor varies by much more than its noise, which is stated or
-    estimated from third differences."""
+    """Check that no column of a sensor varies by much more than its noise.
+
+    The noise is the larger of the stated noise and an estimate from third differences.
+    """
     for trace in every:
         noise = roughness(trace.recorded)
         stated = [run[sensor].noise for run in recordings]
@@ -165,8 +168,10 @@ def _is_still(every: Sequence[Trace], recordings: Sequence[Recording], sensor: s
 
 
 def without_outliers(seen: Traces) -> tuple[Traces, dict[str, float]]:
-    """Leave out the samples whose residuals are outliers, by the median of their column. Also
-    return the share of these samples by sensor."""
+    """Remove the samples with outlying residuals, relative to the median of their column.
+
+    Also return the share of these samples by sensor.
+    """
     found: dict[str, dict[str, Trace]] = {name: dict(sensors) for name, sensors in seen.items()}
     shares = {}
     for sensor in next(iter(seen.values())):
@@ -178,7 +183,7 @@ def without_outliers(seen: Traces) -> tuple[Traces, dict[str, float]]:
         for name, sensors in seen.items():
             trace = sensors[sensor]
             far = np.abs(trace.residual) > OUTLIER * scale
-            for k in trace.turns:  # an attitude is one
+            for k in trace.turns:  # an attitude is an outlier as a whole
                 far[:, k : k + 4] = far[:, k : k + 4].any(1, keepdims=True)
             out += int(far.sum())
             count += int((~np.isnan(trace.recorded)).sum())
@@ -188,8 +193,7 @@ def without_outliers(seen: Traces) -> tuple[Traces, dict[str, float]]:
 
 
 def explained_by(seen: Traces) -> dict[str, float]:
-    """Compute R2 = 1 - sum r^2 / sum (y - mean)^2 by sensor with enough samples; nan if it is
-    constant."""
+    """Compute R2 of each sensor with enough samples; nan if the sensor is constant."""
     found = {}
     for sensor in next(iter(seen.values())):
         every = _traces_of(seen, sensor)
@@ -199,7 +203,7 @@ def explained_by(seen: Traces) -> dict[str, float]:
 
 
 def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, float]:
-    """Compute the error of the worst column over its noise, by sensor whose noise is stated."""
+    """Compute the ratio of the worst column's error to the noise, by sensor with stated noise."""
     found = {}
     for sensor in explained_by(seen):
         stated = [run[sensor].noise for run in recordings]
@@ -215,9 +219,11 @@ def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, flo
 def is_poor(
     seen: Traces, recordings: Sequence[Recording], setup: Setup, *, robust: bool = False
 ) -> str:
-    """Give the reason why a fit may be at a wrong minimum, or "": R2 below 0.99, or below 0.999
-    with errors above the noise, which is stated or, for joints, estimated from third differences.
-    robust: without outliers."""
+    """Return the reason why a fit may be at a wrong minimum, or "" if it is good.
+
+    A fit is poor if R2 is below 0.99, or below 0.999 with errors above the noise. The noise is
+    stated or, for joints, estimated from third differences. With `robust`, outliers are ignored.
+    """
     if robust:
         seen, outliers = without_outliers(seen)
         for sensor, share in outliers.items():
@@ -257,7 +263,7 @@ def roughness(values: np.ndarray) -> np.ndarray:
 
 
 def _tiny(seen: Traces) -> bool:
-    """Whether all residuals are rounding."""
+    """Check that all residuals are rounding or integration errors."""
     for sensors in seen.values():
         for sensor, trace in sensors.items():
             if sensor == HELD or not trace.measured:

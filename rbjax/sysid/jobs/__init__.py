@@ -1,1 +1,1 @@
-"""Identification jobs that are described by a TOML file."""
+"""Identification jobs that are defined by a TOML file."""

@@ -59,8 +59,7 @@ STEP, COUNT, NOISE = 0.01, 200, 2e-3  # s, samples, rad
 
 
 def write_example(folder: str | Path) -> Path:
-    """Write a robot, three recordings and identify.toml into a folder; return the path of the
-    last."""
+    """Write an example job into a folder, and return the path of its identify.toml."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "arm.xml").write_text(ROBOT)

@@ -1,7 +1,7 @@
-"""Identification jobs that are described by a TOML file.
+"""Identification jobs that are defined by a TOML file.
 
-`docs/job_files.md` lists the tables and keys. Paths are relative to the file, and results are
-written within its folder.
+`docs/job_files.md` lists the tables and keys. Paths are relative to the file. Results are written
+into a folder within the file's folder, unless the caller gives another folder.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Results:
 
     Fields:
         found: the fit.
-        verdict: on the held-out recordings; None without such.
-        diagnosis: of the recordings and the fit.
+        verdict: verdict on the held-out recordings; None without held-out recordings.
+        diagnosis: diagnosis of the recordings and the fit.
         files: content -> path.
         notes: sentences on the files.
     """
@@ -56,7 +56,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Job:
-    """An identification job, read from its file."""
+    """An identification job, read from a TOML file."""
 
     source: str
     setup: Setup
@@ -70,16 +70,16 @@ class Job:
 
     @classmethod
     def read(cls, path: str | Path, *, folder: str | Path | None = None) -> Job:
-        """Read and check a TOML file and the files that it names.
+        """Read and check a TOML file, and read the files that it references.
 
         Args:
-            path: of the file.
-            folder: of the results; the folder of [output] if None.
+            path: path of the TOML file.
+            folder: folder of the results. None: the folder in [output].
 
         Raises:
-            InputError: no such file, not TOML, a value of the wrong kind, recordings that do not
-                suit the robot; the message names the table and key.
-            UnknownName: a table, key, unit, sensor, joint, body or leaf that does not exist.
+            InputError: no such file, not TOML, an invalid value, or recordings that do not match
+                the robot. The message contains table and key.
+            UnknownName: an unknown table, key, unit, sensor, joint, body or leaf.
         """
         path = Path(path)
         given = _toml(path)
@@ -107,8 +107,10 @@ class Job:
         )  # fmt: skip
 
     def run(self, *, resume: bool = False, progress: bool = False) -> Results:
-        """Fit, judge, and write report.html, fit.json and the robot's file with the estimates into
-        the folder."""
+        """Fit, diagnose and validate, and write the results into the folder.
+
+        The results are report.html, fit.json and the robot's file with the estimates.
+        """
         saved = self.folder / "fit.json"
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -136,7 +138,7 @@ class Job:
         return Results(found, verdict, diagnosis, files, (note,) if note else ())
 
     def _robot(self, model: Model) -> tuple[Path, str]:
-        """Write the estimates into the user's file, or into a new one with the reason."""
+        """Write the estimates into a copy of the robot's file, or a new file with the reason."""
         own = Path(self.source)
         path = self.folder / (f"{own.stem}-found{own.suffix or '.xml'}")
         try:
@@ -162,7 +164,7 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def _folder(path: Path, given: Mapping[str, Any]) -> Path:
-    """The folder of the results, within the folder of the file."""
+    """Return the folder of the results, and check that it is within the folder of the file."""
     name = given.get("output", {}).get("folder", path.stem)
     at = path.parent.resolve()
     if not (at / name).resolve().is_relative_to(at):
@@ -174,7 +176,7 @@ def _folder(path: Path, given: Mapping[str, Any]) -> Path:
 
 
 def _controlled(model: Model, given: Mapping[str, Any]) -> Setup:
-    """Make the set-up with the controller and delay of a file."""
+    """Create the set-up with the controller and delay of a job file."""
     servo = None
     if "kp" in given or "kd" in given:
         if not model.nu:
@@ -230,8 +232,10 @@ def _grid(
     setup: Setup, controller: Mapping[str, Any], options: dict[str, Any],
     runs: Mapping[str, list[Recording]],
 ) -> Grid | None:  # fmt: skip
-    """The grid of period, substeps and delay; None for the default of `identify`. Without substeps,
-    `identify` checks the length of the steps."""
+    """Create the grid from period, substeps and delay. None: the default of `identify`.
+
+    Without substeps, `identify` checks the length of the steps.
+    """
     substeps, period = options.pop("substeps", None), options.pop("period", None)
     if substeps is None and period is None and setup.delay is None:
         return None

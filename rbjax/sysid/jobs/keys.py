@@ -1,4 +1,4 @@
-"""The keys of a job file, and its names: joints of columns, entries in the indices of unknowns."""
+"""Keys of a job file, and the names in it: joints of columns, indices of unknowns."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _bounds(x: Any) -> bool:
     return numbers and not any(isinstance(i, bool) for i in x) and x[0] < x[1]
 
 
-#: kind of a value -> whether a value is one, and what is expected
+#: kind of a value -> (check of a value, description of the expected value)
 KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "text": (_text, 'a text in quotes, such as "q"'),
     "texts": (lambda x: _text(x) or _list(_text)(x), "a text in quotes, or a list of them"),
@@ -81,8 +81,8 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "character": (lambda x: isinstance(x, str) and len(x) == 1, "one character in quotes"),
 }
 
-#: table -> key -> kind of its value. "" is the head of the file; each line of "columns" and of
-#: "unknowns" has keys. `docs/job_files.md` has units, defaults and meanings.
+#: table -> key -> kind of the value. "" is the head of the file. The keys of "columns" and
+#: "unknowns" are those of each line. `docs/job_files.md` has units, defaults and meanings.
 KEYS: dict[str, dict[str, str]] = {
     "": {
         "model": "text", "floating_base": "yes", "friction": "yes", "limits": "yes",
@@ -111,7 +111,7 @@ KEYS: dict[str, dict[str, str]] = {
     },
     "output": {"folder": "text"},
 }  # fmt: skip
-#: needed tables and keys -> an example
+#: required table or key -> an example
 NEEDED = {
     "model": 'model = "robot.xml"',
     "recordings": '[recordings] with fit = ["run.csv"]',
@@ -122,8 +122,7 @@ NEEDED = {
 
 
 def check(given: Mapping[str, Any]) -> None:
-    """Raise `InputError` or `UnknownName` unless the tables and keys are in `KEYS`, and each value
-    is of its kind."""
+    """Raise InputError or UnknownName unless all tables, keys and values are valid."""
     heads, tables = KEYS[""], [table for table in KEYS if table]
     for key in given:
         choice("key of the configuration", key, [*heads, *tables])
@@ -175,8 +174,11 @@ def shorten(value: Any) -> str:
 
 
 def check_joints(model: Model, run: Recording, columns: Mapping[str, Column]) -> None:
-    """Raise `UnknownName` or `InputError` unless each column of a joint's sensor names a joint (for
-    `ctrl` an actuator), or one array has all columns in the order of the model."""
+    """Raise UnknownName or InputError unless the columns of joint sensors have valid joint names.
+
+    For `ctrl` the names are actuators. One array with all columns in the order of the model needs
+    no names.
+    """
     for sensor in JOINT_SENSORS:
         if sensor not in run.channels:
             continue
@@ -202,7 +204,7 @@ def check_joints(model: Model, run: Recording, columns: Mapping[str, Column]) ->
 def _check_units(
     model: Model, sensor: str, named: Sequence[str], columns: Mapping[str, Column]
 ) -> None:
-    """Raise `UnknownName` for an angle's unit of a slide, or a length's unit of a hinge."""
+    """Raise UnknownName for a length unit of a hinge, or an angle unit of a slide."""
     turning, sliding = MOVES.get(sensor, ((), ()))
     for column in (columns[n] for n in named):
         joint = column.joint
@@ -215,11 +217,12 @@ def _check_units(
 
 
 def index_of(setup: Setup, leaf: str, index: Any) -> Any:
-    """Convert an index of a job file to an index of numpy.
+    """Convert an index of a job file to a numpy index.
 
-    An integer or a name is an entry of the first axis (of a joint with several coordinates, all
-    its entries). A list of integers, or of names, is several entries. A list of a name or a list,
-    followed by integers, is an index on each axis: ["fore", 2], [["upper", "fore"], 2].
+    An integer or a name is one entry of the first axis. The name of a joint with several
+    coordinates is all its entries. A list of integers or names is several entries. A list that
+    begins with a name or a list, followed by integers, is an index on each axis: ["fore", 2],
+    [["upper", "fore"], 2].
     """
     value = np.asarray(leaf_of(setup, leaf))
     if isinstance(index, list):
@@ -240,7 +243,7 @@ def index_of(setup: Setup, leaf: str, index: Any) -> Any:
 
 
 def _rows(setup: Setup, leaf: str, value: np.ndarray, index: Any) -> Any:
-    """The entries of the first axis."""
+    """Convert an index of the first axis."""
     if isinstance(index, list):
         return np.concatenate([np.atleast_1d(_rows(setup, leaf, value, x)) for x in index])
     if not isinstance(index, str):
@@ -282,8 +285,7 @@ def _checked(leaf: str, value: np.ndarray, found: Any) -> Any:
 
 
 def _names(setup: Setup, leaf: str, value: np.ndarray) -> Sequence[str]:
-    """The names of the entries of the first axis of a leaf, a joint's for each of its
-    coordinates."""
+    """Return the names of the entries on the first axis of a leaf, or () without names."""
     model = setup.model
     parts = leaf.removeprefix("model.").split(".")
     kind, size = parts[0], len(value) if value.ndim else 0
@@ -305,8 +307,10 @@ def _names(setup: Setup, leaf: str, value: np.ndarray) -> Sequence[str]:
 
 
 def _coordinates(model: Model, joints: Sequence[Any], size: int) -> list[str]:
-    """The names of joints, repeated for each of their entries: one a joint, one a velocity, or one
-    a configuration coordinate."""
+    """Repeat the names of joints to match `size` entries.
+
+    There is one entry for each joint, velocity coordinate or configuration coordinate.
+    """
     if not all(isinstance(j, (str, int)) for j in joints):
         return []
     names = [j if isinstance(j, str) else model.joint_names[j] for j in joints]

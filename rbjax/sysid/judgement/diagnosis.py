@@ -188,8 +188,7 @@ class _Trials:
     def best(
         self, runs: list[Recording], x: np.ndarray, before: float
     ) -> tuple[Cause, Correction, np.ndarray] | None:
-        """Return the correction whose fit has the least error, or None if no fit halves the error.
-        """
+        """Return the correction whose fit has the least error, or None if no error is halved."""
         tried, fitted = [], []
         at = (self.guess, x)
         uncorrected = [max(self.error(runs, y), 1e-300) for y in at]

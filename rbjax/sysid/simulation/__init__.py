@@ -1,1 +1,1 @@
-"""Simulation of recordings: the set-up, its motions, the simulation error and its Jacobian."""
+"""Simulation of recordings: set-up, motion, simulation error and its Jacobian."""

@@ -1,8 +1,8 @@
-"""The motion of equal independent parts of a set-up as one batch.
+"""Simulation of equal independent parts of a set-up as one batch.
 
-Four legs on a held base are one leg with four sets of parameters. The program is the short one of a
-leg, and the legs run in parallel. A number that all parts have in common is a constant of the
-program; a number in which they differ is an argument.
+Four legs on a fixed base are one leg with four sets of parameters. The program is the short one of
+a single leg, and the legs run in parallel. A parameter with the same value in all parts is a
+constant of the program. A parameter that differs between parts is an argument.
 """
 
 from __future__ import annotations
@@ -31,8 +31,14 @@ from rbjax.sysid.simulation.setup import (
 
 
 class Part(NamedTuple):
-    """Indices of a part's joints, bodies (with those fixed to the world), actuators, and of the
-    rows of each force element."""
+    """Indices of one independent part of a model.
+
+    Fields:
+        joints: indices of its joints.
+        bodies: indices of its bodies, and of bodies that are fixed to the world.
+        actuators: indices of its actuators.
+        rows: for each force element, indices of its rows.
+    """
 
     joints: np.ndarray
     bodies: np.ndarray
@@ -41,8 +47,10 @@ class Part(NamedTuple):
 
 
 def equal_parts(setup: Setup) -> tuple[Part, ...] | None:
-    """Find the independent parts of a set-up; None unless there are several, all of one
-    structure."""
+    """Find the independent parts of a set-up.
+
+    Return None unless there are several parts with the same structure.
+    """
     of_joint = independent_parts(setup)
     if of_joint is None or setup.model.joints.params.size:
         return None
@@ -64,8 +72,7 @@ def equal_parts(setup: Setup) -> tuple[Part, ...] | None:
 
 
 def _structure(model: Model, part: Part) -> tuple:
-    """All static data of a part's program: parents, kinds and bodies of its joints, joints of its
-    actuators and of its force elements."""
+    """Collect the static data of a part's program: parents, joints, actuators, force elements."""
     top, at = model.topology, list(part.joints)
     body = {int(b): k for k, b in enumerate(part.bodies)} | {WORLD: WORLD}
     return (
@@ -81,7 +88,7 @@ def _structure(model: Model, part: Part) -> tuple:
 
 
 def extract_part(setup: Setup, part: Part) -> Setup:
-    """Extract the set-up of one part. Its names are numbers, so equal parts are equal programs."""
+    """Extract the set-up of one part, with numbers as names: equal parts share a program."""
     model, top, at = setup.model, setup.model.topology, part.joints
     parents, kinds, bodies, driven, acting = _structure(model, part)
     body_names, joint_names, actuator_names = (
@@ -124,8 +131,7 @@ def simulate_parts(
     parts: tuple[Part, ...] | None, made: Callable[[jax.Array], Setup], p: jax.Array, start: State,
     commands: jax.Array, grid: Grid, *, keep: int | None = None, count: int = 1,
 ) -> Path:  # fmt: skip
-    """Simulate equal parts as one batch, or the whole robot if parts is None; the arguments are
-    those of `simulate_motion`."""
+    """Simulate equal parts as one batch, or the whole robot if `parts` is None."""
     if parts is None:
         return simulate_motion(made, p, start, commands, grid, keep=keep, count=count)
     now = made(p)
@@ -133,7 +139,7 @@ def simulate_parts(
     tree: Any = each[0][1]
     makers, constants, traced = _separate([leaves for leaves, _ in each])
 
-    if isinstance(grid.integrator, str):  # a loop over the stages keeps the program short
+    if isinstance(grid.integrator, str):  # a loop over the stages makes the program short
         grid = grid._replace(integrator=loop_stages(grid.integrator))
 
     def part(numbers: tuple[jax.Array, jax.Array]) -> Setup:
@@ -149,7 +155,7 @@ def simulate_parts(
     states, ctrls = jax.vmap(one)((constants, traced), starts, each_commands)
 
     def merge(x: jax.Array, which: np.ndarray) -> jax.Array:
-        """(T, n) of (parts, T, n of a part)."""
+        """Merge trajectories (parts, T, n of a part) to (T, n)."""
         return jnp.moveaxis(x, 0, 1).reshape(x.shape[1], -1)[:, np.argsort(which.ravel())]
 
     ctrls = commands if ctrls is None else merge(ctrls, driven)
@@ -157,8 +163,11 @@ def simulate_parts(
 
 
 def _separate(each: list[list[Any]]) -> tuple[list[Callable], jax.Array, jax.Array]:
-    """For each leaf a function that makes it of two vectors, and these vectors (parts, n): the
-    constants in which the parts differ, and the traced numbers."""
+    """Separate the leaves of all parts into constants and traced values.
+
+    Return one function for each leaf, which builds it from two vectors, and these vectors (parts,
+    n): the constants that differ between parts, and the traced values.
+    """
     makers: list[Callable] = []
     vectors: tuple[list[Any], list[Any]] = [], []
     for leaves in zip(*each, strict=True):
@@ -179,7 +188,7 @@ def _separate(each: list[list[Any]]) -> tuple[list[Callable], jax.Array, jax.Arr
 
 
 def _maker(entries: list[Any], shape: tuple[int, ...], dtype: Any) -> Callable:
-    """The function that makes a leaf of its common entries and of entries of the two vectors."""
+    """Create the function that builds a leaf from its common entries and entries of two vectors."""
 
     def make(*vectors: jax.Array) -> Any:
         if not any(isinstance(e, tuple) for e in entries):
@@ -195,5 +204,5 @@ def _array(x: Any) -> Any:
 
 
 def _rows(x: Any, which: np.ndarray) -> Any:
-    """Rows of an array, in numpy if it is not traced; None of None."""
+    """Select rows of an array, in numpy if it is not traced. None remains None."""
     return None if x is None else _array(x)[which]

@@ -1,15 +1,16 @@
 """Colouring of the Jacobian of a simulation error: fewer directional derivatives than unknowns.
 
-Links whose chains begin at the world move independently if no element couples them. An unknown of
-one such part, as of a leg of a robot whose base is held, changes only the readings of that part. So
-one direction may hold an unknown of each part (Curtis, Powell & Reid, IMA J. Appl. Math. 13, 1974).
+Kinematic trees that begin at the world move independently if no element couples them. An unknown of
+one such part, such as a leg of a robot with a fixed base, changes only the readings of that part.
+Therefore one direction may contain an unknown of each part (Curtis, Powell & Reid, IMA J. Appl.
+Math. 13, 1974).
 
-Inertial parameters and armatures change a motion only by the base parameters, for all their values:
+Inertial parameters and armatures change a motion only through the base parameters:
 
-    tau = Y(q, v, a) p,   Y_dropped = Y_kept K   so   J_dropped = J_kept K
 
-so derivatives along the kept ones suffice (Gautier & Khalil, IEEE Trans. Robotics and Automation
-6(3), 1990).
+
+Derivatives along the kept parameters are sufficient (Gautier & Khalil, IEEE Trans. Robotics and
+Automation 6(3), 1990).
 """
 
 from __future__ import annotations
@@ -31,18 +32,17 @@ from rbjax.sysid.simulation.setup import PD, Setup
 from rbjax.sysid.statistics.rank import combinations
 from rbjax.sysid.torque.regressors import observation_matrix, random_motions
 
-#: elements that act on each of their joints by its own q and v
+#: force elements that act on each joint as a function of its own q and v
 BY_JOINT = (JointFriction, JointLimits)
 #: sensors with a column for each joint
 OF_JOINTS = frozenset("qv")
-#: the part of an unknown that acts on all parts
+#: part index of an unknown that acts on all parts
 ALL = -1
-#: with fewer unknown bodies the regressor takes longer to compile than the derivatives that it
-#: saves
+#: least number of unknown bodies for which the regressor saves time
 BODIES = 4
-#: leaves of a model on which the regressor does not depend
+#: leaves of a model that do not change the regressor
 DYNAMIC = ("bodies.mass", "bodies.com", "bodies.inertia", "joints.armature", "joints.damping")
-#: fields of a set-up on whose leaves the regressor does not depend
+#: fields of a set-up whose leaves do not change the regressor
 FIELDS = ("sensors", "controller", "delay", "readings", "actuators", "forces")
 
 
@@ -52,9 +52,10 @@ class Colouring(NamedTuple):
     In a row of some part, J = (J seeds^T) weights for the unknowns of that part and of all parts.
 
     Fields:
-        seeds, weights: (K, n).
-        part_of_unknown: (n,), `ALL` for an unknown that acts on all parts.
-        part_of_column: by sensor, the part of each column; None if the robot is one part.
+        seeds: (K, n) directions.
+        weights: (K, n) weights.
+        part_of_unknown: (n,) part of each unknown, `ALL` if it acts on all parts.
+        part_of_column: sensor -> part of each column; None if the robot is one part.
     """
 
     seeds: np.ndarray
@@ -63,7 +64,10 @@ class Colouring(NamedTuple):
     part_of_column: dict[str, np.ndarray] | None
 
     def blocks(self, times: dict[str, int]) -> list[tuple[Any, np.ndarray]]:
-        """The rows and the unknowns of each part, with so many times of each sensor."""
+        """Return the row indices and unknown indices of each part.
+
+        `times` is the number of samples of each sensor.
+        """
         columns = self.part_of_column
         if columns is None:
             return [(slice(None), np.arange(len(self.part_of_unknown)))]
@@ -75,7 +79,7 @@ class Colouring(NamedTuple):
         return found
 
     def expand(self, J: np.ndarray, times: dict[str, int]) -> np.ndarray:
-        """J (..., rows, n) from the derivatives (..., rows, K) along the seeds."""
+        """Expand the derivatives (..., rows, K) along the seeds to J (..., rows, n)."""
         found = np.zeros((*J.shape[:-1], len(self.part_of_unknown)))
         for rows, which in self.blocks(times):
             own = np.zeros(len(self.part_of_unknown))
@@ -87,8 +91,10 @@ class Colouring(NamedTuple):
 def colour_jacobian(
     setup: Setup, unknowns: Unknowns, own: int, sensors: Collection[str]
 ) -> Colouring | None:
-    """Colour the Jacobian by the unknowns and by `own` corrections of an initial state; None if
-    every unknown needs a direction."""
+    """Colour the Jacobian by the unknowns and by `own` corrections of an initial state.
+
+    Return None if every unknown needs its own direction.
+    """
     parts = independent_parts(setup) if set(sensors) <= OF_JOINTS else None
     base = base_unknowns(setup, unknowns) if not set(sensors) & set(setup.readings) else None
     if parts is None and base is None:
@@ -115,13 +121,15 @@ def colour_jacobian(
 
 
 def compile_time_constants() -> Any:
-    """Make a context in which arrays are constants even while a program is traced. Outside of a
-    trace it does nothing, since within it each operation would be compiled by itself."""
+    """Create a context in which arrays are compile-time constants during a trace.
+
+    Outside of a trace the context does nothing, since it would compile each operation separately.
+    """
     return jax.ensure_compile_time_eval() if inside_jit() else contextlib.nullcontext()
 
 
 def independent_parts(setup: Setup) -> np.ndarray | None:
-    """Find the part of each joint; None unless several parts are known to move independently."""
+    """Find the part of each joint, or None unless several parts are known to move independently."""
     model, top = setup.model, setup.model.topology
     single = model.nq == model.nv == len(top.joint_kinds)
     servo = setup.controller is None or (
@@ -135,8 +143,7 @@ def independent_parts(setup: Setup) -> np.ndarray | None:
 
 
 def _has_only_joint_elements(setup: Setup) -> bool:
-    """Whether the set-up is known, with no constraints and no force elements but those of single
-    joints."""
+    """Check for constant values, no constraints, and only single-joint force elements."""
     model = setup.model
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(setup))
     by_joint = all(isinstance(e, BY_JOINT) for e in model.forces)
@@ -144,7 +151,7 @@ def _has_only_joint_elements(setup: Setup) -> bool:
 
 
 def _parts_of_unknowns(setup: Setup, unknowns: Unknowns, parts: np.ndarray) -> np.ndarray:
-    """The part of each unknown: the part of all entries of the set-up that depend on it."""
+    """Find the part of each unknown, from the entries of the set-up that depend on it."""
 
     def write(p: jax.Array) -> list[Any]:
         leaves = jax.tree.leaves(unknowns.write(setup, p))
@@ -157,7 +164,7 @@ def _parts_of_unknowns(setup: Setup, unknowns: Unknowns, parts: np.ndarray) -> n
     ]  # fmt: skip
     guess, rng = np.asarray(unknowns.read(setup)), np.random.default_rng(0)
     n, size = guess.size, 0.01 * (np.abs(guess) + 0.01)
-    # a derivative that is zero at one point by chance is not at another
+    # a derivative may be zero at one point by chance
     points = guess + np.outer(np.arange(3), np.ones(n)) * size * rng.normal(size=(3, n))
     touched: list[set[int]] = [set() for _ in range(n)]
     for slopes, at in zip(jax.jit(jax.vmap(jax.jacfwd(write)))(points), owners, strict=True):
@@ -168,7 +175,7 @@ def _parts_of_unknowns(setup: Setup, unknowns: Unknowns, parts: np.ndarray) -> n
 
 
 def _parts_of_rows(setup: Setup, path: str, leaf: Any, parts: np.ndarray) -> np.ndarray:
-    """The part of each row of a leaf of the set-up."""
+    """Return the part of each row of a leaf of the set-up."""
     model = setup.model
     size = max(np.shape(leaf)[0] if np.ndim(leaf) else 1, 1)
     field, _, rest = path.removeprefix("model.").partition(".")
@@ -186,8 +193,10 @@ def _parts_of_rows(setup: Setup, path: str, leaf: Any, parts: np.ndarray) -> np.
 
 
 def base_unknowns(setup: Setup, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
-    """Find the unknowns (r,) along which derivatives are needed, and B (r, n) with J = J[:, kept]
-    B; None if some unknown may act on more than the dynamics."""
+    """Find the unknowns (r,) that need derivatives, and B (r, n) with J = J[:, kept] B.
+
+    Return None if some unknown may act on more than the dynamics.
+    """
     bodies = [u for u in unknowns.members.values() if isinstance(u, Inertia)]
     leaves = [_leaf(one) for u in unknowns.members.values() for one in getattr(u, "members", (u,))]
     known = all(leaf in DYNAMIC or leaf.partition(".")[0] in FIELDS for leaf in leaves)
@@ -224,6 +233,6 @@ def base_unknowns(setup: Setup, unknowns: Unknowns) -> tuple[np.ndarray, np.ndar
 
 
 def _leaf(u: Any) -> str:
-    """The name of the leaf that an unknown changes; "" if it changes more than one."""
+    """Return the name of the leaf that an unknown changes, or "" if it changes several."""
     name = "bodies.inertia" if isinstance(u, Inertia) else getattr(u, "leaf", "")
     return name.removeprefix("model.") if isinstance(u, (Inertia, Unknown)) else ""

@@ -1,10 +1,10 @@
-"""Multiple shooting: a long motion as segments with initial states of their own.
+"""Multiple shooting: a long motion as segments with separate initial states.
 
     min  sum_k |r_k(p, s_k)|^2 + w^2 sum_k |end_k(p, s_k) (-) start_(k+1)(p, s_(k+1))|^2
-r_k is the simulation error of segment k. Over a long time a simulation from one initial state
-depends so strongly on poor or chaotic parameters that the error has many minima. Segments are
-short, with initial states near the recording. The continuity weight w is raised in stages, until
-the segments are one motion.
+r_k is the simulation error of segment k. Over a long time a simulation from one initial state is so
+sensitive to poor parameters, or chaotic, that the error has many minima. Segments are short, with
+initial states near the recording. The continuity weight w increases in stages, until the segments
+are one motion.
 
 Source: Bock, *Numerical treatment of inverse problems in chemical reaction kinetics*, 1981;
 Voss, Timmer & Kurths, Int. J. Bifurcation and Chaos 14(6), 2004 (chaotic motion).
@@ -31,7 +31,7 @@ from rbjax.sysid.simulation.runs import Run, stack_runs
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError, sum_of_squares, triangle_of
 
-#: successive continuity weights; at 1 a gap counts as much as a segment with that error throughout
+#: successive continuity weights; at 1 a gap counts as much as the same error of a whole segment
 CONTINUITY_WEIGHTS = (0.1, 1.0, 10.0)
 
 
@@ -39,8 +39,11 @@ def make_programs(
     setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str,
     before: tuple[int, ...], seconds: float,
 ) -> tuple[Any, Any]:  # fmt: skip
-    """Compile the residual with the gaps, and their derivatives, of segments of which `before` have
-    a next one. The last argument of both is the weight of the gaps."""
+    """Compile the residual with gaps, and its derivatives.
+
+    `before` are the indices of the segments that have a next one. The last argument of both
+    programs is the weight of the gaps.
+    """
     make = simulation_error.make_programs
     model, one = setup.model, get_cached(make, setup, unknowns, grid, own, loss)
     last_ones, next_ones = np.array(before, int), np.array(before, int) + 1
@@ -66,8 +69,10 @@ def make_programs(
     def slopes(
         x: jax.Array, runs: Run, weight: jax.Array
     ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-        """r and gaps; and the derivatives of r, of the gap after a segment and of the gap before it
-        by each entry of the segment's x."""
+        """Compute r and the gaps, with their derivatives by each entry of the segment's x.
+
+        The derivatives are those of r, of the gap after the segment, and of the gap before it.
+        """
         gaps = jax.vmap(functools.partial(gap, weight=weight))
 
         def along(e: jax.Array) -> tuple[jax.Array, ...]:
@@ -86,12 +91,12 @@ def make_programs(
 
 
 class MultipleShooting:
-    """The residual of runs that are cut into segments, with x as in their `SimulationError`.
+    """The residual of runs that are cut into segments, as a function of x of the segments.
 
     Fields:
-        segments: their simulation error.
-        firsts: (runs,), the index of each run's first segment.
-        continuity_weight: may be changed.
+        segments: `SimulationError` of the segments, which defines x.
+        firsts: (runs,) index of each run's first segment.
+        continuity_weight: weight of the gaps, which may be changed.
     """
 
     def __init__(
@@ -121,7 +126,7 @@ class MultipleShooting:
             setup, unknowns, whole, grid, estimate_initial_state=True, loss=loss
         )
         self.continuity_weight = CONTINUITY_WEIGHTS[0]
-        # as many readings as a segment has, each with the mean weight
+        # a gap has the total weight of the readings of an average segment
         weight = jnp.sqrt((whole.weights["q"] ** 2).sum() / whole.weights["q"].shape[-1] / of.count)
         self.weight = weight
         how = (grid, of.own, loss, tuple(map(int, self._before)), seconds)
@@ -133,25 +138,25 @@ class MultipleShooting:
         return self.segments.size
 
     def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
-        """The divergence of the segments."""
+        """Compute the divergence of x from x0."""
         return self.segments.divergence(x, x0)
 
     def gaps(self, x: np.ndarray) -> np.ndarray:
-        """The gaps (.., 2 nv), with a continuity weight of 1."""
+        """Compute the gaps (.., 2 nv), with a continuity weight of 1."""
         of = self.segments
         return np.asarray(self._residual(of.by_run(x), of.runs, self.weight)[1])
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """r (rows,) with the weighted gaps."""
+        """Compute r (rows,), including the weighted gaps."""
         r, gaps = self._residual(self.segments.by_run(x), self.segments.runs, self.weight)
         return np.concatenate([np.ravel(r), self.continuity_weight * np.ravel(gaps)])
 
     def cost(self, x: np.ndarray) -> float:
-        """|r|^2."""
+        """Compute |r|^2, including the weighted gaps."""
         return sum_of_squares(self.residuals(x))
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
-        """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
+        """Compute R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
         of = self.segments
         found = self._slopes(of.by_run(x), of.runs, self.weight)
         (r, gaps), (J, after, ahead) = jax.tree.map(np.asarray, found)
@@ -167,22 +172,21 @@ class MultipleShooting:
         return triangle_of(np.concatenate(blocks))
 
     def merge(self, x: np.ndarray) -> np.ndarray:
-        """x of whole runs: the unknowns, and the corrections of each run's initial state."""
+        """Select x of whole runs: the unknowns, and the corrections of each run's initial state."""
         n = self.segments.shared
         own = x[n:].reshape(-1, self.segments.own)
         return np.append(x[:n], own[self.firsts])
 
 
 def cut_run(model: Model, run: Run, grid: Grid, periods: int) -> list[Run]:
-    """Cut a run into segments of some periods and perhaps a shorter one. Each sample belongs to one
-    segment."""
+    """Cut a run into segments of `periods` periods, with an optional shorter last one."""
     found, T = [], grid.period
     for k in range(0, run.commands.shape[0], periods):
         begin, end = (k - 1e-6) * T, (k + periods - 1e-6) * T
         end = end if k + periods < run.commands.shape[0] else np.inf
         inside = {s: (begin <= np.asarray(t)) & (np.asarray(t) < end) for s, t in run.times.items()}
         if not all(x.any() for x in inside.values()):
-            if end == np.inf:  # nothing was recorded in the rest
+            if end == np.inf:  # the rest has no samples
                 break
             raise InputError(
                 f"identify: multiple_shooting cuts segments of {periods * T:g} s, the one from "
@@ -198,8 +202,10 @@ def cut_run(model: Model, run: Run, grid: Grid, periods: int) -> list[Run]:
 
 
 def _state_near(model: Model, run: Run, t: float, seconds: float) -> State:
-    """An estimate of the readings at time t: the nearest sample of q, moved at a mean speed. If
-    less than half of v was recorded, v is the slope of q over a tenth of a segment."""
+    """Estimate the readings at time t from the nearest sample of q and a mean velocity.
+
+    If less than half of v was measured, v is the slope of q over a tenth of a segment.
+    """
     clock, measured = np.asarray(run.times["q"]), np.asarray(run.weights["q"] > 0).all(1)
     q, at = run.values["q"][measured], clock[measured]
     if len(at) < 2:

@@ -1,8 +1,9 @@
-"""`squares`: the squared simulation error and its gradient, for optimisers that take no Jacobian.
+"""`squares`: the squared simulation error and its gradient, for optimisers without a Jacobian.
 
     c(x) = |r(x)|^2,     dc/dx = 2 J^T r
-Forward mode simulates the motion and a tangent for each entry of x, all in one batch. Reverse mode
-takes one simulation and one backward pass for any number of entries, such as a network's weights.
+Forward mode simulates the motion and one tangent for each entry of x in one batch. Reverse mode
+needs one simulation and one backward pass for any number of entries, such as the weights of a
+neural network.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ from rbjax.sysid.simulation.runs import Run, default_grid, make_batch
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError, make_programs
 
-#: time of a reverse derivative over that of a forward derivative
+#: ratio of the times of a reverse and a forward derivative
 #: (benchmarks/results/cpu-gradient-modes-*.json)
 REVERSE_COSTS = 4.5
-#: bytes of a processor's vector
+#: size of a SIMD vector of a CPU in bytes
 VECTOR = 64
-#: samples that fill a GPU: an estimate
+#: estimated number of samples that fill a GPU
 GPU_THREADS = 16_384
 
 
@@ -43,9 +44,9 @@ class Squares:
     """The objective c(x) = |r(x)|^2 of recordings.
 
     Fields:
-        x: (n + runs l,), the first guess: the unknowns in the order of `names`, then the
-            corrections of each run's initial state, if these are estimated.
-        names: (n,) of the unknowns.
+        x: (n + runs l,) first guess: the unknowns in the order of `names`, then the corrections of
+            each run's initial state, if these are estimated.
+        names: (n,) names of the unknowns.
         mode: "forward" or "reverse".
     """
 
@@ -57,11 +58,11 @@ class Squares:
     _both: Callable[[jax.Array, Run], tuple[jax.Array, jax.Array]]
 
     def value(self, x: Any) -> jax.Array:
-        """Compute c(x)."""
+        """Compute the objective c(x)."""
         return self._value(self._of.by_run(jnp.asarray(x)), self._of.runs)
 
     def value_and_grad(self, x: Any) -> tuple[jax.Array, jax.Array]:
-        """Compute c(x) and its gradient, of the shape of x."""
+        """Compute c(x) and its gradient, in the shape of x."""
         n = self._of.shared
         c, g = self._both(self._of.by_run(jnp.asarray(x)), self._of.runs)
         return c, jnp.concatenate([g[:, :n].sum(0), g[:, n:].ravel()])
@@ -78,23 +79,28 @@ def squares(
     mode: str | None = None,
     memory: float | None = None,
 ) -> Squares:
-    """Make the objective of `identify`, the squared simulation error, with its gradient.
+    """Create the objective of `identify`, the squared simulation error, with its gradient.
 
-    Use it with an optimiser of your own, or to fit many parameters such as a network's weights.
+    Use it with another optimiser, or to fit many parameters such as the weights of a neural
+    network.
 
     Args:
-        model, recordings, unknowns, grid, estimate_initial_state, loss: as in `identify`.
-        mode: "forward" or "reverse"; None for the faster one.
-        memory: bytes for the states that reverse mode saves, for all runs; with less memory more
-            steps are computed twice. None: an eighth of the memory of the devices. At least
-            2 sqrt(N) states of a run of N periods are saved.
+        model: robot with first guesses, or a `Setup`.
+        recordings: recordings, as in `identify`.
+        unknowns: name -> unknown, as in `identify`.
+        grid, estimate_initial_state, loss: options of `identify`.
+        mode: "forward" or "reverse". None: the faster one.
+        memory: bytes for the states that reverse mode saves, for all runs. Less memory requires
+            more recomputation, with at least 2 sqrt(N) saved states for a run of N periods. None:
+            an eighth of the memory of the devices.
 
     Returns:
-        `Squares`, in the dtype of the model. The unknowns have no bounds here: change variables
-        (such as p = exp(y)) if an optimiser could leave their range.
+        `Squares`, in the dtype of the model. It ignores the bounds of unknowns; if an optimiser
+        could violate them, change variables (such as p = exp(y)).
 
     Raises:
-        InputError: as `identify`; a mode of another name; memory that is not positive.
+        InputError: invalid arguments of `identify`, an unknown mode, or memory that is not
+            positive.
 
     Source: Griewank & Walther, *Evaluating Derivatives*, 2nd ed., ch. 3 and 12.
 
@@ -134,14 +140,13 @@ def squares(
 
 
 def faster(numbers: int, runs: int, itemsize: int) -> str:
-    """Choose the faster mode for so many unknowns of each run, by the number of samples in
-    parallel.
+    """Choose the faster mode from the numbers of unknowns of a run, runs, and bytes of a float.
 
     >>> faster(2, 64, 8), faster(55, 64, 8), faster(2, 1, 8)
     ('forward', 'reverse', 'reverse')
     """
     on_cpu = jax.default_backend() == "cpu"
-    if on_cpu and runs == 1:  # one motion is not vectorised, its tangents are
+    if on_cpu and runs == 1:  # a single motion is not vectorised, but its tangents are
         return "forward" if numbers == 1 else "reverse"
     at_once = VECTOR // itemsize if on_cpu else GPU_THREADS
     forward, reverse = (math.ceil(samples / at_once) for samples in (numbers * runs, runs))
@@ -149,19 +154,19 @@ def faster(numbers: int, runs: int, itemsize: int) -> str:
 
 
 def _keep(setup: Setup, runs: Run, grid: Grid, memory: float) -> int:
-    """The k of which reverse mode saves every k-th state."""
+    """Choose k such that reverse mode saves every k-th state within the memory."""
     count, periods = runs.commands.shape[:2]
     late = (grid.longest_delay + 2) * setup.model.nu if grid.longest_delay else 0
     numbers = sum(x.shape[-1] for x in jax.tree.leaves(runs.start)) + late
     each = count * numbers * setup.model.gravity.dtype.itemsize
-    most = math.isqrt(periods)  # a larger k needs more memory for the states between
+    most = math.isqrt(periods)  # a larger k needs more memory for intermediate states
     return next((k for k in range(1, most) if periods / k * each <= memory), max(most, 1))
 
 
 def _make_programs(
     setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str, keep: int | None
 ) -> tuple[Callable, Callable]:
-    """The programs of c, and of c with its gradient (runs, n + l) by each run's entries."""
+    """Compile c, and c with its gradient (runs, n + l) by the entries of each run."""
     one = get_cached(make_programs, setup, unknowns, grid, own, loss, keep)
 
     def cost(x: jax.Array, run: Run) -> jax.Array:

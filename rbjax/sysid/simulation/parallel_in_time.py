@@ -1,11 +1,11 @@
-"""Motion in parallel over time: windows that are simulated in parallel until they are one motion.
+"""Parallel-in-time simulation: time windows run in parallel until they form one motion.
 
-    s_1 = x_0,   s_(k+1) <- f_k(s_k)   for all k at once, again and again
-f_k simulates window k from its start s_k. After j sweeps the first j windows are exact, so K
-windows need at most K sweeps, the work of a sequential simulation. Damped joints under servos
-forget their initial state within a window, and need two or three. Sweeps end when no start changes
-by more than rounding. Derivatives satisfy the linearised equation, by sweeps of their own.
-A GPU runs a sample a thread, so a few long motions leave most of it idle.
+    s_1 = x_0,   s_(k+1) <- f_k(s_k)   for all k in parallel, repeatedly
+f_k simulates window k from its initial state s_k. After j sweeps the first j windows are exact, so
+K windows need at most K sweeps, the work of a sequential simulation. Damped joints under servos
+forget their initial state within a window, and need two or three sweeps. Sweeps end when no initial
+state changes by more than rounding. Derivatives satisfy the linearised equation, with separate
+sweeps. A GPU runs one sample per thread, so a few long motions leave most of it idle.
 
 Source: Gander, *50 years of time parallel time integration*, 2015 (Picard iterations over windows);
 Song, Meng, Liao & Ermon, *Accelerating feedforward computation via parallel nonlinear equation
@@ -25,20 +25,22 @@ from jax.custom_derivatives import SymbolicZero
 
 from rbjax.compiler.jax.launch import has_gpu
 
-#: threads that a GPU runs in the time of one
+#: number of threads that a GPU runs in parallel
 THREADS = 8192
-#: periods of a window at least, and windows at most
+#: least number of periods of a window; largest number of windows
 SHORTEST, MOST = 64, 32
-#: a change of a start by so many roundings of the largest entry is none
+#: tolerance of a converged initial state, in rounding errors of its largest entry
 ROUNDINGS = 256
 
-#: (theta, start of a window, its commands) -> (its end, its outputs at each command)
+#: (theta, initial state of a window, its commands) -> (final state, outputs at each command)
 Window = Callable[[Any, Any, Any], tuple[Any, Any]]
 
 
 def count_windows(periods: int, samples: int) -> int:
-    """Choose the number of windows of a motion with so many samples in parallel. 1 on a CPU, whose
-    cores are busy with few samples."""
+    """Choose the number of windows of a motion with `samples` samples in parallel.
+
+    It is 1 on a CPU, since a few samples use all cores.
+    """
     if not has_gpu():
         return 1
     return max(1, min(MOST, periods // SHORTEST, THREADS // samples))
@@ -48,10 +50,12 @@ def simulate_windows(window: Window, theta: Any, first: Any, commands: Any, coun
     """Simulate `count` windows, and return the outputs at each of the commands (N, ...).
 
     Args:
-        window: of one sample, traced. Its start is a pair (k, carry), k the index of its first
-            command.
+        window: traced function of one sample. Its initial state is a pair (k, carry), with the
+            index k of its first command.
         theta: parameters of all windows.
-        first: the carry at the start of the motion, floats.
+        first: carry at the start of the motion, floats.
+        commands: (N, ...) commands.
+        count: number of windows.
     """
     N = jax.tree.leaves(commands)[0].shape[0]
     length = -(-N // count)
@@ -62,7 +66,7 @@ def simulate_windows(window: Window, theta: Any, first: Any, commands: Any, coun
         x = jnp.concatenate([x, jnp.broadcast_to(x[-1:], (filled, *x.shape[1:]))])
         return x.reshape(count, length, *x.shape[1:])
 
-    @jax.jit  # traced once for all its uses
+    @jax.jit  # traced once for all uses
     def sweep(theta: Any, starts: Any, commands: Any) -> tuple[Any, Any]:
         def one(k: Any, start: Any, commands: Any) -> tuple[Any, Any]:
             return window(theta, (k, start), commands)
@@ -75,7 +79,7 @@ def simulate_windows(window: Window, theta: Any, first: Any, commands: Any, coun
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _converged(sweep: Callable, theta: Any, first: Any, commands: Any) -> Any:
-    """The outputs of the windows when they are one motion."""
+    """Return the outputs of the windows after convergence to one motion."""
     return _sweep_to_convergence(lambda starts: sweep(theta, starts, commands), first, commands)[1]
 
 
@@ -112,7 +116,7 @@ _converged.defjvp(_converged_jvp, symbolic_zeros=True)
 def _sweep_to_convergence(
     f: Callable[[Any], tuple[Any, Any]], first: Any, commands: Any
 ) -> tuple[Any, Any]:
-    """Repeat f until the starts converge; return the starts and the outputs."""
+    """Repeat f until the initial states converge, and return them with the outputs."""
     count = jax.tree.leaves(commands)[0].shape[0]
     starts = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), first)
 
@@ -134,7 +138,7 @@ def _sweep_to_convergence(
 
 
 def _is_unchanged(before: jax.Array, after: jax.Array) -> jax.Array:
-    """Whether starts (K, ...) are finite and changed by no more than rounding."""
+    """Check that states (K, ...) are finite and changed by no more than rounding."""
     size = jnp.max(jnp.abs(after), initial=0.0)
     near = jnp.abs(after - before) <= ROUNDINGS * jnp.finfo(after.dtype).eps * size
     return jnp.isfinite(size) & jnp.all(near)

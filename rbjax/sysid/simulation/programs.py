@@ -1,7 +1,7 @@
-"""A cache of compiled programs that simulate set-ups.
+"""Cache of compiled programs that simulate set-ups.
 
-All numbers of a set-up except the unknowns are constants of its program, which makes it fast. So
-two set-ups share a program if they differ only in the values of the unknowns.
+All parameters of a set-up except the unknowns are constants of its program, for speed. Two set-ups
+share a program if they differ only in the values of the unknowns.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 
 from rbjax.sysid.parameters.unknown_vector import Unknowns
 
-#: programs in the cache; the one that was not used for longest is removed first
+#: largest number of programs in the cache; the least recently used one is removed first
 CAPACITY = 16
-#: numbers that differ by at most so many roundings count as equal
+#: numbers are equal up to this number of rounding errors
 ROUNDINGS = 4
 
 
@@ -43,9 +43,9 @@ _cache: list[_Entry] = []
 
 
 def get_cached(make: Callable[..., Any], setup: Any, unknowns: Unknowns, *how: Any) -> Any:
-    """make(setup, unknowns, *how), from the cache if the set-up differs only in the unknowns.
+    """Return make(setup, unknowns, *how), from the cache if only the unknowns differ.
 
-    Functions, such as those of `Derived`, are equal only if they are the same object.
+    Functions, such as the one of `Derived`, are equal only if they are the same object.
     """
     for k, old in enumerate(_cache):
         if old.matches(make, setup, unknowns, how):
@@ -58,7 +58,7 @@ def get_cached(make: Callable[..., Any], setup: Any, unknowns: Unknowns, *how: A
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Whether two values are equal. Arrays, such as an index, are compared entry by entry."""
+    """Compare two values. Arrays, such as an index, are compared entry by entry."""
     if a is b:
         return True
     if type(a) is not type(b):
@@ -73,12 +73,12 @@ def _same(a: Any, b: Any) -> bool:
         return all(_same(getattr(a, name), getattr(b, name)) for name in fields)
     try:
         return bool(a == b)
-    except ValueError:  # of arrays within another type
+    except ValueError:  # for arrays within another type
         return False
 
 
 def _differ_in_unknowns(a: Any, b: Any, unknowns: Unknowns) -> bool:
-    """Whether two set-ups are equal, or differ only in the unknown numbers."""
+    """Check that two set-ups are equal, or differ only in the values of the unknowns."""
     x, y = jax.tree.leaves(a), jax.tree.leaves(b)
     kinds: list[Any] = [jax.tree.structure(s) for s in (a, b)]
     if kinds[0] != kinds[1] or not all(map(_same_kind, x, y)):
@@ -86,7 +86,7 @@ def _differ_in_unknowns(a: Any, b: Any, unknowns: Unknowns) -> bool:
     if all(map(_equal, x, y)):
         return True
     guess = np.asarray(unknowns.read(b))
-    # not at zero, where a factor p of another number would have no effect
+    # avoid p = 0, since a factor p would hide another number
     p = jnp.asarray(np.where(guess == 0, 1e-3, 1.01 * guess), guess.dtype)
     return all(map(_equal, *(jax.tree.leaves(unknowns.write(s, p)) for s in (a, b))))
 

@@ -1,7 +1,6 @@
 """Recordings as arrays on the grid of a simulation.
 
-Runs of different lengths are padded with samples of weight 0, so that all of them are one batch and
-one program.
+Runs of different lengths are padded with samples of weight 0, to form one batch with one program.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ class Run(NamedTuple):
     """One run, or a batch of runs.
 
     Fields:
-        start: the first readings as a state; if `exact` is 1, the given initial state.
-        commands: (N, n).
-        times: by sensor, (T,) in s after the start.
-        values: by sensor, (T, n).
-        weights: by sensor, (T, n): 1 / sigma, or 0 if a value was not measured.
+        start: first readings as a state, or the given initial state if `exact` is 1.
+        commands: (N, n) commands.
+        times: sensor -> (T,) times in s after the start.
+        values: sensor -> (T, n) recorded values.
+        weights: sensor -> (T, n) 1 / sigma, or 0 for a missing value.
         known: 1 if the initial state is known, else 0.
         exact: 1 if the recording has an `initial_state`, else 0.
     """
@@ -73,7 +72,7 @@ def make_run(setup: Setup, run: Recording, grid: Grid) -> Run:
     _check_columns(setup, run, measured)
     channels = {s: run[s] for s in (*measured, HELD) if s in run.channels}
     start = start_time(setup, run)
-    # the last command holds for one more step of its channel
+    # the last command holds for one step of its channel
     end = min(c.t[-1] + (c.step if s == HELD else 0.0) for s, c in channels.items())
     count = int((end - start) / grid.period + 1e-6)
     if count < 1:
@@ -81,7 +80,7 @@ def make_run(setup: Setup, run: Recording, grid: Grid) -> Run:
             f"identify: recording {run.name} lasts {end - start:g} s, expected at least a period "
             f"of {grid.period:g} s"
         )
-    # sensors of forces at the last instant depend on the command that begins there
+    # other sensors at the last instant depend on the command that begins at it
     periods = count if {*measured} <= {"q", "v"} else count + 1
     if "ctrl" in run.channels:
         instants = start + grid.period * (np.arange(periods) + 1e-6)  # after a command has changed
@@ -108,13 +107,12 @@ def make_run(setup: Setup, run: Recording, grid: Grid) -> Run:
         State(*first), commands, times, values, weights,
         np.array(float(run.start_is_known)), np.array(float(given is not None)),
     )  # fmt: skip
-    # by numpy: JAX compiles each operation for every shape
+    # convert with numpy, since JAX compiles each operation for every shape
     return jax.tree.map(lambda a: jnp.asarray(np.asarray(a, dtype)), found)
 
 
 def start_time(setup: Setup, run: Recording) -> float:
-    """Find the time in s at which the simulation of a recording starts: the first sample of q after
-    the beginning of all channels."""
+    """Find the start time of a simulation in s: the first sample of q after all channels begin."""
     used = [c for s, c in run.channels.items() if s in setup.sensors or s == HELD]
     start = max(float(c.t[0]) for c in used)
     later = run["q"].t[run["q"].t >= start - 1e-9]
@@ -148,7 +146,7 @@ def order_columns(model: Model, run: Recording) -> Recording:
 
 
 def _add_unmeasured(model: Model, channel: Channel) -> Channel:
-    """Add the velocity coordinates that were not measured to the channel of some joints."""
+    """Add missing velocity coordinates as NaN columns to a channel of some joints."""
     slices = [model.v_slice(name) for name in channel.names]
     if any(at.stop - at.start != 1 for at in slices):
         return channel
@@ -185,7 +183,7 @@ def _check_state(model: Model, run: Recording, state: State) -> tuple[np.ndarray
 
 
 def _first_readings(model: Model, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
-    """The first readings of q and v; without a channel v, the slope of q."""
+    """Return the first readings of q and v. Without a channel v, v is the slope of q."""
 
     def first(sensor: str) -> np.ndarray:
         channel = run[sensor]
@@ -212,7 +210,7 @@ def _first_readings(model: Model, run: Recording, start: float) -> tuple[np.ndar
 
 
 def stack_runs(runs: Sequence[Run]) -> Run:
-    """Stack runs into a batch, each padded to the longest."""
+    """Stack runs into a batch, padded to the longest one."""
     sensors = {tuple(sorted(e.values)) for e in runs}
     if len(sensors) > 1:
         raise InputError(
@@ -242,11 +240,14 @@ def default_grid(
     runs: Sequence[Recording], setup: Setup | None = None, *, longest: float | None = None,
     period: float | None = None,
 ) -> Grid:  # fmt: skip
-    """Make the grid with the period of the finest clock, since commands may be logged only when
-    they change. A delay may last up to `longest` s; None: three times that of the set-up, or three
-    periods."""
+    """Create a grid with the period of the finest clock, unless `period` is given.
+
+    The finest clock of all channels counts, since commands may be logged only when they change.
+    `longest` is the largest delay in s. None: three times the delay of the set-up, or three
+    periods.
+    """
     step = min(channel.step for run in runs for channel in run.channels.values())
-    # rounded, so that clocks which differ by rounding share a program
+    # round, so that clocks with rounding errors share a program
     period = float(f"{step:.12g}") if period is None else period
     if setup is None or setup.delay is None:
         return Grid(period)

@@ -2,9 +2,10 @@
 
     u_k = controller(t_k, readings_k, command_k)   acts from t_k + delay to t_(k+1) + delay
     x'  = f(model, x, u),     reading(t) = scale * h(t - delay, x, u) + bias
-Commands are held for a period. The motion is differentiable by the delay: the period in which a
-new command begins to act is integrated in two parts. Between two instants of the grid the motion is
-Hermite's cubic; states of force elements are linear. h is the ideal sensor (`rbjax.sensors`).
+Commands hold for one period. h is the ideal sensor (`rbjax.sensors`). The motion is differentiable
+with respect to the delay, since the period in which a new command begins to act is integrated in
+two parts. Between grid points the motion is a cubic Hermite interpolant, and states of force
+elements are linear.
 """
 
 from __future__ import annotations
@@ -27,12 +28,15 @@ from rbjax.motion.step import step
 from rbjax.sensors import Columns, Context, Sensor, sensor_of
 from rbjax.sysid.simulation.parallel_in_time import simulate_windows
 
-#: (t, reading, command (n,)) -> ctrl (nu,), called once a command
+#: (t, reading, command (n,)) -> ctrl (nu,), called once for each command
 Controller = Callable[[Any, State, jax.Array], jax.Array]
 
 
 class Calibration(Record):
-    """reading = scale * value(t - delay) + bias; bias and scale (columns,), delay in s."""
+    """Calibration of a sensor: reading = scale * value(t - delay) + bias.
+
+    `bias` and `scale` are (columns,) in units of the sensor and 1. `delay` is in s.
+    """
 
     bias: jax.Array
     scale: jax.Array
@@ -40,14 +44,15 @@ class Calibration(Record):
 
     @classmethod
     def ideal(cls, channels: int) -> Calibration:
-        """The calibration of an ideal sensor."""
+        """Create the calibration of an ideal sensor."""
         return cls(jnp.zeros(channels), jnp.ones(channels), jnp.zeros(()))
 
 
 class PD(Record):
-    """A servo, evaluated once a command: ctrl = kp (command - q) - kd v, with q and v as read.
+    """A PD servo: ctrl = kp (command - q) - kd v, with the readings of q and v.
 
-    kp, kd: (nu,), of the joints of the model in their order."""
+    It is evaluated once for each command. kp and kd (nu,) are in the order of the joints.
+    """
 
     kp: jax.Array
     kd: jax.Array
@@ -57,14 +62,15 @@ class PD(Record):
 
 
 class Setup(Record):
-    """A model with its sensors, controller and delay. Each of their parameters can be unknown.
+    """A model with its sensors, controller and delay, whose parameters can all be unknown.
 
     Fields:
-        model: the robot.
-        sensors: by name; "q" (nq columns), "v" (nv), and those of `with_sensors`.
-        controller: None if the commands are the controls.
-        delay: of the controls in s; None for no delay.
-        readings: the ideal sensors whose names are not registered.
+        model: robot.
+        sensors: name -> `Calibration`, for "q" (nq columns), "v" (nv) and the sensors of
+            `with_sensors`.
+        controller: `Controller`; None if the commands are the controls.
+        delay: delay of the controls in s; None for no delay.
+        readings: name -> ideal sensor, for names that are not registered.
 
     Example:
         >>> import rbjax as rb
@@ -81,22 +87,22 @@ class Setup(Record):
 
     @classmethod
     def of(cls, model: Model, controller: Controller | None = None, delay: Any = None) -> Setup:
-        """The set-up of a model with ideal sensors of q and v."""
+        """Create the set-up of a model with ideal sensors of q and v."""
         sensors = {"q": Calibration.ideal(model.nq), "v": Calibration.ideal(model.nv)}
         return cls(model, sensors, controller, None if delay is None else jnp.asarray(delay))
 
     def with_sensors(self, *added: str | Mapping[str, Sensor]) -> Setup:
-        """The set-up with more ideal sensors, each on its own clock; bias, scale and delay are
-        leaves, which can be unknown: `Unknown("sensors.gyro:imu.bias")`.
+        """Add ideal sensors, each with its own clock.
+
+        Bias, scale and delay are leaves that can be unknown: `Unknown("sensors.gyro:imu.bias")`.
 
         Args:
             added: names of sensors: "a", "tau", "pose:BODY", "pose:SITE", "position:SITE",
-                "gyro:SITE", "accelerometer:SITE"; or a dict name ->
-                sensor of `rbjax.sensors`, such as {"current": Currents(constant)} or
-                {"other:height": CustomSensor(...)}.
+                "gyro:SITE", "accelerometer:SITE"; or a dict name -> sensor of `rbjax.sensors`, such
+                as {"current": Currents(constant)} or {"other:height": CustomSensor(...)}.
 
         Raises:
-            UnknownName: a sensor, body or site that is not known.
+            UnknownName: an unknown sensor, body or site.
 
         Example:
             >>> import rbjax as rb
@@ -114,15 +120,15 @@ class Setup(Record):
         return Setup(self.model, sensors, self.controller, self.delay, readings)
 
     def sensor(self, name: str) -> Sensor:
-        """The ideal sensor of a name."""
+        """Return the ideal sensor with a name."""
         return self.readings[name] if name in self.readings else sensor_of(name)
 
     def columns(self, sensor: str) -> Columns:
-        """The columns of a sensor."""
+        """Return the columns of a sensor."""
         return self.sensor(sensor).columns(self.model)
 
     def unit(self, sensor: str) -> str:
-        """The unit of a sensor, in SI."""
+        """Return the SI unit of a sensor."""
         return self.sensor(sensor).unit(self.model)
 
 
@@ -130,11 +136,11 @@ class Grid(NamedTuple):
     """The steps of integration.
 
     Fields:
-        period: the time in s for which a command is held.
-        substeps: steps in a period. 0, in `identify` and `many_starts`: as many as the recordings
-            need, by a check with steps of half the length.
-        integrator: as in `rollout`.
-        longest_delay: the largest delay of a command in periods; 0 for no delay.
+        period: time in s for which a command holds.
+        substeps: number of steps in a period. 0 in `identify` and `many_starts`: as many as the
+            recordings need, by a check with steps of half the length.
+        integrator: integrator, as in `rollout`.
+        longest_delay: largest delay of a command in periods; 0 for no delay.
     """
 
     period: float
@@ -144,8 +150,12 @@ class Grid(NamedTuple):
 
 
 class Path(NamedTuple):
-    """A motion: the states (N + 1, ...) at the instants of N commands and one period later, and the
-    controls (N, nu) before their delay."""
+    """A simulated motion under N commands.
+
+    Fields:
+        q, v, x: (N + 1, ...) states at the times of the commands and one period after the last.
+        ctrls: (N, nu) controls before their delay.
+    """
 
     q: jax.Array
     v: jax.Array
@@ -160,10 +170,11 @@ def simulate_motion(
     """Simulate the set-up made(p) under commands (N, n).
 
     Args:
-        made: p -> set-up. Numbers that do not depend on p are constants of the program.
-        keep: in reverse mode, every keep-th state is saved and the states between are computed
-            again; None: all values of each period are saved.
-        count: windows of time that are simulated in parallel; several have no reverse mode.
+        made: p -> set-up. Values that do not depend on p are constants of the program.
+        keep: in reverse mode, save every keep-th state and recompute the others. None: save all
+            values of each period.
+        count: number of time windows that are simulated in parallel. More than 1 excludes reverse
+            mode.
     """
     states, ctrls = simulate_states(
         lambda p: prepare_setup(made(p)), p, start, commands, grid, keep, count
@@ -175,8 +186,10 @@ def simulate_states(
     made: Callable[[Any], Setup], p: Any, start: State, commands: jax.Array, grid: Grid,
     keep: int | None = None, count: int = 1,
 ) -> tuple[State, jax.Array | None]:  # fmt: skip
-    """Simulate the states, a thread a sample or a window of it; and the controls, None if they are
-    the commands."""
+    """Simulate the states, with one thread for each sample or time window.
+
+    Return the states and the controls, which are None if they are equal to the commands.
+    """
 
     def with_start(start: State, after: State) -> State:
         return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after)
@@ -203,8 +216,10 @@ def simulate_states(
 
 
 def prepare_setup(setup: Setup) -> Setup:
-    """Prepare a set-up for short programs: constants of links are computed before the steps, and
-    equal limbs are a loop. The derivative of a step then takes half the time to compile."""
+    """Prepare a set-up for short programs: precompute link constants, and loop over equal limbs.
+
+    This halves the compilation time of the derivative of a step.
+    """
     model = setup.model
     if not kernels_available():
         return setup
@@ -214,8 +229,10 @@ def prepare_setup(setup: Setup) -> Setup:
 
 
 def first_carry(setup: Setup, start: State, commands: jax.Array, grid: Grid) -> tuple[Any, ...]:
-    """Make the carry of the first period: its index, the state and, with a delay, the controls that
-    do not yet act."""
+    """Create the carry of the first period: its index and the state.
+
+    With a delay it also contains the queue of controls that do not yet act.
+    """
     zero = jnp.zeros((), int)
     if not _has_delay(setup, grid):
         return zero, start
@@ -228,7 +245,7 @@ def _has_delay(setup: Setup, grid: Grid) -> bool:
 
 
 def _controls(setup: Setup, grid: Grid, k: Any, state: State, command: jax.Array) -> jax.Array:
-    """The controls of the command of period k."""
+    """Compute the controls from the command of period k."""
     if setup.controller is None:
         return command
     read = [s.scale * x + s.bias for s, x in ((setup.sensors[i], getattr(state, i)) for i in "qv")]
@@ -236,8 +253,11 @@ def _controls(setup: Setup, grid: Grid, k: Any, state: State, command: jax.Array
 
 
 def period_step(setup: Setup, grid: Grid) -> Callable[[Any, jax.Array], Any]:
-    """Make a period as a step of `scan`: (carry, command) -> carry, and the state at its end with
-    the controls, None if they are the commands."""
+    """Create the step of `scan` for one period.
+
+    It maps (carry, command) to the next carry and the outputs: the final state, and the controls,
+    which are None if they are equal to the commands.
+    """
     model, T, n = setup.model, grid.period, grid.substeps
     controls = functools.partial(_controls, setup, grid)
 
@@ -260,15 +280,15 @@ def period_step(setup: Setup, grid: Grid) -> Callable[[Any, jax.Array], Any]:
     def with_delay(carry: Any, command: jax.Array) -> Any:
         k, state, queue = carry
         ctrl = controls(k, state, command)
-        fresh = jnp.broadcast_to(ctrl, queue.shape)  # the first command acts before its delay, too
+        fresh = jnp.broadcast_to(ctrl, queue.shape)  # the first command also acts before its delay
         queue = jnp.where(k == 0, fresh, jnp.concatenate([ctrl[None], queue[:-1]]))
         delay = jnp.clip(setup.delay, 0.0, grid.longest_delay * T)
-        # a delay of whole periods counts as one period more and a rest of T, to be differentiable
+        # an integer delay is split into one period less and a rest of T, to be differentiable
         whole = jnp.clip(jnp.ceil(delay / T).astype(int) - 1, 0)
         rest = delay - whole * T
         before, after = queue[whole + 1], queue[whole]
 
-        def once(i: Any, s: State) -> State:  # n steps of the old command, n of the new one
+        def once(i: Any, s: State) -> State:  # n steps with the old command, n with the new one
             old = i < n
             h = jnp.where(old, rest, T - rest) / n
             t = k * T + jnp.where(old, i * h, rest + (i - n) * h)
@@ -311,8 +331,10 @@ def read_sensor(setup: Setup, path: Path, grid: Grid, kind: str, times: jax.Arra
 
 
 def _context_at(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
-    """The context of a sensor at time t. A command acts on samples up to a thousandth of a period
-    before it."""
+    """Create the context of a sensor at time t.
+
+    A command also acts on samples up to a thousandth of a period before it.
+    """
     T, last = grid.period, path.q.shape[0] - 2
     late: Any = 0.0
     if _has_delay(setup, grid):
@@ -323,12 +345,12 @@ def _context_at(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
 
 
 def interpolate_state(model: Model, path: Path, T: float, t: Any) -> State:
-    """Interpolate the state at time t by Hermite's cubic."""
+    """Interpolate the state at time t by a cubic Hermite polynomial."""
     last = path.q.shape[0] - 2
     k = jnp.clip(jnp.floor(t / T + 1e-9).astype(int), 0, last)
     s = jnp.clip(t / T - k, 0.0, 1.0)
     q0, q1, v0, v1 = path.q[k], path.q[k + 1], path.v[k], path.v[k + 1]
-    adds = model.nq == model.nv  # without attitudes XLA fuses all of this
+    adds = model.nq == model.nv  # without attitudes XLA fuses all operations
     d = q1 - q0 if adds else difference(model, q0, q1)
     a, b = T * v0 - d, d - T * v1
     along = s * d + s * (1 - s) * ((1 - s) * a + s * b)

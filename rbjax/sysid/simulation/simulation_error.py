@@ -1,9 +1,9 @@
 """The simulation error: readings of simulated motions minus recorded values, with its Jacobian.
 
     r(p, s) = weights (reading(motion(p, start (+) s)) (-) recorded)
-All runs are one batch. p is common to them; each run has a correction s of its initial state, if
-that is estimated. The Jacobian is computed in forward mode, each direction a sample of the batch
-(`jacobian_colouring`).
+All runs are one batch. The unknowns p are common to all runs. Each run has a correction s of its
+initial state, if that is estimated. The Jacobian is computed in forward mode, with one sample of
+the batch for each direction (`jacobian_colouring`).
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.setup import Grid, Path, Setup, read_sensor
 from rbjax.sysid.statistics.fit_statistics import Column, Rows
 
-#: with loss="huber" the cost of a residual above this many sigma grows linearly
+#: with loss="huber", the cost grows linearly above this residual in sigma
 HUBER = 1.345
-#: columns that LAPACK's QR takes at a time
+#: block size of LAPACK's QR in columns
 BLOCK = 64
 
 
@@ -43,9 +43,10 @@ class Programs(NamedTuple):
     Fields:
         simulate: (x, run) -> set-up and motion of one run, traced.
         compare: (set-up, motion, run) -> residual of one run, traced.
-        readings, residuals, slopes: of a batch, compiled. The slopes are along the seeds of
-        `colour`,
-            or along each unknown.
+        readings: compiled readings of a batch, by sensor.
+        residuals: compiled residuals of a batch.
+        slopes: compiled residuals of a batch, and derivatives along the seeds of `colour`, or along
+            each unknown.
         colour: sensors of the runs -> `Colouring`, or None.
     """
 
@@ -60,8 +61,10 @@ class Programs(NamedTuple):
 def make_programs(
     setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str, keep: int | None = None
 ) -> Programs:
-    """Make the programs of a set-up with `own` corrections of each initial state; keep as in
-    `simulate_motion`."""
+    """Create the programs of a set-up with `own` corrections of each initial state.
+
+    `keep` is the argument of `simulate_motion`.
+    """
     n, parts = sum(unknowns.sizes), equal_parts(setup)
 
     def simulate(x: jax.Array, run: Run, count: int = 1) -> tuple[Setup, Path]:
@@ -85,7 +88,7 @@ def make_programs(
             columns = setup.columns(kind)
             off = jax.vmap(columns.minus)(seen, run.values[kind])
             weights = columns.weights(run.weights[kind])
-            # a value that was not measured may have diverged
+            # the simulation of a missing value may have diverged
             parts.append(jnp.where(weights > 0, weights * off, 0.0).ravel())
         r = jnp.concatenate(parts)
         if loss == "huber":
@@ -94,7 +97,7 @@ def make_programs(
         return r
 
     def simulated(x: jax.Array, runs: Run) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """Residuals and readings, by one program."""
+        """Compute residuals and readings in one program."""
 
         def each(x: jax.Array, run: Run) -> tuple[jax.Array, dict[str, jax.Array]]:
             now, path = simulate(x, run, windows_of(runs, 1))
@@ -126,7 +129,7 @@ def make_programs(
     both, along_all = jax.jit(simulated), jax.jit(sloped)
 
     def slopes(x: jax.Array, runs: Run) -> tuple[jax.Array, jax.Array]:
-        colour(frozenset(runs.values))  # takes ten times as long while a program is traced
+        colour(frozenset(runs.values))  # ten times slower during a trace
         found: tuple[jax.Array, jax.Array] = along_all(x, runs)
         return found
 
@@ -136,9 +139,10 @@ def make_programs(
 
 
 class SimulationError:
-    """The residual of a batch of runs.
+    """The residual of a batch of runs as a function of x.
 
-    x: (n + runs l,), the unknowns p (n,) and l = 2 nv corrections of each initial state, or l = 0.
+    x (n + runs l,) contains the unknowns p (n,) and l corrections of each initial state. l is 2 nv,
+    or 0 if initial states are not estimated.
     """
 
     def __init__(
@@ -150,7 +154,7 @@ class SimulationError:
         self.shared = sum(unknowns.sizes)
         self.all_starts = (
             estimate_initial_state is True
-        )  # even initial states that the recordings give
+        )  # also the known initial states
         self.runs = self._mark_known(runs)
         if estimate_initial_state is None:
             estimate_initial_state = not np.asarray(runs.known).all()
@@ -165,46 +169,46 @@ class SimulationError:
 
     @property
     def samples(self) -> int:
-        """The number of residuals with a weight; an attitude has three."""
+        """The number of residuals with a nonzero weight. An attitude has three."""
         weights = jax.tree.map(np.asarray, self.runs.weights)
         return sum(int((self.setup.columns(s).weights(w) > 0).sum()) for s, w in weights.items())
 
     def by_run(self, x: Any) -> Any:
-        """x as (runs, n + l), in numpy if x is, which compiles nothing."""
+        """Arrange x as (runs, n + l), in numpy if x is a numpy array, which avoids compilation."""
         xp: Any = np if isinstance(x, np.ndarray) else jnp
         own = xp.reshape(x[self.shared :], (self.count, self.own))
         p = xp.broadcast_to(xp.asarray(x[: self.shared]), (self.count, self.shared))
         return xp.concatenate([p, own], -1)
 
     def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
-        """The divergence of the unknowns, with the corrections as free numbers."""
+        """Compute the divergence of the unknowns, with the corrections as free parameters."""
         n = self.shared
         first = self.unknowns.divergence(x[:n], x0[:n])
         return Divergence.joined([first, Divergence.free(x[n:], x0[n:], 1.0)])
 
     def on(self, runs: Run) -> SimulationError:
-        """The simulation error of other runs."""
+        """Return the simulation error of other runs, with the same programs."""
         other = copy.copy(self)
         other.runs, other.count, other._last = self._mark_known(runs), runs.commands.shape[0], None
         return other
 
     def _mark_known(self, runs: Run) -> Run:
         known = jnp.zeros_like(runs.known) if self.all_starts else runs.known
-        shape = runs.commands.shape[:1]  # a run made by hand has one number for all
+        shape = runs.commands.shape[:1]  # a manually created batch may have one number for all
         return runs._replace(
             known=jnp.broadcast_to(known, shape), exact=jnp.broadcast_to(runs.exact, shape)
         )
 
     def readings(self, x: np.ndarray) -> dict[str, jax.Array]:
-        """The simulated readings (runs, T, n) by sensor."""
+        """Compute the simulated readings (runs, T, n), by sensor."""
         return self.programs.readings(self.by_run(x), self.runs)
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """r (runs, rows)."""
+        """Compute the residuals r (runs, rows)."""
         return np.asarray(self.programs.residuals(self.by_run(x), self.runs))
 
     def cost(self, x: np.ndarray) -> float:
-        """|r|^2, with that of the priors."""
+        """Compute |r|^2, including the normal priors."""
         priors = self.unknowns.prior_rows(x[: self.shared])[:, -1]
         return sum_of_squares(self.residuals(x)) + float(priors @ priors)
 
@@ -214,27 +218,29 @@ class SimulationError:
         return self.programs.colour(frozenset(self.runs.values))
 
     def _seeded_slopes(self, x: np.ndarray) -> Any:
-        """r (runs, rows) and its derivatives along the seeds. The last ones are kept, since the
-        statistics of a fit need those of its last step."""
+        """Compute r (runs, rows) and its derivatives along the seeds.
+
+        The last result is cached, since the statistics of a fit use the derivatives of its last
+        step.
+        """
         if self._last is None or not np.array_equal(self._last[0], x):
             found = self.programs.slopes(self.by_run(x), self.runs)
             self._last = np.array(x), jax.tree.map(np.asarray, found)
         return self._last[1]
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """r (runs, rows) and J (runs, rows, n + l). The rows of the sensors are in the order of
-        their names."""
+        """Compute r (runs, rows) and J (runs, rows, n + l), with the sensors sorted by name."""
         r, J = self._seeded_slopes(x)
         coloured = self.colouring
         return r, J if coloured is None else coloured.expand(J, self._times)
 
     @property
     def _times(self) -> dict[str, int]:
-        """The number of times of each sensor."""
+        """The number of samples of each sensor."""
         return {k: values.shape[1] for k, values in self.runs.values.items()}
 
     def rows_of(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """The rows (runs, rows, ...) of each sensor, (runs, T, columns, ...)."""
+        """Split rows (runs, rows, ...) into arrays (runs, T, columns, ...), by sensor."""
         found, at = {}, 0
         for sensor in sorted(self.runs.values):
             T, n = self.runs.values[sensor].shape[1:]
@@ -244,14 +250,16 @@ class SimulationError:
         return found
 
     def insensitive(self, x: np.ndarray) -> tuple[str, ...]:
-        """The sensors whose readings depend on no unknown."""
+        """Find the sensors whose readings depend on no unknown."""
         J = np.abs(self.slopes(x)[1][:, :, : self.shared])
         least = rank_tolerance("unknown without effect", J.dtype) * J.max()
         return tuple(s for s, rows in self.rows_of(J).items() if not rows.max() > least)
 
     def columns(self, x: np.ndarray, stated: Collection[str]) -> list[Column]:
-        """Residuals and Jacobian at x by column, as input of `fit_statistics`. stated: the sensors
-        whose noise is stated."""
+        """Compute residuals and Jacobian at x by column, as input of `fit_statistics`.
+
+        `stated` are the sensors with stated noise.
+        """
         residuals, slopes = map(self.rows_of, self.slopes(x))
         n, l = self.shared, self.own
         which = [np.r_[0:n, n + k * l : n + (k + 1) * l] for k in range(self.count)]
@@ -268,7 +276,7 @@ class SimulationError:
                     rows = measured[k, :, c]
                     off, J = r[k, rows, c], slopes[sensor][k, rows, c]
                     psi, inside = off, np.ones(len(off), bool)
-                    if self.loss == "huber":  # beyond its knee the residual is sign sqrt(2 rho)
+                    if self.loss == "huber":  # a large residual is sign sqrt(2 rho)
                         inside = np.abs(off) < HUBER
                         psi = np.where(inside, off, HUBER * np.sign(off))
                         J = J * np.where(inside, 1.0, np.abs(off) / HUBER)[:, None]
@@ -284,7 +292,7 @@ class SimulationError:
         return found
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
-        """R (size + 1, size + 1) with R^T R = [J r]^T [J r], with the rows of the priors."""
+        """Compute R (size + 1, size + 1) with R^T R = [J r]^T [J r], including the priors."""
         R, n = self.assemble(*self._seeded_slopes(x)), self.shared
         priors = self.unknowns.prior_rows(x[:n])
         if not len(priors):
@@ -294,7 +302,7 @@ class SimulationError:
         return triangle_of(np.concatenate([R, wide]))
 
     def assemble(self, r: Any, J: Any) -> np.ndarray:
-        """R of the residuals (runs, rows) and their derivatives along the seeds."""
+        """Compute R from the residuals (runs, rows) and their derivatives along the seeds."""
         n, coloured = self.shared + self.own, self.colouring
         both = np.concatenate([np.asarray(J), np.asarray(r)[..., None]], -1)
         parts: list[tuple[Any, np.ndarray]] = [(slice(None), np.arange(n))]
@@ -307,7 +315,7 @@ class SimulationError:
             used = np.flatnonzero(by.any(1))
             each_run: Any = range(self.count) if self.own else [slice(None)]
             for k in each_run:  # corrections of different runs have different columns
-                # `take` copies several times faster than an index does
+                # `take` copies several times faster than indexing
                 those = both[k] if isinstance(rows, slice) else np.take(both[k], rows, -2)
                 if len(used) < len(weights):
                     those = np.take(those, np.append(used, len(weights)), -1)
@@ -319,7 +327,7 @@ class SimulationError:
         return blocks[0] if one else triangle_of(np.concatenate(blocks))
 
     def widen(self, rows: np.ndarray, k: int) -> np.ndarray:
-        """Rows [J r] of run k with columns of x for its own n + l."""
+        """Expand rows [J r] of run k from its own n + l columns to all columns of x."""
         p, l = self.shared, self.own
         wide = np.zeros((rows.shape[0], self.size + 1), rows.dtype)
         wide[:, :p], wide[:, -1] = rows[:, :p], rows[:, -1]
@@ -328,19 +336,18 @@ class SimulationError:
 
 
 def state_of_readings(setup: Setup, first: State, v_was_read: bool) -> State:
-    """Compute the state from its readings; a v that was not read is the slope of the readings of
-    q."""
+    """Compute the state from its readings. Without a channel v, first.v is the slope of q."""
     q, v = setup.sensors["q"], setup.sensors["v"]
     speed = first.v
     if v_was_read:
         speed = (first.v - v.bias) / v.scale
-    elif first.v.shape == q.scale.shape:  # with attitudes v is read, or the state is known
+    elif first.v.shape == q.scale.shape:  # with attitudes v is measured, or the state is known
         speed = first.v / q.scale
     return State((first.q - q.bias) / q.scale, speed, first.x)
 
 
 def sum_of_squares(r: np.ndarray) -> float:
-    """|r|^2; inf if it is not finite, as for a motion that diverges."""
+    """Compute |r|^2, or inf if it is not finite, as for a motion that diverges."""
     r = np.asarray(r).ravel()
     with np.errstate(over="ignore"):
         total = float(r @ r)
@@ -348,12 +355,12 @@ def sum_of_squares(r: np.ndarray) -> float:
 
 
 def triangle_of(rows: np.ndarray) -> np.ndarray:
-    """Compute R of the QR factorisation of rows [J r]; nan if one is not finite."""
+    """Compute R of the QR factorisation of rows [J r], or nan if an entry is not finite."""
     n = rows.shape[1]
     if not np.isfinite(rows).all():
         return np.full((n, n), np.nan, rows.dtype)
     (factorise,) = get_lapack_funcs(("geqrf",), (rows,))
-    # LAPACK's columns and block size: half of the time of `np.linalg.qr`
+    # column order and block size of LAPACK, twice as fast as `np.linalg.qr`
     columns, _, _, _ = factorise(np.array(rows, order="F"), lwork=BLOCK * n, overwrite_a=True)
     R: Any = np.triu(columns[:n])
     missing = n - R.shape[0]
@@ -361,6 +368,6 @@ def triangle_of(rows: np.ndarray) -> np.ndarray:
 
 
 def _median_step(times: np.ndarray) -> float:
-    """The median step of clocks (runs, T), which are padded with their last time."""
+    """Compute the median step of clocks (runs, T), which are padded with their last time."""
     steps = np.diff(times, axis=-1)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf

@@ -15,7 +15,7 @@ from rbjax.sysid.simulation.runs import order_columns
 from rbjax.sysid.simulation.setup import Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError
 
-#: the least number of samples of a motion
+#: least number of samples of a measured motion
 FEW = 10
 
 
@@ -23,11 +23,11 @@ class Trace(NamedTuple):
     """Recorded and simulated values of one sensor in one recording.
 
     Fields:
-        names: (n,) of the columns.
-        t: (T,) s after the start.
-        recorded: (T, n) in SI, nan for samples that did not arrive.
-        simulated: (T, n) in SI.
-        turns: the first columns of quaternions.
+        names: (n,) names of the columns.
+        t: (T,) times in s after the start.
+        recorded: (T, n) values in SI, nan for missing samples.
+        simulated: (T, n) values in SI.
+        turns: first column of each quaternion.
     """
 
     names: tuple[str, ...]
@@ -38,28 +38,31 @@ class Trace(NamedTuple):
 
     @property
     def residual(self) -> np.ndarray:
-        """Simulated minus recorded values (T, n); twice that for quaternions, in rad."""
+        """The simulated minus recorded values (T, n), multiplied by 2 for quaternions, in rad."""
         return self.columns.residual(self.recorded, self.simulated)
 
     @property
     def columns(self) -> Columns:
-        """The columns with their attitudes."""
+        """The `Columns` of the sensor, with its quaternions."""
         return Columns(len(self.names), self.turns)
 
     @property
     def measured(self) -> bool:
-        """Whether every recorded column has at least `FEW` samples, and not only its start."""
+        """Whether each column with samples has at least `FEW` of them."""
         count = (~np.isnan(self.recorded)).sum(0)
         return bool(count.any() and count[count > 0].min() >= FEW)
 
 
-Traces = Mapping[str, Mapping[str, Trace]]  # by recording, by sensor
+Traces = Mapping[str, Mapping[str, Trace]]  # recording -> sensor -> trace
 
 
 def make_traces(
     setup: Setup, of: SimulationError, x: np.ndarray, recordings: Sequence[Recording]
 ) -> dict[str, dict[str, Trace]]:
-    """Make the traces of recordings, whose runs are those of the simulation error `of`, at x."""
+    """Simulate at x, and return the recorded and simulated values of recordings.
+
+    `recordings` are the runs of the simulation error `of`.
+    """
     data, read = jax.tree.map(np.asarray, (of.runs, of.readings(x)))
     found: dict[str, dict[str, Trace]] = {}
     for k, run in enumerate(recordings):
@@ -67,7 +70,7 @@ def make_traces(
         found[run.name] = {}
         for sensor in data.values:
             there = data.weights[sensor][k] > 0
-            T = int(np.flatnonzero(there.any(1))[-1]) + 1  # the rest is padding
+            T = int(np.flatnonzero(there.any(1))[-1]) + 1  # later samples are padding
             values = data.values[sensor][k]
             recorded = np.where(there, values, np.nan)[:T]
             simulated = read[sensor][k][:T]
@@ -87,11 +90,11 @@ def rms_of(found: Traces) -> dict[str, np.ndarray]:
 
 
 def residuals_of(found: Traces, sensor: str) -> np.ndarray:
-    """Join the residuals (samples, n) of a sensor in all recordings."""
+    """Concatenate the residuals (samples, n) of a sensor in all recordings."""
     return np.concatenate([sensors[sensor].residual for sensors in found.values()])
 
 
 def _joint_names(model: Model, names: tuple[str, ...]) -> tuple[str, ...]:
-    """The joints' names for columns that are only numbered, if each joint has one column."""
+    """Replace numbered columns by joint names, if each joint has one column."""
     plain = names == tuple(map(str, range(len(names))))
     return tuple(model.joint_names) if plain and len(model.joint_names) == len(names) else names

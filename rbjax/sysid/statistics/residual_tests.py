@@ -103,10 +103,7 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
 
 
 def long_run_covariance(scores: Sequence[np.ndarray], lag: int | None = None) -> np.ndarray:
-    """Estimate the covariance (n, n) of the sum of correlated scores.
-
-    The scores of each recording are (samples, n).
-    """
+    """Estimate the covariance (n, n) of the sum of correlated scores (samples, n)."""
     lag = _optimal_lag(scores) if lag is None else lag
     window = 1 - np.abs(np.arange(-lag, lag + 1)) / (lag + 1)  # Bartlett's
     found = sum(s.T @ signal.convolve(s, window[:, None], mode="same") for s in scores)

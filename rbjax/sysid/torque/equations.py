@@ -284,8 +284,7 @@ def with_statistics(
 
 
 def _agrees(eq: Equations, residual: Array) -> bool:
-    """Test whether the residuals agree with the given noise, by chi-square with 1 % on each side.
-    """
+    """Test whether the residuals agree with the given noise (chi-square, 1 % on each side)."""
     assert eq.noise is not None
     free = int(eq.counted.sum()) - eq.combinations.rank
     squares = float(((residual / eq.noise) ** 2).sum())

@@ -149,10 +149,8 @@ def check_state(where: str, model: RobotModel, state: Any, batch: tuple[int, ...
 def check_state_and_controls(
     where: str, model: Any, state: Any, ctrl: Any
 ) -> tuple[State, jax.Array]:
-    """Check a model, a state and controls. Return the state and the controls in one dtype.
-
-    Controls are zeros if None.
-    """
+    """Check a model, a state and controls. Return the state and the controls in one dtype. Controls
+    are zeros if None."""
     check_robot_model(where, model)
     state = check_state(where, model, state)
     given = jnp.zeros(model.nu) if ctrl is None else ctrl

@@ -75,7 +75,7 @@ class Iterate(NamedTuple):
     status: jax.Array
     costs: jax.Array
     K: jax.Array
-    violation: jax.Array  # at the last change of the centre
+    violation: jax.Array  # violation at the last change of the centre
     vain: jax.Array  # changes in a row that did not lower it
     closing: jax.Array  # gaps to close to before the filter decides again; infinite: it decides
     reference_cost: jax.Array  # the cost at its last fall by more than rounding

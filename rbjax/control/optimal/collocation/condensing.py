@@ -166,7 +166,7 @@ class Weights(NamedTuple):
 
 
 class Condensed(NamedTuple):
-    """A step without stages. With e = (dx, du), dK = Z e + offset and d rows = C e + more."""
+    """A step with eliminated stages: dK = Z e + offset, d rows = C e + more, e = (dx, du)."""
 
     A: jax.Array
     B: jax.Array
@@ -303,7 +303,7 @@ def condense(
 
 
 def condense_end(problem: Problem, w: Weights, knot: Knot, rows: Rows) -> End:
-    """Expand the end to second order."""
+    """Expand the terminal cost and constraint rows to second order."""
     n, m, dtype = problem.n, problem.nu, problem.dt.dtype
 
     def near(d):

@@ -39,7 +39,7 @@ from rbjax.solvers.tableau import Tableau
 
 
 class Point(NamedTuple):
-    """The unknowns: knots, stages (inner), slacks of the path (N, s, c) and of the end (e,)."""
+    """The unknowns: knots, values at the stages, slacks of path (N, s, c) and end (e,) rows."""
 
     knots: Knot
     inner: Inner
@@ -63,7 +63,7 @@ class Multipliers(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A change of the unknowns."""
+    """A Newton step of the unknowns of `Point`."""
 
     dx: jax.Array
     us: jax.Array

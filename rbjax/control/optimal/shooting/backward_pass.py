@@ -157,7 +157,7 @@ def backward_pass(
     path, end: costs of the knots with controls (N, ...), and of the end.
     bounds: of du; None for none.
     first: (free, low, high) of the first knot, (n,) each: mask of its free coordinates, and bounds
-    of dx0; None if it is fixed.
+        of dx0; None if it is fixed.
     reg: regularisation, added to the diagonals of the control Hessians and of V.
     h: the step size, if dq+ = dq + h dv+; None for other systems.
     """

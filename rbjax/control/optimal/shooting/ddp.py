@@ -48,7 +48,7 @@ def solve_ddp(
     """Solve a problem by differential dynamic programming.
 
     exact: use second derivatives of dynamics and residuals if the control Hessians stay positive
-    definite.
+        definite.
     """
     return search(ROLLOUTS, problem, start, knots, ctrls, options, history, exact)
 

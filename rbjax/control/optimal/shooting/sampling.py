@@ -54,7 +54,7 @@ class Sampling:
     points: number of points of the spline, at most N.
     spline: "hold", "linear" or "cubic".
     spread: first standard deviation, relative to the width of the bounds; in the units of the
-    controls without bounds.
+        controls without bounds.
     cooling: factor of the deviation after a round.
     temperature: of MPPI.
     smoothing: fraction of the old deviation in the update of the cross-entropy method.

@@ -53,17 +53,17 @@ MAX_STALLED = 50  # maximum number of consecutive iterations that lower the cost
 class SearchState(NamedTuple):
     """The state of a search between two iterations. Each field is ()."""
 
-    feasible: jax.Array  # whether the motion has no gaps
+    feasible: jax.Array  # true if the motion has no gaps
     reg: jax.Array  # the regularisation
-    cost: jax.Array  # of the motion
+    cost: jax.Array  # cost of the motion
     scale: jax.Array  # the tolerance is relative to it if the cost is less
-    expected_decrease: jax.Array  # of the cost, by the last step
-    violation: jax.Array  # of the constraints
-    violation_before: jax.Array  # at the last change of the multipliers
-    inner_tolerance: jax.Array  # of the search with the present multipliers
+    expected_decrease: jax.Array  # expected decrease of the cost by the last step
+    violation: jax.Array  # largest constraint violation
+    violation_before: jax.Array  # violation at the last change of the multipliers
+    inner_tolerance: jax.Array  # tolerance of the search with the present multipliers
     iterations: jax.Array  # so far
-    status: jax.Array  # of `rbjax.control.status`
-    penalty: jax.Array  # of the augmented Lagrangian
+    status: jax.Array  # a value of `rbjax.control.status`
+    penalty: jax.Array  # penalty of the augmented Lagrangian
     reference_cost: jax.Array  # the cost at its last fall by more than rounding
     stalled: jax.Array  # iterations since then
 
@@ -90,7 +90,7 @@ class Decision(NamedTuple):
     best: jax.Array  # the index of a trial
     length: jax.Array
     accepted: jax.Array
-    new_multipliers: jax.Array  # whether the multipliers change
+    new_multipliers: jax.Array  # true if the multipliers change
 
 
 #: (values, lengths) -> mask (T,) of acceptable trials, and the expected decrease () of the cost
@@ -223,17 +223,17 @@ class Iterate(NamedTuple):
 
 
 class StepPolicy(NamedTuple):
-    """How a method makes its steps.
+    """The step rule of a method.
 
     accept: see `Accept`.
     closes_gaps: true if a full step leaves no gap.
     trials: (problem, now, expanded, gaps, gains) -> trials, with the fields costs, violations and
-    more of `IterationValues`.
+        more of `IterationValues`.
     apply: (problem, now, trials, decision) -> knots and controls.
     """
 
     accept: Accept  # which trials may be taken
-    closes_gaps: bool  # whether a full step leaves no gap
+    closes_gaps: bool  # true if a full step leaves no gap
     trials: Callable[..., Any]
     apply: Callable[..., tuple[Knot, jax.Array]]
 
@@ -259,9 +259,8 @@ def compute_gains(
     problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any,
     boxed: bool = False,
 ) -> Feedback:  # fmt: skip
-    """Run the backward pass at the knots. boxed: k obeys all bounds, else only the active ones. A
-    bound that is active for k need not be active for k + K dx. It removes its row of K, so the
-    closed loop may become unstable."""
+    """Run the backward pass at the knots. boxed: if true, k obeys all bounds, else only the active
+    ones. A newly active bound removes its row of K, which may make the closed loop unstable."""
     bounds = None
     if problem.bounded:
         low, high = (x.astype(ctrls.dtype) - ctrls for x in (problem.low, problem.high))
