@@ -118,7 +118,7 @@ class StageProjection(Factor):
     iterations: int | None = None
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state for the rates of a stage, in a step that began at t0 in `start`."""
+        """Return the state at which a stage evaluates rates; the step began at t0 in `start`."""
         raise NotImplementedError(f"{type(self).__name__} has no method stage_state")
 
     def project(self, model: Model, t: Any, state: State) -> State:
@@ -224,10 +224,8 @@ class Formulation:
         return self.method(model, t, state, tau, f_ext, *gains)
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state for the rates of a stage, in a step that began at t0 in `start`.
-
-        Integrators also call it on the state at the end of a step, before `project`.
-        """
+        """Return the state at which a stage evaluates rates; the step began at t0 in `start`.
+        Integrators also call it on the state at the end of a step, before `project`."""
         if self.projection is None:
             return state
         return self.projection.stage_state(model, t, state, t0, start)
@@ -241,10 +239,8 @@ class Formulation:
 
 
 def as_formulation(x: Any) -> Formulation | None:
-    """Convert a factor to a formulation.
-
-    Return a formulation as it is, and None for other types.
-    """
+    """Convert a factor to a formulation. Return a formulation as it is, and None for other
+    types."""
     if isinstance(x, Formulation):
         return x
     if isinstance(x, Method):
@@ -318,6 +314,7 @@ def formulations() -> dict[str, Formulation]:
 def kinds() -> dict[str, type[Constraint]]:
     """Return the constraint classes of rbjax by name.
 
+    Example:
         >>> import rbjax as rb
         >>> rb.constraints.kinds()["Weld"].size
         6
@@ -330,10 +327,8 @@ def kinds() -> dict[str, type[Constraint]]:
 
 
 def formulation_of(where: str, model: Model, given: Any) -> Formulation | None:
-    """Return the formulation of a model, or None if it has no constraints.
-
-    `given` is a name, a `Formulation`, one of its factors, or None for the default.
-    """
+    """Return the formulation of a model, or None if it has no constraints. `given` is a name, a
+    `Formulation`, one of its factors, or None for the default."""
     if not model.constraints:
         if given is not None:
             raise InputError(

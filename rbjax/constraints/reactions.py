@@ -152,10 +152,8 @@ END = -2  # index that a recording frame uses instead of a link; WORLD is -1
 
 
 class _End(Frame):
-    """A frame that records the wrenches on it, in its own axes and at its origin.
-
-    It keeps them apart from wrenches on its link, which may be the world or carry both frames.
-    """
+    """A frame that records the wrenches on it, in its own axes and at its origin. It keeps them
+    apart from wrenches on its link, which may be the world or carry both frames."""
 
     def __init__(self, now: Context, frame: Frame, *moved: Transform):
         super().__init__(now.links, frame.link, *frame._placed, *moved)

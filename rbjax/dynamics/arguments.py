@@ -132,7 +132,7 @@ def check_array(
 ) -> jax.Array:
     """Convert a value to a floating-point array of one of the shapes, finite unless traced."""
     expected = " or ".join(map(str, shapes)) + fix
-    given = getattr(value, "shape", ())
+    given = () if isinstance(value, type) else getattr(value, "shape", ())
     if shapes[0] in (given[1:], given[:-1]) and not fix:
         expected += "; for a batch use jax.vmap"
     x = floating_array(where, name, value, shapes.__contains__, expected)

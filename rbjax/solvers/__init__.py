@@ -1,18 +1,19 @@
 """Solvers of differential equations that diffrax lacks. Each is a diffrax solver.
 
-`diffrax.diffeqsolve` runs them on any vector field, `rbjax.simulate` on a robot. `all()` lists
-them. `rbjax.recommend.solver(model, state, accuracy)` chooses one.
+`diffrax.diffeqsolve` runs them on any vector field, `rbjax.simulate` on a robot. `all()` returns
+them by name. `rbjax.recommend.solver(model, state, accuracy)` chooses one.
 
     any vector field      RK4, implicit_midpoint, trapezoid, gauss_legendre, radau_iia,
                           lobatto_iiia, lobatto_iiic, SDIRK2, ros2, ros34pw2,
                           adams_bashforth, adams_moulton, pece, bdf
     q' = v, v' = a        newmark, hht_alpha, generalized_alpha, CentralDifferences,
                           SemiImplicitEuler, VariationalMidpoint
-    a free of v, best     symplectic_euler, stoermer_verlet, yoshida4, yoshida6
+    best if a is          symplectic_euler, stoermer_verlet, yoshida4, yoshida6
+    independent of v
     on a Lie group        rkmk, CrouchGrossman3, CommutatorFree4, generalized_alpha,
                           RigidBodySplitting
-The last three rows take terms `OnGroup`. The first of these three also takes any pair of arrays.
-`Compensated` wraps a solver of the first row and keeps what its additions round off.
+The last three groups accept terms `OnGroup`. The second group also accepts any pair of arrays.
+`Compensated` wraps a solver of the first group and carries the rounding errors of its additions.
 """
 
 from rbjax.solvers.compensated import Compensated

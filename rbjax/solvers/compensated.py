@@ -1,10 +1,10 @@
-"""Compensated summation: the next step adds the digits that this step's addition rounds off.
+"""Compensated summation: the next step adds the rounding error of the last addition.
 
-    d = z(h),  of z' = f(t, y0 + z), z(0) = e0
+    d = z(h),  with z' = f(t, y0 + z), z(0) = e0
     y1 = y0 + d rounded,  e1 = y0 + d - y1 exactly
 
-A step then has the rounding errors of d and of h f, which are smaller than the rounding of y by a
-factor of h |df/dy|.
+A step then has only the rounding errors of d and of h f, which are smaller than the rounding of y
+by a factor h |df/dy|.
 
 Source: Kahan 1965; Knuth, *The Art of Computer Programming* 2, 4.2.2; Hairer, Lubich & Wanner,
 *Geometric Numerical Integration*, VIII.5.
@@ -28,7 +28,7 @@ from rbjax.solvers.runge_kutta import ImplicitRungeKutta
 
 
 class Wrapped(diffrax.AbstractWrappedSolver):
-    """A solver with the properties and methods of another one; subclasses override some."""
+    """Base class of solvers that forward properties and methods to another solver."""
 
     solver: Any  # type: ignore[misc]
 
@@ -45,7 +45,7 @@ class Wrapped(diffrax.AbstractWrappedSolver):
         return self.solver.term_compatible_contr_kwargs
 
     @property
-    def scan_kind(self):  # diffrax sets these two on solvers that have them
+    def scan_kind(self):  # diffrax sets scan_kind and root_finder on solvers that have them
         return self.solver.scan_kind
 
     @property
@@ -68,21 +68,22 @@ class Wrapped(diffrax.AbstractWrappedSolver):
         return self.solver.func(terms, t0, y0, args)
 
 
-#: solvers that use the state only to evaluate rates of the vector field
+#: solvers that use the state only to evaluate rates
 BY_RATES = (diffrax.AbstractRungeKutta, diffrax.Euler, ImplicitRungeKutta, RosenbrockW, Adams)
 
 
 class Compensated(Wrapped, diffrax.AbstractAdaptiveSolver):
-    """A solver that also integrates the digits that its additions round off.
+    """A solver that carries the rounding errors of its additions to the next step.
 
     Use it if rounding limits the accuracy: small steps, long chaotic motions, single precision.
 
-    Fields: solver, one that uses only rates: explicit or fully implicit Runge-Kutta
-    (`diffrax.Dopri8`, `gauss_legendre`), Rosenbrock, Adams.
+    Fields:
+        solver: an explicit or fully implicit Runge-Kutta solver (`diffrax.Dopri8`,
+            `gauss_legendre`), or a Rosenbrock or Adams solver.
 
     Raises:
-        InputError: the solver stores states (BDF) or moves them in other ways, or the term is
-            on a group, where increments do not add.
+        InputError: the solver uses states in other ways than to evaluate rates (BDF), or the term
+            is on a Lie group, where increments do not add.
 
     Source: Hairer, Lubich & Wanner, VIII.5.
 
@@ -128,13 +129,13 @@ class Compensated(Wrapped, diffrax.AbstractAdaptiveSolver):
 
 
 def _rounding_error(y: jax.Array, d: jax.Array, total: jax.Array) -> jax.Array:
-    """Return y + d - total exactly, total the rounded sum of any y and d (Knuth)."""
+    """Return y + d - total without error, with total the rounded sum of any y and d (Knuth)."""
     added = total - y
     return (y - (total - added)) + (d - added)
 
 
 class _Increment(diffrax.AbstractTerm):
-    """The term of z = y - y0."""
+    """Diffrax term of the increment z = y - y0."""
 
     term: diffrax.AbstractTerm
     y0: Any
@@ -150,7 +151,7 @@ class _Increment(diffrax.AbstractTerm):
 
 
 class _Shifted(diffrax.AbstractLocalInterpolation):
-    """y0 + z(t)."""
+    """Interpolation y0 + z(t)."""
 
     t0: Any  # type: ignore[misc]
     t1: Any  # type: ignore[misc]
@@ -164,7 +165,7 @@ class _Shifted(diffrax.AbstractLocalInterpolation):
 
 @dataclass(frozen=True)
 class _Interpolation:
-    """Dense output of y, from the dense output of the increment."""
+    """Constructor of the dense output of y from the dense output of the increment."""
 
     inner: Callable[..., diffrax.AbstractLocalInterpolation]
 

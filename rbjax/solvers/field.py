@@ -1,7 +1,7 @@
 """The vector field of a step, y' = f(t, y), and its Jacobian J = df/dy.
 
-Both are jitted, so that a robot's field of thousands of operations is traced once, however often a
-step is. The derivative of the stages of an implicit method goes through J: n columns a stage.
+Both are jitted, so a robot's field of thousands of operations is traced only once. Derivatives of
+the stages of an implicit method use J, with n columns per stage.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from rbjax.errors import InputError
 from rbjax.lanes import batch_first, matvec
 from rbjax.solvers.groups import OnGroup, Vector
 
-IN_TIME = (diffrax.ODETerm, OnGroup)  # dy = f dt: f times the length of a step
+IN_TIME = (diffrax.ODETerm, OnGroup)  # terms dy = f dt, with time as the control
 IN_OTHERS = (diffrax.ControlTerm, diffrax.UnderdampedLangevinDiffusionTerm)
 
 
 class Field(eqx.Module):
-    """The function (t, y) -> rate, in the solver's time, which runs forwards.
+    """The function (t, y) -> rate in the solver's time, which always runs forwards.
 
     Fields:
-        terms: of diffrax, or a function (t, y, *args) -> rate.
+        terms: a diffrax term, or a function (t, y, *args) -> rate.
         args: the user's arguments.
-        unravel: rebuilds the state from a vector y (`flatten`); None if y is the state.
+        unravel: function that rebuilds the state from a vector (`flatten`); None if y is the state.
     """
 
     terms: Any
@@ -49,24 +49,24 @@ class Field(eqx.Module):
 
 
 def time_direction(terms: Any, t: Any) -> Any:
-    """Return 1, of the dtype of t, or -1 if the caller's time runs backwards."""
-    return jax.tree.leaves(_unit(terms, t))[0]  # a sum of terms has as many
+    """Return 1, with the dtype of t, or -1 if the caller's time runs backwards."""
+    return jax.tree.leaves(_unit(terms, t))[0]  # a sum of terms has one control per term
 
 
 def _unit(terms: Any, t: Any) -> Any:
-    """Return the control over one unit of the solver's time."""
+    """Return the control of the terms over one unit of the solver's time."""
     return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
 
 
 def _parts(terms: Any) -> list[Any]:
-    """List the terms of a sum, without diffrax's wrappers."""
+    """Return the terms of a sum, without diffrax's wrappers."""
     whole = (*IN_TIME, *IN_OTHERS)
     return jax.tree.leaves(terms, is_leaf=lambda x: isinstance(x, whole))
 
 
 def flatten(terms: Any, args: Any, t: Any, y: Any) -> tuple[Field, jax.Array]:
-    """Make the field on vectors (n,), and y a vector. Differentiated values in the closure of the
-    caller's function become arguments, as custom derivative rules need."""
+    """Return the field on vectors (n,), and y as a vector. Traced values in the closure of the
+    user's function become arguments, which custom derivative rules require."""
     for part in _parts(terms):
         if isinstance(part, OnGroup) and not isinstance(part.group, Vector):
             raise InputError(
@@ -97,7 +97,7 @@ def _rate(f: Field, t: Any, y: Any) -> Any:
 
 @eqx.filter_jit
 def linearize(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Evaluate f(t, y) (n,) and J (n, n) of a field on vectors."""
+    """Return f(t, y) (n,) and J (n, n) of a field on vectors."""
     rate, push = jax.linearize(lambda y: f(t, y), y)
     return rate, jax.vmap(push, out_axes=-1)(jnp.eye(y.size, dtype=y.dtype))
 

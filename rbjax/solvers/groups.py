@@ -1,7 +1,7 @@
-"""Lie groups of states, and the term whose rate is in the Lie algebra of its group.
+"""Lie groups of states, and terms whose rate is in the Lie algebra of the group.
 
     y' = y xi(t, y),    xi: the velocity in the axes of the moving frame
-A vector space is the group `Vector`, so one solver serves both.
+A vector space is the group `Vector`, so the same solver also integrates vector fields.
 
 Source: Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, 2000.
 """
@@ -22,23 +22,23 @@ from rbjax.rotations import quaternion
 
 
 class AbstractGroup(eqx.Module):
-    """The exponential map, on the right of the state, its inverse, and the Lie bracket."""
+    """Base class of Lie groups: exponential map from the right, its inverse, and Lie bracket."""
 
     @abc.abstractmethod
     def retract(self, y: Any, u: Any) -> Any:
-        """y exp(u)."""
+        """Return y exp(u)."""
 
     @abc.abstractmethod
     def difference(self, y: Any, z: Any) -> Any:
-        """log(y^-1 z): the u with y exp(u) = z."""
+        """Return log(y^-1 z), the u with y exp(u) = z."""
 
     @abc.abstractmethod
     def bracket(self, u: Any, w: Any) -> Any:
-        """[u, w]."""
+        """Return the Lie bracket [u, w]."""
 
 
 class Vector(AbstractGroup):
-    """Any pytree of arrays, under addition."""
+    """Group of pytrees of arrays under addition."""
 
     def retract(self, y, u):
         return jax.tree.map(lambda a, b: a + b, y, u)
@@ -51,7 +51,7 @@ class Vector(AbstractGroup):
 
 
 class SO3(AbstractGroup):
-    """Unit quaternions (4,); algebra (3,), rotation vectors in body axes."""
+    """Group of unit quaternions (4,). Its algebra is the rotation vectors (3,) in body axes."""
 
     def retract(self, y, u):
         return jnp.stack(fusion_barrier(quaternion.turned(list(y), list(u))))
@@ -64,9 +64,11 @@ class SO3(AbstractGroup):
 
 
 class SE3(AbstractGroup):
-    """Poses (quaternion (4,), position (3,)); algebra (rotation (3,), translation (3,)), body axes.
+    """Group of poses (quaternion (4,), position (3,)).
 
-    exp(w, v) = (exp w, V v),  V = 1 + (1 - cos a) / a^2 [w] + (a - sin a) / a^3 [w]^2,  a = |w|
+    Its algebra are pairs (rotation (3,), translation (3,)) in body axes, with
+
+        exp(w, v) = (exp w, V v),  V = 1 + (1 - cos a) / a^2 [w] + (a - sin a) / a^3 [w]^2,  a = |w|
     """
 
     def retract(self, y, u):
@@ -89,7 +91,7 @@ class SE3(AbstractGroup):
 
 
 class Product(AbstractGroup):
-    """A tuple of states, each in its own group."""
+    """Direct product of groups: a tuple of states, each in its own group."""
 
     parts: tuple[AbstractGroup, ...]
 
@@ -108,8 +110,8 @@ def _rotated(turn: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def _series(square: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (1 - cos a) / a^2, (a - sin a) / a^3 and (1 - (a / 2) cot(a / 2)) / a^2 of a^2,
-    smooth at 0."""
+    """Return (1 - cos a) / a^2, (a - sin a) / a^3 and (1 - (a / 2) cot(a / 2)) / a^2 as smooth
+    functions of a^2."""
     small = square < 0.01
     x = jnp.where(small, square, 0.0)
     near = (
@@ -130,13 +132,13 @@ def _series(square: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 class OnGroup(diffrax.AbstractTerm):
-    """The equation y' = y xi(t, y) on a Lie group.
+    """The equation y' = y xi(t, y) on a Lie group, as a diffrax term.
 
     Fields:
         vector_field: (t, y, args) -> xi.
-        group: of the states y.
-        momentum: (t, y, args) -> p, linear in the velocities of y = (q, v), for the variational
-            midpoint rule. None if the mass is constant.
+        group: group of the states y.
+        momentum: (t, y, args) -> p, linear in the velocity of y = (q, v), for
+            `VariationalMidpoint`; None if the mass is constant.
     """
 
     vector_field: Callable[..., Any]
@@ -154,11 +156,11 @@ class OnGroup(diffrax.AbstractTerm):
 
 
 def unwrap(terms: Any) -> Any:
-    """Return the caller's own term, without diffrax's wrapper that may reverse time."""
+    """Return the user's term, without diffrax's wrapper that may reverse time."""
     return getattr(terms, "term", terms)
 
 
 def group_of(terms: Any) -> AbstractGroup:
-    """Return the group of a term's states."""
+    """Return the group of a term's states: `Vector` unless the term is `OnGroup`."""
     term = unwrap(terms)
     return term.group if isinstance(term, OnGroup) else Vector()

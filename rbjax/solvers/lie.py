@@ -1,16 +1,16 @@
-"""Explicit Runge-Kutta methods on Lie groups: the state never leaves its group.
+"""Explicit Runge-Kutta methods on Lie groups. The state stays on its group.
 
     Munthe-Kaas:       y = y0 exp(u), u' = xi + [u, xi] / 2 + [u, [u, xi]] / 12, u by Runge-Kutta
     Crouch-Grossman:   Y_i = y0 exp(a_i1 k_1) exp(a_i2 k_2) ...
     commutator-free:   products of exponentials of sums of the k_j
-with k_j = h xi(t_j, Y_j), for y' = y xi. Dense output: y0 exp of a cubic, of order 4, on the group.
-The sources have xi on the left: products are in the opposite order there.
+with k_j = h xi(t_j, Y_j), for y' = y xi. The dense output is y0 times the exponential of a cubic,
+of order 4. The sources have xi on the left, and their products are in the opposite order.
 
-`RigidBodySplitting` is for the free rigid body, q' = q (0, w) / 2, J w' = J w x w + torque(t, q).
-Its kinetic energy is the sum of three terms m_i^2 / 2 J_i with m = J w. Under one of them the body
-turns about its axis i at the constant rate m_i / J_i. The symmetric product
-X(h/2) Y(h/2) Z(h) Y(h/2) X(h/2) is symplectic, of order 2, and conserves the momentum in space; a
-torque changes m before and after it.
+`RigidBodySplitting` integrates the rigid body q' = q (0, w) / 2, J w' = J w x w + torque(t, q). Its
+kinetic energy is the sum of three terms m_i^2 / 2 J_i with m = J w. The flow of one term rotates
+the body about its axis i at the constant rate m_i / J_i. The symmetric product
+X(h/2) Y(h/2) Z(h) Y(h/2) X(h/2) is symplectic, of order 2, and conserves the angular momentum in
+space. A torque changes m before and after the product.
 
 Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IV.8 and VII.5.3; Celledoni,
 Marthinsen & Owren, *Future Generation Computer Systems* 19, 2003; McLachlan 1993.
@@ -73,8 +73,9 @@ class MuntheKaas(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
 
 
 def rkmk(order: int) -> MuntheKaas:
-    """Make Munthe-Kaas' method of Heun's (2), Bogacki and Shampine's (3), the classical (4) or
-    Dormand and Prince's tableau (5).
+    """Return the Munthe-Kaas method of order 2 to 5.
+
+    The tableaus are Heun's (2), Bogacki-Shampine (3), the classical one (4) and Dormand-Prince (5).
 
     Raises:
         InputError: another order.
@@ -137,8 +138,9 @@ def _product(group: AbstractGroup, y: Any, weights: tuple[float, ...], ks: tuple
 
 
 class RigidBody(OnGroup):
-    """Euler's equations of a body about its centre or a fixed point, as a term for any solver on
-    groups: state (quaternion (4,), angular velocity (3,)).
+    """Euler's equations of a body about its centre of mass or a fixed point, as a term on a group.
+
+    The state is (quaternion (4,), angular velocity (3,) in body axes).
 
     Args:
         inertia: (3,) principal moments, kg m^2, along the body axes.
@@ -173,7 +175,7 @@ class RigidBody(OnGroup):
         return w, moment / self.inertia
 
     def moment(self, t, turn, args):
-        """The torque (3,)."""
+        """Return the torque (3,), N m in body axes."""
         return jnp.zeros(3, turn.dtype) if self.torque is None else self.torque(t, turn, args)
 
 
@@ -182,7 +184,7 @@ def _no_field(t, y, args):
 
 
 class RigidBodySplitting(AbstractGroupSolver):
-    """Exact rotations about the three axes: order 2. Its term is a `RigidBody`."""
+    """Splitting of a `RigidBody` into exact rotations about its three axes: order 2."""
 
     term_structure: ClassVar[Any] = RigidBody
 
@@ -206,8 +208,8 @@ class RigidBodySplitting(AbstractGroupSolver):
 
 
 def _rotate_axes(m: jax.Array, axis: int, angle: jax.Array) -> jax.Array:
-    """Express m in axes that have turned by an angle about one of them. The change is added: a
-    cosine near 1 would round in the same direction at each step, and m would grow or shrink."""
+    """Return m in axes that are rotated by an angle about one of them. The change is added: a
+    cosine near 1 would be rounded in the same direction at each step, so m would grow or shrink."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     versine, s = 2 * jnp.sin(angle / 2) ** 2, jnp.sin(angle)
     return m.at[i].add(s * m[j] - versine * m[i]).at[j].add(-s * m[i] - versine * m[j])

@@ -2,11 +2,11 @@
 
     Adams:  y1 = y0 + int_t0^t1 P(t) dt,     P through the rates at past times (and t1: Moulton)
     BDF:    Q'(t1) = f(t1, y1),              Q through y1 and the past values
-The interpolation uses the actual times, so the step size may vary at every order. Zero-stability
-allows a growth of at most 1 + sqrt(2) a step at order 2, and less at higher orders
-(`diffrax.PIDController(factormax=...)`). RK4 starts Adams methods, Radau IIA starts BDF. The error
-is the difference from the method of one order less (Adams) or from the extrapolated past (BDF). The
-dense output is the polynomial.
+The interpolation uses the actual times, so the step size may vary at every order. For
+zero-stability a step may grow by at most 1 + sqrt(2) at order 2, and less at higher orders
+(`diffrax.PIDController(factormax=...)`). Adams methods start with RK4, BDF with Radau IIA. The
+error estimate is the difference from the method of one order less (Adams), or from the
+extrapolation of past values (BDF). The dense output is the polynomial.
 
 Source: Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, III.1 and III.5.
 """
@@ -41,8 +41,8 @@ from rbjax.solvers.steps import (
 
 
 def basis(nodes: jax.Array) -> jax.Array:
-    """Return in row j the coefficients of l_j(x) = prod_m (x - x_m) / (x_j - x_m) (n, n), constant
-    first, for distinct nodes (n,)."""
+    """Return the coefficients (n, n) of the Lagrange polynomials of distinct nodes (n,). Row j
+    contains l_j(x) = prod_m (x - x_m) / (x_j - x_m), constant first."""
     n = nodes.shape[0]
     own = jnp.eye(n, dtype=bool)
     out = jnp.zeros((n, n), nodes.dtype).at[:, 0].set(1.0)
@@ -54,17 +54,17 @@ def basis(nodes: jax.Array) -> jax.Array:
 
 
 def integrals(nodes: jax.Array) -> jax.Array:
-    """Return in row j the coefficients of x, x^2, ... in int_0^x l_j (n, n)."""
+    """Return the coefficients (n, n) of x, x^2, ... in int_0^x l_j, one row per node."""
     return basis(nodes) / jnp.arange(1, nodes.shape[0] + 1, dtype=nodes.dtype)
 
 
 def slopes_at_one(nodes: jax.Array) -> jax.Array:
-    """Return l_j'(1) (n,)."""
+    """Return the derivatives l_j'(1) (n,) of the Lagrange polynomials."""
     return (basis(nodes) * jnp.arange(nodes.shape[0], dtype=nodes.dtype)).sum(1)
 
 
 class History(NamedTuple):
-    """The entries before the current state, latest first, and the number of those filled."""
+    """Entries before the current state, latest first, and the number of filled entries."""
 
     ts: jax.Array  # (n,)
     values: jax.Array  # (n, size of the state): rates (Adams) or states (BDF)
@@ -72,7 +72,7 @@ class History(NamedTuple):
 
 
 class Step(NamedTuple):
-    """The result of a step on vectors."""
+    """Result of a step on vectors."""
 
     u: jax.Array  # (n,) y1 - y0
     error: jax.Array | None
@@ -81,36 +81,36 @@ class Step(NamedTuple):
 
 
 class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
-    """The start, the history, and the choice between a one-step method and the formula."""
+    """Base class of multistep methods: history, and a one-step method until the history is full."""
 
     @property
     @abc.abstractmethod
     def degree(self) -> int:
-        """The degree of the dense output."""
+        """Degree of the dense output."""
 
     @property
     @abc.abstractmethod
     def past(self) -> int:
-        """The number of history entries that the formula needs."""
+        """Number of past entries that the formula needs in the history."""
 
     @abc.abstractmethod
     def start(self, f: Field, t0: Any, y0: jax.Array) -> Start:
-        """Evaluate the current state, for `begin` and `formula`."""
+        """Evaluate the current state for `begin` and `formula`."""
 
     @abc.abstractmethod
     def begin(self, f: Field, h: Any, here: Start) -> Step:
-        """Make a step without history."""
+        """Compute a step without history, by a one-step method."""
 
     @abc.abstractmethod
     def formula(self, f: Field, h: Any, here: Start, history: History) -> Step:
-        """Make a step with history."""
+        """Compute a step with the multistep formula."""
 
     @abc.abstractmethod
     def history_entry(self, here: Start) -> jax.Array:
-        """Return the entry of the current state in the history."""
+        """Return the history entry of the current state."""
 
     def init(self, terms, t0, t1, y0, args):
-        # Distinct times, so that the formula stays finite where it is not used yet.
+        # Distinct times keep the formula finite while the history is not full.
         ts = t0 - (t1 - t0) * jnp.arange(1, self.past + 1, dtype=t0.dtype)
         vector, _ = ravel_pytree(y0)
         values = jnp.broadcast_to(vector, (self.past, vector.size))
@@ -144,7 +144,7 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         return step._replace(coefficients=padded, ok=jnp.asarray(step.ok))
 
     def _nodes(self, t0: Any, h: Any, history: History) -> jax.Array:
-        """Return past times in steps: t0 is 0, t1 is 1."""
+        """Return the past times in units of the step, with t0 at 0 and t1 at 1."""
         return (history.ts - t0) / jnp.where(h == 0, 1.0, h)
 
 
@@ -152,13 +152,13 @@ ADAMS = {"none": ("Adams-Bashforth", 1), "once": ("PECE", 2), "root": ("Adams-Mo
 
 
 class Adams(AbstractMultistep):
-    """Adams methods up to order 5. RK4 starts them.
+    """Adams methods up to order 5, started by RK4.
 
     Fields:
-        formula_order: from 1, with a corrector from 2.
+        formula_order: order, from 1 without corrector and from 2 with a corrector.
         corrector: "none" (Adams-Bashforth), "once" (PECE: predict, evaluate, correct, evaluate) or
             "root" (Adams-Moulton).
-        root_finder, root_find_max_steps: for "root".
+        root_finder, root_find_max_steps: used by "root".
     """
 
     formula_order: int = eqx.field(static=True)
@@ -219,7 +219,7 @@ class Adams(AbstractMultistep):
 
         predicted, t1 = u, here.t + h
         nodes = jnp.concatenate([jnp.ones(1, here.t.dtype), nodes])
-        shares = integrals(nodes).T  # of k = h f(t1, y1), and of the rates before
+        shares = integrals(nodes).T  # weights of k = h f(t1, y1) and of the earlier rates
         if self.corrector == "once":
             ok: Any = True
             k = h * f(t1, here.y + predicted)
@@ -237,7 +237,9 @@ class Adams(AbstractMultistep):
 
 
 class BDF(AbstractMultistep):
-    """Backward differentiation of order 1 to 6 for stiff equations: A-stable to 2, then A(alpha).
+    """Backward differentiation formulas of order 1 to 6 for stiff equations.
+
+    They are A-stable up to order 2, and A(alpha)-stable above.
 
     Fields: formula_order; root_finder, root_find_max_steps.
     """
@@ -287,8 +289,8 @@ class BDF(AbstractMultistep):
         nodes = self._nodes(here.t, h, history)
         nodes = jnp.concatenate([jnp.array([1.0, 0.0], here.t.dtype), nodes])
         past = history.values - here.y
-        weights = basis(nodes[1:])  # of y0, whose increment is zero, and the past
-        predicted = weighted_sums(weights[1:].sum(1), past)  # the polynomials at 1
+        weights = basis(nodes[1:])  # row 0 is y0, whose increment is zero; then the past
+        predicted = weighted_sums(weights[1:].sum(1), past)  # polynomials evaluated at 1
         nodes, past = nodes[:-1], past[:-1]
         slopes = slopes_at_one(nodes).astype(here.y.dtype)
         known = weighted_sums(slopes[2:], past)
@@ -306,21 +308,20 @@ class BDF(AbstractMultistep):
 
 
 def adams_bashforth(order: int) -> Adams:
-    """Make the explicit Adams method of order 1 to 5: one evaluation a step."""
+    """Return the explicit Adams method of order 1 to 5, with one evaluation per step."""
     return Adams(order)
 
 
 def adams_moulton(order: int, **options) -> Adams:
-    """Make the implicit Adams method of order 2 (the trapezoidal rule) to 5."""
+    """Return the implicit Adams method of order 2 (the trapezoidal rule) to 5."""
     return Adams(order, "root", **options)
 
 
 def pece(order: int) -> Adams:
-    """Make the method that predicts with Adams-Bashforth and corrects with Adams-Moulton once:
-    order 2 to 5."""
+    """Return the PECE method of order 2 to 5: Adams-Bashforth predicts, Adams-Moulton corrects."""
     return Adams(order, "once")
 
 
 def bdf(order: int, **options) -> BDF:
-    """Make the BDF of order 1 (backward Euler) to 6."""
+    """Return the BDF of order 1 (backward Euler) to 6."""
     return BDF(order, **options)

@@ -1,4 +1,4 @@
-"""The solvers by name, with their properties."""
+"""Registry of the solvers by name, with their properties."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class Entry:
 
     Fields:
         make: () -> the diffrax solver.
-        order: of convergence.
-        kind: of equations: "ode" any vector field; "second-order" a pair (q, v) with q' = v and
-            v' = a(t, q, v); "split" the same, best if a does not depend on v; "lie" a term on a
-            group.
+        order: order of convergence.
+        kind: kind of equations: "ode" any vector field; "second-order" a pair (q, v) with q' = v
+            and v' = a(t, q, v); "split" the same pair, best if a does not depend on v; "lie" a term
+            on a group.
         implicit: whether a step solves equations.
-        adaptive: whether it estimates its error. Others take constant steps, or are wrapped in
+        adaptive: whether the solver estimates its error. Run others with constant steps, or in a
             `diffrax.HalfSolver`.
     """
 
@@ -37,7 +37,7 @@ class Entry:
 
 
 def all() -> dict[str, Entry]:
-    """List the solvers by name, in a fixed order.
+    """Return the solvers by name, in a fixed order.
 
     Example:
         >>> import rbjax as rb

@@ -1,8 +1,9 @@
-"""Roots of implicit steps: Newton and chord iterations of optimistix, stopped by their corrections.
+"""Roots of implicit steps: Newton and chord iterations of optimistix with their own stopping rule.
 
-The residual of a stiff step is mostly rounding, so its size is no test of convergence. The
-iteration stops when a correction is rounding relative to the state, or when its rate predicts this
-for the next one. A failed root is a value: `ok` is false, and the step's result reports it.
+The residual of a stiff step is mostly rounding, so its size is not a test of convergence. The
+iteration stops if a correction is rounding relative to the state, or if the convergence rate
+predicts this for the next correction. A failure does not raise: `ok` is False, and the step's
+result reports it.
 """
 
 from __future__ import annotations
@@ -22,21 +23,25 @@ from rbjax._jax_compat import FIRST_STATE, correction, corrections
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
 
-MAX_STEPS = 100  # chord steps are cheap, and many where a stiff spring shakes a heavy arm
+MAX_STEPS = 100  # chord iterations are cheap, and a stiff spring on a heavy arm needs many
 ROUNDING = 4  # units in the last place of the state
-LOST = 0.2  # share of the digits lost to conditioning: constant corrections below it are rounding
-FAST = 0.1  # rate after which corrections that grow are rounding, below sqrt(eps) of the state
+LOST = 0.2  # share of digits lost to conditioning; constant corrections of this size are rounding
+FAST = 0.1  # after this convergence rate, growing corrections below sqrt(eps) are rounding
 
 
 class RootFinder(optx.AbstractRootFinder):
-    """`optx.Newton`, `optx.Chord` or diffrax's `VeryChord`, stopped by the size of its corrections.
+    """`optx.Newton`, `optx.Chord` or diffrax's `VeryChord`, stopped by the size of the corrections.
 
-    The option `scale` is the size of the state, 1 by default. Two options are functions
-    (y, args) -> (value, None) whose Jacobian replaces the one of the residual: `near` for a chord,
-    `slope` for Newton's iteration too.
+    Options:
+        scale: size of the state, 1 by default.
+        near: function (y, args) -> (value, None) whose Jacobian replaces that of the residual in
+            chord
+            iterations.
+        slope: function like `near`, used in chord and Newton iterations.
 
     Fields:
-        inner: the root finder. optimistix and diffrax expect the other fields; they are not used.
+        inner: the wrapped root finder. optimistix and diffrax require the other fields, which are
+            not used.
     """
 
     rtol: float = 1.0
@@ -45,7 +50,7 @@ class RootFinder(optx.AbstractRootFinder):
     inner: Any = eqx.field(default_factory=lambda: _make(optx.Chord, Inverse()))
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        if FIRST_STATE in options:  # diffrax starts one iteration for all stages of a step
+        if FIRST_STATE in options:  # diffrax shares one initial state between all stages of a step
             return options[FIRST_STATE]
         fn = options.get("near", options.get("slope", fn))
         inner = self.inner.init(fn, y, args, {}, f_struct, aux_struct, tags)
@@ -53,7 +58,7 @@ class RootFinder(optx.AbstractRootFinder):
         return inner, infinite, infinite
 
     def step(self, fn, y, args, options, state, tags):
-        inner, _, pace = state  # pace: the size of a correction if each had shrunk by FAST
+        inner, _, pace = state  # pace: size of the correction if each one had shrunk by FAST
         before = _max_abs(correction(inner))
         if isinstance(self.inner, optx.Newton):
             fn = options.get("slope", fn)
@@ -86,17 +91,18 @@ class RootFinder(optx.AbstractRootFinder):
 
 
 def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
-    """Make a full Newton iteration: a new Jacobian in each step. `lineax.GMRES` needs no matrix."""
+    """Return a full Newton iteration, with a new Jacobian in each step. `lineax.GMRES` needs no
+    matrix."""
     return RootFinder(
         inner=_make(optx.Newton, linear_solver or lx.AutoLinearSolver(well_posed=None))
     )
 
 
 def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
-    """Make a simplified Newton iteration: one Jacobian a step, at the first guess.
+    """Return a simplified Newton iteration, with one Jacobian per step at the initial guess.
 
     Raises:
-        InputError: a linear solver that uses only products, so there is no matrix to keep.
+        InputError: the linear solver uses only matrix-vector products, so it cannot reuse a matrix.
     """
     if linear_solver is not None and iterative(linear_solver):
         name = type(linear_solver).__name__
@@ -108,12 +114,12 @@ def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
 
 
 def very_chord() -> RootFinder:
-    """Make diffrax's iteration for diagonally implicit methods: one Jacobian for all stages."""
+    """Return diffrax's iteration for diagonally implicit methods: one Jacobian for all stages."""
     return RootFinder(inner=diffrax.VeryChord(1.0, 1.0))
 
 
 class Inverse(lx.AbstractLinearSolver):
-    """Linear solver by the inverse matrix, for chords, which solve often with one matrix."""
+    """Linear solver by the inverse matrix, for chord iterations, which reuse one matrix often."""
 
     def init(self, operator, options):
         return jnp.linalg.inv(operator.as_matrix())
@@ -142,12 +148,12 @@ def linear_solver(finder: Any) -> lx.AbstractLinearSolver:
 
 
 def matrix_free(finder: Any) -> bool:
-    """Whether the linear solver of a root finder uses only matrix-vector products."""
+    """Return whether the linear solver of a root finder uses only matrix-vector products."""
     return iterative(linear_solver(finder))
 
 
 def iterative(solver: lx.AbstractLinearSolver) -> bool:
-    """Whether a linear solver uses only matrix-vector products."""
+    """Return whether a linear solver uses only matrix-vector products."""
     return isinstance(solver, (lx.GMRES, lx.BiCGStab, lx.CG, lx.Normal))
 
 
@@ -160,15 +166,19 @@ def root(
     near: Any = None,
     slope: Any = None,
 ) -> tuple[Any, jax.Array]:
-    """Find the root of `residual` near `guess`; y0 sets the scale. Returns it and whether it was
-    found. The root is differentiated by the implicit function theorem.
+    """Find the root of `residual` near `guess`. Return it and whether the iteration converged.
 
-    `near` has a cheaper derivative, for chords. `slope` has the same roots, and a derivative with
-    which Newton converges from farther away.
+    The root is differentiated by the implicit function theorem.
+
+    Args:
+        y0: state whose size is the scale of the convergence test.
+        near: function with a cheaper Jacobian than `residual`, for chord iterations; None to omit.
+        slope: function with the same roots, whose Jacobian makes Newton's method converge from
+            farther away; None to omit.
     """
     options: dict[str, Any] = {"scale": _max_abs(y0)}
     for name, f in (("near", near), ("slope", slope)):
-        if f is not None:  # closed-over values become leaves, so that `stop_gradient` stops them
+        if f is not None:  # closed-over values become leaves, which `stop_gradient` reaches
             options[name] = eqx.filter_closure_convert(f, guess, None)
     solution: Any = optx.root_find(
         lambda x, _: residual(x),
@@ -182,18 +192,18 @@ def root(
 
 
 def step_result(ok: jax.Array) -> Any:
-    """Return the diffrax result of a step whose roots were found, or not."""
+    """Return the diffrax result of a step, from whether its roots were found."""
     results = diffrax.RESULTS
     return results.where(ok, results.successful, results.nonlinear_divergence)
 
 
 def mark_failed(ok: jax.Array, error: Any) -> Any:
-    """Make the error estimate infinite if a root failed, so that the step is shortened."""
+    """Return the error estimate, or infinity if a root failed, so that the step is shortened."""
     return jax.tree.map(lambda x: jnp.where(ok, x, jnp.inf), error)
 
 
 def stop_gradient(tree: Any) -> Any:
-    """Stop the derivatives of a tree, some leaves of which are not arrays."""
+    """Stop the derivatives of a pytree that may contain leaves other than arrays."""
     numbers, rest = eqx.partition(tree, eqx.is_array)
     return eqx.combine(jax.lax.stop_gradient(numbers), rest)
 

@@ -1,8 +1,8 @@
-"""Rosenbrock-W methods: linearly implicit, of full order for any matrix J.
+"""Rosenbrock-W methods: linearly implicit methods that keep their order for any matrix J.
 
     (I - h gamma J) k_i = h f(t0 + alpha_i h, y0 + sum_j alpha_ij k_j) + h J sum_j gamma_ij k_j
                           + gamma_i h^2 df/dt,    y1 = y0 + sum_i b_i k_i
-A step takes one Jacobian and one factorization. The coefficients are checked against the order
+A step needs one Jacobian and one factorization. The coefficients are checked against the order
 conditions of W-methods.
 
 Source: Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.7; Rang & Angermann, *BIT*
@@ -31,8 +31,8 @@ from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
 
 def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]) -> np.ndarray:
-    """Return Phi_i of a tree. `kinds`, which is consumed, marks the nodes with one branch that have
-    a factor J."""
+    """Return the elementary weights Phi_i (s,) of a rooted tree. `kinds`, which is consumed, marks
+    the nodes with one branch that have a factor J."""
     matrix = gamma if len(tree) == 1 and kinds.pop(0) else alpha
     out = np.ones(len(alpha))
     for branch in tree:
@@ -41,12 +41,12 @@ def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]
 
 
 def _single(tree: Tree) -> int:
-    """Count the nodes with one branch."""
+    """Return the number of nodes of a rooted tree that have one branch."""
     return (len(tree) == 1) + sum(map(_single, tree))
 
 
 def holds(alpha: np.ndarray, gamma: np.ndarray, b: np.ndarray, order: int) -> bool:
-    """Check the order conditions of W-methods: 1 / density without J, zero with it."""
+    """Check the order conditions of W-methods: weight 1 / density for trees without J, 0 with J."""
     for tree in itertools.chain.from_iterable(trees(p) for p in range(1, order + 1)):
         for kinds in itertools.product([False, True], repeat=_single(tree)):
             target = 0 if any(kinds) else 1 / density(tree)
@@ -57,8 +57,14 @@ def holds(alpha: np.ndarray, gamma: np.ndarray, b: np.ndarray, order: int) -> bo
 
 @dataclass(frozen=True)
 class RosenbrockTableau:
-    """The coefficients: alpha strictly lower, gamma lower with a constant diagonal, b, b of the
-    embedded method of one order less."""
+    """Coefficients of a Rosenbrock-W method.
+
+    Fields:
+        alpha, gamma: (s, s), strictly lower triangular; lower triangular with a constant diagonal.
+        b: (s,) weights of the method.
+        companion: (s,) weights of the embedded method, whose order is one less.
+        order: order of the method.
+    """
 
     alpha: tuple[tuple[float, ...], ...]
     gamma: tuple[tuple[float, ...], ...]
@@ -76,7 +82,12 @@ class RosenbrockTableau:
 
 
 class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
-    """A Rosenbrock-W method. Its `linear_solver` is of lineax; `lineax.GMRES` needs no matrix."""
+    """A Rosenbrock-W method.
+
+    Fields:
+        tableau: coefficients of the method.
+        linear_solver: a lineax solver; `lineax.GMRES` avoids the matrix.
+    """
 
     tableau: RosenbrockTableau = eqx.field(static=True)
     linear_solver: lx.AbstractLinearSolver = eqx.field(default_factory=lx.LU)
@@ -112,7 +123,7 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
             sound = solved.result == lx.RESULTS.successful
             return ks.at[i].set(solved.value, mode="drop"), (rate, sound)
 
-        # One more stage at y1, only for its rate: the body of the loop is compiled anyway.
+        # One more stage at y1, only for its rate, reuses the compiled body of the loop.
         alpha = np.vstack([alpha, self.tableau.b])
         below = np.vstack([np.tril(gamma, -1), np.zeros(len(gamma))])
         rows = (np.arange(len(alpha)), alpha.astype(y.dtype), below.astype(y.dtype))
@@ -161,10 +172,10 @@ def _ros34pw2() -> RosenbrockTableau:
 
 
 def ros2(**options) -> RosenbrockW:
-    """Make Verwer's method of two stages: order 2, L-stable."""
+    """Return Verwer's Rosenbrock-W method of two stages: order 2, L-stable."""
     return RosenbrockW(_ros2(), **options)
 
 
 def ros34pw2(**options) -> RosenbrockW:
-    """Make Rang and Angermann's method of four stages: order 3, L-stable, stiffly accurate."""
+    """Return Rang and Angermann's Rosenbrock-W method of four stages: order 3, L-stable."""
     return RosenbrockW(_ros34pw2(), **options)

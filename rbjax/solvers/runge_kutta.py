@@ -1,11 +1,11 @@
-"""Runge-Kutta methods that diffrax lacks: the classical one, fully implicit ones, Alexander's.
+"""Runge-Kutta methods that diffrax lacks: classical RK4, fully implicit methods, Alexander's SDIRK.
 
     k_i = h f(t0 + c_i h, y0 + sum_j a_ij k_j),    y1 = y0 + sum_i b_i k_i
-The stage equations of an implicit method have the Newton matrix 1 - h (a_ij J_i), with Jacobians
-J_i of the field. The chord iteration takes 1 - h A (x) J, with one J at the start of the step: n
-columns of derivatives a step instead of s n. The error is the difference from the quadrature that
+The Newton matrix of the stage equations is 1 - h (a_ij J_i), with Jacobians J_i of the field. The
+chord iteration uses 1 - h A (x) J with one J at the start of the step, which needs n columns of
+derivatives per step instead of s n. The error estimate is the difference from the quadrature that
 also uses f(t0, y0), multiplied by (1 - h gamma J)^-1, so that it does not grow with the stiffness.
-The dense output is the collocation polynomial. A BDF or an Adams method has one such stage.
+The dense output is the collocation polynomial. A step of BDF or Adams-Moulton has one such stage.
 
 Source: Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.5 and IV.8.
 """
@@ -49,7 +49,8 @@ from rbjax.solvers.tableau import Tableau
 
 
 class RK4(diffrax.AbstractERK):
-    """The classical method, of order 4, with an error estimate of order 3 by the rate at y1."""
+    """The classical Runge-Kutta method of order 4. Its error estimate of order 3 uses the rate at
+    y1."""
 
     tableau: ClassVar[diffrax.ButcherTableau] = diffrax.ButcherTableau(
         a_lower=tuple(np.array(row[:i]) for i, row in enumerate(TABLE.a) if i),
@@ -66,7 +67,8 @@ class RK4(diffrax.AbstractERK):
 
 
 class Start(NamedTuple):
-    """The start of a step. The Jacobian is None for a matrix-free method."""
+    """Time, state, rate and Jacobian at the start of a step. The Jacobian is None if
+    matrix-free."""
 
     t: Any
     y: jax.Array  # (n,)
@@ -75,7 +77,7 @@ class Start(NamedTuple):
 
 
 def start(f: Field, t: Any, y: jax.Array, finder: Any) -> Start:
-    """Evaluate the rate and the Jacobian at (t, y)."""
+    """Evaluate the rate and, unless the root finder is matrix-free, the Jacobian at (t, y)."""
     return Start(t, y, *((f(t, y), None) if matrix_free(finder) else _rate_and_jacobian(f, t, y)))
 
 
@@ -86,14 +88,14 @@ def _rate_and_jacobian(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.A
 
 @_rate_and_jacobian.def_jvp
 def _(primals: Any, tangents: Any) -> Any:
-    """Set the derivative of the Jacobian to zero: roots do not depend on it."""
+    """Set the derivative of the Jacobian to zero, because roots do not depend on the Jacobian."""
     rate, jacobian = _rate_and_jacobian(*primals)
     _, moving = eqx.filter_jvp(lambda f, t, y: f(t, y), primals, tangents)
     return (rate, jacobian), batch_first((moving, jnp.zeros_like(jacobian)))
 
 
 class Stages(eqx.Module):
-    """The residual of the increments k (s, n)."""
+    """Residual of implicit stage equations, as a function of the increments k (s, n)."""
 
     f: Field
     h: Any
@@ -109,7 +111,7 @@ class Stages(eqx.Module):
 
 
 class Chord(eqx.Module):
-    """The linear map (1 - h A (x) J) k, whose derivative replaces the one of `Stages`."""
+    """The linear map k - h (A (x) J) k, whose derivative a chord iteration uses."""
 
     h: Any
     a: jax.Array
@@ -123,14 +125,15 @@ def solve(
     f: Field, h: Any, t: jax.Array, y: jax.Array, a: jax.Array, start: Start, guess: jax.Array,
     finder: Any, max_steps: int,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """Solve the stage equations. Returns the increments (s, n), and whether they were found."""
+    """Solve the stage equations. Return the increments (s, n) and whether the solution
+    succeeded."""
     residual = Stages(f, h, t, y, a, matrix_free(finder))
     near = None if start.jacobian is None else Chord(h, a, start.jacobian)
     return root(residual, finder, guess, start.y, max_steps, near)
 
 
 def damped(f: Field, gamma_h: Any, start: Start, raw: jax.Array, finder: Any) -> jax.Array:
-    """Return (1 - gamma h J)^-1 raw for an error estimate raw, with J at the start."""
+    """Return (1 - gamma h J)^-1 raw: an error estimate without its stiff components."""
     if start.jacobian is None:
         _, push = jax.linearize(lambda y: f(start.t, y), start.y)
         operator: Any = lx.FunctionLinearOperator(
@@ -142,16 +145,17 @@ def damped(f: Field, gamma_h: Any, start: Start, raw: jax.Array, finder: Any) ->
     return lx.linear_solve(operator, raw, linear_solver(finder), throw=False).value
 
 
-MOST_STAGES = 9  # with more, rounding spoils the coefficients computed from the nodes
+MOST_STAGES = 9  # with more stages, rounding spoils the coefficients computed from the nodes
 
 
 class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
-    """A fully implicit Runge-Kutta method. Its stages are exact to rounding.
+    """A fully implicit Runge-Kutta method. Its stage equations are solved to rounding.
 
     Fields:
-        tableau: the method. Without error weights its steps are constant.
-        root_finder: of optimistix; `rb.solvers.newton()` and `chord()` take a linear solver.
-        root_find_max_steps: iterations at most.
+        tableau: coefficients of the method. Steps are constant if it has no error weights.
+        root_finder: an optimistix root finder, e.g. `rb.solvers.newton(linear_solver)` or
+            `chord()`.
+        root_find_max_steps: largest number of iterations.
     """
 
     tableau: Tableau = eqx.field(static=True)
@@ -179,10 +183,10 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         return f.unravel(y + u), error, dense, solver_state, step_result(ok)
 
     def solve(self, f: Field, h: Any, here: Start) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return y1 - y0 (n,), the stages (s, n), and whether they were found."""
+        """Return y1 - y0 (n,), the stages (s, n), and whether the solution succeeded."""
         a, c, b = (jnp.asarray(x, here.y.dtype) for x in
                    (self.tableau.a, self.tableau.c, self.tableau.b))  # fmt: skip
-        # with the guess zero, the first correction is a linearly implicit step
+        # zero initial guess: the first correction is a linearly implicit step
         guess = jnp.zeros((self.tableau.stages, here.y.size), here.y.dtype)
         k, ok = solve(
             f, h, here.t + c.astype(jnp.result_type(h)) * h, here.y, a, here, guess,
@@ -191,52 +195,55 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         return weighted_sums(b, k), k, ok
 
     def estimate(self, f: Field, h: Any, here: Start, k: jax.Array) -> jax.Array:
-        """Estimate the error of y1."""
+        """Estimate the error (n,) of y1."""
         at_start, *others = self.tableau.error
         raw = weighted_sums(others, k) + at_start * h * here.rate
         return damped(f, self.tableau.filter * h, here, raw, self.root_finder)
 
     def polynomial(self, k: jax.Array) -> jax.Array:
-        """Return the coefficients of theta, theta^2, ... in sum_i b_i(theta) k_i."""
+        """Return the coefficients of theta, theta^2, ... of the dense output sum_i b_i(theta)
+        k_i."""
         return weighted_sums(tuple(zip(*self.tableau.dense, strict=True)), k)
 
 
 def implicit_midpoint(**options) -> ImplicitRungeKutta:
-    """Make y1 = y0 + h f((y0 + y1) / 2): order 2, A-stable, symplectic, symmetric."""
+    """Return the implicit midpoint rule y1 = y0 + h f((y0 + y1) / 2). It has order 2 and is
+    A-stable, symplectic and symmetric."""
     return ImplicitRungeKutta(tables.gauss(1), **options)
 
 
 def trapezoid(**options) -> ImplicitRungeKutta:
-    """Make the trapezoidal rule, Crank-Nicolson: order 2, A-stable, symmetric."""
+    """Return the trapezoidal rule (Crank-Nicolson): order 2, A-stable, symmetric."""
     return ImplicitRungeKutta(tables.lobatto_iiia(2), **options)
 
 
 def gauss_legendre(stages: int = 2, **options) -> ImplicitRungeKutta:
-    """Make Gauss-Legendre: order 2 s, A-stable, symplectic."""
+    """Return the Gauss-Legendre method of s stages: order 2 s, A-stable, symplectic."""
     integer("gauss_legendre", "stages", stages, least=1, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.gauss(stages), **options)
 
 
 def radau_iia(stages: int = 3, **options) -> ImplicitRungeKutta:
-    """Make Radau IIA: order 2 s - 1, L-stable, for stiff equations; one stage is backward Euler."""
+    """Return the Radau IIA method of s stages: order 2 s - 1, L-stable. One stage is backward
+    Euler."""
     integer("radau_iia", "stages", stages, least=1, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.radau_iia(stages), **options)
 
 
 def lobatto_iiia(stages: int = 3, **options) -> ImplicitRungeKutta:
-    """Make Lobatto IIIA: order 2 s - 2, A-stable, symmetric."""
+    """Return the Lobatto IIIA method of s stages: order 2 s - 2, A-stable, symmetric."""
     integer("lobatto_iiia", "stages", stages, least=2, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiia(stages), **options)
 
 
 def lobatto_iiic(stages: int = 3, **options) -> ImplicitRungeKutta:
-    """Make Lobatto IIIC: order 2 s - 2, L-stable."""
+    """Return the Lobatto IIIC method of s stages: order 2 s - 2, L-stable."""
     integer("lobatto_iiic", "stages", stages, least=2, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiic(stages), **options)
 
 
 G = 1 - 0.5**0.5
-#: theta, theta^2 in the integrals of (1 - theta) / (1 - G) and (theta - G) / (1 - G)
+#: coefficients of theta, theta^2 in the integrals of (1 - theta) / (1 - G), (theta - G) / (1 - G)
 DENSE = ((1 / (1 - G), -G / (1 - G)), (-0.5 / (1 - G), 0.5 / (1 - G)))
 
 
@@ -248,8 +255,8 @@ def _collocation(*, t0: Any, t1: Any, y0: Any, y1: Any, k: Any) -> Polynomial:
 class SDIRK2(diffrax.AbstractSDIRK):
     """Alexander's diagonally implicit method of two stages: order 2, L-stable, stiffly accurate.
 
-    gamma = 1 - 1 / sqrt 2,    c = (gamma, 1),    a_21 = b_1 = 1 - gamma,    b_2 = gamma
-    The embedded method is of order 1. diffrax has Kvaerno's methods of order 3, 4 and 5.
+        gamma = 1 - 1 / sqrt 2,    c = (gamma, 1),    a_21 = b_1 = 1 - gamma,    b_2 = gamma
+    The embedded method has order 1. For order 3, 4 and 5 use Kvaerno's methods of diffrax.
 
     Source: Alexander, *SIAM Journal on Numerical Analysis* 14, 1977.
     """

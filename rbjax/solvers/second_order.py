@@ -1,14 +1,16 @@
 """Methods for q' = v, v' = a(t, q, v): Newmark's family, semi-implicit Euler, variational midpoint.
 
-The state is a pair (q, v) whose rate is (v, a). If q is in a Lie group (`OnGroup`), q + u is
-q exp(u). Newmark's family with a carried acceleration A:
+The state is a pair (q, v) with rate (v, a). On a Lie group (`OnGroup`), q + u means q exp(u).
+Newmark's family stores an acceleration A between steps:
 
     q1 = q0 + h v0 + h^2 ((1/2 - beta) A0 + beta A1)
     v1 = v0 + h ((1 - gamma) A0 + gamma A1)
     (1 - alpha_m) A1 + alpha_m A0 = (1 - alpha_f) a1 + alpha_f a0,    a1 = a(t1, q1, v1)
-Sources: Newmark 1959; Hilber, Hughes & Taylor 1977; Chung & Hulbert 1993; Arnold & Bruels,
-*Multibody System Dynamics* 18, 2007. Dense output: cubic. No error estimate: constant steps, or
-`diffrax.HalfSolver`, which compares a step with two halves.
+The dense output is a cubic. There is no error estimate: use constant steps, or
+`diffrax.HalfSolver`, which compares a step with two half steps.
+
+Source: Newmark 1959; Hilber, Hughes & Taylor 1977; Chung & Hulbert 1993; Arnold & Bruels,
+*Multibody System Dynamics* 18, 2007.
 """
 
 from __future__ import annotations
@@ -37,11 +39,11 @@ from rbjax.solvers.steps import (
 )
 
 RESULTS = diffrax.RESULTS
-ROUNDING = 1e-6  # of the parameters, in single precision
+ROUNDING = 1e-6  # rounding error of the parameters in single precision
 
 
 class Halves(eqx.Module):
-    """A term whose state is a pair (q, v): its rates, and the addition of increments."""
+    """A term whose state is a pair (q, v), with access to the halves of its rate and state."""
 
     terms: Any
     args: Any
@@ -56,18 +58,18 @@ class Halves(eqx.Module):
         return split_pair(self.rate(t, y))[0][0]
 
     def kick(self, y: Any, dv: Any) -> Any:
-        """Add dv to v."""
+        """Return the state with dv added to v."""
         (q, v), together = split_pair(y)
         return together([q, combine((1.0, 1.0), (v, dv))])
 
     def advance(self, y: Any, dq: Any, dv: Any) -> Any:
-        """Add dq to q, on its group, and dv to v."""
+        """Return the state with dq added to q, on its group, and dv added to v."""
         _, together = split_pair(y)
         return group_of(self.terms).retract(y, together([dq, dv]))
 
 
 def momentum_function(terms: Any, args: Any) -> Callable[[Any, Any], Any] | None:
-    """Return the momentum p(t, y) of a term, if it has one, with t in the solver's time."""
+    """Return the momentum function (t, y) -> p of a term, with t in the solver's time, or None."""
     of_term = getattr(unwrap(terms), "momentum", None)
     return of_term and (lambda t, y: of_term(time_direction(terms, t) * t, y, args))
 
@@ -78,9 +80,10 @@ def multiply_by_mass(
     residual: Callable[[Any], Any],
     guess: Any,
 ) -> tuple[Callable[[Any], Any], Callable[[Any, Any], Any]]:
-    """Multiply an equation of accelerations by M: at the guess, and at place(k). Newton on the
-    latter converges from farther away: the force of a stiff spring is linear in q, and M(q)^-1
-    times this force is not."""
+    """Multiply the residual of an equation of accelerations by the mass matrix. The first returned
+    function uses the mass matrix at the guess, the second one at place(k). Newton's method on the
+    second one converges from farther away, because the force of a stiff spring is linear in q, and
+    M(q)^-1 times this force is not."""
     held = jax.lax.stop_gradient(place(guess))
     _, inertia = jax.linearize(lambda v: momentum(held, v), guess)
 
@@ -94,7 +97,9 @@ def multiply_by_mass(
 
 
 class GeneralizedAlpha(AbstractGroupSolver):
-    """The implicit members of Newmark's family. Order 2 if gamma = 1/2 - alpha_m + alpha_f, else 1.
+    """Implicit members of Newmark's family.
+
+    The order is 2 if gamma = 1/2 - alpha_m + alpha_f, and 1 otherwise.
 
     Fields: alpha_m, alpha_f, beta, gamma; root_finder, root_find_max_steps.
     """
@@ -107,12 +112,12 @@ class GeneralizedAlpha(AbstractGroupSolver):
     root_find_max_steps: int = MAX_STEPS
 
     def order(self, terms):
-        """Return the order; 1 if the parameters are traced."""
+        """Return the order of the method, or 1 if the parameters are traced."""
         off: Any = self.gamma - (1 / 2 - self.alpha_m + self.alpha_f)
         return 2 if not isinstance(off, jax.core.Tracer) and abs(off) < ROUNDING else 1
 
     def init(self, terms, t0, t1, y0, args):
-        # A, and whether it must first be set to the acceleration, as after a jump
+        # A, and whether the next step must first set it to the acceleration, as after a jump
         return split_pair(_no_rate(terms, args, t0, y0))[0][1], jnp.array(True)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
@@ -123,10 +128,10 @@ class GeneralizedAlpha(AbstractGroupSolver):
         carried, begins = solver_state
         carried = select(begins | made_jump, now, carried)
         m, f = self.alpha_m, self.alpha_f
-        bent = time_direction(terms, h) * h  # q'' is v', except for the sign of time
+        bent = time_direction(terms, h) * h  # q'' is v' times the direction of time
 
         def after(k):
-            """Return h A1 and the next state, from k = h a1."""
+            """Return h A1 and the next state, for k = h a1."""
             old = scale(h, carried)
             carrying = combine(
                 ((1 - f) / (1 - m), f / (1 - m), -m / (1 - m)), (k, scale(h, now), old)
@@ -138,7 +143,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
         def residual(k):
             return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
 
-        # The guess has q moving on at v0: the acceleration of a stiff spring leads far away.
+        # The guess extrapolates q at v0, because the acceleration of a stiff spring leads far away.
         explicit = self.beta == 0
         free = jnp.where(explicit, 0.0, (self.beta - 0.5) / jnp.where(explicit, 1.0, self.beta))
         guess = combine(
@@ -164,39 +169,38 @@ class GeneralizedAlpha(AbstractGroupSolver):
 
 
 def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
-    """Return zeros of the shapes of the rate."""
+    """Return zeros with the shapes of the rate."""
     rate = jax.eval_shape(Field(terms, args), t, y)
     return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), rate)
 
 
 def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
-    """Make Chung and Hulbert's method: order 2, with the spectral radius rho_inf, from 0 to 1, at
-    infinite frequency."""
+    """Return Chung and Hulbert's generalized-alpha method of order 2. `rho_inf`, from 0 to 1, is
+    the spectral radius at infinite frequency."""
     real_number("generalized_alpha", "rho_inf", rho_inf, least=0, most=1, traced=True)
     m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)
 
 
 def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlpha:
-    """Make Newmark's method: order 2 if gamma is 1/2; a larger gamma damps. beta 1/4 is the average
-    acceleration method, which is A-stable."""
+    """Return Newmark's method. The order is 2 if gamma is 1/2. A larger gamma damps. With beta 1/4
+    it is the average acceleration method, which is A-stable."""
     real_number("newmark", "beta", beta, least=0, traced=True)
     real_number("newmark", "gamma", gamma, least=0.5, traced=True)  # below, oscillations grow
     return GeneralizedAlpha(0.0, 0.0, beta, gamma, **options)
 
 
 def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
-    """Make Hilber, Hughes and Taylor's method: order 2, A-stable. alpha is from -1/3, with the most
-    damping, to 0."""
+    """Return the method of Hilber, Hughes and Taylor: order 2, A-stable. `alpha` goes from -1/3,
+    with the most damping, to 0."""
     real_number("hht_alpha", "alpha", alpha, least=-1 / 3, most=0, traced=True)
     return GeneralizedAlpha(0.0, -alpha, (1 - alpha) ** 2 / 4, 1 / 2 - alpha, **options)
 
 
 class CentralDifferences(AbstractGroupSolver):
-    """Newmark's explicit member (beta 0, gamma 1/2): order 2, stable to h omega = 2.
-
-    Forces that depend on the velocity use v0 + h a0, so the method stays explicit and of order 2.
-    """
+    """Newmark's explicit member (beta 0, gamma 1/2): order 2, stable up to h omega = 2. Forces that
+    depend on the velocity are evaluated at v0 + h a0, so the method stays explicit and of order
+    2."""
 
     def order(self, terms):
         return 2
@@ -213,11 +217,11 @@ class CentralDifferences(AbstractGroupSolver):
 
 
 class SemiImplicitEuler(AbstractGroupSolver):
-    """Semi-implicit Euler with damping treated implicitly, the default of robot engines.
+    """Semi-implicit Euler with implicit damping, the default of robot simulators: order 1.
 
-    (1 - h da/dv) (v1 - v0) = h a(t0, q0, v0),    q1 = q0 + h v1.  Order 1; damping sets no limit
-    on the step. da/dv includes Coriolis forces and servo gains. `linear_solver` is of lineax;
-    `lineax.GMRES` needs no matrix.
+        (1 - h da/dv) (v1 - v0) = h a(t0, q0, v0),    q1 = q0 + h v1
+    Damping does not limit the step. da/dv includes Coriolis forces and servo gains. `linear_solver`
+    is a lineax solver; `lineax.GMRES` needs no matrix.
     """
 
     linear_solver: lx.AbstractLinearSolver = eqx.field(default_factory=lx.LU)
@@ -241,12 +245,12 @@ class SemiImplicitEuler(AbstractGroupSolver):
 
 
 class VariationalMidpoint(AbstractGroupSolver):
-    """The discrete Euler-Lagrange equations of L_d = h L(q0 + h w / 2, w), q1 = q0 + h w.
+    """Variational midpoint rule: discrete Euler-Lagrange equations of L_d = h L(q0 + h w / 2, w).
 
-    p1 - p0 = h p'(m),  (p0 + p1) / 2 = p(m),  m = (q0 + h w / 2, w)  with p = M(q) v. The method is
-    exactly symplectic in (q, p), and of order 2 with any forces. The term gives the momentum
-    (`OnGroup(..., momentum=)`). Without it the mass is constant, p is v, and this is the implicit
-    midpoint rule. (Marsden & West, *Acta Numerica* 2001.)
+        q1 = q0 + h w,  p1 - p0 = h p'(m),  (p0 + p1) / 2 = p(m),  m = (q0 + h w / 2, w)
+    p = M(q) v. The method is exactly symplectic in (q, p), and of order 2 with any forces. The term
+    provides the momentum (`OnGroup(..., momentum=)`). Without it the mass is constant, p is v, and
+    the method is the implicit midpoint rule. (Marsden & West, *Acta Numerica* 2001.)
 
     Fields: root_finder, root_find_max_steps.
     """

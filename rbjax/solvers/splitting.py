@@ -3,9 +3,10 @@
     kick:  v' = a(t, q, v) at constant q        drift:  q' = v at constant v
     symplectic Euler  K(h) D(h);   Stoermer-Verlet  K(h/2) D(h) K(h/2);
     Yoshida  Verlet of steps w_1 h, ..., w_s h, with sum w = 1, sum w^3 = 0, sum w^5 = 0
-The state is a pair (q, v). If a does not depend on v, both flows are exact, and for a constant mass
-the method is symplectic: the energy error stays bounded. If a depends on v, a Runge-Kutta method of
-the same order integrates the kick. Dense output: cubic. Steps are constant.
+The state is a pair (q, v). If a does not depend on v, both flows are exact. With a constant mass
+the method is then symplectic, and the energy error stays bounded. If a depends on v, a Runge-Kutta
+method of at least the same order integrates the kick. The dense output is a cubic. Steps are
+constant.
 
 Source: Yoshida, *Physics Letters A* 150, 1990; Hairer, Lubich & Wanner, *Geometric Numerical
 Integration*, II.5, V.3, coefficients of (3.11).
@@ -41,7 +42,7 @@ YOSHIDA6 = (*_OUTER, 1 - 2 * sum(_OUTER), *_OUTER[::-1])
 
 
 def _kick_method(order: int) -> tables.Tableau:
-    """Choose an explicit method of at least this order, for kicks."""
+    """Return an explicit tableau of at least this order, for kicks."""
     if order == 1:
         return tables.EULER
     if order == 2:
@@ -53,10 +54,10 @@ class Splitting(AbstractGroupSolver):
     """A composition of alternating kicks and drifts.
 
     Fields:
-        kicks: shares of the step, as many as drifts or one more.
-        drifts: shares of the step.
-        formula_order: the order of the composition.
-        velocity_forces: whether a may depend on v. If not, each kick is one evaluation.
+        kicks: fractions of the step, as many as drifts or one more.
+        drifts: fractions of the step.
+        formula_order: order of the composition.
+        velocity_forces: whether a may depend on v. If False, each kick is one evaluation.
     """
 
     kicks: tuple[float, ...] = eqx.field(static=True)
@@ -97,7 +98,7 @@ class Splitting(AbstractGroupSolver):
             k = explicit_stages(rate, table, t, kick * h)(zero)
             y = halves.kick(y, scale(kick * h, combine(table.b, k)))
             drifted = halves.advance(y, scale(drift * h, halves.velocity(t, y)), zero)
-            return select(drift == 0, y, drifted), None  # the last: no drift, and no rounding
+            return select(drift == 0, y, drifted), None  # a zero drift would add rounding
 
         weights = tuple(map(jnp.asarray, (self.kicks, drifts, times)))
         y1, _ = jax.lax.scan(part, y0, weights)
@@ -114,20 +115,20 @@ def _verlets(w: tuple[float, ...], order: int, velocity_forces: bool) -> Splitti
 
 
 def symplectic_euler(velocity_forces: bool = True) -> Splitting:
-    """Make v1 = v0 + h a(t0, q0, v0), q1 = q0 + h v1: order 1."""
+    """Return symplectic Euler: v1 = v0 + h a(t0, q0, v0), q1 = q0 + h v1, order 1."""
     return Splitting((1.0,), (1.0,), 1, velocity_forces)
 
 
 def stoermer_verlet(velocity_forces: bool = True) -> Splitting:
-    """Make half a kick, a drift, half a kick: order 2, symmetric."""
+    """Return the Stoermer-Verlet method: half a kick, a drift, half a kick; order 2, symmetric."""
     return _verlets((1.0,), 2, velocity_forces)
 
 
 def yoshida4(velocity_forces: bool = True) -> Splitting:
-    """Make three Verlet steps, the middle one backwards: order 4."""
+    """Return Yoshida's method of three Verlet steps, the middle one backwards: order 4."""
     return _verlets(YOSHIDA4, 4, velocity_forces)
 
 
 def yoshida6(velocity_forces: bool = True) -> Splitting:
-    """Make seven Verlet steps, Yoshida's solution A: order 6."""
+    """Return Yoshida's method of seven Verlet steps (solution A): order 6."""
     return _verlets(YOSHIDA6, 6, velocity_forces)

@@ -1,6 +1,6 @@
-"""Increments of pytrees, explicit stages and polynomial dense output, for the steps of all solvers.
+"""Arithmetic on pytrees, explicit stages and polynomial dense output, shared by all solvers.
 
-A step adds increments h f in the solver's own time, which runs forwards.
+Increments h f are in the solver's own time, which always runs forwards.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from rbjax.solvers.tableau import Tableau
 
 
 def scale(h: Any, k: Any) -> Any:
-    """Multiply a tree by h."""
+    """Multiply all leaves of a pytree by h."""
     return jax.tree.map(lambda x: h * x, k)
 
 
 def combine(weights: Sequence[Any], ks: Sequence[Any]) -> Any:
-    """Sum weights_i k_i of trees k_i, without the weights that are zero."""
+    """Return the sum of weights_i k_i of pytrees k_i, skipping zero weights."""
     used = [(w, k) for w, k in zip(weights, ks, strict=True) if not _zero(w)]
     if not used:
         return jax.tree.map(jnp.zeros_like, ks[0])
@@ -38,7 +38,7 @@ def _zero(weight: Any) -> bool:
 
 
 def weighted_sums(a: Any, k: Any) -> Any:
-    """Sum a_ij k_j over the leading axis of each leaf; a is (s,) or (r, s)."""
+    """Return sum_j a_ij k_j over the leading axis of each leaf; a is (s,) or (r, s)."""
 
     def mix(x):
         rows = jnp.asarray(a, x.dtype)
@@ -48,25 +48,26 @@ def weighted_sums(a: Any, k: Any) -> Any:
 
 
 def select(condition: Any, a: Any, b: Any) -> Any:
-    """Return a if the condition holds, else b, leaf by leaf."""
+    """Return a if the condition is true, else b, leaf by leaf."""
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def stack(ks: Sequence[Any]) -> Any:
-    """Stack trees along a new leading axis."""
+    """Stack pytrees along a new leading axis."""
     return jax.tree.map(lambda *xs: jnp.stack(xs), *ks)
 
 
 def unstack(ks: Any, count: int) -> list[Any]:
-    """Split a tree along its leading axis."""
+    """Split a pytree along its leading axis."""
     return [jax.tree.map(lambda x, i=i: x[i], ks) for i in range(count)]
 
 
 def explicit_stages(
     rate: Callable[[Any, Any], Any], tableau: Tableau, t0: Any, h: Any, *, written: bool = False
 ) -> Callable[[Any], list[Any]]:
-    """Make the function of a zero increment that gives the stages k_i = rate(t0 + c_i h,
-    h sum_j a_ij k_j). They are a loop, in which the field is traced once; `written` unrolls it."""
+    """Return the function of a zero increment that computes the stages of an explicit method. The
+    stages are k_i = rate(t0 + c_i h, h sum_j a_ij k_j). They are computed in a loop, which traces
+    the field once; `written` unrolls it."""
     s, c = tableau.stages, jnp.asarray(tableau.c, jnp.result_type(h))
 
     def loop(zero: Any) -> list[Any]:
@@ -87,7 +88,7 @@ def explicit_stages(
 
 
 def _weighted_sum(tableau: Tableau, i: jax.Array, ks: Any) -> Any:
-    """Sum a_ij k_j. On a CPU, whose branches cost nothing, zero weights are skipped."""
+    """Return sum_j a_ij k_j for stage i. On a CPU, a branch per stage skips zero weights."""
     if jax.default_backend() != "cpu":
         row = jnp.array(tableau.a)[i]
         return jax.tree.map(lambda k: (row.astype(k.dtype) * k.T).T.sum(0), ks)
@@ -96,7 +97,8 @@ def _weighted_sum(tableau: Tableau, i: jax.Array, ks: Any) -> Any:
 
 
 def inverse_dexp(group: AbstractGroup, u: Any, w: Any) -> Any:
-    """Return u' of y exp(u) that moves at w: w + [u, w] / 2 + [u, [u, w]] / 12, of order 4."""
+    """Return the rate u' for which y exp(u) has the velocity w, to order 4. u' = w + [u, w] / 2 +
+    [u, [u, w]] / 12."""
     if isinstance(group, Vector):
         return w
     once = group.bracket(u, w)
@@ -104,7 +106,8 @@ def inverse_dexp(group: AbstractGroup, u: Any, w: Any) -> Any:
 
 
 def split_pair(y: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
-    """Split a state (q, v) or its rate. Returns both halves and the function that joins two."""
+    """Split a state (q, v) or its rate. Return the two halves and the function that joins two
+    halves."""
     if isinstance(y, dict):
         raise InputError(
             f"the state is a dict with keys {sorted(y)}, which have no order (q, v): expected a "
@@ -120,12 +123,13 @@ def split_pair(y: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
 
 
 class Polynomial(diffrax.AbstractLocalInterpolation):
-    """y0 exp(u(theta)), u = sum_m coefficients_m theta^(m + 1), theta from 0 at t0 to 1 at t1."""
+    """Interpolation y0 exp(u(theta)) with u = sum_m coefficients_m theta^(m + 1). theta goes from 0
+    at t0 to 1 at t1."""
 
     t0: Any  # type: ignore[misc]
     t1: Any  # type: ignore[misc]
     y0: Any
-    coefficients: Any  # u's structure, with a leading axis
+    coefficients: Any  # structure of u, with a leading axis
     group: AbstractGroup = eqx.field(default_factory=Vector)
 
     def evaluate(self, t0, t1=None, left=True):
@@ -146,14 +150,15 @@ class Polynomial(diffrax.AbstractLocalInterpolation):
 
 
 def hermite_coefficients(u: Any, k0: Any, k1: Any) -> Any:
-    """Return the coefficients of the cubic with u(1) = u, u'(0) = k0, u'(1) = k1."""
+    """Return the coefficients of the cubic with u(0) = 0, u(1) = u, u'(0) = k0, u'(1) = k1."""
     return jax.tree.map(lambda u, a, b: jnp.stack([a, 3 * u - 2 * a - b, a + b - 2 * u]), u, k0, k1)
 
 
 def dense_output(
     terms: Any, args: Any, t0: Any, t1: Any, y0: Any, y1: Any, rate0: Any = None, rate1: Any = None
 ) -> dict:
-    """Interpolate a step by a cubic, of order 4, from the rates at both ends, computed if None."""
+    """Return the cubic interpolation of a step, of order 4, from the rates at both ends. Rates that
+    are None are computed."""
     group, f = group_of(terms), Field(terms, args)
     if rate0 is None:
         both = jax.vmap(f)(jnp.stack([t0, t1]), stack([y0, y1]))
@@ -170,7 +175,8 @@ def dense_output(
 
 
 class AbstractPolynomialSolver(diffrax.AbstractSolver):
-    """A solver with polynomial dense output. It has no state unless it overrides `init`."""
+    """Base class of solvers with polynomial dense output. Override `init` for a solver with
+    memory."""
 
     term_structure: ClassVar[Any] = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
@@ -183,10 +189,10 @@ class AbstractPolynomialSolver(diffrax.AbstractSolver):
 
 
 class AbstractGroupSolver(AbstractPolynomialSolver):
-    """A solver of terms `OnGroup`. The group of any other term is `Vector`."""
+    """Base class of solvers of terms `OnGroup`. The group of any other term is `Vector`."""
 
     def func(self, terms, t0, y0, args):
-        """Return the rate of the state's coordinates, which may not be those of the algebra."""
+        """Return the rate of the state's coordinates, e.g. of a quaternion's four components."""
         group, rate = group_of(terms), terms.vf(t0, y0, args)
         if isinstance(group, Vector):
             return rate

@@ -1,4 +1,4 @@
-"""Butcher tableaus, with checks of their order, and collocation methods from their nodes.
+"""Butcher tableaus, checks of their order, and collocation methods from their nodes.
 
     k_i = h f(t0 + c_i h, y0 + sum_j a_ij k_j),    y1 = y0 + sum_i b_i k_i
 A method has order p if sum_i b_i Phi_i(tree) = 1 / gamma(tree) for every rooted tree of at most p
@@ -18,13 +18,13 @@ from numpy.polynomial import Polynomial, legendre
 
 from rbjax.errors import InputError
 
-Tree = tuple  # of its branches; () is a leaf
-TOLERANCE = 1e-11  # of a condition, relative to its terms: tableaus printed to about 11 digits
+Tree = tuple  # a rooted tree, as the tuple of its branches; () is a leaf
+TOLERANCE = 1e-11  # relative to the terms of a condition, for coefficients of about 11 digits
 
 
 @functools.cache
 def trees(nodes: int) -> tuple[Tree, ...]:
-    """List the rooted trees with that many nodes."""
+    """Return the rooted trees with the given number of nodes."""
     return tuple(sorted(set(_forests(nodes - 1))))
 
 
@@ -40,17 +40,18 @@ def _forests(nodes: int) -> list[tuple[Tree, ...]]:
 
 
 def size(tree: Tree) -> int:
-    """Count the nodes of a tree."""
+    """Return the number of nodes of a tree."""
     return 1 + sum(map(size, tree))
 
 
 def density(tree: Tree) -> int:
-    """Return gamma(tree): the number of nodes times the densities of the branches."""
+    """Return gamma of a rooted tree: the number of nodes times the densities of the branches."""
     return size(tree) * int(np.prod([density(branch) for branch in tree], dtype=int))
 
 
 def weights(a: np.ndarray, tree: Tree) -> np.ndarray:
-    """Return Phi_i(tree): the product over the branches of sum_j a_ij Phi_j(branch)."""
+    """Return the elementary weights Phi_i (s,) of a rooted tree. They are the products over the
+    branches of sum_j a_ij Phi_j(branch)."""
     out = np.ones(len(a))
     for branch in tree:
         out = out * (a @ weights(a, branch))
@@ -58,7 +59,7 @@ def weights(a: np.ndarray, tree: Tree) -> np.ndarray:
 
 
 def attained_order(a: np.ndarray, b: np.ndarray, at_most: int = 6) -> int:
-    """Find the order of a method by its order conditions, checked up to `at_most`."""
+    """Return the order of a method by its order conditions, checked up to `at_most`."""
     for p in range(1, at_most + 1):
         for tree in trees(p):
             sizes = np.abs(b) @ weights(np.abs(a), tree) + 1 / density(tree)
@@ -68,8 +69,9 @@ def attained_order(a: np.ndarray, b: np.ndarray, at_most: int = 6) -> int:
 
 
 def proven_order(a: np.ndarray, b: np.ndarray) -> int:
-    """Bound the order from below, by Butcher's simplifying assumptions: B(p), C(eta), D(zeta) give
-    min(p, eta + zeta + 1, 2 eta + 2) (Hairer, Norsett & Wanner, II, Theorem 7.4)."""
+    """Return a lower bound of the order, by Butcher's simplifying assumptions. B(p), C(eta) and
+    D(zeta) prove the order min(p, eta + zeta + 1, 2 eta + 2) (Hairer, Norsett & Wanner, II, Theorem
+    7.4)."""
     c, size = a.sum(1), np.abs(a).sum(1)
 
     def holding(excess, terms) -> int:
@@ -91,21 +93,22 @@ def proven_order(a: np.ndarray, b: np.ndarray) -> int:
 
 @dataclass(frozen=True)
 class Tableau:
-    """A Runge-Kutta method. Any sequences or arrays are accepted.
+    """A Runge-Kutta method. All sequences or arrays are converted to tuples.
 
     Fields:
-        a, b: (s, s) and (s,); c is the row sums of a.
-        order: of the method.
-        error: (s + 1,) weights of (h f(t0, y0), k_1, ..., k_s) in the error estimate. If it is
-            empty, steps are constant.
-        error_order: the power of h of the error estimate.
+        a: (s, s) coefficients. The nodes c are its row sums.
+        b: (s,) weights.
+        order: order of the method.
+        error: (s + 1,) weights of (h f(t0, y0), k_1, ..., k_s) in the error estimate; empty for
+            constant steps.
+        error_order: power of h of the error estimate.
         filter: gamma of (1 - h gamma J)^-1, which damps a stiff estimate, or 0.
-        dense: (s, degree), the coefficients of theta, theta^2, ... in b_i(theta). If it is empty,
-            the dense output is a cubic.
+        dense: (s, degree) coefficients of theta, theta^2, ... in b_i(theta); empty for a cubic
+            dense output.
 
     Raises:
-        InputError: wrong shapes; an order that the conditions deny (checked up to 6); error weights
-            that do not sum to zero; a dense output that does not end in y1.
+        InputError: wrong shapes; an order that the order conditions (checked up to 6) deny; error
+            weights that do not sum to zero; a dense output that does not end at y1.
     """
 
     a: tuple[tuple[float, ...], ...]
@@ -145,7 +148,7 @@ class Tableau:
 
     @property
     def essential(self) -> Tableau:
-        """An explicit method without its error estimate and the stages of the estimate only."""
+        """The explicit method without its error estimate and the stages that only it needs."""
         s = max(i for i, b in enumerate(self.b) if b) + 1
         return Tableau(tuple(row[:s] for row in self.a[:s]), self.b[:s], self.order)
 
@@ -159,13 +162,13 @@ def _tuples(x: np.ndarray):
 
 
 def _shifted_legendre(s: int) -> Polynomial:
-    """Return the Legendre polynomial P_s(2 x - 1)."""
+    """Return the shifted Legendre polynomial P_s(2 x - 1)."""
     inside = Polynomial([-1.0, 2.0])
     return Polynomial(legendre.leg2poly([0] * s + [1]))(inside)
 
 
 def _roots(p: Polynomial) -> np.ndarray:
-    """Find real roots to the last digit: eigenvalues, then Newton steps."""
+    """Return the real roots to the last digit: eigenvalues, then Newton steps."""
     x = np.sort(np.real(p.roots()))
     for _ in range(3):
         x = x - p(x) / p.deriv()(x)
@@ -173,7 +176,7 @@ def _roots(p: Polynomial) -> np.ndarray:
 
 
 def _integrals(c: np.ndarray) -> list[Polynomial]:
-    """Integrate the Lagrange polynomials of nodes c from 0."""
+    """Return the integrals from 0 of the Lagrange polynomials of nodes c."""
     out = []
     for j in range(len(c)):
         l = Polynomial([1.0])
@@ -184,7 +187,8 @@ def _integrals(c: np.ndarray) -> list[Polynomial]:
 
 
 def _collocation(c: np.ndarray, a: np.ndarray | None, order: int) -> Tableau:
-    """Make the method of nodes c: a_ij = int_0^c_i l_j (or another a), b_j = int_0^1 l_j."""
+    """Return the collocation method of nodes c: a_ij = int_0^c_i l_j, b_j = int_0^1 l_j. `a`
+    overrides the coefficients a_ij."""
     s = len(c)
     basis = _integrals(c)
     b = np.array([l(1.0) for l in basis])
@@ -194,7 +198,7 @@ def _collocation(c: np.ndarray, a: np.ndarray | None, order: int) -> Tableau:
     eigenvalues = np.linalg.eigvals(a)
     nonzero = eigenvalues[np.abs(eigenvalues) > 1e-8]
     gamma = float(np.real(np.prod(nonzero)) ** (1 / len(nonzero)))
-    if np.abs(a[0]).max() == 0:  # the first stage is y0: leave out the last node
+    if np.abs(a[0]).max() == 0:  # the first stage is y0: omit the last node
         less = [l(1.0) for l in _integrals(c[:-1])]
         error, error_order = np.array([0.0, *(b - np.append(less, 0.0))]), s
     else:  # one more node at t0, of weight gamma
@@ -208,13 +212,13 @@ def _collocation(c: np.ndarray, a: np.ndarray | None, order: int) -> Tableau:
 
 @functools.cache
 def gauss(stages: int) -> Tableau:
-    """Make Gauss-Legendre: order 2 s, A-stable, symplectic, symmetric."""
+    """Return the Gauss-Legendre tableau: order 2 s, A-stable, symplectic, symmetric."""
     return _collocation(_roots(_shifted_legendre(stages)), None, 2 * stages)
 
 
 @functools.cache
 def radau_iia(stages: int) -> Tableau:
-    """Make Radau IIA: order 2 s - 1, L-stable, stiffly accurate."""
+    """Return the Radau IIA tableau: order 2 s - 1, L-stable, stiffly accurate."""
     p = _shifted_legendre(stages) - _shifted_legendre(stages - 1)
     c = _roots(p)
     c[-1] = 1.0
@@ -229,13 +233,15 @@ def _lobatto(stages: int) -> np.ndarray:
 
 @functools.cache
 def lobatto_iiia(stages: int) -> Tableau:
-    """Make Lobatto IIIA: order 2 s - 2, A-stable; two stages are the trapezoidal rule."""
+    """Return the Lobatto IIIA tableau: order 2 s - 2, A-stable. Two stages are the trapezoidal
+    rule."""
     return _collocation(_lobatto(stages), None, 2 * stages - 2)
 
 
 @functools.cache
 def lobatto_iiic(stages: int) -> Tableau:
-    """Make Lobatto IIIC: order 2 s - 2, L-stable; a_i1 = b_1, sum_j a_ij c_j^(k-1) = c_i^k / k."""
+    """Return the Lobatto IIIC tableau: order 2 s - 2, L-stable. It satisfies a_i1 = b_1 and sum_j
+    a_ij c_j^(k-1) = c_i^k / k for k < s."""
     c = _lobatto(stages)
     b1 = _collocation(c, None, 2 * stages - 2).b[0]
     # columns 2..s from C(s - 1); the first is b_1
@@ -252,7 +258,8 @@ def explicit(
     order: int,
     error: tuple[float, ...] = (),
 ) -> Tableau:
-    """Make an explicit method from the rows below the diagonal; `error` are weights of the k_i."""
+    """Return an explicit tableau from the rows below the diagonal. `error` are weights of the
+    k_i."""
     s = len(b)
     a = tuple(tuple(row) + (0.0,) * (s - len(row)) for row in ((), *rows))
     return Tableau(a, b, order, (0.0, *error) if error else (), order if error else 0)
@@ -260,7 +267,7 @@ def explicit(
 
 @functools.cache
 def of_diffrax(solver: type[diffrax.AbstractERK], order: int) -> Tableau:
-    """Return the tableau of one of diffrax's explicit methods."""
+    """Return the tableau of an explicit Runge-Kutta solver of diffrax."""
     t = solver.tableau
     assert isinstance(t, diffrax.ButcherTableau)
     rows = tuple(tuple(float(x) for x in row) for row in t.a_lower)
@@ -272,14 +279,14 @@ EULER = explicit((), (1.0,), 1)
 MIDPOINT = explicit(((1 / 2,),), (0.0, 1.0), 2)
 HEUN = explicit(((1.0,),), (1 / 2, 1 / 2), 2, (-1 / 2, 1 / 2))
 KUTTA3 = explicit(((1 / 2,), (-1.0, 2.0)), (1 / 6, 2 / 3, 1 / 6), 3)
-#: The classical method. Its third-order companion has a fifth stage, at y1, instead of the fourth.
+#: The classical method. Its embedded method of order 3 uses a fifth stage, at y1.
 RK4 = explicit(
     ((1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
     (1 / 6, 1 / 3, 1 / 3, 1 / 6, 0.0),
     4,
     (0.0, 0.0, 0.0, 1 / 6, -1 / 6),
 )
-#: The classical method without a companion.
+#: The classical method without its embedded method.
 KUTTA4 = RK4.essential
 
 

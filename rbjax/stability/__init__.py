@@ -1,20 +1,20 @@
 """Stability analysis: the linear theory of any solver, and measurements of its code.
 
-    stability_function, characteristic    R(z) and phi(zeta, z), exactly
-    multistep, rb.solvers.Tableau         your own methods; all functions below take them
+    stability_function, characteristic    R(z) and phi(zeta, z), in exact arithmetic
+    multistep, rb.solvers.Tableau         user-defined methods, for all functions below
     linear_analysis                       order, error constant, limits, A-, A(alpha)-, L-stability
     growth_factors, spectral_radius, dissipation, period_elongation, oscillation_limit
-                                          of one step of the solver's own code (the limit is exact
-                                          if there is linear theory)
+                                          properties of one step of the solver's code (the limit is
+                                          exact if there is linear theory)
     order_by_conditions, measured_order   by rooted trees, and by halving the step
     state_matrix, reduced_linearisation, stable_step, measured_stable_step
                                           a robot's linearised motion, and its largest stable step
     drift, trend                          invariants over a million steps, and a test for drift
     lyapunov, gradient_growth             chaos, and the time after which a gradient is noise
-    verdict, attempt, scenes              how a run failed; any solver on scenes built to break it
-    plot_regions, plot_spectral_radius    on axes of matplotlib
+    verdict, attempt, scenes              failures of a run; any solver on scenes built to break it
+    plot_regions, plot_spectral_radius    plots on matplotlib axes
 
-`theory/` analyses a method by itself, `runs/` analyses motions.
+`theory/` analyses a single method, `runs/` analyses motions.
 """
 
 from rbjax.stability.pictures import plot_regions, plot_spectral_radius

@@ -1,4 +1,4 @@
-"""Solvers from the arguments of this package: a name, a solver or a tableau."""
+"""Conversion of the `solver` arguments of this package: a name, a solver or a tableau."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Solver = diffrax.AbstractSolver | str | Tableau
 
 
 def solver_of(solver: Any) -> Any:
-    """Resolve a solver: itself, the solver of a name in `rb.solvers.all()`, or that of a tableau.
+    """Return the solver of a name in `rb.solvers.all()` or of a tableau, or a given solver itself.
 
     Raises:
         UnknownName: an unknown name.
-        InputError: a class instead of its instance, or no method that steps.
+        InputError: a class instead of an instance, or an object that is not a solver.
 
     >>> solver_of("rk4")
     RK4()
@@ -45,11 +45,8 @@ def solver_of(solver: Any) -> Any:
 
 
 def fixed_step_solver(solver: Any) -> Any:
-    """Resolve a solver for equal steps, with a root finder that needs no tolerances of a
-    controller.
-
-    Diagonally implicit methods of diffrax have one that does.
-    """
+    """Return a solver for equal steps, with a root finder that needs no tolerances of a controller.
+    Diagonally implicit methods of diffrax have a root finder that needs them; it is replaced."""
     solver = solver_of(solver)
     if not isinstance(solver, diffrax.AbstractImplicitSolver):
         return solver

@@ -1,6 +1,6 @@
-"""Pictures of linear theory, on the caller's axes of matplotlib.
+"""Plots of the linear theory, on matplotlib axes of the caller.
 
-`rbjax.plotting.STYLE` is the style of rbjax: `with plt.rc_context(STYLE): ...`.
+Use `with plt.rc_context(rbjax.plotting.STYLE): ...` for the style of rbjax.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ def plot_regions(
     window: Window = (-5.0, 1.0, -4.0, 4.0),
     points: int = 401,
 ) -> None:
-    """Draw regions of absolute stability over z = h lambda, as outlines on a light ground.
+    """Plot regions of absolute stability in the plane of z = h lambda, as filled outlines.
 
     Args:
-        ax: axes of matplotlib; its colour cycle is used.
-        methods: label -> a solver, its name, a tableau or a polynomial, as for `characteristic`.
+        ax: matplotlib axes, whose colour cycle is used.
+        methods: label -> solver, name, tableau or polynomial, as for `characteristic`.
         window: (left, right, bottom, top) in the plane of z.
-        points: of the grid, in each direction.
+        points: number of grid points in each direction.
 
     Raises:
-        InputError: solvers without linear theory, or a window without width.
+        InputError: a solver without linear theory, or a window without width.
 
     Example:
         >>> import rbjax as rb, matplotlib.figure
@@ -63,15 +63,15 @@ def plot_regions(
 
 
 def plot_spectral_radius(ax: Axes, methods: Mapping[str, Method], h_omega: np.ndarray) -> None:
-    """Draw spectral radii over h omega, measured on one step of each solver's code.
+    """Plot spectral radii over h omega, measured on one step of each solver's code.
 
     Args:
-        ax: axes of matplotlib.
+        ax: matplotlib axes.
         methods: label -> solver, as for `spectral_radius`.
         h_omega: (n,) positive, increasing.
 
     Raises:
-        InputError: solvers of other equations.
+        InputError: a solver that `spectral_radius` rejects.
 
     Example:
         >>> import rbjax as rb, numpy as np, matplotlib.figure

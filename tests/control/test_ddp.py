@@ -62,7 +62,7 @@ def test_a_linear_problem_takes_one_step() -> None:
     assert int(found.iterations) <= 2
     assert abs(float(found.cost) - case["cost"]) < 1e-8 * case["cost"]
     assert np.abs(found.ctrls[:5, 0] - np.asarray(case["u_0_4"])).max() < 1e-8
-    assert np.abs(-found.K[0, 0] - np.asarray(case["K_0"])).max() < 1e-8
+    assert np.abs(found.K[0, 0] - np.asarray(case["K_0"])).max() < 1e-8
 
 
 def test_a_batch_is_each_of_its_problems() -> None:

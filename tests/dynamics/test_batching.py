@@ -32,7 +32,7 @@ def loop(f, *xs):
 
 
 def test_a_batch_under_xla_is_the_samples(given, monkeypatch):
-    monkeypatch.setattr(algorithm, "wanted", lambda: False)
+    monkeypatch.setattr(algorithm, "kernels_available", lambda: False)
     run = functools.partial(fd, MODEL)
     mapped = jax.jit(jax.vmap(run))
     assert "threads" not in jax.make_jaxpr(mapped)(*given).pretty_print()

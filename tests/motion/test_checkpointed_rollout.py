@@ -138,7 +138,7 @@ def test_emitted_states_and_cotangents(kept):
         assert found[-1].shape == ((BATCH, STEPS, N) if keep_residuals else found[-1].shape)
         pull = program.transposed((True,) * 4, (True, True))
         cases += [(program, (Q, V, US, w)), (keeping, (Q, V, US, w))]
-        cases.append((pull, (Q, V, US, w, *found[program.reads :], *bars)))
+        cases.append((pull, (Q, V, US, w, *found[program.first_residual :], *bars)))
 
         def back(q, v, us, w, *bars, plain=plain):
             return jax.vjp(plain, q, v, us, w)[1](list(bars))

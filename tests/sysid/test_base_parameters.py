@@ -66,7 +66,7 @@ def test_what_can_be_found_of_the_55():
         "link2.Iyy + 0.01 link3.m + 0.01 link4.m + 0.01 link5.m + joint2.armature",
         "link2.hz + 0.1 link3.m + 0.1 link4.m + 0.1 link5.m",
     ):
-        assert f"{group} is found; none of them by itself." in words
+        assert f"{group} is identifiable; none of them by itself." in words
     # with the inertia held, the armature is what is found; it can be asked for
     preferred = sysid.torque.base_parameters(
         model, joint_terms=["armature"], first=["joint1.armature", "joint2.armature"]

@@ -81,7 +81,7 @@ def followed(tyre, motions, h):
         ends = steady(tyre, *motion)
         rates = jnp.stack(tyre.response(*motion, ends + 1.0)[1])  # per metre away from there
         z = ends + (z - ends) * jnp.exp(rates * h)
-        return z, jnp.stack([*tyre.traction(*motion, z), *z])
+        return z, jnp.stack([*tyre.response(*motion, z)[0], *z])
 
     run = jax.jit(lambda motions: jax.lax.scan(hold, jnp.zeros(2), motions)[1])
     return np.asarray(run(jnp.asarray(motions)))

@@ -74,7 +74,7 @@ RightHandSide = Callable[[Context, Sequence[Row], jax.Array | None, Any, Any], S
 
 
 class LinearProblem(NamedTuple):
-    """The linear equations of a method.
+    """Linear equations of a method, for the difference da from accelerations a_0.
 
     Fields:
         start: (nv,) accelerations a_0; None for zero.
@@ -94,7 +94,7 @@ Method = Callable[[Driver, Context, jax.Array, LinkForces], LinearProblem]
 def range_space_problem(
     d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
 ) -> LinearProblem:
-    """Set up A dl = c - G M^-1 f, da = M^-1 (f + G^T dl), starting from the free acceleration."""
+    """Set up the range-space equations A dl = c - G M^-1 f, starting from the free acceleration."""
     qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
     def factor(now: Context, rows: Sequence[Row]) -> Solve:
@@ -106,13 +106,13 @@ def range_space_problem(
 def feedback_right_hand_side(
     now: Context, rows: Sequence[Row], l: Any, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
-    """Return -g'' - 2 alpha g' - beta^2 g for each row."""
+    """Return -g'' - 2 alpha g' - beta^2 g of each row: the residual with Baumgarte feedback."""
     del now, l
     return [baumgarte_residual(row, alpha, beta) for row in rows]
 
 
 def baumgarte_residual(row: Row, alpha: Any, beta: Any) -> Lane:
-    """Return -g'' - 2 alpha g' - beta^2 g."""
+    """Return -g'' - 2 alpha g' - beta^2 g of a row: the residual with Baumgarte feedback."""
     out = add(row.acceleration, mul(mul(2.0, alpha), row.rate))
     return neg(add(out, mul(mul(beta, beta), row.residual)))
 
@@ -128,12 +128,9 @@ def constrained_motion(
     method: Method = range_space_problem,
     right_hand_side: RightHandSide = feedback_right_hand_side,
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute a (nv,) and l (rows,) of one sample, from checked arrays.
+    """Compute accelerations a (nv,) and multipliers l (rows,) of one sample, from checked arrays.
 
     Args:
-        model: the robot, with constraints.
-        t: time in seconds.
-        state: `State(q, v)`.
         tau: (nv,) generalized forces.
         f_ext: forces on links.
         alpha, beta: Baumgarte gains, 1/s.
@@ -180,11 +177,9 @@ def constrained_motion(
 
 
 def free_body_diagonal(d: Driver, row: Row) -> Lane:
-    """Return a row's diagonal entry of A if its links were free bodies with isotropic inertia.
-
-    It is the sum of f^2 / m for forces f, and of n^2 / (tr J / 3) for torques n on links without a
-    force. It does not vanish with the lever arm of a force.
-    """
+    """Return a row's diagonal entry of G M^-1 G^T if its links were free bodies with isotropic
+    inertia. It is the sum of f^2 / m for forces f, and of n^2 / (tr J / 3) for torques n on links
+    without a force. It does not vanish with the lever arm of a force."""
     out: Lane = 0.0
     for link, load in wrenches_by_link(row.gradient).items():
         body = d.prepared.link(link).inertia
@@ -207,11 +202,9 @@ def _divide(load: Vec3, inertia: Lane) -> Lane:
 def factor_delassus(
     d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None = None
 ) -> Delassus:
-    """Factor A, on lanes if the tree is unrolled and rows are few, otherwise as a matrix.
-
-    `damping` replaces eps and e of the regularization and sets one refinement; None uses the values
-    of the dtype.
-    """
+    """Factor the Delassus matrix G M^-1 G^T, on lanes or, for many rows or a rolled tree, as an
+    array. `damping` replaces eps and e of the regularization and sets one refinement; None uses the
+    values of the dtype."""
     few = d.listed and len(rows) <= ROWS_ON_LANES
     return (DelassusOnLanes if few else DelassusMatrix)(d, factors, now, rows, damping)
 
@@ -223,7 +216,7 @@ def eliminate_loads(
     loads: Loads,
     base: int = WORLD,
 ) -> tuple[dict[int, Lane], dict[int, Lane], Force]:
-    """Propagate the loads of a row inward along `links`, from link to parent.
+    """Propagate the loads of a row inward along `links`, by the factors of the mass matrix.
 
     Returns:
         The force u at each joint that the loads reach, u / D, and the wrench on the base.
@@ -252,12 +245,12 @@ def joint_product(a: dict[int, Lane], b: dict[int, Lane]) -> Lane:
 def delassus_triangle(
     u: Sequence[dict[int, Lane]], e: Sequence[dict[int, Lane]]
 ) -> list[list[Lane]]:
-    """Return the lower triangle of A, from the joint forces u of its rows and e = u / D."""
+    """Return the lower triangle of the Delassus matrix from joint forces u and e = u / D by row."""
     return [[joint_product(a, b) for b in e[: r + 1]] for r, a in enumerate(u)]
 
 
 class Delassus:
-    """Base class of the factored Delassus matrix A, from the factors of the mass matrix."""
+    """Base class of the factored Delassus matrix G M^-1 G^T."""
 
     def __init__(
         self, d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None
@@ -266,10 +259,8 @@ class Delassus:
         self._free = [free_body_diagonal(d, row) for row in rows]
 
     def solve(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
-        """Solve M a = force + G^T l, G a = c for a (nv,) and l (rows,) of least norm.
-
-        A force of None means zero.
-        """
+        """Solve M a = force + G^T l, G a = c for a (nv,) and l (rows,) of least norm. A force of
+        None means zero."""
         raise NotImplementedError(f"{type(self).__name__} has no method solve(force, c) -> a, l")
 
 
@@ -305,10 +296,8 @@ class DelassusOnLanes(Delassus):
 
 
 class DelassusMatrix(Delassus):
-    """Delassus matrix A = G Y with Y = M^-1 G^T, as an array.
-
-    R (rows,) is added to its diagonal for compliant rows, G a + R l = c.
-    """
+    """Delassus matrix A = G Y with Y = M^-1 G^T, as an array. R (rows,) is added to its diagonal
+    for compliant rows, G a + R l = c."""
 
     def __init__(
         self,

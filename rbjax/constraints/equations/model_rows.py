@@ -108,6 +108,7 @@ def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
     Returns:
         `Residual(value (m,), rate (m,))`. Values are in m, or dimensionless for angles.
 
+    Example:
         >>> import rbjax as rb
         >>> model = rb.load("double_pendulum")
         >>> loop = rb.constraints.Inline.between(model, None, "lower", point=[0.0, 0, -2.0])

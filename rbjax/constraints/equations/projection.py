@@ -68,12 +68,12 @@ STAGE_ITERATIONS = {4: 3, 8: 5}
 
 @dataclass(frozen=True)
 class Changes:
-    """The changes of a projection, and the linear solvers for their derivatives.
+    """Result of a projection, and the linear solvers for its derivative.
 
     Fields:
         dq, dv: (nv,) changes of the configuration and of the velocity.
         l, m: (rows,) multipliers of dq and dv.
-        of_positions, of_velocities: solutions of the linearized first and second line.
+        of_positions, of_velocities: solvers of the linearized equations of dq and dv.
     """
 
     dq: jax.Array
@@ -88,10 +88,8 @@ def least_change(
     method: Method, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array,
     dependent: bool = False,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """Compute dq and dv by a method, with the derivative of the equations.
-
-    `dependent` selects the equations of `solve_dependent`.
-    """
+    """Compute the least changes dq and dv by a method, differentiated as an implicit function.
+    `dependent` selects the equations of `solve_dependent`."""
     given, rebuilt = split_tracers((model, t0, t))
     nv = model.nv
 
@@ -143,13 +141,13 @@ def least_change(
 def residuals_at(
     d: Driver, model: Model, t: Any, q: jax.Array, u: jax.Array, v: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute g and G v + g_t (rows,) at the configuration q (+) u."""
+    """Compute the residuals g and G v + g_t (rows,) at the configuration q (+) u."""
     now = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
     return residuals_of(rows_of(model, now), v)
 
 
 def residuals_of(rows: Sequence[Row], like: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Pack g and G v + g_t of the rows into arrays (rows,)."""
+    """Pack the residuals g and G v + g_t of the rows into arrays (rows,)."""
     return pack([row.residual for row in rows], like), pack([row.rate for row in rows], like)
 
 
@@ -321,10 +319,8 @@ def _newton(
     holonomic = np.array([row.holonomic for row in rows])
 
     def by_du(G: jax.Array, du: jax.Array) -> jax.Array:
-        """Return the gradient with respect to du.
-
-        Attitudes rotate by J_r(u) du. Non-holonomic rows keep G_0.
-        """
+        """Return the gradient of the rows with respect to du instead of the velocity. Attitudes
+        rotate by J_r(u) du. Non-holonomic rows keep the gradient G_0 of the start."""
         back = list(-(u + du))
         rotated = jax.vmap(lambda row: pack(velocity_lanes(model.topology, back, list(row)), row))
         return jnp.where(holonomic[:, None], rotated(G), G_0)

@@ -80,11 +80,9 @@ class Dense(Method):
     def scaled_solution(
         self, M: jax.Array, G: jax.Array, f: jax.Array, c: jax.Array, free_diagonal: Any = 0.0
     ) -> Solution:
-        """Solve the equations after scaling, with the derivative of the equations.
-
-        `free_diagonal` (rows,) is the diagonal of G M^-1 G^T for free bodies
-        (`free_body_diagonal`), or 0 if unknown.
-        """
+        """Solve the equations after scaling, with the derivative of the equations. `free_diagonal`
+        (rows,) is the diagonal of G M^-1 G^T for free bodies (`free_body_diagonal`), or 0 if
+        unknown."""
         free_diagonal = jax.lax.stop_gradient(jnp.asarray(free_diagonal, G.dtype))
 
         def equations(x: Solution) -> Solution:
@@ -116,10 +114,8 @@ class Dense(Method):
 
 
 def invert_nonzero(x: jax.Array, power: int = 1) -> jax.Array:
-    """Return 1 / x elementwise, and 0 for elements that are zero relative to the largest one.
-
-    The relative tolerance is the rank tolerance "constraint rows" to the given power.
-    """
+    """Return 1 / x elementwise, and 0 for elements that are zero relative to the largest one. The
+    relative tolerance is the rank tolerance "constraint rows" to the given power."""
     size = jnp.abs(x)
     nonzero = size > rank_tolerance("constraint rows", x.dtype) ** power * size.max()
     return jnp.where(nonzero, 1.0 / jnp.where(nonzero, x, 1.0), 0.0)
@@ -162,13 +158,13 @@ class KKT(Dense):
 
 @dataclass(frozen=True)
 class Minimal(Dense):
-    """Base class of methods that compute L and Z. Subclasses implement `split`."""
+    """Base class of null-space methods. Subclasses implement `split`."""
 
     family: ClassVar[str] = "minimal"
     index: ClassVar[int] = 0
 
     def split(self, G: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return L (nv, rows) and Z (nv, nv)."""
+        """Return L (nv, rows) with G L G = G, and Z (nv, nv) that spans the null space of G."""
         raise NotImplementedError(f"{type(self).__name__} has no method split(G) -> L, Z")
 
     def solution(self, M: jax.Array, G: jax.Array, f: jax.Array, c: jax.Array) -> Solution:

@@ -47,6 +47,7 @@ class DifferentialAlgebraic(Method):
     If the equations of a step are not solved, `Trajectory.ok` is False, and adaptive steps become
     shorter. Called as a `Dynamics`, the method returns the accelerations of index 1.
 
+    Example:
         >>> import rbjax as rb
         >>> [rb.constraints.formulations()[x].index for x in ("index_2", "index_3", "ggl")]
         [2, 3, 2]
@@ -59,14 +60,12 @@ class DifferentialAlgebraic(Method):
         return constrained_motion(model, t, state, tau, f_ext)[0]
 
     def level_of(self, row: Row) -> tuple[Lane, int]:
-        """Return the quantity that must be zero (g or g'), and its number of integrations.
-
-        The number of integrations from acceleration is 2 for g and 1 for g'.
-        """
+        """Return the residual of a row to satisfy at the stages, g or g', and its depth: the number
+        of integrations from acceleration to it, 2 or 1."""
         raise NotImplementedError(f"{type(self).__name__} has no method level_of(row)")
 
     def position_rows(self, rows: Sequence[Row]) -> list[Row]:
-        """Return the rows that have multipliers mu."""
+        """Return the rows with an additional multiplier mu for g = 0 (GGL only)."""
         return []
 
     @property
@@ -94,10 +93,9 @@ class DifferentialAlgebraic(Method):
         return depth, pack(free_diagonal, state.v), len(ggl)
 
     def equations(self, model: Model, q: jax.Array, forces: Forces) -> Callable[..., jax.Array]:
-        """Return the function of f(t, y, y', w) = 0 at the configuration q (+) u.
-
-        y = (u, v, x) are the differential unknowns and w = (l, mu) the algebraic ones.
-        """
+        """Return the function f of the equations f(t, y, y', w) = 0 of constrained motion. y = (u,
+        v, x) contains the displacement u from the configuration q, the velocity and the states of
+        force elements. w = (l, mu) contains the multipliers."""
         nv, dtype = model.nv, q.dtype
 
         def f(t: Any, y: jax.Array, rate: jax.Array, w: jax.Array) -> jax.Array:
@@ -126,7 +124,7 @@ class DifferentialAlgebraic(Method):
 def _with_ggl_forces(
     d: Driver, q: jax.Array, x: jax.Array, rows: Sequence[Row], mu: Sequence[Lane]
 ) -> jax.Array:
-    """Return M x - G^T mu."""
+    """Return M x - G^T mu, the residual of the kinematic equation of GGL."""
     tau, f_ext = add_multipliers(d, rows, mu, jnp.zeros_like(x), {})
     return d.pack(rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), f_ext), x) - tau
 

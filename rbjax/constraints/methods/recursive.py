@@ -114,6 +114,7 @@ class Recursive(Method):
 
     Source: Jain 2012; Chignoli, Adrian, Kim & Wensing 2023.
 
+    Example:
         >>> import rbjax as rb
         >>> model = rb.load("four_bar")
         >>> start = model.default_state()
@@ -158,10 +159,10 @@ class EliminatedCluster(NamedTuple):
     Fields:
         cluster: the cluster.
         u: force at each joint, for the unit multiplier of each row.
-        e: u / D.
+        e: u / D, with the joint-space inertia D of each joint.
         W: wrench at the parent, for the unit multiplier of each row.
         Y: A^-1 W; empty if the parent is the world.
-        A: factors of A.
+        A: factors of the Delassus matrix of the rows.
     """
 
     cluster: Cluster
@@ -231,17 +232,15 @@ class ClusterTree:
     def solve(
         self, tau: jax.Array, forces: Mapping[int, Force], c: Sequence[Lane]
     ) -> tuple[jax.Array, jax.Array]:
-        """Solve M a = tau + sum of J_i^T f_i + G^T l, G a = c for a (nv,) and l (rows,).
-
-        `forces` are the f_i on links.
-        """
+        """Solve M a = tau + sum of J_i^T f_i + G^T l, G a = c for a (nv,) and l (rows,). `forces`
+        are the f_i on links."""
         u = unpack(tau)
         l = self._inward(u, dict(forces), c)
         a = self._outward(u, l)
         return pack(a, self._like), pack(l, self._like)
 
     def _inward(self, u: list[Lane], pending: dict[int, Force], c: Sequence[Lane]) -> list[Lane]:
-        """Compute the multipliers l_0 for parents without acceleration.
+        """Compute the multipliers of the rows for clusters whose parents do not accelerate.
 
         Args:
             u: generalized forces, which are replaced by the forces at the joints.
@@ -273,7 +272,7 @@ class ClusterTree:
         return l
 
     def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
-        """Compute the accelerations. Correct l for the accelerations of the parents."""
+        """Return the accelerations of all dofs. Correct l for the accelerations of the parents."""
         a, out = {WORLD: Motion.zero()}, []
 
         def arrived(link: int) -> None:

@@ -70,6 +70,7 @@ class Soft(Constraint):
 
     Source: MuJoCo, *Computation*, constraint model, parameters.
 
+    Example:
         >>> import rbjax as rb
         >>> from rbjax import constraints as rc
         >>> model = rb.load("double_pendulum")
@@ -135,7 +136,7 @@ class Soft(Constraint):
         return self.of.rows(now)
 
     def soft_terms(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
-        """Compute R and the right-hand side of the equation of g'' + R f, for each row."""
+        """Compute R and the right-hand side of the soft row equations g'' + R f = -b g' - d k g."""
         low, high, width, middle, power = self.solimp.astype(dtype)
         low, high, middle = (jnp.clip(x, *IMPEDANCES) for x in (low, high, middle))
         g = jnp.stack([jnp.asarray(row.residual, dtype) for row in rows])
@@ -153,7 +154,7 @@ def is_soft(model: Model) -> bool:
 
 
 def stiffness_and_damping(solref: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the stiffness k, 1/s^2, and the damping b, 1/s, of solref and d_w (`high`)."""
+    """Return MuJoCo's stiffness k, 1/s^2, and damping b, 1/s, from solref and d_w (`high`)."""
     direct = solref[0] <= 0
     time, ratio = jnp.where(direct, 1.0, solref)
     k = jnp.where(direct, -solref[0], 1 / (time * ratio) ** 2) / high**2
@@ -161,7 +162,7 @@ def stiffness_and_damping(solref: jax.Array, high: jax.Array) -> tuple[jax.Array
 
 
 def impedance(r: jax.Array, low: Any, high: Any, width: Any, middle: Any, power: Any) -> jax.Array:
-    """Return the impedance d at a residual r."""
+    """Return MuJoCo's impedance d, from 0 to 1, at a residual r; the other arguments are solimp."""
     x = jnp.minimum(r / jnp.maximum(width, LEAST), 1.0)
     inner = x**power / middle ** (power - 1)
     outer = 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
@@ -178,11 +179,9 @@ def _norm(g: jax.Array) -> jax.Array:
 def regularizer_and_residual(
     now: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute R (rows,) and the residual of the rows' equations at f = 0.
-
-    R is zero for rigid rows. The residual (rows,) is at the accelerations of the context, with
-    Baumgarte's feedback of rigid rows.
-    """
+    """Compute R (rows,) and the residual of the rows' equations at f = 0. R is zero for rigid rows.
+    The residual (rows,) is at the accelerations of the context, with Baumgarte's feedback of rigid
+    rows."""
     R: list[Any] = []
     residual: list[Any] = []
     a = now.a
@@ -234,7 +233,7 @@ def compliant_motion(
 
 
 def soft_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
-    """Set up (A + R) df = c - G M^-1 f, starting from the free acceleration."""
+    """Set up the equations (G M^-1 G^T + R) df = residual, starting from the free acceleration."""
     qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
     def factor(now: Context, rows: Sequence[Row]) -> Solve:

@@ -34,6 +34,7 @@ class JointPolynomial(Constraint):
         driver: static, name or index of joint 2, which has one coordinate; None for q1 - r1 = c_0.
         coefficients: (n,) from c_0, with n at least 1.
 
+    Example:
         >>> import rbjax as rb
         >>> from rbjax.constraints import JointPolynomial
         >>> bend = JointPolynomial("elbow", "shoulder", [0.1, -2.0])
@@ -111,6 +112,7 @@ class Prescribed(Constraint):
         joint: static, name or index of a joint of one coordinate.
         function: static, t () -> rad or m, twice differentiable. Each function is compiled once.
 
+    Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax.constraints import Prescribed
         >>> swing = Prescribed("hinge", lambda t: 0.3 * jnp.sin(2 * t))

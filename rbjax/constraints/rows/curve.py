@@ -54,6 +54,7 @@ class PointOnSurface(Constraint):
         f: static, x (3,) m, or (x, numbers) -> (). Its gradient must not vanish on the surface.
         numbers: pytree of parameters of f, or None.
 
+    Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax.constraints import Place, PointOnSurface
         >>> def ellipsoid(x, axes):
@@ -89,6 +90,7 @@ class PointOnCurve(Constraint):
             dense enough for it to converge to the nearest point of the curve.
         numbers: pytree of parameters of c, or None.
 
+    Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax.constraints import Place, PointOnCurve
         >>> def helix(s):
@@ -142,11 +144,9 @@ def _with_slope(f: Callable, s: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _normals(along: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return two orthogonal unit vectors that are orthogonal to a direction (3,).
-
-    They jump if the coordinate axis most orthogonal to the direction changes. Multipliers then jump
-    too, but forces do not.
-    """
+    """Return two orthogonal unit vectors that are orthogonal to a direction (3,). They jump if the
+    coordinate axis most orthogonal to the direction changes. Multipliers then jump too, but forces
+    do not."""
     t = along / jnp.sqrt(_inner(along, along))
     least = jnp.eye(3, dtype=t.dtype)[jnp.argmin(jnp.abs(jax.lax.stop_gradient(t)))]
     n = jnp.cross(t, least)

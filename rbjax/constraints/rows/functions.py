@@ -114,6 +114,7 @@ class Holonomic(Constraint):
     Raises:
         InputError: f returns another shape.
 
+    Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> def ellipse(t, q, axes):
         ...     return jnp.sum((q / axes) ** 2, keepdims=True) - 1.0

@@ -101,10 +101,8 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
 
 
 def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
-    """Return the row sqrt(d^2 + least^2), with d = |p_B - p_A|.
-
-    It is smooth at d = 0 if `least` is not zero. Otherwise its gradient at d = 0 is set to zero.
-    """
+    """Return the row sqrt(d^2 + least^2), with d = |p_B - p_A|. It is smooth at d = 0 if `least` is
+    not zero. Otherwise its gradient at d = 0 is set to zero."""
     d, rate, acceleration = _relative(A, B)
     square = add(d.dot(d), least * least)
     positive = square > 0
@@ -118,10 +116,8 @@ def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
 
 
 def turn(A: Frame, B: Frame) -> list[Row]:
-    """Return the three rows sin(x) n of the rotation from A to B, with angle x and axis n.
-
-    They are half the skew part of the rotation matrix, and zero if the frames are aligned.
-    """
+    """Return the three rows sin(x) n of the rotation from A to B, with angle x and axis n. They are
+    half the skew part of the rotation matrix, and zero if the frames are aligned."""
     return [
         (cosine(A, AXES[j], B, AXES[i]) - cosine(A, AXES[i], B, AXES[j])) * -0.5
         for i, j in ((2, 1), (0, 2), (1, 0))

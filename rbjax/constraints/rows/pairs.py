@@ -220,20 +220,16 @@ class Planar(Pair):
 
 
 class Universal(Pair):
-    """A universal (Cardan) joint: p_b = p_a and z_b orthogonal to x_a, four rows.
-
-    The cross rotates about x_a relative to body a, and about z_b relative to body b.
-    """
+    """A universal (Cardan) joint: p_b = p_a and z_b orthogonal to x_a, four rows. The cross rotates
+    about x_a relative to body a, and about z_b relative to body b."""
 
     size = 4
     primitives = displacement, orthogonal
 
 
 class Weld(Pair):
-    """A rigid connection: p_b = p_a and all axes parallel, six rows.
-
-    The last three rows are sin(x) n, with the angle x and axis n of the relative rotation.
-    """
+    """A rigid connection: p_b = p_a and all axes parallel, six rows. The last three rows are sin(x)
+    n, with the angle x and axis n of the relative rotation."""
 
     size = 6
     primitives = displacement, turn
@@ -274,6 +270,7 @@ class Distance(Pair):
     Fields:
         length: distance of the two origins, m, above zero.
 
+    Example:
         >>> import rbjax as rb
         >>> model = rb.load("double_pendulum")
         >>> rod = rb.constraints.Distance.between(

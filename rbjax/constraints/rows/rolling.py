@@ -46,10 +46,8 @@ def swept(F: Frame, u: Vec3) -> Moving:
 
 
 def slip(A: Frame, B: Frame, arm: Moving, directions: Sequence[Moving]) -> list[Row]:
-    """Build the rows u . s, with u the slip velocity of B on A at the contact point.
-
-    `arm` is the vector from B's origin to the contact point. `directions` are the vectors s.
-    """
+    """Build the rows u . s, with u the slip velocity of B on A at the contact point. `arm` is the
+    vector from B's origin to the contact point. `directions` are the vectors s."""
     (r, dr), a, b = arm, A.angular_velocity, B.angular_velocity
     p = B.position + r
     d, dd = p - A.position, B.velocity + dr - A.velocity
@@ -104,6 +102,7 @@ class RollingSphere(Rolling):
 
     Fields: a, b, radius, as in `Rolling`; the axes of b have no effect.
 
+    Example:
         >>> import rbjax as rb
         >>> from rbjax.constraints import Place, RollingSphere
         >>> ball = RollingSphere(Place.on(), Place.on(body="box"), 0.1)
@@ -121,6 +120,7 @@ class RollingDisc(Rolling):
 
     Fields: a, b, radius, as in `Rolling`.
 
+    Example:
         >>> import rbjax as rb
         >>> from rbjax.constraints import Place, RollingDisc
         >>> wheel = RollingDisc(Place.on(), Place.on(body="box", axis=[0, 1, 0]), 0.3)
@@ -150,6 +150,7 @@ class KnifeEdge(Constraint):
         a: `Place` whose z axis is the normal n of the plane.
         b: `Place` whose origin is the blade's point and whose z axis is the blade's direction d.
 
+    Example:
         >>> import rbjax as rb
         >>> from rbjax.constraints import KnifeEdge, Place
         >>> skate = KnifeEdge(Place.on(), Place.on(body="box", point=[-0.3, 0, 0], axis=[1, 0, 0]))

@@ -191,6 +191,7 @@ class Constraint(Record):
     Subclasses implement `size` and `rows`. Their fields are parameters and leaves of the model. A
     formulation enforces the rows.
 
+    Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax.constraints import Constraint, coordinate
         >>> class Mirror(Constraint):

@@ -7,14 +7,15 @@ follows after p integrations is multiplied by (h A)^-p, so that the matrix
 
     [M  -G^T]
     [G    0 ]       (index 2: p = 1; index 3: p = 2; up to terms in h)
-is regular for h = 0. Newton's iteration takes the matrix of the start of the step, inverted in
-blocks of one stage (`simplified`). If it does not converge, as near singular positions, it takes
-the matrices of the stages (`schur_complement`); after `FREE` iterations these are regularized
-towards a constant w, so that the iteration converges also if a row vanishes. Regularization changes
-corrections, not the solution. The derivative is the one of the implicit function.
+is regular for h = 0. Newton's iteration uses the matrix at the start of the step, inverted in
+blocks of one stage (`simplified`). If it does not converge, as near singular positions, it uses the
+matrices at the stages (`schur_complement`). After `FREE` iterations these are regularized towards a
+constant w, so that the iteration also converges if a row vanishes. Regularization changes
+corrections, not the solution. Derivatives use the implicit function theorem.
 
 A GPU thread has no memory for the matrices of the stages above `COUPLED_UP_TO` unknowns. Up to
-`SWEPT_UP_TO` the second iteration uses `Complement` there, above it there is none.
+`SWEPT_UP_TO` unknowns the second iteration uses `Complement` on a GPU. Above, there is no second
+iteration.
 
 Source: Hairer, Lubich & Roche, *The Numerical Solution of Differential-Algebraic Systems by
 Runge-Kutta Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VI, VII.
@@ -47,31 +48,31 @@ from rbjax.solvers.steps import weighted_sums
 
 MAX_STEPS = 50
 ROUNDING = 4  # units in the last place, relative to y
-#: corrections that shrink by a larger factor are rounding if they are below a part of y, by bytes
-#: of a number: those of index 3 contain the rounding of positions times about 50 / h
+#: A correction is rounding if its ratio to the one before is above STALLED and it is below
+#: STALLED_BELOW (by bytes of the dtype). Index 3 adds the rounding of positions times about 50 / h.
 STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
-#: the same for a linear system, in units in the last place
+#: noise of the corrections of a linear system, in units in the last place
 LINEAR_NOISE = 100
-#: the same for sweeps, by bytes of a number
+#: noise of sweeps, by bytes of the dtype, in units in the last place
 SWEPT_NOISE = {4: 1e3, 8: 1e5}
-#: iterations with the matrices of the stages: towards the last w, then towards a constant one
+#: iterations with the matrices of the stages: regularized towards the last w, then a constant w
 FREE, HELD = 6, 9
-#: sweeps of a GPU thread towards a constant w
+#: sweeps of a GPU thread regularized towards a constant w
 SWEEPS = 24
-#: unknowns of all stages for whose matrix a GPU thread has memory
+#: largest number of unknowns of all stages for whose matrix a GPU thread has memory
 COUPLED_UP_TO = 40
-#: unknowns of all stages for whose `Complement` it has memory
+#: largest number of unknowns of all stages for whose `Complement` a GPU thread has memory
 SWEPT_UP_TO = 200
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Differential-algebraic equations.
+    """A system of differential-algebraic equations.
 
     Fields:
         f: (t, y (n,), y' (n,), w (m,)) -> (n + m,).
-        depth: p of each of the last m rows.
-        free_diagonal: (m,) the diagonal of the Schur complement of free bodies; 0 if unknown.
+        depth: number of integrations p of each of the last m rows.
+        free_diagonal: (m,) diagonal of the Schur complement for free bodies; 0 if unknown.
         kinematic, ggl: as in `Sizes`.
     """
 
@@ -83,7 +84,7 @@ class Equations:
 
 
 class Point(NamedTuple):
-    """The start of a step: the point of the matrix and the first guess."""
+    """Start of a step: the point of the matrix, and the initial guess."""
 
     t: Any
     y: jax.Array
@@ -92,7 +93,7 @@ class Point(NamedTuple):
 
 
 class StageProblem(NamedTuple):
-    """The data of the stage equations."""
+    """Data of the stage equations."""
 
     h: Any
     t: jax.Array  # (s,)
@@ -100,11 +101,17 @@ class StageProblem(NamedTuple):
     weights: Weights
     start: Point
     free_diagonal: jax.Array
-    read: tuple  # the closure of f
+    read: tuple  # closed-over values of f
 
 
 class Stages(NamedTuple):
-    """Rates (s, n), algebraic unknowns (s, m), and whether they were found; if not, the guess."""
+    """Solution of the stage equations.
+
+    Fields:
+        rates: (s, n).
+        w: (s, m) algebraic unknowns.
+        ok: whether the iteration converged. If not, the values are the guess.
+    """
 
     rates: jax.Array
     w: jax.Array
@@ -117,7 +124,7 @@ def solve(
     """Solve the equations of the stages at times t (s,), from base values y (s, n)."""
     s, n = y.shape
     f, read = jax.closure_convert(equations.f, *start)
-    # jitted, so that it is traced once
+    # jit traces f only once
     system = System(jax.jit(f), Sizes(n, equations.kinematic, equations.depth, equations.ggl))
     start, free_diagonal = jax.lax.stop_gradient((start, equations.free_diagonal))
 
@@ -128,7 +135,7 @@ def solve(
 
     @root.def_jvp
     def _(primals, tangents):
-        found, blocks = root(*primals)  # with its own derivative: this rule
+        found, blocks = root(*primals)  # calls the function with this rule
         x = found[:-1].reshape(s, -1)
         _, change = eqx.filter_jvp(lambda problem: system.residual(x, problem), primals, tangents)
         rate = jnp.append(-system.solve_linear(x, change, blocks, *primals), 0 * found[-1])
@@ -141,8 +148,8 @@ def solve(
 
 
 def damp_error(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array) -> jax.Array:
-    """Damp an error raw (n,) of y by an implicit Euler step gamma h of the linearized equations,
-    which removes its stiff parts and those across the constraints."""
+    """Damp an error estimate `raw` (n,) of y by an implicit Euler step of the linearized equations.
+    The step gamma h removes stiff parts and parts across the constraints."""
     start, free_diagonal = jax.lax.stop_gradient((start, equations.free_diagonal))
     n, one = raw.size, weight(jnp.ones((), raw.dtype))
     system = System(equations.f, Sizes(n, 0, equations.depth, 0))
@@ -154,7 +161,7 @@ def damp_error(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array)
 
 @dataclass(frozen=True)
 class System:
-    """The stage equations, with the closure of f as an argument."""
+    """The stage equations, with the closed-over values of f as an argument."""
 
     f: Callable[..., jax.Array]
     sizes: Sizes
@@ -164,17 +171,17 @@ class System:
         return self.sizes.n
 
     def stages(self, x: jax.Array, at: StageProblem) -> tuple[jax.Array, ...]:
-        """Return t, y, rates and w of each stage, of x = (rates, w)."""
+        """Return time, y, rates and algebraic unknowns w of each stage, from x = (rates, w)."""
         k, w = x[:, : self.n], x[:, self.n :]
         return at.t, at.y + at.h * weighted_sums(at.weights.a, k), k, w
 
     def residual(self, x: jax.Array, at: StageProblem) -> jax.Array:
-        """Evaluate the equations (s, n + m) at x = (rates, w), the last rows times (h A)^-p."""
+        """Return the stage equations (s, n + m) at x = (rates, w), with scaled algebraic rows."""
         out = each(lambda *stage: self.f(*stage, *at.read), *self.stages(x, at))
         return self.weighted(out, at.h, at.weights)
 
     def weighted(self, rows: jax.Array, h: Any, weights: Weights) -> jax.Array:
-        """Multiply the last m of the rows (s, n + m, ...) by (h A)^-p."""
+        """Multiply the algebraic rows, the last m of (s, n + m, ...), by (h A)^-depth."""
         back, parts, at = weights.inverse / h, [rows[:, : self.n]], self.n
         for p in self.sizes.depth:
             row = rows[:, at]
@@ -185,12 +192,12 @@ class System:
         return jnp.concatenate(parts, 1)
 
     def slope(self, t, y, rate, w, read) -> jax.Array:
-        """Compute df / d(y, y', w) (n + m, 2 n + m) at a point."""
+        """Return df / d(y, y', w) (n + m, 2 n + m) at a point."""
         one = jnp.eye(2 * self.n + len(w), dtype=y.dtype)
         return each(self.push(t, y, rate, w, read), one).T
 
     def push(self, t, y, rate, w, read) -> Callable[[jax.Array], jax.Array]:
-        """Return the derivative of f along a change of (y, y', w) (2 n + m,) at a point."""
+        """Return the function d -> derivative of f along a change d of (y, y', w) (2 n + m,)."""
         n = self.n
 
         def f(z):
@@ -200,22 +207,22 @@ class System:
         return lambda d: jax.jvp(f, (at,), (d,))[1]
 
     def invert_start(self, at: StageProblem) -> Blocks:
-        """Invert the matrix of the start, for all stages, approximately."""
+        """Invert approximately the matrix of all stages, at the start of the step."""
         push = self.push(*at.start, at.read)
         return simplified(push, self.sizes, at.h, at.weights, at.free_diagonal)
 
     def push_residual(self, x: jax.Array, at: StageProblem) -> Callable[[jax.Array], jax.Array]:
-        """Return the derivative of the residual at x along a change of x."""
+        """Return the function d -> derivative of the residual at x along a change d of x."""
         return lambda d: jax.jvp(lambda x: self.residual(x, at), (x,), (d,))[1]
 
     def complement(self, x: jax.Array, shared: Simplified, at: StageProblem) -> Complement:
-        """Compute the Schur complement of the w of all stages, at x."""
+        """Compute the Schur complement of the algebraic unknowns w of all stages, at x."""
         near = rank_tolerance("stages", at.y.dtype)
         push = self.push_residual(x, at)
         return complement(push, shared.free, at.free_diagonal, len(at.y), self.n, near)
 
     def stage_matrix(self, x: jax.Array, at: StageProblem) -> Matrix:
-        """Compute the matrix at x."""
+        """Compute the matrix of all stages at x."""
         slopes = jax.vmap(functools.partial(self.slope, read=at.read))(*self.stages(x, at))
         return self.matrix(slopes, at.h, at.weights)
 
@@ -236,7 +243,7 @@ class System:
         )
 
     def find_root(self, blocks: Blocks, at: StageProblem) -> jax.Array:
-        """Find the root. Returns it and 1, or the guess and 0, in one array."""
+        """Return the root and 1 in one array, or the guess and 0 if the iteration fails."""
         h, y, start = at.h, at.y, at.start
         s, n, size = len(y), self.n, jnp.maximum(1.0, jnp.abs(y).max())
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, n + len(start.w)))
@@ -257,7 +264,7 @@ class System:
             return x - S.sweep(lambda x: self.residual(x, at), shared.free, x, target), target
 
         def found(step: Callable, done: jax.Array, x: jax.Array, most: int) -> tuple:
-            """Iterate. Returns whether x converged, and x or the guess."""
+            """Iterate. Return whether x converged, and x or the guess."""
 
             def once(carry: tuple) -> tuple:
                 x, target, before, count, _ = carry
@@ -287,8 +294,9 @@ class System:
     def solve_linear(
         self, x: jax.Array, change: jax.Array, blocks: Blocks, at: StageProblem
     ) -> jax.Array:
-        """Solve for the change (s, n + m) of x that causes a change of the residual, by iteration
-        with the matrix of the start; if that does not converge, with those of the stages."""
+        """Solve for the change (s, n + m) of x that causes a given change of the residual. The
+        iteration uses the matrix at the start of the step. If it does not converge, the matrices at
+        the stages are used."""
         shared = Simplified(self.sizes, *jax.lax.stop_gradient((at.h, at.weights, blocks)))
 
         def back(d: jax.Array) -> jax.Array:
@@ -316,7 +324,7 @@ class System:
                     return jnp.where(ok, exact, jnp.nan), jnp.array(True)
 
                 def once(f: Callable) -> Callable:
-                    # a loop and not a branch: of a batch both branches would run
+                    # a loop instead of a branch, because a batch would execute both branches
                     return lambda *carry: jax.lax.while_loop(lambda x: ~x[1], f, carry)[0]
 
                 def fail(found: jax.Array, done: jax.Array) -> jax.Array:
@@ -334,7 +342,7 @@ class System:
 def choose_by_memory(
     unknowns: int, f: Callable, smaller: Callable, otherwise: Callable
 ) -> Callable:
-    """Choose f, which needs a matrix of all unknowns; on a GPU without memory another function."""
+    """Return f, which needs a matrix of all unknowns, or another function on a small GPU."""
     if unknowns <= COUPLED_UP_TO:
         return f
     on_gpu = smaller if unknowns <= SWEPT_UP_TO else otherwise
@@ -342,12 +350,12 @@ def choose_by_memory(
 
 
 def solve_by_corrections(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
-    """Solve push(x) = b by corrections nearly(b - push(x)). Returns x and whether it converged."""
+    """Solve push(x) = b by corrections nearly(b - push(x)). Return x and whether it converged."""
     return add_corrections(lambda x: nearly(b - push(x)), b, n)
 
 
 def solve_by_sweeps(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
-    """Solve push(x) = b by sweeps. Returns x and whether it converged."""
+    """Solve push(x) = b by sweeps. Return x and whether it converged."""
     noise = SWEPT_NOISE[b.dtype.itemsize]
     return add_corrections(
         lambda x: S.sweep(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n, noise
@@ -358,7 +366,7 @@ def add_corrections(
     correction: Callable, b: jax.Array, n: int, noise: float = LINEAR_NOISE
 ) -> tuple:
     """Add corrections correction(x) to x, from 0, until the first n columns change by rounding.
-    Returns x and whether it converged."""
+    Return x and whether it converged."""
     eps = float(jnp.finfo(b.dtype).eps)
 
     def once(at: tuple) -> tuple:
@@ -381,7 +389,8 @@ def add_corrections(
 def is_rounding(
     now: jax.Array, before: jax.Array, count: jax.Array, noise: float | None = None
 ) -> jax.Array:
-    """Test whether corrections, relative to y, are rounding, which is `noise` at most."""
+    """Return whether corrections, relative to y, have reached rounding. `noise` is the largest
+    correction that may be rounding."""
     eps = float(jnp.finfo(now.dtype).eps)
     noise = STALLED_BELOW[now.dtype.itemsize] if noise is None else noise
     ratio = now / jnp.where(before > 0, before, 1.0)

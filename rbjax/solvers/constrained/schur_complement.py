@@ -2,15 +2,15 @@
 
     [K  C] [k]   [r]            S = D - B K^-1 C,     S w = b,     b = r_w - B K^-1 r
     [B  D] [w] = [r_w]
-S is singular if rows are redundant or vanish. If all stages share a matrix, S is close to
-G M^-1 G^T, which is positive semidefinite, and E is added to it (`rbjax.lanes.factorization`). If
-each stage has its own, the gradient of a row may change sign between stages, and S is indefinite.
+S is singular if rows are redundant or vanish. If all stages share a matrix, S is close to the
+positive semidefinite matrix G M^-1 G^T, and E is added to it (`rbjax.lanes.factorization`). If each
+stage has its own matrix, the gradient of a row may change sign between stages, and S is indefinite.
 Then w is the solution of
 
     min |S w - b|^2 + eps^2 |w - c|^2,      c the previous w, or zero
 
-`Complement` needs less memory, for GPU threads: K^-1 is replaced by the blocks of the start of the
-step (`simplified`), and S is made column by column, from derivatives of the equations. One sweep is
+`Complement` needs less memory, for GPU threads. It replaces K^-1 by the blocks at the start of the
+step (`simplified`), and computes S column by column from derivatives of the equations. One sweep is
 
     k <- k - F r(k, w), twice;    w <- w - (S + E)^-1 (b(k, w) + E (w - c)),     F close to K^-1
 
@@ -31,12 +31,12 @@ from rbjax.lanes import inverse, matvec
 from rbjax.lanes.arrays import each
 from rbjax.lanes.factorization import diagonal_floor, regularization
 
-#: (b, c) -> w
+#: (b, c) -> w, the solution regularized towards c
 Solve = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 class Matrix(NamedTuple):
-    """The blocks K, C, B, D."""
+    """The four blocks of the Newton matrix of all stages: equations and rows by rates and by w."""
 
     rates: jax.Array
     w: jax.Array
@@ -49,12 +49,13 @@ class Matrix(NamedTuple):
 
 
 class Factored:
-    """A matrix factored by its regularized Schur complement.
+    """A Newton matrix of all stages, factored by its regularized Schur complement.
 
     Args:
-        matrix: of all stages.
-        free_diagonal: (m,) the diagonal of S of free bodies, for one stage; 0 if unknown.
-        least_squares: eps of the least squares; None adds E to S.
+        matrix: blocks of the matrix.
+        free_diagonal: (m,) diagonal of the Schur complement for free bodies, of one stage; 0 if
+            unknown.
+        least_squares: eps of the least-squares problem; None adds a shift E instead.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class Factored:
             self._solve = _by_shift(S, jnp.where(E > 0, E, 1.0))
 
     def once(self, r: jax.Array, c: jax.Array | float = 0.0) -> jax.Array:
-        """Solve matrix x = r: x (s, n + m), regularized towards w = c (s, m)."""
+        """Solve matrix x = r once, for x (s, n + m), regularized towards w = c (s, m)."""
         s = len(r)
         n = len(self._matrix.rates) // s
         k = lu_solve(self._rates, r[:, :n].ravel())
@@ -102,14 +103,14 @@ class Factored:
 
 
 def _by_shift(S: jax.Array, E: jax.Array) -> Solve:
-    """Factor S + E. Returns the solution w of (S + E) w = b + E c."""
+    """Factor S + E. Return the function (b, c) -> w that solves (S + E) w = b + E c."""
     factors = lu_factor(S + jnp.diag(E))
     return lambda b, c: lu_solve(factors, b + E * c)
 
 
 def _by_least_squares(S: jax.Array, size: jax.Array, eps: float) -> Solve:
-    """Factor the problem min |S w - b|^2 + eps^2 |w - c|^2, scaled so that `size` is 1. Returns its
-    solution."""
+    """Factor the problem min |S w - b|^2 + eps^2 |w - c|^2, scaled to a diagonal `size` of 1.
+    Return the function (b, c) -> w."""
     r, one = 1.0 / jnp.sqrt(size), jnp.eye(len(S), dtype=S.dtype)
     Q, R = jnp.linalg.qr(jnp.concatenate([r[:, None] * S * r, eps * one]))
 
@@ -124,18 +125,18 @@ def _product(a: jax.Array, b: jax.Array) -> jax.Array:
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
 
-#: of x (s, n + m), or of a change of it; F of (s, n)
+#: function of x (s, n + m) or of its change; F is a function of (s, n)
 Function = Callable[[jax.Array], jax.Array]
 
 
 class Complement(NamedTuple):
-    """A regularized Schur complement with little memory.
+    """A regularized Schur complement that needs little memory.
 
     Fields:
-        inverse: (s m, s m) the transpose of (S + E)^-1.
-        E: (s m,).
-        transposed: whether it is for the transposed equations. (A GPU thread would copy a matrix to
-            transpose it.)
+        inverse: (s m, s m) transpose of (S + E)^-1.
+        E: (s m,) regularization.
+        transposed: whether it solves the transposed equations. A GPU thread would have to copy a
+            matrix to transpose it.
     """
 
     inverse: jax.Array
@@ -143,7 +144,7 @@ class Complement(NamedTuple):
     transposed: bool = False
 
     def sweep(self, residual: Function, free: Function, x: jax.Array, c: jax.Array) -> jax.Array:
-        """Improve x of residual(x) = 0 by one sweep, regularized towards w = c."""
+        """Improve the solution x of residual(x) = 0 by one sweep, regularized towards w = c."""
         m = c.shape[1]
         n = x.shape[1] - m
         x, rows = _relax(residual, free, x, n)
@@ -161,11 +162,12 @@ def complement(
     """Compute the Schur complement of s stages.
 
     Args:
-        push: the derivative of the equations along a change of x.
-        free: the approximate inverse of K.
-        free_diagonal: (m,) the diagonal of S of free bodies, for one stage.
-        s, n: number of stages and of rates.
-        near: E, relative to the diagonal of S and `free_diagonal`.
+        push: derivative of the equations along a change of x.
+        free: approximate inverse of K.
+        free_diagonal: (m,) diagonal of S for free bodies, of one stage.
+        s: number of stages.
+        n: number of rates.
+        near: E relative to the diagonal of S and to `free_diagonal`.
     """
     m = len(free_diagonal)
 
@@ -182,7 +184,8 @@ def complement(
 
 
 def _relax(residual: Function, free: Function, x: jax.Array, n: int) -> tuple[jax.Array, jax.Array]:
-    """Improve the rates of x twice. Returns x and the residuals of the rows before the last one."""
+    """Improve the rates of x twice. Return x, and the residuals of the rows before the last
+    improvement."""
 
     def improve(x: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
         r = residual(x)

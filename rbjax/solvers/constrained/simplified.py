@@ -5,12 +5,12 @@
                dynamic    f(u, v, x, v', x') - B^T w = 0                  v', x'
                rows       of u or v, with gradients B                     w
                GGL rows   of u, with gradients G                          mu
-All stages share the matrix of the start of the step. A method's matrix A has the real form
+All stages share the matrix at the start of the step. A method's matrix A has the real form
 
     A T = T diag(r_1, ...,  [ x  -y]
                             [ y   x], ...)
-so the matrix of all stages decomposes into one for each eigenvalue z / h, of the size of one stage:
-a real one, or a complex one for a pair of eigenvalues. Elimination of u' gives
+so the matrix of all stages decomposes into one matrix per eigenvalue z / h, of the size of one
+stage. It is real for a real eigenvalue and complex for a pair. Elimination of u' gives
 
     K(z) = M + z D + z^2 K       of v', x': masses, dampings, stiffnesses
     S(z) = B K(z)^-1 B^T         of w
@@ -38,8 +38,14 @@ from rbjax.solvers.steps import weighted_sums
 
 
 class Spectrum(NamedTuple):
-    """T (s, s), its inverse, the real eigenvalues (r,) and those with a positive imaginary part
-    (c, 2), in the order of the columns of T."""
+    """Real form of the matrix A of a method.
+
+    Fields:
+        to: (s, s) matrix T.
+        back: (s, s) inverse of T.
+        real: (r,) real eigenvalues, in the order of the columns of T.
+        pairs: (c, 2) eigenvalues with a positive imaginary part, in the order of the columns of T.
+    """
 
     to: Any
     back: Any
@@ -62,7 +68,7 @@ def spectrum(a: np.ndarray) -> Spectrum:
 
 
 class Weights(NamedTuple):
-    """The matrix A (s, s) of a method, its inverse, and its real form."""
+    """Coefficients A (s, s) of an implicit method, their inverse, and their real form."""
 
     a: Any
     inverse: Any
@@ -76,7 +82,7 @@ def weights(a: np.ndarray, dtype: Any) -> Weights:
 
 
 def weight(a: jax.Array) -> Weights:
-    """Make the weights of one stage, whose A is a number."""
+    """Return the weights of a method of one stage, whose A is a scalar."""
     a = a.reshape(1, 1)
     one = jnp.ones_like(a)
     return Weights(a, 1 / a, Spectrum(one, one, a[0], jnp.zeros((0, 2), a.dtype)))
@@ -87,13 +93,13 @@ Inverse = list[jax.Array]
 
 
 class Sizes(NamedTuple):
-    """The sizes of the equations.
+    """Sizes of the system of equations.
 
     Fields:
         n: number of rates.
-        kinematic: the first of these are rates of positions; their velocities come next.
-        depth: of each row, the number of integrations from its acceleration.
-        ggl: the last of the rows, with multipliers mu.
+        kinematic: number of position rates, which come first. The velocity rates come next.
+        depth: number of integrations from acceleration to each row.
+        ggl: number of GGL rows, which come last and have multipliers mu.
     """
 
     n: int
@@ -103,12 +109,12 @@ class Sizes(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """The number of rows with multipliers w."""
+        """Number of rows with multipliers w."""
         return len(self.depth) - self.ggl
 
 
 class GGLBlocks(NamedTuple):
-    """The blocks of mu: the inverse of M; M^-1 G^T; G; the inverse of S_mu."""
+    """Blocks of the GGL multipliers: inverse of M, Y = M^-1 G^T, G, inverse of S = G M^-1 G^T."""
 
     M: jax.Array
     Y: jax.Array
@@ -117,7 +123,9 @@ class GGLBlocks(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """The inverted blocks: K^-1 and S^-1 of each eigenvalue; B; the blocks of mu."""
+    """Inverted blocks of the simplified Newton matrix: K^-1 of the velocities and S^-1 of the rows
+    for each eigenvalue, the gradient B of the rows, and the blocks of the GGL multipliers or None.
+    """
 
     K: list[Inverse]
     S: list[Inverse]
@@ -126,7 +134,7 @@ class Blocks(NamedTuple):
 
 
 class Simplified(NamedTuple):
-    """The approximate inverse of the matrix of all stages."""
+    """Approximate inverse of the Newton matrix of all stages."""
 
     sizes: Sizes
     h: Any
@@ -134,14 +142,14 @@ class Simplified(NamedTuple):
     blocks: Blocks
 
     def solved(self, r: jax.Array) -> jax.Array:
-        """Solve matrix x = r approximately: x (s, n + m)."""
+        """Solve the Newton equations of all stages approximately, for x (s, n + m)."""
         n, k, depth, _ = self.sizes
         m = n + self.sizes.rows
         du, acting, rows, last = r[:, :k], r[:, k:n], r[:, n:m], r[:, m:]
         K, S, B, ggl = self.blocks
         if ggl:
             du = _times(ggl.M, du)
-        if any(p > 1 for p in depth[: self.sizes.rows]):  # the gradient of a row of u, times u' / z
+        if any(p > 1 for p in depth[: self.sizes.rows]):  # gradient of u times u' / z
             of_du = weighted_sums(self.weights.inverse / self.h, _times(B[:, :k], du))
             of_u = jnp.array([float(p > 1) for p in depth[: self.sizes.rows]], r.dtype)
             rows = rows - of_u * of_du
@@ -157,7 +165,7 @@ class Simplified(NamedTuple):
         return jnp.concatenate([du + _times(ggl.Y, mu), rates, w, mu], 1)
 
     def free(self, r: jax.Array) -> jax.Array:
-        """Solve the equations without rows approximately: rates (s, n) of residual r (s, n)."""
+        """Solve the Newton equations without constraint rows approximately, for rates (s, n)."""
         n, k, *_ = self.sizes
         du, acting = r[:, :k], r[:, k:n]
         if self.blocks.ggl:
@@ -168,7 +176,7 @@ class Simplified(NamedTuple):
         return jnp.concatenate([du, rates], 1)
 
     def _by_eigenvalue(self, blocks: list[Inverse], x: jax.Array) -> jax.Array:
-        """Multiply each block by its rows of x: one of a real eigenvalue, two of a complex one."""
+        """Multiply each block by its rows of x: one for a real eigenvalue, two for a pair."""
         out, at = [], 0
         for block in blocks:
             if len(block) == 1:
@@ -184,13 +192,15 @@ def simplified(
     push: Callable[[jax.Array], jax.Array], sizes: Sizes, h: Any, weights: Weights,
     free_diagonal: jax.Array,
 ) -> Blocks:  # fmt: skip
-    """Compute and invert the blocks.
+    """Compute and invert the blocks of the simplified Newton matrix.
 
     Args:
-        push: the derivative of the equations (n + m,) along a change of (y, y', w) (2 n + m,) at
-            the start of the step.
-        sizes, h, weights: of the equations, the step and the method.
-        free_diagonal: (m,) the diagonals of S and S_mu of free bodies; 0 if unknown.
+        push: derivative of the equations (n + m,) along a change of (y, y', w) (2 n + m,) at the
+            start of the step.
+        sizes: sizes of the equations.
+        h: step.
+        weights: weights of the method.
+        free_diagonal: (m,) diagonals of the Schur complements for free bodies; 0 if unknown.
     """
     n, k, depth, ggl = sizes
     dtype, m, rows = free_diagonal.dtype, len(depth), n + sizes.rows
@@ -202,7 +212,7 @@ def simplified(
         return (jnp.arange(2 * n + m) == at).astype(dtype) * some
 
     def column(j: jax.Array) -> tuple:
-        """Compute the columns of a velocity or of a state x, in all blocks."""
+        """Compute the columns of one velocity or state x, in all blocks."""
         ways = jnp.stack([along(n + k + j), along(k + j), along(j, j < k)])
         M, D, K = each(push, ways)
         powers = [(*z, *_product(z, z)) for z in zs]
@@ -214,7 +224,7 @@ def simplified(
         of_mu = (M[k : 2 * k], K[rows:]) if ggl else ()
         return blocks, jnp.where(of_u, K[n:rows], D[n:rows]), of_mu
 
-    # the columns of the blocks are the rows of these arrays
+    # the rows of these arrays are the columns of the blocks
     blocks, B, of_mu = each(column, jnp.arange(n - k))
     K = [[x.T for x in inverse(*block)] for block in blocks]
     own, others = free_diagonal[: sizes.rows], free_diagonal[sizes.rows :]
@@ -227,14 +237,14 @@ def simplified(
 
 
 def _product(x: tuple, y: tuple) -> tuple:
-    """Multiply two numbers, real or complex."""
+    """Multiply two numbers, real (x,) or complex (re, im)."""
     if len(x) == 1:
         return (x[0] * y[0],)
     return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]
 
 
 def _regular(S: Inverse, free_diagonal: jax.Array) -> Inverse:
-    """Invert S + E, E the regularization."""
+    """Return the inverse of S + E, with E the regularization."""
     eps, vanishing, _ = regularization(free_diagonal.dtype)
     size = jnp.abs(jnp.diagonal(S[0]))
     E = eps * size + diagonal_floor(size, free_diagonal, vanishing)

@@ -1,4 +1,4 @@
-"""Analysis of motions: linearised, over a million steps, in chaos, on scenes that break methods.
+"""Analysis of motions: linearisation, long runs, chaos, and scenes that break methods.
 
-It imports `theory`, which does not import it.
+This package imports `theory`, which does not import it.
 """

@@ -1,9 +1,10 @@
 """Hamilton's equations of a robot, for solvers that are symplectic in (q, p).
 
     p = M(q) v,    q' = M^-1 p,    p' = dL/dq + Q,    L = v^T M v / 2 - U
-Gauss' methods keep the symplectic form dq ^ dp of these coordinates for any mass matrix. In (q, v)
-they keep it only if M is constant; in these coordinates use `rb.solvers.VariationalMidpoint`, which
-knows the momentum. (Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VI.4.)
+Gauss methods conserve the symplectic form dq ^ dp of these coordinates for any mass matrix. In
+(q, v) they conserve it only if M is constant. In (q, v) use `rb.solvers.VariationalMidpoint`
+instead, which uses the momentum. (Hairer, Lubich & Wanner, *Geometric Numerical Integration*,
+VI.4.)
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Hamiltonian(eqx.Module):
 
 
 def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
-    """Convert a state to (q, p), p = M(q) v, of a robot without ball or free joints.
+    """Convert a state to (q, p), with p = M(q) v, of a robot without ball or free joints.
 
     Args:
         model: the robot.
@@ -57,7 +58,7 @@ def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
 
     Raises:
         InputError: the model has quaternions, or force elements with states; wrong shapes or
-            dtypes, values that are not finite.
+            dtypes, or values that are not finite.
 
     Example:
         >>> import rbjax as rb
@@ -76,7 +77,7 @@ def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
 
 
 def from_canonical(model: Model, y: tuple[jax.Array, jax.Array]) -> State:
-    """Convert (q, p) to a state.
+    """Convert (q, p) to a state, with v = M(q)^-1 p.
 
     Raises:
         InputError: as `to_canonical`.
@@ -91,7 +92,7 @@ def from_canonical(model: Model, y: tuple[jax.Array, jax.Array]) -> State:
 
 
 def _velocity(where: str, model: Model, y: Any) -> tuple[jax.Array, jax.Array]:
-    """q, and v from the momentum p."""
+    """Return q, and v from the momentum p."""
     _check(where, model)
     if not (isinstance(y, tuple | list) and len(y) == 2):
         raise InputError(f"{where}: y is {type(y).__name__}, expected a pair (q (nq,), p (nv,))")
@@ -101,7 +102,7 @@ def _velocity(where: str, model: Model, y: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _check(where: str, model: Model) -> None:
-    """`InputError` for a model whose state is not (q, p)."""
+    """Raise InputError for a model whose state is not (q, p)."""
     check_model(where, model)
     if model.topology.quaternion_starts:
         raise InputError(

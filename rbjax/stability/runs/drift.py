@@ -1,18 +1,18 @@
-"""Equal steps of any solver in constant memory, the drift of invariants, and a test of their slope.
+"""Long runs of equal steps in constant memory, drift of invariants, and a test of its slope.
 
     y_{n+1} = step(t_n, h, y_n),    t_n = n h;    keep(t, y, args) after every `every` steps
-One compiled program runs any number of steps. They are the solver's own, without interpolation,
-controller or checkpoints. A run stops before a state that is not finite, or if the root of an
-implicit step is not found; `ending` is the reason. The remaining samples repeat the last finite
-one, at times that are nan.
+One compiled program runs any number of steps. They are the solver's own steps, without
+interpolation, controller or checkpoints. A run stops before a state that is not finite, or if the
+root of an implicit step is not found; `ending` is the reason. The remaining samples repeat the last
+finite one, at times that are nan.
 
     x_k = a + s t_k + oscillation;    s by least squares over the means of B blocks,
     its error from the residuals,    sigma^2 = (1 + r) / (1 - r) sum e^2 / (B - 2) / sum (t - t_)^2
-with r the correlation of neighbours. If r is near 1, the residual may be a random walk, as from
-rounding. The variance of its slope is then 6/5 B var(dx) / T^2, dx the steps from block to block.
-A symplectic method keeps the energy within an oscillation that does not grow for exponentially long
-times (backward error analysis; Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IX.8).
-Other methods drift at a constant rate.
+r is the correlation of neighbours. If r is near 1, the residual may be a random walk, as from
+rounding. The variance of its slope is then 6/5 B var(dx) / T^2, with dx the differences between
+blocks. A symplectic method keeps the energy within an oscillation that does not grow for
+exponentially long times (backward error analysis; Hairer, Lubich & Wanner, *Geometric Numerical
+Integration*, IX.8). Other methods drift at a constant rate.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from rbjax.model import Model, State, Topology
 from rbjax.motion.term import make_term, unit_quaternions
 from rbjax.stability.methods import Solver, fixed_step_solver
 
-BLOCKS = 64  # block means of a series, to which the slope is fitted
+BLOCKS = 64  # number of block means of a series, to which the slope is fitted
 SIGNIFICANT = 4.0  # standard errors beyond which a slope is a trend
 WALK = 0.7  # correlation of neighbours beyond which residuals may be a random walk
 
 
-#: the endings of a run, by the number in `March.ending`
+#: values of `March.ending`
 DONE, NOT_FINITE, NO_ROOT = ENDINGS = range(3)
 
 Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> arrays to keep
@@ -54,9 +54,12 @@ Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> arrays to keep
 class March(eqx.Module):
     """The result of a run.
 
-    Fields: ts (K + 1,) s, nan after an early end; kept, the results of `keep`, each leaf
-    (K + 1, ...), of the last state y where ts is nan; y, the last state; steps (), their number;
-    ending (), one of `DONE`, `NOT_FINITE`, `NO_ROOT` of `rb.stability`.
+    Fields:
+        ts: (K + 1,) s; nan after an early end.
+        kept: results of `keep`, each leaf (K + 1, ...); of the last state if ts is nan.
+        y: last state.
+        steps: () number of steps.
+        ending: () `DONE`, `NOT_FINITE` or `NO_ROOT` of `rb.stability`.
     """
 
     ts: jax.Array
@@ -77,7 +80,8 @@ def long_run(
     samples: int,
     args: Any = None,
 ) -> March:
-    """samples * every steps of dt from t = 0. One program serves all dt, `every`, y0 and args."""
+    """Run samples * every steps of dt from t = 0. One program serves all dt, `every`, y0 and
+    args."""
     y0 = as_floats("a run", y0)
     dtype = jnp.result_type(*jax.tree.leaves(y0))
     check_times(dt, every * samples, dtype)
@@ -115,12 +119,12 @@ def _run(term, solver, y0, dt, keep, every, samples, args) -> March:
 
 
 def finite(y: Any) -> jax.Array:
-    """Whether all numbers of a state are finite."""
+    """Return whether all numbers of a state are finite."""
     return jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(y)]).all()
 
 
 def as_floats(where: str, y: Any) -> Any:
-    """A state as finite arrays of one float type."""
+    """Convert a state to finite arrays of one float dtype."""
     leaves = jax.tree.leaves(y)
     if not leaves or not all(hasattr(x, "dtype") or isinstance(x, (int, float)) for x in leaves):
         raise InputError(f"{where}: y0 is {y!r}, expected arrays of numbers")
@@ -133,7 +137,7 @@ def as_floats(where: str, y: Any) -> Any:
 
 
 def check_times(dt: Any, steps: int, dtype: Any) -> None:
-    """`InputError` for times that the dtype cannot resolve: t + h - t would differ from h."""
+    """Raise InputError for times that the dtype cannot resolve, with t + h - t different from h."""
     h = np.asarray(real_number("a run", "dt", dt, above=0.0), dtype)
     steps = integer("a run", "steps", steps, least=1)
     if not (np.isfinite(h) and h > 0):
@@ -150,10 +154,10 @@ def check_times(dt: Any, steps: int, dtype: Any) -> None:
 def resolve_system(
     where: str, system: Any, y0: Any, solver: Any, args: Any
 ) -> tuple[diffrax.AbstractTerm, Any, Any]:
-    """The term, its state and its arguments, of a robot or a term.
+    """Return the term, its state and its arguments, from a robot or a term.
 
     Raises:
-        InputError: another system, or a state of another shape.
+        InputError: a system of another type, or a state of another shape.
     """
     if isinstance(system, Model):
         if not isinstance(y0, State):
@@ -173,7 +177,7 @@ def resolve_system(
 
 
 def steps_of_a_sample(where: str, steps: Any, samples: Any) -> int:
-    """The number of steps between two samples.
+    """Return the number of steps between two samples.
 
     Raises:
         InputError: `steps` is not a multiple of `samples`.
@@ -191,9 +195,12 @@ def steps_of_a_sample(where: str, steps: Any, samples: Any) -> int:
 class Trend(NamedTuple):
     """The slope of a series.
 
-    Fields: slope, a second; error, its standard error; change, slope times the whole time;
-    amplitude, half of the spread about the line; drifts, whether the slope is more than four
-    standard errors and its change more than the amplitude.
+    Fields:
+        slope: 1/s.
+        error: standard error of the slope.
+        change: slope times the whole time.
+        amplitude: half of the spread about the line.
+        drifts: whether the slope exceeds four standard errors and the change exceeds the amplitude.
     """
 
     slope: float
@@ -213,8 +220,8 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
         xs: (T,) the series.
 
     Raises:
-        InputError: wrong shapes, values that are not finite, times that do not increase, fewer than
-            16 samples.
+        InputError: wrong shapes, values that are not finite, times that do not increase, or fewer
+            than 16 samples.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IX.8.
 
@@ -262,11 +269,14 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
 
 
 class Invariants(eqx.Module):
-    """The invariants of a free robot, as (t, state, model) -> dict.
+    """Function (t, state, model) -> dict of the invariants of a free robot.
 
-    energy (), J, springs included; momentum (6,), angular about the world's origin, then linear;
-    manifold (), the largest | |quaternion| - 1 |. Not all are constant for every robot: a fixed
-    base and gravity change the momentum, dampers take energy.
+    A fixed base and gravity change the momentum, and dampers take energy.
+
+    Entries:
+        energy: () J, including springs.
+        momentum: (6,) angular about the world's origin, then linear.
+        manifold: () largest | |quaternion| - 1 |.
     """
 
     def __call__(self, t: Any, y: State, model: Model) -> dict[str, jax.Array]:
@@ -283,7 +293,7 @@ class Invariants(eqx.Module):
 
 
 def off_manifold(top: Topology, q: jax.Array) -> jax.Array:
-    """The largest deviation of a quaternion's length from 1."""
+    """Return the largest deviation of a quaternion's length from 1."""
     lengths = [jnp.sqrt((q[i : i + 4] ** 2).sum()) for i in top.quaternion_starts]
     return jnp.abs(jnp.stack(lengths) - 1).max() if lengths else jnp.zeros((), q.dtype)
 
@@ -299,30 +309,31 @@ def drift(
     samples: int = 1000,
     args: Any = None,
 ) -> March:
-    """Sample invariants along a run of equal steps, in memory that does not grow with their number.
+    """Sample invariants along a run of equal steps, in memory that does not grow with the steps.
 
-    y_{n+1} = step(t_n, h, y_n); keep(t, y, args) at the start and at `samples` later times.
+    y_{n+1} = step(t_n, h, y_n). keep(t, y, args) is sampled at the start and at `samples` later
+    times.
 
     Args:
         system: a robot, or a diffrax term (`diffrax.ODETerm`, `rb.solvers.OnGroup`, ...).
-        y0: `State(q (nq,), v (nv,))` of the robot, or the term's state. The whole run has its
-            dtype, f32 or f64.
-        keep: (t, y, args) -> any arrays. If None, energy, momentum and manifold of a robot
-            (`rb.stability.Invariants`).
-        solver: a name of `rb.solvers.all()`, any solver of rbjax or diffrax, or an
+        y0: `State(q (nq,), v (nv,))` of the robot, or the term's state. Its dtype, f32 or f64, is
+            the dtype of the run.
+        keep: (t, y, args) -> any arrays. If None, `rb.stability.Invariants` of a robot: energy,
+            momentum and manifold.
+        solver: a name of `rb.solvers.all()`, a solver of rbjax or diffrax, or an
             `rb.solvers.Tableau`, with equal steps.
         dt: step, s. In f32 over more than a few thousand steps it must be a power of two.
-        steps: the number of steps, a multiple of `samples`.
-        samples: the number of samples.
-        args: those of the term; for a robot, the model is used.
+        steps: number of steps, a multiple of `samples`.
+        samples: number of samples.
+        args: arguments of the term. For a robot the model is used.
 
     Returns:
         `March`: ts (samples + 1,), kept, y, steps, ending. After an early end (ending is not
         `DONE`) ts is nan, which `trend` does not accept.
 
     Raises:
-        UnknownName: an unknown name of a solver.
-        InputError: `steps` is no multiple of `samples`; times that the dtype cannot resolve; a
+        UnknownName: an unknown solver name.
+        InputError: `steps` is not a multiple of `samples`; times that the dtype cannot resolve; a
             system or a solver of the wrong kind.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IX.8, X.

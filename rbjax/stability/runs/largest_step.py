@@ -1,9 +1,9 @@
 """The largest step at which a method is stable on a robot's motion: predicted, and measured.
 
-A method is stable at a step h if only those modes of the linearised motion grow that also grow in
-the exact motion: h lambda lies in the stability region, for every eigenvalue lambda of A
-(`linearisation`) with Re lambda <= 0. For a method for q' = v, v' = K q + D v the matrix of its own
-step is used. It must not have more roots outside the unit circle than the pair has growing modes.
+A method is stable at a step h if every mode that grows also grows in the exact linearised motion.
+So h lambda must lie in the stability region for every eigenvalue lambda of A (`linearisation`) with
+Re lambda <= 0. For methods for q' = v, v' = K q + D v the matrix of the method's own step is used.
+It must not have more eigenvalues outside the unit circle than the pair has growing modes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rbjax.stability.theory.multistep_roots import Method, Theory, characteristi
 from rbjax.stability.theory.oscillator import matrices_of_pair
 from rbjax.stability.theory.regions import imaginary_limit
 
-#: an integrator of `rb.rollout` -> the solver that takes the same step
+#: integrator of `rb.rollout` -> the solver that computes the same step
 ROLLOUT: dict[str, Solver] = {
     "semi_implicit_euler": "symplectic_euler",
     "rk4": "rk4",
@@ -45,33 +45,33 @@ PAIRS = (
     solvers.GeneralizedAlpha, solvers.CentralDifferences, solvers.SemiImplicitEuler,
     solvers.VariationalMidpoint, solvers.Splitting,
 )  # fmt: skip
-AXIS = 1e-9  # |Re lambda| / |lambda| of an undamped vibration, from rounding
+AXIS = 1e-9  # largest |Re lambda| / |lambda| of an undamped vibration, from rounding
 SLACK = 1e-12  # allowed excess of a growth factor over one
-GREW = 1e-6  # the same for a step's matrix, whose double roots have an error of sqrt(rounding)
-ROUNDING = 1e-14  # error of the other factors, relative to the largest
-NEAR, FAR, POINTS = 1e-3, 1e4, 600  # |h lambda| that are examined
-SMALL, GROWN = 1e-9, 1e5  # a deviation, and the factor by which it grows if a step is too large
+GREW = 1e-6  # allowed excess for a step's matrix; its double roots have errors of sqrt(rounding)
+ROUNDING = 1e-14  # error of the smaller factors, relative to the largest
+NEAR, FAR, POINTS = 1e-3, 1e4, 600  # range and number of |h lambda| on the first grid
+SMALL, GROWN = 1e-9, 1e5  # initial deviation, and its growth beyond which a step is unstable
 
 
 def stable_step(method: Method, matrices: Any) -> float:
-    """Predict the largest step at which only modes grow that grow in the exact motion.
+    """Predict the largest step at which only modes grow that also grow in the exact motion.
 
     Undamped vibrations are included. For them the limit of a method for y' = f is exact,
-    `imaginary_limit` / |lambda|. It is 0 for methods like Heun's, with which every vibration grows,
-    however slowly (`spectral_radius` gives the rate). For damped modes |zeta| may exceed one by
-    1e-12. Steps of methods for q' = v, v' = a are measured, without the rotation of a body's axes,
-    [w]x in A, and |zeta| may exceed one by 1e-6.
+    `imaginary_limit` / |lambda|. It is 0 for methods such as Heun's, with which every vibration
+    grows, however slowly (`spectral_radius` returns the growth). For damped modes |zeta| may exceed
+    one by 1e-12. Steps of methods for q' = v, v' = a are measured without the rotation of a body's
+    axes, [w]x in A, and |zeta| may exceed one by 1e-6.
 
     Args:
-        method: a name, a solver, a tableau or a polynomial, as for `linear_analysis`, or a solver
-            of q' = v, v' = a. `ROLLOUT[integrator]` is that of `rb.rollout`.
-        matrices: A (2 nv, 2 nv) or (T, 2 nv, 2 nv), of `state_matrix` or `motion_matrices`.
+        method: a name, a solver, a tableau or a polynomial, as for `linear_analysis`; or a solver
+            of q' = v, v' = a. `ROLLOUT[integrator]` is the method of `rb.rollout`.
+        matrices: A (2 nv, 2 nv) or (T, 2 nv, 2 nv), from `state_matrix` or `motion_matrices`.
 
     Returns:
-        Seconds; inf if no step is too large, 0 if none is small enough.
+        Step in seconds; inf if no step is too large, 0 if none is small enough.
 
     Raises:
-        InputError: solvers without linear theory; matrices of another shape, or not finite.
+        InputError: a solver without linear theory, or matrices of another shape or not finite.
 
     Example:
         >>> import rbjax as rb
@@ -99,7 +99,7 @@ def stable_step(method: Method, matrices: Any) -> float:
 
 
 def _square(matrices: Any) -> np.ndarray:
-    """Matrices (T, 2 nv, 2 nv) as an array."""
+    """Return the matrices as an array (T, 2 nv, 2 nv)."""
     expected = "an array (2 nv, 2 nv) or (T, 2 nv, 2 nv)"
     A = real_array("stable_step", "matrices", matrices, expected, finite=False)
     if A.ndim not in (2, 3) or A.shape[-1] != A.shape[-2] or A.shape[-1] % 2 or not A.size:
@@ -115,7 +115,7 @@ def _square(matrices: Any) -> np.ndarray:
 
 
 def _along_ray(radius: Callable[[Any], np.ndarray], eigenvalue: complex) -> float:
-    """The largest h such that h lambda stays in the region."""
+    """Return the largest h such that h lambda stays in the stability region."""
 
     def unstable(h):
         return ~(radius(h * eigenvalue) <= 1 + SLACK)
@@ -124,10 +124,8 @@ def _along_ray(radius: Callable[[Any], np.ndarray], eigenvalue: complex) -> floa
 
 
 def _of_pair(solver: Any, A: np.ndarray) -> float:
-    """The h above which more factors grow than modes of q' = v, v' = K q + D v.
-
-    Factors are only counted, because at long steps they cannot be matched with modes.
-    """
+    """Return the h above which more factors grow than modes of q' = v, v' = K q + D v. Factors are
+    only counted, because at long steps they cannot be matched with modes."""
     n = len(A) // 2
     K, D = A[n:, :n], A[n:, n:]
     rates = np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [K, D]]))
@@ -138,7 +136,7 @@ def _of_pair(solver: Any, A: np.ndarray) -> float:
         broken = ~np.isfinite(step).all((-2, -1))
         step = np.where(broken[:, None, None], 0, step)
         factors = np.abs(np.linalg.eigvals(step))
-        rounding = ROUNDING * factors.max(-1, keepdims=True)  # of the others, if one is huge
+        rounding = ROUNDING * factors.max(-1, keepdims=True)  # of the smaller factors
         natural = h[:, 0] * rates.real > GREW / 2
         return broken | ((factors > 1 + GREW + rounding).sum(-1) > natural.sum(-1))
 
@@ -146,7 +144,8 @@ def _of_pair(solver: Any, A: np.ndarray) -> float:
 
 
 def _first(unstable: Callable[[np.ndarray], np.ndarray], scale: float) -> float:
-    """The first h at which a method is unstable, on nested grids of equal size, in `scale`."""
+    """Return the first h at which a method is unstable, on nested grids. `scale` is the unit of
+    h."""
     grid = np.geomspace(NEAR, FAR, POINTS) * scale
     bad = unstable(grid)
     if not bad.any():
@@ -165,10 +164,8 @@ def _first(unstable: Callable[[np.ndarray], np.ndarray], scale: float) -> float:
 def _deviation(
     model: Model, state: State, beside: State, ctrl: Any, dt: Any, method: Any, steps: int
 ) -> jax.Array:
-    """The final deviation from `state` after the given steps, over the initial deviation.
-
-    The state is at rest. A second motion from the state itself would have the same rounding errors.
-    """
+    """Return the final deviation from `state`, which is at rest, over the initial deviation. The
+    motion starts at `beside`. A second motion from `state` would have the same rounding errors."""
     if isinstance(method, str):
         ctrls = None if ctrl is None else jnp.broadcast_to(ctrl, (steps, *ctrl.shape))
         path = rollout(
@@ -203,8 +200,8 @@ def measured_stable_step(
     A motion starts at a deviation of 1e-9 and takes `steps` steps. The interval between a stable
     and an unstable step is bisected. A step is unstable if the deviation grows by 1e5, that is
     |zeta| > 1 + 12 / steps. The result is accurate to about 10 / steps if |zeta| crosses one at a
-    slope, but a weak instability is not found: Tsit5 on a pendulum without friction is measured at
-    1.61 / omega, while by theory it grows from 0.478.
+    slope. A weak instability is not detected: for Tsit5 on a pendulum without friction the measured
+    step is 1.61 / omega, but by theory the motion grows from 0.478 / omega.
 
     Args:
         method: "rollout rk4" or another integrator of `rb.rollout`; or a name of
@@ -212,15 +209,15 @@ def measured_stable_step(
         model: the robot.
         state: a stable equilibrium under ctrl (`equilibrium` finds one).
         ctrl: (nu,) constant control, or None.
-        near: the search covers steps from near / 4 to 4 near.
-        steps: of each run, at least 10.
+        near: expected step, s. The search covers steps from near / 4 to 4 near.
+        steps: number of steps of each run, at least 10.
 
     Returns:
-        Seconds; 0 if near / 4 is unstable, inf if 4 near is stable.
+        Step in seconds; 0 if near / 4 is unstable, inf if 4 near is stable.
 
     Raises:
-        InputError: an unknown integrator or method; a state that is no equilibrium, or an unstable
-            one; `near` not positive, `steps` too few; wrong shapes.
+        InputError: an unknown integrator or method; a state that is not a stable equilibrium;
+            `near` not positive, too few `steps`, or wrong shapes.
 
     Example:
         >>> import rbjax as rb

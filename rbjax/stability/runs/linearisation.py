@@ -1,4 +1,4 @@
-"""Motions linearised at given states (`rb.linearise`), and equilibria."""
+"""Linearised motion of a robot at given states (`rb.linearise`), and equilibria."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from rbjax.rank_tolerances import rank_tolerance
 
 @algorithm("state", "ctrl")
 def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> jax.Array:
-    """Compute A (n, n), n = 2 nv + nx, of the linearised motion d/dt dx = A dx, at constant
-    control.
+    """Compute the matrix A of the linearised motion d/dt dx = A dx, at constant control.
 
     Args:
         model: the robot.
@@ -31,8 +30,8 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
         ctrl: (nu,) controls; None for no actuation.
 
     Returns:
-        (n, n) in 1/s and 1/s^2, dx = [dq; dv; dx_e]: dq on the tangent space, in the coordinates
-        of v, and dx_e of the states of force elements.
+        (n, n), n = 2 nv + nx, in 1/s and 1/s^2, for dx = [dq; dv; dx_e]. dq is in the tangent
+        space, in the coordinates of v. dx_e are the states of force elements.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite.
@@ -50,11 +49,12 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
 
 
 class Reduced(NamedTuple):
-    """The linearisation on the tangent space of the constraints.
+    """Linearisation on the tangent space of the constraints: d/dt dz = A dz + B du.
 
-    A: (r, r), of dz.
-    B: (r, nu).
-    basis: (n, r) T of dx = T dz, with orthonormal columns.
+    Fields:
+        A: (r, r).
+        B: (r, nu).
+        basis: (n, r) T of dx = T dz, with orthonormal columns.
     """
 
     A: np.ndarray
@@ -67,14 +67,14 @@ def reduced_linearisation(model: Model, state: State, ctrl: Any = None, dt: Any 
 
         d/dt dz = A dz + B du,     dx = T dz,     [g_q 0; g'_q g'_v] T = 0
 
-    `rb.linearise` gives all n = 2 nv + nx directions. The directions that leave the constraints
-    have eigenvalues of zero, or the eigenvalues of a feedback, such as Baumgarte's. They are not
+    `rb.linearise` returns all n = 2 nv + nx directions. Directions that leave the constraints have
+    eigenvalues of zero, or the eigenvalues of a feedback such as Baumgarte's. They are not
     controllable, so no regulator exists. r = n - rank of the matrix above: twice the degrees of
     freedom if all rows are holonomic and nx = 0.
 
     Args:
-        model: the robot, with constraints or without.
-        state: an equilibrium on the constraints, as `equilibrium` finds it.
+        model: the robot, with or without constraints.
+        state: an equilibrium on the constraints, from `equilibrium`.
         ctrl: (nu,), or None.
         dt: step in seconds of the discrete form; None for the continuous one.
 
@@ -114,7 +114,7 @@ def reduced_linearisation(model: Model, state: State, ctrl: Any = None, dt: Any 
 
 @jax.jit
 def _tangent(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
-    """The residuals of values and of rates, and their derivatives by dx."""
+    """Return the residuals of values and rates, and their derivatives with respect to dx."""
 
     def off(dx: jax.Array) -> tuple[jax.Array, jax.Array]:
         found = jnp.concatenate(residual(model, box_plus(model, state, dx)))
@@ -126,18 +126,18 @@ def _tangent(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
 
 @jax.jit
 def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
-    """The rates (nv + nx,) and A, with the constraints of the model."""
+    """Return the rates (nv + nx,) and A, with the constraints of the model."""
     dynamics = dynamics_of("state_matrix", model, free_motion, None)
     return linearise_rates(model, state, Inputs(ctrl), dynamics=dynamics)[:2]
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
-    """Whether an acceleration is only rounding."""
+    """Return whether an acceleration is only rounding."""
     return bool(np.abs(a).max() < 1e3 * np.finfo(A.dtype).eps * (1 + np.abs(A).max()))
 
 
 def at_rest(where: str, model: Model, state: State, ctrl: Any) -> State:
-    """The state, in arrays. `InputError` if it moves or accelerates, or is unstable."""
+    """Return the state as arrays. Raise InputError if it moves, accelerates or is unstable."""
     found = check_arrays(where, model, {"state": state, "ctrl": ctrl})
     if not model.nv:
         raise InputError(f"{where}: the model has no joints, so nothing moves")
@@ -153,7 +153,7 @@ def at_rest(where: str, model: Model, state: State, ctrl: Any) -> State:
         A = reduced_linearisation(model, state, found.get("ctrl")).A
     eigenvalues = np.linalg.eigvals(A)
     grows = eigenvalues.real.max()
-    # a double root, as of a free coordinate, has an error of sqrt(rounding)
+    # a double root, as for a free coordinate, has an error of sqrt(rounding)
     if grows > 10 * np.sqrt(np.finfo(A.dtype).eps) * np.abs(eigenvalues).max():
         raise InputError(
             f"{where}: this equilibrium is unstable, the exact motion departs from it as "
@@ -170,8 +170,9 @@ def _matrices(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array | None) 
 
 
 def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray:
-    """Compute `state_matrix` (T, 2 nv, 2 nv) at states q (T, nq), v (T, nv); ctrl (nu,), (T, nu) or
-    None.
+    """Compute `state_matrix` (T, 2 nv, 2 nv) at states q (T, nq), v (T, nv).
+
+    ctrl is (nu,), (T, nu) or None.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -197,17 +198,16 @@ def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray
 
 
 def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50) -> State:
-    """Find the equilibrium near `state`: a state at rest without acceleration, at constant control,
-    on the constraints of the model.
+    """Find the equilibrium near `state`, on the constraints and at constant control.
 
-    Newton's method on a(q, 0, x) = 0, x' = 0, g(q) = 0; least squares if the equilibrium is not
-    isolated.
+    Newton's method solves a(q, 0, x) = 0, x' = 0, g(q) = 0, by least squares if the equilibrium is
+    not isolated.
 
     Args:
         model: the robot.
-        state: the first guess; its velocity is not used.
+        state: initial guess; its velocity is not used.
         ctrl: (nu,), or None.
-        steps: the largest number of iterations.
+        steps: largest number of iterations.
 
     Raises:
         InputError: no equilibrium is found; wrong shapes, values that are not finite.

@@ -2,10 +2,10 @@
 
     lambda = lim 1/t log |Phi(t) u|,    Phi(t) = d y(t) / d y(0), the tangent map
 Benettin's method propagates a tangent through the derivative of each step and rescales it to length
-1 every few steps. lambda is the mean of the logarithms. A gradient of a loss at time t contains
-Phi(t), which also amplifies rounding of relative size eps. So beyond |Phi| eps = 1 the gradient is
-noise in any implementation. (Benettin, Galgani, Giorgilli & Strelcyn, *Meccanica* 15, 1980; Metz,
-Freeman, Schoenholz & Kachman, *Gradients are not all you need*, 2021.)
+1 every few steps. lambda is the mean growth rate of its logarithm. A gradient of a loss at time t
+contains Phi(t), which also amplifies rounding of relative size eps. So beyond |Phi| eps = 1 the
+gradient is noise in any implementation. (Benettin, Galgani, Giorgilli & Strelcyn, *Meccanica* 15,
+1980; Metz, Freeman, Schoenholz & Kachman, *Gradients are not all you need*, 2021.)
 """
 
 from __future__ import annotations
@@ -33,14 +33,18 @@ from rbjax.stability.runs.drift import (
     steps_of_a_sample,
 )
 
-BLOCKS = 16  # blocks of the run, whose means give the error of the result
+BLOCKS = 16  # number of blocks, whose means give the standard error
 
 
 class Exponent(NamedTuple):
     """A largest Lyapunov exponent.
 
-    Fields: value, a second; error, its standard error; ts (K,) s and running (K,), the estimate
-    from the end of the transient to each time; finite, whether the motion stayed finite.
+    Fields:
+        value: 1/s.
+        error: standard error of the value.
+        ts: (K,) s, from the end of the transient.
+        running: (K,) estimate from the end of the transient to each time.
+        finite: whether the motion stayed finite.
     """
 
     value: float
@@ -53,9 +57,12 @@ class Exponent(NamedTuple):
 class GradientGrowth(NamedTuple):
     """The norm of the tangent map over time.
 
-    Fields: ts (K + 1,) s; log10_norm (K + 1,), of the largest singular value of Phi(t); f32 and
-    f64, the times at which amplified rounding reaches the size of the gradient itself (infinite if
-    it does not within the run); finite, whether the motion stayed finite.
+    Fields:
+        ts: (K + 1,) s.
+        log10_norm: (K + 1,) log10 of the largest singular value of Phi(t).
+        f32, f64: time in s at which amplified rounding reaches the size of the gradient; inf if
+            later than the run.
+        finite: whether the motion stayed finite.
     """
 
     ts: np.ndarray
@@ -78,25 +85,26 @@ def lyapunov(
 ) -> Exponent:
     """Estimate the largest Lyapunov exponent of a motion, by Benettin's method.
 
-    lambda = 1 / (K m h) sum_k log |u_k|, u_k the tangent after m steps from length 1.
+    lambda = 1 / (K m h) sum_k log |u_k|, with u_k the tangent m steps after it had length 1.
 
     Args:
         system: a robot, or a diffrax term.
         y0: `State(q (nq,), v (nv,))` of the robot, or the term's state.
         dt: step, s.
-        steps: the number of steps.
-        solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None. This is RK4 without
-            attitudes, and keeps attitudes and their tangents on the manifold.
-        every: m, steps between two normalizations.
-        transient: share of the run that is skipped at its start.
-        args: of the term; for a robot, the model is used.
+        steps: number of steps.
+        solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None. It is RK4 for states
+            without attitudes, and keeps attitudes and their tangents on the manifold.
+        every: number m of steps between two normalizations.
+        transient: fraction of the run that is skipped at its start.
+        args: arguments of the term. For a robot the model is used.
 
     Returns:
-        `Exponent`. About 0 for regular motion (it falls as log t / t), negative at a sink.
+        `Exponent`. It is about 0 for regular motion (decreasing as log t / t), and negative at a
+        sink.
 
     Raises:
-        UnknownName: an unknown name of a solver.
-        InputError: steps too few; times that the type cannot tell apart.
+        UnknownName: an unknown solver name.
+        InputError: too few steps, or times that the dtype cannot resolve.
 
     Source: Benettin et al., *Meccanica* 15, 1980.
 
@@ -139,7 +147,7 @@ def gradient_growth(
     samples: int = 100,
     args: Any = None,
 ) -> GradientGrowth:
-    """Measure the growth of a gradient through a motion, and the horizon beyond which it is noise.
+    """Measure the growth of a gradient through a motion, and the time after which it is noise.
 
     |Phi(t)| = |d y(t) / d y(0)|, and T with |Phi(T)| eps = 1.
 
@@ -147,17 +155,17 @@ def gradient_growth(
         system: a robot, or a diffrax term.
         y0: `State(q (nq,), v (nv,))` of the robot, or the term's state.
         dt: step, s.
-        steps: the number of steps, a multiple of `samples`.
+        steps: number of steps, a multiple of `samples`.
         solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None.
-        samples: the number of samples; at each the tangents are orthogonalized.
-        args: of the term; for a robot, the model is used.
+        samples: number of samples, at which the tangents are orthogonalized.
+        args: arguments of the term. For a robot the model is used.
 
     Returns:
-        `GradientGrowth`. The state has mixed units (rad, rad/s), and the norm too.
+        `GradientGrowth`. The norm mixes the units of the state (rad, rad/s).
 
     Raises:
-        UnknownName: an unknown name of a solver.
-        InputError: `steps` is not a multiple of `samples`; times that the dtype cannot resolve.
+        UnknownName: an unknown solver name.
+        InputError: `steps` is not a multiple of `samples`, or times that the dtype cannot resolve.
 
     Source: Metz et al., *Gradients are not all you need*, 2021.
 
@@ -172,7 +180,7 @@ def gradient_growth(
     term, solver, y0, args = _prepared("gradient_growth", system, y0, solver, args, dt, steps)
     size = sum(x.size for x in jax.tree.leaves(y0))
     parts, fine = _tangent_factors(term, solver, y0, dt, np.eye(size), every, samples, args)
-    # Phi = Q R_K ... R_1: the product is normalized, and the logarithm of its norm is stored
+    # Phi = Q R_K ... R_1: normalize the product, and store the logarithm of its norm
     product, lost, norms = np.eye(size), 0.0, [0.0]
     for part in np.asarray(parts, np.float64):
         product = part @ product
@@ -185,7 +193,7 @@ def gradient_growth(
 
 
 def _crossing(ts: np.ndarray, xs: np.ndarray, level: float) -> float:
-    """The first time at which a series reaches a level, by linear interpolation."""
+    """Return the first time at which a series reaches a level, by linear interpolation."""
     above = np.flatnonzero(xs >= level)
     if not len(above):
         return float("inf")
@@ -196,7 +204,7 @@ def _crossing(ts: np.ndarray, xs: np.ndarray, level: float) -> float:
 def _prepared(
     where: str, system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int
 ) -> tuple:
-    """The term, the solver with loops that support tangents, the state and the arguments."""
+    """Return the term, a solver that can be differentiated forward, the state and the arguments."""
     solver = rkmk(4) if solver is None else fixed_step_solver(solver)
     term, y0, args = resolve_system(where, system, y0, solver, args)
     y0 = as_floats(where, y0)
@@ -208,7 +216,8 @@ def _prepared(
 
 @eqx.filter_jit
 def _tangent_factors(term, solver, y0, dt, directions, every, samples, args):
-    """R of Phi_k Q_{k-1} = Q_k R_k for each sample, (samples, n, n), and whether all is finite."""
+    """Return the factors R (samples, n, n) of Phi_k Q_{k-1} = Q_k R_k along the motion. Phi_k is
+    the tangent map of sample k. Also return whether the final state is finite."""
     flat, unflat = jax.flatten_util.ravel_pytree(y0)
     dt, number = jnp.asarray(dt, flat.dtype), directions.shape[1]
     memory = solver.init(term, 0 * dt, dt, y0, args)
@@ -235,7 +244,7 @@ def _tangent_factors(term, solver, y0, dt, directions, every, samples, args):
     def sample(carry, _):
         *state, (rows, past) = jax.lax.fori_loop(0, every, once, carry)
         Q, R = jnp.linalg.qr(rows.T)
-        # the solver's state has tangents too, which follow the change of basis
+        # apply the change of basis to the tangents of the solver's state
         inverse = jnp.linalg.inv(R)
         past = jax.tree.map(lambda x: jnp.tensordot(inverse.T, x, axes=1), past)
         return (*state, (Q.T, past)), R

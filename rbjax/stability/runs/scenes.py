@@ -1,14 +1,13 @@
-"""Scenes built to break solvers, each with the true motion, and their two systems.
+"""Scenes built to break solvers, with two kinds of systems and the true motion of each scene.
 
     arm   two links on two hinges, with springs, dampers and position servos: a `Model`
     body  a rigid body about a fixed point in gravity: `rb.solvers.RigidBody`, or the same equations
           for a quaternion and an angular velocity, for solvers without groups
-Arms and bodies differ only in their parameters, so one compiled program of a solver runs them all.
+One compiled program of a solver runs all arms, and one all bodies.
 
-The true motion of an arm comes from Lagrange's equations in absolute angles, written by hand. Near
-gimbal lock it comes from the pendulum in Cartesian coordinates, which have no gimbal lock. That of
-a body comes from a quaternion. Dormand-Prince 8 solves them at two small steps, and the difference
-bounds its error.
+The reference for an arm are Lagrange's equations in absolute angles, written by hand. Near gimbal
+lock it is the pendulum in Cartesian coordinates, which have no gimbal lock. The reference for a
+body uses a quaternion. The difference of two small steps of Dormand-Prince 8 bounds the error.
 """
 
 from __future__ import annotations
@@ -54,11 +53,14 @@ _ARM = """
 
 @dataclass(frozen=True)
 class Arm:
-    """Two links of 1 m that hang along -z at q = 0.
+    """An arm of two links of 1 m that hang along -z at q = 0.
 
-    mass, kg; com, m from the hinge; inertia about the com, kg m^2 (a rod's if None); stiffness and
-    damping of the joints, kp and kv of servos with target 0. gimbal: the first link is only a
-    vertical axis, and the second a point on a massless rod.
+    Fields:
+        mass, com: kg, and distance of the centre of mass from the hinge, m.
+        inertia: about the centre of mass, kg m^2; None for a rod.
+        stiffness, damping: of the joints.
+        kp, kv: gains of servos with target 0.
+        gimbal: the first link is only a vertical axis, the second a point on a massless rod.
     """
 
     mass: tuple[float, float] = (1.0, 1.0)
@@ -76,7 +78,7 @@ class Arm:
         return rods if self.inertia is None else np.array(self.inertia)
 
     def model(self) -> Model:
-        """The robot. Arms differ only in their parameters."""
+        """Return the robot. The models of all arms differ only in their parameters."""
         base = _base()
         about = np.zeros((2, 3, 3))
         about[:, 0, 0] = about[:, 1, 1] = self.about_com
@@ -99,7 +101,7 @@ class Arm:
         return base.replace(bodies=bodies, joints=joints, actuators=actuators)
 
     def coefficients(self) -> np.ndarray:
-        """a, b, c of the mass matrix [[a, c cos], [c cos, b]]; weights; springs; dampers."""
+        """Return a, b, c of the mass matrix [[a, c cos], [c cos, b]]; weights; springs; dampers."""
         (m1, m2), (c1, c2), (i1, i2) = self.mass, self.com, self.about_com
         spring = np.array(self.stiffness) + self.kp
         damper = np.array(self.damping) + self.kv
@@ -107,7 +109,7 @@ class Arm:
         return np.array([a, b, c, (m1 * c1 + m2) * GRAVITY, c * GRAVITY, *spring, *damper])
 
     def energy(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Energy in J, of series (T, 2)."""
+        """Return the energy (T,), J, of series q, v (T, 2)."""
         a, b, c, g1, g2, k1, k2, *_ = self.coefficients()
         (q1, q2), (v1, v2) = q.T, v.T
         elastic = (k1 * q1**2 + k2 * q2**2) / 2
@@ -124,7 +126,7 @@ def _base() -> Model:
 
 
 def planar(t: Any, y: Any, numbers: jax.Array) -> Any:
-    """Lagrange's equations of the arm in absolute angles, y = (angles (2,), rates (2,))."""
+    """Return the rates of an arm by Lagrange's equations, y = (absolute angles (2,), rates)."""
     (t1, t2), (w1, w2) = y
     a, b, c, g1, g2, k1, k2, d1, d2 = numbers
     first = -k1 * t1 - d1 * w1
@@ -137,7 +139,7 @@ def planar(t: Any, y: Any, numbers: jax.Array) -> Any:
 
 
 def spherical(t: Any, y: Any, numbers: Any) -> Any:
-    """A point on a rod of 1 m, y = (position (3,), velocity (3,))."""
+    """Return the rates of a point on a rod of 1 m, y = (position (3,), velocity (3,))."""
     r, v = y
     down = jnp.array([0.0, 0.0, -GRAVITY])
     return v, down - ((v * v).sum() + (down * r).sum()) * r
@@ -145,18 +147,22 @@ def spherical(t: Any, y: Any, numbers: Any) -> Any:
 
 @dataclass(frozen=True)
 class Body:
-    """A body about a fixed point: principal moments (3,), kg m^2, and the moment of its weight,
-    N m, for a centre of mass on its third axis."""
+    """A rigid body about a fixed point, with its centre of mass on its third axis.
+
+    Fields:
+        inertia: (3,) principal moments, kg m^2.
+        weight: weight times distance from the fixed point, N m.
+    """
 
     inertia: tuple[float, float, float]
     weight: float = 0.0
 
     def term(self, dtype: Any = float) -> RigidBody:
-        """The term for solvers on groups; args is the weight."""
+        """Return the term for solvers on groups. The weight is its `args`."""
         return RigidBody(np.array(self.inertia, dtype), _tipping)
 
     def energy(self, turn: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Energy in J, of series (T, 4) and (T, 3)."""
+        """Return the energy (T,), J, of quaternions (T, 4) and angular velocities (T, 3)."""
         unit = unit_rows(turn)
         height = 1 - 2 * (unit[:, 1] ** 2 + unit[:, 2] ** 2)
         return (np.array(self.inertia) * w**2).sum(1) / 2 + self.weight * height
@@ -164,12 +170,12 @@ class Body:
 
 def _tipping(t: Any, turn: jax.Array, weight: Any) -> jax.Array:
     w, x, y, z = turn
-    up = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x)])  # the vertical in body axes
+    up = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x)])  # vertical in body axes: x, y
     return weight / (turn * turn).sum() * jnp.stack([up[1], -up[0], jnp.zeros_like(w)])
 
 
 def tumbling(t: Any, y: Any, numbers: Any) -> Any:
-    """Euler's equations and the quaternion's rate, y = (turn (4,), w (3,))."""
+    """Return the rates of a body by Euler's equations, y = (quaternion (4,), w (3,))."""
     inertia, weight = numbers
     turn, w = y
     rate = quaternion.multiply(turn, jnp.concatenate([jnp.zeros(1, w.dtype), w])) / 2
@@ -178,13 +184,13 @@ def tumbling(t: Any, y: Any, numbers: Any) -> Any:
 
 
 def bob(q: np.ndarray) -> np.ndarray:
-    """The position (T, 3) of the bob."""
+    """Return the positions (T, 3), m, of the pendulum bob."""
     q1, q2 = q.T
     return np.stack([np.sin(q2) * np.cos(q1), np.sin(q2) * np.sin(q1), -np.cos(q2)], 1)
 
 
 def unit_rows(q: np.ndarray) -> np.ndarray:
-    """The rows scaled to length 1, from any nonzero length, however large."""
+    """Scale the rows to length 1, from any nonzero length, however large."""
     q = q / np.abs(q).max(1, keepdims=True)
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
@@ -196,12 +202,15 @@ SAMPLES = 200
 
 @dataclass(frozen=True)
 class Scene:
-    """A system, its start, and equal steps of dt, `every` steps for each of 200 samples.
+    """A system, its initial state, and 200 samples of `every` equal steps each.
 
-    Fields: title; system; start, (q, v) or (quaternion, w); dt, s; every; refine, steps of the
-    reference for one dt; scale, J, the unit of energy (0: it is not conserved); adaptive, whether a
-    controller chooses the steps, with a tolerance of 1e-6 and at most 10,000 steps; single, whether
-    f32 is compared with the same steps in f64; speed, rad/s, that of the motion.
+    Fields:
+        start: (q, v) of an arm, or (quaternion, w) of a body.
+        dt, every: step, s, and number of steps between samples.
+        refine: number of steps of the reference in one dt.
+        scale, speed: energy unit, J (0: energy is not conserved), and typical speed, rad/s.
+        adaptive: whether a controller chooses the steps (tolerance 1e-6, at most 10,000 steps).
+        single: whether f32 is compared with the same steps in f64.
     """
 
     title: str
@@ -217,7 +226,7 @@ class Scene:
 
     @property
     def ts(self) -> np.ndarray:
-        """(201,) s."""
+        """Times of the samples (201,), s."""
         return self.dt * self.every * np.arange(SAMPLES + 1)
 
     @property
@@ -227,23 +236,23 @@ class Scene:
 
 
 class Truth(NamedTuple):
-    """The true motion: observed (201, n), and the bound of its error."""
+    """True motion of a scene: observed (201, n), and the bound of its error."""
 
     observed: np.ndarray
     error: float
 
 
 def truth(scene: Scene) -> Truth:
-    """Compute the motion of a scene, and the difference between two step sizes of the reference.
+    """Compute the true motion of a scene, and the bound max_k |r_k(h) - r_k(h / 2)| of its error.
 
-    max_k |r_k(h) - r_k(h / 2)|, of Dormand-Prince 8 at h = dt / refine.
+    The reference r is by Dormand-Prince 8 at h = dt / refine.
 
     Args:
-        scene: one of `rb.stability.scenes()`, or similar.
+        scene: one of `rb.stability.scenes()`, or a user-defined one.
 
     Returns:
-        `Truth`: observed (201, 2) joint angles, rad, or (201, 3) the bob near gimbal lock, m, or
-        (201, 4) quaternions; error, its bound.
+        `Truth`: error, and observed: (201, 2) joint angles, rad; (201, 3) positions of the bob near
+        gimbal lock, m; or (201, 4) quaternions.
 
     Source: Hairer, Norsett & Wanner, *Solving ODEs I*, II.10.
 
@@ -282,15 +291,12 @@ def _reference(scene: Scene, refine: int) -> np.ndarray:
 
 
 def kept(t: Any, y: Any, args: Any) -> Any:
-    """The state itself."""
+    """Return the state unchanged."""
     return y
 
 
 def deviation(scene: Scene, q: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """The error of configurations (T, nq), (T, n): angles in rad, or the bob in m.
-
-    The error of an attitude is the angle to the true one.
-    """
+    """Return the error (T, n) of configurations q (T, nq): angles in rad, or the bob in m."""
     if isinstance(scene.system, Body):
         unit, real = unit_rows(q), unit_rows(observed)
         gap = np.minimum(np.linalg.norm(unit - real, axis=1), np.linalg.norm(unit + real, axis=1))
@@ -304,7 +310,7 @@ _SPRING = ((0.0, 1.0), (0.0, 0.0))
 
 @cache
 def scenes() -> dict[str, Scene]:
-    """name -> `Scene`, in a fixed order.
+    """Return the scenes by name, in a fixed order.
 
     Example:
         >>> import rbjax as rb

@@ -5,8 +5,9 @@
     runs out of steps    the controller rejected or shortened steps until the budget was spent
     leaves the manifold  a quaternion's length, or a constraint, has a large error
     drifts               an invariant has a slope (`trend`) that is not small
-    loses the motion     none of these, but the error is a tenth of the motion or more
-The first in this order counts. A run without a failure holds, with its largest error.
+    loses the motion     no other failure, but the error is a tenth of the motion or more
+The verdict is the first failure in this order. A run without a failure holds. Its value is then its
+largest error.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ from rbjax.stability.runs.scenes import (
     tumbling,
 )
 
-MOTION = 1e3  # sizes of the motion beyond which a state has blown up
-LOSS = 0.1  # error, in sizes of the motion, beyond which the motion is lost
+MOTION = 1e3  # a state has blown up if it exceeds this multiple of the motion's size
+LOSS = 0.1  # the motion is lost if its error reaches this fraction of its size
 
 
 class Outcome(enum.Enum):
@@ -61,12 +62,15 @@ class Outcome(enum.Enum):
 
 
 class Verdict(NamedTuple):
-    """An outcome with its number.
+    """The outcome of a run, with a number that measures it.
 
-    Fields: outcome; value: the largest error (holds, loses the motion), the time in s at which it
-    ended (blows up, root not found, runs out of steps), the distance (leaves the manifold), or the
-    change of the invariant that drifts, over its size; what, the name of that invariant, else "";
-    error, the largest error while the state was sound, or None without a reference.
+    Fields:
+        outcome: an `Outcome`.
+        value: largest error (holds, loses the motion); time in s of the end (blows up, root not
+            found, runs out of steps); distance (leaves the manifold); or relative change of the
+            invariant (drifts).
+        what: name of the invariant that drifts, else "".
+        error: largest error while the state was sound, or None without a reference.
     """
 
     outcome: Outcome
@@ -89,22 +93,22 @@ def verdict(
 ) -> Verdict:
     """Judge the outcome of a run.
 
-    max_k |x_k - r_k| while the state is sound; it is not if |x| > 1000 size.
+    The error is max_k |x_k - r_k| while the state is sound: finite, and |x| at most 1000 size.
 
     Args:
         ts: (T,) s.
-        xs: (T,) or (T, n), the states, or the part of them to compare.
-        reference: the same for the true motion, or None.
-        invariants: name -> (T,), quantities that should be constant, each over its own scale.
+        xs: (T,) or (T, n) states, or the part of them to compare.
+        reference: true values of xs, or None.
+        invariants: name -> (T,) quantities that should be constant, each divided by its scale.
         manifold: (T,) distances from the manifold, such as | |quaternion| - 1 |.
-        ending: the failure that the solver reports, `Outcome.NO_ROOT`, `Outcome.OUT_OF_STEPS` or
-            `Outcome.BLOWS_UP`; None if it reached the end.
-        reached: time in s that the run reached; all of it if None.
-        size: of the motion, in the units of xs.
-        tolerance: above it the manifold is left, or a trend is a drift.
+        ending: failure that the solver reports, `Outcome.NO_ROOT`, `Outcome.OUT_OF_STEPS` or
+            `Outcome.BLOWS_UP`; None if the run reached the end.
+        reached: time in s that the run reached; None for the whole time.
+        size: size of the motion, in the units of xs.
+        tolerance: largest distance from the manifold, and largest change of an invariant.
 
     Returns:
-        `Verdict`; its numbers are finite, even if those of the run are not.
+        `Verdict`. Its numbers are finite even if the numbers of the run are not.
 
     Raises:
         InputError: wrong shapes; a reference or times that are not finite; a run without samples.
@@ -125,7 +129,7 @@ def verdict(
     sound = np.isfinite(x).all(1)
     with np.errstate(invalid="ignore", over="ignore"):
         sound &= np.abs(x).max(1) <= MOTION * size
-    end = len(t) if sound.all() else int(np.argmin(sound))  # samples before the first unsound
+    end = len(t) if sound.all() else int(np.argmin(sound))  # first unsound sample
     last = t[-1] if reached is None else float(reached)
     alive = min(end, int(np.searchsorted(t, last, side="right")))
     error = None if r is None else float(np.abs(x - r)[:alive].max(initial=0.0))
@@ -185,21 +189,22 @@ TOLERANCE, BUDGET = 1e-6, 10_000
 def attempt(solver: Solver, scene: Scene, true: Truth | None = None) -> Verdict | None:
     """Run a solver on a scene and judge the result; None if the solver cannot run the scene.
 
-    max_k |x_k - r_k| at 201 samples, or the kind of failure.
+    The verdict has the largest error max_k |x_k - r_k| at 201 samples, or the kind of failure.
 
     Args:
-        solver: a name of `rb.solvers.all()`, any solver of rbjax or diffrax, or an
+        solver: a name of `rb.solvers.all()`, a solver of rbjax or diffrax, or an
             `rb.solvers.Tableau`.
         scene: one of `rb.stability.scenes()`.
-        true: the scene's `truth`, if known already.
+        true: the scene's `truth`, if already computed.
 
     Returns:
-        `Verdict`: errors are angles in rad. None if a controller needs an error estimate that the
-        solver lacks, or for a robot with `RigidBodySplitting`.
+        `Verdict`. Errors are angles in rad, or m near gimbal lock. None if a controller needs an
+            error
+        estimate that the solver lacks, or for an arm with `RigidBodySplitting`.
 
     Raises:
-        UnknownName: an unknown name of a solver.
-        InputError: f64 is off; no solver.
+        UnknownName: an unknown solver name.
+        InputError: f64 is disabled, or `solver` is not a solver.
 
     Source: Hairer & Wanner, *Solving ODEs II*, IV.2; Hairer, Lubich & Wanner, *Geometric Numerical
     Integration*, I.
@@ -227,7 +232,7 @@ def attempt(solver: Solver, scene: Scene, true: Truth | None = None) -> Verdict 
 
 
 def estimates(solver: diffrax.AbstractSolver) -> bool:
-    """Whether a solver estimates the error of its steps, which a controller needs."""
+    """Return whether a solver estimates the error of its steps, which a controller needs."""
     term = diffrax.ODETerm(lambda t, y, args: (y[1], y[0]))
 
     def error(t, y):
@@ -239,7 +244,13 @@ def estimates(solver: diffrax.AbstractSolver) -> bool:
 
 
 class Run(NamedTuple):
-    """States (201, n), the ending of the run (None: complete), and the time in s it reached."""
+    """A run of a solver on a scene.
+
+    Fields:
+        q, v: (201, n) states.
+        ending: failure that ended the run; None if it is complete.
+        reached: time in s that the run reached.
+    """
 
     q: np.ndarray
     v: np.ndarray
@@ -300,7 +311,7 @@ def _simulated(model: Model, state: State, ts: jax.Array, solver: Any) -> Trajec
 
 
 def _hold(t: Any, state: State) -> jax.Array:
-    """Servo targets of 0."""
+    """Return servo targets of 0."""
     return jnp.zeros_like(state.v)
 
 

@@ -1,4 +1,4 @@
-"""The linear theory of a method in one report, and its order: by conditions, and measured.
+"""The linear theory of a method in one report, and its order by conditions and by measurement.
 
     error(h) ~ C h^p,    p = log2(error(h) / error(h / 2))
 Methods for vector fields and for pairs q' = v, v' = a are measured on a driven damped pendulum,
@@ -29,25 +29,25 @@ from rbjax.stability.theory import regions
 from rbjax.stability.theory.multistep_roots import Characteristic, Method, Theory, characteristic
 from rbjax.stability.theory.stability_function import StabilityFunction, butcher, stability_function
 
-VANISHES = 1e-9  # R(infinity) from coefficients that are printed to about twelve digits
-HIGHEST = 8  # largest order of the conditions: 115 trees with eight nodes
+VANISHES = 1e-9  # rounding of R(infinity) for coefficients of about twelve digits
+HIGHEST = 8  # largest order checked by conditions: 115 trees with eight nodes
 
 
 @dataclass(frozen=True)
 class LinearAnalysis:
-    """The linear theory of a method: y' = lambda y, z = h lambda.
+    """The linear theory of a method on y' = lambda y with z = h lambda.
 
     Fields:
         method: `StabilityFunction` or `Characteristic`.
-        order: by the order conditions; below 1 if not consistent, above 8 the order that Butcher's
-            simplifying assumptions prove.
-        linear_order: the order on y' = lambda y.
-        error_constant: C of y(t + h) - y1 = C h^(p + 1) y^(p + 1) there.
-        real_limit, imaginary_limit: of stability, at most and at least zero.
+        order: by the order conditions; below 1 if not consistent. Above 8 it is the order that
+            Butcher's simplifying assumptions prove.
+        linear_order: order p on y' = lambda y.
+        error_constant: C of y(t + h) - y1 = C h^(p + 1) y^(p + 1) on y' = lambda y.
+        real_limit, imaginary_limit: stability limits on the axes, at most and at least zero.
         A_stable, L_stable, zero_stable: bool.
-        alpha: the angle of A(alpha)-stability in degrees (90: A-stable, 0: no sector).
-        stiff_D: stable for Re z <= -D (inf: for no D).
-        R_inf: |R(infinity)|, for multistep methods the largest root.
+        alpha: angle of A(alpha)-stability in degrees; 90 if A-stable, 0 without a sector.
+        stiff_D: the method is stable for Re z <= -D; inf if there is no such D.
+        R_inf: |R(infinity)|, or the largest root at infinity of a multistep method.
     """
 
     method: StabilityFunction | Characteristic
@@ -65,11 +65,11 @@ class LinearAnalysis:
 
 
 def order_by_conditions(solver: Method) -> int:
-    """Find the order by its conditions: rooted trees up to 8 nodes (one-step), phi (multistep).
+    """Return the order by the order conditions: rooted trees (one-step) or phi (multistep).
 
-    The argument is that of `linear_analysis`. A `StabilityFunction` gives the order on linear
-    problems only. Above 8 the result is the order that Butcher's simplifying assumptions B(p),
-    C(eta), D(zeta) prove, at least 8.
+    Trees are checked up to 8 nodes. Above, the result is the order, at least 8, that Butcher's
+    simplifying assumptions B(p), C(eta), D(zeta) prove. A `StabilityFunction` has only an order on
+    linear problems. The argument is as in `linear_analysis`.
 
     Example:
         >>> import rbjax as rb
@@ -86,7 +86,7 @@ def order_by_conditions(solver: Method) -> int:
     if not isinstance(solver, RosenbrockW):
         found = tables.attained_order(a, b, HIGHEST)
         return found if found < HIGHEST else max(found, tables.proven_order(a, b))
-    # conditions of W-methods: any Jacobian
+    # order conditions of W-methods, for any Jacobian
     alpha, gamma = np.array(solver.tableau.alpha), np.array(solver.tableau.gamma)
     return next(p for p in range(HIGHEST) if not holds(alpha, gamma, b, p + 1))
 
@@ -95,16 +95,16 @@ def linear_analysis(solver: Method) -> LinearAnalysis:
     """Analyse a method on y' = lambda y: order, error constant, stability limits, A-, L-stability.
 
     Args:
-        solver: a name of `rb.solvers.all()`, any Runge-Kutta, Rosenbrock or multistep solver of
-            rbjax or diffrax, or your own method: an `rb.solvers.Tableau`, a `StabilityFunction`,
-            or a `Characteristic` (`multistep`, `adams`, ...).
+        solver: a name of `rb.solvers.all()`; a Runge-Kutta, Rosenbrock or multistep solver of rbjax
+            or diffrax; or a user-defined method: an `rb.solvers.Tableau`, a `StabilityFunction`, or
+            a `Characteristic` (`multistep`, `adams`, ...).
 
     Returns:
         `LinearAnalysis`.
 
     Raises:
-        InputError: methods only for q' = v, v' = a (`spectral_radius` measures these), or not a
-            method.
+        InputError: a method only for q' = v, v' = a (`spectral_radius` measures it), or an object
+            that is not a method.
 
     Source: Hairer & Wanner, *Solving ODEs II*, IV.3, V.1.
 
@@ -138,7 +138,7 @@ def linear_analysis(solver: Method) -> LinearAnalysis:
 
 
 def _method(solver: Method) -> tuple[StabilityFunction | Characteristic, Characteristic]:
-    """The stability function if there is one, else the polynomial; and the polynomial."""
+    """Return the stability function, or phi if there is none, and phi."""
     phi = characteristic(solver)
     if isinstance(solver, Characteristic):
         return phi, phi
@@ -153,7 +153,7 @@ def _method(solver: Method) -> tuple[StabilityFunction | Characteristic, Charact
 END = 2.0
 INERTIA = np.array([1.0, 2.0, 3.5])
 COARSEST, FINEST = 8, 8192
-SMALL, LARGE = 1e-11, 1e-2  # errors at which rounding, or higher powers of h, matter
+SMALL, LARGE = 1e-11, 1e-2  # limits of errors: below, rounding matters; above, higher powers of h
 ON_GROUPS = (
     solvers.MuntheKaas,
     solvers.CrouchGrossman3,
@@ -164,7 +164,13 @@ ON_GROUPS = (
 
 @dataclass(frozen=True)
 class MeasuredOrder:
-    """The measured order: the mean over the two finest halvings; steps and errors of all runs."""
+    """A measured order of convergence.
+
+    Fields:
+        order: mean over the two finest halvings of the step.
+        steps: number of steps of each run.
+        errors: error of each run.
+    """
 
     order: float
     steps: tuple[int, ...]
@@ -197,7 +203,7 @@ def _plain_body(t: float, y: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def _problem(on_group: bool) -> tuple[Any, Any, np.ndarray]:
-    """Term, initial state, and the state at the end."""
+    """Return the term, the initial state, and the state at the end."""
     if on_group:
         start = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, -0.7])
         term, plain = solvers.RigidBody(INERTIA, _torque), _plain_body
@@ -212,7 +218,7 @@ def _problem(on_group: bool) -> tuple[Any, Any, np.ndarray]:
 
 @eqx.filter_jit
 def _end(term: Any, solver: Any, start: Any, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The state after `steps` equal steps, and whether all succeeded."""
+    """Return the state after `steps` equal steps, and whether all steps succeeded."""
     found = diffrax.diffeqsolve(
         term, solver, 0.0, END, END / steps * (1 + 1e-12), start, throw=False, max_steps=None,
         stepsize_controller=diffrax.ConstantStepSize(), adjoint=diffrax.ForwardMode(),
@@ -225,17 +231,17 @@ def measured_order(solver: Solver) -> MeasuredOrder:
     """Measure the order of a solver on a smooth problem, over halvings of the step.
 
     Args:
-        solver: a name of `rb.solvers.all()` or a diffrax solver, of any vector field, of
-            q' = v, v' = a, or on Lie groups, or an `rb.solvers.Tableau`. A root finder whose
-            tolerances are a controller's is replaced by `rb.solvers.very_chord()`.
+        solver: a name of `rb.solvers.all()`; a diffrax solver of vector fields, of q' = v, v' = a,
+            or on Lie groups; or an `rb.solvers.Tableau`. A root finder with a controller's
+            tolerances is replaced by `rb.solvers.very_chord()`.
 
     Returns:
-        `MeasuredOrder`: the order, with the steps and errors it follows from.
+        `MeasuredOrder`: the order, with the steps and errors of all runs.
 
     Raises:
         UnknownName: an unknown name.
-        InputError: a method without code; no two halvings have errors that are neither rounding nor
-            too large.
+        InputError: a method without code, or fewer than two halvings with errors that are neither
+            rounding nor too large.
 
     Source: Hairer, Norsett & Wanner, *Solving ODEs I*, II.4.
 
@@ -244,7 +250,7 @@ def measured_order(solver: Solver) -> MeasuredOrder:
         >>> round(rb.stability.measured_order("rk4").order, 1)
         4.0
     """
-    own = isinstance(solver, solvers.Tableau)  # its order is for vector fields
+    own = isinstance(solver, solvers.Tableau)  # a tableau is measured on a vector field
     solver = fixed_step_solver(solver)
     steps: list[int] = []
     errors: list[float] = []

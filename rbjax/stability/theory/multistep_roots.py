@@ -3,11 +3,11 @@
     linear multistep:  rho(zeta) - z sigma(zeta) = 0,    y_n ~ zeta^n,    z = h lambda
     PECE:              rho(zeta) - z sigma(zeta) - z^2 b_0 sigma*(zeta) = 0
     one-step:          Q(z) zeta - P(z) = 0
-with sigma* that of the predictor. All are sum_m z^m c_m(zeta). With zeta = exp(z), the first power
-of z that remains is order + 1. Its coefficient over rho'(1) is the error constant C:
+sigma* belongs to the predictor. All have the form sum_m z^m c_m(zeta). With zeta = exp(z), the
+first power of z that remains is order + 1. Its coefficient over rho'(1) is the error constant C:
 y(t + h) - y1 = C h^(order + 1) y^(order + 1) + ...
-Zero-stable: the roots of rho lie in the unit disc, and those on the circle are simple (Dahlquist).
-(Hairer, Norsett & Wanner, *Solving ODEs I*, III.2-3.)
+A method is zero-stable if the roots of rho lie in the unit disc and the roots on the circle are
+simple (Dahlquist). (Hairer, Norsett & Wanner, *Solving ODEs I*, III.2-3.)
 """
 
 from __future__ import annotations
@@ -52,11 +52,14 @@ RIM = 1e-14  # a root within this distance of the unit circle is on it
 class Characteristic:
     """A characteristic polynomial phi(zeta, z) = sum_m z^m c_m(zeta), in exact arithmetic.
 
-    Field: by_power, c_0 = rho, c_1 = -sigma, ... each with the constant first;
-    `multistep(rho, sigma)` makes one from two. Doubles become the simple fractions near them.
+    `multistep(rho, sigma)` makes one from two polynomials. Doubles are converted to the simple
+    fractions near them.
+
+    Fields:
+        by_power: the polynomials c_0 = rho, c_1 = -sigma, ..., each with the constant first.
 
     Raises:
-        InputError: coefficients that are not finite numbers; rho is zero, or all the others are.
+        InputError: coefficients that are not finite; rho is zero, or all other polynomials are.
 
     Example:
         >>> import rbjax as rb
@@ -83,12 +86,12 @@ class Characteristic:
 
     @property
     def steps(self) -> int:
-        """The k of a k-step method."""
+        """The number k of a k-step method."""
         return max(map(len, self.by_power)) - 1
 
     @functools.cached_property
     def _defect(self) -> tuple[int, Fraction]:
-        """The first power of z in phi(exp z, z), and its coefficient."""
+        """First power of z in the expansion of phi(exp z, z), and its coefficient."""
         for n in range(2 * sum(map(len, self.by_power)) + 2):
             terms = [
                 c * Fraction(j) ** (n - m) / math.factorial(n - m)
@@ -102,18 +105,19 @@ class Characteristic:
 
     @property
     def order(self) -> int:
-        """At least 1 if consistent; 0 if rho(1) = 0, but not rho'(1) = sigma(1); else -1."""
+        """Order of the method, at least 1 if it is consistent. It is -1 if rho(1) is not 0, and 0
+        if rho(1) = 0 but rho'(1) is not sigma(1)."""
         return self._defect[0] - 1
 
     @property
     def error_constant(self) -> Fraction | float:
-        """C, with the factor 1 / rho'(1); inf if rho'(1) is zero."""
+        """Error constant C, with the factor 1 / rho'(1); inf if rho'(1) is zero."""
         slope = value(derivative(self.rho), Fraction(1))
         return self._defect[1] / slope if slope else math.inf
 
     @functools.cached_property
     def spurious_roots(self) -> np.ndarray:
-        """The roots of rho except zeta = 1, largest first, complex."""
+        """Complex roots of rho except zeta = 1, largest first."""
         rest = add(self.rho, ())
         while rest and value(rest, Fraction(1)) == 0:
             rest = divide(rest, poly([-1, 1]))[0]
@@ -122,13 +126,13 @@ class Characteristic:
 
     @functools.cached_property
     def zero_stable(self) -> bool:
-        """Dahlquist's root condition."""
+        """Whether the method satisfies Dahlquist's root condition."""
         inside = max((float(abs(r)) for r in roots(self.rho)), default=0.0) <= 1 + RIM
         double = roots(gcd(self.rho, derivative(self.rho)))
         return inside and all(float(abs(r)) < 1 - RIM for r in double)
 
     def roots(self, z: Any) -> np.ndarray:
-        """The roots zeta (..., k) at z (...), complex."""
+        """Return the complex roots zeta (..., k) at z (...)."""
         z = np.asarray(z, dtype=complex)
         k = self.steps
         rows = np.zeros((*z.shape, k + 1), complex)
@@ -145,11 +149,11 @@ class Characteristic:
         return out
 
     def radius(self, z: Any) -> np.ndarray:
-        """The largest |zeta|."""
+        """Return the largest |zeta| (...) at z (...)."""
         return np.abs(self.roots(z)).max(-1)
 
     def largest(self, x: Fraction, y: Fraction) -> mpmath.mpf:
-        """The largest |zeta| at z = x + i y, to `DIGITS` digits."""
+        """Return the largest |zeta| at z = x + i y, to `DIGITS` digits."""
         with mpmath.workdps(DIGITS):
             z = mpmath.mpc(*(mpmath.mpf(w.numerator) / w.denominator for w in (x, y)))
             row = [mpmath.mpc(0)] * (self.steps + 1)
@@ -164,25 +168,25 @@ class Characteristic:
             return max(map(abs, found), default=mpmath.mpf(0))
 
 
-Theory = (StabilityFunction, Characteristic)  # methods without code
+Theory = (StabilityFunction, Characteristic)  # methods given by their polynomials, without code
 Method = Solver | StabilityFunction | Characteristic
 
 
 def multistep(rho: Any, sigma: Any) -> Characteristic:
-    """Make the linear multistep method of two polynomials, with exact coefficients.
+    """Return the linear multistep method of two polynomials, with exact coefficients.
 
     sum_j rho_j y_(n+j) = h sum_j sigma_j f_(n+j), j = 0 ... k from the oldest to the newest.
 
     Args:
-        rho: (k + 1,) numbers, doubles or fractions; the last, that of the newest y, is not zero.
-        sigma: at most k + 1; for an explicit method the last is 0, or it is shorter.
+        rho: (k + 1,) numbers, doubles or fractions. The last one, for the newest y, is not zero.
+        sigma: at most k + 1 numbers. For an explicit method the last one is 0 or omitted.
 
     Returns:
-        `Characteristic`. The method is consistent if its order is at least 1. The order is 0 if
-        rho'(1) = sigma(1) fails, -1 if rho(1) = 0 fails.
+        `Characteristic`. The method is consistent if its order is at least 1. The order is -1 if
+        rho(1) is not 0, and 0 if rho'(1) is not sigma(1).
 
     Raises:
-        InputError: wrong lengths, numbers that are not finite, a zero last rho, all of sigma zero.
+        InputError: wrong lengths, numbers that are not finite, a zero last rho, or a zero sigma.
 
     Source: Hairer, Norsett & Wanner, *Solving ODEs I*, III.2 (2.1).
 
@@ -215,7 +219,7 @@ def multistep(rho: Any, sigma: Any) -> Characteristic:
     return Characteristic((a, poly(-c for c in b)))
 
 
-#: the highest order of a formula: far above those that are stable
+#: highest order of a formula, far above the orders of stable ones
 HIGHEST = 1000
 
 
@@ -227,11 +231,12 @@ def _ordered(name: str, order: Any, least: int = 1) -> None:
 
 
 def adams(order: int, implicit: bool) -> Characteristic:
-    """Make Adams-Bashforth, or Adams-Moulton (`implicit`), with the rates at the last `order`
-    times.
+    """Return Adams-Bashforth, or Adams-Moulton if `implicit`, with the last `order` rates.
 
-    The implicit ones of order 1 and 2 are backward Euler and the trapezoidal rule. InputError below
-    order 1.
+    The implicit methods of order 1 and 2 are backward Euler and the trapezoidal rule.
+
+    Raises:
+        InputError: an order below 1.
 
     Example:
         >>> from rbjax.stability import adams
@@ -242,23 +247,24 @@ def adams(order: int, implicit: bool) -> Characteristic:
     implicit = flag("adams", "implicit", implicit)
     steps = max(order - 1, 1) if implicit else order
     last = steps if implicit else steps - 1
-    nodes = list(range(last, last - order, -1))  # times of the rates, the last first
+    nodes = list(range(last, last - order, -1))  # times of the rates, latest first
     sigma = [Fraction(0)] * (steps + 1)
     for j in nodes:
         l = poly([1])
         for m in nodes:
             if m != j:
                 l = multiply(l, poly([Fraction(-m, j - m), Fraction(1, j - m)]))
-        whole = poly([0, *(c / (k + 1) for k, c in enumerate(l))])  # from steps - 1 to steps
+        whole = poly([0, *(c / (k + 1) for k, c in enumerate(l))])  # integral from steps - 1
         sigma[j] = value(whole, Fraction(steps)) - value(whole, Fraction(steps - 1))
     rho = poly([0] * (steps - 1) + [-1, 1])
     return Characteristic((rho, poly(-c for c in sigma)))
 
 
 def backward_differentiation(order: int) -> Characteristic:
-    """Make BDF, sum_j (1/j) nabla^j y = h f, of any order from 1. Orders above 6 are unstable.
+    """Return the BDF sum_j (1/j) nabla^j y = h f of an order from 1. Orders above 6 are unstable.
 
-    InputError below order 1.
+    Raises:
+        InputError: an order below 1.
 
     Example:
         >>> from rbjax.stability import backward_differentiation
@@ -275,9 +281,10 @@ def backward_differentiation(order: int) -> Characteristic:
 
 
 def pece(order: int) -> Characteristic:
-    """Make PECE: predictor Adams-Bashforth of order - 1, corrector Adams-Moulton.
+    """Return the PECE method: predictor Adams-Bashforth of order - 1, corrector Adams-Moulton.
 
-    InputError below order 2.
+    Raises:
+        InputError: an order below 2.
 
     Example:
         >>> from rbjax.stability import pece
@@ -296,7 +303,7 @@ def pece(order: int) -> Characteristic:
 
 
 def of_one_step(R: StabilityFunction) -> Characteristic:
-    """The polynomial Q(z) zeta - P(z) of R = P / Q."""
+    """Return the polynomial Q(z) zeta - P(z) of R = P / Q."""
     n = max(len(R.numerator), len(R.denominator))
     p, q = (tuple(x) + (Fraction(0),) * (n - len(x)) for x in (R.numerator, R.denominator))
     return Characteristic(tuple(poly([-a, b]) for a, b in zip(p, q, strict=True)))
@@ -306,15 +313,15 @@ def characteristic(solver: Method) -> Characteristic:
     """Derive phi(zeta, z), whose roots are the growth factors of a method on y' = lambda y.
 
     Args:
-        solver: a name of `rb.solvers.all()`, any multistep, Runge-Kutta or Rosenbrock solver of
-            rbjax or diffrax, an `rb.solvers.Tableau`, a `StabilityFunction`, or a
-            `Characteristic`. Steps are equal.
+        solver: a name of `rb.solvers.all()`; a multistep, Runge-Kutta or Rosenbrock solver of rbjax
+            or diffrax, with equal steps; an `rb.solvers.Tableau`, a `StabilityFunction` or a
+            `Characteristic`.
 
     Returns:
         `Characteristic`: order, error_constant, zero_stable, spurious_roots, roots(z), radius(z).
 
     Raises:
-        InputError: methods only for q' = v, v' = a, or an unknown one.
+        InputError: a method only for q' = v, v' = a, or an unknown method.
 
     Source: Hairer, Norsett & Wanner, *Solving ODEs I*, III.2.
 

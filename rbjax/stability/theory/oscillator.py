@@ -1,11 +1,11 @@
-"""A solver's own step on linear motion: growth factors, dissipation, period elongation.
+"""Measurements on one step of a solver: growth factors, dissipation, period elongation.
 
     y' = lambda y:  as two real equations, z = h lambda
     q'' + 2 xi omega q' + omega^2 q = 0:  (q, v / omega), Omega = h omega
 A step is linear in the state and in the solver's memory. One step from each unit vector gives its
-matrix, whose eigenvalues are the growth factors of the code. The exact ones
-are exp(z) and exp(+-i Omega). A factor exp(Omega' (-xi' +- i)) means a vibration with frequency
-Omega' / h and damping ratio xi'.
+matrix, whose eigenvalues are the growth factors of the code. The exact factors are exp(z) and
+exp(+-i Omega). A factor exp(Omega' (-xi' +- i)) is a vibration with frequency Omega' / h and
+damping ratio xi'.
 (Hughes, *The Finite Element Method*, 9.3; Chung & Hulbert, *J. Applied Mechanics* 60, 1993.)
 """
 
@@ -29,12 +29,12 @@ from rbjax.stability.methods import fixed_step_solver
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
 from rbjax.stability.theory.regions import imaginary_limit
 
-DOUBLE = 1e-7  # a double root of modulus one has an error of sqrt(rounding)
-NEEDS_PAST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)  # more than a state
+DOUBLE = 1e-7  # error of a double root of modulus one: sqrt(rounding)
+NEEDS_PAST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)  # solvers that need past states
 
 
 def _scalar(t: Any, y: Any, z: jax.Array) -> jax.Array:
-    """y' = z y, for the real and imaginary part."""
+    """Return the rate z y, for the real and imaginary part of y."""
     a, b = z
     return jnp.stack([a * y[0] - b * y[1], b * y[0] + a * y[1]])
 
@@ -52,7 +52,7 @@ def _pair(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array, jax.
 
 
 def _memory_of(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
-    """The numbers in a solver's state, and the function that makes such a state from numbers."""
+    """Return the numbers in a solver's state, and the function that rebuilds the state."""
     if isinstance(solver, AbstractMultistep):
         full = state.ts.shape[0]
         return state.values, lambda old: state._replace(values=old, filled=jnp.array(full))
@@ -63,8 +63,8 @@ def _memory_of(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
 
 @eqx.filter_jit
 def _matrices(field: Any, solver: Any, like: Any, args: jax.Array, omega: Any) -> jax.Array:
-    """The matrices (m, k, k) of one step of length one, for rows of arguments (m, ...), in units of
-    powers of omega (m,)."""
+    """Return the matrices (m, k, k) of one step of length one, for rows of arguments (m, ...).
+    Their units are powers of omega (m,)."""
     term = diffrax.ODETerm(field)
     t0, t1 = jnp.array(0.0), jnp.array(1.0)
 
@@ -86,7 +86,7 @@ def _matrices(field: Any, solver: Any, like: Any, args: jax.Array, omega: Any) -
 
 
 def _powers(solver: Any, n: int) -> np.ndarray:
-    """The powers of omega that scale q, v and the memory to similar size."""
+    """Return the powers of omega that scale q, v and the solver's memory to similar size."""
     if isinstance(solver, GeneralizedAlpha):
         return np.array([0, 1, 2])[np.minimum(np.arange(n) * 3 // n, 2)]
     past = (n - 2) // 2
@@ -97,8 +97,8 @@ def _powers(solver: Any, n: int) -> np.ndarray:
 def step_matrices(
     solver: Any, field: Any, like: Any, args: np.ndarray, omega: np.ndarray | None = None
 ) -> np.ndarray:
-    """`_matrices` in f64, in any precision of the caller. The constants of a solver become numbers,
-    so that all solvers of a kind share a program."""
+    """Return the matrices of `_matrices` in f64, in any precision of the caller. The constants of a
+    solver become arrays, so all solvers of a class share one compiled program."""
     one = fixed_step_solver(solver)
     if isinstance(one, NEEDS_PAST) or one.term_structure is not diffrax.AbstractTerm:
         raise InputError(
@@ -112,24 +112,27 @@ def step_matrices(
 
 
 def matrices_of_pair(solver: Any, K: np.ndarray, D: np.ndarray) -> np.ndarray:
-    """The matrix (m, k, k) of one step of length one on q' = v, v' = K q + D v; K, D (m, n, n)."""
+    """Return the matrices (m, k, k) of one step of length one on q' = v, v' = K q + D v. K and D
+    are (m, n, n)."""
     n = K.shape[-1]
     return step_matrices(solver, _pair, (np.zeros(n), np.zeros(n)), np.stack([K, D], 1))
 
 
 def growth_factors(solver: Method, z: Any) -> np.ndarray:
-    """Measure the growth factors of y in a step of the code on y' = lambda y, z = h lambda.
+    """Measure the growth factors of y in one step of the code on y' = lambda y, z = h lambda.
 
     Args:
-        solver: a name of `rb.solvers.all()`, a diffrax solver of any vector field, or an
-            `rb.solvers.Tableau`. A `StabilityFunction` or a `Characteristic` gives its roots.
-        z: complex, any shape (...).
+        solver: a name of `rb.solvers.all()`, a diffrax solver of vector fields, or an
+            `rb.solvers.Tableau`. For a `StabilityFunction` or a `Characteristic` the factors are
+            its roots.
+        z: (...) complex.
 
     Returns:
-        (..., k) complex: R(z) for a one-step method; all roots, largest first, of a multistep one.
+        (..., k) complex: R(z) of a one-step method; all roots, largest first, of a multistep
+            method.
 
     Raises:
-        InputError: solvers of other equations.
+        InputError: a solver of other equations.
 
     Example:
         >>> import rbjax as rb
@@ -144,31 +147,31 @@ def growth_factors(solver: Method, z: Any) -> np.ndarray:
         raise InputError(f"growth_factors: z has shape {z.shape}, expected at least one number")
     rows = np.stack([z.real.ravel(), z.imag.ravel()], -1)
     real = step_matrices(solver, _scalar, np.zeros(2), rows)
-    # a complex number is [[a, -b], [b, a]]: the first column of each block is a + i b
+    # a complex factor is a block [[a, -b], [b, a]], whose first column is a + i b
     matrix = real[:, ::2, ::2] + 1j * real[:, 1::2, ::2]
     return _sorted(np.linalg.eigvals(matrix)).reshape(*z.shape, -1)
 
 
 def frequencies(h_omega: Any) -> np.ndarray:
-    """Angles h omega (...) of a step, as an array."""
+    """Return the values of h omega (...) as an array."""
     expected = "numbers, the step times the angular frequency"
     return real_array("stability", "h_omega", h_omega, expected, finite=False)
 
 
 def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
-    """Measure the growth factors of an oscillation in a step of the code, largest first.
+    """Measure the growth factors of an oscillation in one step of the code, largest first.
 
     Args:
-        solver: a name of `rb.solvers.all()` or a diffrax solver, of any vector field or of
-            q' = v, v' = a; or any argument of `growth_factors`.
-        h_omega: Omega = h omega (...), step times natural angular frequency, positive.
+        solver: a name of `rb.solvers.all()`, a diffrax solver of vector fields or of q' = v,
+            v' = a, or any argument of `growth_factors`.
+        h_omega: (...) Omega = h omega, step times natural angular frequency, positive.
         damping_ratio: xi of q'' + 2 xi omega q' + omega^2 q = 0.
 
     Returns:
-        (..., k) complex, k = 2 plus the size of the method's memory.
+        (..., k) complex, with k = 2 plus the size of the solver's memory.
 
     Raises:
-        InputError: solvers of other equations; an h_omega that is not positive.
+        InputError: a solver of other equations, or an h_omega that is not positive.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -186,7 +189,7 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
             "and finite; at zero nothing oscillates"
         )
     real_number("oscillator_factors", "damping_ratio", damping_ratio, traced=True)
-    if isinstance(solver, Theory):  # two scalar equations
+    if isinstance(solver, Theory):  # the oscillator as two scalar equations
         pair = -damping_ratio + np.array([1j, -1j]) * np.emath.sqrt(1 - damping_ratio**2)
         roots = characteristic(solver).roots(omega[..., None] * pair)
         return _sorted(roots.reshape(*omega.shape, -1))
@@ -201,7 +204,7 @@ def _sorted(factors: np.ndarray) -> np.ndarray:
 
 
 def spectral_radius(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
-    """Measure the modulus of the largest growth factor on an oscillator of h omega (...).
+    """Measure the modulus of the largest growth factor on an oscillation with h omega (...).
 
     Example:
         >>> import rbjax as rb
@@ -213,7 +216,7 @@ def spectral_radius(solver: Method, h_omega: Any, damping_ratio: float = 0.0) ->
 
 
 def _principal(solver: Method, h_omega: Any) -> np.ndarray:
-    """The factor that approximates exp(i Omega); nan if none oscillates."""
+    """Return the growth factor that approximates exp(i h omega); nan if no factor oscillates."""
     factors = oscillator_factors(solver, h_omega)
     distance = np.abs(factors - np.exp(1j * frequencies(h_omega))[..., None])
     factor = np.take_along_axis(factors, distance.argmin(-1)[..., None], -1)[..., 0]
@@ -221,16 +224,17 @@ def _principal(solver: Method, h_omega: Any) -> np.ndarray:
 
 
 def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
-    """Measure the numerical damping ratio xi' of a step of the code on an undamped oscillation.
+    """Measure the numerical damping ratio xi' of one step of the code on an undamped oscillation.
 
     xi' = -ln |zeta| / arg zeta, with the factor zeta that approximates exp(i Omega).
 
     Args:
         solver: as in `oscillator_factors`.
-        h_omega: Omega = h omega (...), below pi: larger steps do not resolve the oscillation.
+        h_omega: (...) Omega = h omega, below pi, because larger steps do not resolve the
+            oscillation.
 
     Returns:
-        (...) damping ratio; negative if the method adds energy, nan if nothing oscillates.
+        (...) damping ratio; negative if the method adds energy, nan if no factor oscillates.
 
     Source: Hughes, *The Finite Element Method*, 9.3.
 
@@ -244,11 +248,10 @@ def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
 
 
 def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
-    """Measure the period elongation (T' - T) / T of a step of the code on an undamped oscillation.
+    """Measure the period elongation (T' - T) / T of one step on an undamped oscillation.
 
-    (T' - T) / T = Omega / arg zeta - 1
-
-    Args and nan values are as for `dissipation`. Newmark's average acceleration gives Omega^2 / 12.
+    (T' - T) / T = Omega / arg zeta - 1. Newmark's average acceleration has Omega^2 / 12. Arguments
+    and nan values are as in `dissipation`.
 
     Example:
         >>> import rbjax as rb
@@ -259,12 +262,12 @@ def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
 
 
 def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
-    """Find the largest h omega up to which an undamped oscillation does not grow; inf above
-    `highest`.
+    """Return the largest h omega up to which an undamped oscillation does not grow.
 
-    It is exact (`imaginary_limit`) if there is linear theory. Otherwise, as for methods of q' = v,
-    v' = a, it is found by bisection on a step of the code. There |zeta| may exceed one by 1e-7, and
-    limits below `highest` / 500 are zero.
+    It is inf if it is above `highest`. It is exact (`imaginary_limit`) if the method has linear
+    theory. Otherwise, as for methods of q' = v, v' = a, it is measured by bisection on a step of
+    the code. The measurement allows |zeta| to exceed one by 1e-7, and limits below `highest` / 500
+    are zero.
 
     Example:
         >>> import rbjax as rb
@@ -287,7 +290,7 @@ def _measured_limit(solver: Method, highest: float) -> float:
         return 0.0
     low, high = grid[grown.argmax() - 1], grid[grown.argmax()]
     while high - low > 4 * np.finfo(float).eps * high:
-        points = np.linspace(low, high, len(grid))  # the number that the program is compiled for
+        points = np.linspace(low, high, len(grid))  # same shape: no recompilation
         grown = spectral_radius(solver, points) > 1 + DOUBLE
         first = int(grown.argmax())
         low, high = points[first - 1], points[first]

@@ -1,8 +1,8 @@
-"""Polynomials with exact coefficients, and their roots to all the digits of a double.
+"""Polynomials with exact coefficients, and their roots to all digits of a double.
 
     p(x) = p_0 + p_1 x + ... + p_n x^n,    coefficients `fractions.Fraction`, constant first
-Stability depends on signs of polynomials that often vanish exactly, where rounding would give a
-random sign. A coefficient from a tableau of doubles becomes the simple fraction near it
+Stability depends on signs of polynomials that often vanish exactly. With rounding the sign would be
+random. A coefficient from a tableau of doubles is converted to the simple fraction near it
 (`rational`), if rounding explains the difference.
 """
 
@@ -22,15 +22,15 @@ from rbjax.solvers.tableau import TOLERANCE
 Poly = tuple[Fraction, ...]
 
 EPS = Fraction(np.finfo(np.float64).eps)
-PRINTED = Fraction(TOLERANCE)  # the same for R(z) as for the order conditions of its tableau
+PRINTED = Fraction(TOLERANCE)  # tolerance of printed coefficients, as for tableaus
 SIMPLE = 50_000  # largest denominator: 8! is 40,320
-DIGITS = 60  # digits with which roots are computed
+DIGITS = 60  # digits of computed roots
 ZERO: Poly = ()
 ONE: Poly = (Fraction(1),)
 
 
 def poly(coefficients: Iterable[Any]) -> Poly:
-    """A polynomial of coefficients, constant first, without zeros at the end.
+    """Return the polynomial of coefficients, constant first, without trailing zeros.
 
     >>> poly([1, 0.5, 0])
     (Fraction(1, 1), Fraction(1, 2))
@@ -42,7 +42,7 @@ def poly(coefficients: Iterable[Any]) -> Poly:
 
 
 def rational(x: Any, noise: Any = 0) -> Fraction:
-    """The simple fraction within `noise` (and two units in the last place) of x, if one exists.
+    """Return the simple fraction within `noise` (or two units in the last place) of x, else x.
 
     >>> rational(1 / 3)
     Fraction(1, 3)
@@ -57,7 +57,7 @@ def rational(x: Any, noise: Any = 0) -> Fraction:
 
 
 def exact(coefficients: Iterable[Any], where: str) -> Poly:
-    """`poly` of numbers of any type. Doubles become the simple fractions near them.
+    """Return the polynomial of numbers of any type. Doubles become the simple fractions near them.
 
     >>> exact(np.array([1 / 3, 1.0]), "rho")
     (Fraction(1, 3), Fraction(1, 1))
@@ -77,14 +77,14 @@ def total(terms: Iterable[Fraction]) -> Fraction:
 
 
 def add(p: Poly, q: Poly, weight: Any = 1) -> Poly:
-    """The sum p + weight q."""
+    """Return the sum p + weight q."""
     n = max(len(p), len(q))
     p, q = p + (Fraction(0),) * (n - len(p)), q + (Fraction(0),) * (n - len(q))
     return poly(a + weight * b for a, b in zip(p, q, strict=True))
 
 
 def multiply(p: Poly, q: Poly) -> Poly:
-    """The product p q."""
+    """Return the product p q."""
     out = [Fraction(0)] * max(len(p) + len(q) - 1, 0)
     for i, a in enumerate(p):
         for j, b in enumerate(q):
@@ -93,12 +93,12 @@ def multiply(p: Poly, q: Poly) -> Poly:
 
 
 def magnitude(p: Poly) -> Poly:
-    """The same with positive coefficients, which bound the terms of a sum."""
+    """Return the polynomial of absolute coefficients, which bound the terms of a sum."""
     return tuple(abs(c) for c in p)
 
 
 def clean(p: Poly, size: Poly) -> Poly:
-    """p without coefficients that are rounding, or a printed last digit, relative to `size`."""
+    """Return p without coefficients that are rounding, or a printed last digit, of `size`."""
     return poly(0 if abs(c) <= PRINTED * s else c for c, s in zip(p, size, strict=False))
 
 
@@ -107,7 +107,7 @@ def derivative(p: Poly) -> Poly:
 
 
 def value(p: Poly, x: Any) -> Any:
-    """p(x): exact for a fraction, in doubles for numbers and arrays."""
+    """Return p(x), exact for a fraction and in complex doubles for numbers and arrays."""
     exact = isinstance(x, Fraction)
     out: Any = Fraction(0) if exact else np.zeros_like(np.asarray(x), dtype=complex)
     for c in reversed(p):
@@ -116,7 +116,7 @@ def value(p: Poly, x: Any) -> Any:
 
 
 def divide(p: Poly, q: Poly) -> tuple[Poly, Poly]:
-    """Quotient and remainder of p by q."""
+    """Return the quotient and the remainder of p by q."""
     rest, out = list(p), [Fraction(0)] * max(len(p) - len(q) + 1, 0)
     for i in reversed(range(len(out))):
         out[i] = rest[i + len(q) - 1] / q[-1]
@@ -126,14 +126,14 @@ def divide(p: Poly, q: Poly) -> tuple[Poly, Poly]:
 
 
 def gcd(p: Poly, q: Poly) -> Poly:
-    """The greatest common divisor, with leading coefficient one."""
+    """Return the greatest common divisor, with leading coefficient one."""
     while q:
         p, q = q, divide(p, q)[1]
     return tuple(c / p[-1] for c in p)
 
 
 def roots(p: Poly) -> list[mpmath.mpc]:
-    """The distinct complex roots, each once, to `DIGITS` digits.
+    """Return the distinct complex roots to `DIGITS` digits.
 
     >>> [complex(r) for r in roots(poly([1, 2, 1]))]
     [(-1+0j)]
@@ -148,7 +148,7 @@ def roots(p: Poly) -> list[mpmath.mpc]:
 
 
 def real_roots(p: Poly, low: Any = None, high: Any = None) -> list[Fraction]:
-    """The distinct real roots between low and high, in order, as fractions of `DIGITS` digits.
+    """Return the sorted distinct real roots between low and high, as fractions of `DIGITS` digits.
 
     >>> [float(r) for r in real_roots(poly([-2, 0, 1]), low=0)]
     [1.4142135623730951]
@@ -156,7 +156,7 @@ def real_roots(p: Poly, low: Any = None, high: Any = None) -> list[Fraction]:
     out = []
     for root in roots(p):
         if abs(root.imag) < mpmath.mpf(10) ** (-DIGITS // 2):
-            man, exp = root.real.man_exp  # without the sign
+            man, exp = root.real.man_exp  # the mantissa has no sign
             x = Fraction(int(mpmath.sign(root.real)) * man) * Fraction(2) ** exp
             if (low is None or x > low) and (high is None or x < high):
                 out.append(x)
@@ -164,17 +164,15 @@ def real_roots(p: Poly, low: Any = None, high: Any = None) -> list[Fraction]:
 
 
 def between(points: Sequence[Fraction], start: Fraction) -> list[tuple[Fraction, Fraction]]:
-    """(end, a point inside) of each interval from `start` over increasing points to infinity.
-
-    The last end is `start`, which means infinity.
-    """
+    """Return (end, inner point) of each interval of increasing points, from `start` to infinity.
+    The end of the last interval is `start`, which means infinity."""
     ends = [start, *points]
     inside = [((a + b) / 2, b) for a, b in itertools.pairwise(ends)]
     return [(b, mid) for mid, b in inside] + [(start, 2 * ends[-1] + 1)]
 
 
 def chebyshev(n: int) -> tuple[Poly, Poly]:
-    """T_n and U_(n-1): cos(n x) and sin(n x) / sin(x) in cos(x)."""
+    """Return T_n and U_(n-1): cos(n x) and sin(n x) / sin(x) as polynomials in cos(x)."""
     t: list[Poly] = [ONE, poly([0, 1])]
     u: list[Poly] = [ZERO, ONE]
     for _ in range(2, n + 1):
@@ -184,7 +182,7 @@ def chebyshev(n: int) -> tuple[Poly, Poly]:
 
 
 def to_text(p: Poly, x: str = "z") -> str:
-    """The polynomial as a textbook prints it.
+    """Return the polynomial in textbook notation.
 
     >>> to_text(poly([1, Fraction(-2, 3), Fraction(1, 6)]))
     '1 - 2z/3 + z^2/6'

@@ -1,18 +1,17 @@
-"""Regions of absolute stability: limits on the axes, angle, strip.
+"""Regions of absolute stability: limits on the axes, sector and half-plane.
 
     S = {z : every root of phi(zeta, z) has |zeta| <= 1}
     real limit: the least x <= 0 with [x, 0] in S
     imaginary limit: the largest y with i [0, y] in S
     A-stable: S contains the left half-plane;  A(alpha): the sector |arg(-z)| <= alpha
     stiffly stable: the half-plane Re z <= -D;  L-stable: A-stable, and R(infinity) = 0
-The boundary of S lies on the curve where a root has modulus one. For a one-step method the curve
+The boundary of S lies on the curve on which a root has modulus one. For a one-step method the curve
 meets the axes at roots of P^2 - Q^2 and of |P(iy)|^2 - |Q(iy)|^2. For a multistep method it is
 z = rho / sigma at zeta = exp(i theta), whose parts are rational in c = cos theta, so limits, angle
-and D are values at exact roots. A predictor-corrector's z is quadratic; the real and imaginary
-part of its equation have a common root where their resultant, a polynomial in c, vanishes. Between
-such points one z is tested, in `DIGITS` digits: |zeta| - 1 of a weakly unstable method may be
-1e-15.
-(Hairer & Wanner, *Solving ODEs II*, IV.3, V.1-2; Gear 1971.)
+and D are values at exact roots. For a predictor-corrector method the equation of z is quadratic.
+Its real and imaginary parts have a common root if their resultant, a polynomial in c, vanishes.
+Between such points one z is tested, in `DIGITS` digits, because |zeta| - 1 of a weakly unstable
+method may be 1e-15. (Hairer & Wanner, *Solving ODEs II*, IV.3, V.1-2; Gear 1971.)
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ from rbjax.stability.theory.polynomials import (
 from rbjax.stability.theory.stability_function import StabilityFunction, modulus_excess
 
 Method = StabilityFunction | Characteristic
-BELOW_90 = math.nextafter(90, 0)  # 90 itself means A-stable
-GROWN = 1e-20  # excess of a root's modulus over one, in `DIGITS` digits
+BELOW_90 = math.nextafter(90, 0)  # largest angle below 90, which means A-stable
+GROWN = 1e-20  # excess of |zeta| over one that counts as growth, in `DIGITS` digits
 SHARP, FARTHEST = Fraction(1, 2**40), 2**40  # relative error of D, and the largest D searched
 ONE_SQUARED = poly([1, 0, -1])  # 1 - c^2
 
 
 def real_limit(method: Method) -> float:
-    """Find the least x <= 0 such that the method is stable on [x, 0]; -inf, or 0 for none."""
+    """Return the least x <= 0 such that the method is stable on [x, 0]. -inf means no limit."""
     method = _simplest(method)
     if isinstance(method, StabilityFunction):
         p, q = (_mirrored(x) for x in (method.numerator, method.denominator))
@@ -70,7 +69,7 @@ def real_limit(method: Method) -> float:
 
 
 def imaginary_limit(method: Method) -> float:
-    """Find the largest y such that the method is stable on i [0, y]; inf, or 0 for none."""
+    """Return the largest y >= 0 such that the method is stable on i [0, y]. inf means no limit."""
     method = _simplest(method)
     if isinstance(method, StabilityFunction):
         excess = modulus_excess(method)
@@ -78,11 +77,11 @@ def imaginary_limit(method: Method) -> float:
         return math.sqrt(_first_end(points, lambda w: value(excess, w) <= 0))
     if len(method.by_power) == 2:
         N, M, S = _curve(method)
-        # where the curve crosses the axis, or turns on it: (1 - c^2) M^2 / S^2 is stationary
+        # points at which the curve crosses the axis or turns on it: (1 - c^2) M^2 / S^2 stationary
         turning = add(multiply(_slope(M), S), multiply(ONE_SQUARED, multiply(M, derivative(S))), -1)
         found = [(c, value(M, c) / value(S, c)) for c in _inside(N or turning) if value(S, c)]
     else:
-        # z = i sin(theta) x: the real part, and the imaginary one over sin(theta)
+        # z = i sin(theta) x: the real part, and the imaginary part over sin(theta)
         (a, b, c), (d, e, f) = _on_circle(method)
         minus = add((), ONE_SQUARED, -1)
         found = _common_roots(
@@ -94,14 +93,14 @@ def imaginary_limit(method: Method) -> float:
 
 
 def alpha_degrees(method: Method) -> float:
-    """Find the angle of A(alpha)-stability: 90 if A-stable, 0 if the real limit is finite."""
+    """Return the angle of A(alpha)-stability: 90 if A-stable, 0 if the real limit is finite."""
     method = _simplest(method)
     if real_limit(method) > -math.inf or not _bounded(method):
         return 0.0
     if isinstance(method, StabilityFunction):
         return 90.0 if _A_stable(method) else _widest_ray(method)
     N, M, _ = _curve(method)
-    # tan^2 alpha = (1 - c^2) M^2 / N^2 has its minimum at an end or where this vanishes:
+    # tan^2 alpha = (1 - c^2) M^2 / N^2 has its minimum at an end or at a root of this polynomial
     stationary = add(multiply(_slope(M), N), multiply(ONE_SQUARED, multiply(M, derivative(N))), -1)
     angles = [90.0]
     for c in [*real_roots(stationary, -1, 1), *real_roots(M, -1, 1)]:
@@ -113,7 +112,7 @@ def alpha_degrees(method: Method) -> float:
 
 
 def stiff_stability(method: Method) -> float:
-    """Find D of stiff stability: stable for Re z <= -D; inf if there is no such D."""
+    """Return the least D such that the method is stable for Re z <= -D; inf if there is none."""
     method = _simplest(method)
     if real_limit(method) > -math.inf or not _bounded(method):
         return math.inf
@@ -127,7 +126,7 @@ def stiff_stability(method: Method) -> float:
 
 
 def at_infinity(method: Method) -> float:
-    """|R(infinity)|, the largest root in the limit of stiffness; inf if it is not bounded."""
+    """Return |R(infinity)|, or the largest |zeta| as z goes to infinity; inf if it is unbounded."""
     if isinstance(method, StabilityFunction):
         return abs(method.at_infinity)
     last = method.by_power[-1]
@@ -137,8 +136,8 @@ def at_infinity(method: Method) -> float:
 
 
 def stability_region(method: Method, x: Any, y: Any) -> np.ndarray:
-    """Compute the largest |zeta| (len(y), len(x)) on a grid x + i y of z; at most one means
-    stable."""
+    """Return the largest |zeta| (len(y), len(x)) on a grid of z = x + i y. The method is stable at
+    z if the value is at most one."""
     _check(method)
     x = real_array("stability_region", "x", x, ndim=1)
     y = real_array("stability_region", "y", y, ndim=1)
@@ -154,7 +153,7 @@ def _check(method: Any) -> None:
 
 
 def _simplest(method: Method) -> Method:
-    """The stability function, if the polynomial has one step."""
+    """Return the stability function of a one-step polynomial; return other methods unchanged."""
     if isinstance(method, StabilityFunction):
         return method
     if not isinstance(method, Characteristic):
@@ -174,17 +173,18 @@ def _simplest(method: Method) -> Method:
 
 
 def _bounded(method: Method) -> bool:
-    """Whether no root exceeds one as z goes to infinity."""
+    """Return whether all roots have modulus at most one as z goes to infinity."""
     return at_infinity(method) <= 1
 
 
 def _A_stable(R: StabilityFunction) -> bool:
-    """|R| <= 1 on the axis, and left of it by the maximum principle, if there is no pole."""
+    """Return whether |R| <= 1 on the imaginary axis and R has no pole in the left half-plane. By
+    the maximum principle |R| <= 1 then holds in the whole left half-plane."""
     return imaginary_limit(R) == math.inf and all(p.real > 0 for p in roots(R.denominator))
 
 
 def _least_shift(R: StabilityFunction) -> float:
-    """The least D for which R(z - D) is A-stable, by bisection: the half-planes are nested."""
+    """Return the least D for which R(z - D) is A-stable, by bisection over nested half-planes."""
     if _A_stable(R):
         return 0.0
     low, high = Fraction(0), Fraction(1)
@@ -199,7 +199,7 @@ def _least_shift(R: StabilityFunction) -> float:
 
 
 def _shifted(R: StabilityFunction, D: Fraction) -> StabilityFunction:
-    """R(z - D)."""
+    """Return the function R(z - D)."""
     parts = []
     for p in (R.numerator, R.denominator):
         out: Poly = ()
@@ -210,12 +210,12 @@ def _shifted(R: StabilityFunction, D: Fraction) -> StabilityFunction:
 
 
 def _mirrored(p: Poly) -> Poly:
-    """p(-x)."""
+    """Return the polynomial p(-x)."""
     return poly((-1) ** k * c for k, c in enumerate(p))
 
 
 def _first_end(points: list[Fraction], stable: Callable[[Fraction], bool]) -> float:
-    """The end of the stable intervals between points, starting at zero; inf if all are stable."""
+    """Return the end of the stable intervals that start at zero; inf if all are stable."""
     intervals = between(points, Fraction(0))
     reached = Fraction(0)
     for end, mid in intervals:
@@ -226,7 +226,8 @@ def _first_end(points: list[Fraction], stable: Callable[[Fraction], bool]) -> fl
 
 
 def _curve(method: Characteristic) -> tuple[Poly, Poly, Poly]:
-    """N, M, S in c = cos theta: rho / sigma at exp(i theta) is (N + i sin(theta) M) / S."""
+    """Return polynomials N, M, S in c = cos theta of the boundary of the stability region. The
+    boundary rho / sigma at exp(i theta) is (N + i sin(theta) M) / S."""
     if len(method.by_power) > 2:
         raise InputError(
             "regions: got a multistep method with z^2, expected rho - z sigma for angle and strip"
@@ -247,12 +248,13 @@ def _curve(method: Characteristic) -> tuple[Poly, Poly, Poly]:
 
 
 def _slope(M: Poly) -> Poly:
-    """(1 - c^2) M' - c M: the derivative of sqrt(1 - c^2) M, times sqrt(1 - c^2)."""
+    """Return (1 - c^2) M' - c M: sqrt(1 - c^2) times the derivative of sqrt(1 - c^2) M."""
     return add(multiply(ONE_SQUARED, derivative(M)), multiply(poly([0, 1]), M), -1)
 
 
 def _on_circle(method: Characteristic) -> tuple[list[Poly], list[Poly]]:
-    """For each power of z, the real part at zeta = exp(i theta), and the imaginary / sin(theta)."""
+    """Return the real part, and the imaginary part over sin(theta), of each coefficient c_m(exp(i
+    theta)). They are polynomials in cos(theta)."""
     even, odd = [], []
     for p in method.by_power:
         parts: tuple[Poly, Poly] = ((), ())
@@ -264,7 +266,8 @@ def _on_circle(method: Characteristic) -> tuple[list[Poly], list[Poly]]:
 
 
 def _common_roots(f: Sequence[Poly], g: Sequence[Poly]) -> list[tuple[Fraction, Fraction]]:
-    """(c, x), |c| < 1, at which f_0 + f_1 x + f_2 x^2 and g_0 + ... vanish, polynomials in c."""
+    """Return the (c, x), |c| < 1, at which f_0 + f_1 x + f_2 x^2 and g_0 + g_1 x + g_2 x^2 vanish.
+    The coefficients are polynomials in c."""
 
     def minor(i: int, j: int) -> Poly:
         return add(multiply(f[i], g[j]), multiply(f[j], g[i]), -1)
@@ -275,7 +278,7 @@ def _common_roots(f: Sequence[Poly], g: Sequence[Poly]) -> list[tuple[Fraction, 
 
 
 def _inside(p: Poly) -> list[Fraction]:
-    """The roots strictly between -1 and 1: at the ends z is zero or infinite."""
+    """Return the roots strictly between -1 and 1. At the ends z is zero or infinite."""
     for end in (1, -1):
         while p and value(p, Fraction(end)) == 0:
             p = divide(p, poly([-end, 1]))[0]
@@ -283,7 +286,7 @@ def _inside(p: Poly) -> list[Fraction]:
 
 
 def _widest_ray(R: StabilityFunction) -> float:
-    """The largest angle of rays with |R| <= 1, by bisection, for an A(0)-stable one-step method."""
+    """Return the largest angle of rays with |R| <= 1, by bisection, for an A(0)-stable method."""
 
     def stable(angle: float) -> bool:
         z = -np.exp(1j * angle) * np.logspace(-6, 8, 20_001)

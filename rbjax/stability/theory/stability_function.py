@@ -1,10 +1,10 @@
-"""The stability function of a one-step method, in exact arithmetic, from its coefficients.
+"""The stability function of a one-step method, from its coefficients in exact arithmetic.
 
     y' = lambda y:  y1 = R(z) y0,    z = h lambda
     R(z) = det(I - z A + z e b') / det(I - z A) = 1 + z b' (I - z A)^-1 e
-The denominator comes from the traces of powers of A (Newton's identities), the numerator from the
-moments b' A^k e. For Rosenbrock methods A is alpha + gamma, because the Jacobian is exact here.
-(Hairer & Wanner, *Solving ODEs II*, IV.3, IV.7.)
+The denominator follows from the traces of powers of A (Newton's identities), the numerator from the
+moments b' A^k e. For Rosenbrock methods A is alpha + gamma, because the Jacobian of this equation
+is exact. (Hairer & Wanner, *Solving ODEs II*, IV.3, IV.7.)
 """
 
 from __future__ import annotations
@@ -42,10 +42,12 @@ Coefficients = tuple[np.ndarray, np.ndarray]  # a, b
 
 @dataclass(frozen=True)
 class StabilityFunction:
-    """R(z) = numerator / denominator; polynomials with exact coefficients, constant first.
+    """A rational function R(z) = numerator / denominator with exact coefficients, constant first.
 
-    Doubles become the simple fractions near them. InputError for coefficients that are not finite,
-    and for a zero denominator.
+    Doubles are converted to the simple fractions near them.
+
+    Raises:
+        InputError: coefficients that are not finite, or a zero denominator.
 
     Example:
         >>> import rbjax as rb
@@ -63,20 +65,20 @@ class StabilityFunction:
             raise InputError("StabilityFunction: the denominator is zero, expected a polynomial")
 
     def __call__(self, z: Any) -> Any:
-        """R(z) of complex numbers of any shape."""
+        """Return R(z) for complex numbers of any shape."""
         return value(self.numerator, z) / value(self.denominator, z)
 
     def __str__(self) -> str:
         return f"({to_text(self.numerator)}) / ({to_text(self.denominator)})"
 
     def radius(self, z: Any) -> np.ndarray:
-        """|R(z)|."""
+        """Return |R(z)|."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.abs(self(z))
 
     @property
     def at_infinity(self) -> float:
-        """The limit of R as z grows; inf if there is none."""
+        """Limit of R as z goes to infinity; inf if R is unbounded."""
         over = len(self.numerator) - len(self.denominator)
         if over > 0:
             return math.inf
@@ -84,7 +86,8 @@ class StabilityFunction:
 
 
 def of_tableau(a: np.ndarray, b: np.ndarray) -> StabilityFunction:
-    """R(z) of coefficients a (s, s) and b (s,). Doubles become the simple fractions near them."""
+    """Return R(z) of coefficients a (s, s) and b (s,). Doubles become the simple fractions near
+    them."""
     A = [[rational(x) for x in row] for row in np.asarray(a)]
     B = [rational(x) for x in np.asarray(b)]
     exact = _quotient(A, B, -1)
@@ -98,7 +101,8 @@ def of_tableau(a: np.ndarray, b: np.ndarray) -> StabilityFunction:
 
 
 def _quotient(A: list[list[Fraction]], b: list[Fraction], sign: int) -> tuple[list, list]:
-    """Coefficients of det(I - z A) (1 + sum_k z^k b' A^(k-1) e) and of det(I - z A) (sign -1)."""
+    """Return the coefficients of the numerator and of the denominator of R(z). They are det(I - z
+    A) (1 + sum_k z^k b' A^(k-1) e) and det(I - z A) for sign = -1."""
     s = len(b)
     power = [[Fraction(i == j) for j in range(s)] for i in range(s)]
     moments, traces = [Fraction(1)], [Fraction(0)]
@@ -119,7 +123,7 @@ def _quotient(A: list[list[Fraction]], b: list[Fraction], sign: int) -> tuple[li
 
 @functools.singledispatch
 def butcher(solver: Any) -> Coefficients | None:
-    """a (s, s) and b (s,) of a Runge-Kutta or Rosenbrock method; None for other methods."""
+    """Return a (s, s) and b (s,) of a Runge-Kutta or Rosenbrock method; None for other methods."""
     del solver
     return None
 
@@ -128,7 +132,7 @@ def butcher(solver: Any) -> Coefficients | None:
 def _(solver) -> Coefficients | None:
     t = solver.tableau
     if not isinstance(t, diffrax.ButcherTableau):
-        return None  # two fields, each with its own
+        return None  # a solver of two fields has one tableau for each
     a = np.zeros((t.num_stages, t.num_stages))
     for i, row in enumerate(t.a_lower):
         a[i + 1, : i + 1] = row
@@ -175,14 +179,14 @@ def stability_function(solver: Solver | StabilityFunction) -> StabilityFunction:
     """Derive R(z) of a one-step method, y1 = R(h lambda) y0 on y' = lambda y, in exact arithmetic.
 
     Args:
-        solver: a name of `rb.solvers.all()`, any Runge-Kutta, Rosenbrock or Munthe-Kaas solver
-            of rbjax or diffrax, also in a `diffrax.HalfSolver`, or an `rb.solvers.Tableau`.
+        solver: a name of `rb.solvers.all()`; a Runge-Kutta, Rosenbrock or Munthe-Kaas solver of
+            rbjax or diffrax, also in a `diffrax.HalfSolver`; or an `rb.solvers.Tableau`.
 
     Returns:
         `StabilityFunction`, with numerator and denominator.
 
     Raises:
-        InputError: multistep methods, methods only for q' = v, v' = a, or an unknown one.
+        InputError: a multistep method, a method only for q' = v, v' = a, or an unknown method.
 
     Source: Hairer & Wanner, *Solving ODEs II*, IV.3 (3.3).
 
@@ -213,14 +217,14 @@ def stability_function(solver: Solver | StabilityFunction) -> StabilityFunction:
 
 
 def modulus_excess(R: StabilityFunction) -> Poly:
-    """|P(i y)|^2 - |Q(i y)|^2 in w = y^2: negative where |R(i y)| < 1 (the E-polynomial)."""
+    """Return the E-polynomial |P(i y)|^2 - |Q(i y)|^2 of R = P / Q in w = y^2."""
     parts = [_squared(p) for p in (R.numerator, R.denominator)]
     sizes = [_squared(magnitude(p), signed=False) for p in (R.numerator, R.denominator)]
     return clean(add(parts[0], parts[1], -1), add(*sizes))
 
 
 def _squared(p: Poly, signed: bool = True) -> Poly:
-    """|p(i y)|^2 in w = y^2."""
+    """Return |p(i y)|^2 as a polynomial in w = y^2."""
     sign = -1 if signed else 1
     even = poly(sign**k * c for k, c in enumerate(p[::2]))
     odd = poly(sign**k * c for k, c in enumerate(p[1::2]))

@@ -232,7 +232,7 @@ class StagedFit:
             if not matters and best.minimum.success:
                 break
             found = self._refit(other, best.minimum.x)
-            if found.minimum.cost > 2 * best.minimum.cost:  # simulated data with long steps
+            if found.minimum.cost > 2 * best.minimum.cost:  # data simulated with long steps
                 break
             worst, needed = max(worst, error), needed or matters or found.minimum.success
             best = found._replace(noise_estimated=fit.noise_estimated)

@@ -250,7 +250,7 @@ class SimulationError:
         return found
 
     def insensitive(self, x: np.ndarray) -> tuple[str, ...]:
-        """Find the sensors whose readings depend on no unknown."""
+        """Find the sensors with readings that depend on no unknown."""
         J = np.abs(self.slopes(x)[1][:, :, : self.shared])
         least = rank_tolerance("unknown without effect", J.dtype) * J.max()
         return tuple(s for s, rows in self.rows_of(J).items() if not rows.max() > least)

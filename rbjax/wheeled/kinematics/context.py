@@ -14,10 +14,8 @@ from rbjax.wheeled.kinematics.velocities import Shape, caster_rates, shape_along
 
 @dataclass(frozen=True)
 class RobotContext:
-    """Parameters, coordinates, velocities, tyre states and controls as lanes.
-
-    Functions of the angles are computed once.
-    """
+    """Parameters, coordinates, velocities, tyre states and controls of a robot as lanes. Functions
+    of the angles are cached."""
 
     n: Parameters
     q: list[Lane]
@@ -34,7 +32,7 @@ class RobotContext:
 
     @functools.cached_property
     def pose(self) -> Pair:
-        """The direction of the chassis."""
+        """The direction of the chassis, as cosine and sine."""
         return fusion_barrier(direction(self.q[2]))
 
     @functools.cached_property
@@ -48,7 +46,7 @@ class RobotContext:
         return shape_along(self.n, self.directions)
 
     def bodies(self) -> list[tuple[Pair, Pair]]:
-        """Compute the origin of each body, on the ground, and its direction."""
+        """Compute the origin and the direction of each body on the ground."""
         n = self.n
         out = [((self.q[0], self.q[1]), self.pose)]
         for k, body in enumerate(n.bodies[1:], start=1):
@@ -97,7 +95,7 @@ def steering_rates(now: RobotContext) -> list[Lane]:
 
 
 def coordinate_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
-    """Compute q' by the full velocities."""
+    """Compute q' from the full velocities."""
     n = now.n
     x, y = rotate((w[0], w[1]), now.pose)
     return [x, y, w[2], *angle_rates(now, w), *w[2 + len(n.bodies) :]]

@@ -1,10 +1,10 @@
-"""Poses of a robot from the angles of its wheels, which roll or slip.
+"""Odometry: poses of a robot from the angles of its wheels, which roll or slip.
 
-    u = S (J S)^+ phi'           the twist of rolling wheels, by the rates of shafts
+    u = S (J S)^+ phi'           the twist of rolling wheels, from the rates of shafts
     V = u, or V = slip(u)        the twist of the robot
     pose' = pose * exp(V dt)     exact if V is constant between two samples
-with S a basis of the twists that the wheels allow at the steering angles, and J the derivative of
-the shafts' rates by the twist. Motions are assumed to be quasi-static.
+S is a basis of the twists that the wheels allow at the steering angles. J is the derivative of the
+shafts' rates by the twist. Motions are assumed to be quasi-static.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rbjax.wheeled.robot.robot import Robot
 
 
 class HeadingSlip(Record):
-    """The twist of a robot that slips, by the twist u of rolling wheels.
+    """Model of slip: the twist V of a robot as a function of the twist u of rolling wheels.
 
         (vx, vy, arm w) = C z,      s = |(ux, uy)|,   psi = atan2(uy, ux)
         z = (arm uw,  s, s cos psi, s sin psi, ..., s sin K psi,
@@ -39,8 +39,12 @@ class HeadingSlip(Record):
     homogeneous in u, except for the last terms. The pattern of n evenly spaced wheels has the
     harmonics 2 n - 1 and 2 n + 1: 5 and 7 for three wheels.
 
-    Fields: coefficients C (3, terms); arm (), m, the size of the robot; speed (), m/s. Static:
-    harmonics K, 1 or more; faster J, the harmonics that change with the speed, -1 for none.
+    Fields:
+        coefficients: C (3, terms).
+        arm: (), the size of the robot, m.
+        speed: (), m/s.
+        harmonics: static, K, 1 or more.
+        faster: static, J, the harmonics that change with the speed; -1 for none.
 
     Example:
         >>> import rbjax as rb
@@ -74,13 +78,13 @@ class HeadingSlip(Record):
 
     @classmethod
     def none(cls, arm: Any, harmonics: int = 1, faster: int = -1, speed: Any = 0.1) -> HeadingSlip:
-        """Make the slip of rolling wheels, V = u."""
+        """Make the model without slip, V = u."""
         terms = 1 + (2 * harmonics + 1) + (2 * faster + 1 if faster >= 0 else 0)
         C = jnp.zeros((3, terms)).at[jnp.arange(3), jnp.array([2, 3, 0])].set(1.0)
         return cls(C, arm, speed, harmonics, faster)
 
     def terms(self, twist: Any) -> jax.Array:
-        """Compute z (..., terms) of twists u (..., 3)."""
+        """Compute the terms z (..., terms) from twists u (..., 3)."""
         u = jnp.asarray(twist)
         s = _length(u[..., :2])
         some = jnp.where(s > 0, s, 1.0)
@@ -102,19 +106,20 @@ class HeadingSlip(Record):
         return wide.reshape(*z.shape[:-1], 3, -1)
 
     def __call__(self, twist: Any) -> jax.Array:
-        """Compute V (..., 3) of u (..., 3)."""
+        """Compute V (..., 3) from u (..., 3)."""
         V = self.terms(twist) @ self.coefficients.T
         return V.at[..., 2].divide(self.arm)
 
 
 def rolled_twists(robot: Robot, rates: Any, steering: Any = None) -> jax.Array:
-    """Compute the twists (..., 3) of rolling wheels by the rates of the drives' shafts, in least
-    squares.
+    """Compute the twists (..., 3) of rolling wheels from the rates of the drives' shafts.
+
+    The solution is in least squares over the drives.
 
     Args:
-        robot: one whose drives determine its motion: at least `arrangement.mobility` of them.
-        rates: (..., drives) rad/s. For a differential it is the speed of its cage.
-        steering: (..., steerings) rad, the steering angles; None for a robot without steerings.
+        robot: its drives must determine its motion: at least `arrangement.mobility` of them.
+        rates: (..., drives), rad/s. For a differential it is the speed of its cage.
+        steering: (..., steerings), the steering angles, rad; None for a robot without steerings.
 
     Raises:
         InputError: the drives do not determine the motion; a wrong number of rates or of angles.
@@ -192,25 +197,25 @@ def odometry(
     *,
     steering: Any = None,
 ) -> jax.Array:
-    """Compute the poses of a robot from the angles of its wheels, as encoders measure them.
+    """Compute the poses of a robot from the angles of its wheels, as measured by encoders.
 
     Args:
-        robot: one whose drives determine its motion, such as a differential drive, a car, a
-            tricycle or an omnidirectional robot.
-        t: (T,) s, not decreasing; increasing if there is a `slip`, which depends on rates.
-        angles: (T, drives) rad, of the drives' shafts. For a differential it is the angle of its
+        robot: its drives must determine its motion, as for a differential drive, a car, a tricycle
+            or an omnidirectional robot.
+        t: (T,), not decreasing, s. Increasing if there is a `slip`, which depends on rates.
+        angles: (T, drives), of the drives' shafts, rad. For a differential it is the angle of its
             cage, which is the mean of the angles of its wheels.
         slip: the model of slip; None if the wheels roll.
-        pose: (3,) the first one, x and y in m and yaw in rad; zeros if None.
-        steering: (T, steerings) rad, the steering angles; None for a robot without steerings.
-            Between two samples their mean is used.
+        pose: (3,), the first pose, x and y in m and yaw in rad; zeros if None.
+        steering: (T, steerings), the steering angles, rad; None for a robot without steerings. The
+            mean of two samples is used between them.
 
     Returns:
-        (T, 3) poses; the yaw is not wrapped.
+        (T, 3) poses. The yaw is not wrapped.
 
     Raises:
-        InputError: wrong types or shapes, values that are not finite, decreasing times; and as
-            `rolled_twists`.
+        InputError: wrong types or shapes, values that are not finite, decreasing times; drives that
+            do not determine the motion.
 
     Source: Lynch & Park, *Modern Robotics*, 13.4.
 
@@ -236,7 +241,7 @@ def odometry(
 
 
 def _times(where: str, t: Any, rising: bool) -> jax.Array:
-    """Return at least two times, which do not decrease or, if `rising`, increase."""
+    """Check at least two times, which must not decrease or, if `rising`, must increase."""
     (count,) = shape_of(where, "t", t)[:1] or (0,)
     t = check_array(where, "t", t, (max(count, 2),))
     if not isinstance(t, jax.core.Tracer):
@@ -277,11 +282,11 @@ def _poses(
 def mean_twists(t: Any, poses: Any) -> jax.Array:
     """Compute the constant twists (T - 1, 3), in the robot's axes, from each pose to the next.
 
-    The inverse of `odometry`, for poses measured by a camera.
+    It is the inverse of `odometry`, for example for poses measured by a camera.
 
     Args:
-        t: (T,) s, increasing.
-        poses: (T, 3), the yaw not wrapped.
+        t: (T,), increasing, s.
+        poses: (T, 3), with the yaw not wrapped.
 
     Raises:
         InputError: wrong shapes, values that are not finite, times that do not increase.
@@ -307,7 +312,7 @@ def _turned(angle: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def _chord(angle: jax.Array) -> jax.Array:
-    """Compute the chord of an arc over its length, sin(a / 2) / (a / 2)."""
+    """Compute the ratio of the chord to the arc, sin(a / 2) / (a / 2)."""
     return jnp.sinc(angle / (2 * jnp.pi))
 
 

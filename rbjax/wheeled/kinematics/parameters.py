@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BodyParameters:
-    """A body with its wheels: mass, first moment (mass com), inertia about its origin."""
+    """A body including its wheels: mass, first moment (mass times com), inertia about its
+    origin."""
 
     ahead: int | None
     mass: Lane
@@ -33,7 +34,7 @@ class BodyParameters:
 
 @dataclass(frozen=True)
 class WheelParameters:
-    """A wheel. heading: its direction at zero steering; slant: the tangent of `roller`."""
+    """A wheel. heading: its direction at zero steering. slant: the tangent of `roller`."""
 
     kind: str
     body: int
@@ -50,22 +51,22 @@ class WheelParameters:
 
 @dataclass(frozen=True)
 class Parameters:
-    """The parameters of a robot."""
+    """The parameters of a robot as lanes."""
 
     robot: Any
     dtype: Any
     layout: Layout
     bodies: tuple[BodyParameters, ...]
-    #: of each caster, the first moment of its centre of mass about the pivot
+    #: casters and their forks, with only the first moment about the pivot
     forks: tuple[BodyParameters, ...]
     wheels: tuple[WheelParameters, ...]
     #: inertias of shafts, without those of motors, and their damping
     shafts: tuple[Lane, ...]
     damping: tuple[Lane, ...]
-    #: of each drive, the shares of its wheels
+    #: the shares of the wheels of each drive
     splits: tuple[tuple[Lane, ...], ...]
     turn_center: Lane
-    #: gravity along the ground, in world axes, and across it
+    #: components of gravity along the ground, in world axes, and normal to it
     downhill: Pair
     gravity: Lane
     motors: tuple[Any, ...]
@@ -107,12 +108,12 @@ def with_lanes(part: Any, dtype: Any) -> Any:
 
 
 def lane_of_leaf(x: Any, dtype: Any) -> Any:
-    """Convert a number to a lane; an array, with one number for each axis, stays an array."""
+    """Convert a number to a lane. An array, with one number for each axis, remains an array."""
     return table(x, dtype) if jnp.ndim(x) else scalar(jnp.asarray(x), dtype)
 
 
 def parameters_of(robot: Robot, dtype: Any) -> Parameters:
-    """Convert the numbers of a robot to lanes; those known while tracing become literals."""
+    """Convert the parameters of a robot to lanes. Values known while tracing become literals."""
     layout = robot.layout
 
     def number(x: Any) -> Lane:
@@ -140,7 +141,7 @@ def parameters_of(robot: Robot, dtype: Any) -> Parameters:
         for wheel, n in zip(robot.wheels, wheels, strict=True):
             if wheel.body == k:
                 masses.append((number(wheel.mass), n.position))
-                # a caster turns about its pivot by itself
+                # a caster turns freely about its pivot, so the body has none of its yaw inertia
                 inertia = add(inertia, 0.0 if n.kind == "caster" else n.yaw_inertia)
         inertia = add(inertia, total(mul(m, dot(p, p)) for m, p in masses))
         bodies.append(

@@ -56,10 +56,8 @@ def rotate_back(a: Pair, e: Pair) -> Pair:
 
 
 class Dual:
-    """A dual number: a lane with its rate of change. A lane without a rate is constant.
-
-    Structural zeros of rates are kept. Value and rate may be `Dual` themselves, for second rates.
-    """
+    """A dual number: a lane with its rate of change. A plain lane is constant. Structural zeros of
+    rates are kept. Value and rate may be `Dual` themselves, for second rates."""
 
     __slots__ = ("rate", "value")
     __array_ufunc__ = None  # numpy's scalars leave operations to this class
@@ -105,7 +103,7 @@ def value_of(a: Lane) -> Lane:
 
 
 def rate_of(a: Lane) -> Lane:
-    """Return the rate of a dual number; a structural zero for a lane."""
+    """Return the rate of a dual number, or a structural zero for a lane."""
     return a.rate if isinstance(a, Dual) else 0.0
 
 
@@ -136,5 +134,5 @@ def direction(angle: Lane) -> Pair:
 
 
 def with_rate(e: Pair, rate: Lane) -> Pair:
-    """Make the dual direction of an angle with a rate."""
+    """Make the dual direction of an angle with a given rate."""
     return Dual(e[0], neg(mul(e[1], rate))), Dual(e[1], mul(e[0], rate))

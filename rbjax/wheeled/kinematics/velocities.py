@@ -7,7 +7,8 @@ and casters. With a shape of `Dual` lanes the same functions compute rates of ch
     rolling                 r phi' = e . u + tan(roller) n . u
     not sliding sideways    n . u = 0
     caster, trail d         gamma' = n . v(pivot) / d - w,  so that n . u = 0 at its centre
-    trailer                 v(coupling) is that of the body ahead;  its leading wheel does not slide
+    trailer                 v(coupling) equals the velocity of the same point of the body ahead;
+                            the leading wheel of the trailer does not slide sideways
 (Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8; Lynch & Park, *Modern Robotics*, 13.2, 13.3)
 """
 
@@ -34,8 +35,12 @@ from rbjax.wheeled.robot.arrangement import Leader
 
 
 class Shape(NamedTuple):
-    """The directions of trailers against the body ahead, of wheels in their bodies, and the places
-    and directions of leaders."""
+    """Directions that depend on the angles of trailers, steerings and casters.
+
+    trailers: the direction of each trailer relative to the body ahead.
+    wheels: the direction of each wheel in its body.
+    leaders: the position and direction of each leading wheel.
+    """
 
     trailers: tuple[Pair, ...]
     wheels: tuple[Pair, ...]
@@ -43,12 +48,12 @@ class Shape(NamedTuple):
 
 
 def shape_of(n: Parameters, angles: Sequence[Lane]) -> Shape:
-    """Compute the shape by the angles of trailers, steerings and casters."""
+    """Compute the shape from the angles of trailers, steerings and casters."""
     return shape_along(n, [direction(angle) for angle in angles])
 
 
 def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
-    """Compute the shape by the directions of trailers, steerings and casters."""
+    """Compute the shape from the directions of trailers, steerings and casters."""
     layout = n.layout
     of = dict(enumerate(directions, start=3))
     trailers = tuple(of[i] for i in indices(layout.trailers))
@@ -75,7 +80,7 @@ def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
 
 
 def place_of(n: Parameters, leader: Leader) -> Pair:
-    """Compute the place of a leader: of a steering of several wheels, their middle."""
+    """Compute the position of a leader; for a steering of several wheels, their middle."""
     if leader.what == "skidding":
         return n.turn_center, 0.0
     if leader.what == "wheel":
@@ -87,10 +92,10 @@ def place_of(n: Parameters, leader: Leader) -> Pair:
 
 
 def _steered(n: Parameters, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
-    """Compute the directions of the wheels of a steering whose angle has the direction e."""
+    """Compute the directions of the wheels of a steering at the steering direction e."""
     if len(wheels) == 1:
         return {wheels[0]: rotate(e, n.wheels[wheels[0]].heading)}
-    # Ackermann: each rolls along its velocity as all turn about one point of the fixed axle
+    # Ackermann: all wheels turn about one point of the fixed axle
     leaders = n.robot.arrangement.leaders
     fixed = next((x for x in leaders if x.what != "steering"), None)
     middle = place_of(n, Leader("steering", _steering_of(n, wheels[0])))
@@ -104,7 +109,7 @@ def _steered(n: Parameters, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
         along = dot(ahead, (sub(p[0], base[0]), sub(p[1], base[1])))
         d = sub(e[0], mul(mul(far, e[1]), inverse(length))), mul(mul(along, e[1]), inverse(length))
         scale = inverse_root(dot(d, d))
-        # its own heading may be the opposite of the first one's
+        # the heading of this wheel may be opposite to the heading of the first wheel
         out[i] = rotate((mul(d[0], scale), mul(d[1], scale)), n.wheels[i].heading)
     return out
 
@@ -114,11 +119,11 @@ def _steering_of(n: Parameters, wheel: int) -> int:
 
 
 def chassis_twist(n: Parameters, shape: Shape, free: Sequence[Lane]) -> Twist:
-    """Compute the twist of the chassis by the free velocities.
+    """Compute the twist of the chassis from the free velocities.
 
-    Without a leading wheel they are the twist. With one they are the velocity along this wheel, at
-    the point of its axle nearest to the origin, and the turning rate. With two leading wheels it is
-    the speed at the second.
+    Without a leading wheel the free velocities are the twist. With one, they are the speed along
+    this wheel, at the point of its axle nearest to the origin, and the turning rate. With two
+    leading wheels there is one free velocity, the speed at the second.
     """
     if not shape.leaders:
         return Twist(*free)
@@ -133,8 +138,8 @@ def chassis_twist(n: Parameters, shape: Shape, free: Sequence[Lane]) -> Twist:
 
 
 def _about_one_center(n: Parameters, shape: Shape) -> Twist:
-    """Compute the twist in which both leading wheels roll, of about unit speed at the second: the
-    cross product of their rows, which is regular at any steering."""
+    """Compute the twist in which both leading wheels roll, with about unit speed at the second one.
+    It is the cross product of their constraint rows, which is regular at any steering."""
     (p, e), (q, f) = shape.leaders
     i, j = dot(e, p), dot(f, q)
     apart = sub(q[0], p[0]), sub(q[1], p[1])
@@ -147,7 +152,7 @@ def _about_one_center(n: Parameters, shape: Shape) -> Twist:
 
 
 def free_velocities(n: Parameters, shape: Shape, V: Twist) -> list[Lane]:
-    """Project a twist onto the free velocities: the inverse of `chassis_twist`."""
+    """Project a twist onto the free velocities. It is the inverse of `chassis_twist`."""
     if not shape.leaders:
         return list(V)
     if len(shape.leaders) == 1:
@@ -158,7 +163,7 @@ def free_velocities(n: Parameters, shape: Shape, V: Twist) -> list[Lane]:
 
 
 def rolling_velocities(n: Parameters, shape: Shape, free: Sequence[Lane]) -> list[Lane]:
-    """Compute the full velocities w = S nu by the free velocities nu of rolling wheels."""
+    """Compute the full velocities w = S nu from the free velocities nu of rolling wheels."""
     V = chassis_twist(n, shape, free)
     twists, rates = [V], []
     for k, wheel in enumerate(n.robot.arrangement.trailing, start=1):
@@ -173,12 +178,13 @@ def rolling_velocities(n: Parameters, shape: Shape, free: Sequence[Lane]) -> lis
 
 
 def _behind(n: Parameters, k: int, v: Pair, w: Lane) -> Twist:
-    """Compute the twist of a trailer by its coupling's velocity, in its axes, and turning rate."""
+    """Compute the twist of a trailer from the velocity of its coupling, in its axes, and turning
+    rate."""
     return Twist(v[0], sub(v[1], mul(w, n.bodies[k].drawbar)), w)
 
 
 def twists_of(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Twist]:
-    """Compute the twists of all bodies by the full velocities."""
+    """Compute the twists of all bodies from the full velocities."""
     twists = [Twist(*w[:3])]
     for k in range(1, len(n.bodies)):
         ahead = twists[n.ahead(k)]
@@ -196,7 +202,7 @@ def contact_velocity(n: Parameters, shape: Shape, twists: Sequence[Twist], i: in
 
 
 def rolling_rate(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -> Lane:
-    """Compute the rate of a wheel that rolls."""
+    """Compute the rate of a wheel that rolls without slipping."""
     along, across = contact_velocity(n, shape, twists, i)
     if n.wheels[i].kind == "rollers":
         along = add(along, mul(n.wheels[i].slant, across))
@@ -204,7 +210,7 @@ def rolling_rate(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -
 
 
 def caster_rates(n: Parameters, shape: Shape, twists: Sequence[Twist]) -> list[Lane]:
-    """Compute the rates of casters against their bodies."""
+    """Compute the rates of casters relative to their bodies."""
     out = []
     for i in n.layout.caster_wheels:
         across = contact_velocity(n, shape, twists, i)[1]
@@ -215,7 +221,8 @@ def caster_rates(n: Parameters, shape: Shape, twists: Sequence[Twist]) -> list[L
 class Motion(NamedTuple):
     """The velocities of all inertias.
 
-    twists: of bodies and forks, in their own axes. turns: pairs of an inertia and its rate.
+    twists: of bodies and of caster forks, in their own axes.
+    turns: pairs (inertia, rate) of rotors.
     """
 
     twists: list[Twist]
@@ -225,8 +232,10 @@ class Motion(NamedTuple):
 def inertial_motion(
     n: Parameters, shape: Shape, w: Sequence[Lane], casters: Sequence[Lane] | None = None
 ) -> Motion:
-    """Compute the velocities of all inertias by the full velocities, and by the rates of casters if
-    they are independent."""
+    """Compute the velocities of all inertias from the full velocities.
+
+    casters: the rates of casters, if they are independent; None to compute them.
+    """
     twists, rates = twists_of(n, shape, w), n.shaft_rates(w)
     turns = list(zip(n.shafts, rates, strict=True))
     rotors = [j for j, motor in enumerate(n.motors) if not is_zero(motor.inertia)]
@@ -243,7 +252,7 @@ def inertial_motion(
 
 
 def drive_speeds(n: Parameters, rates: Sequence[Lane]) -> list[Lane]:
-    """Compute the speeds of the drives, W = sum split_i phi'_i, by the rates of shafts."""
+    """Compute the speeds of the drives, W = sum split_i phi'_i, from the rates of shafts."""
     return [
         total(mul(share, rates[n.wheels[i].shaft]) for i, share in zip(x.wheels, s, strict=True))
         for x, s in zip(n.robot.drives, n.splits, strict=True)
@@ -251,8 +260,8 @@ def drive_speeds(n: Parameters, rates: Sequence[Lane]) -> list[Lane]:
 
 
 def constraint_rates(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
-    """Compute A w, zero for rolling wheels: the lateral velocities of leading wheels and of
-    trailers, and the slip of shafts, m/s."""
+    """Compute the constraint velocities A w, m/s, which are zero for rolling wheels. They are the
+    lateral velocities of leading wheels and of trailers, and the slip of shafts."""
     twists = twists_of(n, shape, w)
     out = [dot(left(e), twists[0].at(p)) for p, e in shape.leaders]
     for wheel in n.robot.arrangement.trailing:

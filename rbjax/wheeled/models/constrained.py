@@ -117,10 +117,7 @@ class Constrained(RobotModel):
 
     def skidding_force(self, now: RobotContext) -> Lane:
         """Compute the lateral force on the turning axis of skidding wheels, N, positive to the
-        left.
-
-        It is 0 if no wheel skids.
-        """
+        left. It is 0 if no wheel skids."""
         n = now.n
         if not any(leader.what == "skidding" for leader in n.robot.arrangement.leaders):
             return 0.0

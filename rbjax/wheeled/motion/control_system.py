@@ -1,9 +1,9 @@
 """A wheeled robot as a system of optimal control.
 
-    x = (q, v, z),    x (+) dx = x + dx,    x+ = the steps of `rollout` over dt, the controls held
-z are the states of tyres. Angles are numbers without wrapping: a heading of 2 pi is a whole turn
-from 0. A goal up to whole turns is a cost of sines and cosines. The angles of wheels and casters
-are coordinates too; a cost without them leaves them free.
+    x = (q, v, z),    x (+) dx = x + dx,    x+ = the steps of `rollout` over dt, controls constant
+z are the states of tyres. Angles are not wrapped: a heading of 2 pi is one full turn from 0. For a
+goal up to full turns, use a cost of sines and cosines. The angles of wheels and casters are
+coordinates too; a cost that does not depend on them leaves them free.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ from rbjax.wheeled.motion.rollout import INTEGRATORS, advance
 class RobotSystem(System):
     """A wheeled robot at a fidelity, as a `System`: states `State(q, v, x)`, n = nq + nv + nx.
 
-    Fields: robot_model. Static: integrator, of `rollout`; parts, its steps in one of the problem.
+    Fields:
+        robot_model: the `RobotModel`.
+        integrator: static, of `rollout`.
+        parts: static, the number of its steps in one step of the problem.
     """
 
     robot_model: RobotModel
@@ -116,21 +119,21 @@ class RobotSystem(System):
 
 @as_system.register
 def _(model: RobotModel) -> RobotSystem:
-    """Make the system of a robot that a problem gets: steps of "rk4"."""
+    """Make the system of a robot in a problem, with steps of "rk4"."""
     return RobotSystem(model)
 
 
 def controlled(model: RobotModel, *, integrator: str = "rk4", parts: int = 1) -> RobotSystem:
-    """Make the system of an `rb.control.Problem` of a robot, with an integrator and a step.
+    """Make the system of a robot for an `rb.control.Problem`, with a choice of integrator and step.
 
-    A problem that gets the robot itself uses "rk4" and one step. Wheels that slip need small steps:
-    "rk4" is stable up to about 2.8 / lambda, where lambda is the rate at which slip decays,
-    stiffness times load over (inertia times speed). "linearly_implicit_euler" is stable at any.
+    If a problem gets the robot itself, it uses "rk4" and one step. Wheels that slip need small
+    steps: "rk4" is stable up to about 2.8 / lambda, with lambda the rate at which slip decays,
+    stiffness times load / (inertia times speed). "linearly_implicit_euler" is stable for any step.
 
     Args:
         model: `at(robot, fidelity)`.
         integrator: of `rollout`.
-        parts: how many steps of it make one step of the problem, with the same controls.
+        parts: the number of its steps in one step of the problem, with the same controls.
 
     Returns:
         `RobotSystem`.

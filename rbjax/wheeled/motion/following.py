@@ -1,8 +1,8 @@
-"""Following a path or a trajectory: pure pursuit, Stanley's law, time-varying LQR.
+"""Path and trajectory following: pure pursuit, Stanley's law, time-varying LQR.
 
-A path is (n, 3): poses x, y in m and headings in rad, a few to a robot's length. `pure_pursuit` and
-`stanley` compute a twist of the chassis, `commands` converts it to wheel speeds and steering
-angles, and `tracking_gains` computes gains for all controls.
+A path is (n, 3): poses x, y in m and headings in rad, several per length of the robot.
+`pure_pursuit` and `stanley` compute a twist of the chassis, `commands` converts it to wheel speeds
+and steering angles, and `tracking_gains` computes gains for all controls.
 """
 
 from __future__ import annotations
@@ -37,19 +37,23 @@ from rbjax.wheeled.robot.robot import Robot
 class Commands(NamedTuple):
     """Speeds of drives and angles of steerings. `controls` converts them to controls.
 
-    Fields: speeds (drives,) rad/s, of the shafts; angles (steerings,) rad.
+    Fields:
+        speeds: (drives,), of the shafts, rad/s.
+        angles: (steerings,), rad.
     """
 
     speeds: jax.Array
     angles: jax.Array
 
     def controls(self, robot: Robot) -> jax.Array:
-        """Compute the controls (nu,) of the robot: for each drive the motor command, in its `unit`,
-        with the shaft's speed as its no-load speed; for each steering its angle, rad.
+        """Compute the controls (nu,) of a robot for these speeds and angles.
+
+        For each drive it is the motor command, in its `unit`, whose no-load speed is the shaft's
+        speed. For each steering it is the angle, rad.
 
         Raises:
-            InputError: a `TorqueSource`, which has no speed; a steering without `lag`, whose
-                control is a rate.
+            InputError: a `TorqueSource`, which has no no-load speed; a steering without `lag`,
+                whose control is a rate.
 
         Example:
             >>> import rbjax as rb
@@ -77,8 +81,8 @@ class Commands(NamedTuple):
 def commands(robot: Robot, twist: Any) -> Commands:
     """Compute the shaft speeds and the steering angles of a robot for a twist of the chassis.
 
-    A steering points along the velocity of its place, forwards or backwards, whichever is nearer to
-    straight ahead. The twist is projected onto those that the wheels allow at these angles.
+    A steering points along the velocity at its position, forwards or backwards, whichever is closer
+    to straight ahead. The twist is projected onto the twists that the wheels allow at these angles.
 
     Args:
         robot: `Robot`.
@@ -131,7 +135,7 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
 
 
 def _number(where: str, name: str, value: Any, dtype: Any, above: float | None) -> jax.Array:
-    """Return a number in the dtype; raise if it is known and not above the bound."""
+    """Convert a number to the dtype. Raise `InputError` if it is known and not above the bound."""
     x = check_array(where, name, value, ())
     if above is not None and not isinstance(x, jax.core.Tracer) and not np.asarray(x) > above:
         raise InputError(f"{where}: {name} is {value}, expected a number above {above:g}")
@@ -147,8 +151,8 @@ def _checked(where: str, path: Any, pose: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _nearest(path: jax.Array, place: jax.Array) -> tuple[jax.Array, ...]:
-    """Find the segment nearest to a point: its index, the nearest point's fraction along it, the
-    arc length there, and whether that is the end of the path."""
+    """Find the point of a path nearest to a given point. Return the index of its segment, its
+    fraction along the segment, its arc length, and whether it is the end of the path."""
     a, edge = path[:-1, :2], path[1:, :2] - path[:-1, :2]
     size = jnp.maximum((edge * edge).sum(-1), jnp.finfo(path.dtype).tiny)
     part = jnp.clip(((place - a) * edge).sum(-1) / size, 0.0, 1.0)
@@ -161,20 +165,19 @@ def _nearest(path: jax.Array, place: jax.Array) -> tuple[jax.Array, ...]:
 
 
 def pure_pursuit(path: Any, pose: Any, speed: Any, lookahead: Any) -> jax.Array:
-    """Compute the twist along the arc to the point of a path a distance ahead of the nearest one.
+    """Compute the twist of pure pursuit, along the arc to a point ahead on the path.
 
         w = 2 v y / L^2,    (x, y) the point in the robot's axes, L its distance
 
     Args:
-        path: (n, 3).
+        path: (n, 3), poses.
         pose: (3,), of the chassis.
-        speed: v, m/s; if it is negative, the robot drives along the path backwards.
-        lookahead: distance along the path, m, above zero. The path continues straight beyond its
-            end.
+        speed: v, m/s. If it is negative, the robot drives along the path backwards.
+        lookahead: the distance of the point along the path from the nearest point, m, above zero.
+            The path continues straight beyond its end.
 
     Returns:
-        (3,): v, 0, w. It is zero if the end of the path is the path's nearest point: the robot
-        stops.
+        (3,): v, 0, w. It is zero if the nearest point is the end of the path: the robot stops.
 
     Raises:
         InputError: wrong shapes, values that are not finite, a lookahead of zero.
@@ -213,24 +216,24 @@ def _pure_pursuit(path: jax.Array, pose: jax.Array, speed: Any, lookahead: Any) 
     return jnp.stack([speed, jnp.zeros_like(speed), 2 * speed * across / far])
 
 
-#: the least distance of the point that pure pursuit aims at, as a fraction of the lookahead
+#: the least distance L of the target point of pure pursuit, as a fraction of the lookahead
 NEAREST = 0.1
 
 
 def stanley(
     path: Any, pose: Any, speed: Any, wheelbase: Any, gain: Any = 1.0, soft: Any = 0.5
 ) -> jax.Array:
-    """Compute the twist of Stanley's law for a car, by the heading and offset of its front axle.
+    """Compute the twist of Stanley's law for a car, from the heading and offset of its front axle.
 
         b = heading error + atan2(k e, soft + |v|),     w = v tan(b) / wheelbase
 
     e is the distance of the path to the left of the middle of the front axle.
 
     Args:
-        path: (n, 3).
+        path: (n, 3), poses.
         pose: (3,), of the middle of the rear axle.
-        speed: v of the rear axle, m/s, at least zero: the law is for driving forwards.
-            `pure_pursuit` drives backwards too. A traced speed below zero counts as zero.
+        speed: v of the rear axle, m/s, at least zero. `pure_pursuit` drives backwards too. A
+            negative traced speed counts as zero.
         wheelbase: m, above zero.
         gain: k, 1/s, above zero.
         soft: m/s, above zero.
@@ -297,11 +300,11 @@ def tracking_gains(
 
     Args:
         model: `at(robot, fidelity)`, without tyre states.
-        states: q (T + 1, nq), v (T + 1, nv), as `rollout` gives them.
-        ctrl: (T, nu).
-        dt: s.
+        states: q (T + 1, nq), v (T + 1, nv), the reference states from `rollout`.
+        ctrl: (T, nu), the reference controls.
+        dt: the step, s.
         Q: (nq + nv,), the weights of deviations; zero for free coordinates.
-        R: (nu,), above zero, the weights of controls.
+        R: (nu,), the weights of controls, above zero.
 
     Returns:
         K (T, nu, nq + nv).

@@ -1,4 +1,4 @@
-"""Motion of a wheeled robot: fixed steps of one or of many, and adaptive solutions."""
+"""Simulation of wheeled robots: fixed steps of one or of many, and adaptive solvers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _plus(a: Sequence[Lane], b: Sequence[Lane], h: Lane) -> list[Lane]:
 def _semi_implicit_euler(
     model: RobotModel, p: Parameters, y: Lists, u: list[Lane], h: Lane
 ) -> Lists:
-    """v+ = v + h v'(q, v),  q+ = q + h q'(q, v+)."""
+    """Step by v+ = v + h v'(q, v),  q+ = q + h q'(q, v+)."""
     q, v, x = y
     now = RobotContext(p, q, v, x, u)
     v = _plus(v, model.accelerations(now), h)
@@ -54,7 +54,7 @@ def _semi_implicit_euler(
 def _linearly_implicit_euler(
     model: RobotModel, p: Parameters, y: Lists, u: list[Lane], h: Lane
 ) -> Lists:
-    """v+ = v + h v'(q, v, v+),  x+ = x + h x'(q, v+),  q+ = q + h q'(q, v+)."""
+    """Step by v+ = v + h v'(q, v, v+),  x+ = x + h x'(q, v+),  q+ = q + h q'(q, v+)."""
     q, v, x = y
     now = RobotContext(p, q, v, x, u)
     then = now.with_velocities(_plus(v, model.damped_accelerations(now, h), h), x)
@@ -65,7 +65,7 @@ def _linearly_implicit_euler(
 def _rk4(model: RobotModel, p: Parameters, y: Lists, u: list[Lane], h: Lane) -> Lists:
     def rates(k: Lists | None, c: float) -> Lists:
         q, v, x = y if k is None else (_plus(a, b, c * h) for a, b in zip(y, k, strict=True))
-        # without a barrier XLA's CPU compiler computes a stage again for each use
+        # without a barrier XLA's CPU compiler recomputes a stage for each use
         return fusion_barrier(model.rates(RobotContext(p, q, v, x, u)))
 
     k1 = rates(None, 0.0)
@@ -89,8 +89,7 @@ INTEGRATORS: dict[str, Callable[..., Lists]] = {
 def advance(
     model: RobotModel, p: Parameters, y: Lists, u: list[Lane], h: Lane, integrator: str
 ) -> Lists:
-    """Compute the coordinates, velocities and tyre states after a step, projected on the
-    constraints of the model."""
+    """Integrate one step. Return the coordinates, projected velocities and tyre states."""
     q, v, x = INTEGRATORS[integrator](model, p, y, u, h)
     v = model.project(RobotContext(p, q, v, x, u))
     q, v, x = ([jnp.asarray(a, p.dtype) for a in part] for part in (q, v, x))
@@ -107,31 +106,31 @@ def rollout(
     steps: int | None = None,
     save_every: int = 1,
 ) -> Trajectory:
-    """Move one wheeled robot or a batch of states by fixed steps.
+    """Simulate one wheeled robot or a batch of states by fixed steps.
 
     "rk4": order 4, four evaluations. "semi_implicit_euler": order 1, one evaluation; velocities
-    first, then coordinates with the new velocities. "linearly_implicit_euler": the same, with the
-    sliding of contacts and the speeds of motors at the end of the step, as linear dampers of their
-    secants; it is stable for light wheels, stiff tyres and low speeds. Controls are constant over
-    a step.
+    first, then coordinates with the new velocities. "linearly_implicit_euler": order 1, with the
+    sliding of contacts and the speeds of motors at the end of the step, as linear dampers with
+    their secants. It is stable for light wheels, stiff tyres and low speeds. Controls are constant
+    over a step.
 
-    A sample is a thread on a GPU, and a lane of machine code on a CPU. A number of the robot can
-    change with no recompilation. If the robot is closed over inside `jit`, its zeros vanish from
-    the program.
+    A sample is a thread on a GPU, and a lane of machine code on a CPU. Parameters of the robot can
+    change without recompilation. If the robot is closed over inside `jit`, its zeros are removed
+    from the program.
 
     Args:
         model: `at(robot, fidelity)`.
-        state: q (nq,), v (nv,), x (nx,); or with a leading axis, a batch.
+        state: q (nq,), v (nv,), x (nx,); or a batch with a leading axis.
         ctrl: (steps, nu), or (B, steps, nu) for a batch; or a function (t, state) -> (nu,), which
-            needs `steps`.
+            requires `steps`.
         dt: the step, s.
         integrator: "rk4", "semi_implicit_euler" or "linearly_implicit_euler".
         steps: the number of steps, if `ctrl` is a function.
-        save_every: keep every so many states; it must divide the number of steps.
+        save_every: the number of steps between saved states; it must divide the number of steps.
 
     Returns:
-        `Trajectory` of 1 + steps / save_every states, the first the initial one; `ok`: whether all
-        values are finite.
+        `Trajectory` of 1 + steps / save_every states, the first the initial one. `ok` is true if
+        all values are finite.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite, a step that is not positive.
@@ -243,20 +242,20 @@ def simulate(
     adjoint: Any = None,
     max_steps: int = 100_000,
 ) -> Trajectory:
-    """Move a wheeled robot from ts[0] to ts[-1] by an adaptive solver of diffrax.
+    """Simulate a wheeled robot from ts[0] to ts[-1] by an adaptive solver of diffrax.
 
     Args:
         model: `at(robot, fidelity)`.
         state: q (nq,), v (nv,), x (nx,).
-        ts: (T,) s, increasing.
+        ts: (T,), increasing, s.
         ctrl: (nu,), constant; or a function (t, state) -> (nu,); None for zeros.
-        solver: a diffrax solver, of `rb.solvers` among others; Dopri8 if None.
+        solver: a diffrax solver, such as one of `rb.solvers`; Dopri8 if None.
         tolerance: relative and absolute; 1e-10 in f64 and 1e-5 in f32 if None.
-        adjoint: diffrax's; None for its default, for reverse mode.
+        adjoint: an adjoint of diffrax; None for its default, for reverse mode.
         max_steps: the largest number of steps.
 
     Returns:
-        `Trajectory` at ts; `ok`: whether the solver succeeded and all values are finite.
+        `Trajectory` at ts. `ok` is true if the solver succeeded and all values are finite.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite, times that do not increase.
@@ -306,7 +305,7 @@ _diffeqsolve = compiled(diffrax.diffeqsolve, jit=eqx.filter_jit)
 
 
 class _Field(eqx.Module):
-    """The rate of a state at the time since the start."""
+    """The vector field of diffrax: the rate of a state at the time since the start."""
 
     start: jax.Array
 

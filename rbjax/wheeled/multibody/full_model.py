@@ -51,17 +51,18 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
 
     Args:
         robot: `Robot`.
-        base: "planar", the chassis moves in the ground's plane; "free", in space, where the heights
-            of all wheels are constraints too, whose multipliers are the loads; "slides", as
-            "planar" by two slides and a hinge, which MJCF has.
+        base: "planar": the chassis moves in the ground's plane. "free": it moves in space, and the
+            heights of all wheels are constraints too, whose multipliers are the loads. "slides": as
+            "planar", by two slides and a hinge, which MJCF supports.
 
     Returns:
         A `Model` in the robot's dtype. Its controls are torques in N m, one for each driven shaft,
-        named after the first wheel of the shaft. Its steerings have the rates of `SteeringRate`.
+        named after the first wheel of the shaft. Its steerings move at the rates of `SteeringRate`.
         It has no motors, damping of axles or rolling resistance.
 
     Raises:
-        UnknownName: no such base. InputError: a wheel or caster without inertia.
+        UnknownName: no such base.
+        InputError: a wheel or caster without inertia.
 
     Example:
         >>> import rbjax as rb
@@ -104,7 +105,7 @@ def knuckle_joint(n: Parameters, i: int) -> tuple[str, int]:
 
 
 def _branch(n: Parameters, tree: Tree, base: str, k: int = 0, parent: int = WORLD) -> int:
-    """Add a body, its wheels, and the trailers behind it, depth first, as MuJoCo orders them."""
+    """Add a body, its wheels, and the trailers behind it, in depth-first order as in MuJoCo."""
     out = _body(n, tree, base, k, parent)
     for j, steering in enumerate(n.robot.steerings if k == 0 else ()):
         if len(steering.wheels) > 1:
@@ -194,7 +195,7 @@ def _least(a: Lane, b: Lane) -> Lane:
 
 
 def _geared(n: Parameters, i: int) -> Lane:
-    """Compute the inertia, at a wheel, of the motors that drive only this wheel."""
+    """Compute the inertia at a wheel of the motors that drive only this wheel."""
     out: Lane = 0.0
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
         if drive.wheels == (i,):
@@ -203,13 +204,13 @@ def _geared(n: Parameters, i: int) -> Lane:
 
 
 def _rotor(n: Parameters, j: int) -> Lane:
-    """Return the inertia of a motor that drives several wheels, 0 otherwise."""
+    """Return the inertia of a motor that drives several wheels, or 0 otherwise."""
     drive = n.robot.drives[j]
     return n.motors[j].inertia if len(drive.wheels) > 1 else 0.0
 
 
 def _motors(n: Parameters) -> list[str]:
-    """Return the axles of the first wheels of driven shafts."""
+    """Return the joint names of the first wheels of driven shafts."""
     shafts = {n.wheels[i].shaft for drive in n.robot.drives for i in drive.wheels}
     return [wheel_joint(n.layout.setters[s]) for s in sorted(shafts)]
 
@@ -257,7 +258,7 @@ def _rows(n: Parameters, base: str, steering_rates: Sequence[Lane]) -> list[Cons
 
 
 def contact_ways(n: Parameters, i: int) -> tuple[str, ...]:
-    """Return the directions in which a wheel does not slide, as `WheelContact` names them."""
+    """Return the directions in which a wheel does not slide, as defined by `WheelContact`."""
     wheel = n.wheels[i]
     sets = n.layout.setters[wheel.shaft] == i
     if wheel.kind == "rollers":

@@ -1,4 +1,4 @@
-"""A builder of models from lanes, which keeps structural zeros."""
+"""A builder of models from lanes that keeps structural zeros."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TIMESTEP = 0.002
 
 
 class TreeBody(NamedTuple):
-    """A body; its moments of inertia are about its com along its own axes."""
+    """A body. Its moments of inertia are about its centre of mass, along its own axes."""
 
     name: str
     parent: int = WORLD
@@ -49,7 +49,7 @@ class TreeJoint(NamedTuple):
 
 @dataclass
 class Tree:
-    """Bodies and joints, parents first; the joints of a body follow it."""
+    """Bodies and joints of a model, parents first. The joints of a body follow it."""
 
     dtype: Any
     bodies: list[TreeBody] = field(default_factory=list)
@@ -129,7 +129,7 @@ class Tree:
 
 
 def _array(rows: Sequence[Lanes], dtype: Any) -> Any:
-    """Stack rows of lanes: with numpy if all are known."""
+    """Stack rows of lanes, as a numpy array if all are known."""
     lanes = [x for row in rows for x in row]
     if all(map(is_literal, lanes)):
         return np.array(lanes)
@@ -137,6 +137,6 @@ def _array(rows: Sequence[Lanes], dtype: Any) -> Any:
 
 
 def _known(rows: Sequence[Lanes], units: bool) -> tuple:
-    """Return the structural zeros of rows, and with `units` also 1 and -1, as `cells.literals`."""
+    """Return the structural zeros of rows, and if `units` also the literals 1 and -1."""
     known = (0.0, 1.0, -1.0) if units else (0.0,)
     return tuple(x if is_literal(x) and x in known else None for row in rows for x in row)

@@ -40,14 +40,15 @@ Swept = tuple[Vec3, Vec3]  # a direction in world axes, and its rate
 
 
 class WheelContact(Constraint):
-    """A wheel on the ground: a row for each direction in which its lowest point does not slide.
+    """Contact of a wheel with the ground: a row for each direction in which its lowest point is
+    fixed.
 
-    The multiplier of a row is the force of the ground on the wheel in its direction, N; that of the
-    height is the load. The axle is level.
+    The multiplier of a row is the force of the ground on the wheel in its direction, N. The
+    multiplier of the height is the load. The axle is level.
 
     Fields:
-        a: a `Place`, its origin on the ground and its z the normal.
-        b: a `Place`, its origin the wheel's centre and its y the axle, to the left.
+        a: a `Place` with its origin on the ground and its z the normal.
+        b: a `Place` with its origin at the wheel's centre and its y the axle, to the left.
         radius: () m.
         roller: () rad, the angle of the rollers' axes from ahead to the left.
         ways: static, the directions, of "ahead", "left" and "roller".
@@ -106,9 +107,11 @@ def _ways(A: Frame, B: Frame) -> dict[str, Swept]:
 
 
 class SteeringRate(Constraint):
-    """A given rate of a hinge, v = rate, a = 0: a row of velocities only.
+    """A prescribed rate of a hinge, v = rate, a = 0: a row of velocities only.
 
-    Fields: rate, rad/s. Static: joint.
+    Fields:
+        joint: static, the name of the hinge.
+        rate: rad/s.
     """
 
     joint: str = eqx.field(static=True)
@@ -126,8 +129,11 @@ class SteeringRate(Constraint):
 class Linkage(Constraint):
     """Ackermann's geometry: the angle of a steered wheel as a function of the column's angle.
 
-    Fields: robot. Static: steering and wheel, their indices; joint, the hinge of the wheel; column,
-    the hinge of the steering.
+    Fields:
+        robot: the `Robot`.
+        steering, wheel: static, their indices.
+        joint: static, the hinge of the wheel.
+        column: static, the hinge of the steering.
     """
 
     robot: Robot
@@ -147,8 +153,8 @@ class Linkage(Constraint):
 
 
 def linked(n: Parameters, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, Lane]:
-    """Compute the first two derivatives by b, and the value, of a wheel's angle from its direction
-    at zero steering."""
+    """Compute a wheel's angle at the steering angle b, from its direction at zero steering. Return
+    the first and second derivative by b, then the angle."""
     layout = n.layout
     q: list[Any] = [0.0] * layout.nq
     q[layout.steerings.start + steering] = Dual(Dual(b, 1.0), Dual(1.0, 0.0))
@@ -162,9 +168,12 @@ def linked(n: Parameters, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lan
 
 
 class Differential(Constraint):
-    """The angle of a motor's shaft equals the angle of the cage, sum split_i phi_i.
+    """A differential: the angle of the motor's shaft equals the cage angle, sum split_i phi_i.
 
-    Fields: split (k,). Static: joint, the shaft's hinge; wheels, the hinges of k wheels.
+    Fields:
+        split: (k,), the shares of the wheels.
+        joint: static, the hinge of the shaft.
+        wheels: static, the hinges of the k wheels.
     """
 
     split: jax.Array = eqx.field(converter=floats)

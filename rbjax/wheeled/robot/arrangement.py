@@ -7,8 +7,9 @@ With C the rows of all such wheels,
     steerability  d_s = rank of the rows of steered wheels
 (Campion, Bastin & D'Andrea-Novel 1996; Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
 
-At most two rows are independent if the robot can move. Their wheels lead: they define the basis of
-velocities (`velocities`), and the rows of the others must be satisfied by it.
+If the robot can move, at most two rows are independent. The wheels of independent rows are the
+leading wheels. They define the basis of velocities (`velocities`), which must also satisfy the rows
+of all other wheels.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Leader:
-    """The source of a leading row: a fixed wheel, a steering, or the axis of skidding wheels.
+    """The source of an independent row: a fixed wheel, a steering, or the axis of skidding wheels.
 
+    what: "wheel", "steering" or "skidding".
+    number: the index of the wheel or steering.
     backward: whether the heading of its wheel points backward.
     """
 
@@ -44,9 +47,10 @@ class Arrangement:
     """The motions that the wheels of a robot allow.
 
     Fields:
-        mobility, steerability: see the module.
-        leaders: the sources of the leading rows.
-        trailing: the wheel that leads each trailer.
+        mobility: the number of free velocities.
+        steerability: the number of independently steered rows.
+        leaders: the sources of the independent rows.
+        trailing: the leading wheel of each trailer.
         support: 1, 2 or 3 if the wheels of the chassis are at a point, on a line or around an area.
     """
 
@@ -58,16 +62,16 @@ class Arrangement:
 
     @property
     def maneuverability(self) -> int:
-        """mobility + steerability."""
+        """The maneuverability, mobility + steerability."""
         return self.mobility + self.steerability
 
 
 def arrange(robot: Robot) -> Arrangement:
-    """Find the arrangement of a robot whose numbers are known.
+    """Compute the arrangement of a robot with known values.
 
     Raises:
-        InputError: numbers are traced; the wheels lock the robot; a trailer has no leading wheel,
-            or several that contradict each other.
+        InputError: values are traced; the wheels lock the robot; a trailer has no leading wheel, or
+            several that contradict each other.
     """
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(robot)):
         raise InputError(
@@ -119,7 +123,7 @@ def _sources(robot: Robot) -> list[Leader]:
 
 
 def _is_backward(wheel: Wheel) -> bool:
-    """Whether a wheel's heading points backward."""
+    """Return whether a wheel's heading points backward."""
     return bool(np.cos(float(wheel.heading)) < -1e-6)
 
 
@@ -150,13 +154,13 @@ def _rank(robot: Robot, sources: list[Leader], angles: np.ndarray) -> int:
 
 
 def _zero(robot: Robot) -> float:
-    """Return the relative tolerance of the rank: a heading of pi is off by 1e-7 in f32."""
+    """Return the relative tolerance of the rank. In f32 a heading of pi has an error of 1e-7."""
     dtype = jnp.result_type(float, robot.wheels[0].heading.dtype)
     return rank_tolerance("wheels", dtype)
 
 
 def _trailing(robot: Robot, k: int) -> int:
-    """Find the leading wheel of a trailer, and check the others."""
+    """Find the leading wheel of a trailer, and check that its other wheels agree."""
     body = robot.bodies[k]
     wheels = [
         i for i, w in enumerate(robot.wheels) if w.body == k and w.kind == "fixed" and not w.skids
@@ -169,7 +173,7 @@ def _trailing(robot: Robot, k: int) -> int:
     for i in wheels:
         heading, p = float(robot.wheels[i].heading), np.asarray(robot.wheels[i].position)
         e = np.array([np.cos(heading), np.sin(heading)])
-        # lateral rates for the velocity of the coupling, and for turning about it
+        # lateral velocity of the wheel per velocity of the coupling, and per turning rate about it
         axles.append([-e[1], e[0], e @ (p - [float(body.drawbar), 0.0])])
     rows = np.array(axles)
     if abs(rows[0, 2]) < _zero(robot) * (1 + np.abs(rows).max()):

@@ -1,7 +1,7 @@
 """Wheeled robots by their usual names.
 
-Lengths in m, masses in kg, inertias in kg m^2. The chassis' frame is in the middle between driven
-wheels, or on the rear axle of a car. `mass` and `inertia` are of the chassis without its wheels.
+Lengths are in m, masses in kg, inertias in kg m^2. The chassis' frame is in the middle between the
+driven wheels, or on the rear axle of a car. `mass` and `inertia` are of the chassis without wheels.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ _wheel: Any = Wheel
 
 
 def _check(kind: str, **lengths: Any) -> None:
-    """Raise `InputError` if a length is not a finite number above zero."""
+    """Raise `InputError` unless all lengths are finite numbers above zero."""
     for name, x in lengths.items():
         real_number(kind, name, x, "a length above zero, m", above=0.0, traced=True)
 
 
 def _disc(radius: float, mass: float) -> dict[str, Any]:
-    """The numbers of a wheel that is a disc."""
+    """Return the parameters of a wheel that is a disc."""
     moment = mass * radius**2
     return {"radius": radius, "mass": mass, "inertia": moment / 2, "yaw_inertia": moment / 4}
 
 
 def _drives(motor: Motor | None, *axles: tuple[int, ...]) -> list[Drive]:
-    """A motor for each axle, with a differential if it has several wheels."""
+    """Make a drive for each axle, with a differential if the axle has several wheels."""
     return [Drive(wheels, motor or TorqueSource()) for wheels in axles]
 
 
@@ -45,8 +45,10 @@ def differential_drive(
     com: Any = (0.07, 0.0), wheel_mass: float = 0.5, caster: float | None = 0.2,
     height: float = 0.12, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Make a robot with two driven wheels on one axle, the right one first. `caster` is the
-    distance of a caster ahead of the axle; None for no caster."""
+    """Make a robot with two driven wheels on one axle, the right one first.
+
+    caster: the distance of a caster ahead of the axle, m; None for no caster.
+    """
     _check("differential_drive", track=track, radius=radius)
     wheels = [_wheel([0.0, y], **_disc(radius, wheel_mass)) for y in (-track / 2, track / 2)]
     if caster is not None:
@@ -60,7 +62,7 @@ def unicycle(
     radius: float = 0.2, mass: float = 5.0, inertia: float = 0.1, wheel_mass: float = 1.0,
     yaw: Motor | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Make a robot with one driven wheel, and a small omnidirectional wheel behind it, driven
+    """Make a robot with one driven wheel, and a small omnidirectional wheel that drives
     sideways."""
     _check("unicycle", radius=radius)
     wheels = [
@@ -75,9 +77,9 @@ def omnidirectional(
     wheels: int | Sequence[float] = 3, arm: float = 0.18, radius: float = 0.05, mass: float = 6.0,
     inertia: float = 0.2, wheel_mass: float = 0.3, height: float = 0.1, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Make a robot with omnidirectional wheels on a circle, each rolling along it.
+    """Make a robot with omnidirectional wheels on a circle, each with its heading along the circle.
 
-    wheels: their number, evenly spaced, the first ahead; or the angles of their places, rad.
+    wheels: their number, evenly spaced, the first ahead; or the angles of their positions, rad.
     """
     _check("omnidirectional", arm=arm, radius=radius)
     angles = (
@@ -96,10 +98,8 @@ def mecanum(
     length: float = 0.47, track: float = 0.3, radius: float = 0.0475, mass: float = 20.0,
     inertia: float = 1.0, wheel_mass: float = 1.4, height: float = 0.1, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Make a robot with four mecanum wheels: front left, front right, rear right, rear left.
-
-    (Lynch & Park, *Modern Robotics*, 13.2, figure 13.5)
-    """
+    """Make a robot with four mecanum wheels: front left, front right, rear right, rear left. (Lynch
+    & Park, *Modern Robotics*, 13.2, figure 13.5)"""
     _check("mecanum", length=length, track=track, radius=radius)
     places = [(1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1)]
     made = [
@@ -116,8 +116,11 @@ def car(
     inertia: float = 1500.0, com: Any = (1.2, 0.0), wheel_mass: float = 20.0, drive: str = "rear",
     height: float = 0.5, lag: float | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Make a car: four wheels, the left one of an axle first, the front ones steered with
-    Ackermann's geometry, the rear or front ones driven through a differential, or all by two."""
+    """Make a car with four wheels, the left one of each axle first.
+
+    The front wheels are steered with Ackermann's geometry. `drive` is "rear", "front" or "all";
+    each driven axle has a differential.
+    """
     _check("car", wheelbase=wheelbase, track=track, radius=radius)
     disc = _disc(radius, wheel_mass)
     wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
@@ -146,8 +149,7 @@ def tricycle(
     inertia: float = 4.0, com: Any = (0.3, 0.0), wheel_mass: float = 1.5, height: float = 0.3,
     lag: float | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Make a robot with two fixed wheels, the left one first, and a driven and steered front
-    wheel."""
+    """Make a robot with two fixed rear wheels, left first, and a driven and steered front wheel."""
     _check("tricycle", wheelbase=wheelbase, track=track, radius=radius)
     disc = _disc(radius, wheel_mass)
     wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
@@ -161,8 +163,11 @@ def skid_steer(
     inertia: float = 3.0, com: Any = (0.0, 0.0), wheel_mass: float = 2.6, height: float = 0.2,
     motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Make a robot with four wheels, the right ones first, which skid as it turns. The wheels of a
-    side are on one shaft. If wheels may not slip, it turns on the axis at x = `turn_center`."""
+    """Make a robot with four wheels, the right ones first, which skid in turns.
+
+    The wheels of a side are on one shaft. At fidelities without slip, the robot turns on the axis
+    x = `turn_center`.
+    """
     _check("skid_steer", length=length, track=track, radius=radius)
     disc = _disc(radius, wheel_mass)
     wheels = [
@@ -179,9 +184,9 @@ def with_trailers(
     radius: float = 0.1, mass: float = 20.0, inertia: float = 1.0, com: Any = (0.1, 0.0),
     wheel_mass: float = 1.0, height: float = 0.2,
 ) -> Robot:  # fmt: skip
-    """Add trailers, one behind the other, each with one axle in its origin.
+    """Add trailers, one behind the other, each with one axle at its origin.
 
-    hitch: the distance of a coupling behind the body's origin; 0 is on the axle.
+    hitch: the distance of a coupling behind the origin of the body ahead, m; 0 is on the axle.
     """
     where = "with_trailers"
     instance(where, "robot", robot, Robot, "rb.wheeled.Robot")
@@ -201,14 +206,14 @@ def with_trailers(
 
 @dataclass(frozen=True)
 class Kind:
-    """A robot by name: `make(**numbers)` builds it."""
+    """A named robot type. `make(**numbers)` builds a robot of it."""
 
     name: str
     make: Callable[..., Robot]
 
 
 def kinds() -> dict[str, Kind]:
-    """All robots: name -> `Kind`.
+    """Return all robot types: name -> `Kind`.
 
     Example:
         >>> import rbjax as rb
@@ -237,7 +242,7 @@ def kinds() -> dict[str, Kind]:
 def _pulling(
     make: Callable[..., Robot], number: int, hitch: float, **trailer: Any
 ) -> Callable[..., Robot]:
-    """Add trailers to a maker."""
+    """Make a maker of robots with trailers from a maker of robots."""
 
     @functools.wraps(make)
     def both(**numbers: Any) -> Robot:
@@ -247,7 +252,7 @@ def _pulling(
 
 
 def _named(kind: str, make: Callable[..., Robot]) -> Callable[..., Robot]:
-    """Make a maker raise `UnknownName` for a parameter that the kind does not have."""
+    """Wrap a maker so that it raises `UnknownName` for a parameter that the kind does not have."""
     valid = list(inspect.signature(make).parameters)
 
     @functools.wraps(make)

@@ -1,11 +1,11 @@
-"""Motors of wheels: torque on a shaft by command and speed, and power.
+"""Motors of wheels: torque on a shaft as a function of command and speed, and power.
 
     TorqueSource    tau = u
     SpeedServo      tau = L tanh(k (u - Omega) / L)
     DCMotor         V = V_b tanh(u / V_b),   i = (V - n K Omega) / R,   tau = n K i - b Omega
 
-Omega is the speed of the driven shaft, behind a gear of ratio n. The power taken in is
-P = tau Omega + Q, with the heat Q; for a DCMotor P = V i, Q = R i^2 + b Omega^2.
+Omega is the speed of the driven shaft, behind a gear of ratio n. The input power is
+P = tau Omega + Q, with the heat Q. For a DCMotor P = V i and Q = R i^2 + b Omega^2.
 """
 
 from __future__ import annotations
@@ -24,10 +24,13 @@ from rbjax.wheeled.fields import check_ranges, number
 
 
 class Motor(Record):
-    """A motor of a shaft. A subclass defines `torque`, `free_speed`, `command_for` and `heat`.
+    """Base class of motors. A subclass defines `torque`, `free_speed`, `command_for` and `heat`.
 
-    Class fields: unit, of the command; positive, the fields above zero; nonnegative, the fields of
-    at least zero; unlimited, the field that may be infinite.
+    Class fields:
+        unit: of the command.
+        positive: names of the fields that must be above zero.
+        nonnegative: names of the fields that must be at least zero.
+        unlimited: the name of the field that may be infinite.
     """
 
     unit: ClassVar[str]
@@ -54,21 +57,21 @@ class Motor(Record):
 
     @abc.abstractmethod
     def torque(self, u: Lane, speed: Lane) -> Lane:
-        """Compute the torque on the shaft, N m, by the command u and the shaft's speed, rad/s."""
+        """Compute the torque on the shaft, N m, for the command u and the shaft's speed, rad/s."""
 
     @abc.abstractmethod
     def free_speed(self, u: Lane) -> Lane:
         """Compute the no-load speed, rad/s, at which `torque` is zero."""
 
     def command_for(self, speed: Lane) -> Lane:
-        """Compute the command whose free speed is `speed`, rad/s, for `Commands.controls`."""
+        """Compute the command with the no-load speed `speed`, rad/s, for `Commands.controls`."""
         raise InputError(
             f"{type(self).__name__} does not define `command_for(speed)`, the inverse of "
             "`free_speed`; give the class this method, or compute the controls yourself"
         )
 
     def damping(self, u: Lane, speed: Lane) -> Lane:
-        """Compute the secant torque / (free speed - speed), N m s/rad."""
+        """Compute the secant damping torque / (no-load speed - speed), N m s/rad."""
         return 0.0
 
     def heat(self, u: Lane, speed: Lane) -> Lane:
@@ -76,7 +79,7 @@ class Motor(Record):
         return 0.0
 
     def power_in(self, u: Lane, speed: Lane) -> Lane:
-        """Compute the power taken in, W; negative if it brakes and recovers power."""
+        """Compute the input power, W; negative if the motor brakes and recovers power."""
         return self.torque(u, speed) * speed + self.heat(u, speed)
 
 
@@ -109,7 +112,9 @@ class SpeedServo(Motor):
 
         tau = L tanh(k (u - Omega) / L),    k (u - Omega) for an infinite L
 
-    Fields: gain k (), N m s/rad, above 0; limit L (), N m, above 0.
+    Fields:
+        gain: k (), N m s/rad, above 0.
+        limit: L (), N m, above 0.
 
     Example:
         >>> import rbjax as rb
@@ -186,7 +191,7 @@ class DCMotor(Motor):
 
     @property
     def _constant(self) -> Lane:
-        """n K, at the shaft."""
+        """The torque constant at the shaft, n K."""
         return self.gear * self.torque_constant
 
     def current(self, u: Lane, speed: Lane) -> Lane:

@@ -1,12 +1,12 @@
 """A wheeled robot: bodies, wheels, drives and steerings.
 
-A body's frame lies on the ground, x ahead and y to the left. All numbers are leaves: they can be
-differentiated, mapped over and changed with no recompilation.
+The frame of a body lies on the ground, with x forward and y to the left. All numeric fields are
+pytree leaves: they can be differentiated, mapped over and changed without recompilation.
 
-Coordinates q: the pose (x, y, heading) of the chassis, the angles of trailers against the body
-ahead, of steerings, of casters, of shafts. Full velocities w: the twist (vx, vy, turning rate) of
-the chassis in its own axes, and the rates of trailers and of shafts. The rates of casters follow
-from the others, those of steerings are given.
+Coordinates q: the pose (x, y, heading) of the chassis; the angles of trailers relative to the body
+ahead, of steerings, of casters, and of shafts. Full velocities w: the twist (vx, vy, turning rate)
+of the chassis in its own axes, and the rates of trailers and of shafts. The rates of casters follow
+from w; the rates of steerings are inputs.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ class Body(Record):
     Fields:
         mass: () kg, without the wheels.
         inertia: () kg m^2, about the vertical through `com`, without the wheels.
-        com: (2,) m, the centre of mass.
-        height: () m, of the centre of mass with the wheels above the ground.
-        hitch: (2,) m, where a trailer is coupled, in the frame of the body ahead.
-        drawbar: () m, how far the coupling is ahead of the trailer's own origin.
+        com: (2,) m, the centre of mass without the wheels.
+        height: () m, height of the centre of mass with the wheels above the ground.
+        hitch: (2,) m, the coupling of a trailer, in the frame of the body ahead.
+        drawbar: () m, the distance of the coupling ahead of the trailer's origin.
         ahead: static, the index of the body that pulls a trailer; None for a chassis.
 
     Example:
@@ -65,28 +65,30 @@ class Body(Record):
 class Wheel(Record):
     """A wheel on the ground under a body.
 
-    Kinds: "fixed", its axle is fixed in the body; "steered", it turns about the vertical through
-    its centre; "caster", it turns freely about a vertical ahead of its centre; "rollers", its rim
-    has free rollers, as omnidirectional and mecanum wheels have.
+    Kinds: "fixed" has an axle that is fixed in the body. "steered" turns about the vertical through
+        its
+    centre. "caster" turns freely about a vertical ahead of its centre. "rollers" has free rollers
+    on the rim, as omnidirectional and mecanum wheels.
 
     Fields:
-        position: (2,) m, of the centre; of a caster's pivot.
-        heading: () rad, the direction in which it rolls at a positive rate, from x to the left; of
-            a steered wheel at zero steering. A caster does not use it.
+        position: (2,) m, of the centre; for a caster, of its pivot.
+        heading: () rad, the direction in which it rolls at a positive rate, from x to the left; for
+            a steered wheel, at zero steering. Not used for a caster.
         radius: () m.
-        inertia: () kg m^2, about the axle, with everything that turns with it.
-        mass: () kg; of a caster with its fork.
-        yaw_inertia: () kg m^2, about the vertical; of a caster with its fork, about the pivot.
-        roller: () rad, the angle of the rollers' axes from the heading to the left: 0
-            omnidirectional, +-pi/4 mecanum.
-        trail: () m, how far a caster's centre is behind its pivot.
-        behind: () m, how far the centre of mass of a caster with its fork is behind its pivot.
+        inertia: () kg m^2, about the axle, of everything that turns with the wheel.
+        mass: () kg; for a caster, including its fork.
+        yaw_inertia: () kg m^2, about the vertical; for a caster, including its fork and about the
+            pivot.
+        roller: () rad, the angle of the rollers' axes from the heading to the left: 0 for
+            omnidirectional, +-pi/4 for mecanum wheels.
+        trail: () m, the distance of a caster's centre behind its pivot.
+        behind: () m, the distance of the centre of mass of a caster and fork behind its pivot.
         damping: () N m s/rad, of the axle.
-        kind: static.
+        kind: static, "fixed", "steered", "caster" or "rollers".
         body: static, the index of its body.
-        shaft: static, a name that wheels which turn together share.
-        skids: static, whether it may slide sideways where the others may not, as the wheels of a
-            skid-steer robot.
+        shaft: static, a name; wheels with the same name turn together.
+        skids: static, whether it may slide sideways although other wheels may not, as the wheels of
+            a skid-steer robot.
 
     Example:
         >>> import rbjax as rb
@@ -117,7 +119,7 @@ class Wheel(Record):
 
 
 class Drive(Record):
-    """A motor on one wheel, or through a differential on several.
+    """A motor on one wheel, or on several wheels through a differential.
 
         torque of wheel i = split_i torque(u, W),     W = sum split_i phi'_i
 
@@ -126,8 +128,8 @@ class Drive(Record):
     Fields:
         wheels: static, the indices of its k wheels.
         motor: a `Motor`.
-        split: (k,) the shares of the torque, whose sum is 1 behind a differential; of one wheel a
-            gear ratio, negative where motor and wheel turn in opposite directions.
+        split: (k,), the shares of the torque. For a differential their sum is 1. For one wheel it
+            is a gear ratio, negative if motor and wheel turn in opposite directions.
 
     Example:
         >>> import rbjax as rb
@@ -166,9 +168,9 @@ class Drive(Record):
 class Steering(Record):
     """One or several steered wheels with one angle b.
 
-    A steering of one wheel turns it by b. One of several wheels has Ackermann's geometry: b is the
-    angle of a wheel in the middle between them, and all axles meet in one point on the axle of the
-    fixed wheels.
+    A steering of one wheel turns it by b. A steering of several wheels has Ackermann's geometry: b
+    is the angle of a virtual wheel in the middle between them, and all axles meet in one point on
+    the axle of the fixed wheels.
 
         b' = u,                 lag None: u is the rate of steering, rad/s
         b' = (u - b) / lag,     u is the requested angle, rad
@@ -196,9 +198,12 @@ class Steering(Record):
 
 @dataclass(frozen=True)
 class Layout:
-    """The places of coordinates in q and of full velocities in w, and the shafts of wheels.
+    """Slices of coordinates in q and of full velocities in w, and the shafts of wheels.
 
-    shaft: the shaft of each wheel. setters: the first wheel of each shaft, which sets its rate.
+    trailers, steerings, casters, shafts: slices of q.
+    shaft: the index of the shaft of each wheel.
+    setters: the first wheel of each shaft, whose rolling determines the shaft's rate.
+    caster_wheels: the indices of casters.
     """
 
     trailers: slice
@@ -215,20 +220,20 @@ class Layout:
 
     @property
     def nw(self) -> int:
-        """The number of full velocities: three, and the rates of trailers and of shafts."""
+        """The number of full velocities: three, plus the numbers of trailers and of shafts."""
         return 3 + (self.trailers.stop - self.trailers.start) + len(self.setters)
 
 
 class Robot(Record):
-    """A chassis with wheels, drives and steerings, and perhaps trailers.
+    """A chassis with wheels, drives and steerings, and optionally trailers.
 
     The controls u are one number for each drive, then one for each steering.
 
     Fields:
-        bodies: the chassis, then the trailers, each behind the body that pulls it.
-        wheels, drives, steerings: tuples.
+        bodies: the chassis, then the trailers, each after the body that pulls it.
+        wheels, drives, steerings: tuples of parts.
         gravity: () m/s^2.
-        slope: (2,) the tangents by which the ground falls along x and along y.
+        slope: (2,), the tangents of the descent of the ground along x and along y.
         resistance: a `RollingResistance` of all wheels, or None.
         turn_center: () m, the x of the axis on which a robot with skidding wheels turns.
         arrangement: static, the motions that the wheels allow.
@@ -269,13 +274,13 @@ class Robot(Record):
         steerings: Sequence[Steering] = (),
         **others: Any,
     ) -> Robot:
-        """Make a robot from lists of parts; `others` are fields of `Robot`."""
+        """Make a robot from lists of parts. `others` are further fields of `Robot`."""
         bodies = (bodies,) if isinstance(bodies, Body) else tuple(bodies)
         return cls(bodies, tuple(wheels), tuple(drives), tuple(steerings), **others)
 
     def replace(self, **changes: Any) -> Robot:
-        """Return a copy with the given fields changed. If parts are among them, the arrangement is
-        computed again, unless numbers are traced."""
+        """Return a copy with the given fields changed. If parts change, the arrangement is computed
+        again, unless values are traced."""
         parts = {"bodies", "wheels", "steerings", "turn_center"} & changes.keys()
         known = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((self, changes)))
         if parts and known and "arrangement" not in changes:
@@ -284,7 +289,7 @@ class Robot(Record):
 
     @property
     def layout(self) -> Layout:
-        """The places of coordinates and velocities."""
+        """The slices of coordinates and velocities."""
         setters: dict[str | int, int] = {}
         for i, wheel in enumerate(self.wheels):
             setters.setdefault(i if wheel.shaft is None else wheel.shaft, i)
@@ -304,7 +309,7 @@ class Robot(Record):
 
 
 def _check_indices(robot: Robot) -> None:
-    """Raise `InputError` if parts name bodies or wheels that do not exist, or name them twice."""
+    """Raise `InputError` if indices of bodies or wheels are out of range or occur twice."""
     n, bodies = len(robot.wheels), len(robot.bodies)
     if not n or not bodies:
         raise InputError(f"Robot: got {bodies} bodies and {n} wheels, expected at least one each")

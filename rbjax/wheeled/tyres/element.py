@@ -42,11 +42,12 @@ from rbjax.wheeled.tyres.tyre import Pair, RollingResistance, Tyre
 
 
 class Contact(NamedTuple):
-    """The contact of a tyre.
+    """The contact of a tyre with the ground, in world axes.
 
-    Fields: p, the contact point, and n, x, y, the directions there, in world axes; depth, m; load
-    N, in newtons; lever D, m; sliding velocity, m/s, traction mu, and rates of the state, along x
-    and y; spin, rad/s about the axle; roll_speed, m/s, of the rim.
+    p: the contact point. n, x, y: the normal and the directions along and across the wheel.
+    depth: m. load: N, in newtons. lever: D, m.
+    sliding: velocity along x and y, m/s. mu: traction along x and y.
+    rates: of the tyre state. spin: about the axle, rad/s. roll_speed: of the rim, m/s.
     """
 
     p: Vec3
@@ -64,18 +65,23 @@ class Contact(NamedTuple):
 
 
 class TyreOnGround(Element):
-    """The tyre of a wheel on a plane: load, traction, and rolling resistance if it has any.
+    """Force element of the tyre of a wheel on a plane: load, traction and rolling resistance.
 
         F = N (n + mu_x x + mu_y y),    N = stop_force(r - D, ...) / sin(lean)
 
-    Its state is that of a `Relaxing` tyre. Camber thrust and the torques about n and x are not
-    included.
+    Its state is the state of a `Relaxing` tyre. Camber thrust and the torques about n and x are not
+    included. The axle must not be normal to the plane.
 
-    Fields: a, a `Place`, its origin in the plane and its z the normal on the wheel's side; b, a
-    `Place`, its origin the wheel's centre and its z the axle, about which a positive spin rolls
-    towards axle x normal; tyre, a law or `Relaxing`; radius r (), m; stiffness k (), N/m; damping
-    (), N s/m; onset (), m, of the spring; resistance, a `RollingResistance` or None. The axle must
-    not be normal to the plane.
+    Fields:
+        a: a `Place` with its origin in the plane and its z the normal on the wheel's side.
+        b: a `Place` with its origin at the wheel's centre and its z the axle. A positive spin rolls
+            towards axle x normal.
+        tyre: a law or `Relaxing`.
+        radius: r (), m.
+        stiffness: k (), N/m.
+        damping: (), N s/m.
+        onset: (), of the spring, m.
+        resistance: a `RollingResistance` or None.
 
     Source: Rill & Castro, *Road Vehicle Dynamics*, 2nd ed. 2020, 3.1 and 3.2.
 
@@ -124,7 +130,7 @@ class TyreOnGround(Element):
         return self.tyre.size
 
     def contact(self, now: Context) -> Contact:
-        """Compute the contact."""
+        """Compute the contact point, load, sliding velocity and traction."""
         A, B, own = self.a.frame(now), self.b.frame(now), self._in(now)
         n, e = A.rotation @ Z, B.rotation @ Z
         away = B.position - A.position
@@ -167,5 +173,5 @@ class TyreOnGround(Element):
         return stop_energy(at.depth, own.stiffness, own.onset) + at.load * own.tyre.stored(now.x)
 
     def _in(self, now: Context) -> TyreOnGround:
-        """Return a copy in the precision of the motion."""
+        """Return a copy in the dtype of the motion."""
         return jax.tree.map(lambda x: jnp.asarray(x, now.q.dtype), self)

@@ -31,12 +31,14 @@ from rbjax.wheeled.tyres.tyre import Pair, Tyre, pair
 
 
 class Relaxing(Record):
-    """A tyre law behind an elastic carcass; its state is the deflection zeta (2,), in m.
+    """A tyre law behind an elastic carcass. Its state is the deflection zeta (2,), m.
 
         zeta' = -(G v_s + c v zeta) / (G + c tau v),    mu = c (zeta + tau zeta'),  c = C / sigma
 
-    Fields: law, a `Tyre`; length sigma, () or (2,) along and across, m, above 0; damping_time tau
-    (), s: the carcass damps as c tau. The law's smooth_speed should be small.
+    Fields:
+        law: a `Tyre`, with a small smooth_speed.
+        length: sigma, () or (2,) along and across, m, above 0.
+        damping_time: tau (), s; the carcass has the damping c tau.
 
     Source: Rill & Castro, *Road Vehicle Dynamics*, 2nd ed. 2020, 3.4.
 
@@ -86,8 +88,8 @@ class Relaxing(Record):
         return (mu[0], mu[1]), (rates[0], rates[1])
 
     def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
-        """Compute c (h + tau) G / (G + c v tau), s/m: the damping of the sliding velocity by the
-        traction at the end of a step h."""
+        """Compute c (h + tau) G / (G + c v tau), s/m, the damping of the sliding velocity. It is
+        the implicit damping by the traction at the end of a step h."""
         v = self.law.reference_speed(roll_speed)
         secants = self.law.secants(vx / v, vy / v)
         along, across = (
@@ -97,17 +99,17 @@ class Relaxing(Record):
         return along, across
 
     def stored(self, z: Any) -> Lane:
-        """Compute the energy for each newton of load, (c_x zeta_x^2 + c_y zeta_y^2) / 2, in m."""
+        """Compute the elastic energy per newton of load, (c_x zeta_x^2 + c_y zeta_y^2) / 2, m."""
         (cx, cy), (x, y) = self.carcass, z
         return (cx * x * x + cy * y * y) / 2
 
     @property
     def limits(self) -> Pair:
-        """The limits of the law."""
+        """The traction limits of the law."""
         return self.law.limits
 
     @property
     def carcass(self) -> Pair:
-        """c = C / sigma along and across, 1/m."""
+        """The carcass stiffness c = C / sigma along and across, 1/m."""
         (ax, ay), (sx, sy) = self.law.slopes, pair(self.length)
         return ax / sx, ay / sy

@@ -42,11 +42,16 @@ Pair = tuple[Lane, Lane]  # along the wheel's x and y
 
 
 class Tyre(Record):
-    """A tyre law. A subclass defines `secants` and `slopes`; each coefficient is one number for
-    both axes, (), or one along and one across, (2,).
+    """Base class of tyre laws. A subclass defines `secants` and `slopes`.
 
-    Fields: smooth_speed () v_n, m/s, above 0. Class fields: positive, the coefficients
-    above zero; limit, the coefficient of the largest traction, if the law has it.
+    Each coefficient is one number for both axes, (), or one along and one across, (2,).
+
+    Fields:
+        smooth_speed: v_n (), m/s, above 0.
+
+    Class fields:
+        positive: names of the coefficients that must be above zero.
+        limit: the name of the coefficient of the largest traction, if the law has one.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -72,7 +77,7 @@ class Tyre(Record):
 
     @property
     def size(self) -> int:
-        """The number of states: none."""
+        """The number of states, which is zero."""
         return 0
 
     @property
@@ -88,52 +93,53 @@ class Tyre(Record):
 
     @abc.abstractmethod
     def secants(self, sx: Lane, sy: Lane) -> Pair:
-        """Compute G_x and G_y, above 0, at the slip s."""
+        """Compute the secants G_x and G_y, above 0, at the slip s."""
 
     def traction(self, sx: Lane, sy: Lane) -> Pair:
-        """Compute the force on the wheel for each newton of load, -(G_x s_x, G_y s_y)."""
+        """Compute the force on the wheel per newton of load, -(G_x s_x, G_y s_y)."""
         along, across = self.secants(sx, sy)
         return -along * sx, -across * sy
 
     def reference_speed(self, roll_speed: Lane) -> Lane:
-        """Compute sqrt((r phi')^2 + v_n^2), m/s, by which the sliding velocity is divided."""
+        """Compute sqrt((r phi')^2 + v_n^2), m/s, the denominator of the slip."""
         return jnp.sqrt(roll_speed * roll_speed + self.smooth_speed * self.smooth_speed)
 
     def slip(self, ux: Lane, uy: Lane, roll_speed: Lane) -> Pair:
-        """Compute s by the wheel centre's velocity u, m/s in the wheel's axes, and r phi', m/s."""
+        """Compute the slip s from the wheel centre's velocity u in the wheel's axes, and r phi',
+        m/s."""
         inverse = 1 / self.reference_speed(roll_speed)
         return (ux - roll_speed) * inverse, uy * inverse
 
     def response(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any = ()) -> tuple[Pair, Any]:
-        """Compute the traction by u and r phi', and the rate of the state z, which is empty."""
+        """Compute the traction from u and r phi', and the rate of the state z, which is empty."""
         return self.traction(*self.slip(ux, uy, roll_speed)), ()
 
     def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
-        """Compute G_i / sqrt((r phi')^2 + v_n^2), s/m: the damping of the sliding velocity v_s.
+        """Compute G_i / sqrt((r phi')^2 + v_n^2), s/m, the damping of the sliding velocity v_s.
 
-        h: the step, s, which laws with a state need.
+        h: the step, s, which only laws with a state use.
         """
         inverse = 1 / self.reference_speed(roll_speed)
         along, across = self.secants(vx * inverse, vy * inverse)
         return along * inverse, across * inverse
 
     def stored(self, z: Any = ()) -> Lane:
-        """Compute the energy of the state for each newton of load, in metres: none."""
+        """Return the energy of the state per newton of load, m, which is zero."""
         return 0.0
 
 
 def traction_along(
     law: Tyre, ux: Lane, uy: Lane, roll_speed: Lane, direction: tuple[Lane, Lane]
 ) -> Pair:
-    """Compute the traction of a wheel whose rim carries free rollers, along their axis.
+    """Compute the traction of a wheel with free rollers on its rim, along the rollers' axis.
 
         v_a = a . v_s,   s = v_a / sqrt((r phi')^2 + v_n^2),   mu = -G_x(s, 0) s a
 
     Args:
-        law: its coefficients along x are used along a.
+        law: a `Tyre`. Its coefficients along x are used along a.
         ux, uy: the velocity of the wheel's centre, m/s in the wheel's axes.
         roll_speed: r phi', m/s.
-        direction: a, the unit vector of the axis of the roller that touches, in the wheel's axes:
+        direction: a, the unit vector of the axis of the roller in contact, in the wheel's axes:
             (cos 45, sin 45 degrees) for one hand of mecanum wheels, (1, 0) for an omni wheel whose
             rollers let it slide sideways.
 
@@ -163,17 +169,18 @@ def traction_along(
 
 
 def pair(x: Any) -> Pair:
-    """Return a coefficient along and across; as literals if it is known while tracing."""
+    """Return a coefficient along and across, as floats if it is known while tracing."""
     if not jnp.ndim(x):
         return x, x
     return (float(x[0]), float(x[1])) if isinstance(x, np.ndarray) else (x[0], x[1])
 
 
 class RollingResistance(Record):
-    """A torque against rolling, -c N r tanh(r phi' / v_n), smooth where the wheel stands.
+    """A torque against rolling, -c N r tanh(r phi' / v_n), smooth at rest.
 
-    Fields: coefficient c (), 0.005 to 0.03 for tyres on hard ground; smooth_speed v_n (), m/s,
-    above 0.
+    Fields:
+        coefficient: c (), 0.005 to 0.03 for tyres on hard ground.
+        smooth_speed: v_n (), m/s, above 0.
 
     Source: Jazar, *Vehicle Dynamics*, 3.4.
 
