@@ -93,8 +93,8 @@ def control_method(
         InputError: not a problem, no candidate.
         UnknownName: no such method.
 
-    Source: Betts, *Practical Methods for Optimal Control*, 2010, 1.15 (a gradient-based solution is a
-    local optimum, which depends on the first guess).
+    Source: Betts, *Practical Methods for Optimal Control*, 2010, 1.15 (a gradient-based solution is
+    a local optimum, which depends on the first guess).
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
