@@ -137,7 +137,7 @@ class StagedFit:
         return x
 
     def retry_if_poor(self, fit: Fit) -> Fit:
-        """If a fit is poor, try growing fits from several guesses, and return the best fit."""
+        """Retry a poor fit with growing fits from several guesses, and return the best fit."""
         restarts = self.options.restarts
         why = "the first guess failed" if not np.isfinite(fit.minimum.cost) else ""
         why = why or self._why_poor(fit)

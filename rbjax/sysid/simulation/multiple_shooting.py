@@ -68,9 +68,10 @@ def make_programs(
     def slopes(
         x: jax.Array, runs: Run, weight: jax.Array
     ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-        """Compute r and the gaps, with their derivatives by each entry of the segment's x.
+        """Compute r and the gaps, and their derivatives by each entry of the segments' x.
 
-        Derivatives are returned of r, of the gap after the segment, and of the gap before it.
+        The derivatives of a gap by the segment before it and by the segment after it are separate
+        arrays.
         """
         gaps = jax.vmap(functools.partial(gap, weight=weight))
 

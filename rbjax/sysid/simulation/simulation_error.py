@@ -152,9 +152,7 @@ class SimulationError:
         self.setup, self.unknowns, self.grid, self.loss = setup, unknowns, grid, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
-        self.all_starts = (
-            estimate_initial_state is True
-        )  # also the known initial states
+        self.all_starts = estimate_initial_state is True  # also the known initial states
         self.runs = self._mark_known(runs)
         if estimate_initial_state is None:
             estimate_initial_state = not np.asarray(runs.known).all()

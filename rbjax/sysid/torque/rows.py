@@ -271,7 +271,7 @@ def _in_order(where: str, model: Model, recording: Recording, sensor: str) -> Ch
 
 
 def _cutoffs(where: str, cutoff: Any, signal_cutoff: Any, h: float) -> float:
-    """Check both cut-off frequencies, and return the one of the signals in Hz."""
+    """Check both cut-off frequencies, and return the cut-off of the signals in Hz."""
     check_cutoff(where, "cutoff", cutoff, h)
     if signal_cutoff is not None:
         check_cutoff(where, "signal_cutoff", signal_cutoff, h)
